@@ -1,0 +1,1 @@
+"""Measurements as ratios; run the files of this folder as scripts."""

@@ -1,0 +1,98 @@
+"""The eight metrics over 10 million events, beside the same aggregation hand-written in Polars; prints the ratio.
+
+    python benchmarks/metrics.py                    10 million events; the ledger is simulated once and kept
+    python benchmarks/metrics.py --events 200000    a small run
+
+Both sides start from the segment files, use every core, and must give the same numbers.
+"""
+
+import argparse
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import get_args
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks.polars_metrics import GROUP, eight_metrics
+from fsar_ledger.events.envelope import Architecture, Scenario
+from fsar_ledger.ledger.read import open_ledger
+from fsar_ledger.metrics.database import connect
+from fsar_ledger.metrics.results import metric_rows
+from fsar_ledger.runtime.experiment import Experiment, simulate
+
+TOLERANCE = 1e-9
+Numbers = dict[tuple[str, str, int, str], float]
+
+
+def ledger_of(events: int, cache: Path, workers: int) -> Path:
+    """A ledger with about so many events: five scenarios, three architectures, as many runs as it takes."""
+    probe = cache / "probe"
+    per_run = simulate(probe, experiment(4), workers, None).size / (15 * 4)
+    runs = max(4, round(events / per_run / 15))
+    ledger = cache / f"runs-{runs}"
+    print(f"ledger of {runs} runs per scenario and architecture: {ledger}", flush=True)
+    simulate(ledger, experiment(runs), workers, None)
+    return ledger
+
+
+def experiment(runs: int) -> Experiment:
+    return Experiment(architectures=get_args(Architecture), scenarios=get_args(Scenario), runs=runs, seed=42, fleet_size=4, configurations=("full",))
+
+
+def by_sql(ledger: Path) -> Numbers:
+    with connect(ledger) as database:
+        return {(row.architecture, row.configuration, row.fleet_size, row.metric): row.mean for row in metric_rows(database) if row.mean is not None}
+
+
+def by_polars(segments: list[Path]) -> Numbers:
+    rows = eight_metrics(segments).to_dicts()
+    return {
+        (row["architecture"], row["configuration"], row["fleet_size"], metric): value
+        for row in rows
+        for metric, value in row.items()
+        if metric not in GROUP and value is not None
+    }
+
+
+def timed(work: Callable[[], Numbers]) -> tuple[float, Numbers]:
+    began = time.perf_counter()
+    numbers = work()
+    return time.perf_counter() - began, numbers
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--events", type=int, default=10_000_000)
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--workers", type=int, default=2, help="processes that simulate the ledger")
+    parser.add_argument("--cache", type=Path, default=Path(tempfile.gettempdir()) / "fsar-ledger-benchmark")
+    options = parser.parse_args()
+    ledger = ledger_of(options.events, options.cache, options.workers)
+    view = open_ledger(ledger)
+    segments = view.segments()
+    sql_s, polars_s = [], []
+    for _ in range(options.repeats):  # in turns, so that a slow moment of the machine meets both
+        seconds, ours = timed(lambda: by_sql(ledger))
+        sql_s.append(seconds)
+        seconds, theirs = timed(lambda: by_polars(segments))
+        polars_s.append(seconds)
+        differing = sorted(key for key in ours.keys() | theirs.keys() if abs(ours.get(key, float("inf")) - theirs.get(key, float("-inf"))) > TOLERANCE)
+        if differing:
+            for key in differing:
+                print(f"differs: {key}: SQL {ours.get(key)}, Polars {theirs.get(key)}", file=sys.stderr)
+            return 1
+    sql, polars = statistics.median(sql_s), statistics.median(polars_s)
+    print(f"events                  {view.head.size:>12,}")
+    print(f"eight metrics, SQL      {sql:>12.2f} s   (with summary, intervals and start-up; {view.head.size / sql / 1e6:.1f} million events/s)")
+    print(f"eight metrics, Polars   {polars:>12.2f} s   (means only)")
+    print(f"same numbers            {len(ours):>12} of {len(ours)} within {TOLERANCE}")
+    print(f"SQL / Polars            {sql / polars:>12.2f}     (target: at most 2)")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

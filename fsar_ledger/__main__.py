@@ -1,0 +1,19 @@
+"""The entry of the command `fsar-ledger` and of `python -m fsar_ledger`."""
+
+import sys
+
+from . import __version__
+
+
+def main() -> None:
+    """The command has run and the process has ended with its exit code; `--version` answers before anything slow is imported."""
+    if sys.argv[1:] == ["--version"]:
+        print(f"fsar-ledger {__version__}")
+        return
+    from .cli import run
+
+    sys.exit(run(sys.argv[1:]))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,378 @@
+"""The command line: the only place that prints, exits or reads a clock, with `commands/progress.py` for the line on terminals.
+
+Every command body imports what it needs, so that `--help` stays quick. A command that fails raises one of
+the errors of `errors.py`; `run` turns it into one message on stderr and its exit code:
+0 fine, 1 a write failed, 2 the call was wrong, 3 the ledger is damaged, 130 interrupted.
+"""
+
+import os
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from .commands.options import (
+    ArchitectureOption,
+    CsvOption,
+    JsonOption,
+    LedgerArgument,
+    LimitOption,
+    NewLedgerArgument,
+    ParameterOption,
+    ScenarioOption,
+    WithoutOption,
+    WorkersOption,
+    experiment_of,
+    parameters_of,
+    workers_of,
+)
+from .commands.progress import Progress
+from .errors import FsarLedgerError, LedgerCorrupted, UsageError
+
+if TYPE_CHECKING:
+    from msgspec import Struct
+
+    from .commands.output import HeadLike, Row
+
+INTERRUPTED = 130
+SHOWN_ROWS = 100
+
+app = typer.Typer(
+    name="fsar-ledger",
+    help="Simulate robot fleets under three governance architectures, keep every event in an append-only ledger, and judge it by SQL.",
+    epilog="\b\nStart here:\n  fsar-ledger reproduce              simulate, measure and typeset the paper's experiment\n"
+    "  fsar-ledger simulate out/ledger    only simulate\n  fsar-ledger query --list           every question that has a name",
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 120},
+)
+
+
+def _examples(*lines: str) -> str:
+    return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
+
+
+@app.callback(invoke_without_command=True)
+def _version(version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False) -> None:
+    if version:
+        from . import __version__
+
+        _show(f"fsar-ledger {__version__}\n")
+        raise typer.Exit(0)
+
+
+@app.command(
+    epilog=_examples(
+        "fsar-ledger simulate out/ledger",
+        "fsar-ledger simulate out/doors --architecture fsar --scenario door-relay --runs 3 --seed 7",
+        "fsar-ledger simulate out/untrusting --without trust-evaluation --runs 2",
+        "fsar-ledger simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 --runs 2",
+    )
+)
+def simulate(
+    out: NewLedgerArgument,
+    architecture: ArchitectureOption = None,
+    scenario: ScenarioOption = None,
+    runs: Annotated[int, typer.Option(metavar="N", help="Runs per scenario and architecture.")] = 20,
+    seed: Annotated[int, typer.Option(metavar="N", help="Decides every draw of the world.")] = 42,
+    fleet_size: Annotated[int, typer.Option(metavar="N", help="Robots; a multiple of 4.")] = 4,
+    without: WithoutOption = None,
+    workers: WorkersOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Simulate fleets; every event is appended to the ledger OUT.
+
+    An interrupted simulation continues where it stopped when it is called again.
+    """
+    from .commands.output import json_text
+    from .runtime.experiment import simulate as run_experiment
+
+    experiment = experiment_of(architecture, scenario, runs, seed, fleet_size, without)
+    with Progress("simulated") as progress:
+        head = run_experiment(out, experiment, workers_of(workers), progress)
+    if as_json:
+        _show(json_text(head, {"ledger": str(out), "commits": head.commits}))
+    else:
+        _show(f"{out}: {head.size:,} events in {head.commits:,} commits\nroot {head.root}\n")
+
+
+@app.command(epilog=_examples("fsar-ledger info out/ledger", "fsar-ledger info out/ledger --json"))
+def info(ledger: LedgerArgument, as_json: JsonOption = False) -> None:
+    """Show what a ledger holds, and whether it is complete.
+
+    Its head, its runs by seed, fleet size, architecture and configuration, and (with --json) the parameters of its worlds.
+    """
+    from .commands.contents import contents
+    from .commands.output import json_text, table_text
+
+    head, found = contents(ledger)
+    if as_json:
+        answer = {"groups": found.groups, "models": found.models, "runs": found.run_count, "is_complete": found.is_complete}
+        _show(json_text(head, {"ledger": str(ledger), "commits": head.commits, **answer}))
+        return
+    _show(f"{ledger}: {head.size:,} events in {head.commits:,} commits\nroot {head.root}\n{found.summary()}\n")
+    if found.groups:
+        _show("\n" + table_text(found.groups, list(found.groups[0])))
+
+
+@app.command(epilog=_examples("fsar-ledger metrics out/ledger", "fsar-ledger metrics out/ledger --by scenario", "fsar-ledger metrics out/ledger --json"))
+def metrics(
+    ledger: LedgerArgument,
+    by: Annotated[str | None, typer.Option(metavar="scenario", help="One row for each scenario.", show_default=False)] = None,
+    as_json: JsonOption = False,
+    as_csv: CsvOption = False,
+) -> None:
+    """Judge a ledger by the eight metrics of the paper.
+
+    Mean, SD, 95 % interval and denominator for each architecture, configuration and fleet size. Shares are in [0,1], latency is in
+    seconds; `-` in a table, null in JSON: the metric is not defined there.
+    """
+    from .metrics.database import connect
+    from .metrics.results import metric_rows
+
+    if by not in (None, "scenario"):
+        raise UsageError(f"--by {by}: expected --by scenario, or no --by")
+    with connect(ledger) as database:
+        _answer(database.head, _plain(metric_rows(database, by_scenario=by == "scenario")), as_json=as_json, as_csv=as_csv)
+
+
+@app.command(epilog=_examples("fsar-ledger statistics out/ledger", "fsar-ledger statistics out/ledger --csv"))
+def statistics(ledger: LedgerArgument, as_json: JsonOption = False, as_csv: CsvOption = False) -> None:
+    """Compare the architectures of a ledger in pairs.
+
+    For each metric and pair: paired t, Wilcoxon signed-rank, effect sizes, exact McNemar for human intervention, and Holm over the 24.
+    """
+    from .metrics.database import connect
+    from .metrics.results import statistic_rows
+
+    with connect(ledger) as database:
+        _answer(database.head, _plain(statistic_rows(database)), as_json=as_json, as_csv=as_csv)
+
+
+@app.command(
+    epilog=_examples(
+        "fsar-ledger query --list",
+        "fsar-ledger query metrics/policy_violations out/ledger --csv",
+        "fsar-ledger query failures out/ledger --limit 20",
+    )
+)
+def query(
+    name: Annotated[str | None, typer.Argument(metavar="NAME", help="A name of `query --list`; its last part is enough.", show_default=False)] = None,
+    ledger: Annotated[Path | None, typer.Argument(metavar="LEDGER", help="The folder of a ledger.", show_default=False)] = None,
+    param: ParameterOption = None,
+    list_all: Annotated[bool, typer.Option("--list", help="List every query with its title and parameters.")] = False,
+    as_json: JsonOption = False,
+    as_csv: CsvOption = False,
+    limit: LimitOption = SHOWN_ROWS,
+) -> None:
+    """Answer a question that has a name.
+
+    The questions are the SQL files that come with the package; each says in its header what its rows and its NULLs mean.
+    """
+    from .metrics.database import connect, plain_rows
+
+    if list_all:
+        _list_queries(as_json=as_json, as_csv=as_csv)
+        return
+    if name is None or ledger is None:
+        raise UsageError("query: expected NAME and LEDGER, as in `fsar-ledger query failures out/ledger`; `fsar-ledger query --list` shows the names")
+    with connect(ledger) as database:
+        table = database.query(name, parameters_of(param))
+        _answer(database.head, plain_rows(table), table.column_names, as_json=as_json, as_csv=as_csv, limit=limit)
+
+
+@app.command(
+    epilog=_examples(
+        'fsar-ledger sql out/ledger "SELECT type, count(*) AS events FROM events GROUP BY type ORDER BY events DESC"',
+        "fsar-ledger sql out/ledger \"SELECT * FROM request_denied WHERE run_id LIKE '%door-relay%'\" --csv",
+    )
+)
+def sql(
+    ledger: LedgerArgument,
+    select: Annotated[str, typer.Argument(metavar="SELECT", help="One SELECT in DuckDB's SQL.", show_default=False)],
+    as_json: JsonOption = False,
+    as_csv: CsvOption = False,
+    limit: LimitOption = SHOWN_ROWS,
+) -> None:
+    """Answer a SELECT of your own.
+
+    It can read `events`, one view for each event type, and the views of `query --list`; it runs in a locked-down process that can read
+    this ledger and nothing else.
+    """
+    from .metrics.untrusted import run_untrusted
+
+    answer = run_untrusted(ledger, select)
+    _answer(answer.head, answer.rows, answer.columns, as_json=as_json, as_csv=as_csv, limit=limit)
+
+
+@app.command(
+    epilog=_examples(
+        "fsar-ledger export out/ledger --out out/events.parquet",
+        "fsar-ledger export out/ledger --query metrics/run_metrics --out out/run_metrics.csv",
+    )
+)
+def export(
+    ledger: LedgerArgument,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="A .csv or .parquet file; replaced if it exists.", show_default=False)],
+    name: Annotated[str | None, typer.Option("--query", metavar="NAME", help="Export the answer of this query.", show_default="every event")] = None,
+    param: ParameterOption = None,
+) -> None:
+    """Write events, or the answer of a query, to a file.
+
+    The format, CSV or Parquet, follows from the name of the file; lists are JSON text in CSV.
+    """
+    from .commands.files import export_events, export_query
+
+    rows = export_events(ledger, out) if name is None else export_query(ledger, name, parameters_of(param), out)
+    _show(f"{out}: {rows:,} rows\n")
+
+
+@app.command(epilog=_examples("fsar-ledger verify out/ledger", "fsar-ledger verify out/ledger --json"))
+def verify(ledger: LedgerArgument, workers: WorkersOption = None, as_json: JsonOption = False) -> None:
+    """Re-derive every hash, count and record of a ledger.
+
+    Where anything does not hold, each place is named and the exit code is 3.
+    """
+    from .commands.output import verdict_json, verdict_text
+    from .ledger.verify import verify as check
+
+    with Progress("verified") as progress:
+        report = check(ledger, workers_of(workers), progress)
+    if as_json:
+        _show(verdict_json(report))
+    if not report.ok:
+        raise LedgerCorrupted(verdict_text(ledger, report))
+    if not as_json:
+        _show(verdict_text(ledger, report))
+
+
+@app.command(epilog=_examples("fsar-ledger report out/ledger --out out/report.pdf"))
+def report(
+    ledger: LedgerArgument, out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The PDF; replaced if it exists.", show_default=False)]
+) -> None:
+    """Typeset the evaluation as a PDF.
+
+    Each number of the paper stands beside the ledger's, with its interval and a verdict.
+    """
+    from .report import write_report
+
+    write_report(ledger, out)
+    _show(f"{out}\n")
+
+
+@app.command(epilog=_examples("fsar-ledger calibrate --out out/calibration.json"))
+def calibrate(
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The record of the fit, as JSON; replaced if it exists.", show_default=False)],
+) -> None:
+    """Fit the parameters of the world again; takes minutes.
+
+    The fit is to the paper's results table alone; the record of it says what was tried, what the data identify and what was accepted.
+    """
+    from .runtime.calibration import calibrate as fit
+
+    with Progress("evaluated") as progress:
+        fit(out, progress)
+    _show(f"{out}\n")
+
+
+@app.command(epilog=_examples("fsar-ledger reproduce", "fsar-ledger reproduce --out out/paper"))
+def reproduce(
+    out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where the ledger, the tables and the report go.")] = Path("fsar-out"),
+    workers: WorkersOption = None,
+) -> None:
+    """Do the paper's experiment, judge it, typeset the report.
+
+    5 scenarios, 20 seeds, 3 architectures. FOLDER then holds report.pdf, metrics.csv, statistics.csv and ledger/.
+    """
+    from .commands.files import write_text
+    from .commands.output import csv_text, table_text
+    from .metrics.database import connect
+    from .metrics.results import metric_rows, statistic_rows
+    from .report import write_report
+    from .runtime.experiment import simulate as run_experiment
+
+    began = time.monotonic()
+    ledger = out / "ledger"
+    with Progress("simulated") as progress:
+        head = run_experiment(ledger, experiment_of(None, None, 20, 42, 4, None), workers_of(workers), progress)
+    with connect(ledger) as database:
+        metric_table, statistic_table = _plain(metric_rows(database)), _plain(statistic_rows(database))
+    write_text(out / "metrics.csv", csv_text(metric_table, list(metric_table[0])))
+    write_text(out / "statistics.csv", csv_text(statistic_table, list(statistic_table[0])))
+    write_report(ledger, out / "report.pdf")
+    _show(table_text(metric_table, ("architecture", "metric", "mean", "sd", "n", "ci_low", "ci_high")))
+    _show(f"\n{head.size:,} events, root {head.root}, {time.monotonic() - began:.0f} s\n{out / 'report.pdf'}\n")
+
+
+def run(arguments: Sequence[str]) -> int:
+    """The command has run; returns its exit code. What a user can cause is one message on stderr, never a traceback."""
+    try:
+        code = typer.main.get_command(app).main(args=list(arguments) or ["--help"], prog_name="fsar-ledger", standalone_mode=False)
+    except FsarLedgerError as problem:
+        _say(str(problem))
+        return problem.exit_code
+    except typer.TyperException as problem:
+        context = getattr(problem, "ctx", None)
+        _say(f"{problem.format_message()} (see `{context.command_path if context else 'fsar-ledger'} --help`)")
+        return problem.exit_code
+    except OSError as problem:
+        if problem.filename is None:
+            raise
+        _say(f"{problem.filename}: {problem.strerror}")
+        return 1
+    if code == INTERRUPTED:
+        _say("interrupted; what is committed stays, and the same command continues there")
+    return code if isinstance(code, int) else 0
+
+
+def _plain(rows: "Sequence[Struct]") -> "list[Row]":
+    from msgspec.structs import asdict
+
+    return [asdict(row) for row in rows]
+
+
+def _list_queries(*, as_json: bool, as_csv: bool) -> None:
+    from .commands.output import csv_text, json_text, table_text
+    from .metrics.library import library
+
+    columns = ("name", "title", "parameters")
+    rows: list[Row] = [
+        {"name": query.name, "title": query.header["Title"], "parameters": " ".join(f"{name}={value or ''}" for name, value in query.parameters.items())}
+        for query in library().queries.values()
+    ]
+    if as_json:
+        _show(json_text(None, {"queries": rows}))
+    else:
+        _show(csv_text(rows, columns) if as_csv else table_text([{**row, "title": str(row["title"]).partition(". ")[0]} for row in rows], columns))
+
+
+def _answer(head: "HeadLike | None", rows: "Sequence[Row]", columns: Sequence[str] = (), *, as_json: bool, as_csv: bool, limit: int = 0) -> None:
+    """The rows are on stdout: a table for people, or what --json or --csv asks for."""
+    from .commands.output import csv_text, json_text, table_text
+
+    if as_json and as_csv:
+        raise UsageError("found --json and --csv, expected one of them")
+    names = columns or (list(rows[0]) if rows else ())
+    if as_json:
+        _show(json_text(head, {"rows": rows}))
+    elif as_csv:
+        _show(csv_text(rows, names))
+    else:
+        _show(table_text(rows, names, limit) or "no rows\n")
+
+
+def _show(text: str) -> None:
+    """The text is on stdout; a reader that has had enough (`| head`) ends the command quietly."""
+    try:
+        sys.stdout.write(text)
+        sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        raise typer.Exit(0) from None
+
+
+def _say(text: str) -> None:
+    sys.stderr.write("".join(f"fsar-ledger: {line}\n" for line in text.splitlines()))

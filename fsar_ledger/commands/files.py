@@ -1,0 +1,107 @@
+"""Files that a command writes for other tools: CSV and Parquet. A file is whole or not there.
+
+Each is written under a temporary name beside its place and renamed when it is complete, so that neither
+Ctrl-C nor a full disk leaves half of one.
+"""
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+
+import msgspec
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
+
+from fsar_ledger.errors import UsageError, WriteFailed
+from fsar_ledger.ledger.read import open_ledger
+from fsar_ledger.ledger.schema import SCHEMA
+from fsar_ledger.metrics.database import connect
+
+
+def export_events(ledger: Path, out: Path) -> int:
+    """Every event of the ledger is in the file, in commit order; returns how many.
+
+    Raises:
+        UsageError: the name of the file ends in neither .csv nor .parquet.
+        WriteFailed: the file cannot be written.
+    """
+    _format_of(out)
+    return _write_tables(out, SCHEMA, open_ledger(ledger).tables())
+
+
+def export_query(ledger: Path, name: str, parameters: Mapping[str, str], out: Path) -> int:
+    """The answer of the named query is in the file; returns its number of rows.
+
+    Raises:
+        UsageError: the name of the file ends in neither .csv nor .parquet.
+        UnknownQuery: there is no query of that name.
+        WriteFailed: the file cannot be written.
+    """
+    _format_of(out)
+    with connect(ledger) as database:
+        table = database.query(name, parameters)
+    return _write_tables(out, table.schema, [table])
+
+
+def write_text(out: Path, text: str) -> None:
+    """The file holds the text, in UTF-8.
+
+    Raises:
+        WriteFailed: the file cannot be written.
+    """
+    with _whole_file(out) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _format_of(out: Path) -> str:
+    if out.suffix not in (".csv", ".parquet"):
+        raise UsageError(f"{out}: found a file name that ends in {out.suffix or 'nothing'!r}, expected .csv or .parquet; choose one of them")
+    return out.suffix
+
+
+def _write_tables(out: Path, schema: pa.Schema, tables: Iterable[pa.Table]) -> int:
+    """The tables stand one after the other in the file; memory holds one of them at a time."""
+    rows = 0
+    with _whole_file(out) as temporary, _writer(out, temporary, schema) as write:
+        for table in tables:
+            write(table)
+            rows += table.num_rows
+    return rows
+
+
+@contextmanager
+def _writer(out: Path, temporary: Path, schema: pa.Schema) -> Iterator[Callable[[pa.Table], None]]:
+    if _format_of(out) == ".parquet":
+        with pq.ParquetWriter(temporary, schema, compression="zstd") as writer:
+            yield lambda table: writer.write_table(table)
+    else:
+        # Text stands in quotes and NULL does not, so that an empty text can be told from NULL; names of columns need no quotes.
+        options = pa_csv.WriteOptions(quoting_header="none")
+        with pa_csv.CSVWriter(temporary, _flat(schema.empty_table()).schema, write_options=options) as writer:
+            yield lambda table: writer.write_table(_flat(table))
+
+
+def _flat(table: pa.Table) -> pa.Table:
+    """The same table with each list as JSON text, because a CSV field holds no list."""
+    for at, field in enumerate(table.schema):
+        if pa.types.is_nested(field.type):
+            texts = [None if value is None else msgspec.json.encode(value).decode() for value in table.column(at).to_pylist()]
+            table = table.set_column(at, field.name, pa.array(texts, pa.string()))
+    return table
+
+
+@contextmanager
+def _whole_file(out: Path) -> Iterator[Path]:
+    temporary = out.with_name(f".{out.name}.{os.getpid()}.part")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        os.replace(temporary, out)
+    except OSError as problem:
+        raise WriteFailed(
+            f"{out}: cannot be written ({problem.strerror or problem}); the file is as it was before: make room or choose another place"
+        ) from problem
+    finally:
+        temporary.unlink(missing_ok=True)

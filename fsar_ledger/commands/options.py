@@ -1,0 +1,115 @@
+"""What can be asked of a command, and what the answer to that means: names are checked here, with the nearest one suggested."""
+
+import os
+from collections.abc import Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fsar_ledger.errors import InvalidExperiment, QueryFailed, UsageError
+
+if TYPE_CHECKING:
+    from fsar_ledger.runtime.experiment import Experiment
+
+LedgerArgument = Annotated[Path, typer.Argument(metavar="LEDGER", help="The folder of a ledger.", show_default=False)]
+NewLedgerArgument = Annotated[
+    Path, typer.Argument(metavar="OUT", help="The folder of the ledger: new, or one that the same command began.", show_default=False)
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Answer as JSON, with the head (size, root) of the ledger.")]
+CsvOption = Annotated[bool, typer.Option("--csv", help="Answer as comma-separated values.")]
+LimitOption = Annotated[int, typer.Option("--limit", metavar="N", help="Rows of the table that are shown; 0 shows all.")]
+ParameterOption = Annotated[
+    list[str] | None, typer.Option("--param", metavar="NAME=VALUE", help="A parameter of the query; may be repeated.", show_default=False)
+]
+WorkersOption = Annotated[
+    int | None, typer.Option("--workers", metavar="N", help="Processes at once; the answer is the same for any number.", show_default="one per core")
+]
+ArchitectureOption = Annotated[
+    list[str] | None, typer.Option("--architecture", metavar="NAME", help="fsar, cfc or dhma; may be repeated.", show_default="all; with --without, fsar")
+]
+ScenarioOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--scenario",
+        metavar="NAME",
+        help="door-relay, collaborative-delivery, failure-recovery-chain, mixed-trust-inspection or fleet-contention; may be repeated.",
+        show_default="all",
+    ),
+]
+WithoutOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--without",
+        metavar="MECHANISM",
+        help="Take one mechanism out of FSAR: trust-evaluation, policy-composition, layered-recovery or shared-registry; repeated: one after the other.",
+        show_default=False,
+    ),
+]
+
+
+def experiment_of(
+    architectures: list[str] | None, scenarios: list[str] | None, runs: int, seed: int, fleet_size: int, without: list[str] | None
+) -> "Experiment":
+    """The experiment that the options of `simulate` name; the ablations are FSAR's, so with them the default architecture is FSAR alone.
+
+    Raises:
+        InvalidExperiment: a name is unknown, or a number impossible.
+    """
+    from typing import get_args
+
+    from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
+    from fsar_ledger.runtime.experiment import Experiment
+
+    every_architecture, every_scenario = get_args(Architecture), get_args(Scenario)
+    mechanisms = tuple(name.removeprefix("without-") for name in get_args(Configuration) if name != "full")
+    configurations = tuple(f"without-{name}" for name in _known("mechanism", without, mechanisms))
+    return Experiment(
+        architectures=_known("architecture", architectures, every_architecture) or (("fsar",) if configurations else every_architecture),
+        scenarios=_known("scenario", scenarios, every_scenario) or every_scenario,
+        configurations=configurations or ("full",),
+        runs=runs,
+        seed=seed,
+        fleet_size=fleet_size,
+    )
+
+
+def _known(what: str, asked: Sequence[str] | None, names: tuple[str, ...]) -> tuple[str, ...]:
+    """The names that were asked for, each once, in the order of `names`."""
+    for name in asked or ():
+        if name not in names:
+            nearest = get_close_matches(name.lower(), names, n=1, cutoff=0.4)
+            hint = f"; did you mean {nearest[0]!r}?" if nearest else ";"
+            raise InvalidExperiment(f"unknown {what} {name!r}{hint} expected one of {', '.join(names)}")
+    return tuple(name for name in names if name in (asked or ()))
+
+
+def workers_of(asked: int | None) -> int:
+    """The number of processes: as asked, else one for each core that this process may use.
+
+    Raises:
+        UsageError: fewer than one was asked for.
+    """
+    if asked is None:
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    if asked < 1:
+        raise UsageError(f"--workers {asked}: expected at least 1; leave the option out for one per core")
+    return asked
+
+
+def parameters_of(pairs: Sequence[str] | None) -> dict[str, str]:
+    """The values of `--param name=value`, by name.
+
+    Raises:
+        QueryFailed: one of them is not a name, an equals sign and a value, or a name is there twice.
+    """
+    values: dict[str, str] = {}
+    for pair in pairs or ():
+        name, equals, value = pair.partition("=")
+        if not equals or not name:
+            raise QueryFailed(f"--param {pair!r}: expected NAME=VALUE, as in --param robot=robot/A1")
+        if name in values:
+            raise QueryFailed(f"--param {pair!r}: {name} already has the value {values[name]!r}, expected one value for each name")
+        values[name] = value
+    return values

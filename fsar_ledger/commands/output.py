@@ -1,0 +1,99 @@
+"""Answers as text: a table for people, JSON and CSV for programs. Nothing here prints.
+
+A row is a mapping from column to value; all rows of an answer have the same columns. NULL is `-` in a
+table, `null` in JSON and an empty field in CSV. Lists are JSON text in CSV and in tables.
+"""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import msgspec
+from msgspec import to_builtins
+
+if TYPE_CHECKING:
+    from fsar_ledger.ledger.verify import VerifyReport
+
+Row = Mapping[str, object]
+
+
+class HeadLike(Protocol):
+    """The tree head that an answer was given for: number of events and root hash, in hexadecimal."""
+
+    @property
+    def size(self) -> int: ...  # noqa: D102
+    @property
+    def root(self) -> str: ...  # noqa: D102
+
+
+def table_text(rows: Sequence[Row], columns: Sequence[str], limit: int = 0) -> str:
+    """The rows aligned under their columns, numbers to the right; after `limit` rows (0: all) the rest is only counted."""
+    if not columns:
+        return ""
+    shown = rows[:limit] if limit else rows
+    cells = [[_cell(row[column]) for column in columns] for row in shown]
+    is_number = [all(isinstance(row[column], int | float | None) for row in shown) for column in columns]
+    widths = [max(len(column), *(len(line[at]) for line in cells)) if cells else len(column) for at, column in enumerate(columns)]
+
+    def line_of(texts: Sequence[str]) -> str:
+        return "  ".join(text.rjust(width) if right else text.ljust(width) for text, width, right in zip(texts, widths, is_number, strict=True)).rstrip()
+
+    lines = [line_of(columns), line_of(["-" * width for width in widths]), *map(line_of, cells)]
+    if len(shown) < len(rows):
+        lines.append(f"... {len(rows) - len(shown):,} more rows; --limit 0 shows all, --csv and --json always do")
+    return "\n".join(lines) + "\n"
+
+
+def json_text(head: HeadLike | None, answer: Mapping[str, object]) -> str:
+    """One JSON object: the head (size, root) that the answer holds for, null where there is none to speak of, then the answer."""
+    document = {"head": head and {"size": head.size, "root": head.root}, **answer}
+    return _pretty(document)
+
+
+def csv_text(rows: Sequence[Row], columns: Sequence[str]) -> str:
+    """The rows as comma-separated values under one line of column names."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([_field(row[column]) for column in columns] for row in rows)
+    return text.getvalue()
+
+
+def verdict_text(ledger: Path, report: "VerifyReport") -> str:
+    """What `verify` found, for people: one line for each problem, or that there is none and what that covers."""
+    if report.ok:
+        return f"{ledger}: consistent, {report.signature}: {report.events:,} events of {report.runs:,} runs in {report.commits:,} commits\nroot {report.root}\n"
+    count = f"{len(report.problems)} problem{'' if len(report.problems) == 1 else 's'}"
+    return "\n".join([*map(str, report.problems), f"{ledger}: {count}; do not rely on this ledger, restore it from a copy that verifies"])
+
+
+def verdict_json(report: "VerifyReport") -> str:
+    """What `verify` found, for programs: the head is the one that the rows themselves give, its root null where some cannot be read."""
+    document = {"head": {"size": report.events, "root": report.root}, **to_builtins(report)}
+    return _pretty(document)
+
+
+def _pretty(document: object) -> str:
+    return msgspec.json.format(msgspec.json.encode(document), indent=2).decode() + "\n"
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    return _field(value)
+
+
+def _field(value: object) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, list | tuple | dict):
+        return msgspec.json.encode(value).decode()
+    return repr(value) if isinstance(value, float) else str(value)

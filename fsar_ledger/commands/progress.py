@@ -1,0 +1,32 @@
+"""How far long work is, for people who wait at a terminal."""
+
+import sys
+import time
+from types import TracebackType
+
+
+class Progress:
+    """One line on stderr while the work goes on, gone when it ends; nothing where stderr is no terminal."""
+
+    def __init__(self, verb: str) -> None:
+        """The work is of this kind, in the past tense: `simulated`."""
+        self._verb = verb
+        self._is_shown = sys.stderr.isatty()
+        self._began_s = self._last_s = time.monotonic()
+
+    def __enter__(self) -> "Progress":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        if self._is_shown:
+            sys.stderr.write("\r\x1b[K")
+
+    def __call__(self, done: int, total: int) -> None:
+        """The line says this, unless it was written less than 0.1 s ago."""
+        now_s = time.monotonic()
+        if not self._is_shown or (now_s - self._last_s < 0.1 and done < total):
+            return
+        self._last_s = now_s
+        left_s = (now_s - self._began_s) * (total - done) / done if done else 0.0
+        sys.stderr.write(f"\r\x1b[K{self._verb} {done:,} of {total:,}, about {left_s:.0f} s left")
+        sys.stderr.flush()

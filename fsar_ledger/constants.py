@@ -1,0 +1,101 @@
+"""The one file of constants: what the world is like, and what the architectures are built like.
+
+`WorldConstants` are laws of the world, the same for every architecture. `Structure` holds lengths of time
+and counts that belong to how an architecture is built. No constant is the probability or the count of an
+outcome (conflict, violation, unattributed record, success, containment): those must come about.
+
+Marks: [paper] printed in the paper; [calibrated] fitted to the paper's results table by
+`fsar-ledger calibrate` (record: reports/calibration.json); [chosen] ours, not fitted.
+"""
+
+import msgspec
+
+
+class Range(msgspec.Struct, frozen=True):
+    """A uniform law between two lengths of time. Units: seconds."""
+
+    low_s: float
+    high_s: float
+
+
+DURATIONS: tuple[tuple[str, Range], ...] = (  # uniform, seconds; doors and carry.package [paper], others [chosen]
+    ("navigate.indoor", Range(2.0, 6.0)),
+    ("carry.package", Range(1.0, 5.0)),
+    ("handover.dropoff", Range(1.0, 3.0)),
+    ("door.open.basic", Range(0.5, 2.0)),
+    ("door.open.secure", Range(0.5, 2.0)),
+    ("inspect.visual", Range(2.0, 6.0)),
+    ("inspect.private_zone", Range(2.0, 6.0)),
+    ("carry.heavy", Range(2.0, 7.0)),
+    ("grasp.robust", Range(1.0, 4.0)),
+)
+
+
+class WorldConstants(msgspec.Struct, frozen=True):
+    """Laws of the world. Rates are per robot and second of run time."""
+
+    context_rate_per_s: float = 0.0227  # context changes, Poisson [calibrated]
+    context_window_share: float = 0.37  # share of them that closes the robot's own policy for a while [calibrated]
+    window_mean_s: float = 11.5  # length of policy windows, exponential [calibrated]
+    review_share: float = 0.06  # share of windows that ask for review instead of denying [calibrated]
+    fleet_rule_rate_per_s: float = 0.0063  # fleet rules on the robot's zone, Poisson [calibrated]
+    obstruction_rate_per_s: float = 0.0165  # obstructions in the robot's way, Poisson [calibrated]
+    obstruction_mean_s: float = 2.75  # length of obstructions, exponential [calibrated]
+    routine_rate_per_s: float = 0.22  # routine operations, Poisson [calibrated]
+    routine_until_s: float = 100.0  # routine operations fall due until then [chosen]
+    motion_share: float = 0.24  # share of routine operations that move the robot; the rest is sensing [calibrated]
+    absence_s: float = 4.0  # length of the local supervisor's one absence [calibrated]
+    absence_from_s: float = -50.0  # its start, uniform [chosen]
+    absence_to_s: float = 150.0
+    degradation_probability: float = 0.3  # per run, in scenarios with failure injection [paper]
+    degradation_onset_s: float = 10.0  # onset uniform from 0 [chosen]
+    degraded_reliability: float = 0.6  # success of an attempt with a degraded actuator [paper]
+    encounter_mean_s: float = 90.0  # time between encounters of a pair of robots, exponential [chosen]
+    durations: tuple[tuple[str, Range], ...] = DURATIONS
+    message: Range = Range(0.05, 0.5)  # latency of a message between principals [paper]
+    approach: Range = Range(3.0, 8.0)  # a delegated executor first moves to the place [chosen]
+    retry: Range = Range(1.3, 2.1)  # length of one attempt to recover [calibrated]
+    response: Range = Range(20.0, 60.0)  # time in which the fleet supervisor responds [chosen]
+    start: Range = Range(0.0, 20.0)  # start of the scenario within the run [chosen]
+    jitter: Range = Range(0.0, 3.0)  # arrival of a task around its offset [chosen]
+    injection: Range = Range(5.0, 45.0)  # time of an injected out-of-trust request [chosen]
+    budget_base_s: float = 46.0  # task budget: base, per delegated step, per own step [calibrated: base]
+    budget_delegated_s: float = 14.0
+    budget_own_s: float = 6.0
+    horizon_s: float = 240.0  # the schedule ends here [chosen]
+
+
+class Structure(msgspec.Struct, frozen=True):
+    """How the architectures are built. Units: microseconds unless the name says otherwise."""
+
+    # every architecture
+    assistance_us: int = 5_000_000  # a helper is held this long
+    injected_execution_us: int = 3_000_000  # an injected request that runs takes this long
+    expiry_budgets: int = 2  # a task is given up after this many budgets
+    watch_us: int = 100_000_000  # periodic exchanges go on at least this long, and while a task is open
+    # FSAR
+    back_off_us: int = 7_000_000  # wait after a denial or an empty answer (DHMA too)
+    poll_us: int = 1_000_000  # an own step that the fleet's rule holds asks again after this
+    replan_us: int = 1_000_000  # replanning after a context change (the last part of it in CFC and DHMA)
+    retry_preparation_us: int = 400_000  # diagnosis before each attempt to recover (DHMA too)
+    local_attempts: int = 2  # recovery budget of the local level: attempts [paper] (DHMA too)
+    local_budget_us: int = 30_000_000  # recovery budget of the local level: time [paper]
+    encounter_memory_us: int = 60_000_000  # without a registry, a met peer is known this long
+    # CFC
+    sync_period_us: int = 6_500_000  # the coordinator's copies are refreshed this often [calibrated]
+    service_us: int = 110_000  # the coordinator's time per item of work, for four robots [calibrated]
+    candidate_cost_ppm: int = 170_000  # and this share of it more for each candidate
+    ordering_response_ppm: int = 400_000  # ordering two commands takes H_F this share of a response
+    # DHMA
+    hop_ppm: int = 750_000  # an internal hop takes this share of a message latency [calibrated]
+    snapshot_period_us: int = 13_000_000  # planners refresh their snapshot of policy this often [calibrated]
+    engagement_us: int = 2_800_000  # the planner attends this long to a motion or a context change [calibrated]
+    dispute_timeout_us: int = 12_000_000  # a disputed recovery that failed gives up after this [calibrated]
+    renegotiation_us: int = 4_600_000  # replanning a delegated action takes this much more [calibrated]
+
+
+class Constants(msgspec.Struct, frozen=True):
+    """All constants of a run, as `RunStarted.parameters` holds them."""
+
+    world: WorldConstants = WorldConstants()
+    structure: Structure = Structure()

@@ -1,0 +1,71 @@
+"""What can go wrong, as one tree.
+
+```
+FsarLedgerError            every error that a user can meet          exit code
+├── UsageError             what was asked for does not make sense    2
+│   ├── InvalidExperiment      unknown or impossible parameters
+│   ├── UnknownQuery           no query of that name
+│   ├── QueryFailed            SQL or its parameters are wrong
+│   ├── NotALedger             the path exists and is no ledger, or does not exist
+│   └── FormatVersionMismatch  the ledger was written in another format
+├── WriteFailed            the disk refused: full, read-only, gone   1
+│   └── SequenceConflict       another writer took the commit number
+└── LedgerCorrupted        the ledger contradicts itself             3
+    ├── UnknownEventTag        a stored type that this version does not know
+    └── ReplayMismatch         replay gives other events than those stored
+```
+"""
+
+
+class FsarLedgerError(Exception):
+    """The message says where, what was found, what was expected and what to do."""
+
+    exit_code = 1
+
+
+class UsageError(FsarLedgerError):
+    """What was asked for does not make sense."""
+
+    exit_code = 2
+
+
+class InvalidExperiment(UsageError):
+    """Unknown or impossible parameters of an experiment."""
+
+
+class UnknownQuery(UsageError):
+    """There is no query of that name."""
+
+
+class QueryFailed(UsageError):
+    """DuckDB refused a query or its parameters."""
+
+
+class NotALedger(UsageError):
+    """The path is not a ledger."""
+
+
+class FormatVersionMismatch(UsageError):
+    """The ledger was written in a format that this version does not read."""
+
+
+class WriteFailed(FsarLedgerError):
+    """The disk refused to store what was asked; the ledger is as it was."""
+
+
+class SequenceConflict(WriteFailed):
+    """Another writer committed under the number that this one expected to take."""
+
+
+class LedgerCorrupted(FsarLedgerError):
+    """The ledger contradicts itself."""
+
+    exit_code = 3
+
+
+class UnknownEventTag(LedgerCorrupted):
+    """A stored event has a type that this version does not know."""
+
+
+class ReplayMismatch(LedgerCorrupted):
+    """Replay gives other events than those that are stored."""

@@ -1,0 +1,196 @@
+"""Execution of a capability by its robot, and what a robot does of its own accord.
+
+`robot` is the body that moves; `on_behalf_of` the robot whose step it is. They are physical facts and
+stand beside the principals that the architecture recorded, which may be None.
+"""
+
+from .envelope import Event, FailureCause, Operation, PolicyOutcome
+
+
+class OwnStepDecided(Event, frozen=True):
+    """The robot is going to do a step of its own."""
+
+    task_id: str
+    action_id: str | None
+    decided_by: str | None
+    requested_by: str | None
+    executed_by: str | None
+    supervised_by: str | None
+    path: tuple[str, ...]
+    capability: str
+
+
+class ExecutionQueued(Event, frozen=True):
+    """The action waits for the robot, which serves one at a time in order of arrival.
+
+    The principals are those that the architecture records of the execution; `is_supervised` is False when
+    it knows no supervisor for it at all.
+    """
+
+    task_id: str
+    action_id: str
+    requested_by: str | None
+    executed_by: str | None
+    supervised_by: str | None
+    robot: str
+    on_behalf_of: str
+    capability: str
+    step: int
+    attempt: int
+    is_delegated: bool
+    has_approach: bool
+    is_supervised: bool
+
+
+class ApproachStarted(Event, frozen=True):
+    """The robot moves to where the delegated action is to happen."""
+
+    task_id: str
+    action_id: str
+    robot: str
+
+
+class ExecutionHeld(Event, frozen=True):
+    """The robot is ready, but policy as it knows it does not let it start; it waits.
+
+    `decided_by` names the decider when waiting is a denial, else it is None.
+    """
+
+    task_id: str
+    action_id: str
+    decided_by: str | None
+    requested_by: str | None
+    executed_by: str | None
+    supervised_by: str | None
+    path: tuple[str, ...]
+    robot: str
+    outcome: PolicyOutcome
+    reason: str
+
+
+class ExecutionStarted(Event, frozen=True):
+    """The robot executes. Units: `ends_us` microseconds of run time, the planned end."""
+
+    task_id: str
+    action_id: str
+    requested_by: str | None
+    executed_by: str | None
+    supervised_by: str | None
+    robot: str
+    on_behalf_of: str
+    capability: str
+    ends_us: int
+
+
+class ExecutionPaused(Event, frozen=True):
+    """The robot stopped to replan. Units: `remaining_us` microseconds of execution left."""
+
+    task_id: str
+    action_id: str
+    robot: str
+    remaining_us: int
+
+
+class ReplanOrdered(Event, frozen=True):
+    """The coordinator has sent a new plan for a paused action."""
+
+    task_id: str
+    decided_by: str | None
+    requested_by: str | None
+    executed_by: str | None
+    supervised_by: str | None
+    path: tuple[str, ...]
+
+
+class ExecutionResumed(Event, frozen=True):
+    """The robot executes the rest. Units: `ends_us` microseconds of run time, the planned end."""
+
+    task_id: str
+    action_id: str
+    robot: str
+    ends_us: int
+
+
+class ExecutionFailed(Event, frozen=True):
+    """An attempt has failed and the failure was detected now; `failure` counts from 1 within the action.
+
+    Units: `remaining_us` microseconds of execution left; `detected_us` run time.
+    """
+
+    task_id: str
+    action_id: str
+    robot: str
+    failure: int
+    cause: FailureCause
+    remaining_us: int
+    detected_us: int
+
+
+class ExecutionFinished(Event, frozen=True):
+    """The capability was executed to its end and the result is known to the robot. Paper: sec:model:request, phase 5."""
+
+    task_id: str
+    action_id: str
+    requested_by: str | None
+    executed_by: str | None
+    supervised_by: str | None
+    robot: str
+
+
+class ExecutionWithdrawn(Event, frozen=True):
+    """The action no longer occupies this robot: its contract is void or it was reassigned."""
+
+    task_id: str
+    action_id: str
+    robot: str
+
+
+class RoutinePerformed(Event, frozen=True):
+    """The robot did something of its own. Motion is subject to policy; sensing is not."""
+
+    decided_by: str | None
+    requested_by: str | None
+    executed_by: str | None
+    supervised_by: str | None
+    path: tuple[str, ...]
+    robot: str
+    operation: Operation
+
+
+class RoutineWithheld(Event, frozen=True):
+    """The robot did not, because policy as it is known does not allow the motion."""
+
+    decided_by: str | None
+    requested_by: str | None
+    executed_by: str | None
+    supervised_by: str | None
+    path: tuple[str, ...]
+    robot: str
+    operation: Operation
+
+
+class RoutineReported(Event, frozen=True):
+    """A second agent's record of a motion that crossed two agents of the robot. Paper: sec:evaluation:baselines (DHMA)."""
+
+    requested_by: str | None
+    executed_by: str | None
+    supervised_by: str | None
+    robot: str
+
+
+ExecutionEvent = (
+    OwnStepDecided
+    | ExecutionQueued
+    | ApproachStarted
+    | ExecutionHeld
+    | ExecutionStarted
+    | ExecutionPaused
+    | ReplanOrdered
+    | ExecutionResumed
+    | ExecutionFailed
+    | ExecutionFinished
+    | ExecutionWithdrawn
+    | RoutinePerformed
+    | RoutineWithheld
+    | RoutineReported
+)

@@ -1,0 +1,68 @@
+"""What a decider has been told: messages that arrived, copies that were refreshed, queues.
+
+Knowledge lags behind the world. Which knowledge exists is the architecture's structure.
+"""
+
+from .envelope import Event, PolicyOutcome
+
+
+class FleetRuleLearned(Event, frozen=True):
+    """The robot has been told the fleet's rule for its zone, as it was at `as_of_us` (run time)."""
+
+    robot: str
+    outcome: PolicyOutcome
+    as_of_us: int
+
+
+class PeerRemembered(Event, frozen=True):
+    """Without a registry, a robot knows the peer it met until `until_us` (microseconds of run time)."""
+
+    robot: str
+    peer: str
+    until_us: int
+
+
+class CopySynced(Event, frozen=True):
+    """The coordinator's copy of all robots was refreshed; robots not named allow, are idle and in order."""
+
+    local_deny: tuple[str, ...] = ()
+    local_review: tuple[str, ...] = ()
+    fleet_deny: tuple[str, ...] = ()
+    fleet_review: tuple[str, ...] = ()
+    busy: tuple[str, ...] = ()
+    degraded: tuple[str, ...] = ()
+
+
+class SnapshotTaken(Event, frozen=True):
+    """A robot's planner has refreshed its snapshot of the robot's own policy."""
+
+    robot: str
+    outcome: PolicyOutcome
+
+
+class BidReceived(Event, frozen=True):
+    """The requester's planner has read a bid."""
+
+    task_id: str
+    action_id: str
+    robot: str
+    outcome: PolicyOutcome
+
+
+class PlannerEngaged(Event, frozen=True):
+    """The planning agent attends to a motion or a context change until `until_us` (microseconds of run time)."""
+
+    robot: str
+    until_us: int
+
+
+class WorkQueued(Event, frozen=True):
+    """An item waits for the coordinator, which serves one at a time; it is done at `ready_us` (run time)."""
+
+    task_id: str
+    action_id: str
+    item: str
+    ready_us: int
+
+
+KnowledgeEvent = FleetRuleLearned | PeerRemembered | CopySynced | SnapshotTaken | BidReceived | PlannerEngaged | WorkQueued

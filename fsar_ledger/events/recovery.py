@@ -1,0 +1,142 @@
+"""Recovery of a failed execution, outward from the robot (Omega, `eq:recovery`).
+
+`failure` is the number of the failure within the action, as in `ExecutionFailed`.
+"""
+
+from .envelope import Event, RecoveryLevel
+
+
+class RecoveryAttempted(Event, frozen=True):
+    """An attempt to recover has begun; `number` counts from 1 within the failure. Units: `deadline_us` run time. Paper: sec:model:recovery."""
+
+    task_id: str
+    action_id: str | None
+    decided_by: str | None
+    requested_by: str | None
+    executed_by: str | None
+    supervised_by: str | None
+    path: tuple[str, ...]
+    robot: str
+    failure: int
+    number: int
+    level: RecoveryLevel
+    deadline_us: int
+    failed_action: str
+
+
+class RecoveryAttemptFailed(Event, frozen=True):
+    """The attempt did not resolve the failure."""
+
+    task_id: str
+    action_id: str
+    robot: str
+    failure: int
+    number: int
+
+
+class RecoveryEscalated(Event, frozen=True):
+    """Recovery leaves one level for another. Paper: eq:recovery."""
+
+    task_id: str
+    action_id: str | None
+    decided_by: str | None
+    requested_by: str | None
+    executed_by: str | None
+    supervised_by: str | None
+    path: tuple[str, ...]
+    robot: str
+    failure: int
+    level: RecoveryLevel
+    to_level: RecoveryLevel
+    failed_action: str
+
+
+class AssistanceRequested(Event, frozen=True):
+    """`helper` has been asked to help `robot`. Paper: sec:model:recovery, level 2."""
+
+    task_id: str
+    action_id: str | None
+    decided_by: str | None
+    requested_by: str | None
+    executed_by: str | None
+    supervised_by: str | None
+    path: tuple[str, ...]
+    robot: str
+    helper: str
+    failure: int
+    level: RecoveryLevel
+    failed_action: str
+
+
+class AssistanceAdmitted(Event, frozen=True):
+    """The helper has agreed and is held until it has helped."""
+
+    task_id: str
+    action_id: str
+    decided_by: str | None
+    requested_by: str | None
+    executed_by: str | None
+    supervised_by: str | None
+    path: tuple[str, ...]
+    robot: str
+    helper: str
+    failure: int
+    level: RecoveryLevel
+
+
+class AssistanceDeclined(Event, frozen=True):
+    """The helper is busy."""
+
+    task_id: str
+    action_id: str
+    robot: str
+    helper: str
+    failure: int
+
+
+class AssistanceEnded(Event, frozen=True):
+    """The helper is free again."""
+
+    task_id: str
+    action_id: str
+    robot: str
+    helper: str
+    failure: int
+
+
+class ReassignmentDecided(Event, frozen=True):
+    """The recovery orchestrator has looked for another robot; `helper` is None when no reassignment is feasible. Paper: sec:model:recovery, level 3."""
+
+    task_id: str
+    action_id: str
+    decided_by: str | None
+    requested_by: str | None
+    executed_by: str | None
+    supervised_by: str | None
+    path: tuple[str, ...]
+    robot: str
+    helper: str | None
+    failure: int
+
+
+class FailureResolved(Event, frozen=True):
+    """The failure is over, by means of this level."""
+
+    task_id: str
+    action_id: str
+    robot: str
+    failure: int
+    level: RecoveryLevel
+
+
+RecoveryEvent = (
+    RecoveryAttempted
+    | RecoveryAttemptFailed
+    | RecoveryEscalated
+    | AssistanceRequested
+    | AssistanceAdmitted
+    | AssistanceDeclined
+    | AssistanceEnded
+    | ReassignmentDecided
+    | FailureResolved
+)

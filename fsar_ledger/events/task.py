@@ -1,0 +1,40 @@
+"""Progress of a task (sigma) through its steps."""
+
+from .envelope import Event
+
+
+class StepBegan(Event, frozen=True):
+    """The acting robot turns to a step: its own when `target_role` is None, else to be delegated.
+
+    A step that was denied begins again under a new `action_id`; `step` and `attempt` count from 1.
+    """
+
+    task_id: str
+    action_id: str
+    robot: str
+    step: int
+    attempt: int
+    capability: str
+    target_role: str | None = None
+
+
+class StepCompleted(Event, frozen=True):
+    """The acting robot knows that the step is done."""
+
+    task_id: str
+    action_id: str
+
+
+class TaskCompleted(Event, frozen=True):
+    """All steps are done; whether in time is for SQL to judge."""
+
+    task_id: str
+
+
+class TaskAbandoned(Event, frozen=True):
+    """The task has taken twice its budget and is given up before its next step."""
+
+    task_id: str
+
+
+TaskEvent = StepBegan | StepCompleted | TaskCompleted | TaskAbandoned

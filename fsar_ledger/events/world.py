@@ -1,0 +1,131 @@
+"""What the world does, whoever governs it: the only events that come from draws.
+
+Every one of these comes from the schedule that is generated before the run (see `runtime/world/`), so
+their (time_us, type, payload) is the same under every architecture and configuration.
+"""
+
+from .envelope import Event, Operation, PolicyOutcome, PolicyScope
+
+
+class SyncPhaseSet(Event, frozen=True):
+    """The fleet-wide clock of periodic exchanges has this phase (parts per million of a period)."""
+
+    phase_ppm: int
+
+
+class SnapshotPhaseSet(Event, frozen=True):
+    """This robot's clock of periodic refreshes has this phase (parts per million of a period)."""
+
+    robot: str
+    phase_ppm: int
+
+
+class ContextChanged(Event, frozen=True):
+    """The situation around a robot has changed; `window` names the local-policy window that it opens, if any."""
+
+    robot: str
+    window: str | None = None
+
+
+class PolicyWindowOpened(Event, frozen=True):
+    """From now on this policy does not allow: the robot's own (`local`) or the fleet's rule for its zone (`fleet`)."""
+
+    robot: str
+    scope: PolicyScope
+    window: str
+    outcome: PolicyOutcome
+
+
+class PolicyWindowClosed(Event, frozen=True):
+    """The window is over."""
+
+    robot: str
+    scope: PolicyScope
+    window: str
+
+
+class ObstructionAppeared(Event, frozen=True):
+    """Something is in the robot's way."""
+
+    robot: str
+    obstruction: str
+
+
+class ObstructionCleared(Event, frozen=True):
+    """That thing is out of the way."""
+
+    robot: str
+    obstruction: str
+
+
+class ActuatorDegraded(Event, frozen=True):
+    """The robot's actuator has become unreliable. Paper: sec:evaluation:simulator (failure injection)."""
+
+    robot: str
+
+
+class SupervisorLeft(Event, frozen=True):
+    """The local supervisor is off shift from now on."""
+
+    supervisor: str
+
+
+class SupervisorReturned(Event, frozen=True):
+    """The local supervisor is back on shift."""
+
+    supervisor: str
+
+
+class RoutineDue(Event, frozen=True):
+    """The robot is due to do something of its own that no task asks for."""
+
+    robot: str
+    operation: Operation
+
+
+class PeersMet(Event, frozen=True):
+    """Two robots have come within range of each other."""
+
+    robot: str
+    peer: str
+
+
+class TaskArrived(Event, frozen=True):
+    """A task is there. `steps` are `ACTOR capability` (own) or `ACTOR capability TARGET` (delegated), roles of `team`.
+
+    Units: `budget_us` microseconds from arrival; `due_us` run time at which the budget ends.
+    """
+
+    task_id: str
+    robot: str
+    team: int
+    steps: tuple[str, ...]
+    budget_us: int
+    due_us: int
+
+
+class OutsiderRequestInjected(Event, frozen=True):
+    """A robot attempts a request for which it has no trust. Paper: sec:evaluation:setup (injected trust violations)."""
+
+    task_id: str
+    robot: str
+    peer: str
+    capability: str
+
+
+WorldEvent = (
+    SyncPhaseSet
+    | SnapshotPhaseSet
+    | ContextChanged
+    | PolicyWindowOpened
+    | PolicyWindowClosed
+    | ObstructionAppeared
+    | ObstructionCleared
+    | ActuatorDegraded
+    | SupervisorLeft
+    | SupervisorReturned
+    | RoutineDue
+    | PeersMet
+    | TaskArrived
+    | OutsiderRequestInjected
+)

@@ -1,0 +1,15 @@
+"""The append-only ledger: knows bytes and columns, not robots.
+
+```
+schema     which columns there are, derived from the event types
+codec      runs of events <-> one Arrow table
+canonical  the bytes of one row that are hashed, from structs and again from columns
+merkle     RFC 6962 hashes of the rows
+segment    one batch of runs as one Parquet file
+record     ledger.json and commits/*.json
+disk       durable files: all or nothing
+append     stage (worker side), Writer (parent side)
+read       Head, LedgerView: what is committed
+verify     everything derived again and compared
+```
+"""

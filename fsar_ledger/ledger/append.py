@@ -1,0 +1,260 @@
+"""Appending: a batch of runs is committed whole, and is on the disk when `append` returns, or not at all.
+
+Order of steps, each durable before the next; a reader or a crash between any two sees a whole ledger:
+1. `stage` (any number of workers): the segment is in `staging/` under its SHA-256.
+2. `append` (one parent): the record is written in `staging/` and linked to its number in `commits/`. This is the commit.
+3. The segment moves to `segments/`. A crash before this is mended by the next Writer; readers look in staging meanwhile.
+
+A Writer holds a shared lock on the ledger. Leftovers in `staging/` that no record names are harmless; a Writer
+that finds itself alone removes them when it opens.
+"""
+
+import fcntl
+import os
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+
+import msgspec
+
+from fsar_ledger.errors import NotALedger, SequenceConflict, WriteFailed
+from fsar_ledger.ledger import canonical, disk, segment
+from fsar_ledger.ledger.codec import RunRecord, encode_hashed
+from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.read import Head, LedgerView, open_ledger
+from fsar_ledger.ledger.record import (
+    COMMITS,
+    FORMAT,
+    MANIFEST,
+    SEGMENTS,
+    STAGING,
+    VERSION,
+    CommitRecord,
+    Manifest,
+    checkpoint_note,
+    commit_path,
+    is_origin,
+    segment_path,
+    sha256_hex,
+    staged_path,
+)
+from fsar_ledger.ledger.schema import FINGERPRINT
+
+_TEMPORARY = ".tmp"
+
+
+class Staged(msgspec.Struct, frozen=True):
+    """A segment that waits to be committed: what the parent must know of it.
+
+    Units: `segment_bytes` bytes, `rows` events. `leaves` are the packed RFC 6962 leaf hashes, 32 bytes a row.
+    """
+
+    segment_sha256: str
+    segment_bytes: int
+    rows: int
+    first_run: str
+    last_run: str
+    leaves: bytes
+
+
+def stage(ledger: Path, runs: Sequence[RunRecord]) -> Staged:
+    """The rows of these runs are in the ledger's staging folder, durably, and not yet part of the ledger.
+
+    Needs no lock and no order: workers may stage at the same time. The same runs give the same file.
+
+    Raises:
+        ValueError: There are no runs, or one of them cannot be encoded (see `codec.encode`).
+        WriteFailed: The disk refused; nothing is left behind.
+    """
+    if not runs:
+        raise ValueError("found no runs to stage, expected at least 1")
+    table, leaves = encode_hashed(runs)
+    data = segment.to_parquet(table)
+    staged = Staged(sha256_hex(data), data.size, table.num_rows, runs[0].run_id, runs[-1].run_id, leaves)
+    path = staged_path(ledger, staged.segment_sha256)
+    temporary = path.with_suffix(f".{os.getpid()}{_TEMPORARY}")
+    with disk.refusals(path, "writing a segment"):
+        disk.write_temporary(temporary, memoryview(data))
+        disk.move(temporary, path)
+    return staged
+
+
+class Writer:
+    """Appends to one ledger, which it creates if there is none. Use as a context manager.
+
+    Raises:
+        NotALedger: The path is a file, a folder with other things in it, or a ledger of another origin; it is left as it was.
+        FormatVersionMismatch: The ledger was written in another format.
+        LedgerCorrupted: Its records contradict each other, or a segment is missing.
+        WriteFailed: The disk refused.
+    """
+
+    def __init__(self, ledger: Path, origin: str):
+        if not is_origin(origin):
+            raise ValueError(f"found origin {origin!r}, expected a printable name without spaces and plus signs")
+        if not (ledger / MANIFEST).is_file():
+            _create(ledger, origin)
+        view = open_ledger(ledger)
+        if view.manifest.origin != origin:
+            raise NotALedger(f"{ledger / MANIFEST}: found a ledger of origin {view.manifest.origin!r}, expected {origin!r}; give another path")
+        self._lock = _lock(ledger)
+        try:
+            view = open_ledger(ledger)  # again, now that nothing is being cleaned away
+            _roll_forward(view)
+            self._path, self._origin, self._head = ledger, origin, view.head
+            self._last = view.records[-1] if view.records else None
+            self._tree = self._last.tree() if self._last else Frontier()
+            self._previous = sha256_hex(canonical.document(self._last)) if self._last else view.manifest_sha256
+            self._is_broken = False
+        except BaseException:
+            os.close(self._lock)
+            raise
+
+    @property
+    def head(self) -> Head:
+        """How far the ledger goes."""
+        return self._head
+
+    def __enter__(self) -> "Writer":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """The lock is released. What was appended stays."""
+        if self._lock >= 0:
+            os.close(self._lock)
+            self._lock = -1
+
+    def append(self, staged: Staged) -> Head:
+        """The staged segment is part of the ledger, durably. Appending the newest segment once more changes nothing.
+
+        Raises:
+            SequenceConflict: Another writer took the number; open the ledger again and append what it lacks.
+            WriteFailed: The disk refused. The ledger is as it was, unless the message says otherwise.
+        """
+        if self._is_broken or self._lock < 0:
+            raise WriteFailed(f"{self._path}: this writer is {'broken' if self._is_broken else 'closed'}; open the ledger again and append what it lacks")
+        if self._last and self._last.segment_sha256 == staged.segment_sha256:
+            disk.remove(staged_path(self._path, staged.segment_sha256))
+            return self._head
+        number = self._head.commits
+        tree = self._tree.extend(staged.leaves)
+        record = self._record(staged, number, tree)
+        data = canonical.document(record)
+        self._is_broken = True  # unless everything below succeeds
+        self._publish(staged, number, data)
+        self._settle(staged, number)
+        self._is_broken = False
+        self._last, self._tree, self._previous = record, tree, sha256_hex(data)
+        self._head = Head(number + 1, tree.size, record.tree_root, record.last_run)
+        return self._head
+
+    def _record(self, staged: Staged, number: int, tree: Frontier) -> CommitRecord:
+        return CommitRecord(
+            number=number,
+            previous_sha256=self._previous,
+            schema_sha256=FINGERPRINT,
+            segment_sha256=staged.segment_sha256,
+            segment_bytes=staged.segment_bytes,
+            rows=staged.rows,
+            first_run=staged.first_run,
+            last_run=staged.last_run,
+            tree_size=tree.size,
+            tree_root=tree.root().hex(),
+            frontier=tuple(subtree.hex() for subtree in tree.subtrees),
+            note=checkpoint_note(self._origin, tree),
+        )
+
+    def _publish(self, staged: Staged, number: int, data: bytes) -> None:
+        """The record has its number. Raises: SequenceConflict if another has it, unless it is the same one."""
+        path = commit_path(self._path, number)
+        source = staged_path(self._path, staged.segment_sha256)
+        temporary = self._path / STAGING / f"{path.name}.{os.getpid()}{_TEMPORARY}"
+        with disk.refusals(path, "writing a commit record"):
+            if not path.exists():
+                if source.stat().st_size != staged.segment_bytes or staged.rows * HASH_BYTES != len(staged.leaves):
+                    raise WriteFailed(f"{source}: found another file than was staged, expected {staged.segment_bytes} bytes; stage it again")
+                disk.write_temporary(temporary, data)
+                with suppress(FileExistsError):
+                    disk.link_new(temporary, path)
+                    return
+            if disk.read_document(path) != data:
+                raise SequenceConflict(
+                    f"{path}: found a commit of another writer, expected number {number} to be free; open the ledger again and append what it lacks"
+                )
+
+    def _settle(self, staged: Staged, number: int) -> None:
+        """The record and its segment are in place, durably. Raises: WriteFailed if the disk refuses; the commit may stand."""
+        try:
+            disk.sync_folder(self._path / COMMITS)
+            disk.move(staged_path(self._path, staged.segment_sha256), segment_path(self._path, number))
+        except OSError as error:
+            raise WriteFailed(
+                f"{self._path}: commit {number} was made, but the disk refused before it was safe ({error.strerror}); "
+                "the next writer finishes it or finds it gone: run the same command again"
+            ) from error
+
+
+def _lock(ledger: Path) -> int:
+    """A handle that holds a shared lock on the ledger; leftovers in staging are gone if no other writer is there."""
+    with disk.refusals(ledger, "locking"):
+        handle = os.open(ledger / MANIFEST, os.O_RDONLY)
+        try:
+            with suppress(OSError):  # another writer is there, or the file system has no locks: leave staging alone
+                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                _clean(ledger)
+            with suppress(OSError):
+                fcntl.flock(handle, fcntl.LOCK_SH)
+        except BaseException:
+            os.close(handle)
+            raise
+    return handle
+
+
+def _clean(ledger: Path) -> None:
+    """Staging holds only segments that a record names."""
+    kept = {staged_path(ledger, record.segment_sha256).name for record in open_ledger(ledger).records}
+    for entry in list(os.scandir(ledger / STAGING)):
+        if entry.name not in kept and entry.is_file(follow_symlinks=False):
+            disk.remove(Path(entry.path))
+
+
+def _roll_forward(view: LedgerView) -> None:
+    """Every committed segment is in place. Raises: LedgerCorrupted if one is missing, WriteFailed if the disk refuses."""
+    for number, path in enumerate(view.segments()):
+        target = segment_path(view.path, number)
+        if path != target:
+            with disk.refusals(target, "moving a committed segment into place"):
+                disk.move(path, target)
+
+
+def _create(ledger: Path, origin: str) -> None:
+    """There is an empty ledger. A creation that was interrupted is finished; anything else there is left alone."""
+    if ledger.exists() and not ledger.is_dir():
+        raise NotALedger(f"{ledger}: found a file, expected a ledger or a free path; give another path")
+    manifest = Manifest(FORMAT, origin, VERSION)
+    temporary = ledger / STAGING / f"{MANIFEST}.{os.getpid()}{_TEMPORARY}"
+    with disk.refusals(ledger, "creating a ledger"):
+        if ledger.exists() and not _is_unfinished(ledger):
+            raise NotALedger(f"{ledger}: found a folder with other things in it, expected a ledger or a free path; give another path")
+        for folder in (ledger, ledger / COMMITS, ledger / SEGMENTS, ledger / STAGING):
+            folder.mkdir(parents=folder == ledger, exist_ok=True)
+        disk.sync_folder(ledger.absolute().parent)
+        disk.write_temporary(temporary, canonical.document(manifest))
+        with suppress(FileExistsError):  # another writer was quicker
+            disk.link_new(temporary, ledger / MANIFEST)
+        disk.sync_folder(ledger)
+
+
+def _is_unfinished(ledger: Path) -> bool:
+    """Whether this folder holds nothing but what an interrupted creation leaves behind."""
+    for entry in list(os.scandir(ledger)):
+        if entry.name not in (COMMITS, SEGMENTS, STAGING) or not entry.is_dir(follow_symlinks=False):
+            return False
+        leftovers = os.listdir(entry.path)
+        if any(entry.name != STAGING or not (name.startswith(MANIFEST) and name.endswith(_TEMPORARY)) for name in leftovers):
+            return False
+    return True

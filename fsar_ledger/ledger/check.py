@@ -1,0 +1,136 @@
+"""What every stored row must be: checked by column, the first flaw named with run, seq and field."""
+
+from typing import Any, TypeAlias
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, LAYOUTS, MAX_INTEGER, PAYLOAD, SCHEMA, Field
+
+Mask: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.bool_]]"
+Integers: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
+
+_TAGS = tuple(LAYOUTS)
+_UNKNOWN = len(_TAGS)  # the code of every type that is not in LAYOUTS
+
+
+class Flaw(msgspec.Struct, frozen=True):
+    """The first thing that is wrong with some rows. `row` counts from 0 within the table; -1 is the table as a whole."""
+
+    row: int
+    run: str | None
+    seq: int | None
+    field: str | None
+    found: str
+    expected: str
+
+    def __str__(self) -> str:
+        place = [f"run {self.run}, seq {self.seq}"] if self.run is not None else []
+        place += [f"field {self.field}"] if self.field is not None else []
+        return f"{', '.join(place) or 'table'}: found {self.found}, expected {self.expected}"
+
+
+def _holders(name: str, *, required: bool) -> Mask:
+    """For each type code, whether events of this type have the column, or (`required`) must have a value in it."""
+    fields = ({field.name: field for field in layout.fields} for layout in LAYOUTS.values())
+    holds = [name in own and not (required and own[name].is_nullable) for own in fields]
+    return np.array([*holds, False])
+
+
+_ALLOWED = {name: _holders(name, required=False) for name in PAYLOAD}
+_REQUIRED = {name: _holders(name, required=True) for name in PAYLOAD}
+_LITERALS: dict[str, list[tuple[int, Field]]] = {
+    name: [(code, field) for code, layout in enumerate(LAYOUTS.values()) for field in layout.fields if field.name == name and field.values is not None]
+    for name in PAYLOAD
+}
+
+
+def first_flaw(table: pa.Table) -> Flaw | None:
+    """The flaw in the earliest row, or None if every row is as an event of its type is stored."""
+    if not table.schema.equals(SCHEMA):
+        return Flaw(-1, None, None, None, f"columns {table.schema.names!r:.300}", "the columns of the ledger; the rows come from another version")
+    try:
+        table.validate(full=True)
+    except pa.ArrowInvalid as error:
+        return Flaw(-1, None, None, None, f"{error!s:.300}", "valid Arrow data")
+    if not table.num_rows:
+        return None
+    columns = {name: table.column(name).combine_chunks() for name in COLUMNS}
+    valid = {name: np.asarray(column.is_valid()) for name, column in columns.items()}
+    suspects = [*_envelope(columns, valid), *_payload(columns, valid)]
+    first = min(suspects, key=lambda suspect: suspect[0], default=None)
+    if first is None:
+        return None
+    row, field, expected = first
+    found = columns[field][row].as_py()
+    return Flaw(row, columns["run_id"][row].as_py(), columns["seq"][row].as_py(), field, "NULL" if found is None else f"{found!r:.80}", expected)
+
+
+def run_starts(run_ids: pa.Array) -> Integers:
+    """The rows at which another run begins than in the row before."""
+    codes = run_ids.dictionary_encode().indices.to_numpy(zero_copy_only=False)
+    return np.flatnonzero(np.concatenate([np.ones(min(1, len(codes)), bool), codes[1:] != codes[:-1]]))
+
+
+def _first(bad: Mask, field: str, expected: str) -> list[tuple[int, str, str]]:
+    """Nothing, or the first bad row as a suspect."""
+    return [(int(np.argmax(bad)), field, expected)] if bad.any() else []
+
+
+def _envelope(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tuple[int, str, str]]:
+    suspects = [suspect for field in ENVELOPE if not field.is_nullable for suspect in _first(~valid[field.name], field.name, "a value")]
+    if suspects:
+        return suspects
+    starts = run_starts(columns["run_id"])
+    sizes = np.diff(starts, append=len(columns["run_id"]))
+    expected_seqs = np.arange(len(columns["run_id"])) - np.repeat(starts, sizes)
+    seqs = columns["seq"].to_numpy()
+    is_wrong = seqs != expected_seqs
+    if is_wrong.any():
+        suspects += _first(is_wrong, "seq", f"{expected_seqs[np.argmax(is_wrong)]}")
+    seen: set[str] = set()
+    for start in starts.tolist():
+        run = columns["run_id"][start].as_py()
+        if run in seen:
+            suspects.append((start, "run_id", "each run in one block of rows"))
+            break
+        seen.add(run)
+    causes = columns["caused_by"].fill_null(-1).to_numpy()
+    suspects += _first(valid["caused_by"] != (expected_seqs > 0), "caused_by", "NULL at seq 0 and only there")
+    suspects += _first(valid["caused_by"] & ((causes < 0) | (causes >= expected_seqs)) & (expected_seqs > 0), "caused_by", "the seq of an earlier event")
+    for name in COLUMNS:
+        if COLUMNS[name] == "integer" and columns[name].null_count < len(columns[name]):
+            values = columns[name].fill_null(0).to_numpy()
+            suspects += _first((values > MAX_INTEGER) | (values < -MAX_INTEGER), name, "an integer of at most 2^53 - 1 in size")
+    return suspects
+
+
+def _payload(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tuple[int, str, str]]:
+    codes: Integers = pc.index_in(columns["type"], pa.array(_TAGS, pa.string())).fill_null(_UNKNOWN).to_numpy().astype(np.int64)
+    suspects = _first(codes == _UNKNOWN, "type", "an event type that this version knows; read it with the version that wrote it")
+    is_known = codes != _UNKNOWN
+    for name in PAYLOAD:
+        suspects += _first(_REQUIRED[name][codes] & ~valid[name], name, "a value")
+        suspects += _first(valid[name] & ~_ALLOWED[name][codes] & is_known, name, "NULL, as its type has no such field")
+        if valid[name].any():
+            suspects += _literals(name, columns[name], codes)
+    return suspects
+
+
+def _literals(name: str, column: pa.Array, codes: Integers) -> list[tuple[int, str, str]]:
+    """The rows of types whose field takes only certain values, where another is found."""
+    suspects: list[tuple[int, str, str]] = []
+    if not _LITERALS[name]:
+        return suspects
+    coded = column.dictionary_encode()
+    values: Any = coded.dictionary
+    indices = coded.indices.fill_null(len(values)).to_numpy()
+    for code, field in _LITERALS[name]:
+        assert field.values is not None
+        allowed = pc.is_in(values, pa.array(sorted(field.values), pa.string())).to_numpy(zero_copy_only=False)
+        if not allowed.all():
+            is_wrong = (codes == code) & ~np.append(allowed, True)[indices]
+            suspects += _first(is_wrong, name, f"one of {sorted(field.values)}")
+    return suspects

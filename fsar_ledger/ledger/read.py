@@ -1,0 +1,142 @@
+"""What is committed, as a reader sees it. Readers never write and never see half a commit."""
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pyarrow as pa
+
+from fsar_ledger.errors import LedgerCorrupted, NotALedger
+from fsar_ledger.ledger import codec, disk, merkle, segment
+from fsar_ledger.ledger.merkle import Frontier
+from fsar_ledger.ledger.record import (
+    COMMITS,
+    MANIFEST,
+    CommitRecord,
+    Manifest,
+    commit_path,
+    contradictions,
+    parse_manifest,
+    parse_record,
+    segment_path,
+    sha256_hex,
+    staged_path,
+)
+
+
+class Head(msgspec.Struct, frozen=True):
+    """How far a ledger goes: commits, events, the Merkle root over them in hex, and the last run."""
+
+    commits: int
+    size: int
+    root: str
+    last_run: str | None = None
+
+
+EMPTY_HEAD = Head(0, 0, merkle.EMPTY_ROOT.hex())
+
+
+class LedgerView(msgspec.Struct, frozen=True):
+    """A ledger as it was when it was opened; later commits do not show."""
+
+    path: Path
+    manifest: Manifest
+    manifest_sha256: str
+    records: tuple[CommitRecord, ...]
+
+    @property
+    def head(self) -> Head:
+        """How far the ledger goes."""
+        if not self.records:
+            return EMPTY_HEAD
+        last = self.records[-1]
+        return Head(len(self.records), last.tree_size, last.tree_root, last.last_run)
+
+    def segment(self, number: int) -> Path:
+        """The file with the rows of this commit: in place, or in staging where the writer was interrupted.
+
+        Raises:
+            LedgerCorrupted: It is in neither place, or has another size than committed.
+        """
+        record = self.records[number]
+        for path in (segment_path(self.path, number), staged_path(self.path, record.segment_sha256), segment_path(self.path, number)):
+            try:
+                size = path.stat().st_size
+            except FileNotFoundError:
+                continue
+            except OSError as error:
+                raise LedgerCorrupted(f"{path}: commit {number}: the segment cannot be read ({error.strerror}); permit reading or restore it") from error
+            if size != record.segment_bytes:
+                raise LedgerCorrupted(f"{path}: commit {number}: found {size} bytes, expected {record.segment_bytes}; restore the file")
+            return path
+        raise LedgerCorrupted(f"{segment_path(self.path, number)}: commit {number}: found no segment, expected {record.rows} events; restore the file")
+
+    def segments(self) -> list[Path]:
+        """The files with the rows of all commits, in order. Raises: LedgerCorrupted if one is missing or has another size."""
+        return [self.segment(number) for number in range(len(self.records))]
+
+    def tables(self, columns: list[str] | None = None) -> Iterator[pa.Table]:
+        """The rows of each commit, in order, with these columns (all: None). Raises: LedgerCorrupted for a segment that cannot be read."""
+        for number in range(len(self.records)):
+            yield segment.read_table(self.segment(number), columns)
+
+    def runs(self) -> Iterator[codec.RunRecord]:
+        """Every run, in order. Raises: LedgerCorrupted or UnknownEventTag where a segment does not hold valid events."""
+        for table in self.tables():
+            yield from codec.decode(table)
+
+
+def open_ledger(path: Path) -> LedgerView:
+    """The ledger at this path, with its commit records checked against each other, without reading any events.
+
+    Raises:
+        NotALedger: There is no ledger.
+        FormatVersionMismatch: It was written in another format.
+        LedgerCorrupted: A record is missing, is not canonical, or contradicts the one before it.
+    """
+    data = read_manifest(path)
+    manifest = parse_manifest(path / MANIFEST, data)
+    records: list[CommitRecord] = []
+    previous = manifest_sha256 = sha256_hex(data)
+    tree = Frontier()
+    for number in range(_count(path)):
+        file = commit_path(path, number)
+        data = _read(file)
+        record = parse_record(file, data)
+        for name, found, expected in contradictions(record, number, previous, manifest.origin, tree):
+            raise LedgerCorrupted(f"{file}: field {name}: found {found!r}, expected {expected!r}; restore the file, or run fsar-ledger verify")
+        tree = record.tree()
+        previous = sha256_hex(data)
+        records.append(record)
+    return LedgerView(path, manifest, manifest_sha256, tuple(records))
+
+
+def read_manifest(path: Path) -> bytes:
+    """The bytes of ledger.json. Raises: NotALedger if there is none."""
+    try:
+        return disk.read_document(path / MANIFEST)
+    except (FileNotFoundError, NotADirectoryError) as error:
+        found = "no such path" if not path.exists() else "no ledger.json in it" if path.is_dir() else "a file"
+        raise NotALedger(f"{path}: found {found}, expected the directory of a ledger; give the path that `fsar-ledger simulate` wrote to") from error
+    except OSError as error:
+        raise LedgerCorrupted(f"{path / MANIFEST}: it cannot be read ({error.strerror}); permit reading or restore it") from error
+
+
+def _read(file: Path) -> bytes:
+    try:
+        return disk.read_document(file)
+    except OSError as error:
+        raise LedgerCorrupted(f"{file}: the commit record cannot be read ({error.strerror}); restore it") from error
+
+
+def _count(path: Path) -> int:
+    """How many commits there are. Raises: LedgerCorrupted if their numbers have gaps or other files are among them."""
+    try:
+        names = sorted(os.listdir(path / COMMITS))
+    except OSError as error:
+        raise LedgerCorrupted(f"{path / COMMITS}: the folder cannot be read ({error.strerror}), expected one record a commit; restore it") from error
+    for number, name in enumerate(names):
+        if name != f"{number:012d}.json":
+            raise LedgerCorrupted(f"{path / COMMITS}: found {name}, expected {number:012d}.json; restore the missing record or take the stray file away")
+    return len(names)

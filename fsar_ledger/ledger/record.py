@@ -1,0 +1,158 @@
+"""The JSON files of a ledger: `ledger.json` says what it is, `commits/NNNNNNNNNNNN.json` what was committed.
+
+Each file is the RFC 8785 JSON of one struct, to the byte. Each record holds the SHA-256 of the record
+before it (the first: of ledger.json), so the last record vouches for all.
+"""
+
+import base64
+import hashlib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import msgspec
+
+from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger
+from fsar_ledger.ledger import canonical
+from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.schema import FINGERPRINT, MAX_INTEGER
+
+FORMAT = "fsar-ledger"
+VERSION = 1
+MANIFEST = "ledger.json"
+COMMITS, SEGMENTS, STAGING = "commits", "segments", "staging"
+
+Count = Annotated[int, msgspec.Meta(ge=0, le=MAX_INTEGER)]
+
+_Document = TypeVar("_Document", bound=msgspec.Struct)
+
+
+class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What `ledger.json` holds: the format, and the origin, the name under which tree heads are published."""
+
+    format: str
+    origin: str
+    version: int
+
+
+class CommitRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What one commit added and what the ledger was after it.
+
+    Units: `segment_bytes` bytes, `rows` and `tree_size` events. `tree_root` and `frontier` (the roots of the
+    complete subtrees, largest first, which determine it) are hex; `note` is a C2SP checkpoint, as yet without signatures.
+    """
+
+    number: Count
+    previous_sha256: str
+    schema_sha256: str
+    segment_sha256: str
+    segment_bytes: Count
+    rows: Count
+    first_run: str
+    last_run: str
+    tree_size: Count
+    tree_root: str
+    frontier: tuple[str, ...]
+    note: str
+
+    def tree(self) -> Frontier:
+        """The tree after this commit. Raises: ValueError where a hash is not hex."""
+        return Frontier(self.tree_size, tuple(map(bytes.fromhex, self.frontier)))
+
+
+def commit_path(ledger: Path, number: int) -> Path:
+    """Where the record of this commit is."""
+    return ledger / COMMITS / f"{number:012d}.json"
+
+
+def segment_path(ledger: Path, number: int) -> Path:
+    """Where the segment of this commit ends up."""
+    return ledger / SEGMENTS / f"{number:012d}.parquet"
+
+
+def staged_path(ledger: Path, sha256: str) -> Path:
+    """Where the segment with this SHA-256 waits until it is committed and moved."""
+    return ledger / STAGING / f"{sha256}.parquet"
+
+
+def checkpoint_note(origin: str, tree: Frontier) -> str:
+    """The C2SP checkpoint of this tree without signatures: origin, size and base64 root, one a line, then an empty line."""
+    return f"{origin}\n{tree.size}\n{base64.b64encode(tree.root()).decode()}\n\n"
+
+
+def sha256_hex(data: bytes) -> str:
+    """The SHA-256 in hex."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def parse_manifest(path: Path, data: bytes) -> Manifest:
+    """The manifest in these bytes of `path`.
+
+    Raises:
+        NotALedger: They are JSON, but of something else.
+        FormatVersionMismatch: They describe a ledger of another format version.
+        LedgerCorrupted: They are not the canonical JSON of a manifest.
+    """
+    try:
+        header = msgspec.json.decode(data, type=dict[str, object])
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise LedgerCorrupted(f"{path}: found no JSON object ({error}), expected the description of a ledger; restore it") from error
+    if header.get("format") != FORMAT:
+        raise NotALedger(f"{path}: found format {header.get('format')!r}, expected {FORMAT!r}; this is no FSAR ledger")
+    if header.get("version") != VERSION:
+        raise FormatVersionMismatch(f"{path}: found format version {header.get('version')!r}, expected {VERSION}; read it with the version that wrote it")
+    manifest = _parse(path, data, Manifest)
+    if not is_origin(manifest.origin):
+        raise LedgerCorrupted(f"{path}: field origin: found {manifest.origin!r}, expected a printable name without spaces; restore it")
+    return manifest
+
+
+def is_origin(origin: str) -> bool:
+    """Whether a checkpoint can carry this origin: printable, not empty, without spaces or plus signs (C2SP signed-note key names)."""
+    return origin.isprintable() and origin != "" and not set(origin) & {" ", "+"}
+
+
+def parse_record(path: Path, data: bytes) -> CommitRecord:
+    """The record in these bytes of `path`. Raises: LedgerCorrupted if they are not the canonical JSON of one with fields in range."""
+    record = _parse(path, data, CommitRecord)
+    for name in ("previous_sha256", "schema_sha256", "segment_sha256", "tree_root"):
+        _require_hash(path, name, getattr(record, name))
+    for subtree in record.frontier:
+        _require_hash(path, "frontier", subtree)
+    if len(record.frontier) != record.tree_size.bit_count():
+        raise LedgerCorrupted(f"{path}: field frontier: found {len(record.frontier)} hashes, expected one for each bit set in tree size {record.tree_size}")
+    return record
+
+
+def contradictions(record: CommitRecord, number: int, previous: str, origin: str, before: Frontier) -> Iterator[tuple[str, object, object]]:
+    """Each field (name, found, expected) in which a record contradicts itself, its place or the tree before it."""
+    tree = record.tree()
+    pairs: dict[str, tuple[object, object]] = {
+        "number": (record.number, number),
+        "previous_sha256": (record.previous_sha256, previous),
+        "schema_sha256": (record.schema_sha256, FINGERPRINT),
+        "rows": (record.rows, max(1, record.tree_size - before.size)),
+        "tree_root": (record.tree_root, tree.root().hex()),
+        "note": (record.note, checkpoint_note(origin, tree)),
+    }
+    for name, (found, expected) in pairs.items():
+        if found != expected:
+            yield name, found, expected
+
+
+def _require_hash(path: Path, name: str, value: str) -> None:
+    if len(value) != 2 * HASH_BYTES or not set(value) <= set("0123456789abcdef"):
+        raise LedgerCorrupted(f"{path}: field {name}: found {value!r:.80}, expected a SHA-256 in lower-case hex; restore the file")
+
+
+def _parse(path: Path, data: bytes, kind: type[_Document]) -> _Document:
+    """The struct in these bytes. Raises: LedgerCorrupted unless they are its canonical JSON."""
+    try:
+        found = msgspec.json.decode(data, type=kind)
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise LedgerCorrupted(f"{path}: found other JSON than expected ({error}); restore the file") from error
+    expected = canonical.document(found)
+    if data != expected:
+        at = next((at for at, (one, other) in enumerate(zip(data, expected, strict=False)) if one != other), min(len(data), len(expected)))
+        raise LedgerCorrupted(f"{path}: byte {at}: found {data[at : at + 20]!r}, expected {expected[at : at + 20]!r} (canonical JSON); restore the file")
+    return found

@@ -1,0 +1,129 @@
+"""The columns of the ledger, derived from the event types: one row an event, one column a field name.
+
+| column | type | NULL |
+|---|---|---|
+| `run_id` | string | never |
+| `seq` | int64, from 0 within the run without gaps | never |
+| `time_us` | int64, microseconds of run time | never |
+| `caused_by` | int64, seq of the event that led to this one | for seq 0 |
+| `type` | string, name and version of the event type | never |
+| every field name of any event type, in alphabetical order | string, int64, bool or list of string | the type has no such field, or the field is None |
+"""
+
+import hashlib
+from typing import Literal
+
+import msgspec
+import pyarrow as pa
+from msgspec import inspect
+
+from fsar_ledger.events import EVENT_TYPES, Event
+
+Kind = Literal["string", "integer", "boolean", "strings"]
+
+ARROW_TYPES: dict[Kind, pa.DataType] = {
+    "string": pa.string(),
+    "integer": pa.int64(),
+    "boolean": pa.bool_(),
+    "strings": pa.list_(pa.field("element", pa.string(), nullable=False)),
+}
+
+MAX_INTEGER = 2**53 - 1
+"""The largest integer that every JSON reader keeps exactly (RFC 8785); the smallest is its negative."""
+
+
+class Field(msgspec.Struct, frozen=True):
+    """One field of an event type as it is stored; `values` are the only ones allowed, None allows any."""
+
+    name: str
+    kind: Kind
+    is_nullable: bool
+    values: frozenset[str] | None
+
+
+class Layout(msgspec.Struct, frozen=True):
+    """How one event type is stored: its fields in the order of its constructor."""
+
+    tag: str
+    cls: type[Event]
+    fields: tuple[Field, ...]
+
+
+ENVELOPE: tuple[Field, ...] = (
+    Field("run_id", "string", False, None),
+    Field("seq", "integer", False, None),
+    Field("time_us", "integer", False, None),
+    Field("caused_by", "integer", True, None),
+    Field("type", "string", False, None),
+)
+"""The columns that every row has."""
+
+
+def _field(field: inspect.Field) -> Field:
+    """The stored form of a struct field. Raises: TypeError for a type that a ledger cannot hold."""
+    options = field.type.types if isinstance(field.type, inspect.UnionType) else (field.type,)
+    kinds = tuple(option for option in options if not isinstance(option, inspect.NoneType))
+    is_nullable = len(kinds) < len(options)
+    match kinds:
+        case (inspect.StrType(),):
+            return Field(field.name, "string", is_nullable, None)
+        case (inspect.LiteralType(values=values),) if all(isinstance(value, str) for value in values):
+            return Field(field.name, "string", is_nullable, frozenset(map(str, values)))
+        case (inspect.IntType(),):
+            return Field(field.name, "integer", is_nullable, None)
+        case (inspect.BoolType(),):
+            return Field(field.name, "boolean", is_nullable, None)
+        case (inspect.VarTupleType(item_type=inspect.StrType()),):
+            return Field(field.name, "strings", is_nullable, None)
+    raise TypeError(f"field {field.name}: found {field.type}; a ledger holds str, Literal of str, int, bool or tuple[str, ...], each or None")
+
+
+def layout(cls: type[Event]) -> Layout:
+    """How this event type is stored. Raises: TypeError for a field that a ledger cannot hold or that would hide an envelope column."""
+    info = inspect.type_info(cls)
+    assert isinstance(info, inspect.StructType)
+    fields = tuple(_field(field) for field in info.fields)
+    hidden = {field.name for field in fields} & {field.name for field in ENVELOPE}
+    if hidden:
+        raise TypeError(f"{info.tag}: fields {sorted(hidden)} have the name of an envelope column; rename them")
+    return Layout(str(info.tag), cls, fields)
+
+
+def columns(layouts: tuple[Layout, ...]) -> dict[str, Kind]:
+    """The kind of every column, envelope first, then alphabetically.
+
+    Raises:
+        TypeError: Two event types give one field name different kinds.
+    """
+    kinds: dict[str, Kind] = {field.name: field.kind for field in ENVELOPE}
+    payload: dict[str, Kind] = {}
+    for one in layouts:
+        for field in one.fields:
+            if payload.setdefault(field.name, field.kind) != field.kind:
+                raise TypeError(f"{one.tag}: field {field.name} is {field.kind}, in another event type {payload[field.name]}; one name is one column")
+    return kinds | dict(sorted(payload.items()))
+
+
+LAYOUTS: dict[str, Layout] = {one.tag: one for one in map(layout, EVENT_TYPES)}
+"""How each event type is stored, by its tag, in the order of `EVENT_TYPES`."""
+
+COLUMNS: dict[str, Kind] = columns(tuple(LAYOUTS.values()))
+"""The kind of every column, in stored order."""
+
+PAYLOAD: tuple[str, ...] = tuple(COLUMNS)[len(ENVELOPE) :]
+"""The columns that come from fields of event types."""
+
+_REQUIRED = frozenset(field.name for field in ENVELOPE if not field.is_nullable)
+
+SCHEMA: pa.Schema = pa.schema([pa.field(name, ARROW_TYPES[kind], nullable=name not in _REQUIRED) for name, kind in COLUMNS.items()])
+"""The Arrow schema of every segment."""
+
+
+def fingerprint(schema: pa.Schema) -> str:
+    """The SHA-256, in hex, of `name type` or `name type not null` of each column, one a line."""
+    lines = [f"{field.name} {field.type}{'' if field.nullable else ' not null'}\n" for field in schema]
+    return hashlib.sha256("".join(lines).encode()).hexdigest()
+
+
+FINGERPRINT: str = fingerprint(SCHEMA)
+"""The fingerprint of `SCHEMA`; it differs when events have other fields."""

@@ -1,0 +1,93 @@
+"""One segment, examined on its own: what a worker of `verify` does."""
+
+import hashlib
+import os
+import stat
+from pathlib import Path
+
+import msgspec
+import pyarrow.parquet as pq
+
+from fsar_ledger.ledger import canonical
+from fsar_ledger.ledger.check import first_flaw, run_starts
+from fsar_ledger.ledger.record import COMMITS, CommitRecord
+from fsar_ledger.ledger.schema import fingerprint
+from fsar_ledger.ledger.segment import read_table
+
+
+class Problem(msgspec.Struct, frozen=True):
+    """One doubt: where (a file within the ledger, and as much of commit, run, seq and field as is known), found, expected."""
+
+    where: str
+    found: str
+    expected: str
+    commit: int | None = None
+    run: str | None = None
+    seq: int | None = None
+    field: str | None = None
+
+    def __str__(self) -> str:
+        place = [
+            f"{name} {value}" for name, value in (("commit", self.commit), ("run", self.run), ("seq", self.seq), ("field", self.field)) if value is not None
+        ]
+        return f"{': '.join([self.where, ', '.join(place)] if place else [self.where])}: found {self.found}, expected {self.expected}"
+
+
+class SegmentFacts(msgspec.Struct, frozen=True):
+    """What a segment holds. `runs` and `leaves` (packed leaf hashes) are None where the rows cannot be trusted to be as written."""
+
+    file: str
+    problems: tuple[Problem, ...] = ()
+    rows: int = 0
+    runs: tuple[str, ...] | None = None
+    leaves: bytes | None = None
+
+
+def unexpected(where: str, commit: int | None, error: BaseException) -> Problem:
+    """A check stopped with an exception: that is a finding, not an accident."""
+    return Problem(where, f"{type(error).__name__}: {error!s:.300}", "data that can be checked", commit=commit)
+
+
+def examine(file: str, ledger: str, number: int, record: CommitRecord | None) -> SegmentFacts:
+    """What this segment holds, compared with its commit record. Never raises."""
+    if record is None:
+        return SegmentFacts(file)
+    try:
+        return _examine(file, Path(ledger) / file, number, record)
+    except (Exception, RecursionError) as error:
+        return SegmentFacts(file, (unexpected(file, number, error),))
+
+
+def _examine(file: str, path: Path, number: int, record: CommitRecord) -> SegmentFacts:
+    says = f"as {COMMITS}/{number:012d}.json says"
+
+    def fail(found: object, expected: object, field: str) -> SegmentFacts:
+        return SegmentFacts(file, (Problem(file, str(found), str(expected), commit=number, field=field),))
+
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError as error:
+        return fail(error.strerror, f"a segment of {record.rows} events, {says}", "segment_sha256")
+    with open(handle, "rb") as opened:
+        status = os.fstat(handle)
+        if not stat.S_ISREG(status.st_mode):
+            return fail("no regular file", f"a segment of {record.rows} events, {says}", "segment_sha256")
+        if status.st_size != record.segment_bytes:
+            return fail(status.st_size, f"{record.segment_bytes}, {says}", "segment_bytes")
+        digest = hashlib.file_digest(opened, "sha256").hexdigest()
+    if digest != record.segment_sha256:
+        return fail(digest, f"{record.segment_sha256}, {says}", "segment_sha256")
+    metadata = pq.read_metadata(path)
+    if metadata.num_rows != record.rows:
+        return fail(metadata.num_rows, f"{record.rows}, {says}", "rows")
+    if metadata.num_row_groups != 1:
+        return fail(f"{metadata.num_row_groups} row groups", "1", "segment_sha256")
+    table = read_table(path)
+    if fingerprint(table.schema) != record.schema_sha256:
+        return fail(fingerprint(table.schema), f"{record.schema_sha256}, {says}", "schema_sha256")
+    flaw = first_flaw(table)
+    problems = () if flaw is None else (Problem(file, flaw.found, flaw.expected, number, flaw.run, flaw.seq, flaw.field),)
+    run_ids = table.column("run_id").combine_chunks()
+    runs = tuple(run_ids.take(run_starts(run_ids)).to_pylist())
+    leaves = b"".join(canonical.hashes(canonical.from_table(table)))
+    return SegmentFacts(file, problems, table.num_rows, runs, leaves)

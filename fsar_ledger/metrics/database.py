@@ -1,0 +1,216 @@
+"""The one module that owns DuckDB calls: a relation `events` and, over it, every packaged query.
+
+Queries become views when something first reads them, each after what it reads; those whose header says
+`Stored` become tables, so that the eight metrics are computed once per connection.
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import duckdb
+import pyarrow as pa
+
+from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted, QueryFailed
+from fsar_ledger.ledger.read import Head, open_ledger
+from fsar_ledger.ledger.schema import SCHEMA
+from fsar_ledger.ledger.segment import read_table
+
+from .functions import register
+from .library import Library, library, values
+
+LOCK = (
+    "threads = 1",
+    "memory_limit = '1GB'",
+    "max_temp_directory_size = '0KB'",
+    "python_enable_replacements = false",
+    "autoinstall_known_extensions = false",
+    "autoload_known_extensions = false",
+    "allow_persistent_secrets = false",
+    "enable_external_access = false",
+)
+BATCH_ROWS = 10_000
+FAULTS_OF_SQL = (duckdb.ParserException, duckdb.BinderException, duckdb.CatalogException, duckdb.ConversionException, duckdb.PermissionException)
+
+Value = str | int | float | bool | None | list[str]
+
+
+class Database:
+    """A connection to a private in-memory DuckDB that holds nothing but views of `events`.
+
+    Answers are the same bits on any number of threads as long as queries sum integers, or floats in a given order;
+    the packaged ones do.
+    """
+
+    def __init__(self, head: Head | None, segments: Sequence[Path], threads: int | None = None, queries: Library | None = None):
+        self.head = head
+        self.library = queries or library()
+        self._segments = tuple(segments)
+        self._made: set[str] = set()
+        self._connection = duckdb.connect(":memory:", config={"threads": threads} if threads else {})
+        # The wide relation is read again and again: opening its files once is enough. UTC and no progress bar: the answer is the same anywhere.
+        for setting in ("parquet_metadata_cache = true", "TimeZone = 'UTC'", "enable_progress_bar = false", "preserve_insertion_order = false"):
+            self._connection.execute(f"SET {setting}")
+        register(self._connection)
+
+    def __enter__(self) -> "Database":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """The connection is gone; DuckDB complains at exit about one that is not."""
+        self._connection.close()
+
+    def hold(self, name: str, table: Any) -> None:
+        """An Arrow table or dataset is the relation of this name, whatever packaged query has it."""
+        self._connection.register(name, table)
+        self._made.add(name)
+
+    def prepare(self, sql: str) -> None:
+        """Every relation that this SQL mentions exists, with all that it reads."""
+        for query in self.library.needs(self.library.mentioned(sql)):
+            if query.relation in self._made or query.parameters:
+                continue
+            kind = "TABLE" if query.is_stored else "VIEW"
+            self._execute(f"CREATE {kind} {query.relation} AS\n{query.sql}", None)
+            self._made.add(query.relation)
+
+    def table(self, sql: str, params: Mapping[str, Value] | None = None) -> pa.Table:
+        """The answer to one SELECT, with `$name` parameters bound.
+
+        Raises:
+            QueryFailed: DuckDB does not accept the SQL or its parameters, or it fails on the data.
+            LedgerCorrupted: A segment cannot be read.
+        """
+        self.prepare(sql)
+        return self._execute(sql, params)
+
+    def rows(self, sql: str, params: Mapping[str, Value] | None = None) -> list[dict[str, Any]]:
+        """The answer to one SELECT as dictionaries. Raises: as `table`."""
+        return plain_rows(self.table(sql, params))
+
+    def query(self, name: str, given: Mapping[str, str] | None = None) -> pa.Table:
+        """The rows of a packaged query, sorted by all their columns from the left.
+
+        Raises:
+            UnknownQuery: There is no such query, or its parameters are others.
+            QueryFailed: A value does not fit its parameter.
+            LedgerCorrupted: A segment cannot be read.
+        """
+        query = self.library.find(name)
+        bound = values(query, given or {})
+        if not query.parameters:
+            return self.table(f"SELECT * FROM {query.relation} ORDER BY ALL")
+        self.prepare(query.sql)
+        return self._execute(f"SELECT * FROM (\n{query.sql}\n) ORDER BY ALL", bound)
+
+    def lock(self, seconds: int) -> None:
+        """From now on the connection reaches nothing but what it already holds, and a statement ends after so many seconds.
+
+        There is no allow-list: in DuckDB one grants writing too. What DuckDB does not stop (one huge string) is for the operating system to stop.
+        """
+        for setting in LOCK:
+            self._connection.execute(f"SET {setting}")
+        self._connection.execute(f"SET max_execution_time = {seconds * 1000}")
+        self._connection.execute("SET lock_configuration = true")
+
+    def check_one_select(self, sql: str) -> None:
+        """The text is exactly one statement that only reads, as far as its type says.
+
+        Raises:
+            QueryFailed: It is empty, does not parse, holds several statements, or one that is neither SELECT nor EXPLAIN.
+        """
+        try:
+            statements = self._connection.extract_statements(sql)
+        except duckdb.Error as error:
+            raise QueryFailed(f"SQL: {_first_lines(str(error))}") from error
+        kinds = [statement.type.name for statement in statements]
+        if len(kinds) != 1 or kinds[0] not in ("SELECT", "EXPLAIN"):
+            raise QueryFailed(f"SQL: found {', '.join(kinds) or 'no statement'}, expected exactly one SELECT or EXPLAIN; a ledger can only be read")
+
+    def batches(self, sql: str) -> Iterator[pa.RecordBatch]:
+        """The answer to one SELECT, a batch at a time, the first one perhaps empty; what it mentions must have been prepared. Raises: as `table`."""
+        try:
+            reader = self._connection.sql(sql).to_arrow_reader(BATCH_ROWS)
+            yield pa.RecordBatch.from_pylist([], schema=reader.schema)
+            yield from reader
+        except (duckdb.Error, pa.ArrowException) as error:
+            raise self._failure(error) from error
+
+    def _execute(self, sql: str, params: Mapping[str, Value] | None) -> pa.Table | None:
+        """DuckDB's answer, its errors made ours."""
+        try:
+            relation = self._connection.sql(sql, params=dict(params) if params else None)
+            return None if relation is None else relation.to_arrow_table()
+        except duckdb.Error as error:
+            raise self._failure(error) from error
+
+    def _failure(self, error: Exception) -> FsarLedgerError:
+        """What failed, for a user: the SQL, or, where the error may come from the data, the first segment that cannot be read."""
+        if not isinstance(error, FAULTS_OF_SQL):
+            for path in self._segments:
+                try:
+                    read_table(path)
+                except LedgerCorrupted as damage:
+                    return damage
+        return QueryFailed(f"SQL: {_first_lines(str(error))}")
+
+
+def plain_rows(table: pa.Table) -> list[dict[str, Any]]:
+    """The rows as dictionaries. DuckDB's sums of integers are decimals in Arrow; here they are integers again."""
+    whole = [field.name for field in table.schema if pa.types.is_decimal(field.type) and field.type.scale == 0]
+    rows: list[dict[str, Any]] = table.to_pylist()
+    for row in rows if whole else ():
+        row.update({name: None if row[name] is None else int(row[name]) for name in whole})
+    return rows
+
+
+def _first_lines(text: str, count: int = 6) -> str:
+    """The beginning of DuckDB's message, blank lines left out."""
+    lines = [line for line in text.splitlines() if line.strip()]
+    return "\n".join(lines[:count])
+
+
+def connect(ledger: Path, threads: int | None = None) -> Database:
+    """A database over the committed segments of one head of this ledger.
+
+    Raises:
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_ledger`; also LedgerCorrupted for a segment that is missing or has another size.
+    """
+    view = open_ledger(ledger)
+    segments = view.segments()
+    database = Database(view.head, segments, threads)
+    try:
+        if segments:
+            names = ", ".join("'" + str(segment).replace("'", "''") + "'" for segment in segments)
+            columns = ", ".join(f'"{name}"' for name in SCHEMA.names)
+            database._execute(f"CREATE VIEW events AS SELECT {columns} FROM read_parquet([{names}], hive_partitioning = false)", None)
+        else:
+            database.hold("events", SCHEMA.empty_table())
+    except BaseException:
+        database.close()
+        raise
+    return database
+
+
+def from_table(events: pa.Table, threads: int | None = None) -> Database:
+    """A database over rows in memory; columns that the table lacks are NULL."""
+    columns = [events[name] if name in events.column_names else pa.nulls(len(events), SCHEMA.field(name).type) for name in SCHEMA.names]
+    database = Database(None, (), threads)
+    database.hold("events", pa.Table.from_arrays(columns, names=SCHEMA.names))
+    return database
+
+
+def from_rows(rows: Sequence[Mapping[str, Value]], threads: int | None = None) -> Database:
+    """A database over these rows; columns that a row lacks are NULL. For tests and small questions.
+
+    Raises:
+        ValueError: A row has a column that events do not have.
+    """
+    if unknown := sorted({name for row in rows for name in row} - set(SCHEMA.names)):
+        raise ValueError(f"rows: found columns {', '.join(unknown)}, expected those of the ledger's schema")
+    schema = pa.schema([field.with_nullable(True) for field in SCHEMA])
+    return from_table(pa.Table.from_pylist([{name: row.get(name) for name in schema.names} for row in rows], schema=schema), threads)

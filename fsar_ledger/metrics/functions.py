@@ -1,0 +1,82 @@
+"""Tail probabilities and quantiles as SQL functions, from scipy, a column at a time.
+
+| function | value |
+|---|---|
+| `t_sf2(t, df)` | two-sided p of Student's t |
+| `t_quantile(p, df)` | the t below which a share p lies |
+| `norm_sf2(z)` | two-sided p of a standard normal z |
+| `norm_quantile(p)` | the z below which a share p lies |
+| `binomial_half_sf2(k, n)` | exact two-sided p of k of n fair coin tosses, k <= n/2 |
+
+NULL in, NULL out.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import duckdb
+import numpy as np
+import pyarrow as pa
+from duckdb.func import PythonUDFType
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+
+
+def _scipy() -> Any:
+    """scipy.special, loaded when a query first needs it: it costs 0.3 s."""
+    from scipy import special
+
+    return special
+
+
+def t_sf2(t: Vector, df: Vector) -> Vector:
+    """Two-sided tail probability of Student's t."""
+    return np.asarray(2.0 * _scipy().stdtr(df, -np.abs(t)))
+
+
+def t_quantile(p: Vector, df: Vector) -> Vector:
+    """Quantile of Student's t."""
+    return np.asarray(_scipy().stdtrit(df, p))
+
+
+def norm_sf2(z: Vector) -> Vector:
+    """Two-sided tail probability of the standard normal."""
+    return np.asarray(2.0 * _scipy().ndtr(-np.abs(z)))
+
+
+def norm_quantile(p: Vector) -> Vector:
+    """Quantile of the standard normal."""
+    return np.asarray(_scipy().ndtri(p))
+
+
+def binomial_half_sf2(k: Vector, n: Vector) -> Vector:
+    """Exact two-sided probability that a fair coin deviates as much as k of n; 1 when there was no toss."""
+    return np.asarray(np.minimum(1.0, 2.0 * _scipy().bdtr(k, n.astype(np.int64), 0.5)))
+
+
+def _floats(column: pa.Array) -> Vector:
+    """The column as a numpy vector."""
+    return np.asarray(column.to_numpy(zero_copy_only=False), dtype=np.float64)
+
+
+def _unary(function: Callable[[Vector], Vector]) -> Callable[[pa.Array], pa.Array]:
+    """The function of one vector over an Arrow column; DuckDB counts the arguments of what it is given."""
+    return lambda x: pa.array(function(_floats(x)))
+
+
+def _binary(function: Callable[[Vector, Vector], Vector]) -> Callable[[pa.Array, pa.Array], pa.Array]:
+    """The function of two vectors over Arrow columns."""
+    return lambda x, y: pa.array(function(_floats(x), _floats(y)))
+
+
+UNARY = {"norm_sf2": norm_sf2, "norm_quantile": norm_quantile}
+BINARY = {"t_sf2": t_sf2, "t_quantile": t_quantile, "binomial_half_sf2": binomial_half_sf2}
+
+
+def register(connection: duckdb.DuckDBPyConnection) -> None:
+    """The connection knows all functions."""
+    for name, unary in UNARY.items():
+        connection.create_function(name, _unary(unary), ["DOUBLE"], "DOUBLE", type=PythonUDFType.ARROW)
+    for name, binary in BINARY.items():
+        connection.create_function(name, _binary(binary), ["DOUBLE", "DOUBLE"], "DOUBLE", type=PythonUDFType.ARROW)

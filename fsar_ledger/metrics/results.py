@@ -1,0 +1,84 @@
+"""The answers of the metric and statistics queries as typed rows, in the order of the paper's tables."""
+
+import msgspec
+
+from .database import Database
+
+
+class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One metric over the runs of one architecture.
+
+    Units: `mean`, `sd` (per run) and the 95 % interval in the metric's unit (share, count, seconds); `n` runs;
+    `denominator` what the metric counts, summed over runs. None: undefined, or `scenario` for all scenarios together.
+    """
+
+    architecture: str
+    configuration: str
+    fleet_size: int
+    scenario: str | None
+    metric: str
+    mean: float | None
+    sd: float | None
+    n: int
+    ci_low: float | None
+    ci_high: float | None
+    denominator: int
+    published_convention_mean: float | None
+
+
+class StatisticRow(msgspec.Struct, frozen=True, kw_only=True):
+    """One comparison of two architectures by one metric over paired runs. Paper: tab:significance.
+
+    `comparison` is `first-second`; differences are first minus second, in the metric's unit. None: undefined
+    (no variance, fewer than two pairs), or McNemar's test of a metric that is not 0/1.
+    """
+
+    configuration: str
+    fleet_size: int
+    metric: str
+    comparison: str
+    n: int
+    first_mean: float | None
+    second_mean: float | None
+    mean_difference: float | None
+    t: float | None
+    df: int | None
+    p: float | None
+    p_holm: float | None
+    cohens_d: float | None
+    d_z: float | None
+    hedges_g: float | None
+    g_ci_low: float | None
+    g_ci_high: float | None
+    wilcoxon_n: int
+    wilcoxon_w: float | None
+    wilcoxon_z: float | None
+    wilcoxon_p: float | None
+    mcnemar_first_only: int | None
+    mcnemar_second_only: int | None
+    mcnemar_p: float | None
+
+
+def metric_rows(database: Database, by_scenario: bool = False) -> list[MetricRow]:
+    """The summary of every metric, over all scenarios or one row each. Raises: as `Database.rows`."""
+    rows = database.rows(f"""
+        SELECT * EXCLUDE (position)
+        FROM metric_summary
+        WHERE scenario IS {"NOT NULL" if by_scenario else "NULL"}
+        ORDER BY configuration <> 'full', configuration, fleet_size, position, scenario, list_position(['fsar', 'cfc', 'dhma'], architecture)
+    """)
+    return msgspec.convert(rows, list[MetricRow])
+
+
+def statistic_rows(database: Database, defined_only: bool = False) -> list[StatisticRow]:
+    """The pairwise tests with the published convention (n is all pairs), or only of pairs where the metric is defined in both runs.
+
+    Raises: as `Database.rows`.
+    """
+    relation = "pairwise_tests_defined" if defined_only else "pairwise_tests"
+    rows = database.rows(f"""
+        SELECT * EXCLUDE (position)
+        FROM {relation}
+        ORDER BY configuration <> 'full', configuration, fleet_size, position, metric, list_position(['fsar-cfc', 'fsar-dhma', 'cfc-dhma'], comparison)
+    """)
+    return msgspec.convert(rows, list[StatisticRow])

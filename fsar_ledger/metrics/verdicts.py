@@ -1,0 +1,155 @@
+"""The paper beside ours: one rule for every cell of the results table.
+
+The interval of (ours - paper) carries the sampling error of both: ours from our runs, the paper's from the SD that
+its own tables imply, at its n of 100. The printed plus-minus is not used: it is 1.96 * SD of five scenario means /
+sqrt(100), which is no sampling error. The cell
+
+- *differs* if the 95 % interval excludes 0,
+- is *reproduced* if the interval lies inside the metric's fixed margin,
+- is *undecided* otherwise, also where our SD is unknown (fewer than two runs) or the metric is undefined.
+"""
+
+import csv
+import math
+from collections.abc import Iterable
+from functools import cache
+from importlib.resources import files
+from typing import Literal
+
+import msgspec
+
+from .results import MetricRow
+
+Verdict = Literal["reproduced", "undecided", "differs"]
+
+PAPER_RUNS = 100
+"""Runs per architecture in the paper: 5 scenarios of 20."""
+
+Z_95 = 1.959963984540054
+"""97.5 % quantile of the standard normal."""
+
+MARGINS: dict[str, float] = {
+    "coordination_success": 0.05,
+    "governance_locality": 0.02,
+    "recovery_containment": 0.05,
+    "authority_conflicts": 0.25,
+    "policy_violations": 0.15,
+    "reassignment_latency_s": 0.5,
+    "human_intervention": 0.05,
+    "audit_attributability": 0.02,
+}
+"""Half-width within which a difference does not matter, in the metric's unit; fixed before calibration."""
+
+_PRINTED: dict[str, tuple[str, str, float]] = {
+    "coordination_success": ("coordination_success_pct", "coordination_success", 100.0),
+    "governance_locality": ("governance_locality", "governance_locality", 1.0),
+    "recovery_containment": ("recovery_containment", "recovery_containment", 1.0),
+    "authority_conflicts": ("authority_conflicts", "authority_conflicts", 1.0),
+    "policy_violations": ("policy_violations", "policy_violations", 1.0),
+    "reassignment_latency_s": ("reassignment_latency_s", "reassignment_latency", 1.0),
+    "human_intervention": ("human_interventions_pct", "human_interventions", 100.0),
+    "audit_attributability": ("audit_attributability", "audit_attributability", 1.0),
+}
+# Each metric's name in results.csv and in significance.csv, and how many printed units make one of ours (percent, shares).
+
+
+class Published(msgspec.Struct, frozen=True, kw_only=True):
+    """One cell of the paper's results table, in our unit. Paper: tab:results.
+
+    `implied_sd` is the SD per run that its tables imply: |difference of means| / d of the pair with FSAR, for FSAR of FSAR and CFC.
+    """
+
+    metric: str
+    architecture: str
+    mean: float
+    printed_ci95: float
+    implied_sd: float
+
+
+class Comparison(msgspec.Struct, frozen=True, kw_only=True):
+    """One cell judged. Differences are ours minus the paper's, in the metric's unit; None where ours is undefined.
+
+    `distance_se` is the difference in standard errors of a mean of 100 runs, from the larger of our SD and the implied one.
+    """
+
+    metric: str
+    architecture: str
+    configuration: str
+    fleet_size: int
+    ours: float | None
+    paper: float
+    implied_sd: float
+    difference: float | None
+    ci_low: float | None
+    ci_high: float | None
+    margin: float
+    verdict: Verdict
+    distance_se: float | None
+
+
+def _table(name: str) -> list[dict[str, str]]:
+    """A table of the paper as it is printed."""
+    text = files("fsar_ledger.reports").joinpath("paper", f"{name}.csv").read_text("utf-8")
+    return list(csv.DictReader(text.splitlines()))
+
+
+@cache
+def published() -> dict[tuple[str, str], Published]:
+    """The 24 cells of the paper's results table by metric and architecture."""
+    printed = {(row["metric"], row["architecture"]): (float(row["mean"]), float(row["printed_ci95"])) for row in _table("results")}
+    effects = {(row["metric"], row["comparison"]): float(row["cohens_d"]) for row in _table("significance")}
+    cells: dict[tuple[str, str], Published] = {}
+    for metric, (name, tested_name, unit) in _PRINTED.items():
+        fsar, _ = printed[name, "FSAR"]
+        for architecture in ("FSAR", "CFC", "DHMA"):
+            mean, half_width = printed[name, architecture]
+            other = "CFC" if architecture == "FSAR" else architecture
+            implied_sd = abs(fsar - printed[name, other][0]) / effects[tested_name, f"FSAR vs {other}"]
+            cells[metric, architecture.lower()] = Published(
+                metric=metric,
+                architecture=architecture.lower(),
+                mean=mean / unit,
+                printed_ci95=half_width / unit,
+                implied_sd=implied_sd / unit,
+            )
+    return cells
+
+
+def compare(rows: Iterable[MetricRow]) -> list[Comparison]:
+    """The verdict on every row whose metric and architecture the paper prints, in the order given."""
+    return [_judge(row, paper) for row in rows if (paper := published().get((row.metric, row.architecture)))]
+
+
+def _judge(row: MetricRow, paper: Published) -> Comparison:
+    """One cell judged by the rule above."""
+    difference = None if row.mean is None else row.mean - paper.mean
+    ci_low = ci_high = distance_se = None
+    if difference is not None and row.sd is not None:
+        half_width = Z_95 * math.sqrt(row.sd**2 / row.n + paper.implied_sd**2 / PAPER_RUNS)
+        ci_low, ci_high = difference - half_width, difference + half_width
+        distance_se = difference / (max(row.sd, paper.implied_sd) / math.sqrt(PAPER_RUNS))
+    margin = MARGINS[row.metric]
+    return Comparison(
+        metric=row.metric,
+        architecture=row.architecture,
+        configuration=row.configuration,
+        fleet_size=row.fleet_size,
+        ours=row.mean,
+        paper=paper.mean,
+        implied_sd=paper.implied_sd,
+        difference=difference,
+        ci_low=ci_low,
+        ci_high=ci_high,
+        margin=margin,
+        verdict=verdict(ci_low, ci_high, margin),
+        distance_se=distance_se,
+    )
+
+
+def verdict(ci_low: float | None, ci_high: float | None, margin: float) -> Verdict:
+    """The verdict on a 95 % interval of (ours - paper)."""
+    if ci_low is None or ci_high is None:
+        return "undecided"
+    if ci_low > 0 or ci_high < 0:
+        return "differs"
+    return "reproduced" if -margin <= ci_low and ci_high <= margin else "undecided"

@@ -1,0 +1,24 @@
+"""Who holds which dimension of authority over which action. Paper: eq:auth."""
+
+from typing import assert_never
+
+from ..events.authority import AuthorityClaimed, AuthorityReleased
+
+HANDLES = AuthorityClaimed | AuthorityReleased
+
+Authority = dict[str, tuple[AuthorityClaimed, ...]]  # action -> open claims
+
+INITIAL: Authority = {}
+
+
+def evolve(state: Authority, event: HANDLES) -> Authority:
+    """The open claims after the event."""
+    match event:
+        case AuthorityClaimed():
+            return {**state, event.action_id: (*state.get(event.action_id, ()), event)}
+        case AuthorityReleased():
+            left = tuple(claim for claim in state[event.action_id] if (claim.dimension, claim.claimant) != (event.dimension, event.claimant))
+            others = {action: claims for action, claims in state.items() if action != event.action_id}
+            return {**others, event.action_id: left} if left else others
+        case _:
+            assert_never(event)

@@ -1,0 +1,147 @@
+"""Each robot serves one action at a time, in order of arrival; and how far each action is."""
+
+from typing import Literal, assert_never
+
+import msgspec
+
+from ..events.execution import (
+    ApproachStarted,
+    ExecutionFailed,
+    ExecutionFinished,
+    ExecutionHeld,
+    ExecutionPaused,
+    ExecutionQueued,
+    ExecutionResumed,
+    ExecutionStarted,
+    ExecutionWithdrawn,
+)
+from ..events.recovery import AssistanceAdmitted, AssistanceEnded
+
+HANDLES = (
+    ExecutionQueued
+    | ApproachStarted
+    | ExecutionHeld
+    | ExecutionStarted
+    | ExecutionPaused
+    | ExecutionResumed
+    | ExecutionFailed
+    | ExecutionFinished
+    | ExecutionWithdrawn
+    | AssistanceAdmitted
+    | AssistanceEnded
+)
+
+Stage = Literal["queued", "approaching", "held", "polling", "running", "paused", "failed", "withdrawn"]
+
+
+class Action(msgspec.Struct, frozen=True, gc=False):
+    """One action at its robot. Units: `ends_us` run time of the planned end, `remaining_us` execution left."""
+
+    task_id: str
+    action_id: str
+    requested_by: str | None
+    executed_by: str | None
+    robot: str
+    on_behalf_of: str
+    capability: str
+    step: int
+    attempt: int
+    is_delegated: bool
+    has_approach: bool
+    is_supervised: bool
+    stage: Stage = "queued"
+    ends_us: int = 0
+    remaining_us: int = 0
+    failures: int = 0
+    segments: int = 0
+
+
+class Execution(msgspec.Struct, frozen=True, gc=False):
+    """`current`: robot -> action or assistance that holds it; `queues`: robot -> actions waiting."""
+
+    current: dict[str, str] = {}
+    queues: dict[str, tuple[str, ...]] = {}
+    actions: dict[str, Action] = {}
+
+
+INITIAL = Execution()
+
+
+def evolve(state: Execution, event: HANDLES) -> Execution:
+    """The robots and actions after the event."""
+    match event:
+        case ExecutionQueued():
+            return _queued(state, event)
+        case ApproachStarted():
+            return _staged(state, event.action_id, "approaching")
+        case ExecutionStarted():
+            return _staged(state, event.action_id, "running", ends_us=event.ends_us)
+        case ExecutionFinished():
+            actions = {name: action for name, action in state.actions.items() if name != event.action_id}
+            return _freed(Execution(state.current, state.queues, actions), event.robot)
+        case ExecutionHeld():
+            return _staged(state, event.action_id, "polling" if event.reason == "fleet-rule" else "held")
+        case ExecutionPaused():
+            return _staged(state, event.action_id, "paused", remaining_us=event.remaining_us)
+        case ExecutionResumed():
+            return _staged(state, event.action_id, "running", ends_us=event.ends_us)
+        case ExecutionFailed():
+            return _staged(state, event.action_id, "failed", remaining_us=event.remaining_us, failures=event.failure)
+        case ExecutionWithdrawn():
+            withdrawn = _staged(state, event.action_id, "withdrawn")
+            if state.current.get(event.robot) == event.action_id:
+                return _freed(withdrawn, event.robot)
+            queue = tuple(name for name in state.queues.get(event.robot, ()) if name != event.action_id)
+            return Execution(withdrawn.current, {**state.queues, event.robot: queue}, withdrawn.actions)
+        case AssistanceAdmitted():
+            return Execution({**state.current, event.helper: "assist:" + event.action_id}, state.queues, state.actions)
+        case AssistanceEnded():
+            return _freed(state, event.helper)
+        case _:
+            assert_never(event)
+
+
+def _queued(state: Execution, event: ExecutionQueued) -> Execution:
+    known = state.actions.get(event.action_id)
+    action = Action(
+        event.task_id,
+        event.action_id,
+        event.requested_by,
+        event.executed_by,
+        event.robot,
+        event.on_behalf_of,
+        event.capability,
+        event.step,
+        event.attempt,
+        event.is_delegated,
+        event.has_approach,
+        event.is_supervised,
+        failures=known.failures if known else 0,
+        segments=known.segments if known else 0,
+    )
+    actions = {**state.actions, event.action_id: action}
+    if event.robot in state.current:
+        queue = (*state.queues.get(event.robot, ()), event.action_id)
+        return Execution(state.current, {**state.queues, event.robot: queue}, actions)
+    return Execution({**state.current, event.robot: event.action_id}, state.queues, actions)
+
+
+def _staged(state: Execution, action_id: str, stage: Stage, ends_us: int = 0, remaining_us: int = 0, failures: int | None = None) -> Execution:
+    action = state.actions[action_id]
+    changed = msgspec.structs.replace(
+        action,
+        stage=stage,
+        ends_us=ends_us,
+        remaining_us=remaining_us,
+        failures=action.failures if failures is None else failures,
+        segments=action.segments + (stage == "running"),
+    )
+    return Execution(state.current, state.queues, {**state.actions, action_id: changed})
+
+
+def _freed(state: Execution, robot: str) -> Execution:
+    """The robot turns to the next in its queue, if there is one."""
+    queue = state.queues.get(robot, ())
+    if queue:
+        return Execution({**state.current, robot: queue[0]}, {**state.queues, robot: queue[1:]}, state.actions)
+    return Execution({name: held for name, held in state.current.items() if name != robot}, state.queues, state.actions)

@@ -1,0 +1,45 @@
+"""Who is in the fleet, and what run this is. Paper: eq:fleet, eq:runtime."""
+
+from typing import assert_never
+
+import msgspec
+
+from ..constants import Constants, Structure
+from ..events.fleet import RobotJoined, RunStarted
+
+HANDLES = RunStarted | RobotJoined
+
+
+class Robot(msgspec.Struct, frozen=True, gc=False):
+    """One robot of the fleet."""
+
+    name: str
+    role: str
+    team: int
+    supervisor: str
+
+
+class Fleet(msgspec.Struct, frozen=True, gc=False):
+    """The run's structure and its robots by name, in order of joining."""
+
+    architecture: str = ""
+    configuration: str = ""
+    size: int = 0
+    structure: Structure = Structure()
+    robots: dict[str, Robot] = {}
+
+
+INITIAL = Fleet()
+
+
+def evolve(state: Fleet, event: HANDLES) -> Fleet:
+    """The fleet after the event."""
+    match event:
+        case RunStarted():
+            structure = msgspec.json.decode(event.parameters, type=Constants).structure
+            return Fleet(event.architecture, event.configuration, event.fleet_size, structure)
+        case RobotJoined():
+            robot = Robot(event.robot, event.role, event.team, event.supervisor)
+            return msgspec.structs.replace(state, robots={**state.robots, event.robot: robot})
+        case _:
+            assert_never(event)

@@ -1,0 +1,67 @@
+"""State is what the events so far make of it; this module routes each event to the projections that handle it.
+
+One datum's walk: an event of some type -> `ROUTES[type]` names the slices that declare it in their
+`HANDLES` -> each slice's `evolve` returns its next value. Types that no projection handles are stateless:
+records for audit, from which nothing follows inside the run.
+"""
+
+from collections.abc import Callable, Iterable
+from typing import Any, get_args
+
+from ..events import EVENT_TYPES, Event
+from . import authority, execution, fleet, knowledge, recovery, registry, request, supervision, task, trust, world
+
+
+class State:
+    """All projections of one run. The slots are replaced by `apply`; the values in them never change."""
+
+    __slots__ = ("authority", "execution", "fleet", "knowledge", "recovery", "registry", "request", "supervision", "task", "trust", "world")
+
+    def __init__(self) -> None:
+        self.authority = authority.INITIAL
+        self.execution = execution.INITIAL
+        self.fleet = fleet.INITIAL
+        self.knowledge = knowledge.INITIAL
+        self.recovery = recovery.INITIAL
+        self.registry = registry.INITIAL
+        self.request = request.INITIAL
+        self.supervision = supervision.INITIAL
+        self.task = task.INITIAL
+        self.trust = trust.INITIAL
+        self.world = world.INITIAL
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, State) and all(getattr(self, slot) == getattr(other, slot) for slot in self.__slots__)
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+_PROJECTIONS = (authority, execution, fleet, knowledge, recovery, registry, request, supervision, task, trust, world)
+_Evolve = Callable[[Any, Any], Any]
+
+
+def _routes() -> dict[type[Event], tuple[tuple[str, _Evolve], ...]]:
+    routes: dict[type[Event], tuple[tuple[str, _Evolve], ...]] = {}
+    for projection in _PROJECTIONS:
+        slot = projection.__name__.rpartition(".")[2]
+        for event_type in get_args(projection.HANDLES) or (projection.HANDLES,):
+            routes[event_type] = (*routes.get(event_type, ()), (slot, projection.evolve))
+    return routes
+
+
+ROUTES = _routes()
+STATELESS = frozenset(EVENT_TYPES) - ROUTES.keys()
+
+
+def apply(state: State, event: Event) -> None:
+    """The state takes the event in."""
+    for slot, evolve in ROUTES.get(type(event), ()):
+        setattr(state, slot, evolve(getattr(state, slot), event))
+
+
+def fold(events: Iterable[Event]) -> State:
+    """The state that the events make."""
+    state = State()
+    for event in events:
+        apply(state, event)
+    return state

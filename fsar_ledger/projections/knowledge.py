@@ -1,0 +1,53 @@
+"""What deciders have been told: it may lag behind the world, and decisions rest on it."""
+
+from typing import assert_never
+
+import msgspec
+
+from ..events.envelope import PolicyOutcome
+from ..events.knowledge import CopySynced, FleetRuleLearned, PeerRemembered, PlannerEngaged, SnapshotTaken, WorkQueued
+from ..events.world import SnapshotPhaseSet, SyncPhaseSet
+
+HANDLES = SyncPhaseSet | SnapshotPhaseSet | FleetRuleLearned | PeerRemembered | CopySynced | SnapshotTaken | PlannerEngaged | WorkQueued
+
+
+class Knowledge(msgspec.Struct, frozen=True, gc=False):
+    """`copy` is the coordinator's last synced copy; `ready_us` when its queue of work is done (run time, microseconds)."""
+
+    sync_phase_ppm: int = 0
+    snapshot_phase_ppm: dict[str, int] = {}
+    fleet_rule: dict[str, PolicyOutcome] = {}
+    fleet_rule_as_of_us: dict[str, int] = {}
+    met: dict[tuple[str, str], int] = {}
+    copy: CopySynced = CopySynced()
+    snapshot: dict[str, PolicyOutcome] = {}
+    engaged_until_us: dict[str, int] = {}
+    ready_us: int = 0
+
+
+INITIAL = Knowledge()
+
+
+def evolve(state: Knowledge, event: HANDLES) -> Knowledge:
+    """What is known after the event."""
+    replace = msgspec.structs.replace
+    match event:
+        case WorkQueued():
+            return replace(state, ready_us=event.ready_us)
+        case CopySynced():
+            return replace(state, copy=event)
+        case SnapshotTaken():
+            return replace(state, snapshot={**state.snapshot, event.robot: event.outcome})
+        case FleetRuleLearned():
+            as_of_us = {**state.fleet_rule_as_of_us, event.robot: event.as_of_us}
+            return replace(state, fleet_rule={**state.fleet_rule, event.robot: event.outcome}, fleet_rule_as_of_us=as_of_us)
+        case PlannerEngaged():
+            return replace(state, engaged_until_us={**state.engaged_until_us, event.robot: event.until_us})
+        case PeerRemembered():
+            return replace(state, met={**state.met, (event.robot, event.peer): event.until_us})
+        case SyncPhaseSet():
+            return replace(state, sync_phase_ppm=event.phase_ppm)
+        case SnapshotPhaseSet():
+            return replace(state, snapshot_phase_ppm={**state.snapshot_phase_ppm, event.robot: event.phase_ppm})
+        case _:
+            assert_never(event)

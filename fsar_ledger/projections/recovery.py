@@ -1,0 +1,50 @@
+"""Failures that are being recovered. Paper: eq:recovery."""
+
+from typing import assert_never
+
+import msgspec
+
+from ..events.envelope import FailureCause, RecoveryLevel
+from ..events.execution import ExecutionFailed
+from ..events.recovery import AssistanceDeclined, AssistanceRequested, FailureResolved, RecoveryAttempted, RecoveryEscalated
+
+HANDLES = ExecutionFailed | RecoveryAttempted | RecoveryEscalated | AssistanceRequested | AssistanceDeclined | FailureResolved
+
+
+class Recovery(msgspec.Struct, frozen=True, gc=False):
+    """The open failure of one action. Units: `detected_us` run time, `deadline_us` run time at which the local level's budget ends."""
+
+    robot: str
+    failure: int
+    cause: FailureCause
+    detected_us: int
+    level: RecoveryLevel = "local"
+    number: int = 0
+    deadline_us: int = 0
+    tried: tuple[str, ...] = ()
+
+
+Recoveries = dict[str, Recovery]  # action -> open failure
+
+INITIAL: Recoveries = {}
+
+
+def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
+    """The open failures after the event."""
+    match event:
+        case ExecutionFailed():
+            return {**state, event.action_id: Recovery(event.robot, event.failure, event.cause, event.detected_us)}
+        case RecoveryAttempted():
+            changed = msgspec.structs.replace(state[event.failed_action], number=event.number, deadline_us=event.deadline_us)
+            return {**state, event.failed_action: changed}
+        case RecoveryEscalated():
+            return {**state, event.failed_action: msgspec.structs.replace(state[event.failed_action], level=event.to_level)}
+        case AssistanceRequested():
+            known = state[event.failed_action]
+            return {**state, event.failed_action: msgspec.structs.replace(known, tried=(*known.tried, event.helper))}
+        case AssistanceDeclined():
+            return state
+        case FailureResolved():
+            return {action: recovery for action, recovery in state.items() if action != event.action_id}
+        case _:
+            assert_never(event)

@@ -1,0 +1,97 @@
+"""How the world stands: open policy windows, obstructions, degraded actuators, absent supervisors."""
+
+from typing import assert_never
+
+import msgspec
+
+from ..events.envelope import PolicyOutcome
+from ..events.recovery import FailureResolved
+from ..events.supervision import ActuatorServiced
+from ..events.world import (
+    ActuatorDegraded,
+    ObstructionAppeared,
+    ObstructionCleared,
+    PolicyWindowClosed,
+    PolicyWindowOpened,
+    SupervisorLeft,
+    SupervisorReturned,
+)
+
+HANDLES = (
+    PolicyWindowOpened
+    | PolicyWindowClosed
+    | ObstructionAppeared
+    | ObstructionCleared
+    | ActuatorDegraded
+    | ActuatorServiced
+    | SupervisorLeft
+    | SupervisorReturned
+    | FailureResolved
+)
+
+Windows = dict[str, tuple[tuple[str, PolicyOutcome], ...]]  # robot -> open windows (id, outcome)
+
+
+class World(msgspec.Struct, frozen=True, gc=False):
+    """The true state of the world; deciders may read only what is local to them or what they were told."""
+
+    local: Windows = {}
+    fleet: Windows = {}
+    obstructions: dict[str, tuple[str, ...]] = {}
+    degraded: frozenset[str] = frozenset()
+    off_shift: frozenset[str] = frozenset()
+
+
+INITIAL = World()
+
+
+def stricter(one: PolicyOutcome, other: PolicyOutcome) -> PolicyOutcome:
+    """The composition of two outcomes: deny before review before allow. Paper: eq:policy."""
+    if one == "deny" or other == "deny":
+        return "deny"
+    return "review" if one == "review" or other == "review" else "allow"
+
+
+def in_force(windows: Windows, robot: str) -> PolicyOutcome:
+    """The policy in force for the robot: the strictest of its open windows."""
+    outcome: PolicyOutcome = "allow"
+    for _, found in windows.get(robot, ()):
+        outcome = stricter(outcome, found)
+    return outcome
+
+
+def evolve(state: World, event: HANDLES) -> World:
+    """The world after the event."""
+    match event:
+        case PolicyWindowOpened():
+            windows = state.local if event.scope == "local" else state.fleet
+            opened = {**windows, event.robot: (*windows.get(event.robot, ()), (event.window, event.outcome))}
+            return _with_windows(state, event.scope, opened)
+        case PolicyWindowClosed():
+            windows = state.local if event.scope == "local" else state.fleet
+            left = tuple(entry for entry in windows.get(event.robot, ()) if entry[0] != event.window)
+            return _with_windows(state, event.scope, {**windows, event.robot: left})
+        case ObstructionAppeared():
+            inside = (*state.obstructions.get(event.robot, ()), event.obstruction)
+            return msgspec.structs.replace(state, obstructions={**state.obstructions, event.robot: inside})
+        case ObstructionCleared():
+            inside = tuple(name for name in state.obstructions.get(event.robot, ()) if name != event.obstruction)
+            return msgspec.structs.replace(state, obstructions={**state.obstructions, event.robot: inside})
+        case FailureResolved():  # whoever helped has cleared the way
+            return msgspec.structs.replace(state, obstructions={**state.obstructions, event.robot: ()})
+        case ActuatorDegraded():
+            return msgspec.structs.replace(state, degraded=state.degraded | {event.robot})
+        case ActuatorServiced():
+            return msgspec.structs.replace(state, degraded=state.degraded - {event.robot})
+        case SupervisorLeft():
+            return msgspec.structs.replace(state, off_shift=state.off_shift | {event.supervisor})
+        case SupervisorReturned():
+            return msgspec.structs.replace(state, off_shift=state.off_shift - {event.supervisor})
+        case _:
+            assert_never(event)
+
+
+def _with_windows(state: World, scope: str, windows: Windows) -> World:
+    if scope == "local":
+        return msgspec.structs.replace(state, local=windows)
+    return msgspec.structs.replace(state, fleet=windows)

@@ -1,0 +1,38 @@
+"""A ledger becomes the report: gather, lay out, typeset, publish."""
+
+from pathlib import Path
+
+from fsar_ledger.errors import WriteFailed
+from fsar_ledger.report import document, figures, typeset
+from fsar_ledger.report.calibration import recorded
+from fsar_ledger.report.gather import gather
+
+
+def _outside(ledger: Path, out: Path) -> None:
+    if out.resolve().is_relative_to(ledger.resolve()):
+        raise WriteFailed(f"{out}: this is inside the ledger {ledger}, which holds nothing but its own files; choose an --out elsewhere")
+
+
+def write_report(ledger: Path, out: Path) -> None:
+    """The PDF about the ledger's present head is at `out`, complete or not at all. Same head and versions, same bytes.
+
+    Raises:
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: The ledger cannot be read.
+        WriteFailed: `out` cannot be written, or lies inside the ledger.
+    """
+    _outside(ledger, out)
+    findings = gather(ledger)
+    laid_out = document.encoded(document.data(findings, recorded()))
+    typeset.publish(out, typeset.pdf(laid_out, document.drawings(findings)))
+
+
+def result_figure_svg(ledger: Path, out: Path) -> None:
+    """The figure "Evaluation results" of the ledger is at `out` as SVG. Raises: as `write_report`."""
+    _outside(ledger, out)
+    typeset.publish(out, figures.evaluation_results(gather(ledger).cells, "svg"))
+
+
+def result_figure_png(ledger: Path, out: Path) -> None:
+    """The figure "Evaluation results" of the ledger is at `out` as PNG. Raises: as `write_report`."""
+    _outside(ledger, out)
+    typeset.publish(out, figures.evaluation_results(gather(ledger).cells, "png"))

@@ -1,0 +1,177 @@
+"""Findings become the document: tables, figures, passages and numbers for the sentences, as JSON for the template."""
+
+import platform
+from collections.abc import Mapping, Sequence
+from importlib.metadata import version
+from typing import Any
+
+import msgspec
+
+import fsar_ledger
+from fsar_ledger.report import contradictions, figures, printing, specs
+from fsar_ledger.report.calibration import Record
+from fsar_ledger.report.findings import Findings, Row, answer
+from fsar_ledger.report.printing import Table
+
+PACKAGES = ("duckdb", "pyarrow", "numpy", "scipy", "msgspec", "matplotlib", "typst")
+POOLED = ("recovery_containment", "reassignment_latency_s")  # metrics that a run without failures does not define
+MISS_SE = 2  # a cell misses beyond this many standard errors at n = 100
+SHOWN_WEIGHTS = 3  # constants named for each direction of the fit
+
+
+def _source(findings: Findings, query: str | None) -> str:
+    """Where the numbers of a table come from: query file, its SHA-256, and the head, shortened to 12 hex digits."""
+    digest = next((one.sha256 for one in findings.sources if one.name == query), None)
+    if digest is None:
+        return ""
+    return f"queries/{query}.sql, SHA-256 {digest[:12]}…; head {findings.size} events, root {findings.root[:12]}…"
+
+
+def _table(findings: Findings, name: str, rows: Sequence[Row]) -> Table:
+    return printing.table(name, rows, _source(findings, specs.table(name).query))
+
+
+def _pairs_in_two_columns(items: Mapping[str, str]) -> list[Row]:
+    names = list(items)
+    half = (len(names) + 1) // 2
+    rows: list[Row] = []
+    for position, name in enumerate(names[:half]):
+        other = names[half + position] if half + position < len(names) else None
+        rows.append({"name": name, "value": items[name], "name2": other or "", "value2": items[other] if other else ""})
+    return rows
+
+
+def _versions() -> list[Row]:
+    rows: list[Row] = [{"name": "fsar-ledger", "version": fsar_ledger.__version__}, {"name": "Python", "version": platform.python_version()}]
+    return rows + [{"name": name, "version": version(name)} for name in PACKAGES]
+
+
+def _ledger_tables(findings: Findings) -> dict[str, Table]:
+    rows: dict[str, Sequence[Row]] = {
+        "evaluation-results": findings.cells,
+        "published-convention": [row for row in findings.cells if row["metric"] in POOLED],
+        "verdict-rule": findings.rule,
+        "statistical-significance": findings.tests,
+        "scenario-means": findings.scenarios,
+        "other-runs": findings.others,
+        "runs": findings.runs,
+        "models": findings.models,
+        "constants": _pairs_in_two_columns(findings.parameters),
+        "queries": [msgspec.structs.asdict(one) for one in findings.sources],
+        "versions": _versions(),
+    }
+    return {name: _table(findings, name, filled) for name, filled in rows.items() if filled}
+
+
+def _fit_tables(findings: Findings, record: Record | None) -> dict[str, Table]:
+    if record is None:
+        return {}
+    directions = [
+        {"position": position, "singular_value": one.singular_value, "identified": one.identified, "weights": _weights(one.weights)}
+        for position, one in enumerate(record.directions, 1)
+    ]
+    rows: dict[str, Sequence[Row]] = {
+        "calibrated-parameters": [msgspec.structs.asdict(one) for one in record.parameters],
+        "residuals": [msgspec.structs.asdict(one) for one in record.residuals],
+        "directions": directions,
+        "switch-offs": [msgspec.structs.asdict(one) for one in record.switch_offs],
+    }
+    return {name: _table(findings, name, filled) for name, filled in rows.items() if filled}
+
+
+def _weights(weights: Mapping[str, float]) -> str:
+    largest = sorted(weights.items(), key=lambda item: (-abs(item[1]), item[0]))[:SHOWN_WEIGHTS]
+    return ", ".join(f"{name} {printing.number(weight, 2)}" for name, weight in largest)
+
+
+def _figure(findings: Findings, name: str) -> dict[str, Any]:
+    spec = specs.figure(name)
+    return {
+        "file": f"{name}.svg",
+        "title": spec.title,
+        "caption": spec.caption,
+        "alt": spec.alt,
+        "width_in": spec.width_in,
+        "source": _source(findings, spec.query),
+    }
+
+
+def _contradictions() -> list[dict[str, Any]]:
+    computed = contradictions.facts()
+    return [
+        {
+            "title": one.title,
+            "claim": one.claim.format(**computed[one.id]),
+            "arithmetic": one.arithmetic.format(**computed[one.id]),
+            "paper": one.paper,
+            "table": one.table,
+        }
+        for one in specs.contradictions()
+    ]
+
+
+def _fit(record: Record | None) -> dict[str, Any] | None:
+    if record is None:
+        return None
+    objective = None if record.objective is None else msgspec.structs.asdict(record.objective)
+    return {
+        "objective": objective,
+        "seeds": record.seeds,
+        "runs_per_scenario": record.runs_per_scenario,
+        "evaluations": record.evaluations,
+        "model_version": record.model_version,
+        "command": record.command,
+        "constants": len(record.parameters),
+        "identified": sum(one.identified for one in record.directions),
+        "directions": len(record.directions),
+    }
+
+
+def _misses(findings: Findings) -> list[dict[str, Any]]:
+    """The cells that miss the paper by more than two standard errors, worst first, with the reason on record."""
+    reasons = {passage.id: passage.text for passage in specs.passages("reasons")}
+    missing = sorted(
+        (row for row in findings.cells if row["distance_se"] is not None and abs(row["distance_se"]) > MISS_SE), key=lambda row: -abs(row["distance_se"])
+    )
+    return [
+        {
+            "title": f"{specs.metric(row['metric']).title}, {row['architecture'].upper()}",
+            "distance": printing.number(row["distance_se"], 1),
+            "reason": reasons.get(f"{row['metric']}/{row['architecture']}"),
+        }
+        for row in missing
+    ]
+
+
+def data(findings: Findings, record: Record | None) -> dict[str, Any]:
+    """All that the template prints; tables keep each value beside its print."""
+    tables = _ledger_tables(findings) | _fit_tables(findings, record)
+    tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()}
+    return {
+        "head": {"commits": findings.commits, "size": printing.integer(findings.size), "root": findings.root, "runs": printing.integer(findings.run_count)},
+        "answer": _sayable(answer(findings)),
+        "tables": tables,
+        "figures": {name: _figure(findings, name) for name in ("evaluation-results", "distances")},
+        "mechanisms": specs.passages("mechanisms"),
+        "readings": specs.passages("readings"),
+        "contradictions": _contradictions(),
+        "misses": _misses(findings),
+        "fit": _fit(record),
+        "version": fsar_ledger.__version__,
+    }
+
+
+def _sayable(numbers: Row) -> Row:
+    """The answer with undefined cells named as the tables name them."""
+    undefined = [f"{specs.metric(name).title} of {architecture.upper()}" for name, architecture in numbers["undefined"]]
+    return numbers | {"undefined": undefined}
+
+
+def drawings(findings: Findings) -> dict[str, bytes]:
+    """The figures as SVG, by file name."""
+    return {"evaluation-results.svg": figures.evaluation_results(findings.cells), "distances.svg": figures.distances(findings.cells)}
+
+
+def encoded(document: Mapping[str, Any]) -> bytes:
+    """The document as JSON, the same bytes for the same findings."""
+    return msgspec.json.encode(document, order="deterministic")

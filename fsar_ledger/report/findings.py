@@ -1,0 +1,96 @@
+"""What the report prints, as plain rows in stored units, before anything is printed or drawn."""
+
+from typing import Any, TypeAlias
+
+import msgspec
+
+from fsar_ledger.events.envelope import Scenario
+
+Row: TypeAlias = dict[str, Any]
+
+ARCHITECTURES = ("fsar", "cfc", "dhma")
+COMPARISONS = ("fsar-cfc", "fsar-dhma", "cfc-dhma")
+MAIN_CONFIGURATION = "full"
+MAIN_FLEET_SIZE = 4  # robots, as in the paper's main table
+SCENARIOS: tuple[Scenario, ...] = ("door-relay", "collaborative-delivery", "failure-recovery-chain", "mixed-trust-inspection", "fleet-contention")
+
+
+class Source(msgspec.Struct, frozen=True):
+    """One packaged query: its name and the SHA-256 of its text, in hex."""
+
+    name: str
+    sha256: str
+
+
+class Findings(msgspec.Struct, frozen=True):
+    """All that one head of a ledger has to say.
+
+    cells: 24 rows metric x architecture: paper (stored units), paper_printed, mean, sd, n, ci_low, ci_high, denominator,
+        published_convention_mean, interval, difference (its interval), distance_se, verdict; None where the ledger has no runs.
+    tests: 24 rows metric x comparison: t, p, cohens_d, p_holm, wilcoxon_p, n and paper_t, paper_p, paper_d, paper_level; None likewise.
+    scenarios: 24 rows metric x architecture with one mean per scenario and one over all of them.
+    rule: one row per metric: margin, and the SD that the paper implies for each architecture (stored units).
+    others: means of the other configurations and fleet sizes that the ledger holds, one column per metric.
+    runs: one row per architecture, configuration and fleet size: runs, scenarios, seeds, run_low, run_high.
+    parameters: the constants of the runs by dotted name (of the first run; `models` counts the different sets).
+    """
+
+    commits: int
+    size: int
+    root: str
+    run_count: int
+    cells: tuple[Row, ...]
+    tests: tuple[Row, ...]
+    scenarios: tuple[Row, ...]
+    rule: tuple[Row, ...]
+    others: tuple[Row, ...]
+    runs: tuple[Row, ...]
+    models: tuple[Row, ...]
+    parameters: dict[str, str]
+    sources: tuple[Source, ...]
+
+
+LEVELS = ((0.001, "p<.001"), (0.01, "p<.01"), (0.05, "p<.05"))
+
+
+def significance_level(p: float) -> str:
+    """The level that the paper prints for this p value: p<.001, p<.01, p<.05 or n.s."""
+    return next((name for bound, name in LEVELS if p < bound), "n.s.")
+
+
+def with_agreement(test: Row) -> Row:
+    """The test with `sign_agrees`, `level` and `level_agrees` against the paper's row; None where the ledger has no test."""
+    if test["t"] is None or test["p"] is None:
+        return test | {"sign_agrees": None, "level": None, "level_agrees": None}
+    level = significance_level(test["p"])
+    same_sign = (test["t"] > 0) == (test["paper_t"] > 0) and test["t"] != 0
+    return test | {"sign_agrees": same_sign, "level": level, "level_agrees": level == test["paper_level"]}
+
+
+def answer(findings: Findings) -> Row:
+    """How the 24 cells and the 24 tests came out, and what is missing for the rest."""
+    judged = [row for row in findings.cells if row["distance_se"] is not None]
+    verdicts = [row["verdict"] for row in findings.cells]
+    tests = [row for row in findings.tests if row["sign_agrees"] is not None]
+    present = {row["architecture"] for row in findings.cells if row["mean"] is not None}
+    return {
+        "cells": len(findings.cells),
+        "valued": sum(row["mean"] is not None for row in findings.cells),
+        "judged": len(judged),
+        "within_two": sum(abs(row["distance_se"]) <= 2 for row in judged),
+        "beyond_three": sum(abs(row["distance_se"]) > 3 for row in judged),
+        "reproduced": verdicts.count("reproduced"),
+        "undecided": verdicts.count("undecided"),
+        "differ": verdicts.count("differs"),
+        "tests": len(findings.tests),
+        "tested": len(tests),
+        "signs": sum(row["sign_agrees"] for row in tests),
+        "levels": sum(row["level_agrees"] for row in tests),
+        "missing_architectures": [name.upper() for name in ARCHITECTURES if name not in present],
+        "undefined": [row for row in _names(findings) if row[1] in present],
+    }
+
+
+def _names(findings: Findings) -> list[tuple[str, str]]:
+    """Metric and architecture of the cells without a value."""
+    return [(row["metric"], row["architecture"]) for row in findings.cells if row["mean"] is None]

@@ -1,0 +1,201 @@
+"""Findings are read from one head of a ledger: the only file of the report that asks queries.
+
+All numbers come from packaged queries through `fsar_ledger.metrics`; here they are only laid side by side
+with the paper's.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping
+from importlib.resources import files
+from pathlib import Path
+
+import msgspec
+
+from fsar_ledger.metrics import verdicts
+from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
+from fsar_ledger.report import specs
+from fsar_ledger.report.findings import ARCHITECTURES, COMPARISONS, MAIN_CONFIGURATION, MAIN_FLEET_SIZE, SCENARIOS, Findings, Row, Source, with_agreement
+
+QUERIES = ("metrics/metric_summary", "statistics/pairwise_tests", "staging/runs")  # what the report reads; the rest is what these read
+
+RUNS_SQL = """
+    SELECT
+        configuration,
+        fleet_size,
+        architecture,
+        count(DISTINCT scenario) AS scenarios,
+        count(*) AS runs,
+        list_sort(list_distinct(list(seed))) AS seeds,
+        min(run) AS first,
+        max(run) AS last
+    FROM runs
+    GROUP BY configuration, fleet_size, architecture
+    ORDER BY configuration <> 'full', configuration, fleet_size, list_position(['fsar', 'cfc', 'dhma'], architecture)
+"""
+
+MODELS_SQL = """
+    SELECT model_version, kind, parameters, count(*) AS runs, min(run_id) AS first
+    FROM run_started
+    GROUP BY model_version, kind, parameters
+    ORDER BY first
+"""
+
+
+def _is_main(row: MetricRow | StatisticRow) -> bool:
+    return (row.configuration, row.fleet_size) == (MAIN_CONFIGURATION, MAIN_FLEET_SIZE)
+
+
+def _blank(cls: type[msgspec.Struct]) -> Row:
+    return dict.fromkeys(cls.__struct_fields__)
+
+
+def _cells(rows: Iterable[MetricRow]) -> tuple[Row, ...]:
+    found = {(row.metric, row.architecture): row for row in rows if _is_main(row)}
+    judged = {(one.metric, one.architecture): one for one in verdicts.compare(found.values())}
+    printed = {(row["metric"], row["architecture"]): row["mean"] for row in specs.paper_table("results")}
+    cells = []
+    for spec in specs.metrics():
+        for architecture in ARCHITECTURES:
+            key = (spec.name, architecture)
+            row, paper = found.get(key), verdicts.published()[key].mean
+            cell = msgspec.structs.asdict(row) if row is not None else _blank(MetricRow)
+            beside = {"paper": paper, "paper_printed": printed[spec.result, architecture.upper()], "interval": _interval(cell)}
+            cells.append(cell | {"metric": spec.name, "architecture": architecture} | beside | _judged(judged.get(key)))
+    return tuple(cells)
+
+
+def _interval(row: Row) -> tuple[float, float] | None:
+    """The 95 % interval of a row, or None where it has none."""
+    return None if row["ci_low"] is None or row["ci_high"] is None else (row["ci_low"], row["ci_high"])
+
+
+def _judged(one: verdicts.Comparison | None) -> Row:
+    """Difference, distance and verdict of a cell; all None where the ledger has no value to judge."""
+    if one is None or one.ours is None:
+        return {"difference": None, "distance_se": None, "verdict": None}
+    return {"difference": _interval(msgspec.structs.asdict(one)), "distance_se": one.distance_se, "verdict": one.verdict}
+
+
+def _tests(rows: Iterable[StatisticRow]) -> tuple[Row, ...]:
+    found = {(row.metric, row.comparison): row for row in rows if _is_main(row)}
+    printed = {(row["metric"], row["comparison"]): row for row in specs.paper_table("significance")}
+    tests = []
+    for spec in specs.metrics():
+        for comparison in COMPARISONS:
+            paper = printed[spec.significance, " vs ".join(comparison.upper().split("-"))]
+            row = found.get((spec.name, comparison))
+            test = msgspec.structs.asdict(row) if row is not None else _blank(StatisticRow)
+            beside = {"paper_t": float(paper["t"]), "paper_p": paper["p"], "paper_d": float(paper["cohens_d"]), "paper_level": paper["significance"]}
+            effect = None if test["cohens_d"] is None else abs(test["cohens_d"])
+            tests.append(with_agreement(test | {"metric": spec.name, "comparison": comparison, "effect": effect} | beside))
+    return tuple(tests)
+
+
+def _scenarios(overall: Iterable[MetricRow], by_scenario: Iterable[MetricRow]) -> tuple[Row, ...]:
+    means = {(row.metric, row.architecture, row.scenario or "mean"): row.mean for row in (*overall, *by_scenario) if _is_main(row)}
+    return tuple(
+        {"metric": spec.name, "architecture": architecture} | {name: means.get((spec.name, architecture, name)) for name in (*SCENARIOS, "mean")}
+        for spec in specs.metrics()
+        for architecture in ARCHITECTURES
+    )
+
+
+def _rule() -> tuple[Row, ...]:
+    """Margin and implied SDs of every metric."""
+    published = verdicts.published()
+    return tuple(
+        {"metric": spec.name, "margin": verdicts.MARGINS[spec.name]} | {name: published[spec.name, name].implied_sd for name in ARCHITECTURES}
+        for spec in specs.metrics()
+    )
+
+
+def _others(rows: Iterable[MetricRow]) -> tuple[Row, ...]:
+    """One row per other configuration, fleet size and architecture, with a column per metric."""
+    found: dict[tuple[str, int, str], Row] = {}
+    for row in rows:
+        if not _is_main(row):
+            key = (row.configuration, row.fleet_size, row.architecture)
+            line = found.setdefault(key, {"configuration": row.configuration, "fleet_size": row.fleet_size, "architecture": row.architecture, "n": 0})
+            line[row.metric] = row.mean
+            line["n"] = max(line["n"], row.n)
+    return tuple(found.values())
+
+
+def _runs(database: Database) -> tuple[Row, ...]:
+    rows = database.rows(RUNS_SQL)
+    return tuple(row | {"seeds": _ranges(row["seeds"]), "numbers": _ranges(range(row["first"], row["last"] + 1))} for row in rows)
+
+
+def _ranges(numbers: Iterable[int]) -> str:
+    """Whole numbers as text, consecutive ones as a range: 1 to 3, 7."""
+    spans: list[list[int]] = []
+    for one in numbers:
+        if spans and one == spans[-1][1] + 1:
+            spans[-1][1] = one
+        else:
+            spans.append([one, one])
+    return ", ".join(str(low) if low == high else f"{low} to {high}" for low, high in spans)
+
+
+def _models(database: Database) -> tuple[tuple[Row, ...], dict[str, str]]:
+    """The sets of constants in the ledger, and those of its first run by dotted name."""
+    rows = database.rows(MODELS_SQL)
+    models = tuple(
+        {
+            "model_version": row["model_version"],
+            "kind": row["kind"],
+            "runs": row["runs"],
+            "parameters_sha256": hashlib.sha256(row["parameters"].encode()).hexdigest(),
+        }
+        for row in rows
+    )
+    return models, dict(_flat("", json.loads(rows[0]["parameters"]))) if rows else {}
+
+
+def _flat(name: str, value: object) -> Iterable[tuple[str, str]]:
+    """Nested constants as dotted names and printed values, sorted by name within each level."""
+    if isinstance(value, Mapping):
+        if value.keys() == {"low_s", "high_s"}:
+            yield name, f"{value['low_s']:g} to {value['high_s']:g} s"
+            return
+        for key, inner in sorted(value.items()):
+            yield from _flat(f"{name}.{key}" if name else str(key), inner)
+        return
+    yield name, f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _is_file(query: str) -> bool:
+    """Whether the query is a packaged file; views of single event types are generated."""
+    return files("fsar_ledger.queries").joinpath(f"{query}.sql").is_file()
+
+
+def gather(ledger: Path) -> Findings:
+    """All that the ledger's present head has to say.
+
+    Raises:
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `fsar_ledger.metrics.database.connect`.
+        QueryFailed: A packaged query fails on this ledger's data.
+    """
+    with connect(ledger) as database:
+        head = database.head
+        overall, by_scenario = metric_rows(database), metric_rows(database, by_scenario=True)
+        models, parameters = _models(database)
+        needed = database.library.needs(database.library.find(name).relation for name in QUERIES)
+        runs = _runs(database)
+        return Findings(
+            commits=head.commits if head else 0,
+            size=head.size if head else 0,
+            root=head.root if head else "",
+            run_count=sum(row["runs"] for row in runs),
+            cells=_cells(overall),
+            tests=_tests(statistic_rows(database)),
+            scenarios=_scenarios(overall, by_scenario),
+            rule=_rule(),
+            others=_others(overall),
+            runs=runs,
+            models=models,
+            parameters=parameters,
+            sources=tuple(Source(name=query.name, sha256=query.sha256) for query in sorted(needed, key=lambda query: query.name) if _is_file(query.name)),
+        )

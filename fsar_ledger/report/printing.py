@@ -1,0 +1,153 @@
+"""How a value becomes a printed one: scale, decimals, signs and spaces, the same everywhere in the report.
+
+A cell keeps the value beside its print, so that a test (or a reader of the data) can compare the two.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+from fsar_ledger.report import specs
+
+NOTHING = "–"
+MINUS = "\u2212"
+THIN_SPACE = "\u2009"
+SMALLEST_P = 0.0001  # smaller p are printed as "<.0001", as the paper does
+
+Row = Mapping[str, Any]
+
+
+class Cell(msgspec.Struct, frozen=True):
+    """One cell: the value in stored units, how it is printed, and the tone in which it is set."""
+
+    value: Any
+    printed: str
+    tone: str = "plain"
+
+
+class Table(msgspec.Struct, frozen=True):
+    """One table ready to be set: spec, headings, alignment, rows of cells, and which rows begin a group."""
+
+    name: str
+    title: str
+    caption: str
+    source: str
+    size: float
+    heads: tuple[str, ...]
+    aligns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    begins: tuple[int, ...]
+
+
+def number(value: float, decimals: int) -> str:
+    """The value with this many decimals, a real minus sign, and never a negative zero."""
+    printed = f"{value:.{decimals}f}"
+    if float(printed) == 0:
+        printed = printed.lstrip("-")
+    return printed.replace("-", MINUS)
+
+
+def significant(value: float, digits: int) -> str:
+    """The value with about this many significant digits, never in exponent form."""
+    if value == 0:
+        return "0"
+    magnitude = math.floor(math.log10(abs(value))) + 1
+    return number(value, max(0, digits - magnitude))
+
+
+def integer(value: float) -> str:
+    """The whole number with a thin space between thousands, from five digits on."""
+    grouped = f"{int(value):,}" if abs(value) >= 10_000 else str(int(value))
+    return grouped.replace(",", THIN_SPACE).replace("-", MINUS)
+
+
+def probability(value: float) -> str:
+    """The p value with four decimals, or that it is smaller than the smallest printed one."""
+    return "<.0001" if value < SMALLEST_P else number(value, 4)
+
+
+def in_metric(name: str, value: float) -> str:
+    """The value of a metric in its printed unit."""
+    spec = specs.metric(name)
+    return number(value * spec.scale, spec.decimals)
+
+
+def _interval(value: Sequence[float], name: str) -> str:
+    low, high = (in_metric(name, end) for end in value)
+    return f"{low} to {high}"
+
+
+def _counted(value: float, name: str) -> str:
+    return f"{integer(value)} {specs.metric(name).counted}"
+
+
+Formatter = Callable[[Any, specs.Column, Row], str]
+
+FORMATS: Mapping[str, Formatter] = {
+    "text": lambda value, _column, _row: str(value),
+    "code": lambda value, _column, _row: str(value),
+    "architecture": lambda value, _column, _row: str(value).upper(),
+    "pair": lambda value, _column, _row: " vs ".join(str(value).upper().split("-")),
+    "title": lambda value, _column, _row: specs.metric(str(value)).title,
+    "short": lambda value, _column, _row: specs.metric(str(value)).short,
+    "number": lambda value, column, _row: number(value, column.digits),
+    "significant": lambda value, column, _row: significant(value, column.digits + 1),
+    "integer": lambda value, _column, _row: integer(value),
+    "probability": lambda value, _column, _row: probability(value),
+    "exact": lambda value, _column, _row: f"{value:g}".replace("-", MINUS),
+    "own-metric": lambda value, column, _row: in_metric(column.key, value),
+    "metric": lambda value, _column, row: in_metric(row["metric"], value),
+    "interval": lambda value, _column, row: _interval(value, row["metric"]),
+    "counted": lambda value, _column, row: _counted(value, row["metric"]),
+    "agreement": lambda value, _column, _row: "yes" if value else "no",
+    "verdict": lambda value, _column, _row: str(value),
+}
+
+
+def _tone(column: specs.Column, value: Any) -> str:
+    if column.format == "code":
+        return "code"
+    if value in ("differs", "no") or (column.format == "agreement" and value is False):
+        return "strong"
+    return "quiet" if value in ("undecided", None) else "plain"
+
+
+def cell(column: specs.Column, row: Row) -> Cell:
+    """The cell of a row under a column; a missing value is printed as a dash.
+
+    Raises: KeyError when the row lacks the column's key or the spec names an unknown format.
+    """
+    value = row[column.key]
+    if value is None:
+        return Cell(value=None, printed=NOTHING, tone="quiet")
+    return Cell(value=value, printed=FORMATS[column.format](value, column, row), tone=_tone(column, value))
+
+
+def table(name: str, rows: Sequence[Row], source: str = "") -> Table:
+    """The table of this spec filled with these rows. Raises: KeyError as `cell` does."""
+    spec = specs.table(name)
+    filled, begins = [], []
+    before: Row = {}
+    for position, row in enumerate(rows):
+        cells = []
+        for column in spec.column:
+            one = cell(column, row)
+            repeats = column.group and before.get(column.key) == row[column.key]
+            if column.group and not repeats and position and position not in begins:
+                begins.append(position)
+            cells.append(msgspec.structs.replace(one, printed="") if repeats else one)
+        filled.append(tuple(cells))
+        before = row
+    return Table(
+        name=name,
+        title=spec.title,
+        caption=spec.caption,
+        source=source,
+        size=spec.size,
+        heads=tuple(column.head for column in spec.column),
+        aligns=tuple(column.align for column in spec.column),
+        rows=tuple(filled),
+        begins=tuple(begins),
+    )

@@ -1,0 +1,148 @@
+"""The packaged files of `reports/`: what the report says, and the numbers that the paper prints.
+
+Words and layout are data, so that a table can be reworded without touching code; numbers never are. The
+only numbers under `reports/` are the paper's own (`paper/*.csv`, `quotes.toml`) and the record of the fit.
+"""
+
+import csv
+import tomllib
+from functools import cache
+from importlib.resources import files
+from typing import TypeVar
+
+import msgspec
+
+T = TypeVar("T")
+
+
+class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One column of a table: which value it shows, under which heading, printed how.
+
+    `digits` counts decimals; `group` True prints a value only where it differs from the row above.
+    """
+
+    key: str
+    head: str
+    format: str = "text"
+    digits: int = 2
+    align: str = "right"
+    group: bool = False
+
+
+class TableSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One table: caption, columns, and the packaged query that its numbers come from (None: the paper alone, or a record)."""
+
+    title: str
+    caption: str
+    column: tuple[Column, ...]
+    query: str | None = None
+    paper: str | None = None
+    size: float = 8.5
+
+
+class FigureSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One figure: caption, alternative text, size in inches, and the packaged query that its numbers come from."""
+
+    title: str
+    caption: str
+    alt: str
+    query: str
+    width_in: float
+    height_in: float
+    paper: str | None = None
+
+
+class MetricSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One metric: its names in the queries and in the paper's tables, and how its values are printed.
+
+    The printed number is the stored one times `scale`, with `decimals` decimals; `counted` is what its denominator counts.
+    """
+
+    name: str
+    title: str
+    short: str
+    result: str
+    significance: str
+    scale: int
+    decimals: int
+    counted: str
+    better: str
+
+
+class Passage(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One titled paragraph in Typst markup; `id` names it, `paper` is the label of the place that it speaks about."""
+
+    id: str
+    title: str
+    text: str
+    paper: str = ""
+
+
+class Contradiction(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One contradiction: what the paper says, and the arithmetic, with `{name}` where a computed number goes."""
+
+    id: str
+    title: str
+    claim: str
+    arithmetic: str
+    paper: str = ""
+    table: str | None = None
+
+
+class Quote(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One number of the paper's running text, where it stands, and in which words."""
+
+    value: float
+    where: str
+    words: str
+
+
+def text(*path: str) -> str:
+    """The text of a packaged file of `reports/`."""
+    return files("fsar_ledger.reports").joinpath(*path).read_text(encoding="utf-8")
+
+
+def _toml(cls: type[T], *path: str) -> T:
+    return msgspec.convert(tomllib.loads(text(*path)), cls)
+
+
+@cache
+def metrics() -> tuple[MetricSpec, ...]:
+    """The eight metrics, in the paper's order."""
+    return tuple(_toml(dict[str, list[MetricSpec]], "metrics.toml")["metric"])
+
+
+def metric(name: str) -> MetricSpec:
+    """The metric of this name in the queries. Raises: KeyError when there is none."""
+    found = {spec.name: spec for spec in metrics()}
+    return found[name]
+
+
+def table(name: str) -> TableSpec:
+    """The spec of one table."""
+    return _toml(TableSpec, "tables", f"{name}.toml")
+
+
+def figure(name: str) -> FigureSpec:
+    """The spec of one figure."""
+    return _toml(FigureSpec, "figures", f"{name}.toml")
+
+
+def passages(name: str) -> tuple[Passage, ...]:
+    """The paragraphs of one packaged file, in its order."""
+    return tuple(_toml(dict[str, list[Passage]], f"{name}.toml")["passage"])
+
+
+def contradictions() -> tuple[Contradiction, ...]:
+    """The contradictions in the paper, in the order in which the report prints them."""
+    return tuple(_toml(dict[str, list[Contradiction]], "contradictions.toml")["contradiction"])
+
+
+def quotes() -> dict[str, dict[str, Quote]]:
+    """The numbers of the paper's running text, by topic and name."""
+    return _toml(dict[str, dict[str, Quote]], "quotes.toml")
+
+
+def paper_table(name: str) -> tuple[dict[str, str], ...]:
+    """The rows of one of the paper's tables, as printed."""
+    return tuple(csv.DictReader(text("paper", f"{name}.csv").splitlines()))

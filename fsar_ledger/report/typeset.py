@@ -1,0 +1,67 @@
+"""Data and figures become a PDF, with the same bytes for the same input.
+
+Data reaches the template as JSON and is never read as markup; only the packaged texts of `reports/` are.
+"""
+
+import os
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+
+from fsar_ledger.errors import WriteFailed
+from fsar_ledger.report import specs
+
+
+def pdf(data: bytes, figures: dict[str, bytes]) -> bytes:
+    """The report as a PDF. `data` is JSON, `figures` are SVG by file name. Same input, same bytes.
+
+    Raises: WriteFailed when the folder for temporary files takes no more.
+    """
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            root = Path(folder)
+            (root / "report.typ").write_text(specs.text("templates", "report.typ"), encoding="utf-8")
+            (root / "data.json").write_bytes(data)
+            for name, svg in figures.items():
+                (root / name).write_bytes(svg)
+            return _compiled(root)
+    except OSError as error:
+        raise WriteFailed(
+            f"{tempfile.gettempdir()}: temporary files cannot be written: {error.strerror}. Nothing was changed; free space or set TMPDIR."
+        ) from error
+
+
+def _compiled(root: Path) -> bytes:
+    """The PDF of `report.typ` in this folder; it can read nothing outside, and no fonts but Typst's own."""
+    import typst
+
+    compiled: bytes = typst.compile(root / "report.typ", root=root, timestamp=0, font_paths=typst.Fonts(include_system_fonts=False))
+    return compiled
+
+
+def publish(path: Path, content: bytes) -> None:
+    """The file has this content, or is as it was: written beside it, made durable, renamed.
+
+    Raises: WriteFailed when the disk refuses (no such folder can be made, read-only, full) or the path is a folder.
+    """
+    partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_dir():
+            raise IsADirectoryError(f"it is a folder; expected the name of a file, such as {path / 'report.pdf'}")
+        with partial.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(partial, path)
+    except OSError as error:
+        reason = error.strerror or str(error)
+        raise WriteFailed(f"{path}: cannot be written: {reason}. Nothing was changed; free space or choose another --out.") from error
+    finally:
+        _discard(partial)
+
+
+def _discard(partial: Path) -> None:
+    """The partial file is gone, wherever the folder lets it be removed."""
+    with suppress(OSError):
+        partial.unlink()

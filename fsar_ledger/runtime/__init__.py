@@ -1,0 +1,1 @@
+"""Commands become events here: the world's draws, pure handlers, architectures, and the clock that runs them."""

@@ -1,0 +1,125 @@
+"""CFC: one coordinator serves all work in order of arrival and reads periodically synced copies. Paper: sec:evaluation:baselines."""
+
+from typing import Any
+
+from ....events.envelope import COORDINATOR, FLEET_SUPERVISOR, PolicyOutcome
+from ....events.knowledge import CopySynced, WorkQueued
+from ....events.request import GapDetected
+from ....events.world import SyncPhaseSet
+from ....projections.fold import State
+from ....projections.world import in_force
+from ...handlers.attribution import capable, is_idle
+from ...handlers.commands import Command, Decides, Draw, Reacts, Scheduled
+
+
+class Sync(Command):
+    """The robots' states are due to be copied."""
+
+
+class ReachCoordinator(Command):
+    """A message about an action has reached the coordinator."""
+
+    action_id: str
+    item: str
+
+
+class ProcessWork(Command):
+    """The coordinator has come to this item of work."""
+
+    action_id: str
+    item: str
+
+
+def by_coordinator() -> dict[str, Any]:
+    """The keywords of what the coordinator decides before an action is commanded: it records no requester."""
+    return {"decided_by": COORDINATOR, "requested_by": None, "supervised_by": FLEET_SUPERVISOR, "path": (COORDINATOR,)}
+
+
+def to_coordinator(action_id: str, item: str, draw: Draw) -> Scheduled:
+    """Word of the action reaches the coordinator after a message."""
+    return Scheduled(ReachCoordinator(action_id, item), 0, (draw,))
+
+
+def until_next_sync_us(state: State, now_us: int) -> int:
+    """Time until just after the copies are next refreshed. Units: microseconds."""
+    period_us = state.fleet.structure.sync_period_us
+    offset_us = state.knowledge.sync_phase_ppm * period_us // 1_000_000
+    return period_us - (now_us - offset_us) % period_us + 1
+
+
+def copied_policy(state: State, robot: str) -> PolicyOutcome:
+    """The robot's own policy as the copy shows it."""
+    copy = state.knowledge.copy
+    if robot in copy.local_deny:
+        return "deny"
+    return "review" if robot in copy.local_review else "allow"
+
+
+def copied_rule(state: State, robot: str) -> PolicyOutcome:
+    """The fleet's rule for the robot's zone as the copy shows it."""
+    copy = state.knowledge.copy
+    if robot in copy.fleet_deny:
+        return "deny"
+    return "review" if robot in copy.fleet_review else "allow"
+
+
+def candidates_of(state: State, action_id: str) -> tuple[str, ...]:
+    """Whom the coordinator considers for a step: its own robot, or every capable other one."""
+    request = state.request[action_id]
+    return capable(state, request.capability, request.requester) if request.is_delegated else (request.requester,)
+
+
+def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
+    """The copies show the robots as they are now."""
+    robots = state.fleet.robots
+    local = {robot: in_force(state.world.local, robot) for robot in state.world.local}
+    fleet = {robot: in_force(state.world.fleet, robot) for robot in state.world.fleet}
+    return (
+        CopySynced(
+            tuple(robot for robot in robots if local.get(robot) == "deny"),
+            tuple(robot for robot in robots if local.get(robot) == "review"),
+            tuple(robot for robot in robots if fleet.get(robot) == "deny"),
+            tuple(robot for robot in robots if fleet.get(robot) == "review"),
+            tuple(robot for robot in robots if not is_idle(state, robot)),
+            tuple(robot for robot in robots if robot in state.world.degraded),
+        ),
+    )
+
+
+def reach_coordinator(state: State, command: ReachCoordinator) -> tuple[GapDetected | WorkQueued, ...]:
+    """The item waits for the coordinator; a gap is on record without who has it."""
+    action = state.execution.actions.get(command.action_id)
+    request = state.request.get(command.action_id)
+    if request is None and action is None:
+        return ()
+    task_id = request.task_id if request is not None else action.task_id  # type: ignore[union-attr]
+    structure = state.fleet.structure
+    is_matching = command.item in ("step", "again")
+    candidates = len(candidates_of(state, command.action_id)) if is_matching else 0
+    service_us = structure.service_us * state.fleet.size // 4
+    service_us += service_us * candidates * structure.candidate_cost_ppm // 1_000_000
+    ready_us = max(state.knowledge.ready_us, command.now_us) + service_us
+    queued = WorkQueued(task_id, command.action_id, command.item, ready_us)
+    if command.item == "step" and request is not None and request.is_delegated:
+        return (GapDetected(task_id, None, None, None, FLEET_SUPERVISOR, request.capability), queued)
+    return (queued,)
+
+
+def _first_sync(state: State, event: SyncPhaseSet, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(Sync(), max(1, event.phase_ppm * state.fleet.structure.sync_period_us // 1_000_000)),)
+
+
+def _next_sync(state: State, _event: CopySynced, now_us: int) -> tuple[Scheduled, ...]:
+    structure = state.fleet.structure
+    if now_us > structure.watch_us and not state.task:
+        return ()
+    return (Scheduled(Sync(), structure.sync_period_us),)
+
+
+def _on_work(state: State, event: WorkQueued, now_us: int) -> tuple[Scheduled, ...]:
+    del state
+    return (Scheduled(ProcessWork(event.action_id, event.item), max(1, event.ready_us - now_us)),)
+
+
+DECIDES: Decides = {Sync: sync, ReachCoordinator: reach_coordinator}
+REACTS: Reacts = {SyncPhaseSet: _first_sync, CopySynced: _next_sync, WorkQueued: _on_work}

@@ -1,0 +1,146 @@
+"""CFC: robots are thin endpoints that execute what they are told, without a local check. Paper: sec:evaluation:baselines."""
+
+from ....events import Event
+from ....events.authority import AuthorityClaimed, AuthorityReleased
+from ....events.envelope import COORDINATOR, FLEET_SUPERVISOR, local_supervisor
+from ....events.execution import ApproachStarted, ExecutionPaused, ReplanOrdered, RoutinePerformed, RoutineWithheld
+from ....events.world import ContextChanged, PolicyWindowClosed, RoutineDue
+from ....projections.fold import State
+from ...handlers.attribution import on_shift
+from ...handlers.commands import Command, Decides, Draw, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn, message
+from ...handlers.execution import pause_running, start_action, started
+from .coordinator import ReachCoordinator, copied_policy, copied_rule, until_next_sync_us
+
+
+class SafeStop(Command):
+    """The context of a robot has changed while the coordinator holds actions of it or for it."""
+
+    robot: str
+    window: str | None
+
+
+class EndWatch(Command):
+    """A policy window that a local supervisor watched over has closed."""
+
+    robot: str
+    window: str
+
+
+class DecideRoutine(Command):
+    """A routine operation is due."""
+
+    robot: str
+    operation: str
+
+
+def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
+    """The robot approaches."""
+    action = state.execution.actions.get(command.action_id)
+    if action is None or action.stage != "queued":
+        return ()
+    return (ApproachStarted(action.task_id, action.action_id, action.robot),)
+
+
+def start(state: State, command: StartAction) -> tuple[Event, ...]:
+    """The robot executes."""
+    action = state.execution.actions.get(command.action_id)
+    if action is None or action.stage not in ("queued", "approaching"):
+        return ()
+    return (started(state, action, command),)
+
+
+def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
+    """The robot claims override over the actions it is party to; where a window opened, both supervisors claim supervision."""
+    claimed: list[Event] = []
+    for action_id in _held(state, command.robot):
+        task_id = state.request[action_id].task_id
+        wanted = [("override", command.robot, "safe stop")]
+        if command.window is not None:
+            wanted.append(("audit", FLEET_SUPERVISOR, "policy window"))
+            if on_shift(state, command.robot) is not None:
+                wanted.append(("audit", local_supervisor(command.robot), command.window))
+        known = {(claim.dimension, claim.claimant) for claim in state.authority[action_id]}
+        claimed += [
+            AuthorityClaimed(task_id, action_id, dimension, claimant, reason)  # type: ignore[arg-type]
+            for dimension, claimant, reason in wanted
+            if (dimension, claimant) not in known
+        ]
+    return tuple(claimed)
+
+
+def _held(state: State, robot: str) -> list[str]:
+    """Actions whose execution the coordinator claims and to which the robot is party."""
+    held = []
+    for action_id, claims in state.authority.items():
+        request = state.request.get(action_id)
+        if request is None or robot not in (request.requester, request.target or request.requester):
+            continue
+        if any(claim.dimension == "execution" and claim.claimant == COORDINATOR for claim in claims):
+            held.append(action_id)
+    return held
+
+
+def end_watch(state: State, command: EndWatch) -> tuple[Event, ...]:
+    """The local supervisor no longer claims what it watched over in this window."""
+    return tuple(
+        AuthorityReleased(claim.task_id, claim.action_id, claim.dimension, claim.claimant, claim.reason)
+        for claims in state.authority.values()
+        for claim in claims
+        if claim.reason == command.window
+    )
+
+
+def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
+    """The robot has done its routine operation; a motion unless the last copy says that policy or rule forbid it."""
+    robot = command.robot
+    context = (robot, robot, robot, on_shift(state, robot), (robot,), robot, command.operation)
+    if command.operation == "motion" and (copied_policy(state, robot) != "allow" or copied_rule(state, robot) != "allow"):
+        return (RoutineWithheld(*context),)  # type: ignore[arg-type]
+    return (RoutinePerformed(*context),)  # type: ignore[arg-type]
+
+
+def _on_approach(state: State, event: ApproachStarted, _now_us: int) -> tuple[Scheduled, ...]:
+    capability = state.execution.actions[event.action_id].capability
+    return (start_action(event.action_id, capability, 0, (Draw("approach", event.action_id),)),)
+
+
+def _on_context(state: State, event: ContextChanged, now_us: int) -> tuple[Scheduled, ...]:
+    paused = pause_running(state, event, now_us)
+    return (*paused, Scheduled(SafeStop(event.robot, event.window))) if _held(state, event.robot) else paused
+
+
+def _on_window_closed(state: State, event: PolicyWindowClosed, _now_us: int) -> tuple[Scheduled, ...]:
+    if any(claim.reason == event.window for claims in state.authority.values() for claim in claims):
+        return (Scheduled(EndWatch(event.robot, event.window)),)
+    return ()
+
+
+def _on_pause(state: State, event: ExecutionPaused, now_us: int) -> tuple[Scheduled, ...]:
+    """The coordinator learns of it with the next sync."""
+    return (Scheduled(ReachCoordinator(event.action_id, "replan"), until_next_sync_us(state, now_us)),)
+
+
+def _on_replan(state: State, event: ReplanOrdered, now_us: int) -> tuple[Scheduled, ...]:
+    action_id = state.task[event.task_id].action_id
+    return (Scheduled(ResumeAction(action_id), state.fleet.structure.replan_us, (message(action_id, f"replan{now_us}"),)),)
+
+
+def _on_routine(_state: State, event: RoutineDue, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(DecideRoutine(event.robot, event.operation)),)
+
+
+DECIDES: Decides = {
+    TakeTurn: take_turn,
+    StartAction: start,
+    SafeStop: safe_stop,
+    EndWatch: end_watch,
+    DecideRoutine: decide_routine,
+}
+REACTS: Reacts = {
+    ApproachStarted: _on_approach,
+    ContextChanged: _on_context,
+    PolicyWindowClosed: _on_window_closed,
+    ExecutionPaused: _on_pause,
+    ReplanOrdered: _on_replan,
+    RoutineDue: _on_routine,
+}

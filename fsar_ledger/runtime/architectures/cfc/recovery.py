@@ -1,0 +1,160 @@
+"""CFC: every failure goes to the coordinator, which retries, sends a helper, or calls H_F. Paper: sec:evaluation:baselines."""
+
+from typing import Any
+
+from ....events import Event
+from ....events.envelope import COORDINATOR, FLEET_SUPERVISOR
+from ....events.execution import ExecutionFailed, ReplanOrdered
+from ....events.recovery import (
+    AssistanceAdmitted,
+    AssistanceDeclined,
+    AssistanceEnded,
+    AssistanceRequested,
+    FailureResolved,
+    RecoveryAttempted,
+    RecoveryAttemptFailed,
+    RecoveryEscalated,
+)
+from ....events.supervision import SupervisorCalled
+from ....projections.execution import Action
+from ....projections.fold import State
+from ....projections.recovery import Recovery
+from ...handlers.attribution import helpers, is_idle
+from ...handlers.commands import Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, message
+from ...handlers.recovery import attempt_succeeds
+from .coordinator import ProcessWork, by_coordinator, copied_policy, to_coordinator
+
+
+class ReachHelper(Command):
+    """The order to help has reached the helper."""
+
+    action_id: str
+    helper: str
+
+
+def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
+    """One turn of recovery or replanning at the coordinator."""
+    action = state.execution.actions.get(command.action_id)
+    if action is None:
+        return ()
+    if command.item == "replan":
+        return (ReplanOrdered(action.task_id, **by_coordinator(), executed_by=action.robot),) if action.stage == "paused" else ()
+    recovery = state.recovery.get(command.action_id)
+    if recovery is None:
+        return ()
+    copy = state.knowledge.copy
+    if command.item == "failure" and action.robot not in copy.degraded and copied_policy(state, action.robot) == "allow":
+        return (
+            RecoveryAttempted(
+                **_about(action),
+                robot=action.robot,
+                failure=recovery.failure,
+                number=1,
+                level="local",
+                deadline_us=command.now_us + state.fleet.structure.local_budget_us,
+                failed_action=action.action_id,
+            ),
+        )
+    return _order_help(state, action, recovery)
+
+
+def _about(action: Action) -> dict[str, Any]:
+    return {"task_id": action.task_id, "action_id": None, **by_coordinator(), "executed_by": action.robot}
+
+
+def _order_help(state: State, action: Action, recovery: Recovery) -> tuple[Event, ...]:
+    """A helper that the copy shows idle is sent, trust or not; without one H_F is called."""
+    about: dict[str, Any] = {"robot": action.robot, "failure": recovery.failure, "failed_action": action.action_id}
+    for helper in helpers(state, action, recovery.cause):
+        if helper not in state.knowledge.copy.busy and helper not in recovery.tried:
+            return (AssistanceRequested(**_about(action), **about, helper=helper, level="fleet"),)
+    return (
+        RecoveryEscalated(**_about(action), **about, level="local", to_level="human"),
+        SupervisorCalled(action.task_id, action.action_id, FLEET_SUPERVISOR, "recovery"),
+    )
+
+
+def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
+    """The ordered retry has resolved the failure, or not."""
+    action, recovery = state.execution.actions.get(command.action_id), state.recovery.get(command.action_id)
+    if action is None or recovery is None:
+        return ()
+    about = (action.task_id, action.action_id, action.robot, recovery.failure)
+    if attempt_succeeds(state, recovery, command):
+        return (FailureResolved(*about, "local"),)
+    return (RecoveryAttemptFailed(*about, command.number),)
+
+
+def reach_helper(state: State, command: ReachHelper) -> tuple[Event, ...]:
+    """The helper helps, or answers that it is busy."""
+    action, recovery = state.execution.actions.get(command.action_id), state.recovery.get(command.action_id)
+    if action is None or recovery is None:
+        return ()
+    if not is_idle(state, command.helper):
+        return (AssistanceDeclined(action.task_id, action.action_id, action.robot, command.helper, recovery.failure),)
+    return (
+        AssistanceAdmitted(
+            action.task_id,
+            action.action_id,
+            None,
+            COORDINATOR,
+            action.executed_by,
+            FLEET_SUPERVISOR,
+            (),
+            robot=action.robot,
+            helper=command.helper,
+            failure=recovery.failure,
+            level="fleet",
+        ),
+    )
+
+
+def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
+    """The helper has resolved the failure and is free again."""
+    action, recovery = state.execution.actions.get(command.action_id), state.recovery.get(command.action_id)
+    if action is None or recovery is None:
+        return ()
+    about = (action.task_id, action.action_id, action.robot)
+    return (AssistanceEnded(*about, command.helper, recovery.failure), FailureResolved(*about, recovery.failure, "fleet"))
+
+
+def _key(event: ExecutionFailed | AssistanceDeclined | AssistanceRequested, action_id: str) -> str:
+    return f"{action_id}/{event.failure}"
+
+
+def _on_failure(_state: State, event: ExecutionFailed, _now_us: int) -> tuple[Scheduled, ...]:
+    return (to_coordinator(event.action_id, "failure", message(_key(event, event.action_id), "report")),)
+
+
+def _on_attempt(_state: State, event: RecoveryAttempted, _now_us: int) -> tuple[Scheduled, ...]:
+    key = f"{event.failed_action}/{event.failure}/{event.number}"
+    order = (message(key, "order"), Draw("retry", key))
+    return (Scheduled(EndAttempt(event.failed_action, event.number), 0, order, Draw("reliability", "retry/" + key)),)
+
+
+def _on_attempt_failed(_state: State, event: RecoveryAttemptFailed, _now_us: int) -> tuple[Scheduled, ...]:
+    return (to_coordinator(event.action_id, "retry-failed", message(f"{event.action_id}/{event.failure}", "retry-report")),)
+
+
+def _on_order(_state: State, event: AssistanceRequested, _now_us: int) -> tuple[Scheduled, ...]:
+    order = message(_key(event, event.failed_action), f"order/{event.helper}")
+    return (Scheduled(ReachHelper(event.failed_action, event.helper), 0, (order,)),)
+
+
+def _on_decline(_state: State, event: AssistanceDeclined, _now_us: int) -> tuple[Scheduled, ...]:
+    return (to_coordinator(event.action_id, "declined", message(_key(event, event.action_id), f"decline/{event.helper}")),)
+
+
+def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(EndAssistance(event.action_id, event.helper), state.fleet.structure.assistance_us),)
+
+
+DECIDES: Decides = {EndAttempt: end_attempt, ReachHelper: reach_helper, EndAssistance: end_assistance}
+REACTS: Reacts = {
+    ExecutionFailed: _on_failure,
+    RecoveryAttempted: _on_attempt,
+    RecoveryAttemptFailed: _on_attempt_failed,
+    AssistanceRequested: _on_order,
+    AssistanceDeclined: _on_decline,
+    AssistanceAdmitted: _on_assistance,
+}

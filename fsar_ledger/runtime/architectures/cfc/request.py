@@ -1,0 +1,241 @@
+"""CFC: every step goes through the coordinator, which matches, gates and commands. Paper: sec:evaluation:baselines."""
+
+from ....events import Event
+from ....events.authority import AuthorityClaimed, AuthorityReleased
+from ....events.envelope import COORDINATOR, FLEET_SUPERVISOR
+from ....events.execution import ExecutionFinished, ExecutionQueued, OwnStepDecided
+from ....events.request import CandidateMatched, CommandIssued, RequestAccepted, RequestClosed, RequestDeferred, RequestDenied, RequestIssued
+from ....events.supervision import SupervisorCalled, SupervisorResponded
+from ....events.task import StepBegan
+from ....events.world import OutsiderRequestInjected
+from ....projections.fold import State
+from ....projections.request import Request
+from ....projections.world import in_force, stricter
+from ...handlers.attribution import pending_of_other_task
+from ...handlers.commands import CloseExecution, Command, CompleteStep, Decides, Reacts, Scheduled, message
+from . import recovery
+from .coordinator import ProcessWork, ReachCoordinator, by_coordinator, candidates_of, copied_policy, to_coordinator, until_next_sync_us
+
+AGAIN = "assigned again"
+
+
+class CommandReviewed(Command):
+    """H_F has approved what policy wanted reviewed."""
+
+    action_id: str
+
+
+class ReceiveCommand(Command):
+    """The command has reached the robot."""
+
+    action_id: str
+
+
+class QueueOrdered(Command):
+    """H_F has put two commands in order."""
+
+    action_id: str
+
+
+class DenyOutsider(Command):
+    """An out-of-trust request has reached the coordinator."""
+
+    action_id: str
+
+
+def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
+    """The coordinator has dealt with one item of its work."""
+    match command.item:
+        case "step" | "again":
+            return _match(state, command)
+        case "completion":
+            return _complete(state, command)
+        case _:
+            return recovery.process(state, command)
+
+
+def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
+    """The coordinator has picked a robot by its copy and gated the step on the executor's copied policy and the fleet's rule."""
+    request = state.request.get(command.action_id)
+    if request is None:
+        return ()
+    candidates = candidates_of(state, command.action_id)
+    idle = [robot for robot in candidates if robot not in state.knowledge.copy.busy]
+    robot = idle[0] if idle else candidates[0]
+    records: list[Event] = []
+    if request.is_delegated:
+        if command.item == "step":
+            records.append(
+                RequestIssued(request.task_id, None, None, **by_coordinator(), executed_by=robot, capability=request.capability)
+            )
+        records += [
+            CandidateMatched(request.task_id, **by_coordinator(), executed_by=None, capability=request.capability) for _ in candidates
+        ]
+    outcome = stricter(copied_policy(state, robot), in_force(state.world.fleet, robot))
+    if outcome == "deny":
+        return (*records, RequestDenied(request.task_id, None, None, **by_coordinator(), executed_by=robot, reason="policy"))
+    if outcome == "review" and command.action_id not in state.supervision:
+        return (*records, SupervisorCalled(request.task_id, command.action_id, FLEET_SUPERVISOR, "review"))
+    return (*records, *_commanded(state, request, robot, not idle))
+
+
+def command_reviewed(state: State, command: CommandReviewed) -> tuple[Event, ...]:
+    """The approved step is commanded."""
+    request = state.request.get(command.action_id)
+    if request is None:
+        return ()
+    candidates = candidates_of(state, command.action_id)
+    idle = [robot for robot in candidates if robot not in state.knowledge.copy.busy]
+    return _commanded(state, request, idle[0] if idle else candidates[0], not idle)
+
+
+def _commanded(state: State, request: Request, robot: str, seen_busy: bool) -> tuple[Event, ...]:
+    task_id, action_id = request.task_id, request.action_id
+    claims = (
+        AuthorityClaimed(task_id, action_id, "execution", COORDINATOR, "command"),
+        AuthorityClaimed(task_id, action_id, "override", COORDINATOR, "command"),
+    )
+    if not request.is_delegated:
+        decided = OwnStepDecided(task_id, None, **by_coordinator(), executed_by=robot, capability=request.capability)
+        return (decided, *claims)
+    context = (task_id, action_id, action_id, COORDINATOR, COORDINATOR, robot, FLEET_SUPERVISOR, (COORDINATOR,))
+    deferred = (RequestDeferred(*context),) if seen_busy else ()
+    return (*deferred, CommandIssued(*context, robot=robot, seen_busy=seen_busy), RequestAccepted(*context), *claims)
+
+
+def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
+    """The command waits in the robot's queue; one for a robot that was not seen to be taken is first put in order by H_F."""
+    request = state.request.get(command.action_id)
+    if request is None:
+        return ()
+    robot = request.target or request.requester
+    running = None if request.seen_busy else pending_of_other_task(state, robot, request.task_id)
+    if running is None:
+        return (_queued(state, request, robot),)
+    task_id = state.execution.actions[running].task_id
+    return (
+        AuthorityClaimed(task_id, running, "execution", request.requester, AGAIN),
+        SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "ordering"),
+    )
+
+
+def queue_ordered(state: State, command: QueueOrdered) -> tuple[Event, ...]:
+    """The second command waits its turn and no longer claims the running action."""
+    request = state.request.get(command.action_id)
+    if request is None:
+        return ()
+    released = [
+        AuthorityReleased(claim.task_id, claim.action_id, "execution", claim.claimant, AGAIN)
+        for claims in state.authority.values()
+        for claim in claims
+        if claim.claimant == request.requester and claim.reason == AGAIN
+    ]
+    return (*released, _queued(state, request, request.target or request.requester))
+
+
+def _queued(state: State, request: Request, robot: str) -> ExecutionQueued:
+    del state
+    return ExecutionQueued(
+        request.task_id,
+        request.action_id,
+        COORDINATOR,
+        robot,
+        FLEET_SUPERVISOR,
+        robot,
+        request.requester,
+        request.capability,
+        request.step,
+        request.attempt,
+        request.is_delegated,
+        request.is_delegated,
+        True,
+    )
+
+
+def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
+    """Every claim on the execution has ended, but the coordinator's override until it has processed the completion."""
+    return tuple(
+        AuthorityReleased(claim.task_id, claim.action_id, claim.dimension, claim.claimant, claim.reason)
+        for claim in state.authority.get(command.action_id, ())
+        if (claim.dimension, claim.claimant) != ("override", COORDINATOR)
+    )
+
+
+def _complete(state: State, command: ProcessWork) -> tuple[Event, ...]:
+    """The coordinator has closed the step."""
+    request = state.request.get(command.action_id)
+    if request is None:
+        return ()
+    task_id, action_id = request.task_id, request.action_id
+    released = AuthorityReleased(task_id, action_id, "override", COORDINATOR, "command")
+    if not request.is_delegated:
+        return (released,)
+    context = (task_id, action_id, action_id, COORDINATOR, COORDINATOR, request.target, FLEET_SUPERVISOR)
+    return (RequestClosed(*context, (COORDINATOR,)), released)
+
+
+def deny_outsider(state: State, command: DenyOutsider) -> tuple[Event, ...]:
+    """The coordinator has denied a request without trust."""
+    request = state.request[command.action_id]
+    return (RequestDenied(request.task_id, None, None, **by_coordinator(), executed_by=None, reason="no trust"),)
+
+
+def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
+    return (to_coordinator(event.action_id, "step", message(event.action_id, 0)),)
+
+
+def _on_denial(state: State, event: RequestDenied, now_us: int) -> tuple[Scheduled, ...]:
+    task = state.task.get(event.task_id or "")
+    if task is None:
+        return ()
+    return (Scheduled(ReachCoordinator(task.action_id, "again"), until_next_sync_us(state, now_us)),)
+
+
+def _on_response(_state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
+    if event.purpose == "review":
+        return (Scheduled(CommandReviewed(event.action_id)),)
+    return (Scheduled(QueueOrdered(event.action_id)),) if event.purpose == "ordering" else ()
+
+
+def _on_command(_state: State, event: CommandIssued, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(ReceiveCommand(event.action_id), 0, (message(event.action_id, 1),)),)
+
+
+def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Scheduled, ...]:
+    action_id = state.task[event.task_id].action_id
+    return (Scheduled(ReceiveCommand(action_id), 0, (message(action_id, 1),)),)
+
+
+def _on_finish(_state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
+    close = Scheduled(CloseExecution(event.action_id))
+    return (close, to_coordinator(event.action_id, "completion", message(event.action_id, 4)))
+
+
+def _on_release(_state: State, event: AuthorityReleased, _now_us: int) -> tuple[Scheduled, ...]:
+    if (event.dimension, event.claimant) != ("override", COORDINATOR):
+        return ()
+    return (Scheduled(CompleteStep(event.action_id)),)
+
+
+def _on_outsider(_state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(DenyOutsider(event.task_id), 0, (message(event.task_id, 0),)),)
+
+
+DECIDES: Decides = {
+    ProcessWork: process,
+    CommandReviewed: command_reviewed,
+    ReceiveCommand: receive_command,
+    QueueOrdered: queue_ordered,
+    CloseExecution: close_execution,
+    DenyOutsider: deny_outsider,
+}
+REACTS: Reacts = {
+    StepBegan: _on_step,
+    RequestDenied: _on_denial,
+    SupervisorResponded: _on_response,
+    CommandIssued: _on_command,
+    OwnStepDecided: _on_own_step,
+    ExecutionFinished: _on_finish,
+    AuthorityReleased: _on_release,
+    OutsiderRequestInjected: _on_outsider,
+}

@@ -1,0 +1,113 @@
+"""DHMA: every robot is four fleet-visible agents that pass work to each other. Paper: sec:evaluation:baselines."""
+
+from typing import Any
+
+from ....events import Event
+from ....events.authority import AuthorityClaimed, AuthorityReleased
+from ....events.envelope import PolicyOutcome, agent
+from ....events.knowledge import PlannerEngaged, SnapshotTaken
+from ....events.request import ContractQuestioned, InternalHandoff
+from ....events.world import ContextChanged, SnapshotPhaseSet
+from ....projections.execution import Action
+from ....projections.fold import State
+from ....projections.world import in_force
+from ...handlers.attribution import is_injected, on_shift
+from ...handlers.commands import CloseExecution, Command, Decides, Reacts, Scheduled
+from ...handlers.execution import pause_running
+
+
+class TakeSnapshot(Command):
+    """A planner refreshes its snapshot of the robot's own policy."""
+
+    robot: str
+
+
+class EngagePlanner(Command):
+    """A context change needs the planner's attention, and puts open contracts in question."""
+
+    robot: str
+
+
+def planner(robot: str) -> str:
+    """The robot's planning agent."""
+    return agent(robot, "planning")
+
+
+def path(robot: str, *kinds: Any) -> dict[str, Any]:
+    """The keywords of a decision that went through these agents of the robot; the last one decided."""
+    traversed = tuple(agent(robot, kind) for kind in kinds)
+    return {"decided_by": traversed[-1], "path": traversed}
+
+
+def handoff(state: State, robot: str, sender: Any, receiver: Any) -> InternalHandoff:
+    """One agent has passed work to another of the same robot; the message does not say for whom."""
+    return InternalHandoff(None, robot, on_shift(state, robot), agent(robot, sender), agent(robot, receiver))
+
+
+def snapshot(state: State, robot: str) -> PolicyOutcome:
+    """The robot's own policy as its planner last saw it."""
+    return state.knowledge.snapshot.get(robot, "allow")
+
+
+def take_snapshot(state: State, command: TakeSnapshot) -> tuple[Event, ...]:
+    """The planner sees the policy as it is now."""
+    return (SnapshotTaken(command.robot, in_force(state.world.local, command.robot)),)
+
+
+def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
+    """Every agent that is party to an open action of the robot claims override until it ends."""
+    robot = command.robot
+    made: list[Event] = [PlannerEngaged(robot, command.now_us + state.fleet.structure.engagement_us)]
+    for action in state.execution.actions.values():
+        if is_injected(action) or action.stage == "withdrawn" or robot not in (action.robot, action.on_behalf_of):
+            continue
+        claimants = (planner(robot), agent(robot, "execution")) if robot == action.robot else (planner(robot), planner(action.robot))
+        made += claims(state, action, "override", claimants, "context change")
+        if action.is_delegated and action.stage in ("queued", "approaching"):
+            made.append(ContractQuestioned(action.task_id, action.action_id, robot))
+    return tuple(made)
+
+
+def claims(state: State, action: Action, dimension: Any, claimants: tuple[str, ...], reason: str) -> list[AuthorityClaimed]:
+    """The claims that these agents make and do not hold already."""
+    known = {(claim.dimension, claim.claimant) for claim in state.authority.get(action.action_id, ())}
+    return [
+        AuthorityClaimed(action.task_id, action.action_id, dimension, claimant, reason)
+        for claimant in claimants
+        if (dimension, claimant) not in known
+    ]
+
+
+def released(state: State, action_id: str, reason: str | None = None) -> tuple[AuthorityReleased, ...]:
+    """The open claims on the action end, or those made for this reason."""
+    return tuple(
+        AuthorityReleased(claim.task_id, action_id, claim.dimension, claim.claimant, claim.reason)
+        for claim in state.authority.get(action_id, ())
+        if reason is None or claim.reason == reason
+    )
+
+
+def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
+    """Authority over the finished execution has ended; the result goes from agent to agent."""
+    request = state.request.get(command.action_id)
+    back = (handoff(state, request.target, "execution", "communication"),) if request is not None and request.target and request.step else ()
+    return (*released(state, command.action_id), *back)
+
+
+def _first_snapshot(state: State, event: SnapshotPhaseSet, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(TakeSnapshot(event.robot), max(1, event.phase_ppm * state.fleet.structure.snapshot_period_us // 1_000_000)),)
+
+
+def _next_snapshot(state: State, event: SnapshotTaken, now_us: int) -> tuple[Scheduled, ...]:
+    structure = state.fleet.structure
+    if now_us > structure.watch_us and not state.task:
+        return ()
+    return (Scheduled(TakeSnapshot(event.robot), structure.snapshot_period_us),)
+
+
+def _on_context(state: State, event: ContextChanged, now_us: int) -> tuple[Scheduled, ...]:
+    return (*pause_running(state, event, now_us), Scheduled(EngagePlanner(event.robot)))
+
+
+DECIDES: Decides = {TakeSnapshot: take_snapshot, EngagePlanner: engage_planner, CloseExecution: close_execution}
+REACTS: Reacts = {SnapshotPhaseSet: _first_snapshot, SnapshotTaken: _next_snapshot, ContextChanged: _on_context}

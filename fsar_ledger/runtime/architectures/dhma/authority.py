@@ -1,0 +1,134 @@
+"""DHMA: execution authority goes from agent to agent, and each keeps it until the next acknowledges. Paper: sec:evaluation:baselines."""
+
+from typing import Any
+
+from ....events import Event
+from ....events.authority import AuthorityClaimed, AuthorityReleased
+from ....events.envelope import agent
+from ....events.execution import ExecutionQueued
+from ....events.request import RequestAdmitted, RequestIssued
+from ....events.world import OutsiderRequestInjected
+from ....projections.execution import Action
+from ....projections.fold import State
+from ...handlers.commands import Command, Decides, Reacts, Scheduled, hop, hops, message
+from .agents import handoff, path, released
+
+
+class PassExecution(Command):
+    """The work has reached the next agent of the executor."""
+
+    action_id: str
+    round: int
+    sender: str
+    receiver: str
+
+
+class AcknowledgeExecution(Command):
+    """The receiver's acknowledgement has reached the sender."""
+
+    action_id: str
+    round: int
+    sender: str
+
+
+class SettleBooking(Command):
+    """The two agents have agreed about the other task's action."""
+
+    action_id: str
+
+
+class RunOutsider(Command):
+    """A nested query has carried an out-of-trust request past visibility."""
+
+    action_id: str
+
+
+def _under_contract(state: State, action_id: str, contract: int) -> Action | None:
+    """The action, as long as this round's contract holds it."""
+    action, request = state.execution.actions.get(action_id), state.request.get(action_id)
+    if action is None or request is None or request.round != contract or action.stage == "withdrawn":
+        return None
+    return action
+
+
+def pass_execution(state: State, command: PassExecution) -> tuple[Event, ...]:
+    """The receiver claims execution too."""
+    action = _under_contract(state, command.action_id, command.round)
+    if action is None:
+        return ()
+    receiver = agent(action.robot, command.receiver)  # type: ignore[arg-type]
+    return (
+        AuthorityClaimed(action.task_id, action.action_id, "execution", receiver, command.receiver),
+        handoff(state, action.robot, command.sender, command.receiver),
+    )
+
+
+def acknowledge_execution(state: State, command: AcknowledgeExecution) -> tuple[Event, ...]:
+    """The sender no longer claims execution."""
+    action = _under_contract(state, command.action_id, command.round)
+    if action is None:
+        return ()
+    sender = agent(action.robot, command.sender)  # type: ignore[arg-type]
+    return tuple(
+        AuthorityReleased(claim.task_id, claim.action_id, "execution", sender, claim.reason)
+        for claim in state.authority.get(command.action_id, ())
+        if (claim.dimension, claim.claimant) == ("execution", sender)
+    )
+
+
+def settle_booking(state: State, command: SettleBooking) -> tuple[Event, ...]:
+    """The double booking is resolved."""
+    return released(state, command.action_id, "double booking")
+
+
+def run_outsider(state: State, command: RunOutsider) -> tuple[Event, ...]:
+    """The request runs unchecked; nobody is on record for executing or supervising it."""
+    request = state.request.get(command.action_id)
+    if request is None or request.target is None:
+        return ()
+    task_id, robot, peer = request.task_id, request.requester, request.target
+    nobody: dict[str, Any] = {"requested_by": robot, "executed_by": None, "supervised_by": None}
+    return (
+        RequestIssued(task_id, task_id, task_id, **path(robot, "planning", "communication"), **nobody, capability=request.capability),
+        RequestAdmitted(task_id, task_id, task_id, **path(peer, "communication", "planning", "execution"), **nobody, outcome="allow"),
+        ExecutionQueued(task_id, task_id, robot, None, None, peer, robot, request.capability, 0, 1, False, False, False),
+    )
+
+
+def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple[Scheduled, ...]:
+    """The chain communication -> planning -> execution, each link one hop, each acknowledgement one hop."""
+    request = state.request.get(event.action_id)
+    if request is None or request.target is None:
+        return ()
+    key = f"{event.action_id}/{request.round}"
+    if event.reason == "double booking":
+        if event.claimant != agent(request.target, "execution"):
+            return ()
+        settled = (*hops(state, key, "settle", 3), message(key, "settle"), message(key, "settled"))
+        return (Scheduled(SettleBooking(event.action_id), 0, settled),)
+    contract = (event.action_id, request.round)
+    to_planning = Scheduled(PassExecution(*contract, "communication", "planning"), 0, (hop(state, key, "planning"),))
+    to_execution = Scheduled(PassExecution(*contract, "planning", "execution"), 0, (hop(state, key, "execution"),))
+    match event.reason:
+        case "acceptance":
+            return (to_planning,)
+        case "planning":
+            return (Scheduled(AcknowledgeExecution(*contract, "communication"), 0, (hop(state, key, "acknowledged"),)), to_execution)
+        case "execution":
+            return (Scheduled(AcknowledgeExecution(*contract, "planning"), 0, (hop(state, key, "confirmed"),)),)
+        case _:
+            return ()
+
+
+def _on_outsider(state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
+    way = (hop(state, event.task_id, "query"), message(event.task_id, 0))
+    return (Scheduled(RunOutsider(event.task_id), 0, way),)
+
+
+DECIDES: Decides = {
+    PassExecution: pass_execution,
+    AcknowledgeExecution: acknowledge_execution,
+    SettleBooking: settle_booking,
+    RunOutsider: run_outsider,
+}
+REACTS: Reacts = {AuthorityClaimed: _on_acceptance, OutsiderRequestInjected: _on_outsider}

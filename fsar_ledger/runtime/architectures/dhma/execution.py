@@ -1,0 +1,165 @@
+"""DHMA: the robot's agents plan, start and repair execution among themselves. Paper: sec:evaluation:baselines."""
+
+from typing import Any
+
+from ....events import Event
+from ....events.envelope import FLEET_SUPERVISOR
+from ....events.execution import (
+    ApproachStarted,
+    ExecutionPaused,
+    ExecutionQueued,
+    ExecutionWithdrawn,
+    OwnStepDecided,
+    RoutinePerformed,
+    RoutineReported,
+    RoutineWithheld,
+)
+from ....events.knowledge import PlannerEngaged
+from ....events.request import ContractVoided, RequestDenied
+from ....events.supervision import SupervisorCalled, SupervisorResponded
+from ....events.task import StepBegan
+from ....events.world import RoutineDue
+from ....projections.fold import State
+from ...handlers.attribution import on_shift
+from ...handlers.commands import BeginStep, Command, Decides, Draw, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn, hop, hops, message
+from ...handlers.execution import start_action, started
+from .agents import handoff, path, released, snapshot
+
+
+class PlanOwnStep(Command):
+    """A step of the robot's own is due."""
+
+    action_id: str
+
+
+class QueueOwnStep(Command):
+    """The execution agent has the plan."""
+
+    action_id: str
+
+
+class DecideRoutine(Command):
+    """A routine operation is due."""
+
+    robot: str
+    operation: str
+
+
+def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
+    """The planner has handed the step to the execution agent, or its snapshot forbids it for now."""
+    request = state.request.get(command.action_id)
+    if request is None:
+        return ()
+    robot, outcome = request.requester, snapshot(state, request.requester)
+    supervisor = on_shift(state, robot)
+    context: dict[str, Any] = {"task_id": request.task_id, "action_id": request.action_id}
+    context |= {"requested_by": robot, "executed_by": robot, "supervised_by": supervisor, **path(robot, "planning", "execution")}
+    if command.action_id not in state.supervision:
+        if outcome == "deny":
+            return (RequestDenied(**context, request_id=None, reason="own step"),)
+        if outcome == "review":
+            return (SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "review"),)
+    return (OwnStepDecided(**context, capability=request.capability), handoff(state, robot, "planning", "execution"))
+
+
+def queue_own_step(state: State, command: QueueOwnStep) -> tuple[Event, ...]:
+    """The step waits for the robot."""
+    request = state.request.get(command.action_id)
+    if request is None:
+        return ()
+    robot = request.requester
+    queued = (robot, robot, request.capability, request.step, request.attempt, False, False, True)
+    return (ExecutionQueued(request.task_id, request.action_id, robot, robot, on_shift(state, robot), *queued),)
+
+
+def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
+    """The robot approaches."""
+    action = state.execution.actions.get(command.action_id)
+    if action is None or action.stage != "queued":
+        return ()
+    return (ApproachStarted(action.task_id, action.action_id, action.robot),)
+
+
+def start(state: State, command: StartAction) -> tuple[Event, ...]:
+    """The robot executes, unless a party's context has changed since the award: then the contract is void."""
+    action = state.execution.actions.get(command.action_id)
+    if action is None or action.stage not in ("queued", "approaching"):
+        return ()
+    request = state.request.get(command.action_id)
+    if request is not None and request.is_questioned and command.action_id not in state.supervision:
+        about = (action.task_id, action.action_id, action.robot)
+        return (*released(state, action.action_id), ContractVoided(*about), ExecutionWithdrawn(*about))
+    return (started(state, action, command),)
+
+
+def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
+    """Sensing is one agent's; a motion crosses two, each of which records its half, and engages the planner."""
+    robot, supervisor = command.robot, on_shift(state, command.robot)
+    if command.operation == "sensing":
+        return (RoutinePerformed(robot, robot, robot, supervisor, (robot,), robot, "sensing"),)
+    decided = {**path(robot, "planning", "execution"), "requested_by": robot, "executed_by": None, "supervised_by": supervisor}
+    kind = RoutinePerformed if snapshot(state, robot) == "allow" else RoutineWithheld
+    return (
+        kind(**decided, robot=robot, operation="motion"),
+        RoutineReported(None, robot, None, robot),
+        PlannerEngaged(robot, command.now_us + state.fleet.structure.engagement_us),
+    )
+
+
+def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(PlanOwnStep(event.action_id)),) if event.target_role is None else ()
+
+
+def _on_denial(state: State, event: RequestDenied, _now_us: int) -> tuple[Scheduled, ...]:
+    if event.reason != "own step" or event.task_id is None:
+        return ()
+    return (Scheduled(BeginStep(event.task_id), state.fleet.structure.back_off_us),)
+
+
+def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
+    request = state.request.get(event.action_id)
+    if event.purpose != "review" or request is None or request.is_delegated:
+        return ()
+    return (Scheduled(PlanOwnStep(event.action_id)),)
+
+
+def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Scheduled, ...]:
+    assert event.action_id is not None
+    return (Scheduled(QueueOwnStep(event.action_id), 0, (hop(state, event.action_id, "own"),)),)
+
+
+def _on_approach(state: State, event: ApproachStarted, _now_us: int) -> tuple[Scheduled, ...]:
+    capability = state.execution.actions[event.action_id].capability
+    return (start_action(event.action_id, capability, 0, (Draw("approach", event.action_id),)),)
+
+
+def _on_pause(state: State, event: ExecutionPaused, now_us: int) -> tuple[Scheduled, ...]:
+    """Replanning goes through the robot's agents, and for a delegated action through the other robot's too."""
+    structure = state.fleet.structure
+    key = f"{event.action_id}/replan{now_us}"
+    if not state.execution.actions[event.action_id].is_delegated:
+        return (Scheduled(ResumeAction(event.action_id), structure.replan_us, hops(state, key, "own", 3)),)
+    way = (*hops(state, key, "own", 3), message(key, 0), message(key, 1), *hops(state, key, "other", 4))
+    return (Scheduled(ResumeAction(event.action_id), structure.replan_us + structure.renegotiation_us, way),)
+
+
+def _on_routine(_state: State, event: RoutineDue, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(DecideRoutine(event.robot, event.operation)),)
+
+
+DECIDES: Decides = {
+    PlanOwnStep: plan_own_step,
+    QueueOwnStep: queue_own_step,
+    TakeTurn: take_turn,
+    StartAction: start,
+    DecideRoutine: decide_routine,
+}
+REACTS: Reacts = {
+    StepBegan: _on_step,
+    RequestDenied: _on_denial,
+    SupervisorResponded: _on_response,
+    OwnStepDecided: _on_own_step,
+    ApproachStarted: _on_approach,
+    ExecutionPaused: _on_pause,
+    RoutineDue: _on_routine,
+}

@@ -1,0 +1,152 @@
+"""DHMA: the recovery agent must agree with planning and execution, and may dispute ownership. Paper: sec:evaluation:baselines."""
+
+from typing import Any
+
+from ....events import Event
+from ....events.envelope import FLEET_SUPERVISOR, agent
+from ....events.execution import ExecutionFailed
+from ....events.knowledge import PlannerEngaged
+from ....events.recovery import FailureResolved, RecoveryAttempted, RecoveryAttemptFailed, RecoveryEscalated
+from ....events.supervision import SupervisorCalled
+from ....projections.execution import Action
+from ....projections.fold import State
+from ....projections.recovery import Recovery
+from ...handlers.attribution import principals
+from ...handlers.commands import Command, Decides, Draw, EndAttempt, Reacts, Scheduled, hops
+from ...handlers.recovery import attempt_succeeds
+from .agents import claims, path, planner, released
+
+DISPUTE = "dispute"
+
+
+class Dispute(Command):
+    """The planner is engaged while the robot recovers, or was just before."""
+
+    action_id: str
+
+
+class StartRecovery(Command):
+    """The recovery agent has been told and has asked the others."""
+
+    action_id: str
+
+
+class Escalate(Command):
+    """The robot's agents have given up."""
+
+    action_id: str
+
+
+def _open(state: State, action_id: str) -> tuple[Action, Recovery] | None:
+    action, recovery = state.execution.actions.get(action_id), state.recovery.get(action_id)
+    return None if action is None or recovery is None else (action, recovery)
+
+
+def _context(state: State, action: Action) -> dict[str, Any]:
+    agents = path(action.robot, "recovery", "planning", "execution")
+    return {"task_id": action.task_id, "action_id": action.action_id, **agents, **principals(state, action)}
+
+
+def _is_disputed(state: State, action_id: str) -> bool:
+    return any(claim.reason == DISPUTE for claim in state.authority.get(action_id, ()))
+
+
+def dispute(state: State, command: Dispute) -> tuple[Event, ...]:
+    """Recovery and planning agent both claim override until the failure is over."""
+    match _open(state, command.action_id):
+        case action, recovery if recovery.level == "local":
+            claimants = (agent(action.robot, "recovery"), planner(action.robot))
+            return tuple(claims(state, action, "override", claimants, DISPUTE))
+        case _:
+            return ()
+
+
+def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
+    """The first attempt to recover has begun."""
+    match _open(state, command.action_id):
+        case action, recovery:
+            return (_attempted(state, action, recovery),)
+        case _:
+            return ()
+
+
+def _attempted(state: State, action: Action, recovery: Recovery) -> RecoveryAttempted:
+    return RecoveryAttempted(
+        **_context(state, action),
+        robot=action.robot,
+        failure=recovery.failure,
+        number=recovery.number + 1,
+        level="local",
+        deadline_us=recovery.detected_us + state.fleet.structure.local_budget_us,
+        failed_action=action.action_id,
+    )
+
+
+def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
+    """The failure is resolved, or the next attempt has begun; a disputed one leaves only one attempt, and then loops."""
+    match _open(state, command.action_id):
+        case action, recovery if recovery.number == command.number and recovery.level == "local":
+            about = (action.task_id, action.action_id, action.robot, recovery.failure)
+            if attempt_succeeds(state, recovery, command):
+                return (FailureResolved(*about, "local"), *released(state, action.action_id, DISPUTE))
+            if _is_disputed(state, action.action_id):
+                return (RecoveryAttemptFailed(*about, command.number),)
+            if recovery.number < state.fleet.structure.local_attempts:
+                return (_attempted(state, action, recovery),)
+            return _escalated(state, action, recovery)
+        case _:
+            return ()
+
+
+def escalate(state: State, command: Escalate) -> tuple[Event, ...]:
+    """H_F has been called."""
+    match _open(state, command.action_id):
+        case action, recovery if recovery.level == "local":
+            return (*_escalated(state, action, recovery), *released(state, action.action_id, DISPUTE))
+        case _:
+            return ()
+
+
+def _escalated(state: State, action: Action, recovery: Recovery) -> tuple[Event, ...]:
+    about: dict[str, Any] = {"robot": action.robot, "failure": recovery.failure, "failed_action": action.action_id}
+    return (
+        RecoveryEscalated(**_context(state, action), **about, level="local", to_level="human"),
+        SupervisorCalled(action.task_id, action.action_id, FLEET_SUPERVISOR, "recovery"),
+    )
+
+
+def _on_failure(state: State, event: ExecutionFailed, now_us: int) -> tuple[Scheduled, ...]:
+    key = f"{event.action_id}/{event.failure}"
+    start = Scheduled(StartRecovery(event.action_id), 0, hops(state, key, "told", 3))
+    if state.knowledge.engaged_until_us.get(event.robot, -1) >= now_us:
+        return (Scheduled(Dispute(event.action_id)), start)
+    return (start,)
+
+
+def _on_engagement(state: State, event: PlannerEngaged, _now_us: int) -> tuple[Scheduled, ...]:
+    engagement_us = state.fleet.structure.engagement_us
+    return tuple(
+        Scheduled(Dispute(action_id))
+        for action_id, recovery in state.recovery.items()
+        if recovery.robot == event.robot and event.until_us - engagement_us <= recovery.detected_us + engagement_us
+    )
+
+
+def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[Scheduled, ...]:
+    key = f"{event.failed_action}/{event.failure}/{event.number}"
+    end = EndAttempt(event.failed_action, event.number)
+    length = (Draw("retry", key), *hops(state, key, "report", 3))
+    return (Scheduled(end, state.fleet.structure.retry_preparation_us, length, Draw("reliability", "retry/" + key)),)
+
+
+def _on_attempt_failed(state: State, event: RecoveryAttemptFailed, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(Escalate(event.action_id), state.fleet.structure.dispute_timeout_us),)
+
+
+DECIDES: Decides = {Dispute: dispute, StartRecovery: start_recovery, EndAttempt: end_attempt, Escalate: escalate}
+REACTS: Reacts = {
+    ExecutionFailed: _on_failure,
+    PlannerEngaged: _on_engagement,
+    RecoveryAttempted: _on_attempt,
+    RecoveryAttemptFailed: _on_attempt_failed,
+}

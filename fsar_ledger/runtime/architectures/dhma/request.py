@@ -1,0 +1,281 @@
+"""DHMA: a delegated step is a contract net between agents. Paper: sec:evaluation:baselines."""
+
+from typing import Any
+
+from ....events import Event
+from ....events.authority import AuthorityClaimed
+from ....events.envelope import FLEET_SUPERVISOR, PolicyOutcome, agent
+from ....events.execution import ExecutionFinished, ExecutionQueued
+from ....events.knowledge import BidReceived
+from ....events.registry import RegistryQueried
+from ....events.request import (
+    AwardMade,
+    BidSubmitted,
+    ContractVoided,
+    GapDetected,
+    RequestAccepted,
+    RequestAdmitted,
+    RequestClosed,
+    RequestDeferred,
+    RequestDenied,
+    RequestIssued,
+)
+from ....events.supervision import SupervisorCalled, SupervisorResponded
+from ....events.task import StepBegan
+from ....projections.fold import State
+from ....projections.request import Request
+from ...handlers.attribution import capable, is_idle, on_shift, pending_of_other_task
+from ...handlers.commands import BeginStep, CloseExecution, CloseRequest, Command, CompleteStep, Decides, Reacts, Scheduled, hop, hops, message
+from .agents import handoff, path, snapshot
+
+
+class DetectGap(Command):
+    """The step needs another robot."""
+
+    action_id: str
+
+
+class CallForProposals(Command):
+    """The communication agent has the planner's wish."""
+
+    action_id: str
+
+
+class EvaluateBid(Command):
+    """A candidate's planner has the call and its snapshot before it."""
+
+    action_id: str
+    robot: str
+
+
+class ReceiveBid(Command):
+    """A bid has been relayed to the requester's planner."""
+
+    action_id: str
+    robot: str
+    outcome: PolicyOutcome
+
+
+class Award(Command):
+    """All bids are in, or H_F has approved the one under review."""
+
+    action_id: str
+
+
+class AcceptAward(Command):
+    """The award has reached the executor's communication agent."""
+
+    action_id: str
+
+
+def best_bid(request: Request) -> tuple[str, PolicyOutcome] | None:
+    """The first bid that allows, else the first under review, else None."""
+    for wanted in ("allow", "review"):
+        for robot, outcome in request.bids:
+            if outcome == wanted:
+                return robot, outcome
+    return None
+
+
+def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
+    """The planner has found that the step needs another robot."""
+    request = state.request.get(command.action_id)
+    if request is None:
+        return ()
+    robot = request.requester
+    return (GapDetected(request.task_id, request.action_id, robot, None, on_shift(state, robot), request.capability),)
+
+
+def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, ...]:
+    """Every capable robot has been called."""
+    request = state.request.get(command.action_id)
+    if request is None:
+        return ()
+    robot, supervisor = request.requester, on_shift(state, request.requester)
+    candidates = capable(state, request.capability, robot)
+    ids = (request.task_id, request.action_id)
+    return (
+        handoff(state, robot, "planning", "communication"),
+        RegistryQueried(*ids, robot, candidates[0], supervisor, request.capability, candidates),
+        RequestIssued(
+            *ids,
+            request.action_id,
+            **path(robot, "planning", "communication"),
+            requested_by=robot,
+            executed_by=candidates[0],
+            supervised_by=supervisor,
+            capability=request.capability,
+        ),
+    )
+
+
+def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
+    """The candidate has bid by its planner's snapshot; its bid does not say which of its agents would execute."""
+    request = state.request.get(command.action_id)
+    if request is None:
+        return ()
+    robot, outcome = command.robot, snapshot(state, command.robot)
+    context = _context(state, request, robot)
+    decided: Event
+    if outcome == "deny":
+        decided = RequestDenied(**context, **path(robot, "communication", "planning"), reason="bid")
+    else:
+        decided = RequestAdmitted(**context, **path(robot, "communication", "planning", "execution"), outcome=outcome)
+    return (decided, BidSubmitted(request.task_id, request.requester, None, on_shift(state, robot), robot, outcome))
+
+
+def receive_bid(state: State, command: ReceiveBid) -> tuple[Event, ...]:
+    """The planner knows the bid."""
+    request = state.request.get(command.action_id)
+    return () if request is None else (BidReceived(request.task_id, request.action_id, command.robot, command.outcome),)
+
+
+def award(state: State, command: Award) -> tuple[Event, ...]:
+    """The contract is awarded, or the best bid is put before H_F."""
+    request = state.request.get(command.action_id)
+    best = best_bid(request) if request is not None else None
+    if request is None or best is None:
+        return ()
+    if best[1] == "review" and command.action_id not in state.supervision:
+        return (SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "review"),)
+    return (AwardMade(request.task_id, request.requester, None, on_shift(state, request.requester), best[0]),)
+
+
+def accept_award(state: State, command: AcceptAward) -> tuple[Event, ...]:
+    """The executor is committed; its communication agent claims execution until the planner acknowledges."""
+    request = state.request.get(command.action_id)
+    if request is None or request.target is None:
+        return ()
+    robot = request.target
+    context = _context(state, request, robot)
+    agents = path(robot, "communication", "planning", "execution")
+    made: list[Event] = [RequestAccepted(**context, **agents)]
+    if not is_idle(state, robot):
+        made.append(RequestDeferred(**context, **agents))
+    made.append(_claim(request, "execution", agent(robot, "communication"), "acceptance"))
+    if pending_of_other_task(state, robot, request.task_id) is not None:
+        made += [_claim(request, "override", agent(robot, kind), "double booking") for kind in ("communication", "execution")]
+    queued = (robot, request.requester, request.capability, request.step, request.attempt, True, True, True)
+    made.append(ExecutionQueued(request.task_id, request.action_id, request.requester, robot, on_shift(state, robot), *queued))
+    return tuple(made)
+
+
+def _claim(request: Request, dimension: Any, claimant: str, reason: str) -> AuthorityClaimed:
+    return AuthorityClaimed(request.task_id, request.action_id, dimension, claimant, reason)
+
+
+def _context(state: State, request: Request, robot: str) -> dict[str, Any]:
+    return {
+        "task_id": request.task_id,
+        "action_id": request.action_id,
+        "request_id": request.action_id,
+        "requested_by": request.requester,
+        "executed_by": robot,
+        "supervised_by": on_shift(state, robot),
+    }
+
+
+def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
+    """The requester's agents have closed the request."""
+    request = state.request.get(command.action_id)
+    if request is None or request.target is None:
+        return ()
+    context = _context(state, request, request.target)
+    return (RequestClosed(**context, **path(request.requester, "communication", "planning")),)
+
+
+def call(state: State, request: Request, robot: str) -> Scheduled:
+    """The call reaches the candidate and goes from its communication agent to its planner."""
+    key = f"{request.action_id}/{request.round}/{robot}"
+    return Scheduled(EvaluateBid(request.action_id, robot), 0, (message(key, "call"), *hops(state, key, "evaluate", 2)))
+
+
+def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(DetectGap(event.action_id)),) if event.target_role is not None else ()
+
+
+def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
+    assert event.action_id is not None
+    return (Scheduled(CallForProposals(event.action_id), 0, (hop(state, event.action_id, 0),)),)
+
+
+def _on_call(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
+    assert event.action_id is not None
+    request = state.request[event.action_id]
+    return tuple(call(state, request, robot) for robot in event.candidates)
+
+
+def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled, ...]:
+    request = state.request.get(state.task[event.task_id].action_id) if event.task_id in state.task else None
+    if request is None:
+        return ()
+    key = f"{request.action_id}/{request.round}/{event.robot}"
+    received = ReceiveBid(request.action_id, event.robot, event.outcome)
+    return (Scheduled(received, 0, (message(key, "bid"), hop(state, key, "relay"))),)
+
+
+def _on_bid_received(state: State, event: BidReceived, _now_us: int) -> tuple[Scheduled, ...]:
+    request = state.request[event.action_id]
+    if len(request.bids) < len(request.candidates):
+        return ()
+    if best_bid(request) is None:
+        return (Scheduled(BeginStep(event.task_id), state.fleet.structure.back_off_us),)
+    return (Scheduled(Award(event.action_id)),)
+
+
+def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
+    request = state.request.get(event.action_id)
+    if event.purpose != "review" or request is None or not request.is_delegated:
+        return ()
+    return (Scheduled(Award(event.action_id)),)
+
+
+def _on_award(state: State, event: AwardMade, _now_us: int) -> tuple[Scheduled, ...]:
+    request = state.request[state.task[event.task_id].action_id]
+    return (Scheduled(AcceptAward(request.action_id), 0, (message(request.action_id, f"award/{request.round}"),)),)
+
+
+def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Scheduled, ...]:
+    """Both sides' agents agree that it is void and negotiate again, under the same action."""
+    request = state.request[event.action_id]
+    key = f"{request.action_id}/{request.round}/void"
+    delay = (*hops(state, key, "void", 3), message(key, "void"), hop(state, key, "again"))
+    return tuple(Scheduled(EvaluateBid(request.action_id, robot), 0, delay) for robot in request.candidates)
+
+
+def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
+    request = state.request.get(event.action_id)
+    close = Scheduled(CloseExecution(event.action_id))
+    if request is None or request.step == 0:
+        return (close,)
+    back = hop(state, event.action_id, "result")
+    if not request.is_delegated:
+        return (close, Scheduled(CompleteStep(event.action_id), 0, (back,)))
+    return (close, Scheduled(CloseRequest(event.action_id), 0, (back, message(event.action_id, 4))))
+
+
+def _on_close(_state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(CompleteStep(event.action_id)),)
+
+
+DECIDES: Decides = {
+    DetectGap: detect_gap,
+    CallForProposals: call_for_proposals,
+    EvaluateBid: evaluate_bid,
+    ReceiveBid: receive_bid,
+    Award: award,
+    AcceptAward: accept_award,
+    CloseRequest: close_request,
+}
+REACTS: Reacts = {
+    StepBegan: _on_step,
+    GapDetected: _on_gap,
+    RegistryQueried: _on_call,
+    BidSubmitted: _on_bid,
+    BidReceived: _on_bid_received,
+    SupervisorResponded: _on_response,
+    AwardMade: _on_award,
+    ContractVoided: _on_void,
+    ExecutionFinished: _on_finish,
+    RequestClosed: _on_close,
+}

@@ -1,0 +1,118 @@
+"""FSAR: authority ends with the execution; a revocation waits for the request boundary. Paper: sec:model:authority."""
+
+from typing import Any
+
+from ....events import Event
+from ....events.authority import AuthorityClaimed, AuthorityReleased
+from ....events.envelope import FLEET_SUPERVISOR, REGISTRY
+from ....events.execution import ExecutionFinished, ExecutionQueued
+from ....events.knowledge import PeerRemembered
+from ....events.registry import RegistryQueried
+from ....events.request import GapDetected, RequestAccepted, RequestAdmitted, RequestDenied, RequestIssued
+from ....events.world import ContextChanged, OutsiderRequestInjected, PeersMet
+from ....projections.fold import State
+from ...handlers.attribution import on_shift
+from ...handlers.commands import CloseExecution, Command, Decides, Reacts, Scheduled, message
+
+
+class Revoke(Command):
+    """A requester's context has changed while others execute for it."""
+
+    robot: str
+
+
+class AnswerOutsider(Command):
+    """A request without trust has reached the registry."""
+
+    action_id: str
+
+
+class RememberPeer(Command):
+    """Two robots have met."""
+
+    robot: str
+    peer: str
+
+
+def released(state: State, action_id: str) -> tuple[AuthorityReleased, ...]:
+    """Every open claim on the action ends."""
+    claims = state.authority.get(action_id, ())
+    return tuple(AuthorityReleased(claim.task_id, action_id, claim.dimension, claim.claimant, claim.reason) for claim in claims)
+
+
+def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
+    """Authority over the finished execution has ended."""
+    return released(state, command.action_id)
+
+
+def revoke(state: State, command: Revoke) -> tuple[Event, ...]:
+    """The requester holds override over what runs for it, until the next request boundary."""
+    revoked: list[Event] = []
+    for action_id, claims in state.authority.items():
+        action = state.execution.actions.get(action_id)
+        if action is None or action.on_behalf_of != command.robot or action.robot == command.robot:
+            continue
+        if all(claim.claimant != command.robot or claim.dimension != "override" for claim in claims):
+            revoked.append(AuthorityClaimed(action.task_id, action_id, "override", command.robot, "revocation"))
+    return tuple(revoked)
+
+
+def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
+    """The registry has denied what it does not show; without trust evaluation the request runs."""
+    request = state.request.get(command.action_id)
+    if request is None or request.target is None:
+        return ()
+    task_id, robot, peer = request.task_id, request.requester, request.target
+    if state.fleet.configuration != "without-trust-evaluation":
+        supervisor = on_shift(state, robot)
+        return (RequestDenied(task_id, task_id, task_id, REGISTRY, robot, REGISTRY, supervisor, (REGISTRY,), "not visible"),)
+    ids = (task_id, task_id, task_id)
+    requester: dict[str, Any] = {"decided_by": robot, "requested_by": robot, "executed_by": peer, "supervised_by": None, "path": (robot,)}
+    executor = {**requester, "decided_by": peer, "path": (peer,)}
+    return (
+        GapDetected(task_id, task_id, robot, peer, None, request.capability),
+        RegistryQueried(task_id, task_id, robot, peer, None, request.capability, (peer,)),
+        RequestIssued(*ids, **requester, capability=request.capability, carried_policy="allow"),
+        RequestAdmitted(*ids, **executor, outcome="allow"),
+        RequestAccepted(*ids, **executor),
+        AuthorityClaimed(task_id, task_id, "execution", peer, "acceptance"),
+        AuthorityClaimed(task_id, task_id, "audit", robot, "no trust scope"),
+        AuthorityClaimed(task_id, task_id, "audit", FLEET_SUPERVISOR, "no trust scope"),
+        ExecutionQueued(task_id, task_id, robot, peer, None, peer, robot, request.capability, 0, 1, True, False, False),
+    )
+
+
+def remember_peer(state: State, command: RememberPeer) -> tuple[Event, ...]:
+    """Both robots know each other for a while."""
+    until_us = command.now_us + state.fleet.structure.encounter_memory_us
+    return (PeerRemembered(command.robot, command.peer, until_us), PeerRemembered(command.peer, command.robot, until_us))
+
+
+def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(CloseExecution(event.action_id)),) if event.action_id in state.authority else ()
+
+
+def _on_context(state: State, event: ContextChanged, _now_us: int) -> tuple[Scheduled, ...]:
+    actions = state.execution.actions
+    if any(action in actions and actions[action].on_behalf_of == event.robot for action in state.authority):
+        return (Scheduled(Revoke(event.robot)),)
+    return ()
+
+
+def _on_outsider(_state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(AnswerOutsider(event.task_id), 0, (message(event.task_id, 0),)),)
+
+
+def _on_meeting(state: State, event: PeersMet, _now_us: int) -> tuple[Scheduled, ...]:
+    if state.fleet.configuration != "without-shared-registry":
+        return ()
+    return (Scheduled(RememberPeer(event.robot, event.peer)),)
+
+
+DECIDES: Decides = {CloseExecution: close_execution, Revoke: revoke, AnswerOutsider: answer_outsider, RememberPeer: remember_peer}
+REACTS: Reacts = {
+    ExecutionFinished: _on_finish,
+    ContextChanged: _on_context,
+    OutsiderRequestInjected: _on_outsider,
+    PeersMet: _on_meeting,
+}

@@ -1,0 +1,155 @@
+"""FSAR: the robot that executes decides when; own steps and routine need nobody else. Paper: sec:architecture:local."""
+
+from ....events import Event
+from ....events.execution import ApproachStarted, ExecutionHeld, ExecutionPaused, ExecutionQueued, OwnStepDecided, RoutinePerformed, RoutineWithheld
+from ....events.knowledge import FleetRuleLearned
+from ....events.task import StepBegan
+from ....events.world import ContextChanged, PolicyWindowClosed, PolicyWindowOpened, RoutineDue
+from ....projections.execution import Action
+from ....projections.fold import State
+from ....projections.world import in_force
+from ...handlers.attribution import on_shift, principals
+from ...handlers.commands import Command, Decides, Draw, Reacts, ResumeAction, Scheduled, StartAction, message
+from ...handlers.execution import pause_running, start_action, started
+
+
+class DecideOwnStep(Command):
+    """A step of the robot's own is due."""
+
+    action_id: str
+
+
+class DecideRoutine(Command):
+    """A routine operation is due."""
+
+    robot: str
+    operation: str
+
+
+class LearnFleetRule(Command):
+    """Word of the fleet's rule has reached the robot."""
+
+    robot: str
+    outcome: str
+    as_of_us: int
+
+
+def decide_own_step(state: State, command: DecideOwnStep) -> tuple[Event, ...]:
+    """The robot has decided to do the step and queues it at itself."""
+    request = state.request.get(command.action_id)
+    if request is None:
+        return ()
+    robot = request.requester
+    task_id, action_id, supervisor = request.task_id, request.action_id, on_shift(state, robot)
+    queued = (robot, robot, request.capability, request.step, request.attempt, False, False, True)
+    return (
+        OwnStepDecided(task_id, action_id, robot, robot, robot, supervisor, (robot,), request.capability),
+        ExecutionQueued(task_id, action_id, robot, robot, supervisor, *queued),
+    )
+
+
+def start(state: State, command: StartAction) -> tuple[Event, ...]:
+    """The action runs, unless the robot's own policy (or, for an own step, the fleet's rule as last heard) holds it."""
+    action = state.execution.actions.get(command.action_id)
+    if action is None or action.stage not in ("queued", "approaching", "held", "polling"):
+        return ()
+    if command.action_id not in state.supervision:
+        local = in_force(state.world.local, action.robot)
+        if local != "allow":
+            decided_by = None if action.is_delegated or action.stage in ("held", "polling") else action.robot
+            return (_held(state, action, local, "local-policy", decided_by),)
+        rule = state.knowledge.fleet_rule.get(action.robot, "allow")
+        if not action.is_delegated and rule != "allow" and state.fleet.configuration != "without-policy-composition":
+            return (_held(state, action, rule, "fleet-rule", None),)
+    return (started(state, action, command),)
+
+
+def _held(state: State, action: Action, outcome: str, reason: str, decided_by: str | None) -> ExecutionHeld:
+    path = () if decided_by is None else (decided_by,)
+    return ExecutionHeld(
+        action.task_id,
+        action.action_id,
+        decided_by,
+        **principals(state, action),
+        path=path,
+        robot=action.robot,
+        outcome=outcome,  # type: ignore[arg-type]
+        reason=reason,
+    )
+
+
+def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
+    """The robot has done its routine operation; a motion only if its own policy and the fleet's rule are clear."""
+    robot = command.robot
+    context = (robot, robot, robot, on_shift(state, robot), (robot,), robot, command.operation)
+    if command.operation == "motion":
+        rule = state.knowledge.fleet_rule.get(robot, "allow")
+        if in_force(state.world.local, robot) != "allow" or rule != "allow":
+            return (RoutineWithheld(*context),)  # type: ignore[arg-type]
+    return (RoutinePerformed(*context),)  # type: ignore[arg-type]
+
+
+def learn_fleet_rule(state: State, command: LearnFleetRule) -> tuple[Event, ...]:
+    """The robot knows the rule, unless newer word has overtaken this one."""
+    if command.as_of_us < state.knowledge.fleet_rule_as_of_us.get(command.robot, 0):
+        return ()
+    return (FleetRuleLearned(command.robot, command.outcome, command.as_of_us),)  # type: ignore[arg-type]
+
+
+def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(DecideOwnStep(event.action_id)),) if event.target_role is None else ()
+
+
+def _on_approach(state: State, event: ApproachStarted, _now_us: int) -> tuple[Scheduled, ...]:
+    capability = state.execution.actions[event.action_id].capability
+    return (start_action(event.action_id, capability, 0, (Draw("approach", event.action_id),)),)
+
+
+def _on_hold(state: State, event: ExecutionHeld, _now_us: int) -> tuple[Scheduled, ...]:
+    if event.reason != "fleet-rule":
+        return ()
+    capability = state.execution.actions[event.action_id].capability
+    return (start_action(event.action_id, capability, state.fleet.structure.poll_us),)
+
+
+def _on_window_closed(state: State, event: PolicyWindowClosed, now_us: int) -> tuple[Scheduled, ...]:
+    if event.scope == "fleet":
+        return _on_fleet_rule(state, event, now_us)
+    action = state.execution.actions.get(state.execution.current.get(event.robot, ""))
+    if action is None or action.stage != "held" or in_force(state.world.local, event.robot) != "allow":
+        return ()
+    return (start_action(action.action_id, action.capability),)
+
+
+def _on_fleet_rule(state: State, event: PolicyWindowOpened | PolicyWindowClosed, now_us: int) -> tuple[Scheduled, ...]:
+    if event.scope != "fleet":
+        return ()
+    edge = "opened" if isinstance(event, PolicyWindowOpened) else "closed"
+    word = LearnFleetRule(event.robot, in_force(state.world.fleet, event.robot), now_us)
+    return (Scheduled(word, 0, (message(event.window, edge),)),)
+
+
+def _on_routine(_state: State, event: RoutineDue, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(DecideRoutine(event.robot, event.operation)),)
+
+
+def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(ResumeAction(event.action_id), state.fleet.structure.replan_us),)
+
+
+DECIDES: Decides = {
+    DecideOwnStep: decide_own_step,
+    StartAction: start,
+    DecideRoutine: decide_routine,
+    LearnFleetRule: learn_fleet_rule,
+}
+REACTS: Reacts = {
+    StepBegan: _on_step,
+    ApproachStarted: _on_approach,
+    ExecutionHeld: _on_hold,
+    PolicyWindowOpened: _on_fleet_rule,
+    PolicyWindowClosed: _on_window_closed,
+    RoutineDue: _on_routine,
+    ExecutionPaused: _on_pause,
+    ContextChanged: pause_running,
+}

@@ -1,0 +1,32 @@
+"""An architecture is a wiring: which handler decides a command, which reactions follow an event. It holds no state."""
+
+from types import ModuleType
+from typing import NamedTuple
+
+from ...events import Event
+from ..handlers.commands import Command, Decide, React
+
+
+class Wiring(NamedTuple):
+    """Handlers by command type (exactly one each) and reactions by event type (in order)."""
+
+    decides: dict[type[Command], Decide]
+    reacts: dict[type[Event], tuple[React, ...]]
+
+
+def wire(*handlers: ModuleType) -> Wiring:
+    """The wiring of the handler modules' `DECIDES` and `REACTS`.
+
+    Raises:
+        ValueError: two modules decide the same command.
+    """
+    decides: dict[type[Command], Decide] = {}
+    reacts: dict[type[Event], tuple[React, ...]] = {}
+    for module in handlers:
+        for command, decide in module.DECIDES.items():
+            if command in decides:
+                raise ValueError(f"{module.__name__}: {command.__name__} is decided twice")
+            decides[command] = decide
+        for event, react in module.REACTS.items():
+            reacts[event] = (*reacts.get(event, ()), react)
+    return Wiring(decides, reacts)

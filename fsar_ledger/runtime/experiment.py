@@ -1,0 +1,138 @@
+"""An experiment is a row of runs in canonical order, committed in batches: architectures x scenarios x runs."""
+
+from collections import deque
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from itertools import islice
+from multiprocessing import get_context
+from pathlib import Path
+from typing import get_args
+
+import msgspec
+
+from ..constants import Constants
+from ..errors import InvalidExperiment
+from ..events.envelope import Architecture, Configuration, Scenario
+from ..ledger.append import Staged, Writer, stage
+from ..ledger.read import Head, LedgerView, open_ledger
+from .simulation import RunSpec, run_id, run_started, simulate_run
+
+ORIGIN = "fsar-ledger/simulated"
+BATCH_RUNS = 25  # runs in a commit, whatever the number of workers
+IN_FLIGHT = 2  # batches per worker that may be under way, so that memory stays flat
+
+Progress = Callable[[int, int], None]
+
+
+class Experiment(msgspec.Struct, frozen=True):
+    """Which runs to make: `runs` per scenario, architecture and configuration.
+
+    Raises:
+        InvalidExperiment: a name is unknown, or a number impossible.
+    """
+
+    architectures: tuple[Architecture, ...]
+    scenarios: tuple[Scenario, ...]
+    runs: int
+    seed: int = 42
+    fleet_size: int = 4
+    configurations: tuple[Configuration, ...] = ("full",)
+    constants: Constants = Constants()
+
+    def __post_init__(self) -> None:
+        _require_known("architecture", self.architectures, get_args(Architecture))
+        _require_known("scenario", self.scenarios, get_args(Scenario))
+        _require_known("configuration", self.configurations, get_args(Configuration))
+        if not 1 <= self.runs <= 9999:
+            raise InvalidExperiment(f"runs: found {self.runs}, expected 1 to 9999")
+        if not 0 <= self.seed < 2**53:
+            raise InvalidExperiment(f"seed: found {self.seed}, expected 0 to {2**53 - 1}")
+        if self.fleet_size < 4 or self.fleet_size % 4 or self.fleet_size > 256:
+            raise InvalidExperiment(f"fleet size: found {self.fleet_size}, expected a multiple of 4 (teams of four roles) from 4 to 256")
+        if self.configurations != ("full",) and self.architectures != ("fsar",):
+            asked = ", ".join(self.architectures)
+            raise InvalidExperiment(f"mechanisms are taken out of FSAR only: found architectures {asked}, expected fsar; leave out --architecture")
+
+    def specs(self) -> Iterator[RunSpec]:
+        """The runs in canonical order: scenario, run, architecture, configuration."""
+        for scenario in self.scenarios:
+            for run in range(self.runs):
+                for architecture in self.architectures:
+                    for configuration in self.configurations:
+                        yield RunSpec(self.seed, architecture, configuration, scenario, self.fleet_size, run)
+
+    def batches(self) -> list[tuple[RunSpec, ...]]:
+        """The runs of each commit."""
+        specs = self.specs()
+        return list(iter(lambda: tuple(islice(specs, BATCH_RUNS)), ()))
+
+
+def _require_known(what: str, found: tuple[str, ...], expected: tuple[str, ...]) -> None:
+    unknown = [name for name in found if name not in expected]
+    if unknown or not found or len(set(found)) != len(found):
+        raise InvalidExperiment(f"{what}: found {', '.join(found) or 'none'}, expected some of {', '.join(expected)}, each once")
+
+
+def simulate(out: Path, experiment: Experiment, workers: int, progress: Progress | None = None) -> Head:
+    """Every run of the experiment is in the ledger; batches that were there already are not made again.
+
+    The bytes of the ledger do not depend on `workers`. `progress` is told batches done and batches in all.
+
+    Raises:
+        InvalidExperiment: the ledger holds some of these runs in batches of another experiment.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted, WriteFailed: see `Writer`.
+    """
+    batches = experiment.batches()
+    with Writer(out, ORIGIN) as writer:
+        missing = _missing(open_ledger(out), batches, experiment.constants)
+        done = len(batches) - len(missing)
+        if progress is not None:
+            progress(done, len(batches))
+        for staged in _staged(out, missing, experiment.constants, min(workers, len(missing))):
+            writer.append(staged)
+            done += 1
+            if progress is not None:
+                progress(done, len(batches))
+        return writer.head
+
+
+def _id(spec: RunSpec, constants: Constants) -> str:
+    return run_id(run_started(spec, constants))
+
+
+def _missing(ledger: LedgerView, batches: list[tuple[RunSpec, ...]], constants: Constants) -> list[tuple[RunSpec, ...]]:
+    """The batches that the ledger lacks, after a check that it holds none of their runs otherwise."""
+    held = {(record.first_run, record.last_run) for record in ledger.records}
+    missing = [batch for batch in batches if (_id(batch[0], constants), _id(batch[-1], constants)) not in held]
+    if missing and held:
+        wanted = {_id(spec, constants) for batch in missing for spec in batch}
+        for table in ledger.tables(["run_id"]):
+            found = wanted.intersection(table.column("run_id").unique().to_pylist())
+            if found:
+                raise InvalidExperiment(
+                    f"run {min(found)} is in the ledger already, in a batch of an experiment of another shape; give a new folder for this one"
+                )
+    return missing
+
+
+def _stage(out: Path, batch: tuple[RunSpec, ...], constants: Constants) -> Staged:
+    return stage(out, [simulate_run(spec, constants) for spec in batch])
+
+
+def _staged(out: Path, batches: list[tuple[RunSpec, ...]], constants: Constants, workers: int) -> Iterator[Staged]:
+    """The staged batches in order, made by this process or by `workers` others."""
+    if workers <= 1:
+        for batch in batches:
+            yield _stage(out, batch, constants)
+        return
+    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    try:
+        queue: deque[Future[Staged]] = deque()
+        for batch in batches:
+            queue.append(pool.submit(_stage, out, batch, constants))
+            if len(queue) >= IN_FLIGHT * workers:
+                yield queue.popleft().result()
+        while queue:
+            yield queue.popleft().result()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)

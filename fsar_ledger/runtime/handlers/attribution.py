@@ -1,0 +1,77 @@
+"""Which supervisor a record can name, and small readings of the state that several handlers need."""
+
+from typing import Any
+
+from ...events.envelope import FLEET_SUPERVISOR, local_supervisor
+from ...projections.execution import Action
+from ...projections.fold import State
+
+BODIES = ("A", "B", "D")  # roles whose bodies can clear an obstruction
+SUBSTITUTES = {"carry.package": "D", "handover.dropoff": "D"}  # capability -> role that can stand in
+
+
+def on_shift(state: State, robot: str) -> str | None:
+    """The robot's own supervisor H_i, or None while off shift. Paper: eq:supervision."""
+    supervisor = local_supervisor(robot)
+    return None if supervisor in state.world.off_shift else supervisor
+
+
+def supervisor_of(state: State, action: Action) -> str | None:
+    """The supervisor that the architecture can name for an execution."""
+    if not action.is_supervised:
+        return None
+    return FLEET_SUPERVISOR if state.fleet.architecture == "cfc" else on_shift(state, action.robot)
+
+
+def principals(state: State, action: Action) -> dict[str, Any]:
+    """The keywords with which a record names the principals of an execution."""
+    return {"requested_by": action.requested_by, "executed_by": action.executed_by, "supervised_by": supervisor_of(state, action)}
+
+
+def is_injected(action: Action) -> bool:
+    """True for the execution of an injected out-of-trust request, which is no step of any task."""
+    return action.step == 0
+
+
+def is_idle(state: State, robot: str) -> bool:
+    """True when nothing holds the robot."""
+    return robot not in state.execution.current
+
+
+def nearest_first(state: State, robots: list[str], near: str) -> tuple[str, ...]:
+    """The robots in order of team distance: the same team first, then cyclic."""
+    teams = max(1, state.fleet.size // 4)
+    home = state.fleet.robots[near].team
+    return tuple(sorted(robots, key=lambda name: ((state.fleet.robots[name].team - home) % teams, name)))
+
+
+def capable(state: State, capability: str, requester: str) -> tuple[str, ...]:
+    """Every other robot that has the capability, nearest team first. Paper: eq:possess."""
+    offers = state.registry.get(capability, ())
+    return nearest_first(state, [robot for robot, _ in offers if robot != requester], requester)
+
+
+def helpers(state: State, action: Action, cause: str) -> tuple[str, ...]:
+    """Every robot whose body could help with the failure, nearest team first. Paper: sec:model:recovery, level 2."""
+    if cause == "obstruction":
+        able = [name for name, robot in state.fleet.robots.items() if robot.role in BODIES and name != action.robot]
+        return nearest_first(state, able, action.robot)
+    return stand_ins(state, action)
+
+
+def stand_ins(state: State, action: Action) -> tuple[str, ...]:
+    """Every other robot that has the capability or can substitute for it, nearest team first."""
+    able = [robot for robot, _ in state.registry.get(action.capability, ()) if robot != action.robot]
+    role = SUBSTITUTES.get(action.capability)
+    able += [name for name, robot in state.fleet.robots.items() if robot.role == role and name != action.robot]
+    return nearest_first(state, able, action.robot)
+
+
+def pending_of_other_task(state: State, robot: str, task_id: str) -> str | None:
+    """The first delegated action of another task that is unfinished at the robot, if any."""
+    held = state.execution.current.get(robot)
+    for name in ((held,) if held else ()) + state.execution.queues.get(robot, ()):
+        action = state.execution.actions.get(name)
+        if action is not None and action.is_delegated and action.task_id != task_id:
+            return name
+    return None

@@ -1,0 +1,147 @@
+"""What bodies do, whoever governs them: turns, starts, obstructions, ends. Paper: sec:evaluation:simulator."""
+
+from typing import Any
+
+from ...events import Event
+from ...events.execution import (
+    ExecutionFailed,
+    ExecutionFinished,
+    ExecutionPaused,
+    ExecutionQueued,
+    ExecutionResumed,
+    ExecutionStarted,
+    ExecutionWithdrawn,
+)
+from ...events.recovery import AssistanceEnded, FailureResolved
+from ...events.world import ContextChanged, ObstructionAppeared
+from ...projections.execution import Action
+from ...projections.fold import State
+from .attribution import is_injected, principals
+from .commands import Decides, DetectObstruction, Draw, FinishAttempt, PauseAction, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn
+
+NAVIGATION = "navigate.indoor"
+
+
+def start_action(action_id: str, capability: str, after_us: int = 1, draws: tuple[Draw, ...] = ()) -> Scheduled:
+    """The action starts when the robot is ready; how long it takes is the world's."""
+    return Scheduled(StartAction(action_id), after_us, draws, Draw(capability, action_id))
+
+
+def started(state: State, action: Action, command: StartAction) -> ExecutionStarted:
+    """The fact that the action runs from now to its planned end."""
+    duration_us = state.fleet.structure.injected_execution_us if is_injected(action) else command.drawn
+    return ExecutionStarted(
+        action.task_id,
+        action.action_id,
+        **principals(state, action),
+        robot=action.robot,
+        on_behalf_of=action.on_behalf_of,
+        capability=action.capability,
+        ends_us=command.now_us + duration_us,
+    )
+
+
+def finish_attempt(state: State, command: FinishAttempt) -> tuple[Event, ...]:
+    """The execution has finished, or the degraded actuator has failed it at its end."""
+    action = state.execution.actions.get(command.action_id)
+    if action is None or action.stage != "running" or action.ends_us != command.ends_us:
+        return ()
+    if action.robot in state.world.degraded and action.capability != NAVIGATION and not command.drawn:
+        return (_failed(action, "degradation", command.now_us),)
+    return (_finished(state, action),)
+
+
+def detect_obstruction(state: State, command: DetectObstruction) -> tuple[Event, ...]:
+    """The running attempt has failed because something is in the way."""
+    action = state.execution.actions.get(command.action_id)
+    if action is None or action.stage != "running" or not state.world.obstructions.get(action.robot):
+        return ()
+    return (_failed(action, "obstruction", command.now_us),)
+
+
+def pause_action(state: State, command: PauseAction) -> tuple[Event, ...]:
+    """The robot has stopped to replan, if it still executes."""
+    action = state.execution.actions.get(command.action_id)
+    if action is None or action.stage != "running" or action.ends_us <= command.now_us:
+        return ()
+    return (ExecutionPaused(action.task_id, action.action_id, action.robot, action.ends_us - command.now_us),)
+
+
+def resume_action(state: State, command: ResumeAction) -> tuple[Event, ...]:
+    """The rest of the execution runs; without a rest it has finished."""
+    action = state.execution.actions.get(command.action_id)
+    if action is None or action.stage not in ("paused", "failed") or command.action_id in state.recovery:
+        return ()
+    if action.remaining_us == 0:
+        return (_finished(state, action),)
+    return (ExecutionResumed(action.task_id, action.action_id, action.robot, command.now_us + action.remaining_us),)
+
+
+def _failed(action: Action, cause: Any, now_us: int) -> ExecutionFailed:
+    remaining_us = max(0, action.ends_us - now_us)
+    return ExecutionFailed(action.task_id, action.action_id, action.robot, action.failures + 1, cause, remaining_us, now_us)
+
+
+def _finished(state: State, action: Action) -> ExecutionFinished:
+    return ExecutionFinished(action.task_id, action.action_id, **principals(state, action), robot=action.robot)
+
+
+def next_turn(state: State, robot: str) -> tuple[Scheduled, ...]:
+    """The action that now holds the robot takes its turn, if it has not yet."""
+    action = state.execution.actions.get(state.execution.current.get(robot, ""))
+    if action is None or action.stage != "queued":
+        return ()
+    if action.has_approach:
+        return (Scheduled(TakeTurn(action.action_id)),)
+    return (start_action(action.action_id, action.capability),)
+
+
+def _on_queue(state: State, event: ExecutionQueued | ExecutionFinished | ExecutionWithdrawn, _now_us: int) -> tuple[Scheduled, ...]:
+    if isinstance(event, ExecutionQueued) and state.execution.current.get(event.robot) != event.action_id:
+        return ()
+    return next_turn(state, event.robot)
+
+
+def _on_assistance_ended(state: State, event: AssistanceEnded, _now_us: int) -> tuple[Scheduled, ...]:
+    return next_turn(state, event.helper)
+
+
+def _on_running(state: State, event: ExecutionStarted | ExecutionResumed, now_us: int) -> tuple[Scheduled, ...]:
+    if state.world.obstructions.get(event.robot):
+        return (Scheduled(DetectObstruction(event.action_id)),)
+    segment = state.execution.actions[event.action_id].segments
+    finish = FinishAttempt(event.action_id, event.ends_us)
+    return (Scheduled(finish, max(1, event.ends_us - now_us), ask=Draw("reliability", f"{event.action_id}/{segment}")),)
+
+
+def _on_obstruction(state: State, event: ObstructionAppeared, _now_us: int) -> tuple[Scheduled, ...]:
+    action = state.execution.actions.get(state.execution.current.get(event.robot, ""))
+    return (Scheduled(DetectObstruction(action.action_id)),) if action is not None and action.stage == "running" else ()
+
+
+def pause_running(state: State, event: ContextChanged, _now_us: int) -> tuple[Scheduled, ...]:
+    """A robot whose context changes while it executes stops to replan."""
+    action = state.execution.actions.get(state.execution.current.get(event.robot, ""))
+    return (Scheduled(PauseAction(action.action_id)),) if action is not None and action.stage == "running" else ()
+
+
+def _on_resolved(_state: State, event: FailureResolved, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(ResumeAction(event.action_id)),)
+
+
+DECIDES: Decides = {
+    FinishAttempt: finish_attempt,
+    DetectObstruction: detect_obstruction,
+    PauseAction: pause_action,
+    ResumeAction: resume_action,
+}
+REACTS: Reacts = {
+    ExecutionQueued: _on_queue,
+    ExecutionFinished: _on_queue,
+    ExecutionWithdrawn: _on_queue,
+    AssistanceEnded: _on_assistance_ended,
+    ExecutionStarted: _on_running,
+    ExecutionResumed: _on_running,
+    ObstructionAppeared: _on_obstruction,
+    FailureResolved: _on_resolved,
+}

@@ -1,0 +1,45 @@
+"""Tasks go through their steps, whoever governs them. Paper: sec:evaluation:scenarios."""
+
+from ...events import Event
+from ...events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted
+from ...events.world import TaskArrived
+from ...projections.fold import State
+from .commands import BeginStep, CompleteStep, Decides, Reacts, Scheduled
+
+
+def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
+    """The task has begun its next step, is completed, or has been given up after twice its budget."""
+    task = state.task.get(command.task_id)
+    if task is None:
+        return ()
+    if task.step == len(task.steps):
+        return (TaskCompleted(task.task_id),)
+    if command.now_us > task.due_us + (state.fleet.structure.expiry_budgets - 1) * task.budget_us:
+        return (TaskAbandoned(task.task_id),)
+    actor, capability, *target = task.steps[task.step].split(" ")
+    attempt = task.attempt + 1
+    return (
+        StepBegan(
+            task.task_id,
+            f"{task.task_id}/{task.step + 1}.{attempt}",
+            f"robot/{actor}{task.team}",
+            task.step + 1,
+            attempt,
+            capability,
+            target[0] if target else None,
+        ),
+    )
+
+
+def complete_step(state: State, command: CompleteStep) -> tuple[Event, ...]:
+    """The step is done, unless it was already."""
+    request = state.request.get(command.action_id)
+    return () if request is None else (StepCompleted(request.task_id, request.action_id),)
+
+
+def _begin(_state: State, event: TaskArrived | StepCompleted, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(BeginStep(event.task_id)),)
+
+
+DECIDES: Decides = {BeginStep: begin_step, CompleteStep: complete_step}
+REACTS: Reacts = {TaskArrived: _begin, StepCompleted: _begin}

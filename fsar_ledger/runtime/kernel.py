@@ -1,0 +1,122 @@
+"""The clock: pops the next command or fact in the total order (time, priority, serial) and records what it makes.
+
+Facts of the world come before commands of the same instant. A command never runs at the instant at which
+it was scheduled, and two commands of one cause never share an instant; so (caused_by, time_us) of the first
+event of a batch names the command that made it, and a run can be resumed from its events alone. The further
+events of a batch are caused by its first.
+"""
+
+from collections.abc import Sequence
+from heapq import heappop, heappush
+
+from ..events import Event
+from ..projections.fold import ROUTES, State
+from .architectures.wiring import Wiring
+from .handlers.commands import Command, Draw
+from .world.draws import Draws
+from .world.schedule import Fact
+
+LATEST_US = 3_600_000_000  # no run of the model takes an hour of run time; one that does is a bug
+
+
+class Kernel:
+    """One run in progress: what was recorded, the state it makes, and the commands that are pending."""
+
+    def __init__(self, wiring: Wiring, facts: Sequence[Fact], draws: Draws, founding: Sequence[Event]) -> None:
+        self.times_us: list[int] = []
+        self.caused_by: list[int | None] = []
+        self.events: list[Event] = []
+        self.state = State()
+        self._wiring = wiring
+        self._facts = facts
+        self._next_fact = 0
+        self._draws = draws
+        self._pending: list[tuple[int, int, int, Command, Draw | None]] = []
+        self._serial = 0
+        self._batch(founding, 0, None)
+
+    def run(self) -> None:
+        """Nothing is left to happen."""
+        facts, count, pending, decides = self._facts, len(self._facts), self._pending, self._wiring.decides
+        position = self._next_fact
+        while True:
+            if position < count and (not pending or facts[position][0] <= pending[0][0]):
+                time_us, fact = facts[position]
+                position += 1
+                self._record(fact, time_us, 0)
+            elif pending:
+                time_us, _, cause, command, ask = heappop(pending)
+                if time_us > LATEST_US:
+                    raise RuntimeError(f"the run does not end: {command} is due at {time_us} microseconds, caused by event {cause}")
+                command.now_us = time_us
+                if ask is not None:
+                    command.drawn = self._draws.value(*ask)
+                events = decides[type(command)](self.state, command)
+                if events:
+                    self._batch(events, time_us, cause)
+            else:
+                self._next_fact = position
+                return
+
+    def restore(self, times_us: Sequence[int], caused_by: Sequence[int | None], events: Sequence[Event]) -> None:
+        """The run stands before the last batch of these recorded events; `run` makes that batch again and goes on.
+
+        The first event must be the founding batch's that this kernel was made with.
+        """
+        end = len(events) - 1
+        while end > 0 and _is_same_batch(times_us, caused_by, end):
+            end -= 1
+        for seq in range(len(self.events), end):
+            cause = caused_by[seq]
+            if not _is_same_batch(times_us, caused_by, seq):
+                self._discard_until(times_us[seq], cause)
+            self._record(events[seq], times_us[seq], cause)
+        if end < len(events):
+            self._discard_before(times_us[end], caused_by[end])
+
+    def _discard_until(self, time_us: int, cause: int | None) -> None:
+        """Pops the command that made the recorded batch, and those before it that made nothing."""
+        if cause == 0:
+            self._next_fact += 1
+            while self._pending and self._pending[0][0] < time_us:
+                heappop(self._pending)
+            return
+        self._discard_before(time_us, cause)
+        heappop(self._pending)
+
+    def _discard_before(self, time_us: int, cause: int | None) -> None:
+        while self._pending and (self._pending[0][0] < time_us or (cause != 0 and self._pending[0][0] == time_us and self._pending[0][2] != cause)):
+            heappop(self._pending)
+
+    def _batch(self, events: Sequence[Event], time_us: int, cause: int | None) -> None:
+        first = len(self.events)
+        for event in events:
+            self._record(event, time_us, cause)
+            cause = first
+
+    def _record(self, event: Event, time_us: int, cause: int | None) -> None:
+        state = self.state
+        seq = len(self.events)
+        self.times_us.append(time_us)
+        self.caused_by.append(cause)
+        self.events.append(event)
+        kind = type(event)
+        for slot, evolve in ROUTES.get(kind, ()):
+            setattr(state, slot, evolve(getattr(state, slot), event))
+        taken: set[int] = set()
+        for react in self._wiring.reacts.get(kind, ()):
+            for command, after_us, draws, ask in react(state, event, time_us):
+                due_us = time_us + after_us
+                for draw in draws:
+                    due_us += self._draws.value(*draw)
+                while due_us in taken or due_us <= time_us:
+                    due_us += 1
+                taken.add(due_us)
+                self._serial += 1
+                heappush(self._pending, (due_us, self._serial, seq, command, ask))
+
+
+def _is_same_batch(times_us: Sequence[int], caused_by: Sequence[int | None], seq: int) -> bool:
+    """True when the event belongs to the batch of the event before it."""
+    cause = caused_by[seq]
+    return cause is not None and times_us[cause] == times_us[seq]

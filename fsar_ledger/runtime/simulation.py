@@ -1,0 +1,86 @@
+"""One run: from its parameters to its events."""
+
+from functools import lru_cache
+from hashlib import sha256
+from importlib import import_module
+from typing import get_args
+
+import msgspec
+
+from ..constants import Constants
+from ..events.envelope import Architecture, Configuration, Scenario
+from ..events.fleet import RunStarted
+from ..ledger.codec import RunRecord
+from .architectures.wiring import Wiring
+from .kernel import Kernel
+from .world.draws import Draws, run_key
+from .world.scenarios import founding
+from .world.schedule import schedule
+
+MODEL_VERSION = "1"
+
+ARCHITECTURES: tuple[Architecture, ...] = get_args(Architecture)
+CONFIGURATIONS: tuple[Configuration, ...] = get_args(Configuration)
+SCENARIOS: tuple[Scenario, ...] = get_args(Scenario)
+
+
+class RunSpec(msgspec.Struct, frozen=True):
+    """What makes a run the run it is; another value anywhere is another run."""
+
+    seed: int
+    architecture: Architecture
+    configuration: Configuration
+    scenario: Scenario
+    fleet_size: int
+    run: int
+
+
+@lru_cache(maxsize=8)
+def _parameters(constants: Constants) -> str:
+    return msgspec.json.encode(constants, order="deterministic").decode()
+
+
+def wiring(architecture: Architecture) -> Wiring:
+    """The architecture's handlers and reactions."""
+    module = import_module(f".architectures.{architecture}", __package__)
+    found: Wiring = getattr(module, architecture.upper())
+    return found
+
+
+def run_started(spec: RunSpec, constants: Constants) -> RunStarted:
+    """Event 0 of the run."""
+    return RunStarted(
+        "simulated",
+        spec.seed,
+        spec.architecture,
+        spec.configuration,
+        spec.scenario,
+        spec.fleet_size,
+        spec.run,
+        MODEL_VERSION,
+        _parameters(constants),
+    )
+
+
+def run_id(started: RunStarted) -> str:
+    """A readable name and a digest of all parameters, so that other parameters are another run."""
+    digest = sha256(msgspec.json.encode(started, order="sorted")).hexdigest()[:12]
+    name = f"{started.architecture}.{started.configuration}.{started.scenario}.n{started.fleet_size}.s{started.seed}.r{started.run:04d}"
+    return f"{name}-{digest}"
+
+
+def kernel(spec: RunSpec, constants: Constants) -> Kernel:
+    """The run at its founding, before the world has done anything."""
+    facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size)
+    draws = Draws(run_key(spec.seed, spec.scenario, spec.run), constants.world)
+    return Kernel(wiring(spec.architecture), facts, draws, (run_started(spec, constants), *_founding(spec.fleet_size)))
+
+
+_founding = lru_cache(maxsize=4)(founding)
+
+
+def simulate_run(spec: RunSpec, constants: Constants) -> RunRecord:
+    """The whole run."""
+    one = kernel(spec, constants)
+    one.run()
+    return RunRecord(run_id(run_started(spec, constants)), one.times_us, one.caused_by, one.events)

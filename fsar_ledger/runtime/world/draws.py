@@ -1,0 +1,70 @@
+"""Draws: pure functions of what they serve.
+
+A draw is the BLAKE2b hash of its name under the key of the run, so it does not depend on what was drawn
+before, on any other stream, or on the architecture. No name contains an architecture or a configuration.
+"""
+
+import struct
+from hashlib import blake2b
+from math import log
+
+from ...constants import Range, WorldConstants
+
+_SHARE = 2.0**-53
+_BLOCK = struct.Struct("<8Q")
+_ONE = struct.Struct("<Q")
+
+
+def run_key(seed: int, scenario: str, run: int) -> bytes:
+    """The key under which all draws of one run are made."""
+    return blake2b(f"{seed}|{len(scenario)}:{scenario}|{run}".encode(), digest_size=32).digest()
+
+
+class Stream:
+    """An endless row of uniform draws in [0, 1) under one name, for schedules that need many."""
+
+    __slots__ = ("_block", "_buffer", "_key")
+
+    def __init__(self, key: bytes, name: str) -> None:
+        self._key = blake2b(name.encode(), digest_size=32, key=key).digest()
+        self._block = 0
+        self._buffer: list[float] = []
+
+    def uniform(self) -> float:
+        """The next draw in [0, 1)."""
+        if not self._buffer:
+            words = _BLOCK.unpack(blake2b(self._block.to_bytes(8, "little"), key=self._key).digest())
+            self._buffer = [(word >> 11) * _SHARE for word in reversed(words)]
+            self._block += 1
+        return self._buffer.pop()
+
+    def within_us(self, law: Range) -> int:
+        """A uniform length of time. Units: microseconds."""
+        return round((law.low_s + (law.high_s - law.low_s) * self.uniform()) * 1e6)
+
+    def exponential_us(self, mean_s: float) -> int:
+        """An exponential length of time, at least one microsecond."""
+        return max(1, round(-log(1.0 - self.uniform()) * mean_s * 1e6))
+
+
+class Draws:
+    """Draws met on the way, named by stream and by the task, step, attempt and hop they serve."""
+
+    __slots__ = ("_hash", "_laws", "_reliability")
+
+    def __init__(self, key: bytes, world: WorldConstants) -> None:
+        self._hash = blake2b(digest_size=8, key=key)
+        self._reliability = world.degraded_reliability
+        laws = {"message": world.message, "approach": world.approach, "retry": world.retry, "response": world.response, **dict(world.durations)}
+        self._laws = {stream: (law.low_s * 1e6, (law.high_s - law.low_s) * 1e6 * _SHARE) for stream, law in laws.items()}
+
+    def value(self, stream: str, key: str, share_ppm: int = 1_000_000) -> int:
+        """The draw: a length of time in microseconds, or for `reliability` 1 when a degraded actuator holds, else 0."""
+        digest = self._hash.copy()
+        digest.update(f"{stream}|{key}".encode())
+        word: int = _ONE.unpack(digest.digest())[0] >> 11
+        if stream == "reliability":
+            return int(word * _SHARE < self._reliability)
+        low_us, scale = self._laws[stream]
+        length_us = round(low_us + scale * word)
+        return length_us if share_ppm == 1_000_000 else length_us * share_ppm // 1_000_000

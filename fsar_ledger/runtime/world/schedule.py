@@ -1,0 +1,156 @@
+"""The schedule: everything the world does by itself, generated before the run, whatever happens in it.
+
+It is a function of constants, seed, scenario, run and fleet size. Each robot's streams are its own, so
+another draw in one stream moves no other.
+"""
+
+from functools import lru_cache
+from itertools import combinations
+
+from ...constants import WorldConstants
+from ...events import Event
+from ...events.envelope import PolicyOutcome, PolicyScope, Scenario, local_supervisor
+from ...events.world import (
+    ActuatorDegraded,
+    ContextChanged,
+    ObstructionAppeared,
+    ObstructionCleared,
+    OutsiderRequestInjected,
+    PeersMet,
+    PolicyWindowClosed,
+    PolicyWindowOpened,
+    RoutineDue,
+    SnapshotPhaseSet,
+    SupervisorLeft,
+    SupervisorReturned,
+    SyncPhaseSet,
+    TaskArrived,
+)
+from .draws import Stream, run_key
+from .scenarios import DEGRADABLE, INJECTIONS, TASKS, robots
+
+Fact = tuple[int, Event]  # run time in microseconds, what happens
+
+
+@lru_cache(maxsize=4)
+def schedule(world: WorldConstants, seed: int, scenario: Scenario, run: int, fleet_size: int) -> tuple[Fact, ...]:
+    """All facts of the run in order of time; no two at the same microsecond."""
+    key = run_key(seed, scenario, run)
+    members = robots(fleet_size)
+    facts: list[Fact] = [(1, SyncPhaseSet(round(Stream(key, "sync-phase").uniform() * 1e6)))]
+    for name, _, _ in members:
+        facts.append((1, SnapshotPhaseSet(name, round(Stream(key, f"snapshot-phase/{name}").uniform() * 1e6))))
+        facts += _contexts(world, key, name)
+        facts += _fleet_rules(world, key, name)
+        facts += _obstructions(world, key, name)
+        facts += _routine(world, key, name)
+        facts += _absence(world, key, name)
+    for one, other in combinations([name for name, _, _ in members], 2):
+        facts += _encounters(world, key, one, other)
+    for team in range(1, fleet_size // 4 + 1):
+        facts += _tasks(world, key, scenario, team)
+    facts.sort(key=lambda fact: fact[0])
+    return _apart(facts)
+
+
+def _apart(facts: list[Fact]) -> tuple[Fact, ...]:
+    """The facts, each at a microsecond of its own."""
+    apart: list[Fact] = []
+    last_us = 0
+    for time_us, event in facts:
+        last_us = max(time_us, last_us + 1)
+        apart.append((last_us, event))
+    return tuple(apart)
+
+
+def _arrivals(stream: Stream, mean_s: float, until_s: float) -> list[int]:
+    """The instants of a Poisson process with this mean distance. Units: microseconds."""
+    instants, time_us, until_us = [], stream.exponential_us(mean_s), round(until_s * 1e6)
+    while time_us < until_us:
+        instants.append(time_us)
+        time_us += stream.exponential_us(mean_s)
+    return instants
+
+
+def _window(world: WorldConstants, stream: Stream, robot: str, scope: PolicyScope, name: str, opened_us: int) -> list[Fact]:
+    outcome: PolicyOutcome = "review" if stream.uniform() < world.review_share else "deny"
+    closed_us = opened_us + stream.exponential_us(world.window_mean_s)
+    return [(opened_us, PolicyWindowOpened(robot, scope, name, outcome)), (closed_us, PolicyWindowClosed(robot, scope, name))]
+
+
+def _contexts(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
+    instants = _arrivals(Stream(key, f"context/{robot}"), 1 / world.context_rate_per_s, world.horizon_s)
+    marks = Stream(key, f"context-window/{robot}")
+    facts: list[Fact] = []
+    for ordinal, time_us in enumerate(instants):
+        if marks.uniform() < world.context_window_share:
+            name = f"local/{robot[6:]}/{ordinal}"
+            facts.append((time_us, ContextChanged(robot, name)))
+            facts += _window(world, Stream(key, f"window/{name}"), robot, "local", name, time_us + 1)
+        else:
+            facts.append((time_us, ContextChanged(robot)))
+    return facts
+
+
+def _fleet_rules(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
+    facts: list[Fact] = []
+    for ordinal, time_us in enumerate(_arrivals(Stream(key, f"fleet-rule/{robot}"), 1 / world.fleet_rule_rate_per_s, world.horizon_s)):
+        name = f"fleet/{robot[6:]}/{ordinal}"
+        facts += _window(world, Stream(key, f"window/{name}"), robot, "fleet", name, time_us)
+    return facts
+
+
+def _obstructions(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
+    lengths = Stream(key, f"obstruction-length/{robot}")
+    facts: list[Fact] = []
+    for ordinal, time_us in enumerate(_arrivals(Stream(key, f"obstruction/{robot}"), 1 / world.obstruction_rate_per_s, world.horizon_s)):
+        name = f"obstruction/{robot[6:]}/{ordinal}"
+        facts.append((time_us, ObstructionAppeared(robot, name)))
+        facts.append((time_us + lengths.exponential_us(world.obstruction_mean_s), ObstructionCleared(robot, name)))
+    return facts
+
+
+def _routine(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
+    marks = Stream(key, f"routine-operation/{robot}")
+    instants = _arrivals(Stream(key, f"routine/{robot}"), 1 / world.routine_rate_per_s, world.routine_until_s)
+    return [(time_us, RoutineDue(robot, "motion" if marks.uniform() < world.motion_share else "sensing")) for time_us in instants]
+
+
+def _absence(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
+    start_s = world.absence_from_s + (world.absence_to_s - world.absence_from_s) * Stream(key, f"absence/{robot}").uniform()
+    left_us, returned_us = round(start_s * 1e6), round((start_s + world.absence_s) * 1e6)
+    if returned_us <= 0:
+        return []
+    supervisor = local_supervisor(robot)
+    return [(max(1, left_us), SupervisorLeft(supervisor)), (returned_us, SupervisorReturned(supervisor))]
+
+
+def _encounters(world: WorldConstants, key: bytes, one: str, other: str) -> list[Fact]:
+    instants = _arrivals(Stream(key, f"encounter/{one}/{other}"), world.encounter_mean_s, world.horizon_s)
+    return [(time_us, PeersMet(one, other)) for time_us in instants]
+
+
+def _tasks(world: WorldConstants, key: bytes, scenario: Scenario, team: int) -> list[Fact]:
+    facts: list[Fact] = []
+    start_us = Stream(key, f"start/{team}").within_us(world.start)
+    for ordinal, script in enumerate(TASKS[scenario], start=1):
+        task_id = f"{script.owner}{team}-{ordinal}"
+        arrival_us = start_us + round(script.offset_s * 1e6) + Stream(key, f"jitter/{task_id}").within_us(world.jitter)
+        delegated = sum(step.count(" ") == 2 for step in script.steps)
+        budget_s = world.budget_base_s + world.budget_delegated_s * delegated + world.budget_own_s * (len(script.steps) - delegated)
+        budget_us = round(budget_s * 1e6)
+        facts.append((arrival_us, TaskArrived(task_id, f"robot/{script.owner}{team}", team, script.steps, budget_us, arrival_us + budget_us)))
+    for injection in INJECTIONS.get(scenario, ()):
+        for ordinal in range(1, injection.times + 1):
+            name = f"injected-{team}-{ordinal}"
+            time_us = Stream(key, f"injection/{name}").within_us(world.injection)
+            requester, target = f"robot/{injection.requester}{team}", f"robot/{injection.target}{team}"
+            facts.append((time_us, OutsiderRequestInjected(name, requester, target, injection.capability)))
+    roles = DEGRADABLE.get(scenario, ())
+    if roles:
+        stream = Stream(key, f"degradation/{team}")
+        happens, which, onset = stream.uniform() < world.degradation_probability, stream.uniform(), stream.uniform()
+        if happens:
+            robot = f"robot/{roles[int(which * len(roles))]}{team}"
+            facts.append((max(1, round(onset * world.degradation_onset_s * 1e6)), ActuatorDegraded(robot)))
+    return facts

@@ -1,0 +1,43 @@
+-- Title: Claims of authority, from when to when
+-- Paper: eq:auth
+-- Grain: one row per AuthorityClaimed event
+-- Units: began_us, ended_us microseconds of run time, half-open: a claim no longer holds at ended_us
+-- NULL: ended_us when the claim was never released; task_id when the claim is about no task
+-- Example: fsar-ledger query facts/claims LEDGER
+WITH edges AS (
+    SELECT
+        run_id,
+        seq,
+        time_us,
+        type,
+        task_id,
+        action_id,
+        dimension,
+        claimant
+    FROM events
+    WHERE type IN ('AuthorityClaimed.v1', 'AuthorityReleased.v1')
+),
+
+paired AS (
+    SELECT
+        *,
+        -- The first later release, whatever claims lie between: a claim that is repeated ends with the one before it.
+        first_value(CASE WHEN type = 'AuthorityReleased.v1' THEN time_us END IGNORE NULLS) OVER (
+            PARTITION BY run_id, action_id, dimension, claimant
+            ORDER BY seq
+            ROWS BETWEEN 1 FOLLOWING AND UNBOUNDED FOLLOWING
+        ) AS ended_us
+    FROM edges
+)
+
+SELECT
+    run_id,
+    seq,
+    task_id,
+    action_id,
+    dimension,
+    claimant,
+    time_us AS began_us,
+    ended_us
+FROM paired
+WHERE type = 'AuthorityClaimed.v1'

@@ -1,0 +1,21 @@
+-- Title: Authority conflicts
+-- Paper: sec:evaluation:metrics
+-- Grain: one row per run
+-- Units: numerator and value conflicts (one per action and dimension); denominator 1 (the run)
+-- NULL: never
+-- Example: fsar-ledger query metrics/authority_conflicts LEDGER
+WITH judged AS (
+    SELECT
+        run_id,
+        count(*) AS numerator
+    FROM conflicts
+    GROUP BY run_id
+)
+
+SELECT
+    runs.run_id,
+    coalesce(judged.numerator, 0)::BIGINT AS numerator,
+    1::BIGINT AS denominator,
+    coalesce(judged.numerator, 0)::DOUBLE AS value
+FROM runs
+LEFT JOIN judged ON runs.run_id = judged.run_id

@@ -1,0 +1,32 @@
+-- Title: Coordination success
+-- Paper: sec:evaluation:metrics
+-- Grain: one row per run
+-- Units: numerator tasks completed within their budget; denominator tasks; value share
+-- NULL: value of a run without tasks
+-- Example: fsar-ledger query metrics/coordination_success LEDGER
+WITH completions AS (
+    SELECT
+        run_id,
+        task_id,
+        min(time_us) AS completed_us
+    FROM task_completed
+    GROUP BY run_id, task_id
+),
+
+tasks AS (
+    SELECT
+        arrived.run_id,
+        count(*) AS denominator,
+        count_if(completions.completed_us - arrived.time_us <= arrived.budget_us) AS numerator
+    FROM task_arrived AS arrived
+    LEFT JOIN completions ON arrived.run_id = completions.run_id AND arrived.task_id = completions.task_id
+    GROUP BY arrived.run_id
+)
+
+SELECT
+    runs.run_id,
+    coalesce(tasks.numerator, 0)::BIGINT AS numerator,
+    coalesce(tasks.denominator, 0)::BIGINT AS denominator,
+    tasks.numerator / nullif(tasks.denominator, 0) AS value
+FROM runs
+LEFT JOIN tasks ON runs.run_id = tasks.run_id

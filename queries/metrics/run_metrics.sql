@@ -1,0 +1,60 @@
+-- Title: The eight metrics of every run
+-- Paper: sec:evaluation:metrics
+-- Grain: one row per run and metric
+-- Units: value share, count or seconds, as the metric says; numerator and denominator as in the metric's own query
+-- NULL: value where the metric is undefined for the run; published_convention_value then is what the paper counts (containment 1, latency 0 s), else NULL
+-- Example: fsar-ledger query metrics/run_metrics LEDGER
+-- Stored: the summary and every statistic read it several times
+WITH measured AS (
+    SELECT
+        'coordination_success' AS metric,
+        *
+    FROM coordination_success
+    UNION ALL
+    SELECT
+        'governance_locality' AS metric,
+        *
+    FROM governance_locality
+    UNION ALL
+    SELECT
+        'recovery_containment' AS metric,
+        *
+    FROM recovery_containment
+    UNION ALL
+    SELECT
+        'authority_conflicts' AS metric,
+        *
+    FROM authority_conflicts
+    UNION ALL
+    SELECT
+        'policy_violations' AS metric,
+        *
+    FROM policy_violations
+    UNION ALL
+    SELECT
+        'reassignment_latency_s' AS metric,
+        *
+    FROM reassignment_latency_s
+    UNION ALL
+    SELECT
+        'human_intervention' AS metric,
+        *
+    FROM human_intervention
+    UNION ALL
+    SELECT
+        'audit_attributability' AS metric,
+        *
+    FROM audit_attributability
+)
+
+SELECT
+    runs.*,
+    definitions.position,
+    measured.metric,
+    measured.value,
+    measured.numerator,
+    measured.denominator,
+    coalesce(measured.value, definitions.published_value) AS published_convention_value
+FROM runs
+INNER JOIN measured ON runs.run_id = measured.run_id
+INNER JOIN metric_definitions AS definitions ON measured.metric = definitions.metric

@@ -1,0 +1,37 @@
+-- Title: All tests of all comparisons, on both bases
+-- Paper: tab:significance
+-- Grain: one row per basis, configuration, fleet size, metric and comparison
+-- Units: as in the queries that it joins
+-- NULL: as in the queries that it joins; McNemar columns for metrics that are not 0 or 1 per run
+-- Example: fsar-ledger query statistics/all_pairwise_tests LEDGER
+SELECT
+    t_tests.basis,
+    t_tests.configuration,
+    t_tests.fleet_size,
+    t_tests.position,
+    t_tests.metric,
+    t_tests.comparison,
+    t_tests.n,
+    t_tests.first_mean,
+    t_tests.second_mean,
+    t_tests.mean_difference,
+    t_tests.t,
+    t_tests.df,
+    t_tests.p,
+    holm.p_holm,
+    t_tests.cohens_d,
+    t_tests.d_z,
+    t_tests.hedges_g,
+    t_tests.g_ci_low,
+    t_tests.g_ci_high,
+    ranks.wilcoxon_n,
+    ranks.wilcoxon_w,
+    ranks.wilcoxon_z,
+    ranks.wilcoxon_p,
+    mcnemar.mcnemar_first_only,
+    mcnemar.mcnemar_second_only,
+    mcnemar.mcnemar_p
+FROM paired_t_tests AS t_tests
+LEFT JOIN holm_adjustments AS holm ON t_tests.test = holm.test
+LEFT JOIN wilcoxon_tests AS ranks ON t_tests.test = ranks.test
+LEFT JOIN mcnemar_tests AS mcnemar ON t_tests.test = mcnemar.test

@@ -1,0 +1,23 @@
+-- Title: Exact McNemar tests of the one metric that is 0 or 1 per run
+-- Paper: sec:evaluation:significance
+-- Grain: one row per test (basis, configuration, fleet size, comparison) with at least one pair
+-- Units: mcnemar_first_only, mcnemar_second_only pairs in which only that architecture called the fleet supervisor
+-- NULL: never; mcnemar_p is 1 when no pair differs
+-- Example: fsar-ledger query statistics/mcnemar_tests LEDGER
+WITH discordant AS (
+    SELECT
+        test,
+        count_if(difference_ppb > 0)::BIGINT AS mcnemar_first_only,
+        count_if(difference_ppb < 0)::BIGINT AS mcnemar_second_only
+    FROM paired_differences
+    WHERE metric = 'human_intervention'
+    GROUP BY test
+)
+
+SELECT
+    *,
+    binomial_half_sf2(
+        least(mcnemar_first_only, mcnemar_second_only)::DOUBLE,
+        (mcnemar_first_only + mcnemar_second_only)::DOUBLE
+    ) AS mcnemar_p
+FROM discordant

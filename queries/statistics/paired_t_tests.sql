@@ -1,0 +1,76 @@
+-- Title: Paired t-tests with effect sizes
+-- Paper: tab:significance
+-- Grain: one row per basis, configuration, fleet size, metric and comparison with at least one pair
+-- Units: means and mean_difference in the metric's unit; cohens_d in pooled standard deviations (as published, with sign), d_z in standard
+--        deviations of the differences; hedges_g = J * cohens_d with J = 1 - 3 / (4 df - 1) and a 95 % interval from its variance for correlated
+--        pairs, J^2 * (1 / n + d^2 / 2n) * 2 (1 - r)
+-- NULL: t, p, d_z when all differences are equal (or one pair); cohens_d, hedges_g when neither side varies; the interval also when one side does not
+-- Example: fsar-ledger query statistics/paired_t_tests LEDGER
+WITH moments AS (
+    SELECT
+        test,
+        basis,
+        configuration,
+        fleet_size,
+        position,
+        metric,
+        comparison,
+        count(*) AS n,
+        min(difference_ppb) < max(difference_ppb) AS differences_vary,
+        avg(first_value ORDER BY first_run_id, second_run_id) AS first_mean,
+        avg(second_value ORDER BY first_run_id, second_run_id) AS second_mean,
+        avg(difference ORDER BY first_run_id, second_run_id) AS mean_difference,
+        stddev_samp(first_value ORDER BY first_run_id, second_run_id) AS first_sd,
+        stddev_samp(second_value ORDER BY first_run_id, second_run_id) AS second_sd,
+        stddev_samp(difference ORDER BY first_run_id, second_run_id) AS difference_sd
+    FROM paired_differences
+    GROUP BY test, basis, configuration, fleet_size, position, metric, comparison
+),
+
+effects AS (
+    SELECT
+        *,
+        n - 1 AS df,
+        CASE WHEN differences_vary THEN mean_difference / difference_sd END AS d_z,
+        sqrt((first_sd * first_sd + second_sd * second_sd) / 2) AS pooled_sd,
+        (first_sd * first_sd + second_sd * second_sd - difference_sd * difference_sd) / nullif(2 * first_sd * second_sd, 0) AS r
+    FROM moments
+),
+
+sizes AS (
+    SELECT
+        *,
+        CASE WHEN pooled_sd > 1e-12 THEN mean_difference / pooled_sd END AS cohens_d,
+        CASE WHEN df > 0 THEN 1 - 3.0::DOUBLE / (4 * df - 1) END AS correction
+    FROM effects
+),
+
+widths AS (
+    SELECT
+        *,
+        -- greatest() would take a missing r for 0; rounding may leave r a little over 1.
+        norm_quantile(0.975) * correction * sqrt((1.0::DOUBLE / n + cohens_d * cohens_d / (2 * n)) * 2 * CASE WHEN r > 1 THEN 0 ELSE 1 - r END) AS g_half_width
+    FROM sizes
+)
+
+SELECT
+    test,
+    basis,
+    configuration,
+    fleet_size,
+    position,
+    metric,
+    comparison,
+    n,
+    first_mean,
+    second_mean,
+    mean_difference,
+    d_z * sqrt(n) AS t,
+    df,
+    t_sf2(d_z * sqrt(n), df::DOUBLE) AS p,
+    cohens_d,
+    d_z,
+    correction * cohens_d AS hedges_g,
+    correction * cohens_d - g_half_width AS g_ci_low,
+    correction * cohens_d + g_half_width AS g_ci_high
+FROM widths

@@ -1,0 +1,50 @@
+-- Title: Wilcoxon signed-rank tests
+-- Paper: sec:evaluation:significance
+-- Grain: one row per test (basis, configuration, fleet size, metric, comparison) with at least one pair
+-- Units: n pairs that differ (zeros are dropped); w the smaller rank sum; z of the rank sum of positive differences, variance corrected for ties,
+--        no continuity correction. Ranks are average ranks of the absolute differences in billionths of the metric's unit
+-- NULL: w, z, p when no pair differs
+-- Example: fsar-ledger query statistics/wilcoxon_tests LEDGER
+WITH tests AS (
+    SELECT DISTINCT test
+    FROM paired_differences
+),
+
+ranked AS (
+    SELECT
+        test,
+        difference_ppb,
+        count(*) OVER ties AS tied,
+        -- Twice the average rank, an integer: sums of it are exact.
+        2 * rank() OVER (PARTITION BY test ORDER BY abs(difference_ppb)) + count(*) OVER ties - 1 AS rank_x2
+    FROM paired_differences
+    WHERE difference_ppb <> 0
+    WINDOW ties AS (PARTITION BY test, abs(difference_ppb))
+),
+
+sums AS (
+    SELECT
+        test,
+        count(*) AS n,
+        coalesce(sum(rank_x2) FILTER (WHERE difference_ppb > 0), 0)::BIGINT / 2 AS positive,
+        coalesce(sum(rank_x2) FILTER (WHERE difference_ppb < 0), 0)::BIGINT / 2 AS negative,
+        sum(tied * tied - 1)::DOUBLE AS tie_term
+    FROM ranked
+    GROUP BY test
+),
+
+scores AS (
+    SELECT
+        *,
+        (positive - n * (n + 1) / 4) / sqrt(n::DOUBLE * (n + 1) * (2 * n + 1) / 24 - tie_term / 48) AS z
+    FROM sums
+)
+
+SELECT
+    tests.test,
+    coalesce(scores.n, 0) AS wilcoxon_n,
+    least(scores.positive, scores.negative) AS wilcoxon_w,
+    scores.z AS wilcoxon_z,
+    norm_sf2(scores.z) AS wilcoxon_p
+FROM tests
+LEFT JOIN scores ON tests.test = scores.test

@@ -1,0 +1,62 @@
+"""Commands as users call them: in a process of their own, or (quicker) in this one."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from fsar_ledger import cli
+
+
+class Called(NamedTuple):
+    """What a command answered."""
+
+    code: int
+    out: str
+    err: str
+
+
+Call = Callable[..., Called]
+
+SMALL = ("--scenario", "door-relay", "--scenario", "failure-recovery-chain", "--runs", "2", "--seed", "7", "--workers", "1")
+
+
+def in_a_process(*arguments: object, cwd: Path | None = None, surroundings: Mapping[str, str] = {}) -> Called:
+    command = [sys.executable, "-m", "fsar_ledger", *map(str, arguments)]
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, env={**os.environ, **surroundings})
+    return Called(done.returncode, done.stdout, done.stderr)
+
+
+@pytest.fixture
+def call(capsys: pytest.CaptureFixture[str]) -> Call:
+    """Runs a command in this process."""
+
+    def run(*arguments: object) -> Called:
+        capsys.readouterr()
+        code = cli.run([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return Called(code, captured.out, captured.err)
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A small ledger that tests may read but not change: two scenarios, two runs, three architectures."""
+    path = tmp_path_factory.mktemp("cli") / "out" / "ledger"
+    called = in_a_process("simulate", path, *SMALL)
+    assert called.code == 0, called.err
+    return path
+
+
+def one_message(called: Called, code: int, *parts: str) -> None:
+    """The command ended with this exit code and one message on stderr that holds these parts, and no traceback."""
+    assert (called.code, "Traceback" in called.err) == (code, False), called.err
+    assert called.err.startswith("fsar-ledger: ")
+    assert len(called.err.splitlines()) == 1, called.err
+    for part in parts:
+        assert part in called.err

@@ -1,0 +1,163 @@
+"""Commands answer people with tables and programs with JSON and CSV that say the same."""
+
+import csv
+import io
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from fsar_ledger import __version__
+from tests.cli.conftest import SMALL, Call, Called, in_a_process
+
+HEAVY = {"duckdb", "pyarrow", "polars", "scipy", "numpy", "matplotlib", "pydantic", "typst", "msgspec"}
+HELP_S_MAX = 0.200
+
+
+def rows_of(called: Called) -> list[dict[str, str]]:
+    assert called.code == 0, called.err
+    return list(csv.DictReader(io.StringIO(called.out)))
+
+
+def test_help_answers_in_time() -> None:
+    def seconds() -> float:
+        began = time.perf_counter()
+        subprocess.run([sys.executable, "-m", "fsar_ledger", "--help"], capture_output=True, check=True)
+        return time.perf_counter() - began
+
+    assert min(seconds() for _ in range(7)) < HELP_S_MAX
+
+
+@pytest.mark.parametrize("arguments", [["--help"], ["simulate", "--help"], ["query", "--help"]])
+def test_help_imports_nothing_heavy(arguments: list[str]) -> None:
+    code = f"import sys; from fsar_ledger.cli import run; run({arguments}); print(*{HEAVY} & sys.modules.keys(), file=sys.stderr)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stderr.split() == []
+
+
+def test_the_version_is_told_without_typer() -> None:
+    code = "import sys; sys.argv[1:] = ['--version']; from fsar_ledger.__main__ import main; main(); print('typer' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == f"fsar-ledger {__version__}\nFalse\n"
+
+
+def test_no_arguments_show_the_help(call: Call) -> None:
+    assert call().out == call("--help").out
+    assert call("--help").out.startswith("Usage: fsar-ledger")
+
+
+def test_simulate_says_what_was_committed(call: Call, ledger: Path, tmp_path: Path) -> None:
+    said = call("simulate", tmp_path / "again", *SMALL, "--json")
+    head = json.loads(call("info", ledger, "--json").out)["head"]
+    assert json.loads(said.out)["head"] == head
+    assert f"{head['size']:,} events" in call("simulate", tmp_path / "again", *SMALL).out
+
+
+def test_info_tells_a_complete_ledger_from_one_that_lacks_runs(call: Call, ledger: Path, tmp_path: Path) -> None:
+    whole = json.loads(call("info", ledger, "--json").out)
+    assert (whole["is_complete"], whole["runs"], {group["runs_missing"] for group in whole["groups"]}) == (True, 12, {0})
+    assert sum(group["events"] for group in whole["groups"]) == whole["head"]["size"]
+    assert whole["models"][0]["parameters"]
+    assert "12 runs, complete" in call("info", ledger).out
+    call("simulate", tmp_path / "uneven", "--architecture", "fsar", "--scenario", "door-relay", "--runs", "2")
+    table = call("query", "runs", tmp_path / "uneven", "--json")
+    assert json.loads(table.out)["head"]["size"] > 0
+
+
+def test_metrics_have_the_agreed_columns_in_every_format(call: Call, ledger: Path) -> None:
+    answer = json.loads(call("metrics", ledger, "--json").out)
+    assert set(answer) == {"head", "rows"}
+    assert set(answer["head"]) == {"size", "root"}
+    agreed = {"architecture", "configuration", "fleet_size", "metric", "mean", "sd", "n", "ci_low", "ci_high", "published_convention_mean"}
+    assert agreed <= set(answer["rows"][0])
+    assert len(answer["rows"]) == 24
+    from_csv = rows_of(call("metrics", ledger, "--csv"))
+    assert [float(row["mean"]) if row["mean"] else None for row in from_csv] == [row["mean"] for row in answer["rows"]]
+    table = call("metrics", ledger).out.splitlines()
+    assert len(table) == 2 + 24
+    assert table[0].split()[0] == "architecture"
+
+
+def test_metrics_by_scenario_have_a_row_for_each(call: Call, ledger: Path) -> None:
+    rows = json.loads(call("metrics", ledger, "--by", "scenario", "--json").out)["rows"]
+    assert {row["scenario"] for row in rows} == {"door-relay", "failure-recovery-chain"}
+    assert len(rows) == 48
+
+
+def test_statistics_compare_every_pair(call: Call, ledger: Path) -> None:
+    rows = json.loads(call("statistics", ledger, "--json").out)["rows"]
+    assert len(rows) == 24
+    assert len(rows_of(call("statistics", ledger, "--csv"))) == 24
+
+
+def test_queries_are_listed_and_answer(call: Call, ledger: Path) -> None:
+    names = [query["name"] for query in json.loads(call("query", "--list", "--json").out)["queries"]]
+    assert {"facts/failures", "metrics/run_metrics", "staging/request_issued"} <= set(names)
+    assert [row["name"] for row in rows_of(call("query", "--list", "--csv"))] == names
+    by_part = call("query", "run_metrics", ledger, "--csv")
+    assert len(rows_of(by_part)) == 12 * 8
+    assert by_part == call("query", "metrics/run_metrics", ledger, "--csv")
+
+
+def test_a_long_table_is_cut_and_says_so(call: Call, ledger: Path) -> None:
+    cut = call("query", "run_metrics", ledger, "--limit", "5").out.splitlines()
+    assert len(cut) == 2 + 5 + 1
+    assert cut[-1].startswith("... 91 more rows")
+    assert len(call("query", "run_metrics", ledger, "--limit", "0").out.splitlines()) == 2 + 96
+
+
+def test_sql_answers_with_null_lists_and_text(call: Call, ledger: Path) -> None:
+    select = "SELECT count(*) AS events, NULL AS nothing, ['a', 'b'] AS list, TRUE AS yes FROM events"
+    size = json.loads(call("info", ledger, "--json").out)["head"]["size"]
+    assert json.loads(call("sql", ledger, select, "--json").out)["rows"] == [{"events": size, "nothing": None, "list": ["a", "b"], "yes": True}]
+    assert rows_of(call("sql", ledger, select, "--csv")) == [{"events": str(size), "nothing": "", "list": '["a","b"]', "yes": "true"}]
+    assert call("sql", ledger, select).out.splitlines()[2].split() == [str(size), "-", '["a","b"]', "true"]
+
+
+def test_an_answer_without_rows_keeps_its_columns(call: Call, ledger: Path) -> None:
+    select = "SELECT run_id, seq FROM events WHERE seq < 0"
+    assert call("sql", ledger, select, "--csv").out == "run_id,seq\n"
+    assert json.loads(call("sql", ledger, select, "--json").out)["rows"] == []
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_export_writes_every_event(call: Call, ledger: Path, tmp_path: Path, suffix: str) -> None:
+    out = tmp_path / "new" / f"events.{suffix}"
+    assert call("export", ledger, "--out", out).code == 0
+    table = pl.read_csv(out, infer_schema=False) if suffix == "csv" else pl.read_parquet(out)
+    head = json.loads(call("info", ledger, "--json").out)["head"]
+    assert len(table) == head["size"]
+    assert {"run_id", "seq", "type", "path"} <= set(table.columns)
+    assert [path.name for path in out.parent.iterdir()] == [out.name]
+
+
+def test_export_writes_the_answer_of_a_query(call: Call, ledger: Path, tmp_path: Path) -> None:
+    out = tmp_path / "run_metrics.csv"
+    assert call("export", ledger, "--query", "run_metrics", "--out", out).code == 0
+    assert out.read_text().splitlines()[0].startswith("run_id,")
+    assert len(out.read_text().splitlines()) == 1 + 96
+
+
+def test_verify_says_what_was_checked(call: Call, ledger: Path) -> None:
+    called = call("verify", ledger)
+    assert called.code == 0
+    assert "consistent, unsigned" in called.out
+    answer = json.loads(call("verify", ledger, "--json").out)
+    assert (answer["ok"], answer["problems"]) == (True, [])
+
+
+def test_report_is_a_pdf(call: Call, ledger: Path, tmp_path: Path) -> None:
+    assert call("report", ledger, "--out", tmp_path / "report.pdf").code == 0
+    assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF-")
+
+
+@pytest.mark.parametrize(("seed", "zone", "locale", "workers"), [("1", "UTC", "C", "1"), ("77", "Asia/Kathmandu", "C.UTF-8", "2")])
+def test_the_ledger_is_the_same_whatever_the_surroundings(ledger: Path, tmp_path: Path, seed: str, zone: str, locale: str, workers: str) -> None:
+    surroundings = {"PYTHONHASHSEED": seed, "TZ": zone, "LC_ALL": locale}
+    assert in_a_process("simulate", tmp_path / "again", *SMALL[:-1], workers, surroundings=surroundings).code == 0
+    files = {path.relative_to(ledger): path.read_bytes() for path in ledger.rglob("*") if path.is_file()}
+    assert {path.relative_to(tmp_path / "again"): path.read_bytes() for path in (tmp_path / "again").rglob("*") if path.is_file()} == files

@@ -1,0 +1,169 @@
+"""What a user gets wrong is answered by one clear message and the agreed exit code."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import SMALL, Call, one_message
+
+
+@pytest.fixture
+def copy(ledger: Path, tmp_path: Path) -> Path:
+    """A ledger that a test may damage."""
+    return Path(shutil.copytree(ledger, tmp_path / "copy"))
+
+
+def contents_of(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        (("--architecture", "fsra"), ("architecture 'fsra'", "did you mean 'fsar'", "cfc")),
+        (("--scenario", "door_relay"), ("scenario 'door_relay'", "did you mean 'door-relay'")),
+        (("--without", "trust"), ("mechanism 'trust'", "did you mean 'trust-evaluation'")),
+        (("--architecture", "zzzz"), ("architecture 'zzzz'; expected one of fsar, cfc, dhma",)),
+        (("--runs", "0"), ("runs", "0")),
+        (("--runs", "-3"), ("runs", "-3")),
+        (("--runs", "many"), ("--runs", "'many'", "fsar-ledger simulate --help")),
+        (("--fleet-size", "6"), ("6", "4")),
+        (("--fleet-size", "0"), ("0",)),
+        (("--seed", "-1"), ("seed", "-1")),
+        (("--workers", "0"), ("--workers 0", "at least 1")),
+        (("--colour",), ("--colour",)),
+        (("--architecture", "cfc", "--without", "shared-registry"), ("cfc", "shared-registry")),
+    ],
+)
+def test_an_impossible_experiment_is_refused_before_anything_is_written(call: Call, tmp_path: Path, arguments: tuple[str, ...], parts: tuple[str, ...]) -> None:
+    one_message(call("simulate", tmp_path / "new", *arguments), 2, *parts)
+    assert not (tmp_path / "new").exists()
+
+
+def test_an_unknown_command_suggests_the_nearest(call: Call) -> None:
+    one_message(call("simulat"), 2, "'simulate'")
+
+
+def test_an_output_that_is_no_ledger_is_left_alone(call: Call, tmp_path: Path) -> None:
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    (folder / "cat.txt").write_text("miau")
+    one_message(call("simulate", folder, *SMALL), 2, str(folder))
+    one_message(call("simulate", folder / "cat.txt", *SMALL), 2, "cat.txt")
+    assert contents_of(folder) == {"cat.txt": b"miau"}
+
+
+@pytest.mark.parametrize("command", ["info", "metrics", "statistics", "verify"])
+def test_a_place_without_ledger_is_named(call: Call, tmp_path: Path, command: str) -> None:
+    one_message(call(command, tmp_path / "nowhere"), 2, str(tmp_path / "nowhere"), "simulate")
+
+
+@pytest.mark.parametrize("command", ["info", "metrics", "simulate"])
+def test_a_ledger_of_another_format_version_is_refused(call: Call, copy: Path, command: str) -> None:
+    manifest = copy / "ledger.json"
+    manifest.write_text(manifest.read_text().replace('"version":1', '"version":99'))
+    before = contents_of(copy)
+    one_message(call(command, copy), 2, "99", "version")
+    assert contents_of(copy) == before
+
+
+def test_verify_doubts_another_format_version(call: Call, copy: Path) -> None:
+    manifest = copy / "ledger.json"
+    manifest.write_text(manifest.read_text().replace('"version":1', '"version":99'))
+    called = call("verify", copy)
+    assert called.code == 3
+    assert "format version 99" in called.err
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (("metrics",), ()),
+        (("statistics",), ()),
+        (("info",), ()),
+        (("query", "failures"), ()),
+        (("sql",), ("SELECT 1",)),
+        (("export",), ("--out", "events.csv")),
+        (("report",), ("--out", "report.pdf")),
+    ],
+)
+def test_a_missing_segment_is_named(
+    call: Call, copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: tuple[str, ...], after: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    segment = next((copy / "segments").iterdir())
+    segment.unlink()
+    one_message(call(*before, copy, *after), 3, segment.name)
+    assert list(tmp_path.iterdir()) == [copy]
+
+
+def test_an_unreadable_segment_is_named(call: Call, copy: Path) -> None:
+    segment = next((copy / "segments").iterdir())
+    data = bytearray(segment.read_bytes())
+    data[len(data) // 3 : len(data) // 3 + 200] = bytes(200)
+    segment.write_bytes(data)
+    called = call("metrics", copy)
+    assert called.code == 3
+    assert segment.name in called.err
+    assert "Traceback" not in called.err
+
+
+def test_verify_names_each_place_and_ends_with_3(call: Call, copy: Path) -> None:
+    record = copy / "commits" / "000000000000.json"
+    record.write_bytes(record.read_bytes().replace(b"rows", b"rowz"))
+    called = call("verify", copy)
+    assert called.code == 3
+    assert called.out == ""
+    assert "000000000000.json" in called.err
+    assert "found" in called.err
+    assert "Traceback" not in called.err
+
+
+def test_an_unknown_query_suggests_the_nearest(call: Call, ledger: Path) -> None:
+    one_message(call("query", "policy_violation", ledger), 2, "policy_violations", "did you mean")
+
+
+def test_query_without_ledger_says_what_is_missing(call: Call) -> None:
+    one_message(call("query", "failures"), 2, "NAME and LEDGER", "--list")
+
+
+@pytest.mark.parametrize(("pair", "part"), [("robot", "NAME=VALUE"), ("=x", "NAME=VALUE"), ("colour=red", "colour")])
+def test_a_wrong_parameter_is_refused(call: Call, ledger: Path, pair: str, part: str) -> None:
+    one_message(call("query", "failures", ledger, "--param", pair), 2, part)
+
+
+def test_a_parameter_given_twice_is_refused(call: Call, ledger: Path) -> None:
+    one_message(call("query", "failures", ledger, "--param", "a=1", "--param", "a=2"), 2, "'1'")
+
+
+@pytest.mark.parametrize("text", ["SELEKT 1", "SELECT", "SELECT nothing FROM events", "SELECT * FROM eventz", "", "DROP VIEW events", "SELECT 1; SELECT 2"])
+def test_wrong_sql_is_explained(call: Call, ledger: Path, text: str) -> None:
+    called = call("sql", ledger, text)
+    assert called.code == 2
+    assert called.out == ""
+    assert called.err.startswith("fsar-ledger: SQL")
+    assert "Traceback" not in called.err
+
+
+def test_two_formats_at_once_are_refused(call: Call, ledger: Path) -> None:
+    one_message(call("metrics", ledger, "--json", "--csv"), 2, "--json and --csv")
+
+
+def test_metrics_by_something_else_are_refused(call: Call, ledger: Path) -> None:
+    one_message(call("metrics", ledger, "--by", "robot"), 2, "--by scenario")
+
+
+@pytest.mark.parametrize("name", ["events.txt", "events"])
+def test_an_export_to_an_unknown_format_is_refused(call: Call, ledger: Path, tmp_path: Path, name: str) -> None:
+    one_message(call("export", ledger, "--out", tmp_path / name), 2, ".csv or .parquet")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("arguments", [("export", "x.csv"), ("export", "x.parquet"), ("report", "x.pdf")])
+def test_an_output_that_cannot_be_written_is_named(call: Call, ledger: Path, tmp_path: Path, arguments: tuple[str, str]) -> None:
+    (tmp_path / "file").write_text("in the way")
+    one_message(call(arguments[0], ledger, "--out", tmp_path / "file" / arguments[1]), 1, arguments[1])
+    (tmp_path / arguments[1]).mkdir()
+    one_message(call(arguments[0], ledger, "--out", tmp_path / arguments[1]), 1, arguments[1])
+    assert {path.name for path in tmp_path.iterdir()} == {"file", arguments[1]}

@@ -1,0 +1,96 @@
+"""Ctrl-C, a closed pipe and a full disk end a command quietly and leave whole ledgers."""
+
+import json
+import os
+import pty
+import resource
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import SMALL, in_a_process
+
+COMMAND = [sys.executable, "-m", "fsar_ledger"]
+SEVERAL_COMMITS = ("--runs", "40", "--seed", "11")
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_an_interrupted_simulation_can_be_continued(tmp_path: Path, workers: str) -> None:
+    whole = json.loads(in_a_process("simulate", tmp_path / "whole", *SEVERAL_COMMITS, "--workers", "2", "--json").out)["head"]
+    out = tmp_path / "stopped"
+    arguments = [*COMMAND, "simulate", str(out), *SEVERAL_COMMITS, "--workers", workers]
+    process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    deadline = time.monotonic() + 60
+    while process.poll() is None and not list(out.glob("commits/*.json")) and time.monotonic() < deadline:
+        time.sleep(0.005)
+    os.killpg(process.pid, signal.SIGINT)  # a terminal sends it to the workers too
+    _, err = process.communicate(timeout=60)
+    assert process.returncode == 130, err
+    assert err.splitlines() == ["fsar-ledger: interrupted; what is committed stays, and the same command continues there"]
+    assert in_a_process("verify", out).code == 0
+    assert json.loads(in_a_process("info", out, "--json").out)["head"]["size"] < whole["size"]
+    continued = in_a_process("simulate", out, *SEVERAL_COMMITS, "--workers", workers, "--json")
+    assert json.loads(continued.out)["head"] == whole
+
+
+def test_a_closed_pipe_is_no_error(ledger: Path) -> None:
+    process = subprocess.Popen([*COMMAND, "sql", str(ledger), "SELECT * FROM events", "--csv"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout is not None
+    assert process.stderr is not None
+    process.stdout.readline()
+    process.stdout.close()
+    assert process.stderr.read() == b""
+    process.stderr.close()
+    assert process.wait() == 0
+
+
+def limited_disk(*arguments: object, file_bytes_max: int) -> subprocess.CompletedProcess[str]:
+    """Runs a command whose files the kernel refuses to let grow further, as a full disk does."""
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (file_bytes_max, file_bytes_max))
+
+    return subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, check=False, preexec_fn=limit)
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_full_disk_ends_a_simulation_without_half_a_commit(tmp_path: Path, workers: str) -> None:
+    small = (*SMALL[:-1], workers)
+    whole = json.loads(in_a_process("simulate", tmp_path / "whole", *small, "--json").out)["head"]
+    called = limited_disk("simulate", tmp_path / "full", *small, file_bytes_max=4096)
+    assert called.returncode == 1, called.stderr
+    assert "Traceback" not in called.stderr
+    assert called.stderr.startswith("fsar-ledger: ")
+    assert len(called.stderr.splitlines()) == 1
+    assert list((tmp_path / "full").glob("segments/*")) == []
+    continued = in_a_process("simulate", tmp_path / "full", *small, "--json")
+    assert json.loads(continued.out)["head"] == whole
+
+
+@pytest.mark.parametrize("name", ["events.csv", "events.parquet"])
+def test_a_full_disk_leaves_no_half_of_an_export(ledger: Path, tmp_path: Path, name: str) -> None:
+    called = limited_disk("export", ledger, "--out", tmp_path / name, file_bytes_max=2048)
+    assert called.returncode == 1
+    assert called.stderr.startswith(f"fsar-ledger: {tmp_path / name}: cannot be written")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_progress_is_for_terminals(tmp_path: Path) -> None:
+    assert in_a_process("simulate", tmp_path / "piped", *SMALL).err == ""
+    terminal, child = pty.openpty()
+    process = subprocess.Popen([*COMMAND, "simulate", str(tmp_path / "watched"), *SMALL], stdout=subprocess.DEVNULL, stderr=child)
+    os.close(child)
+    seen = b""
+    while select.select([terminal], [], [], 60)[0]:
+        try:
+            seen += os.read(terminal, 4096)
+        except OSError:  # the command has closed its end
+            break
+    os.close(terminal)
+    assert process.wait() == 0
+    assert b"simulated 12 of 12" in seen

@@ -1,0 +1,117 @@
+"""Made-up runs, for tests that need rows but no robots; `python -m tests.ledger.samples` writes the pinned rows anew."""
+
+import random
+from collections.abc import Sequence
+from pathlib import Path
+
+from hypothesis import strategies as st
+
+from fsar_ledger.events import Event
+from fsar_ledger.ledger import canonical
+from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.read import Head
+from fsar_ledger.ledger.schema import LAYOUTS, MAX_INTEGER, Field, Layout
+
+ORIGIN = "example.org/fsar-test"
+
+
+def _value(field: Field, draw: random.Random) -> object:
+    if field.is_nullable and draw.random() < 0.2:
+        return None
+    if field.values is not None:
+        return draw.choice(sorted(field.values))
+    match field.kind:
+        case "integer":
+            return draw.randrange(60_000_000) if field.name.endswith("_us") else draw.randrange(5)
+        case "boolean":
+            return draw.random() < 0.5
+        case "strings":
+            return tuple(f"robot/{draw.choice('ABCD')}1" for _ in range(draw.randrange(3)))
+        case "string":
+            return f"{field.name}-{draw.randrange(4)}"
+
+
+def made_up_run(run_id: str, size: int, seed: int) -> RunRecord:
+    """A run of this many events of all types, each caused by an earlier one."""
+    draw = random.Random(seed)
+    layouts = list(LAYOUTS.values())
+    chosen = [layouts[0], *(draw.choice(layouts[1:]) for _ in range(size - 1))]
+    events = [layout.cls(*[_value(field, draw) for field in layout.fields]) for layout in chosen]
+    times = sorted(draw.randrange(60_000_000) for _ in range(size))
+    return RunRecord(run_id, times, [None, *(max(0, seq - draw.randrange(1, 5)) for seq in range(1, size))], events)
+
+
+def made_up_batches(commits: int, runs: int = 2, size: int = 12) -> list[list[RunRecord]]:
+    """So many batches of runs; the same call gives the same batches."""
+    numbers = [range(commit * runs, (commit + 1) * runs) for commit in range(commits)]
+    return [[made_up_run(f"run-{number:04d}", size, seed=number) for number in batch] for batch in numbers]
+
+
+def append_all(path: Path, batches: Sequence[Sequence[RunRecord]], origin: str = ORIGIN) -> Head:
+    """The ledger at the path holds these batches, one a commit, after what it held."""
+    with Writer(path, origin) as writer:
+        for batch in batches:
+            writer.append(stage(path, batch))
+        return writer.head
+
+
+def contents(path: Path) -> dict[str, bytes]:
+    """Every file under the path, by its name within it."""
+    return {str(file.relative_to(path)): file.read_bytes() for file in sorted(path.rglob("*")) if file.is_file()}
+
+
+# --- any event at all ---
+
+_TEXT = st.text(st.characters(exclude_categories=["Cs"]), max_size=8)
+_INTEGERS = st.integers(-MAX_INTEGER, MAX_INTEGER)
+
+
+def _any_value(field: Field) -> st.SearchStrategy[object]:
+    kinds: dict[str, st.SearchStrategy[object]] = {
+        "string": st.sampled_from(sorted(field.values)) if field.values else _TEXT,
+        "integer": _INTEGERS,
+        "boolean": st.booleans(),
+        "strings": st.lists(_TEXT, max_size=3).map(tuple),
+    }
+    return st.none() | kinds[field.kind] if field.is_nullable else kinds[field.kind]
+
+
+def any_event_of(layout: Layout) -> st.SearchStrategy[Event]:
+    """Any event of this type."""
+    return st.builds(layout.cls, **{field.name: _any_value(field) for field in layout.fields})
+
+
+any_event = st.one_of([any_event_of(layout) for layout in LAYOUTS.values()])
+
+
+@st.composite
+def any_runs(draw: st.DrawFn) -> list[RunRecord]:
+    """Up to three runs of any events."""
+    ids = draw(st.lists(_TEXT, min_size=1, max_size=3, unique=True))
+    runs = []
+    for run_id in ids:
+        events = draw(st.lists(any_event, min_size=1, max_size=6))
+        times = [draw(_INTEGERS) for _ in events]
+        runs.append(RunRecord(run_id, times, [None, *(draw(st.integers(0, seq - 1)) for seq in range(1, len(events)))], events))
+    return runs
+
+
+# --- one row of each type, for the pinned bytes ---
+
+
+def pinned_row(layout: Layout) -> bytes:
+    """The canonical bytes of a row of this type in which every field has a value."""
+    samples: dict[str, object] = {"integer": 1_234_567, "boolean": True, "strings": ("robot/A1", 'a "quoted" é\n')}
+    values = {
+        field.name: sorted(field.values)[0] if field.values else f"{field.name}\tü/\\\u2028\x1f" if field.kind == "string" else samples[field.kind]
+        for field in layout.fields
+    }
+    columns: dict[str, Sequence[object]] = {name: [value] for name, value in values.items()}
+    columns |= {"run_id": ["run-1"], "seq": [7], "time_us": [2_500_000], "caused_by": [6], "type": [layout.tag]}
+    (line,) = canonical.lines(layout.tag, columns)
+    return line[1:]
+
+
+if __name__ == "__main__":
+    Path(__file__).with_name("canonical_rows.jsonl").write_bytes(b"".join(pinned_row(layout) + b"\n" for layout in LAYOUTS.values()))

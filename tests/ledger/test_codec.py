@@ -1,0 +1,251 @@
+import json
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from fsar_ledger.errors import LedgerCorrupted, UnknownEventTag
+from fsar_ledger.events import EVENT_TYPES, Event
+from fsar_ledger.ledger import canonical, merkle, schema, segment
+from fsar_ledger.ledger.check import first_flaw
+from fsar_ledger.ledger.codec import RunRecord, decode, encode, encode_hashed
+from fsar_ledger.ledger.schema import COLUMNS, FINGERPRINT, LAYOUTS, MAX_INTEGER, SCHEMA
+from tests.ledger.samples import any_event_of, any_runs, made_up_batches, made_up_run, pinned_row
+
+PINNED = Path(__file__).with_name("canonical_rows.jsonl").read_bytes().splitlines()
+LAYOUT_LIST = list(LAYOUTS.values())
+
+
+def through_parquet(table: pa.Table, path: Path) -> pa.Table:
+    path.write_bytes(segment.to_parquet(table))
+    return segment.read_table(path)
+
+
+@pytest.mark.parametrize("layout", LAYOUT_LIST, ids=list(LAYOUTS))
+@settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_every_event_type_survives_arrow_and_parquet(layout: schema.Layout, data: st.DataObject, tmp_path: Path) -> None:
+    events = data.draw(st.lists(any_event_of(layout), min_size=1, max_size=3))
+    runs = [RunRecord("r", list(range(len(events))), [None, *range(len(events) - 1)], events)]
+    assert list(decode(through_parquet(encode(runs), tmp_path / "s.parquet"))) == runs
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(runs=any_runs())
+def test_runs_survive_arrow_and_parquet(runs: list[RunRecord], tmp_path: Path) -> None:
+    assert list(decode(through_parquet(encode(runs), tmp_path / "s.parquet"))) == runs
+
+
+def rows_as_json(runs: list[RunRecord]) -> list[bytes]:
+    """The canonical bytes by a third, slow producer: the standard library."""
+    found = []
+    for run in runs:
+        for seq, event in enumerate(run.events):
+            row = {name: getattr(event, name) for name in event.__struct_fields__}
+            row |= {"run_id": run.run_id, "seq": seq, "time_us": run.times_us[seq], "caused_by": run.caused_by[seq], "type": type(event).__struct_config__.tag}
+            kept = {name: value for name, value in row.items() if value is not None}
+            found.append(json.dumps(kept, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode())
+    return found
+
+
+@settings(max_examples=80, deadline=None)
+@given(runs=any_runs())
+def test_structs_columns_and_the_standard_library_give_the_same_canonical_bytes(runs: list[RunRecord]) -> None:
+    table, leaves = encode_hashed(runs)
+    expected = rows_as_json(runs)
+    assert canonical.from_table(table) == [b"\x00" + row for row in expected]
+    assert leaves == b"".join(map(merkle.leaf_hash, expected))
+
+
+def test_the_bytes_of_one_row_of_each_type_are_pinned() -> None:
+    assert [json.loads(line)["type"] for line in PINNED] == list(LAYOUTS), "run `python -m tests.ledger.samples`; that changes the format"
+    assert [pinned_row(layout) for layout in LAYOUT_LIST] == PINNED
+
+
+def test_pinned_rows_are_sorted_and_hold_every_column_of_their_type() -> None:
+    for line, layout in zip(PINNED, LAYOUT_LIST, strict=True):
+        names = list(json.loads(line))
+        assert names == sorted(names)
+        assert set(names) == {field.name for field in (*schema.ENVELOPE, *layout.fields)}
+
+
+def test_schema_holds_every_field_of_every_event_type() -> None:
+    for cls in EVENT_TYPES:
+        assert set(cls.__struct_fields__) <= set(COLUMNS)
+    assert SCHEMA.names[:5] == ["run_id", "seq", "time_us", "caused_by", "type"]
+    assert SCHEMA.names[5:] == sorted(SCHEMA.names[5:])
+
+
+def test_fingerprint_depends_on_names_types_and_nullability() -> None:
+    others = [
+        SCHEMA.remove(5),
+        SCHEMA.set(5, pa.field("another", SCHEMA.field(5).type)),
+        SCHEMA.set(5, pa.field(SCHEMA.names[5], pa.float64())),
+        SCHEMA.set(5, SCHEMA.field(5).with_nullable(False)),
+    ]
+    assert len({FINGERPRINT, *map(schema.fingerprint, others)}) == 5
+
+
+class FloatingEvent(Event, frozen=True):
+    share: float
+
+
+class SeqEvent(Event, frozen=True):
+    seq: int
+
+
+class OtherRobotEvent(Event, frozen=True):
+    robot: int
+
+
+def test_event_types_that_a_ledger_cannot_hold_are_refused() -> None:
+    with pytest.raises(TypeError, match="field share"):
+        schema.layout(FloatingEvent)
+    with pytest.raises(TypeError, match="envelope column"):
+        schema.layout(SeqEvent)
+    with pytest.raises(TypeError, match="field robot is integer"):
+        schema.columns((*LAYOUT_LIST, schema.layout(OtherRobotEvent)))
+
+
+def test_encode_refuses_what_could_not_be_verified() -> None:
+    run = made_up_run("run", 4, seed=1)
+    for changed in (
+        msgspec.structs.replace(run, times_us=[0]),
+        msgspec.structs.replace(run, events=[], times_us=[], caused_by=[]),
+        msgspec.structs.replace(run, caused_by=[None, 0, 2, 0]),
+        msgspec.structs.replace(run, caused_by=[None, 0, None, 0]),
+        msgspec.structs.replace(run, caused_by=[0, 0, 0, 0]),
+        msgspec.structs.replace(run, times_us=[0, 1, 2, MAX_INTEGER + 1]),
+        msgspec.structs.replace(run, times_us=[0, 1, 2, None]),
+    ):
+        with pytest.raises(ValueError, match="expected"):
+            encode([changed])
+
+
+def test_encode_refuses_none_in_a_field_that_must_have_a_value() -> None:
+    layout = next(layout for layout in LAYOUT_LIST if any(not field.is_nullable and field.kind == "string" and field.values is None for field in layout.fields))
+    event = layout.cls(*[None for _ in layout.fields])
+    with pytest.raises(ValueError, match="expected a value"):
+        encode([RunRecord("run", [0], [None], [event])])
+
+
+def table_with(name: str, row: int, value: object, kind: pa.DataType | None = None) -> pa.Table:
+    """A valid table but for one value."""
+    table = encode(made_up_batches(1, runs=2, size=400)[0])
+    values = table.column(name).to_pylist()
+    values[row] = value
+    field = SCHEMA.field(name)
+    at = SCHEMA.get_field_index(name)
+    return table.set_column(at, field if kind is None else pa.field(name, kind, nullable=field.nullable), pa.array(values, kind or field.type))
+
+
+def row_of(condition: Any) -> int:
+    """The first row of that table whose layout fits."""
+    events = [event for run in made_up_batches(1, runs=2, size=400)[0] for event in run.events]
+    return next(
+        row
+        for row, event in enumerate(events)
+        if row > 2 and condition({field.name: field for field in LAYOUTS[str(type(event).__struct_config__.tag)].fields})
+    )
+
+
+def flaw_of(table: pa.Table) -> tuple[int, str | None]:
+    flaw = first_flaw(table)
+    assert flaw is not None
+    with pytest.raises(LedgerCorrupted, match="expected"):
+        list(decode(table))
+    if flaw.row >= 0:
+        assert (flaw.run, flaw.seq) == (table.column("run_id")[flaw.row].as_py(), table.column("seq")[flaw.row].as_py())
+    return flaw.row, flaw.field
+
+
+def test_valid_rows_have_no_flaw() -> None:
+    assert first_flaw(encode(made_up_batches(1, runs=2, size=400)[0])) is None
+    assert first_flaw(SCHEMA.empty_table()) is None
+    assert list(decode(SCHEMA.empty_table())) == []
+
+
+def test_unknown_event_type_is_named() -> None:
+    with pytest.raises(UnknownEventTag, match=r"run run-0000, seq 9, field type: found 'RobotFlew\.v1'"):
+        list(decode(table_with("type", 9, "RobotFlew.v1")))
+
+
+def test_wrong_columns_are_refused() -> None:
+    table = encode(made_up_batches(1)[0])
+    assert flaw_of(table.drop_columns(["robot"])) == (-1, None)
+    assert flaw_of(table.append_column("more", pa.nulls(table.num_rows))) == (-1, None)
+    assert flaw_of(table_with("time_us", 0, 1.5, pa.float64())) == (-1, None)
+
+
+def test_envelope_flaws_are_named() -> None:
+    assert flaw_of(table_with("seq", 5, 6)) == (5, "seq")
+    assert flaw_of(table_with("seq", 0, 1)) == (0, "seq")
+    assert flaw_of(table_with("caused_by", 5, 5)) == (5, "caused_by")
+    assert flaw_of(table_with("caused_by", 5, -1)) == (5, "caused_by")
+    assert flaw_of(table_with("caused_by", 5, None)) == (5, "caused_by")
+    assert flaw_of(table_with("caused_by", 400, 0)) == (400, "caused_by")
+    assert flaw_of(table_with("time_us", 5, 2**53)) == (5, "time_us")
+    assert flaw_of(table_with("time_us", 5, -(2**53))) == (5, "time_us")
+    assert flaw_of(table_with("time_us", 5, None))[1] in {"time_us", None}
+
+
+def test_a_run_in_two_blocks_is_refused() -> None:
+    first, second, third = (encode([made_up_run(name, 3, seed=1)]) for name in ("a", "b", "a"))
+    assert flaw_of(pa.concat_tables([first, second, third])) == (6, "run_id")
+
+
+def test_a_missing_value_is_named() -> None:
+    row = row_of(lambda fields: "task_id" in fields and not fields["task_id"].is_nullable)
+    assert flaw_of(table_with("task_id", row, None)) == (row, "task_id")
+
+
+def test_a_value_where_the_type_has_no_field_is_named() -> None:
+    row = row_of(lambda fields: "task_id" not in fields)
+    assert flaw_of(table_with("task_id", row, "t1")) == (row, "task_id")
+
+
+def test_a_value_that_is_not_allowed_is_named() -> None:
+    row = row_of(lambda fields: "outcome" in fields)
+    assert flaw_of(table_with("outcome", row, "perhaps")) == (row, "outcome")
+
+
+def test_the_earliest_flaw_is_the_one_named() -> None:
+    table = table_with("time_us", 300, 2**60)
+    at = SCHEMA.get_field_index("seq")
+    seqs = table.column("seq").to_pylist()
+    seqs[200] = 0
+    assert flaw_of(table.set_column(at, SCHEMA.field("seq"), pa.array(seqs, pa.int64()))) == (200, "seq")
+
+
+def test_text_that_is_not_utf8_is_a_flaw() -> None:
+    table = encode(made_up_batches(1)[0])
+    broken = pa.array([b"\xff"] * table.num_rows, pa.binary()).view(pa.string())
+    assert flaw_of(table.set_column(0, SCHEMA.field("run_id"), broken)) == (-1, None)
+
+
+def test_a_segment_is_the_same_bytes_every_time_and_plain_parquet(tmp_path: Path) -> None:
+    runs = made_up_batches(1, runs=3, size=200)[0]
+    one, two = (bytes(segment.to_parquet(encode(runs))) for _ in range(2))
+    assert one == two
+    (tmp_path / "s.parquet").write_bytes(one)
+    metadata = pq.read_metadata(tmp_path / "s.parquet")
+    assert metadata.num_row_groups == 1
+    assert {metadata.row_group(0).column(at).compression for at in range(metadata.num_columns)} == {"ZSTD"}
+
+
+def test_a_segment_of_other_columns_is_refused(tmp_path: Path) -> None:
+    table = encode(made_up_batches(1)[0])
+    pq.write_table(table.drop_columns(["robot"]), tmp_path / "other.parquet")
+    with pytest.raises(LedgerCorrupted, match="column"):
+        segment.read_table(tmp_path / "other.parquet")
+    pq.write_table(table.append_column("more", pa.nulls(table.num_rows, pa.int64())), tmp_path / "more.parquet", store_schema=False)
+    with pytest.raises(LedgerCorrupted, match="columns"):
+        segment.read_table(tmp_path / "more.parquet")
+    (tmp_path / "none.parquet").write_bytes(b"PAR1 nothing PAR1")
+    with pytest.raises(LedgerCorrupted, match="cannot be read"):
+        segment.read_table(tmp_path / "none.parquet")

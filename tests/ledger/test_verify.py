@@ -1,0 +1,355 @@
+import os
+import random
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from fsar_ledger.errors import NotALedger
+from fsar_ledger.ledger import canonical, codec, merkle, segment
+from fsar_ledger.ledger.read import open_ledger
+from fsar_ledger.ledger.record import CommitRecord, Manifest, checkpoint_note, commit_path, segment_path, sha256_hex
+from fsar_ledger.ledger.schema import SCHEMA
+from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.verify_segment import Problem
+from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run
+
+BATCHES = made_up_batches(3)
+
+
+@pytest.fixture(scope="module")
+def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("intact") / "ledger"
+    append_all(path, BATCHES)
+    return path
+
+
+@pytest.fixture
+def path(intact: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(intact, tmp_path / "ledger"))
+
+
+def first_problem(path: Path) -> Problem:
+    report = verify(path)
+    assert not report.ok
+    assert report.root is None
+    assert str(report.problems[0]).startswith(report.problems[0].where)
+    return report.problems[0]
+
+
+def forge(path: Path, number: int, /, **changes: object) -> None:
+    """One record says something else, and all records after it are chained to it again: the work of a forger without our tests."""
+    records = [open_ledger_record(path, at) for at in range(len(list((path / "commits").iterdir())))]
+    for at in range(number, len(records)):
+        previous = sha256_hex(commit_path(path, at - 1).read_bytes() if at else (path / "ledger.json").read_bytes())
+        own = changes if at == number else {}
+        records[at] = msgspec.structs.replace(records[at], **{"previous_sha256": previous, **own})
+        commit_path(path, at).write_bytes(canonical.document(records[at]))
+
+
+def open_ledger_record(path: Path, number: int) -> CommitRecord:
+    return msgspec.json.decode(commit_path(path, number).read_bytes(), type=CommitRecord)
+
+
+def forge_segment(path: Path, number: int, table: pa.Table | bytes) -> None:
+    """The segment holds other rows, and its record knows the file, but not the tree."""
+    data = table if isinstance(table, bytes) else bytes(segment.to_parquet(table))
+    segment_path(path, number).write_bytes(data)
+    forge(path, number, segment_sha256=sha256_hex(data), segment_bytes=len(data))
+
+
+def table_of(path: Path, number: int) -> pa.Table:
+    return segment.read_table(segment_path(path, number))
+
+
+def changed(table: pa.Table, name: str, row: int, value: object) -> pa.Table:
+    values = table.column(name).to_pylist()
+    values[row] = value
+    at = SCHEMA.get_field_index(name)
+    return table.set_column(at, SCHEMA.field(name), pa.array(values, SCHEMA.field(name).type))
+
+
+# --- a ledger as it should be ---
+
+
+def test_an_intact_ledger_verifies_and_is_counted(path: Path) -> None:
+    report = verify(path)
+    assert (report.ok, report.problems, report.signature) == (True, (), "unsigned")
+    assert (report.commits, report.events, report.runs) == (3, 72, 6)
+    assert report.root == open_ledger(path).head.root
+
+
+def test_workers_find_the_same_and_progress_is_told(path: Path) -> None:
+    told: list[tuple[int, int]] = []
+    assert verify(path, workers=2, progress=lambda done, total: told.append((done, total))) == verify(path)
+    assert told == [(1, 3), (2, 3), (3, 3)]
+    forge_segment(path, 1, changed(table_of(path, 1), "time_us", 3, 1))
+    assert verify(path, workers=2) == verify(path)
+
+
+def test_what_is_no_ledger_is_not_verified(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    for name in ("", "file", "nowhere"):
+        with pytest.raises(NotALedger):
+            verify(tmp_path / name)
+
+
+# --- files ---
+
+
+@pytest.mark.parametrize("name", ["ledger.json", "commits/000000000000.json", "commits/000000000002.json", "segments/000000000001.parquet"])
+def test_a_file_that_is_missing_a_link_a_folder_or_cut_is_named(path: Path, tmp_path: Path, name: str) -> None:
+    file = path / name
+    data = file.read_bytes()
+
+    def linked() -> None:
+        (tmp_path / "elsewhere").write_bytes(data)
+        file.symlink_to(tmp_path / "elsewhere")
+
+    damages: tuple[Callable[[], object], ...] = (
+        lambda: None,
+        linked,
+        lambda: file.mkdir(),
+        lambda: os.mkfifo(file),
+        lambda: file.write_bytes(b""),
+        lambda: file.write_bytes(data[: len(data) // 2]),
+        lambda: file.write_bytes(data + b"\n"),
+        lambda: file.write_bytes(random.Random(3).randbytes(5000)),
+        lambda: file.write_bytes(b"[" * 100_000),
+        lambda: file.write_bytes(b'{"number":' + b"9" * 100_000 + b"}"),
+        lambda: file.write_bytes(b"{" + b" " * 2_000_000 + b"}"),
+    )
+    for damage in damages:
+        file.unlink()
+        damage()
+        report = verify(path)
+        assert not report.ok
+        assert name.partition("/")[2].partition(".")[0] in " ".join(map(str, report.problems)), report.problems
+        if file.is_dir() and not file.is_symlink():
+            file.rmdir()
+            file.touch()
+        elif not os.path.lexists(file):
+            file.touch()
+
+
+@pytest.mark.parametrize("name", ["commits", "segments"])
+def test_a_folder_that_is_missing_or_a_link_is_named(path: Path, tmp_path: Path, name: str) -> None:
+    (path / name).rename(tmp_path / "aside")
+    assert any(problem.where.startswith(name) for problem in verify(path).problems)
+    (path / name).symlink_to(tmp_path / "aside")
+    assert any(problem.where == name for problem in verify(path).problems)
+
+
+@pytest.mark.parametrize(
+    "name", ["notes.txt", "commits/notes.txt", "commits/12.json", "commits/000000000007.json", "segments/000000000003.parquet", "segments/x"]
+)
+def test_an_unknown_file_is_named(path: Path, name: str) -> None:
+    (path / name).write_bytes(b"x")
+    assert name in {problem.where for problem in verify(path).problems}
+
+
+def test_what_lies_in_staging_is_harmless(path: Path) -> None:
+    (path / "staging" / "x.tmp").write_bytes(b"half")
+    assert verify(path).ok
+    shutil.rmtree(path / "staging")
+    assert verify(path).ok
+
+
+def test_the_newest_commits_removed_without_their_segments_are_noticed(path: Path) -> None:
+    commit_path(path, 2).unlink()
+    assert first_problem(path).where == "segments/000000000002.parquet"
+
+
+# --- records ---
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("number", 5),
+        ("previous_sha256", "0" * 64),
+        ("schema_sha256", "0" * 64),
+        ("segment_sha256", "0" * 64),
+        ("segment_bytes", 1),
+        ("rows", 25),
+        ("first_run", "run-0009"),
+        ("last_run", "run-0009"),
+        ("tree_root", "0" * 64),
+        ("note", "example.org/fsar-test\n24\nAAAA\n\n"),
+    ],
+)
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_every_field_of_a_record_is_derived_again(path: Path, field: str, value: object, number: int) -> None:
+    forge(path, number, **{field: value})
+    problem = first_problem(path)
+    assert (problem.commit, problem.field) == (number, field)
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_a_tree_of_another_size_is_found(path: Path, number: int) -> None:
+    record = open_ledger_record(path, number)
+    leaves = b"".join(codec.encode_hashed(batch)[1] for batch in BATCHES[: number + 1])
+    tree = merkle.Frontier().extend(leaves + merkle.leaf_hash(b"one more"))
+    hashes = tuple(subtree.hex() for subtree in tree.subtrees)
+    forge(path, number, tree_size=tree.size, frontier=hashes, tree_root=tree.root().hex(), note=checkpoint_note(ORIGIN, tree), rows=record.rows + 1)
+    assert first_problem(path).commit == number
+    forge(path, number, rows=record.rows)
+    assert (first_problem(path).commit, first_problem(path).field) == (number, "rows")
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_a_tree_of_other_rows_is_found(path: Path, number: int) -> None:
+    record = open_ledger_record(path, number)
+    tree = merkle.Frontier().extend(merkle.leaf_hash(b"other") * record.tree_size)
+    hashes = tuple(subtree.hex() for subtree in tree.subtrees)
+    forge(path, number, frontier=hashes, tree_root=tree.root().hex(), note=checkpoint_note(ORIGIN, tree))
+    assert (first_problem(path).commit, first_problem(path).field) == (number, "tree_root")
+
+
+def test_a_frontier_that_does_not_give_the_root_is_found(path: Path) -> None:
+    record = open_ledger_record(path, 1)
+    forge(path, 1, frontier=("0" * 64, *record.frontier[1:]))
+    assert first_problem(path).commit == 1
+    forge(path, 1, frontier=record.frontier[1:])
+    assert "field frontier" in first_problem(path).found
+
+
+def test_json_that_means_the_same_in_other_bytes_is_found(path: Path) -> None:
+    for name in ("ledger.json", "commits/000000000001.json"):
+        data = (path / name).read_bytes()
+        (path / name).write_bytes(data.replace(b",", b", ", 1))
+        assert first_problem(path).where == name
+        (path / name).write_bytes(data)
+
+
+def test_another_origin_is_found(path: Path) -> None:
+    (path / "ledger.json").write_bytes(canonical.document(Manifest("fsar-ledger", "other.org/x", 1)))
+    problem = first_problem(path)
+    assert (problem.commit, problem.field) == (0, "previous_sha256")
+    assert "ledger.json" in problem.expected
+    forge(path, 0)
+    assert (first_problem(path).commit, first_problem(path).field) == (0, "note")
+
+
+@pytest.mark.parametrize("manifest", [Manifest("fsar-ledger", ORIGIN, 2), Manifest("photos", ORIGIN, 1), Manifest("fsar-ledger", "two words", 1)])
+def test_another_format_is_found(path: Path, manifest: Manifest) -> None:
+    (path / "ledger.json").write_bytes(canonical.document(manifest))
+    assert first_problem(path).where == "ledger.json"
+
+
+# --- segments whose file hash a forger has made fit ---
+
+
+def test_an_altered_row_is_found_by_the_tree(path: Path) -> None:
+    forge_segment(path, 1, changed(table_of(path, 1), "time_us", 3, 1))
+    problem = first_problem(path)
+    assert (problem.where, problem.commit, problem.field) == ("segments/000000000001.parquet", 1, "tree_root")
+    assert len(verify(path).problems) == 1
+
+
+@pytest.mark.parametrize(("field", "row", "value"), [("seq", 5, 7), ("caused_by", 14, None), ("type", 5, "RobotFlew.v1"), ("time_us", 5, 2**60)])
+def test_a_row_that_cannot_be_is_named(path: Path, field: str, row: int, value: object) -> None:
+    forge_segment(path, 1, changed(table_of(path, 1), field, row, value))
+    problem = first_problem(path)
+    assert (problem.commit, problem.run, problem.field) == (1, "run-0002" if row < 12 else "run-0003", field)
+    assert problem.seq == (value if field == "seq" else row % 12)
+
+
+def test_a_row_too_few_or_too_many_is_found(path: Path) -> None:
+    table = table_of(path, 1)
+    for other in (table.slice(0, 23), pa.concat_tables([table, table.slice(0, 1)])):
+        forge_segment(path, 1, other)
+        assert (first_problem(path).commit, first_problem(path).field) == (1, "rows")
+
+
+def test_other_columns_are_found(path: Path) -> None:
+    sink = pa.BufferOutputStream()
+    pq.write_table(table_of(path, 1).drop_columns(["robot"]), sink, store_schema=False)
+    forge_segment(path, 1, bytes(sink.getvalue()))
+    assert (first_problem(path).where, first_problem(path).commit) == ("segments/000000000001.parquet", 1)
+    assert "column" in first_problem(path).found
+
+
+def test_a_segment_in_several_row_groups_is_found(path: Path) -> None:
+    sink = pa.BufferOutputStream()
+    pq.write_table(table_of(path, 1), sink, store_schema=False, row_group_size=12)
+    forge_segment(path, 1, bytes(sink.getvalue()))
+    assert "2 row groups" in first_problem(path).found
+
+
+def test_a_run_in_two_commits_is_found(tmp_path: Path) -> None:
+    again = made_up_run("run-0000", 12, seed=9)
+    append_all(tmp_path / "ledger", [*BATCHES[:2], [again]])
+    problem = first_problem(tmp_path / "ledger")
+    assert (problem.commit, problem.run, problem.field) == (2, "run-0000", "run_id")
+
+
+def test_segments_in_each_others_place_are_found(path: Path) -> None:
+    one, two = segment_path(path, 0).read_bytes(), segment_path(path, 1).read_bytes()
+    segment_path(path, 0).write_bytes(two)
+    segment_path(path, 1).write_bytes(one)
+    assert {problem.commit for problem in verify(path).problems} == {0, 1}
+
+
+# --- every byte ---
+
+
+def test_a_flip_in_every_byte_of_every_json_file_is_found_and_placed(tmp_path: Path) -> None:
+    path = tmp_path / "ledger"
+    append_all(path, made_up_batches(2, runs=1, size=3))
+    bits = random.Random(5)
+    for name, data in contents(path).items():
+        if not name.endswith(".json"):
+            continue
+        for at in range(len(data)):
+            flipped = bytearray(data)
+            flipped[at] ^= 1 << bits.randrange(8)
+            (path / name).write_bytes(flipped)
+            report = verify(path)
+            assert not report.ok, (name, at)
+            assert name in str(report.problems[0]), (name, at, report.problems)
+        (path / name).write_bytes(data)
+    assert verify(path).ok
+
+
+def test_two_thousand_flips_in_segments_are_found_and_placed(tmp_path: Path) -> None:
+    path = tmp_path / "ledger"
+    append_all(path, made_up_batches(2, runs=1, size=40))
+    draw = random.Random(11)
+    files = [segment_path(path, number) for number in range(2)]
+    originals = [file.read_bytes() for file in files]
+    for _ in range(1000):  # one bit in each file
+        for file, data in zip(files, originals, strict=True):
+            flipped = bytearray(data)
+            flipped[draw.randrange(len(data))] ^= 1 << draw.randrange(8)
+            file.write_bytes(flipped)
+        places = [(problem.where, problem.commit, problem.field) for problem in verify(path).problems]
+        assert places == [(f"segments/{number:012d}.parquet", number, "segment_sha256") for number in range(2)]
+    for file, data in zip(files, originals, strict=True):
+        file.write_bytes(data)
+    assert verify(path).ok
+
+
+def test_flips_in_the_pages_of_a_segment_are_found_even_where_the_file_hash_fits(tmp_path: Path) -> None:
+    path = tmp_path / "ledger"
+    append_all(path, made_up_batches(1, runs=1, size=40))
+    data = segment_path(path, 0).read_bytes()
+    pages_end = len(data) - 8 - int.from_bytes(data[-8:-4], "little")
+    draw = random.Random(13)
+    original = table_of(path, 0)
+    harmless = 0
+    for _ in range(300):
+        flipped = bytearray(data)
+        flipped[draw.randrange(4, pages_end)] ^= 1 << draw.randrange(8)
+        forge_segment(path, 0, bytes(flipped))
+        report = verify(path)
+        if report.ok:  # a bit of a page header that no reader looks at
+            assert table_of(path, 0).equals(original)
+            harmless += 1
+        else:
+            assert report.problems[0].commit == 0
+    assert harmless < 60

@@ -1,0 +1,238 @@
+"""Statistics agree with scipy to 1e-9, ties, zeros and no variance included."""
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from scipy import stats
+
+from fsar_ledger.ledger.schema import SCHEMA
+from fsar_ledger.metrics.database import from_table
+from fsar_ledger.metrics.results import StatisticRow, statistic_rows
+
+Vector = NDArray[np.float64]
+METRIC = "authority_conflicts"
+WILCOXON: Any = stats.wilcoxon  # its type stubs lag behind its methods
+
+
+def close(expected: Any) -> Any:
+    """Equal to 1e-9, and to 1e-12 near zero."""
+    return pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+def run_metrics(values: Mapping[tuple[str, str], Sequence[float | None]], published: float | None = None, fleet_sizes: Sequence[int] = (4,)) -> pa.Table:
+    """The relation `run_metrics` with these values per (metric, architecture), one run each."""
+    rows = [
+        {
+            "run_id": f"{architecture}-{fleet_size}-{number:04}",
+            "architecture": architecture,
+            "configuration": "full",
+            "seed": 42,
+            "scenario": "door-relay",
+            "fleet_size": fleet_size,
+            "run": number,
+            "position": 1,
+            "metric": metric,
+            "value": value,
+            "published_convention_value": published if value is None else value,
+        }
+        for fleet_size in fleet_sizes
+        for (metric, architecture), numbers in values.items()
+        for number, value in enumerate(numbers)
+    ]
+    names = ("run_id", "architecture", "configuration", "scenario", "metric")
+    kinds = {"value": pa.float64(), "published_convention_value": pa.float64(), **dict.fromkeys(names, pa.string())}
+    return pa.Table.from_pylist(rows, schema=pa.schema([(name, kinds.get(name, pa.int64())) for name in rows[0]]))
+
+
+def compared(table: pa.Table, defined_only: bool = False) -> list[StatisticRow]:
+    with from_table(SCHEMA.empty_table()) as database:
+        database.hold("run_metrics", table)
+        return statistic_rows(database, defined_only)
+
+
+def one(first: Sequence[float | None], second: Sequence[float | None], metric: str = METRIC) -> StatisticRow:
+    (row,) = compared(run_metrics({(metric, "fsar"): first, (metric, "cfc"): second}))
+    return row
+
+
+def billionths(differences: Sequence[float]) -> Vector:
+    return np.array([float(round(one * 1e9)) for one in differences])
+
+
+# Half of the values repeat, so that ties and zeros are common; none is so close to another that only rounding tells.
+VALUE = st.integers(-4, 4).map(float) | st.integers(-(10**6), 10**6).map(lambda whole: whole / 997)
+SAMPLES = st.lists(st.lists(st.tuples(VALUE, VALUE), min_size=3, max_size=30), min_size=1, max_size=10)
+Sample = list[tuple[float, float]]
+
+
+def each(samples: list[Sample]) -> Iterator[tuple[Vector, Vector, StatisticRow]]:
+    """The two sides of every sample and what SQL says of them; the samples are metrics of one table."""
+    sides = [np.array(sample).T for sample in samples]
+    values: dict[tuple[str, str], Sequence[float | None]] = {}
+    for at, (first, second) in enumerate(sides):
+        values |= {(f"m{at:02}", "fsar"): list(first), (f"m{at:02}", "cfc"): list(second)}
+    for (first, second), row in zip(sides, compared(run_metrics(values)), strict=True):
+        yield first, second, row
+
+
+@settings(max_examples=20, deadline=None)
+@given(SAMPLES)
+def test_paired_t_cohens_d_and_d_z_agree_with_scipy(samples: list[Sample]) -> None:
+    for first, second, row in each(samples):
+        differences = first - second
+        assert (row.first_mean, row.second_mean, row.mean_difference) == close((first.mean(), second.mean(), differences.mean()))
+        assert row.df == row.n - 1 == len(first) - 1
+        if len(set(billionths(list(differences)))) == 1:
+            assert (row.t, row.p, row.d_z) == (None, None, None)
+            continue
+        expected = stats.ttest_rel(first, second)
+        assert (row.t, row.p) == close((expected.statistic, expected.pvalue))
+        assert row.d_z == close(differences.mean() / differences.std(ddof=1))
+        assert row.cohens_d == close(differences.mean() / math.sqrt((first.var(ddof=1) + second.var(ddof=1)) / 2))
+
+
+@settings(max_examples=20, deadline=None)
+@given(SAMPLES)
+def test_wilcoxon_agrees_with_scipy_with_ties_and_zeros(samples: list[Sample]) -> None:
+    for first, second, row in each(samples):
+        differences = billionths(list(first - second))
+        assert row.wilcoxon_n == np.count_nonzero(differences)
+        if not differences.any():
+            assert (row.wilcoxon_w, row.wilcoxon_z, row.wilcoxon_p) == (None, None, None)
+            continue
+        expected = WILCOXON(differences, zero_method="wilcox", correction=False, method="asymptotic")
+        assert row.wilcoxon_w == expected.statistic
+        assert (row.wilcoxon_p, abs(row.wilcoxon_z or 0)) == close((expected.pvalue, abs(expected.zstatistic)))
+
+
+@settings(max_examples=20, deadline=None)
+@given(SAMPLES)
+def test_hedges_g_and_its_interval_follow_their_formulas(samples: list[Sample]) -> None:
+    for first, second, row in each(samples):
+        if min(len(set(first)), len(set(second))) == 1:
+            assert (row.g_ci_low, row.g_ci_high) == (None, None)
+            continue
+        n = len(first)
+        d = (first - second).mean() / math.sqrt((first.var(ddof=1) + second.var(ddof=1)) / 2)
+        j = 1 - 3 / (4 * (n - 1) - 1)
+        r = float(np.corrcoef(first, second)[0, 1])
+        half_width = stats.norm.ppf(0.975) * j * math.sqrt((1 / n + d * d / (2 * n)) * 2 * max(1 - r, 0.0))
+        assert row.hedges_g == close(j * d)
+        # 1 - r loses digits where r is near 1, whichever way it is computed; its root loses half of them.
+        assert (row.g_ci_low, row.g_ci_high) == pytest.approx((j * d - half_width, j * d + half_width), rel=1e-9, abs=1e-6)
+
+
+def test_wilcoxon_ties_differences_that_only_the_last_bits_of_a_float_tell_apart() -> None:
+    row = one([0.3, 0.2, 0.1, 0.9], [0.1, 0.0, 0.3, 0.0])
+    assert 0.3 - 0.1 != 0.2 - 0.0
+    assert (row.wilcoxon_w, row.wilcoxon_n) == (2.0, 4), "three ties of rank 2 and one of rank 4"
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))
+def test_mcnemar_of_human_intervention_is_the_exact_binomial_test(pairs: list[tuple[bool, bool]]) -> None:
+    row = one([float(first) for first, _ in pairs], [float(second) for _, second in pairs], "human_intervention")
+    first_only, second_only = sum(a and not b for a, b in pairs), sum(b and not a for a, b in pairs)
+    assert (row.mcnemar_first_only, row.mcnemar_second_only) == (first_only, second_only)
+    expected = stats.binomtest(first_only, first_only + second_only).pvalue if first_only + second_only else 1.0
+    assert row.mcnemar_p == close(expected)
+
+
+def test_mcnemar_is_only_for_the_metric_that_is_0_or_1() -> None:
+    assert one([0.0, 1.0], [1.0, 1.0]).mcnemar_p is None
+
+
+def test_equal_differences_have_no_t_and_constant_sides_no_d() -> None:
+    shifted = one([1.0, 2.0, 3.0], [0.9, 1.9, 2.9])
+    assert (shifted.t, shifted.p, shifted.d_z, shifted.p_holm) == (None, None, None, None)
+    assert shifted.cohens_d == close(0.1)
+    constant = one([0.1] * 7, [0.3] * 7)
+    assert (constant.t, constant.cohens_d, constant.hedges_g, constant.g_ci_low) == (None, None, None, None)
+    assert constant.mean_difference == close(-0.2)
+    assert constant.wilcoxon_p == close(WILCOXON([-0.2] * 7, correction=False, method="asymptotic").pvalue)
+
+
+def test_a_single_pair_has_a_difference_and_no_test() -> None:
+    row = one([1.0], [2.0])
+    assert (row.n, row.mean_difference, row.df) == (1, -1.0, 0)
+    assert (row.t, row.p, row.cohens_d, row.hedges_g, row.p_holm) == (None, None, None, None, None)
+
+
+def family() -> pa.Table:
+    chance = np.random.default_rng(5)
+    architectures = {"fsar": 0.0, "cfc": 0.3, "dhma": 0.9}
+    return run_metrics(
+        {(metric, name): list(chance.normal(shift * k, 1.0, 30)) for k, metric in enumerate(("a", "b", "c", "d")) for name, shift in architectures.items()},
+        fleet_sizes=(4, 8),
+    )
+
+
+def test_holm_adjusts_over_the_family_of_one_fleet_size() -> None:
+    rows = [row for row in compared(family()) if row.fleet_size == 4]
+    assert len(rows) == 12
+    ps = [row.p for row in rows if row.p is not None]
+    by_p = sorted(range(12), key=lambda at: ps[at])
+    expected: dict[int, float] = {}
+    running = 0.0
+    for step, at in enumerate(by_p):
+        running = max(running, min(1.0, (12 - step) * ps[at]))
+        expected[at] = running
+    assert [row.p_holm for row in rows] == close([expected[at] for at in range(12)])
+    assert any(row.p_holm == 1.0 for row in rows), "the cap is met"
+
+
+def test_comparisons_are_three_per_metric_in_the_order_of_the_paper() -> None:
+    rows = compared(run_metrics({(METRIC, name): [float(at), 2.0, 5.0] for at, name in enumerate(("fsar", "cfc", "dhma"))}))
+    assert [row.comparison for row in rows] == ["fsar-cfc", "fsar-dhma", "cfc-dhma"]
+    assert [row.mean_difference for row in rows] == close([-1 / 3, -2 / 3, -1 / 3])
+
+
+def test_runs_pair_only_with_the_run_of_the_same_world() -> None:
+    (row,) = compared(run_metrics({(METRIC, "fsar"): [1.0, 2.0, 3.0, 4.0], (METRIC, "cfc"): [2.0, 4.0]}))
+    assert (row.n, row.first_mean, row.second_mean) == (2, 1.5, 3.0)
+    table = run_metrics({(METRIC, "fsar"): [1.0, 2.0], (METRIC, "cfc"): [2.0, 4.0]})
+    for column, other in (("seed", 43), ("run", 9), ("fleet_size", 8), ("scenario", "fleet-contention"), ("configuration", "without-trust-evaluation")):
+        rows = table.to_pylist()
+        rows[0][column] = other
+        (left,) = compared(pa.Table.from_pylist(rows, schema=table.schema))
+        assert (left.n, left.first_mean) == (1, 2.0), column
+
+
+def test_undefined_values_count_by_the_published_convention_or_leave_the_pair_out() -> None:
+    table = run_metrics({(METRIC, "fsar"): [0.5, None, 0.25], (METRIC, "cfc"): [None, None, 0.5]}, published=1.0)
+    (published,), (defined,) = compared(table), compared(table, defined_only=True)
+    assert (published.n, published.first_mean, published.second_mean) == (3, close(1.75 / 3), close(2.5 / 3))
+    assert (defined.n, defined.first_mean, defined.second_mean) == (1, 0.25, 0.5)
+
+
+def test_the_answer_is_the_same_bits_on_any_number_of_threads() -> None:
+    answers = set()
+    for threads in (1, 2, 4):
+        with from_table(SCHEMA.empty_table(), threads=threads) as database:
+            database.hold("run_metrics", family())
+            answers.add(repr(statistic_rows(database)))
+    assert len(answers) == 1
+
+
+def test_the_cluster_bootstrap_takes_every_sample_of_scenarios() -> None:
+    chance = np.random.default_rng(3)
+    sizes = {"a": 3, "b": 7, "c": 5, "d": 4}
+    differences = {scenario: billionths(list(chance.normal(at, 1.0, size))) / 1e9 for at, (scenario, size) in enumerate(sizes.items())}
+    flat = [(scenario, float(value)) for scenario, values in differences.items() for value in values]
+    table = run_metrics({(METRIC, "fsar"): [value for _, value in flat], (METRIC, "cfc"): [0.0] * len(flat)})
+    scenarios = pa.array([scenario for scenario, _ in flat] * 2)
+    with from_table(SCHEMA.empty_table()) as database:
+        database.hold("run_metrics", table.set_column(table.column_names.index("scenario"), "scenario", scenarios))
+        (row, _) = database.query("statistics/cluster_bootstrap").to_pylist()
+    means = [np.concatenate([differences[one] for one in sample]).mean() for sample in itertools.product(sizes, repeat=4)]
+    assert (row["scenarios"], row["samples"]) == (4, 256)
+    assert row["mean_difference"] == close(np.mean([value for _, value in flat]))
+    assert (row["ci_low"], row["ci_high"]) == close(tuple(np.quantile(means, (0.025, 0.975), method="inverted_cdf")))

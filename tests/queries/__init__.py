@@ -1,0 +1,1 @@
+"""Given rows, expect rows: every packaged query."""

@@ -1,0 +1,91 @@
+"""Decisions, locality, coordination events and attributability, by the judging rules."""
+
+import pytest
+
+from tests.queries.histories import Row, answer, event, measured, run
+
+WHOLE = {"requested_by": "robot/A1", "executed_by": "robot/B1", "supervised_by": "supervisor/B1"}
+
+
+@pytest.mark.parametrize(
+    ("decided_by", "path", "is_local"),
+    [
+        ("robot/A1", ["robot/A1"], True),
+        ("supervisor/A1", ["supervisor/A1"], True),
+        ("supervisor/fleet", ["supervisor/fleet"], True),
+        ("coordinator", ["coordinator"], False),
+        ("service/coordination", ["service/coordination"], False),
+        ("agent/A1/planning", ["agent/A1/planning"], False),
+        ("robot/A1", ["robot/B1", "robot/A1"], False),
+        (None, ["coordinator"], False),
+    ],
+)
+def test_a_decision_is_local_if_a_robot_or_named_supervisor_took_it_by_itself(decided_by: str | None, path: list[str], is_local: bool) -> None:
+    rows = answer("facts/decisions", run(event("OwnStepDecided", decided_by=decided_by, path=path)), columns=("decision_kind", "is_local"))
+    assert rows == [("own-step", is_local)]
+
+
+def test_an_event_with_an_empty_path_is_no_decision() -> None:
+    assert answer("facts/decisions", run(event("ExecutionHeld", decided_by=None, path=[]), event("ExecutionHeld", decided_by="robot/A1", path=None))) == []
+
+
+def test_a_type_that_decides_nothing_is_no_decision() -> None:
+    assert answer("facts/decisions", run(event("GapDetected", decided_by="robot/A1", path=["robot/A1"]))) == []
+
+
+def test_locality_is_the_share_of_local_decisions() -> None:
+    local = event("RequestIssued", decided_by="robot/A1", path=["robot/A1"])
+    closing = event("RequestClosed", decided_by="service/coordination", path=["service/coordination"])
+    assert measured("governance_locality", local, local, local, closing) == (3, 4, 0.75)
+
+
+def test_locality_of_a_run_without_decisions_is_undefined() -> None:
+    assert measured("governance_locality") == (0, 0, None)
+
+
+def judged(*events: Row) -> list[tuple[bool, bool, bool, bool]]:
+    columns = ("has_origin", "has_executor", "has_supervisor", "is_attributable")
+    with_order = answer("facts/coordination_events", run(*events), columns=("seq", *columns))
+    return [(origin, executor, supervisor, whole) for _, origin, executor, supervisor, whole in with_order]
+
+
+def test_a_record_with_all_principals_is_attributable_without_any_other() -> None:
+    assert judged(event("GapDetected", **WHOLE)) == [(True, True, True, True)]
+
+
+@pytest.mark.parametrize("lacking", WHOLE)
+def test_a_record_that_lacks_one_principal_is_not_attributable(lacking: str) -> None:
+    ((*_, whole),) = judged(event("GapDetected", **(WHOLE | {lacking: None})))
+    assert whole is False
+
+
+def test_a_principal_is_recoverable_from_any_event_of_the_same_action() -> None:
+    gap = event("GapDetected", action_id="t1/1", requested_by="robot/A1", supervised_by="supervisor/A1")
+    queued = event("ExecutionQueued", action_id="t1/1", executed_by="robot/B1")
+    assert judged(gap, queued) == [(True, True, True, True)]
+
+
+def test_a_principal_is_not_recoverable_from_another_action_another_run_or_without_an_action() -> None:
+    gap = event("GapDetected", action_id="t1/1", requested_by="robot/A1", supervised_by="supervisor/A1")
+    other = event("ExecutionQueued", action_id="t1/2", executed_by="robot/B1")
+    loose = event("ExecutionQueued", executed_by="robot/B1")
+    same = event("ExecutionQueued", action_id="t1/1", executed_by="robot/B1")
+    assert judged(gap, other, loose) == [(True, False, True, False)]
+    assert answer("facts/coordination_events", run(gap), run(same, run_id="r2"), columns=("has_executor",)) == [(False,)]
+    uncorrelated = event("InternalHandoff", executed_by="robot/B1", supervised_by="supervisor/B1")
+    assert judged(uncorrelated, event("ExecutionQueued", requested_by="robot/A1")) == [(False, True, True, False)]
+
+
+def test_an_off_shift_supervisor_is_required_and_lacking() -> None:
+    started = event("ExecutionStarted", action_id="t1/1", requested_by="robot/A1", executed_by="robot/B1", supervised_by=None)
+    assert judged(started) == [(True, True, False, False)]
+
+
+def test_a_type_that_is_no_record_does_not_count() -> None:
+    assert judged(event("ExecutionQueued", **WHOLE), event("RequestRelayed", **WHOLE)) == []
+
+
+def test_attributability_is_the_share_of_attributable_records() -> None:
+    handoff = event("InternalHandoff")
+    assert measured("audit_attributability", event("GapDetected", **WHOLE), handoff, handoff, event("AwardMade", **WHOLE)) == (2, 4, 0.5)
+    assert measured("audit_attributability") == (0, 0, None)

@@ -1,0 +1,30 @@
+"""The one table that says what each event type is to a judge fits the event types."""
+
+from fsar_ledger.ledger.schema import LAYOUTS
+from tests.queries.histories import answer
+
+PRINCIPALS = {"requested_by", "executed_by", "supervised_by"}
+CLASSES = {row[0]: row[1:] for row in answer("facts/event_classes")}
+UNJUDGED = {"ExecutionQueued.v1"}  # it repeats the principals that the execution will record
+
+
+def fields(tag: str) -> set[str]:
+    return {field.name for field in LAYOUTS[tag].fields}
+
+
+def test_every_class_is_of_an_event_type() -> None:
+    assert CLASSES.keys() <= LAYOUTS.keys()
+
+
+def test_decisions_are_the_types_with_a_path_and_a_decider() -> None:
+    assert {tag for tag, (decision, *_) in CLASSES.items() if decision} == {tag for tag in LAYOUTS if {"path", "decided_by"} <= fields(tag)}
+
+
+def test_every_record_has_the_principals_that_it_requires() -> None:
+    for tag, (_, record, *required) in CLASSES.items():
+        assert all(required) == any(required) == (record is not None)
+        assert record is None or fields(tag) >= PRINCIPALS
+
+
+def test_no_type_with_principals_is_forgotten() -> None:
+    assert {tag for tag in LAYOUTS if fields(tag) >= PRINCIPALS} <= CLASSES.keys() | UNJUDGED

@@ -1,0 +1,79 @@
+"""What holds for every packaged query: its header says what it is, it runs on an empty ledger, it repeats itself."""
+
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+
+from fsar_ledger.ledger.schema import LAYOUTS
+from fsar_ledger.metrics.database import from_rows
+from fsar_ledger.metrics.library import KEYS, REQUIRED_KEYS, Library, Query, library, parse
+
+FILES = sorted(Path(str(files("fsar_ledger.queries"))).rglob("*.sql"))
+PACKAGED = [name for name in library().queries if not name.startswith("staging/") or name == "staging/runs"]
+HEADER = "".join(f"-- {key}: something\n" for key in REQUIRED_KEYS)
+
+
+def test_every_file_is_in_the_library_under_its_folder_and_name() -> None:
+    assert sorted(PACKAGED) == sorted(f"{path.parent.name}/{path.stem}" for path in FILES)
+
+
+@pytest.mark.parametrize("name", PACKAGED)
+def test_header_names_title_paper_grain_units_and_null(name: str) -> None:
+    header = library().find(name).header
+    assert all(header[key] for key in REQUIRED_KEYS)
+    assert name in header["Example"]
+
+
+@pytest.mark.parametrize("missing", REQUIRED_KEYS)
+def test_header_without_a_required_key_is_refused(missing: str) -> None:
+    text = "".join(line for line in HEADER.splitlines(keepends=True) if f"-- {missing}:" not in line)
+    with pytest.raises(ValueError, match=missing):
+        parse("facts/x", text + "SELECT 1")
+
+
+def test_header_with_an_empty_unknown_or_repeated_key_is_refused() -> None:
+    for text in (HEADER.replace("Grain: something", "Grain:"), HEADER + "-- Colour: red\n", HEADER + "-- Title: again\n"):
+        with pytest.raises(ValueError, match="header"):
+            parse("facts/x", text + "SELECT 1")
+    assert "Parameters" in KEYS
+
+
+def test_header_goes_on_over_several_lines() -> None:
+    query = parse("facts/x", HEADER.replace("Units: something", "Units: one\n--        two") + "SELECT 1")
+    assert query.header["Units"] == "one two"
+
+
+@pytest.mark.parametrize("name", PACKAGED)
+def test_query_runs_on_an_empty_ledger(name: str) -> None:
+    with from_rows([]) as database:
+        table = database.query(name)
+    constant = name in ("facts/event_classes", "metrics/metric_definitions", "statistics/comparisons")
+    assert (table.num_rows > 0) == constant
+    assert table.num_columns > 0
+
+
+def test_every_event_type_has_a_view_with_its_fields_that_runs_on_an_empty_ledger() -> None:
+    with from_rows([]) as database:
+        for tag, layout in LAYOUTS.items():
+            query = next(query for query in library().queries.values() if f"type = '{tag}'" in query.sql)
+            table = database.query(query.name)
+            assert table.column_names == ["run_id", "seq", "time_us", "caused_by", *(field.name for field in layout.fields)]
+
+
+def test_a_query_that_reads_itself_is_refused() -> None:
+    header = dict.fromkeys(REQUIRED_KEYS, "x")
+    looped = Library([Query("facts/a", "SELECT * FROM b", header), Query("facts/b", "SELECT * FROM a", header)])
+    with pytest.raises(ValueError, match="a -> b -> a"):
+        looped.needs(["a"])
+
+
+def test_two_queries_with_one_last_name_are_refused() -> None:
+    header = dict.fromkeys(REQUIRED_KEYS, "x")
+    with pytest.raises(ValueError, match="same last part"):
+        Library([Query("facts/a", "SELECT 1", header), Query("metrics/a", "SELECT 1", header)])
+
+
+def test_sources_are_what_stands_behind_from_and_join_and_not_in_texts_or_comments() -> None:
+    query = Query("facts/a", "-- FROM x\nSELECT 'FROM y' FROM b JOIN c ON TRUE", {})
+    assert query.sources() == {"b", "c"}

@@ -1,0 +1,1 @@
+"""The report: what it prints, draws, counts and refuses."""

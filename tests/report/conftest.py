@@ -1,0 +1,123 @@
+"""A small ledger, made of handwritten runs: enough for every metric to be defined, and different in every run."""
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+import pytest
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Architecture, Configuration, RecoveryLevel, Scenario
+from fsar_ledger.events.execution import ExecutionFailed, OwnStepDecided, RoutinePerformed
+from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.recovery import FailureResolved
+from fsar_ledger.events.supervision import SupervisorCalled
+from fsar_ledger.events.task import TaskCompleted
+from fsar_ledger.events.world import PolicyWindowOpened, TaskArrived
+from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.report.findings import SCENARIOS
+
+ARCHITECTURES: tuple[Architecture, ...] = ("fsar", "cfc", "dhma")
+PARAMETERS = '{"structure":{"poll_us":1000000},"world":{"message":{"high_s":0.5,"low_s":0.05},"motion_share":0.24}}'
+Make = Callable[..., Path]
+
+
+def _events(architecture: Architecture, configuration: Configuration, scenario: Scenario, fleet_size: int, run: int) -> Iterator[tuple[int, Event]]:
+    """One run: a task of one step that fails once, with more going wrong in later runs and other architectures."""
+    bad = ARCHITECTURES.index(architecture) + run
+    yield (
+        0,
+        RunStarted(
+            kind="simulated",
+            seed=42,
+            architecture=architecture,
+            configuration=configuration,
+            scenario=scenario,
+            fleet_size=fleet_size,
+            run=run,
+            model_version="1",
+            parameters=PARAMETERS,
+        ),
+    )
+    yield 1, TaskArrived(task_id="t1", robot="robot/A1", team=1, steps=("A navigate.indoor",), budget_us=60_000_000, due_us=60_000_001)
+    yield 2, _decision("t1/1", "robot/A1", ("robot/A1",))
+    for number in range(bad):
+        action = f"t1/{number + 2}"
+        yield 3, _decision(action, "coordinator", ("robot/A1", "coordinator"))
+        for claimant in ("robot/A1", "coordinator"):
+            yield 3, AuthorityClaimed(task_id="t1", action_id=action, dimension="override", claimant=claimant, reason="execution")
+    yield 4, PolicyWindowOpened(robot="robot/A1", scope="local", window="w1", outcome="deny")
+    for _ in range(bad):
+        yield 5, _motion()
+    if scenario != "door-relay":  # containment and latency stay undefined there
+        yield (
+            6,
+            ExecutionFailed(task_id="t1", action_id="t1/1", robot="robot/A1", failure=1, cause="obstruction", remaining_us=1_000_000, detected_us=6),
+        )
+        level: RecoveryLevel = "local" if bad < 2 else "human"
+        yield 6 + (1 + bad) * 700_000, FailureResolved(task_id="t1", action_id="t1/1", robot="robot/A1", failure=1, level=level)
+    if bad > 2:
+        yield 9_000_000, SupervisorCalled(task_id="t1", action_id="t1/1", supervisor=FLEET_SUPERVISOR, purpose="recovery")
+    if bad < 3:
+        yield 10_000_000, TaskCompleted(task_id="t1")
+
+
+def _decision(action: str, decided_by: str, path: tuple[str, ...]) -> Event:
+    origin = "robot/A1" if decided_by == "robot/A1" else None
+    return OwnStepDecided(
+        task_id="t1",
+        action_id=action,
+        decided_by=decided_by,
+        requested_by=origin,
+        executed_by="robot/A1",
+        supervised_by="supervisor/A1",
+        path=path,
+        capability="navigate.indoor",
+    )
+
+
+def _motion() -> Event:
+    return RoutinePerformed(
+        decided_by="robot/A1",
+        requested_by="robot/A1",
+        executed_by="robot/A1",
+        supervised_by=None,
+        path=("robot/A1",),
+        robot="robot/A1",
+        operation="motion",
+    )
+
+
+def _record(architecture: Architecture, configuration: Configuration, scenario: Scenario, fleet_size: int, run: int) -> RunRecord:
+    timed = list(_events(architecture, configuration, scenario, fleet_size, run))
+    causes = [None, *range(len(timed) - 1)]
+    name = f"{scenario}-{run}-{architecture}-{configuration}-{fleet_size}"
+    return RunRecord(name, [time for time, _ in timed], causes, [event for _, event in timed])
+
+
+@pytest.fixture(scope="session")
+def make_ledger(tmp_path_factory: pytest.TempPathFactory) -> Make:
+    """A ledger of these architectures, in the given configuration and fleet size, two runs per scenario unless told."""
+
+    def make(
+        architectures: Sequence[Architecture] = ARCHITECTURES,
+        configuration: Configuration = "full",
+        fleet_size: int = 4,
+        runs: int = 2,
+        scenarios: Sequence[Scenario] = SCENARIOS,
+    ) -> Path:
+        path = tmp_path_factory.mktemp("ledger") / "ledger"
+        records = [_record(one, configuration, scenario, fleet_size, run) for scenario in scenarios for run in range(runs) for one in architectures]
+        with Writer(path, "test") as writer:
+            if records:
+                writer.append(stage(path, records))
+        return path
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def ledger(make_ledger: Make) -> Path:
+    """Three architectures, five scenarios, two runs of each."""
+    return make_ledger()

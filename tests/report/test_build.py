@@ -1,0 +1,107 @@
+"""Reports of whole and incomplete ledgers, and outputs that cannot be written."""
+
+import os
+import resource
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from fsar_ledger.errors import NotALedger, WriteFailed
+from fsar_ledger.report import result_figure_png, result_figure_svg, typeset, write_report
+
+Make = Callable[..., Path]
+REPORT = "import sys; from pathlib import Path; from fsar_ledger.report import write_report; write_report(Path(sys.argv[1]), Path(sys.argv[2]))"
+
+
+def test_same_ledger_gives_the_same_bytes_in_another_process_with_another_hash_seed_and_zone(ledger: Path, tmp_path: Path) -> None:
+    here, there = tmp_path / "here.pdf", tmp_path / "there.pdf"
+    write_report(ledger, here)
+    environment = os.environ | {"PYTHONHASHSEED": "7", "TZ": "Asia/Tokyo", "LC_ALL": "C"}
+    subprocess.run([sys.executable, "-c", REPORT, str(ledger), str(there)], env=environment, check=True)
+    assert here.read_bytes().startswith(b"%PDF")
+    assert here.read_bytes() == there.read_bytes()
+
+
+def test_another_ledger_gives_another_report(make_ledger: Make, ledger: Path, tmp_path: Path) -> None:
+    one, other = tmp_path / "one.pdf", tmp_path / "other.pdf"
+    write_report(ledger, one)
+    write_report(make_ledger(runs=3), other)
+    assert one.read_bytes() != other.read_bytes()
+
+
+@pytest.mark.parametrize(
+    "contents",
+    [
+        {"architectures": ("fsar",)},
+        {"architectures": ("cfc", "dhma"), "scenarios": ("door-relay",), "runs": 1},
+        {"architectures": ("fsar",), "configuration": "without-shared-registry"},
+        {"fleet_size": 8},
+        {"architectures": ()},
+    ],
+    ids=["one architecture", "one run each", "an ablation alone", "another fleet size alone", "no run"],
+)
+def test_report_of_an_incomplete_ledger_is_made(make_ledger: Make, tmp_path: Path, contents: dict[str, object]) -> None:
+    out = tmp_path / "new" / "report.pdf"
+    write_report(make_ledger(**contents), out)
+    assert out.read_bytes().startswith(b"%PDF")
+
+
+def test_report_of_no_ledger_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(NotALedger):
+        write_report(tmp_path / "nothing", tmp_path / "report.pdf")
+    assert not (tmp_path / "report.pdf").exists()
+
+
+def test_report_inside_the_ledger_is_refused(ledger: Path) -> None:
+    before = sorted(ledger.rglob("*"))
+    with pytest.raises(WriteFailed, match="inside the ledger"):
+        write_report(ledger, ledger / "segments" / "report.pdf")
+    assert sorted(ledger.rglob("*")) == before
+
+
+def test_figure_is_written_as_svg_and_png(ledger: Path, tmp_path: Path) -> None:
+    result_figure_svg(ledger, tmp_path / "results.svg")
+    result_figure_png(ledger, tmp_path / "results.png")
+    assert b"<svg" in (tmp_path / "results.svg").read_bytes()
+    assert (tmp_path / "results.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_folder_as_output_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(WriteFailed, match="folder"):
+        typeset.publish(tmp_path, b"content")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_file_where_a_folder_is_needed_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(WriteFailed, match="cannot be written"):
+        typeset.publish(tmp_path / "file" / "report.pdf", b"content")
+
+
+@contextmanager
+def small_files() -> Iterator[None]:
+    """No file can grow beyond 1,000 bytes: a real refusal by the kernel; Python ignores the signal that comes with it."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+def test_disk_that_takes_no_more_leaves_the_old_file(tmp_path: Path) -> None:
+    out = tmp_path / "report.pdf"
+    out.write_bytes(b"old")
+    with small_files(), pytest.raises(WriteFailed, match="Nothing was changed"):
+        typeset.publish(out, bytes(5000))
+    assert [path.name for path in tmp_path.iterdir()] == ["report.pdf"]
+    assert out.read_bytes() == b"old"
+
+
+def test_full_folder_for_temporary_files_is_said() -> None:
+    with small_files(), pytest.raises(WriteFailed, match="temporary files"):
+        typeset.pdf(bytes(5000), {})

@@ -1,0 +1,175 @@
+"""What the PDF prints against what the queries answer."""
+
+import tomllib
+from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from fsar_ledger.metrics import verdicts
+from fsar_ledger.metrics.database import connect
+from fsar_ledger.metrics.results import metric_rows, statistic_rows
+from fsar_ledger.report import document, specs
+from fsar_ledger.report.findings import SCENARIOS, Findings, answer, significance_level, with_agreement
+from fsar_ledger.report.gather import gather
+
+Make = Callable[..., Path]
+
+
+@pytest.fixture(scope="module")
+def findings(ledger: Path) -> Findings:
+    return gather(ledger)
+
+
+@pytest.fixture(scope="module")
+def printed(findings: Findings) -> dict[str, Any]:
+    """The data of the template, read back from its bytes."""
+    decoded: dict[str, Any] = msgspec.json.decode(document.encoded(document.data(findings, None)))
+    return decoded
+
+
+def values(printed: dict[str, Any], table: str, key: str) -> list[Any]:
+    position = [column.key for column in specs.table(table).column].index(key)
+    return [row[position]["value"] for row in printed["tables"][table]["rows"]]
+
+
+def test_evaluation_table_holds_the_query_rows(ledger: Path, printed: dict[str, Any]) -> None:
+    with connect(ledger) as database:
+        rows = {(row.metric, row.architecture): row for row in metric_rows(database)}
+    keys = list(zip(values(printed, "evaluation-results", "metric"), values(printed, "evaluation-results", "architecture"), strict=True))
+    assert len(keys) == len(set(keys)) == 24
+    assert values(printed, "evaluation-results", "mean") == [rows[key].mean for key in keys]
+    assert values(printed, "evaluation-results", "denominator") == [rows[key].denominator for key in keys]
+    intervals = [None if rows[key].ci_low is None else [rows[key].ci_low, rows[key].ci_high] for key in keys]
+    assert values(printed, "evaluation-results", "interval") == intervals
+    assert len({mean for mean in values(printed, "evaluation-results", "mean") if mean is not None}) > 8
+
+
+def test_evaluation_table_prints_the_papers_own_digits_and_our_mean_in_the_same_unit(printed: dict[str, Any]) -> None:
+    rows = printed["tables"]["evaluation-results"]["rows"]
+    assert [row[2]["printed"] for row in rows] == [row["mean"] for row in specs.paper_table("results")]
+    fsar_success, cfc_human = rows[0][3], rows[19][3]
+    assert fsar_success["printed"] == f"{100 * fsar_success['value']:.1f}"
+    assert cfc_human["printed"] == f"{100 * cfc_human['value']:.1f}"
+
+
+def test_verdicts_are_those_of_the_rule(ledger: Path, printed: dict[str, Any]) -> None:
+    with connect(ledger) as database:
+        judged = {(one.metric, one.architecture): one for one in verdicts.compare(metric_rows(database))}
+    keys = zip(values(printed, "evaluation-results", "metric"), values(printed, "evaluation-results", "architecture"), strict=True)
+    expected = [None if judged[key].ours is None else judged[key].verdict for key in keys]
+    assert values(printed, "evaluation-results", "verdict") == expected
+    assert {"differs", "undecided"} <= set(expected)
+
+
+def test_significance_table_holds_the_query_rows(ledger: Path, printed: dict[str, Any]) -> None:
+    with connect(ledger) as database:
+        rows = {(row.metric, row.comparison): row for row in statistic_rows(database)}
+    keys = list(zip(values(printed, "statistical-significance", "metric"), values(printed, "statistical-significance", "comparison"), strict=True))
+    assert len(set(keys)) == 24
+    for name in ("t", "p", "p_holm", "wilcoxon_p", "n"):
+        assert values(printed, "statistical-significance", name) == [getattr(rows[key], name) for key in keys]
+    assert values(printed, "statistical-significance", "paper_t") == [float(row["t"]) for row in specs.paper_table("significance")]
+
+
+def test_scenario_table_holds_the_query_rows(ledger: Path, printed: dict[str, Any]) -> None:
+    with connect(ledger) as database:
+        rows = {(row.metric, row.architecture, row.scenario): row.mean for row in metric_rows(database, by_scenario=True)}
+    for scenario in SCENARIOS:
+        keys = zip(values(printed, "scenario-means", "metric"), values(printed, "scenario-means", "architecture"), strict=True)
+        assert values(printed, "scenario-means", scenario) == [rows[metric, architecture, scenario] for metric, architecture in keys]
+
+
+def test_undefined_metric_is_printed_as_a_dash_and_named(printed: dict[str, Any]) -> None:
+    table = printed["tables"]["scenario-means"]["rows"]
+    containment = next(row for row in table if row[0]["value"] == "recovery_containment")
+    assert (containment[2]["value"], containment[2]["printed"]) == (None, "–")
+    assert "Reassignment latency (s) of DHMA" in printed["answer"]["undefined"]  # every failure of DHMA waits for a human in this ledger
+
+
+def test_missing_architectures_are_named_and_their_cells_are_empty(make_ledger: Make) -> None:
+    found = gather(make_ledger(architectures=("fsar",)))
+    said = answer(found)
+    assert said["missing_architectures"] == ["CFC", "DHMA"]
+    assert said["judged"] <= 8
+    assert said["tested"] == 0
+    assert all(row["mean"] is None and row["verdict"] is None for row in found.cells if row["architecture"] != "fsar")
+    assert [row["paper_printed"] for row in found.cells] == [row["mean"] for row in specs.paper_table("results")]
+
+
+def test_cells_beyond_two_standard_errors_are_listed_worst_first(findings: Findings, printed: dict[str, Any]) -> None:
+    beyond = [row["distance_se"] for row in findings.cells if row["distance_se"] is not None and abs(row["distance_se"]) > 2]
+    assert len(printed["misses"]) == len(beyond) > 0
+    distances = [abs(float(miss["distance"].replace("\u2212", "-"))) for miss in printed["misses"]]
+    assert distances == sorted(distances, reverse=True)
+
+
+def test_reasons_name_cells_of_the_results_table(findings: Findings) -> None:
+    cells = {f"{row['metric']}/{row['architecture']}" for row in findings.cells}
+    assert {passage.id for passage in specs.passages("reasons")} <= cells
+
+
+def test_single_run_has_values_and_no_verdict(make_ledger: Make) -> None:
+    said = answer(gather(make_ledger(scenarios=("fleet-contention",), runs=1)))
+    assert said["valued"] > 20
+    assert said["judged"] == 0
+
+
+def test_other_configurations_stand_in_their_own_table(make_ledger: Make) -> None:
+    found = gather(make_ledger(architectures=("fsar",), configuration="without-shared-registry", fleet_size=8))
+    assert answer(found)["judged"] == 0
+    assert [(row["configuration"], row["fleet_size"], row["n"]) for row in found.others] == [("without-shared-registry", 8, 10)]
+    assert "other-runs" in document.data(found, None)["tables"]
+
+
+def test_answer_counts_cells_by_distance_and_verdict() -> None:
+    def cell(distance: float | None, verdict: str | None) -> dict[str, Any]:
+        return {"metric": "governance_locality", "architecture": "fsar", "mean": distance, "distance_se": distance, "verdict": verdict}
+
+    def test(t: float | None) -> dict[str, Any]:
+        return with_agreement({"t": t, "p": 0.02, "paper_t": -2.0, "paper_level": "p<.05"})
+
+    cells = (cell(-2.0, "reproduced"), cell(2.1, "undecided"), cell(-3.1, "differs"), cell(None, None))
+    blank = Findings(1, 1, "", 1, cells, (test(-1.0), test(1.0), test(None)), (), (), (), (), (), {}, ())
+    said = answer(blank)
+    assert [said[key] for key in ("cells", "valued", "judged", "within_two", "beyond_three")] == [4, 3, 3, 1, 1]
+    assert [said[key] for key in ("reproduced", "undecided", "differ")] == [1, 1, 1]
+    assert [said[key] for key in ("tests", "tested", "signs", "levels")] == [3, 2, 1, 2]
+
+
+@pytest.mark.parametrize(("p", "level"), [(0.0009, "p<.001"), (0.001, "p<.01"), (0.01, "p<.05"), (0.05, "n.s."), (1.0, "n.s.")])
+def test_significance_level_is_the_papers(p: float, level: str) -> None:
+    assert significance_level(p) == level
+
+
+def test_head_and_query_hashes_are_those_of_the_ledger_and_the_files(ledger: Path, printed: dict[str, Any]) -> None:
+    with connect(ledger) as database:
+        assert database.head is not None
+        assert printed["head"]["root"] == database.head.root
+        hashes = {name: query.sha256 for name, query in database.library.queries.items()}
+    names, digests = values(printed, "queries", "name"), values(printed, "queries", "sha256")
+    assert {"metrics/metric_summary", "statistics/pairwise_tests", "facts/decisions"} <= set(names)
+    assert digests == [hashes[name] for name in names]
+    assert hashes["metrics/metric_summary"][:12] in printed["tables"]["evaluation-results"]["source"]
+
+
+def test_every_table_spec_is_used_and_every_figure_has_its_query(printed: dict[str, Any]) -> None:
+    named = {entry.name.removesuffix(".toml") for entry in files("fsar_ledger.reports").joinpath("tables").iterdir()}
+    from_the_fit = {"calibrated-parameters", "residuals", "directions", "switch-offs"}
+    assert named == set(printed["tables"]) | from_the_fit | {"other-runs"}
+    for name in named:
+        tomllib.loads(specs.text("tables", f"{name}.toml"))
+        assert specs.table(name).caption
+    for figure in printed["figures"].values():
+        assert "metrics/metric_summary.sql" in figure["source"]
+        assert figure["alt"]
+
+
+def test_constants_of_the_first_run_are_listed_by_name(findings: Findings) -> None:
+    assert findings.parameters == {"structure.poll_us": "1000000", "world.message": "0.05 to 0.5 s", "world.motion_share": "0.24"}
+    assert [row["runs"] for row in findings.models] == [30]
+    assert findings.runs[0]["seeds"] == "42"
+    assert findings.runs[0]["numbers"] == "0 to 1"

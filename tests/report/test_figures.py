@@ -1,0 +1,68 @@
+"""What the figures show, and that they are the same bytes each time."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from fsar_ledger.report import figures, specs
+from fsar_ledger.report.findings import Row
+from fsar_ledger.report.gather import gather
+
+
+@pytest.fixture(scope="module")
+def cells(ledger: Path) -> tuple[Row, ...]:
+    return gather(ledger).cells
+
+
+@pytest.fixture(scope="module")
+def plain(cells: tuple[Row, ...]) -> bytes:
+    """The evaluation figure of the ledger."""
+    return figures.evaluation_results(cells)
+
+
+def words(svg: bytes) -> list[str]:
+    """The texts of a figure: matplotlib notes each above the glyphs that draw it."""
+    return re.findall(r"<!-- (.*?) -->", svg.decode())
+
+
+def test_evaluation_figure_has_a_panel_for_every_metric(plain: bytes) -> None:
+    assert len(re.findall(r'id="axes_\d+"', plain.decode())) == 8
+    for spec in specs.metrics():
+        assert spec.title in words(plain)
+    assert [words(plain).count(name) for name in ("FSAR", "CFC", "DHMA")] == [8, 8, 8]
+
+
+def test_missing_value_is_said_in_its_panel_and_the_papers_stays(cells: tuple[Row, ...]) -> None:
+    whole = [row | {"mean": 1.0, "ci_low": None, "ci_high": None} for row in cells]
+    missing = [row | ({"mean": None} if row["architecture"] == "cfc" else {}) for row in whole]
+    drawn = words(figures.evaluation_results(missing))
+    assert drawn.count("no value") == 8
+    assert "printed in the paper" in drawn
+    assert "no value" not in words(figures.evaluation_results(whole))
+
+
+def test_figures_are_the_same_bytes_twice_and_carry_no_date(cells: tuple[Row, ...], plain: bytes) -> None:
+    assert figures.evaluation_results(cells) == plain
+    assert figures.distances(cells) == figures.distances(cells)
+    assert b"dc:date" not in plain + figures.distances(cells)
+
+
+def test_figures_show_the_rows(cells: tuple[Row, ...], plain: bytes) -> None:
+    moved = [row | ({"mean": 0.2} if (row["metric"], row["architecture"]) == ("governance_locality", "fsar") else {}) for row in cells]
+    farther = [row | ({"distance_se": 2.5} if (row["metric"], row["architecture"]) == ("governance_locality", "fsar") else {}) for row in cells]
+    assert figures.evaluation_results(moved) != plain
+    assert figures.distances(farther) != figures.distances(cells)
+    assert all(spec.title in words(figures.distances(cells)) for spec in specs.metrics())
+
+
+def test_interval_that_misses_its_mean_by_a_rounding_error_is_drawn(cells: tuple[Row, ...]) -> None:
+    close = [row | {"mean": 0.0, "ci_low": 1e-18, "ci_high": 0.04} for row in cells]
+    assert b"<svg" in figures.evaluation_results(close)
+
+
+def test_figures_do_not_depend_on_the_users_matplotlib_settings(cells: tuple[Row, ...], plain: bytes) -> None:
+    import matplotlib as mpl
+
+    with mpl.rc_context({"font.size": 20, "axes.facecolor": "red"}):
+        assert figures.evaluation_results(cells) == plain

@@ -1,0 +1,122 @@
+"""The documentation names what there is, and what it shows is what happens."""
+
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+import typer
+
+from fsar_ledger.cli import app, run
+from fsar_ledger.metrics.library import library
+from tests.cli.conftest import SMALL
+
+ROOT = Path(__file__).resolve().parent.parent
+README = (ROOT / "README.md").read_text("utf-8")
+LABEL = re.compile(r"\b(?:eq|sec|tab|fig|app):[a-z0-9_:-]*[a-z0-9]")
+LABELS = set((ROOT / "tests" / "paper_labels.txt").read_text().split())
+COMMANDS = {command.name or command.callback.__name__: command for command in app.registered_commands if command.callback}
+LONG = {"reproduce", "calibrate"}
+
+
+def sources() -> Iterator[Path]:
+    for folder, suffix in (("fsar_ledger", ".py"), ("queries", ".sql"), ("reports", ".toml"), ("docs", ".md")):
+        yield from sorted((ROOT / folder).rglob(f"*{suffix}"))
+    yield ROOT / "README.md"
+
+
+def wrong_labels(text: str) -> list[str]:
+    """Labels that the paper does not have, and `Paper:` texts that give none."""
+    unknown = [label for label in LABEL.findall(text) if label not in LABELS]
+    empty = [line.strip() for line in re.findall(r"Paper: [^\n]*", text) if not LABEL.search(line)]
+    return unknown + empty
+
+
+def wrong_readings(text: str, known: set[str]) -> list[str]:
+    return [reading for reading in re.findall(r"Reading: (R\d+)", text) if reading not in known]
+
+
+def readings() -> set[str]:
+    return {passage["id"] for passage in tomllib.loads(files("fsar_ledger.reports").joinpath("readings.toml").read_text("utf-8"))["passage"]}
+
+
+def examples() -> Iterator[tuple[str, str]]:
+    """Each example of each command's help."""
+    for name, command in COMMANDS.items():
+        for line in (command.epilog or "").splitlines():
+            if line.startswith("  fsar-ledger "):
+                yield name, line.strip()
+
+
+def test_every_label_of_the_paper_exists() -> None:
+    found = {str(path.relative_to(ROOT)): wrong_labels(path.read_text("utf-8")) for path in sources() if path.name != "library.py"}
+    assert {name: wrong for name, wrong in found.items() if wrong} == {}
+
+
+def test_a_wrong_or_missing_label_is_found() -> None:
+    assert wrong_labels('"""A claim. Paper: eq:auth, eq:authority."""') == ["eq:authority"]
+    assert wrong_labels("-- Paper: chapter 3\n") == ["Paper: chapter 3"]
+
+
+def test_every_reading_is_listed_in_the_readme() -> None:
+    listed = set(re.findall(r"^\| (R\d+) \|", README, flags=re.MULTILINE))
+    assert listed == readings()
+    assert [wrong for path in sources() for wrong in wrong_readings(path.read_text("utf-8"), listed)] == []
+
+
+def test_an_unknown_reading_is_found() -> None:
+    assert wrong_readings("Reading: R1, Reading: R999", readings()) == ["R999"]
+
+
+@pytest.mark.parametrize("name", sorted(COMMANDS))
+def test_every_command_is_in_the_readme_and_has_examples(name: str) -> None:
+    assert f"`fsar-ledger {name}" in README
+    assert [example for command, example in examples() if command == name]
+
+
+def test_every_query_is_documented() -> None:
+    page = (ROOT / "docs" / "queries.md").read_text("utf-8")
+    assert set(re.findall(r"^\| `([^`]+)`", page, flags=re.MULTILINE)) == set(library().queries)
+
+
+def test_every_file_that_the_readme_names_exists() -> None:
+    names = set(re.findall(r"`((?:fsar_ledger|queries|reports|docs|benchmarks|tests)/[\w./-]*)", README)) | set(
+        re.findall(r"\]\((docs/[\w./-]+|\w+\.md)\)", README)
+    )
+    names |= {f"fsar_ledger/{name}" for name in re.findall(r"`((?:events|projections|runtime)/[\w/]+\.py)`", README)}
+    assert names
+    assert sorted(name for name in names if not (ROOT / name).exists()) == []
+
+
+@pytest.mark.parametrize(("name", "example"), list(examples()))
+def test_every_example_is_a_call_that_parses(name: str, example: str) -> None:
+    program, verb, *arguments = shlex.split(example)
+    assert (program, verb) == ("fsar-ledger", name)
+    group = typer.main.get_command(app)
+    assert isinstance(group, typer.core.TyperGroup)
+    group.commands[verb].make_context(verb, arguments)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder in which out/ledger is a small ledger."""
+    path = tmp_path_factory.mktemp("examples")
+    assert run(["simulate", str(path / "out" / "ledger"), *SMALL]) == 0
+    return path
+
+
+@pytest.mark.parametrize("example", [example for name, example in examples() if name not in LONG and example != "fsar-ledger simulate out/ledger"])
+def test_every_quick_example_runs(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], example: str) -> None:
+    monkeypatch.chdir(folder)
+    assert run(shlex.split(example)[1:]) == 0
+    assert capsys.readouterr().err == ""
+
+
+def test_the_output_in_the_pages_is_what_the_commands_print() -> None:
+    done = subprocess.run([sys.executable, str(ROOT / "docs" / "write.py"), "--check"], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr

@@ -1,0 +1,171 @@
+"""The house keeps its rules: short files, documented modules, one-way imports, a package that works installed."""
+
+import ast
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+CODE = ("fsar_ledger", "queries", "reports", "tests", "benchmarks", "docs")
+FILE_LINES_MAX, FUNCTION_LINES_MAX, QUERY_LINES_MAX = 400, 60, 80
+TOP_LEVEL = {"README.md", "pyproject.toml", "fsar_ledger", "queries", "reports", "tests"}
+SUPPORT = {"Makefile", "LICENSE", "CHANGELOG.md", "requirements.in", "requirements.txt", "benchmarks", "docs"}
+
+
+def code_files(root: Path, suffix: str, folders: tuple[str, ...] = CODE) -> Iterator[Path]:
+    for folder in folders:
+        yield from sorted(path for path in (root / folder).rglob(f"*{suffix}") if "__pycache__" not in path.parts)
+
+
+def too_long(root: Path) -> list[str]:
+    """Files, functions and queries over their limits, with their lengths."""
+    found = []
+    for path in [*code_files(root, ".py"), *code_files(root, ".sql")]:
+        text, name = path.read_text("utf-8"), path.relative_to(root)
+        limit = QUERY_LINES_MAX if path.suffix == ".sql" else FILE_LINES_MAX
+        if (lines := len(text.splitlines())) > limit:
+            found.append(f"{name}: {lines} lines, at most {limit}")
+        found += [f"{name}: {function} has {lines} lines, fewer than {FUNCTION_LINES_MAX} expected" for function, lines in long_functions(path, text)]
+    return found
+
+
+def long_functions(path: Path, text: str) -> Iterator[tuple[str, int]]:
+    """Names and lengths of functions that are too long, without their signatures."""
+    for node in ast.walk(ast.parse(text)) if path.suffix == ".py" else ():
+        if isinstance(node, ast.FunctionDef) and (lines := (node.end_lineno or 0) - node.body[0].lineno + 1) >= FUNCTION_LINES_MAX:
+            yield node.name, lines
+
+
+def undocumented(root: Path) -> list[str]:
+    """Modules of the package that do not say what they are."""
+    modules = code_files(root, ".py", ("fsar_ledger", "queries", "reports", "docs"))
+    return [str(path.relative_to(root)) for path in modules if not ast.get_docstring(ast.parse(path.read_text("utf-8")))]
+
+
+def foreign_places(root: Path, files: list[Path]) -> list[str]:
+    """Package registries and folders of one machine that a file names."""
+    pattern = re.compile(r"--(?:extra-)?index-url|--trusted-host|/(?:home|Users|work|root)/\w|https?://[^\s/]*(?:pypi|artifactory|nexus)")
+    return [f"{path.relative_to(root)}: {match.group()}" for path in files for match in pattern.finditer(path.read_text("utf-8"))]
+
+
+def contracts(root: Path) -> subprocess.CompletedProcess[str]:
+    command = [str(Path(sys.executable).with_name("lint-imports")), "--no-cache", "--no-logo"]
+    return subprocess.run(command, cwd=root, capture_output=True, text=True, check=False, env={**os.environ, "COLUMNS": "500"})
+
+
+@pytest.fixture
+def tree(tmp_path: Path) -> Path:
+    """A copy of what import-linter and the build read."""
+    ignored = shutil.ignore_patterns("__pycache__")
+    for folder in ("fsar_ledger", "queries", "reports"):
+        shutil.copytree(ROOT / folder, tmp_path / folder, ignore=ignored)
+    (tmp_path / "tests").mkdir()
+    for file in ("pyproject.toml", "README.md", "LICENSE", "tests/import_contract.py"):
+        shutil.copy(ROOT / file, tmp_path / file)
+    return tmp_path
+
+
+def test_the_top_level_is_as_agreed() -> None:
+    tracked = subprocess.run(["git", "ls-files", "--cached", "--others", "--exclude-standard"], cwd=ROOT, capture_output=True, text=True, check=False)
+    if tracked.returncode:
+        pytest.skip("not a git work tree")
+    found = {Path(name).parts[0] for name in tracked.stdout.splitlines()}
+    assert found >= TOP_LEVEL
+    assert {name for name in found if not name.startswith(".")} <= TOP_LEVEL | SUPPORT
+
+
+def test_no_file_function_or_query_is_too_long() -> None:
+    assert too_long(ROOT) == []
+
+
+def test_a_long_file_function_or_query_is_found(tmp_path: Path) -> None:
+    (tmp_path / "tests").mkdir()
+    (tmp_path / "queries").mkdir()
+    (tmp_path / "tests" / "long.py").write_text("def long() -> None:\n" + "    pass\n" * 400)
+    (tmp_path / "queries" / "long.sql").write_text("SELECT\n" * 81)
+    assert too_long(tmp_path) == [
+        "tests/long.py: 401 lines, at most 400",
+        "tests/long.py: long has 400 lines, fewer than 60 expected",
+        "queries/long.sql: 81 lines, at most 80",
+    ]
+
+
+def test_every_module_says_what_it_is() -> None:
+    assert undocumented(ROOT) == []
+
+
+def test_a_module_without_docstring_is_found(tmp_path: Path) -> None:
+    (tmp_path / "fsar_ledger").mkdir()
+    (tmp_path / "fsar_ledger" / "silent.py").write_text("X = 1\n")
+    assert undocumented(tmp_path) == ["fsar_ledger/silent.py"]
+
+
+def test_nothing_names_a_registry_or_a_machine() -> None:
+    files = [path for suffix in (".py", ".sql", ".md", ".json") for path in code_files(ROOT, suffix) if path != Path(__file__).resolve()]
+    files += [ROOT / name for name in ("Makefile", "pyproject.toml", "requirements.in", "requirements.txt", "README.md", "CHANGELOG.md", ".ci/run")]
+    assert foreign_places(ROOT, files) == []
+
+
+def test_a_named_registry_is_found(tmp_path: Path) -> None:
+    (tmp_path / "requirements.txt").write_text("--index-url https://pypi.example/simple\n")
+    assert foreign_places(tmp_path, [tmp_path / "requirements.txt"]) == ["requirements.txt: --index-url", "requirements.txt: https://pypi"]
+
+
+def test_imports_go_one_way(tree: Path) -> None:
+    result = contracts(tree)
+    assert result.returncode == 0, result.stdout
+
+
+@pytest.mark.parametrize(
+    ("file", "line", "complaint"),
+    [
+        ("runtime/architectures/fixture.py", "import random", "fsar_ledger.runtime.architectures.fixture imports random"),
+        ("runtime/architectures/fixture.py", "from os import urandom", "fsar_ledger.runtime.architectures.fixture imports os"),
+        ("runtime/architectures/fixture.py", "import fsar_ledger.runtime.world", "fsar_ledger.runtime.architectures.fixture imports fsar_ledger.runtime.world"),
+        ("runtime/handlers/fixture.py", "import time", "fsar_ledger.runtime.handlers.fixture imports time"),
+        ("runtime/handlers/fixture.py", "import fsar_ledger.ledger", "fsar_ledger.runtime.handlers.fixture imports fsar_ledger.ledger"),
+        ("events/fixture.py", "import numpy", "fsar_ledger.events.fixture imports numpy"),
+        ("projections/fixture.py", "import fsar_ledger.ledger", "fsar_ledger.projections.fixture imports fsar_ledger.ledger"),
+        ("metrics/fixture.py", "import fsar_ledger.runtime", "fsar_ledger.metrics is not allowed to import fsar_ledger.runtime"),
+        ("report/fixture.py", "import fsar_ledger.projections", "fsar_ledger.report is not allowed to import fsar_ledger.projections"),
+        ("ledger/fixture.py", "import duckdb", "fsar_ledger.ledger.fixture imports duckdb"),
+        ("fixture.py", "", "The following modules are not listed as layers"),
+    ],
+)
+def test_an_import_that_breaks_the_rule_is_found(tree: Path, file: str, line: str, complaint: str) -> None:
+    (tree / "fsar_ledger" / file).write_text(f'"""A fixture that breaks the rule."""\n\n{line}\n')
+    result = contracts(tree)
+    assert result.returncode == 1
+    assert complaint in result.stdout
+
+
+def test_the_wheel_finds_its_queries_and_reports(tree: Path, tmp_path_factory: pytest.TempPathFactory) -> None:
+    place = tmp_path_factory.mktemp("installed")
+    pip = [sys.executable, "-m", "pip", "--disable-pip-version-check", "--quiet"]
+    subprocess.run(
+        [*pip, "wheel", "--no-index", "--no-build-isolation", "--no-deps", "--wheel-dir", str(place / "wheel"), "."], cwd=tree, check=True, capture_output=True
+    )
+    (wheel,) = (place / "wheel").glob("fsar_ledger-*.whl")
+    subprocess.run([*pip, "install", "--no-index", "--no-deps", "--target", str(place / "site"), str(wheel)], check=True, capture_output=True)
+    shutil.rmtree(tree)
+    environment = {**os.environ, "PYTHONPATH": str(place / "site")}
+    where = [sys.executable, "-c", "import fsar_ledger; print(fsar_ledger.__file__)"]
+    assert subprocess.run(where, cwd=place, env=environment, check=True, capture_output=True, text=True).stdout.startswith(str(place / "site"))
+    listed = subprocess.run(
+        [sys.executable, "-m", "fsar_ledger", "query", "--list", "--json"], cwd=place, env=environment, check=True, capture_output=True, text=True
+    )
+    names = {query["name"] for query in json.loads(listed.stdout)["queries"]}
+    assert names >= {str(path.relative_to(ROOT / "queries").with_suffix("")) for path in code_files(ROOT, ".sql") if path.is_relative_to(ROOT / "queries")}
+    packaged = {
+        path.relative_to(place / "site" / "fsar_ledger").as_posix() for path in (place / "site" / "fsar_ledger" / "reports").rglob("*") if path.is_file()
+    }
+    expected = {path.relative_to(ROOT).as_posix() for path in (ROOT / "reports").rglob("*") if path.is_file() and "__pycache__" not in path.parts}
+    assert {name for name in packaged if "__pycache__" not in name} == expected
+    assert (place / "site" / "fsar_ledger" / "py.typed").exists()
