@@ -39,7 +39,7 @@ reproduce: setup
 check: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy --strict fsar_ledger tests benchmarks
+	$(BIN)/mypy --strict fsar_ledger tests benchmarks docs
 	$(BIN)/sqlfluff lint --disable-progress-bar queries
 	$(BIN)/lint-imports
 
@@ -50,8 +50,9 @@ bench: setup
 	$(BIN)/python benchmarks/simulate_and_append.py
 	$(BIN)/python benchmarks/metrics.py
 
-docs: setup
+docs: reproduce
 	$(BIN)/python docs/write.py
+	$(BIN)/python -c 'from pathlib import Path; from fsar_ledger.report import result_figure_svg; result_figure_svg(Path("$(OUT)/ledger"), Path("docs/results.svg"))'
 
 clean:
 	rm -rf .venv $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

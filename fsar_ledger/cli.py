@@ -91,7 +91,7 @@ def simulate(
     from .runtime.experiment import simulate as run_experiment
 
     experiment = experiment_of(architecture, scenario, runs, seed, fleet_size, without)
-    with Progress("simulated") as progress:
+    with Progress("simulated", "batches") as progress:
         head = run_experiment(out, experiment, workers_of(workers), progress)
     if as_json:
         _show(json_text(head, {"ledger": str(out), "commits": head.commits}))
@@ -239,7 +239,7 @@ def verify(ledger: LedgerArgument, workers: WorkersOption = None, as_json: JsonO
     from .commands.output import verdict_json, verdict_text
     from .ledger.verify import verify as check
 
-    with Progress("verified") as progress:
+    with Progress("verified", "segments") as progress:
         report = check(ledger, workers_of(workers), progress)
     if as_json:
         _show(verdict_json(report))
@@ -273,7 +273,7 @@ def calibrate(
     """
     from .runtime.calibration import calibrate as fit
 
-    with Progress("evaluated") as progress:
+    with Progress("tried", "parameter sets") as progress:
         fit(out, progress)
     _show(f"{out}\n")
 
@@ -296,7 +296,7 @@ def reproduce(
 
     began = time.monotonic()
     ledger = out / "ledger"
-    with Progress("simulated") as progress:
+    with Progress("simulated", "batches") as progress:
         head = run_experiment(ledger, experiment_of(None, None, 20, 42, 4, None), workers_of(workers), progress)
     with connect(ledger) as database:
         metric_table, statistic_table = _plain(metric_rows(database)), _plain(statistic_rows(database))

@@ -9,21 +9,15 @@ from fsar_ledger.ledger.read import Head
 from fsar_ledger.metrics.database import connect
 
 # Grain: one row per seed, fleet size, architecture and configuration.
-# A scenario was meant to have the runs 0 to the highest run number that any architecture has in this ledger.
+# A scenario was meant to have the runs 0 to the highest run number that its seed and fleet size have in this ledger.
 GROUPS = """
-WITH extent AS (
-    SELECT max(run) + 1 AS run_count FROM runs
-),
-
-worlds AS (
-    SELECT DISTINCT seed, fleet_size, scenario FROM runs
-),
-
-meant AS (
-    SELECT worlds.seed, worlds.fleet_size, count(*) * any_value(extent.run_count) AS run_count
-    FROM worlds
-    CROSS JOIN extent
-    GROUP BY worlds.seed, worlds.fleet_size
+WITH meant AS (
+    SELECT
+        seed,
+        fleet_size,
+        count(DISTINCT scenario) * (max(run) + 1) AS run_count
+    FROM runs
+    GROUP BY seed, fleet_size
 ),
 
 sizes AS (

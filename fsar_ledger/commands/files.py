@@ -24,10 +24,10 @@ def export_events(ledger: Path, out: Path) -> int:
     """Every event of the ledger is in the file, in commit order; returns how many.
 
     Raises:
-        UsageError: the name of the file ends in neither .csv nor .parquet.
+        UsageError: the name of the file ends in neither .csv nor .parquet, or it lies inside the ledger.
         WriteFailed: the file cannot be written.
     """
-    _format_of(out)
+    _check(ledger, out)
     return _write_tables(out, SCHEMA, open_ledger(ledger).tables())
 
 
@@ -35,11 +35,11 @@ def export_query(ledger: Path, name: str, parameters: Mapping[str, str], out: Pa
     """The answer of the named query is in the file; returns its number of rows.
 
     Raises:
-        UsageError: the name of the file ends in neither .csv nor .parquet.
+        UsageError: the name of the file ends in neither .csv nor .parquet, or it lies inside the ledger.
         UnknownQuery: there is no query of that name.
         WriteFailed: the file cannot be written.
     """
-    _format_of(out)
+    _check(ledger, out)
     with connect(ledger) as database:
         table = database.query(name, parameters)
     return _write_tables(out, table.schema, [table])
@@ -53,6 +53,13 @@ def write_text(out: Path, text: str) -> None:
     """
     with _whole_file(out) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _check(ledger: Path, out: Path) -> None:
+    """The file may be written. Before any reading: a wrong name should not cost minutes."""
+    _format_of(out)
+    if out.resolve().is_relative_to(ledger.resolve()):
+        raise UsageError(f"{out}: found a file inside the ledger {ledger}, which holds nothing but its own files; choose a place outside")
 
 
 def _format_of(out: Path) -> str:

@@ -4,7 +4,7 @@ import os
 from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
@@ -12,6 +12,8 @@ from fsar_ledger.errors import InvalidExperiment, QueryFailed, UsageError
 
 if TYPE_CHECKING:
     from fsar_ledger.runtime.experiment import Experiment
+
+_Name = TypeVar("_Name", bound=str)
 
 LedgerArgument = Annotated[Path, typer.Argument(metavar="LEDGER", help="The folder of a ledger.", show_default=False)]
 NewLedgerArgument = Annotated[
@@ -62,9 +64,9 @@ def experiment_of(
     from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
     from fsar_ledger.runtime.experiment import Experiment
 
-    every_architecture, every_scenario = get_args(Architecture), get_args(Scenario)
-    mechanisms = tuple(name.removeprefix("without-") for name in get_args(Configuration) if name != "full")
-    configurations = tuple(f"without-{name}" for name in _known("mechanism", without, mechanisms))
+    every_architecture, every_scenario, every_configuration = get_args(Architecture), get_args(Scenario), get_args(Configuration)
+    ablations = {name.removeprefix("without-"): name for name in every_configuration if name != "full"}
+    configurations = tuple(ablations[name] for name in _known("mechanism", without, tuple(ablations)))
     return Experiment(
         architectures=_known("architecture", architectures, every_architecture) or (("fsar",) if configurations else every_architecture),
         scenarios=_known("scenario", scenarios, every_scenario) or every_scenario,
@@ -75,7 +77,7 @@ def experiment_of(
     )
 
 
-def _known(what: str, asked: Sequence[str] | None, names: tuple[str, ...]) -> tuple[str, ...]:
+def _known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> tuple[_Name, ...]:
     """The names that were asked for, each once, in the order of `names`."""
     for name in asked or ():
         if name not in names:

@@ -8,9 +8,9 @@ from types import TracebackType
 class Progress:
     """One line on stderr while the work goes on, gone when it ends; nothing where stderr is no terminal."""
 
-    def __init__(self, verb: str) -> None:
-        """The work is of this kind, in the past tense: `simulated`."""
-        self._verb = verb
+    def __init__(self, verb: str, unit: str) -> None:
+        """The work is of this kind, in the past tense, and counted in this: `simulated`, `batches`."""
+        self._verb, self._unit = verb, unit
         self._is_shown = sys.stderr.isatty()
         self._began_s = self._last_s = time.monotonic()
 
@@ -28,5 +28,5 @@ class Progress:
             return
         self._last_s = now_s
         left_s = (now_s - self._began_s) * (total - done) / done if done else 0.0
-        sys.stderr.write(f"\r\x1b[K{self._verb} {done:,} of {total:,}, about {left_s:.0f} s left")
+        sys.stderr.write(f"\r\x1b[K{self._verb} {done:,} of {total:,} {self._unit}, about {left_s:.0f} s left")
         sys.stderr.flush()

@@ -22,7 +22,7 @@ from fsar_ledger.errors import NotALedger, SequenceConflict, WriteFailed
 from fsar_ledger.ledger import canonical, disk, segment
 from fsar_ledger.ledger.codec import RunRecord, encode_hashed
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
-from fsar_ledger.ledger.read import Head, LedgerView, open_ledger
+from fsar_ledger.ledger.read import Head, LedgerView, open_ledger, read_manifest
 from fsar_ledger.ledger.record import (
     COMMITS,
     FORMAT,
@@ -35,13 +35,12 @@ from fsar_ledger.ledger.record import (
     checkpoint_note,
     commit_path,
     is_origin,
+    parse_manifest,
     segment_path,
     sha256_hex,
     staged_path,
 )
 from fsar_ledger.ledger.schema import FINGERPRINT
-
-_TEMPORARY = ".tmp"
 
 
 class Staged(msgspec.Struct, frozen=True):
@@ -73,10 +72,8 @@ def stage(ledger: Path, runs: Sequence[RunRecord]) -> Staged:
     data = segment.to_parquet(table)
     staged = Staged(sha256_hex(data), data.size, table.num_rows, runs[0].run_id, runs[-1].run_id, leaves)
     path = staged_path(ledger, staged.segment_sha256)
-    temporary = path.with_suffix(f".{os.getpid()}{_TEMPORARY}")
     with disk.refusals(path, "writing a segment"):
-        disk.write_temporary(temporary, memoryview(data))
-        disk.move(temporary, path)
+        disk.write_durably(path, memoryview(data))
     return staged
 
 
@@ -93,23 +90,27 @@ class Writer:
     def __init__(self, ledger: Path, origin: str):
         if not is_origin(origin):
             raise ValueError(f"found origin {origin!r}, expected a printable name without spaces and plus signs")
-        if not (ledger / MANIFEST).is_file():
+        if not os.path.lexists(ledger / MANIFEST):
             _create(ledger, origin)
-        view = open_ledger(ledger)
-        if view.manifest.origin != origin:
-            raise NotALedger(f"{ledger / MANIFEST}: found a ledger of origin {view.manifest.origin!r}, expected {origin!r}; give another path")
-        self._lock = _lock(ledger)
+        manifest = parse_manifest(ledger / MANIFEST, read_manifest(ledger))
+        if manifest.origin != origin:
+            raise NotALedger(f"{ledger / MANIFEST}: found a ledger of origin {manifest.origin!r}, expected {origin!r}; give another path")
+        self._lock, is_alone = _lock(ledger)
         try:
-            view = open_ledger(ledger)  # again, now that nothing is being cleaned away
+            view = open_ledger(ledger)
+            if is_alone:
+                _clean(view)
+            with suppress(OSError):  # the file system has no locks
+                fcntl.flock(self._lock, fcntl.LOCK_SH)
             _roll_forward(view)
-            self._path, self._origin, self._head = ledger, origin, view.head
-            self._last = view.records[-1] if view.records else None
-            self._tree = self._last.tree() if self._last else Frontier()
-            self._previous = sha256_hex(canonical.document(self._last)) if self._last else view.manifest_sha256
-            self._is_broken = False
         except BaseException:
-            os.close(self._lock)
+            self.close()
             raise
+        self._path, self._origin, self._head = ledger, origin, view.head
+        self._last = view.records[-1] if view.records else None
+        self._tree = self._last.tree() if self._last else Frontier()
+        self._previous = sha256_hex(canonical.document(self._last)) if self._last else view.manifest_sha256
+        self._is_broken = False
 
     @property
     def head(self) -> Head:
@@ -172,7 +173,7 @@ class Writer:
         """The record has its number. Raises: SequenceConflict if another has it, unless it is the same one."""
         path = commit_path(self._path, number)
         source = staged_path(self._path, staged.segment_sha256)
-        temporary = self._path / STAGING / f"{path.name}.{os.getpid()}{_TEMPORARY}"
+        temporary = disk.temporary_name(self._path / STAGING / path.name)
         with disk.refusals(path, "writing a commit record"):
             if not path.exists():
                 if source.stat().st_size != staged.segment_bytes or staged.rows * HASH_BYTES != len(staged.leaves):
@@ -198,28 +199,25 @@ class Writer:
             ) from error
 
 
-def _lock(ledger: Path) -> int:
-    """A handle that holds a shared lock on the ledger; leftovers in staging are gone if no other writer is there."""
+def _lock(ledger: Path) -> tuple[int, bool]:
+    """A handle, and whether it holds the only lock on the ledger; False where another writer is or the file system has no locks."""
     with disk.refusals(ledger, "locking"):
-        handle = os.open(ledger / MANIFEST, os.O_RDONLY)
-        try:
-            with suppress(OSError):  # another writer is there, or the file system has no locks: leave staging alone
-                fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                _clean(ledger)
-            with suppress(OSError):
-                fcntl.flock(handle, fcntl.LOCK_SH)
-        except BaseException:
-            os.close(handle)
-            raise
-    return handle
+        handle = os.open(ledger / MANIFEST, os.O_RDONLY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return handle, False
+    return handle, True
 
 
-def _clean(ledger: Path) -> None:
-    """Staging holds only segments that a record names."""
-    kept = {staged_path(ledger, record.segment_sha256).name for record in open_ledger(ledger).records}
-    for entry in list(os.scandir(ledger / STAGING)):
-        if entry.name not in kept and entry.is_file(follow_symlinks=False):
-            disk.remove(Path(entry.path))
+def _clean(view: LedgerView) -> None:
+    """Staging holds only segments that a record names. Only for a writer that is alone: others may be staging."""
+    kept = {staged_path(view.path, record.segment_sha256).name for record in view.records}
+    with disk.refusals(view.path / STAGING, "cleaning up"):
+        (view.path / STAGING).mkdir(exist_ok=True)
+        leftovers = [entry.path for entry in list(os.scandir(view.path / STAGING)) if entry.name not in kept and entry.is_file(follow_symlinks=False)]
+    for leftover in leftovers:
+        disk.remove(Path(leftover))
 
 
 def _roll_forward(view: LedgerView) -> None:
@@ -233,12 +231,12 @@ def _roll_forward(view: LedgerView) -> None:
 
 def _create(ledger: Path, origin: str) -> None:
     """There is an empty ledger. A creation that was interrupted is finished; anything else there is left alone."""
-    if ledger.exists() and not ledger.is_dir():
+    if os.path.lexists(ledger) and not os.path.isdir(ledger):
         raise NotALedger(f"{ledger}: found a file, expected a ledger or a free path; give another path")
     manifest = Manifest(FORMAT, origin, VERSION)
-    temporary = ledger / STAGING / f"{MANIFEST}.{os.getpid()}{_TEMPORARY}"
+    temporary = disk.temporary_name(ledger / STAGING / MANIFEST)
     with disk.refusals(ledger, "creating a ledger"):
-        if ledger.exists() and not _is_unfinished(ledger):
+        if os.path.isdir(ledger) and not _is_unfinished(ledger):
             raise NotALedger(f"{ledger}: found a folder with other things in it, expected a ledger or a free path; give another path")
         for folder in (ledger, ledger / COMMITS, ledger / SEGMENTS, ledger / STAGING):
             folder.mkdir(parents=folder == ledger, exist_ok=True)
@@ -255,6 +253,6 @@ def _is_unfinished(ledger: Path) -> bool:
         if entry.name not in (COMMITS, SEGMENTS, STAGING) or not entry.is_dir(follow_symlinks=False):
             return False
         leftovers = os.listdir(entry.path)
-        if any(entry.name != STAGING or not (name.startswith(MANIFEST) and name.endswith(_TEMPORARY)) for name in leftovers):
+        if any(entry.name != STAGING or not (name.startswith(MANIFEST) and name.endswith(disk.TEMPORARY)) for name in leftovers):
             return False
     return True

@@ -6,7 +6,7 @@ columns when a ledger is verified. Tests hold them equal.
 
 import hashlib
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import pyarrow as pa
@@ -47,9 +47,10 @@ def lines(tag: str, columns: Mapping[str, Sequence[object]]) -> list[bytes]:
     return (b"\x00" + encoded[:-1].replace(b"\n", b"\n\x00")).split(b"\n")  # JSON holds no raw line feed
 
 
-def _joined(*pieces: pa.Array | str) -> pa.Array:
-    """The pieces of each row behind each other; NULL where one of them is."""
-    return pc.binary_join_element_wise(*[pa.scalar(piece, _TEXT) if isinstance(piece, str) else piece for piece in pieces], pa.scalar("", _TEXT))
+def _joined(*pieces: pa.Array | str, nulls: Literal["emit_null", "skip"] = "emit_null") -> pa.Array:
+    """The pieces of each row behind each other; where one of them is NULL, NULL or without it (`skip`)."""
+    texts = [pa.scalar(piece, _TEXT) if isinstance(piece, str) else piece for piece in pieces]
+    return pc.binary_join_element_wise(*texts, pa.scalar("", _TEXT), null_handling=nulls)
 
 
 def _quoted(strings: pa.Array, before: str = "", after: str = "") -> pa.Array:
@@ -80,9 +81,8 @@ def from_table(table: pa.Table) -> list[bytes]:
         column = table.column(name).combine_chunks()
         if column.null_count == len(column) > 0:
             continue
-        members = _members(name, column, f'"{name}":' if name <= _PIVOT else f',"{name}":', "," if name < _PIVOT else "")
-        pieces.append(members.fill_null("") if column.null_count else members)
-    found: list[bytes] = _joined(*pieces, "}").cast(pa.large_binary()).to_pylist()
+        pieces.append(_members(name, column, f'"{name}":' if name <= _PIVOT else f',"{name}":', "," if name < _PIVOT else ""))
+    found: list[bytes] = _joined(*pieces, "}", nulls="skip").cast(pa.large_binary()).to_pylist()
     return found
 
 

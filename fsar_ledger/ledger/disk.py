@@ -8,6 +8,7 @@ from pathlib import Path
 
 from fsar_ledger.errors import WriteFailed
 
+TEMPORARY = ".tmp"
 MAX_DOCUMENT_BYTES = 1 << 20
 """No JSON file of a ledger comes near this size; what is larger is not one."""
 
@@ -43,6 +44,22 @@ def sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def write_durably(path: Path, data: bytes | memoryview) -> None:
+    """The file holds these bytes, whole and on the disk, whatever it held before."""
+    temporary = temporary_name(path)
+    try:
+        write_temporary(temporary, data)
+        move(temporary, path)
+    except BaseException:
+        remove(temporary)
+        raise
+
+
+def temporary_name(path: Path) -> Path:
+    """A name beside this one that no other process uses."""
+    return path.with_name(f"{path.name}.{os.getpid()}{TEMPORARY}")
 
 
 def write_temporary(path: Path, data: bytes | memoryview) -> None:

@@ -83,8 +83,13 @@ class LedgerView(msgspec.Struct, frozen=True):
 
     def runs(self) -> Iterator[codec.RunRecord]:
         """Every run, in order. Raises: LedgerCorrupted or UnknownEventTag where a segment does not hold valid events."""
-        for table in self.tables():
-            yield from codec.decode(table)
+        for number in range(len(self.records)):
+            path = self.segment(number)
+            try:
+                runs = list(codec.decode(segment.read_table(path)))
+            except LedgerCorrupted as error:
+                raise type(error)(str(error) if str(path) in str(error) else f"{path}: commit {number}: {error}") from error
+            yield from runs
 
 
 def open_ledger(path: Path) -> LedgerView:

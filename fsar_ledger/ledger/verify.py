@@ -76,7 +76,7 @@ def verify(path: Path, workers: int = 1, progress: Callable[[int, int], None] | 
     Raises:
         NotALedger: There is no directory at the path, or nothing of a ledger is in it.
     """
-    if not path.is_dir() or not any(os.path.lexists(path / name) for name in (MANIFEST, COMMITS, SEGMENTS)):
+    if not os.path.isdir(path) or not any(os.path.lexists(path / name) for name in (MANIFEST, COMMITS, SEGMENTS)):
         raise NotALedger(f"{path}: found no ledger there, expected its directory; give the path that `fsar-ledger simulate` wrote to")
     problems: list[Problem] = []
     try:

@@ -50,7 +50,7 @@ class Database:
         self._made: set[str] = set()
         self._connection = duckdb.connect(":memory:", config={"threads": threads} if threads else {})
         # The wide relation is read again and again: opening its files once is enough. UTC and no progress bar: the answer is the same anywhere.
-        for setting in ("parquet_metadata_cache = true", "TimeZone = 'UTC'", "enable_progress_bar = false", "preserve_insertion_order = false"):
+        for setting in ("parquet_metadata_cache = true", "TimeZone = 'UTC'", "enable_progress_bar = false"):
             self._connection.execute(f"SET {setting}")
         register(self._connection)
 
@@ -137,7 +137,7 @@ class Database:
             reader = self._connection.sql(sql).to_arrow_reader(BATCH_ROWS)
             yield pa.RecordBatch.from_pylist([], schema=reader.schema)
             yield from reader
-        except (duckdb.Error, pa.ArrowException) as error:
+        except (duckdb.Error, pa.ArrowException, OSError) as error:
             raise self._failure(error) from error
 
     def _execute(self, sql: str, params: Mapping[str, Value] | None) -> pa.Table | None:

@@ -7,6 +7,7 @@ is Arrow data, never pickled objects.
 
 import os
 import resource
+import signal
 from collections.abc import Mapping
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
@@ -90,6 +91,7 @@ def run_untrusted(ledger: Path, sql: str, limits: Limits | None = None) -> Answe
 
 def _child(pipe: Connection, segments: list[str], sql: str, limits: Limits) -> None:
     """The answer, or why there is none, is in the pipe."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent too, which ends this process
     silent = os.open(os.devnull, os.O_WRONLY)
     os.dup2(silent, 2)  # a library that dies of the memory limit writes to stderr; the parent says what happened
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

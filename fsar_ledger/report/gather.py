@@ -6,7 +6,7 @@ with the paper's.
 
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
 
@@ -15,7 +15,7 @@ import msgspec
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
-from fsar_ledger.report import specs
+from fsar_ledger.report import printing, specs
 from fsar_ledger.report.findings import ARCHITECTURES, COMPARISONS, MAIN_CONFIGURATION, MAIN_FLEET_SIZE, SCENARIOS, Findings, Row, Source, with_agreement
 
 QUERIES = ("metrics/metric_summary", "statistics/pairwise_tests", "staging/runs")  # what the report reads; the rest is what these read
@@ -151,19 +151,31 @@ def _models(database: Database) -> tuple[tuple[Row, ...], dict[str, str]]:
         }
         for row in rows
     )
-    return models, dict(_flat("", json.loads(rows[0]["parameters"]))) if rows else {}
+    return models, dict(flat("", json.loads(rows[0]["parameters"]))) if rows else {}
 
 
-def _flat(name: str, value: object) -> Iterable[tuple[str, str]]:
-    """Nested constants as dotted names and printed values, sorted by name within each level."""
+def flat(name: str, value: object) -> Iterator[tuple[str, str]]:
+    """Nested constants as dotted names and printed values, sorted by name within each level.
+
+    A mapping of low_s and high_s is a range of seconds; a list of [name, value] pairs is read as a mapping.
+    """
+    if isinstance(value, list) and value and all(isinstance(item, list) and len(item) == 2 and isinstance(item[0], str) for item in value):
+        value = dict(value)
     if isinstance(value, Mapping):
         if value.keys() == {"low_s", "high_s"}:
-            yield name, f"{value['low_s']:g} to {value['high_s']:g} s"
+            yield name, f"{_plain(value['low_s'])} to {_plain(value['high_s'])} s"
             return
         for key, inner in sorted(value.items()):
-            yield from _flat(f"{name}.{key}" if name else str(key), inner)
+            yield from flat(f"{name}.{key}" if name else str(key), inner)
         return
-    yield name, f"{value:g}" if isinstance(value, float) else str(value)
+    yield name, ", ".join(map(_plain, value)) if isinstance(value, list) else _plain(value)
+
+
+def _plain(value: object) -> str:
+    """A constant as it is printed: whole numbers in groups of three, others with the digits they have."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return printing.integer(value)
+    return f"{value:g}".replace("-", printing.MINUS) if isinstance(value, float) else str(value)
 
 
 def _is_file(query: str) -> bool:

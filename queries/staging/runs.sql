@@ -1,7 +1,7 @@
 -- Title: Runs and their dimensions
 -- Paper: sec:evaluation:setup
 -- Grain: one row per run
--- Units: fleet_size robots; run counts from 0 within seed and scenario
+-- Units: fleet_size robots; run counts from 0 within seed and scenario; parameters_sha256 the digest of all constants of the world and of structure
 -- NULL: never
 -- Example: fsar-ledger query staging/runs LEDGER
 -- Stored: every metric reads it
@@ -14,5 +14,6 @@ SELECT
     scenario,
     fleet_size,
     run,
-    model_version
+    model_version,
+    sha256(parameters) AS parameters_sha256
 FROM run_started

@@ -1,6 +1,6 @@
 -- Title: Differences between two architectures that met the same world
 -- Paper: sec:evaluation:significance
--- Grain: one row per comparison, metric, pair of runs (same configuration, seed, scenario, fleet size, run) and basis:
+-- Grain: one row per comparison, metric, pair of runs (same configuration, seed, scenario, fleet size, run, model and parameters) and basis:
 --        published counts a metric that is undefined for a run as the paper does, defined leaves such pairs out
 -- Units: first_value, second_value, difference (first minus second) in the metric's unit; difference_ppb billionths of it, an integer
 --        so that differences which are equal but for the last bits of a float tie in ranks
@@ -50,4 +50,6 @@ INNER JOIN measured AS second_runs
         AND first_runs.seed = second_runs.seed
         AND first_runs.scenario = second_runs.scenario
         AND first_runs.run = second_runs.run
+        AND first_runs.model_version = second_runs.model_version
+        AND first_runs.parameters_sha256 = second_runs.parameters_sha256
 WHERE first_runs.tested_value IS NOT NULL AND second_runs.tested_value IS NOT NULL

@@ -63,9 +63,13 @@ def test_info_tells_a_complete_ledger_from_one_that_lacks_runs(call: Call, ledge
     assert sum(group["events"] for group in whole["groups"]) == whole["head"]["size"]
     assert whole["models"][0]["parameters"]
     assert "12 runs, complete" in call("info", ledger).out
-    call("simulate", tmp_path / "uneven", "--architecture", "fsar", "--scenario", "door-relay", "--runs", "2")
-    table = call("query", "runs", tmp_path / "uneven", "--json")
-    assert json.loads(table.out)["head"]["size"] > 0
+    uneven = tmp_path / "uneven"
+    for architecture, runs in (("fsar", "3"), ("cfc", "2")):
+        call("simulate", uneven, "--architecture", architecture, "--scenario", "door-relay", "--runs", runs, "--workers", "1")
+    partial = json.loads(call("info", uneven, "--json").out)
+    assert partial["is_complete"] is False
+    assert {group["architecture"]: group["runs_missing"] for group in partial["groups"]} == {"fsar": 0, "cfc": 1}
+    assert "5 runs, not complete: 1 runs are missing" in call("info", uneven).out
 
 
 def test_metrics_have_the_agreed_columns_in_every_format(call: Call, ledger: Path) -> None:

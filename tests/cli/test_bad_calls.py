@@ -33,7 +33,7 @@ def contents_of(folder: Path) -> dict[str, bytes]:
         (("--seed", "-1"), ("seed", "-1")),
         (("--workers", "0"), ("--workers 0", "at least 1")),
         (("--colour",), ("--colour",)),
-        (("--architecture", "cfc", "--without", "shared-registry"), ("cfc", "shared-registry")),
+        (("--architecture", "cfc", "--without", "shared-registry"), ("cfc", "fsar")),
     ],
 )
 def test_an_impossible_experiment_is_refused_before_anything_is_written(call: Call, tmp_path: Path, arguments: tuple[str, ...], parts: tuple[str, ...]) -> None:
@@ -158,6 +158,12 @@ def test_metrics_by_something_else_are_refused(call: Call, ledger: Path) -> None
 def test_an_export_to_an_unknown_format_is_refused(call: Call, ledger: Path, tmp_path: Path, name: str) -> None:
     one_message(call("export", ledger, "--out", tmp_path / name), 2, ".csv or .parquet")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_an_export_into_the_ledger_is_refused(call: Call, copy: Path) -> None:
+    before = contents_of(copy)
+    one_message(call("export", copy, "--out", copy / "segments" / "events.parquet"), 2, "inside the ledger")
+    assert contents_of(copy) == before
 
 
 @pytest.mark.parametrize("arguments", [("export", "x.csv"), ("export", "x.parquet"), ("report", "x.pdf")])

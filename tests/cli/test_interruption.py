@@ -93,4 +93,4 @@ def test_progress_is_for_terminals(tmp_path: Path) -> None:
             break
     os.close(terminal)
     assert process.wait() == 0
-    assert b"simulated 12 of 12" in seen
+    assert b"simulated 1 of 1 batches" in seen

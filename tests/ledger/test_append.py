@@ -3,14 +3,16 @@ import pickle
 from collections.abc import Callable
 from pathlib import Path
 
+import msgspec
+import pyarrow as pa
 import pytest
 
-from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger, SequenceConflict, WriteFailed
-from fsar_ledger.ledger import canonical, merkle
+from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger, SequenceConflict, UnknownEventTag, WriteFailed
+from fsar_ledger.ledger import canonical, merkle, segment
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.codec import encode_hashed
 from fsar_ledger.ledger.read import EMPTY_HEAD, open_ledger
-from fsar_ledger.ledger.record import Manifest, checkpoint_note
+from fsar_ledger.ledger.record import Manifest, checkpoint_note, commit_path, sha256_hex
 from fsar_ledger.ledger.verify import verify
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run
 
@@ -230,6 +232,19 @@ def test_a_missing_or_shortened_segment_is_named(path: Path) -> None:
     for opens in (lambda: list(open_ledger(path).runs()), lambda: Writer(path, ORIGIN)):
         with pytest.raises(LedgerCorrupted, match=r"000000000001\.parquet: commit 1: found no segment"):
             opens()
+
+
+def test_a_row_that_cannot_be_read_is_named_with_its_file(path: Path) -> None:
+    append_all(path, BATCHES[:2])
+    file = path / "segments" / "000000000001.parquet"
+    table = segment.read_table(file)
+    changed = table.set_column(4, table.schema.field(4), pa.array(["RobotFlew.v1"] * table.num_rows))
+    data = bytes(segment.to_parquet(changed))
+    file.write_bytes(data)
+    record = msgspec.structs.replace(open_ledger(path).records[1], segment_sha256=sha256_hex(data), segment_bytes=len(data))
+    commit_path(path, 1).write_bytes(canonical.document(record))
+    with pytest.raises(UnknownEventTag, match=r"000000000001\.parquet: commit 1: run run-0002, seq 0, field type: found 'RobotFlew\.v1'"):
+        list(open_ledger(path).runs())
 
 
 def test_a_missing_record_or_a_stray_file_among_them_is_named(path: Path) -> None:

@@ -1,3 +1,4 @@
+import json
 import os
 import random
 import shutil
@@ -8,13 +9,15 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import HealthCheck, assume, given, settings
+from hypothesis import strategies as st
 
 from fsar_ledger.errors import NotALedger
 from fsar_ledger.ledger import canonical, codec, merkle, segment
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.record import CommitRecord, Manifest, checkpoint_note, commit_path, segment_path, sha256_hex
 from fsar_ledger.ledger.schema import SCHEMA
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.verify import MAX_PROBLEMS, verify
 from fsar_ledger.ledger.verify_segment import Problem
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run
 
@@ -293,6 +296,31 @@ def test_segments_in_each_others_place_are_found(path: Path) -> None:
     segment_path(path, 0).write_bytes(two)
     segment_path(path, 1).write_bytes(one)
     assert {problem.commit for problem in verify(path).problems} == {0, 1}
+
+
+# --- anything at all ---
+
+_JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=70),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3),
+    max_leaves=5,
+)
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(name=st.sampled_from(CommitRecord.__struct_fields__), value=_JSON, number=st.integers(0, 2))
+def test_a_record_with_anything_in_a_field_is_found_and_never_raises(intact: Path, tmp_path: Path, name: str, value: object, number: int) -> None:
+    path = Path(shutil.copytree(intact, tmp_path / "ledger", dirs_exist_ok=True))
+    record = json.loads(commit_path(path, number).read_bytes())
+    assume(record[name] != value)
+    commit_path(path, number).write_bytes(json.dumps(record | {name: value}, sort_keys=True, separators=(",", ":"), ensure_ascii=True).encode())
+    assert first_problem(path).commit == number
+
+
+def test_more_problems_than_anyone_reads_are_cut(path: Path) -> None:
+    for number in range(MAX_PROBLEMS + 5):
+        (path / f"stray-{number}").write_bytes(b"")
+    assert len(verify(path).problems) == MAX_PROBLEMS
 
 
 # --- every byte ---

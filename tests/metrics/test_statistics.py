@@ -38,6 +38,8 @@ def run_metrics(values: Mapping[tuple[str, str], Sequence[float | None]], publis
             "scenario": "door-relay",
             "fleet_size": fleet_size,
             "run": number,
+            "model_version": "test",
+            "parameters_sha256": "0",
             "position": 1,
             "metric": metric,
             "value": value,
@@ -47,7 +49,7 @@ def run_metrics(values: Mapping[tuple[str, str], Sequence[float | None]], publis
         for (metric, architecture), numbers in values.items()
         for number, value in enumerate(numbers)
     ]
-    names = ("run_id", "architecture", "configuration", "scenario", "metric")
+    names = ("run_id", "architecture", "configuration", "scenario", "metric", "model_version", "parameters_sha256")
     kinds = {"value": pa.float64(), "published_convention_value": pa.float64(), **dict.fromkeys(names, pa.string())}
     return pa.Table.from_pylist(rows, schema=pa.schema([(name, kinds.get(name, pa.int64())) for name in rows[0]]))
 
@@ -199,7 +201,16 @@ def test_runs_pair_only_with_the_run_of_the_same_world() -> None:
     (row,) = compared(run_metrics({(METRIC, "fsar"): [1.0, 2.0, 3.0, 4.0], (METRIC, "cfc"): [2.0, 4.0]}))
     assert (row.n, row.first_mean, row.second_mean) == (2, 1.5, 3.0)
     table = run_metrics({(METRIC, "fsar"): [1.0, 2.0], (METRIC, "cfc"): [2.0, 4.0]})
-    for column, other in (("seed", 43), ("run", 9), ("fleet_size", 8), ("scenario", "fleet-contention"), ("configuration", "without-trust-evaluation")):
+    others = {
+        "seed": 43,
+        "run": 9,
+        "fleet_size": 8,
+        "scenario": "fleet-contention",
+        "configuration": "without-trust-evaluation",
+        "model_version": "2",
+        "parameters_sha256": "1",
+    }
+    for column, other in others.items():
         rows = table.to_pylist()
         rows[0][column] = other
         (left,) = compared(pa.Table.from_pylist(rows, schema=table.schema))

@@ -14,7 +14,7 @@ from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
 from fsar_ledger.report import document, specs
 from fsar_ledger.report.findings import SCENARIOS, Findings, answer, significance_level, with_agreement
-from fsar_ledger.report.gather import gather
+from fsar_ledger.report.gather import flat, gather
 
 Make = Callable[..., Path]
 
@@ -169,7 +169,18 @@ def test_every_table_spec_is_used_and_every_figure_has_its_query(printed: dict[s
 
 
 def test_constants_of_the_first_run_are_listed_by_name(findings: Findings) -> None:
-    assert findings.parameters == {"structure.poll_us": "1000000", "world.message": "0.05 to 0.5 s", "world.motion_share": "0.24"}
+    assert findings.parameters == {"structure.poll_us": "1\u2009000\u2009000", "world.message": "0.05 to 0.5 s", "world.motion_share": "0.24"}
     assert [row["runs"] for row in findings.models] == [30]
     assert findings.runs[0]["seeds"] == "42"
     assert findings.runs[0]["numbers"] == "0 to 1"
+
+
+def test_nested_constants_become_dotted_names() -> None:
+    nested = {"b": [["nav", {"low_s": 2.0, "high_s": 6.5}], ["carry", -50.0]], "a": {"flag": True, "list": [1, 20_000], "none": []}}
+    assert list(flat("", nested)) == [
+        ("a.flag", "True"),
+        ("a.list", "1, 20\u2009000"),
+        ("a.none", ""),
+        ("b.carry", "\u221250"),
+        ("b.nav", "2 to 6.5 s"),
+    ]

@@ -4,7 +4,7 @@ from ....events import Event
 from ....events.authority import AuthorityClaimed, AuthorityReleased
 from ....events.envelope import COORDINATOR, FLEET_SUPERVISOR
 from ....events.execution import ExecutionFinished, ExecutionQueued, OwnStepDecided
-from ....events.request import CandidateMatched, CommandIssued, RequestAccepted, RequestClosed, RequestDeferred, RequestDenied, RequestIssued
+from ....events.request import CandidateMatched, CommandIssued, GapDetected, RequestAccepted, RequestClosed, RequestDeferred, RequestDenied, RequestIssued
 from ....events.supervision import SupervisorCalled, SupervisorResponded
 from ....events.task import StepBegan
 from ....events.world import OutsiderRequestInjected
@@ -63,14 +63,9 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
     idle = [robot for robot in candidates if robot not in state.knowledge.copy.busy]
     robot = idle[0] if idle else candidates[0]
     records: list[Event] = []
-    if request.is_delegated:
-        if command.item == "step":
-            records.append(
-                RequestIssued(request.task_id, None, None, **by_coordinator(), executed_by=robot, capability=request.capability)
-            )
-        records += [
-            CandidateMatched(request.task_id, **by_coordinator(), executed_by=None, capability=request.capability) for _ in candidates
-        ]
+    if request.is_delegated and command.item == "step":
+        records.append(RequestIssued(request.task_id, None, None, **by_coordinator(), executed_by=robot, capability=request.capability))
+        records += [CandidateMatched(request.task_id, **by_coordinator(), executed_by=None, capability=request.capability) for _ in candidates]
     outcome = stricter(copied_policy(state, robot), in_force(state.world.fleet, robot))
     if outcome == "deny":
         return (*records, RequestDenied(request.task_id, None, None, **by_coordinator(), executed_by=robot, reason="policy"))
@@ -177,7 +172,10 @@ def _complete(state: State, command: ProcessWork) -> tuple[Event, ...]:
 def deny_outsider(state: State, command: DenyOutsider) -> tuple[Event, ...]:
     """The coordinator has denied a request without trust."""
     request = state.request[command.action_id]
-    return (RequestDenied(request.task_id, None, None, **by_coordinator(), executed_by=None, reason="no trust"),)
+    return (
+        GapDetected(request.task_id, None, None, None, FLEET_SUPERVISOR, request.capability),
+        RequestDenied(request.task_id, None, None, **by_coordinator(), executed_by=None, reason="no trust"),
+    )
 
 
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:

@@ -96,13 +96,13 @@ def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, 
     ids = (request.task_id, request.action_id)
     return (
         handoff(state, robot, "planning", "communication"),
-        RegistryQueried(*ids, robot, candidates[0], supervisor, request.capability, candidates),
+        RegistryQueried(*ids, robot, None, supervisor, request.capability, candidates),
         RequestIssued(
             *ids,
             request.action_id,
             **path(robot, "planning", "communication"),
             requested_by=robot,
-            executed_by=candidates[0],
+            executed_by=None,  # whoever is awarded the contract
             supervised_by=supervisor,
             capability=request.capability,
         ),
@@ -115,7 +115,7 @@ def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
     if request is None:
         return ()
     robot, outcome = command.robot, snapshot(state, command.robot)
-    context = _context(state, request, robot)
+    context = {**_context(state, request, robot), "executed_by": None}  # a candidate is not yet the executor
     decided: Event
     if outcome == "deny":
         decided = RequestDenied(**context, **path(robot, "communication", "planning"), reason="bid")

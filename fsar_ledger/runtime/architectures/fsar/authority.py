@@ -65,7 +65,10 @@ def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
     task_id, robot, peer = request.task_id, request.requester, request.target
     if state.fleet.configuration != "without-trust-evaluation":
         supervisor = on_shift(state, robot)
-        return (RequestDenied(task_id, task_id, task_id, REGISTRY, robot, REGISTRY, supervisor, (REGISTRY,), "not visible"),)
+        return (
+            RegistryQueried(task_id, task_id, robot, REGISTRY, supervisor, request.capability, ()),
+            RequestDenied(task_id, task_id, task_id, REGISTRY, robot, REGISTRY, supervisor, (REGISTRY,), "not visible"),
+        )
     ids = (task_id, task_id, task_id)
     requester: dict[str, Any] = {"decided_by": robot, "requested_by": robot, "executed_by": peer, "supervised_by": None, "path": (robot,)}
     executor = {**requester, "decided_by": peer, "path": (peer,)}

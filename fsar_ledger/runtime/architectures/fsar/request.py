@@ -273,13 +273,14 @@ def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, 
 
 
 def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
-    if state.fleet.configuration == "without-shared-registry" or event.action_id not in state.request:
+    if state.fleet.configuration == "without-shared-registry" or event.task_id not in state.task:
         return ()
+    assert event.action_id is not None
     return (Scheduled(QueryRegistry(event.action_id), 0, (message(event.action_id, 0),)),)
 
 
 def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
-    if event.action_id not in state.request:
+    if event.task_id not in state.task:  # an outsider's request is nobody's step
         return ()
     assert event.action_id is not None
     if state.fleet.configuration == "without-shared-registry":
@@ -288,7 +289,7 @@ def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Sche
 
 
 def _on_request(state: State, event: RequestIssued, _now_us: int) -> tuple[Scheduled, ...]:
-    if event.action_id not in state.request:
+    if event.task_id not in state.task:  # an outsider's request is nobody's step
         return ()
     assert event.action_id is not None
     next_one: Command = RelayRequest(event.action_id) if event.relay else EvaluateRequest(event.action_id)
@@ -315,7 +316,7 @@ def _on_response(_state: State, event: SupervisorResponded, _now_us: int) -> tup
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
     request = state.request.get(event.action_id)
-    if request is None or event.action_id == event.task_id:
+    if request is None or event.task_id not in state.task:
         return ()
     if event.robot == request.requester:
         return (Scheduled(CompleteStep(event.action_id)),)
