@@ -70,7 +70,7 @@ class Contents(msgspec.Struct, frozen=True):
         if not self.groups:
             return "no runs yet"
         missing = sum(group["runs_missing"] for group in self.groups)
-        state = "complete" if self.is_complete else f"not complete: {missing:,} runs are missing; the `simulate` that began this ledger continues it"
+        state = "complete" if self.is_complete else f"not complete ({missing:,} missing; the `simulate` that began this ledger continues it)"
         models = "; ".join(f"{model['kind']}, model {model['model_version']}" for model in self.models)
         return f"{self.run_count:,} runs, {state}\n{models}"
 

@@ -27,11 +27,9 @@ def read_document(path: Path) -> bytes:
 
 @contextmanager
 def refusals(path: Path, doing: str) -> Iterator[None]:
-    """What the disk refuses inside becomes WriteFailed; files that exist already pass through as FileExistsError."""
+    """What the disk refuses inside becomes WriteFailed."""
     try:
         yield
-    except FileExistsError:
-        raise
     except OSError as error:
         reason = error.strerror or str(error)
         raise WriteFailed(f"{path}: {doing} failed: {reason}; nothing was committed; make room or permit writing there and run it again") from error

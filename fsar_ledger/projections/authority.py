@@ -2,7 +2,7 @@
 
 from typing import assert_never
 
-from ..events.authority import AuthorityClaimed, AuthorityReleased
+from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
 
 HANDLES = AuthorityClaimed | AuthorityReleased
 

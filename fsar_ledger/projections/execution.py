@@ -4,7 +4,7 @@ from typing import Literal, assert_never
 
 import msgspec
 
-from ..events.execution import (
+from fsar_ledger.events.execution import (
     ApproachStarted,
     ExecutionFailed,
     ExecutionFinished,
@@ -15,7 +15,7 @@ from ..events.execution import (
     ExecutionStarted,
     ExecutionWithdrawn,
 )
-from ..events.recovery import AssistanceAdmitted, AssistanceEnded
+from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceEnded
 
 HANDLES = (
     ExecutionQueued

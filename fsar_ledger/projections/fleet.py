@@ -4,8 +4,8 @@ from typing import assert_never
 
 import msgspec
 
-from ..constants import Constants, Structure
-from ..events.fleet import RobotJoined, RunStarted
+from fsar_ledger.constants import Constants, Structure
+from fsar_ledger.events.fleet import RobotJoined, RunStarted
 
 HANDLES = RunStarted | RobotJoined
 

@@ -8,7 +8,8 @@ records for audit, from which nothing follows inside the run.
 from collections.abc import Callable, Iterable
 from typing import Any, get_args
 
-from ..events import EVENT_TYPES, Event
+from fsar_ledger.events import EVENT_TYPES, Event
+
 from . import authority, execution, fleet, knowledge, recovery, registry, request, supervision, task, trust, world
 
 

@@ -4,9 +4,9 @@ from typing import assert_never
 
 import msgspec
 
-from ..events.envelope import PolicyOutcome
-from ..events.knowledge import CopySynced, FleetRuleLearned, PeerRemembered, PlannerEngaged, SnapshotTaken, WorkQueued
-from ..events.world import SnapshotPhaseSet, SyncPhaseSet
+from fsar_ledger.events.envelope import PolicyOutcome
+from fsar_ledger.events.knowledge import CopySynced, FleetRuleLearned, PeerRemembered, PlannerEngaged, SnapshotTaken, WorkQueued
+from fsar_ledger.events.world import SnapshotPhaseSet, SyncPhaseSet
 
 HANDLES = SyncPhaseSet | SnapshotPhaseSet | FleetRuleLearned | PeerRemembered | CopySynced | SnapshotTaken | PlannerEngaged | WorkQueued
 

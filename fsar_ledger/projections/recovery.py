@@ -4,9 +4,9 @@ from typing import assert_never
 
 import msgspec
 
-from ..events.envelope import FailureCause, RecoveryLevel
-from ..events.execution import ExecutionFailed
-from ..events.recovery import AssistanceDeclined, AssistanceRequested, FailureResolved, RecoveryAttempted, RecoveryEscalated
+from fsar_ledger.events.envelope import FailureCause, RecoveryLevel
+from fsar_ledger.events.execution import ExecutionFailed
+from fsar_ledger.events.recovery import AssistanceDeclined, AssistanceRequested, FailureResolved, RecoveryAttempted, RecoveryEscalated
 
 HANDLES = ExecutionFailed | RecoveryAttempted | RecoveryEscalated | AssistanceRequested | AssistanceDeclined | FailureResolved
 

@@ -1,6 +1,6 @@
 """Which robot advertises which capability to whom. Paper: eq:adv, eq:advertise."""
 
-from ..events.registry import CapabilityAdvertised
+from fsar_ledger.events.registry import CapabilityAdvertised
 
 HANDLES = CapabilityAdvertised
 

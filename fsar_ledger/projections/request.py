@@ -4,12 +4,12 @@ from typing import assert_never
 
 import msgspec
 
-from ..events.envelope import PolicyOutcome
-from ..events.knowledge import BidReceived
-from ..events.registry import RegistryQueried
-from ..events.request import AwardMade, CommandIssued, ContractQuestioned, ContractVoided, RequestAccepted, RequestIssued, RequestRelayed
-from ..events.task import StepBegan, StepCompleted
-from ..events.world import OutsiderRequestInjected
+from fsar_ledger.events.envelope import PolicyOutcome
+from fsar_ledger.events.knowledge import BidReceived
+from fsar_ledger.events.registry import RegistryQueried
+from fsar_ledger.events.request import AwardMade, CommandIssued, ContractQuestioned, ContractVoided, RequestAccepted, RequestIssued, RequestRelayed
+from fsar_ledger.events.task import StepBegan, StepCompleted
+from fsar_ledger.events.world import OutsiderRequestInjected
 
 HANDLES = (
     StepBegan
@@ -58,9 +58,7 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
     match event:
         case StepBegan():
             others = {name: request for name, request in state.items() if request.task_id != event.task_id}
-            begun = Request(
-                event.task_id, event.action_id, event.robot, event.capability, event.step, event.attempt, event.target_role is not None
-            )
+            begun = Request(event.task_id, event.action_id, event.robot, event.capability, event.step, event.attempt, event.target_role is not None)
             return {**others, event.action_id: begun}
         case StepCompleted():
             return {name: request for name, request in state.items() if name != event.action_id}

@@ -1,6 +1,6 @@
 """What supervisors have approved. Paper: eq:supervision."""
 
-from ..events.supervision import SupervisorResponded
+from fsar_ledger.events.supervision import SupervisorResponded
 
 HANDLES = SupervisorResponded
 

@@ -4,8 +4,8 @@ from typing import assert_never
 
 import msgspec
 
-from ..events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted
-from ..events.world import TaskArrived
+from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted
+from fsar_ledger.events.world import TaskArrived
 
 HANDLES = TaskArrived | StepBegan | StepCompleted | TaskCompleted | TaskAbandoned
 

@@ -1,7 +1,7 @@
 """Trust scopes between robots, explicit and queryable. Paper: eq:trust."""
 
-from ..events.envelope import TrustScope
-from ..events.trust import TrustSet
+from fsar_ledger.events.envelope import TrustScope
+from fsar_ledger.events.trust import TrustSet
 
 HANDLES = TrustSet
 

@@ -4,10 +4,10 @@ from typing import assert_never
 
 import msgspec
 
-from ..events.envelope import PolicyOutcome
-from ..events.recovery import FailureResolved
-from ..events.supervision import ActuatorServiced
-from ..events.world import (
+from fsar_ledger.events.envelope import PolicyOutcome
+from fsar_ledger.events.recovery import FailureResolved
+from fsar_ledger.events.supervision import ActuatorServiced
+from fsar_ledger.events.world import (
     ActuatorDegraded,
     ObstructionAppeared,
     ObstructionCleared,

@@ -67,8 +67,8 @@ def _panel(axes: Any, spec: specs.MetricSpec, rows: Sequence[Row]) -> None:
     axes.set_xticks(range(len(COLOURS)), [name.upper() for name in COLOURS])
     axes.set_xlim(-0.55, len(COLOURS) - 0.35)
     axes.tick_params(axis="x", length=0)
+    axes.margins(y=0.1)  # room above the highest mark; before the lower limit is fixed, which ends automatic limits
     axes.set_ylim(bottom=0)
-    axes.margins(y=0.08)
     axes.grid(axis="y", color="#dddddd", linewidth=0.5, zorder=0)
     axes.set_axisbelow(True)
 

@@ -10,11 +10,12 @@ from typing import get_args
 
 import msgspec
 
-from ..constants import Constants
-from ..errors import InvalidExperiment
-from ..events.envelope import Architecture, Configuration, Scenario
-from ..ledger.append import Staged, Writer, stage
-from ..ledger.read import Head, LedgerView, open_ledger
+from fsar_ledger.constants import Constants
+from fsar_ledger.errors import InvalidExperiment
+from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
+from fsar_ledger.ledger.append import Staged, Writer, stage
+from fsar_ledger.ledger.read import Head, LedgerView, open_ledger
+
 from .simulation import RunSpec, run_id, run_started, simulate_run
 
 ORIGIN = "fsar-ledger/simulated"

@@ -9,8 +9,9 @@ events of a batch are caused by its first.
 from collections.abc import Sequence
 from heapq import heappop, heappush
 
-from ..events import Event
-from ..projections.fold import ROUTES, State
+from fsar_ledger.events import Event
+from fsar_ledger.projections.fold import ROUTES, State
+
 from .architectures.wiring import Wiring
 from .handlers.commands import Command, Draw
 from .world.draws import Draws

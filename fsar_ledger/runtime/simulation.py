@@ -7,10 +7,11 @@ from typing import get_args
 
 import msgspec
 
-from ..constants import Constants
-from ..events.envelope import Architecture, Configuration, Scenario
-from ..events.fleet import RunStarted
-from ..ledger.codec import RunRecord
+from fsar_ledger.constants import Constants
+from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
+from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.ledger.codec import RunRecord
+
 from .architectures.wiring import Wiring
 from .kernel import Kernel
 from .world.draws import Draws, run_key

@@ -16,7 +16,7 @@ import pytest
 from tests.cli.conftest import SMALL, in_a_process
 
 COMMAND = [sys.executable, "-m", "fsar_ledger"]
-SEVERAL_COMMITS = ("--runs", "40", "--seed", "11")
+SEVERAL_COMMITS = ("--scenario", "door-relay", "--runs", "80", "--seed", "11")
 
 
 @pytest.mark.parametrize("workers", ["1", "2"])

@@ -3,8 +3,8 @@
 from types import ModuleType
 from typing import NamedTuple
 
-from ...events import Event
-from ..handlers.commands import Command, Decide, React
+from fsar_ledger.events import Event
+from fsar_ledger.runtime.handlers.commands import Command, Decide, React
 
 
 class Wiring(NamedTuple):

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from ...events.envelope import FLEET_SUPERVISOR, local_supervisor
-from ...projections.execution import Action
-from ...projections.fold import State
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, local_supervisor
+from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.fold import State
 
 BODIES = ("A", "B", "D")  # roles whose bodies can clear an obstruction
 SUBSTITUTES = {"carry.package": "D", "handover.dropoff": "D"}  # capability -> role that can stand in

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import msgspec
 
-from ...events import Event
-from ...projections.fold import State
+from fsar_ledger.events import Event
+from fsar_ledger.projections.fold import State
 
 
 class Command(msgspec.Struct, kw_only=True):

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from ...events import Event
-from ...events.execution import (
+from fsar_ledger.events import Event
+from fsar_ledger.events.execution import (
     ExecutionFailed,
     ExecutionFinished,
     ExecutionPaused,
@@ -12,10 +12,11 @@ from ...events.execution import (
     ExecutionStarted,
     ExecutionWithdrawn,
 )
-from ...events.recovery import AssistanceEnded, FailureResolved
-from ...events.world import ContextChanged, ObstructionAppeared
-from ...projections.execution import Action
-from ...projections.fold import State
+from fsar_ledger.events.recovery import AssistanceEnded, FailureResolved
+from fsar_ledger.events.world import ContextChanged, ObstructionAppeared
+from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.fold import State
+
 from .attribution import is_injected, principals
 from .commands import Decides, DetectObstruction, Draw, FinishAttempt, PauseAction, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn
 

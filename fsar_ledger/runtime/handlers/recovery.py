@@ -1,7 +1,8 @@
 """What a recovery attempt meets in the world, whoever ordered it. Paper: sec:model:recovery."""
 
-from ...projections.fold import State
-from ...projections.recovery import Recovery
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.recovery import Recovery
+
 from .commands import EndAttempt
 
 

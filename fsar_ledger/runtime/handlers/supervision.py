@@ -1,10 +1,11 @@
 """The fleet supervisor H_F decides what is put before them, after a while. Paper: eq:supervision."""
 
-from ...events import Event
-from ...events.envelope import FLEET_SUPERVISOR
-from ...events.recovery import FailureResolved
-from ...events.supervision import ActuatorServiced, SupervisorCalled, SupervisorResponded
-from ...projections.fold import State
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR
+from fsar_ledger.events.recovery import FailureResolved
+from fsar_ledger.events.supervision import ActuatorServiced, SupervisorCalled, SupervisorResponded
+from fsar_ledger.projections.fold import State
+
 from .commands import Decides, Draw, Reacts, Respond, Scheduled
 
 

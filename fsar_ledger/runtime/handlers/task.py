@@ -1,9 +1,10 @@
 """Tasks go through their steps, whoever governs them. Paper: sec:evaluation:scenarios."""
 
-from ...events import Event
-from ...events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted
-from ...events.world import TaskArrived
-from ...projections.fold import State
+from fsar_ledger.events import Event
+from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted
+from fsar_ledger.events.world import TaskArrived
+from fsar_ledger.projections.fold import State
+
 from .commands import BeginStep, CompleteStep, Decides, Reacts, Scheduled
 
 

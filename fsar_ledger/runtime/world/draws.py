@@ -8,7 +8,7 @@ import struct
 from hashlib import blake2b
 from math import log
 
-from ...constants import Range, WorldConstants
+from fsar_ledger.constants import Range, WorldConstants
 
 _SHARE = 2.0**-53
 _BLOCK = struct.Struct("<8Q")

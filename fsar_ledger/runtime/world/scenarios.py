@@ -2,11 +2,11 @@
 
 from typing import NamedTuple
 
-from ...events import Event
-from ...events.envelope import Scenario, TrustScope, local_supervisor
-from ...events.fleet import RobotJoined
-from ...events.registry import CapabilityAdvertised
-from ...events.trust import TrustSet
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Scenario, TrustScope, local_supervisor
+from fsar_ledger.events.fleet import RobotJoined
+from fsar_ledger.events.registry import CapabilityAdvertised
+from fsar_ledger.events.trust import TrustSet
 
 CAPABILITIES: dict[str, tuple[str, ...]] = {
     "A": ("navigate.indoor", "carry.package", "handover.dropoff"),
@@ -75,9 +75,7 @@ TASKS: dict[Scenario, tuple[TaskScript, ...]] = {
         TaskScript("D", 45, ("D carry.heavy", "D carry.package A", "D navigate.indoor", "D grasp.robust")),
     ),
     "mixed-trust-inspection": (
-        TaskScript(
-            "B", 0, ("B navigate.indoor", "B inspect.private_zone C", "C door.open.secure B", "C inspect.visual", "B inspect.private_zone C")
-        ),
+        TaskScript("B", 0, ("B navigate.indoor", "B inspect.private_zone C", "C door.open.secure B", "C inspect.visual", "B inspect.private_zone C")),
         TaskScript(
             "A",
             40,
@@ -104,11 +102,7 @@ def founding(fleet_size: int) -> tuple[Event, ...]:
     """The events that found the fleet: members, advertisements, trust. Paper: sec:prototype:design."""
     members = robots(fleet_size)
     joined: list[Event] = [RobotJoined(name, role, team, local_supervisor(name)) for name, role, team in members]
-    joined += [
-        CapabilityAdvertised(name, capability, VISIBLE_TO.get(capability, ()))
-        for name, role, _ in members
-        for capability in CAPABILITIES[role]
-    ]
+    joined += [CapabilityAdvertised(name, capability, VISIBLE_TO.get(capability, ())) for name, role, _ in members for capability in CAPABILITIES[role]]
     for one, other, scope in TRUST:
         for left, left_role, _ in members:
             for right, right_role, _ in members:

@@ -7,10 +7,10 @@ another draw in one stream moves no other.
 from functools import lru_cache
 from itertools import combinations
 
-from ...constants import WorldConstants
-from ...events import Event
-from ...events.envelope import PolicyOutcome, PolicyScope, Scenario, local_supervisor
-from ...events.world import (
+from fsar_ledger.constants import WorldConstants
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Scenario, local_supervisor
+from fsar_ledger.events.world import (
     ActuatorDegraded,
     ContextChanged,
     ObstructionAppeared,
@@ -26,6 +26,7 @@ from ...events.world import (
     SyncPhaseSet,
     TaskArrived,
 )
+
 from .draws import Stream, run_key
 from .scenarios import DEGRADABLE, INJECTIONS, TASKS, robots
 

@@ -1,8 +1,9 @@
 """Centralized fleet controller: one coordinator decides everything on synced copies; robots only execute."""
 
-from ...handlers import execution as bodies
-from ...handlers import supervision, task
-from ..wiring import Wiring, wire
+from fsar_ledger.runtime.architectures.wiring import Wiring, wire
+from fsar_ledger.runtime.handlers import execution as bodies
+from fsar_ledger.runtime.handlers import supervision, task
+
 from . import coordinator, execution, recovery, request
 
 CFC: Wiring = wire(task, bodies, supervision, coordinator, request, execution, recovery)

@@ -2,14 +2,14 @@
 
 from typing import Any
 
-from ....events.envelope import COORDINATOR, FLEET_SUPERVISOR, PolicyOutcome
-from ....events.knowledge import CopySynced, WorkQueued
-from ....events.request import GapDetected
-from ....events.world import SyncPhaseSet
-from ....projections.fold import State
-from ....projections.world import in_force
-from ...handlers.attribution import capable, is_idle
-from ...handlers.commands import Command, Decides, Draw, Reacts, Scheduled
+from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, PolicyOutcome
+from fsar_ledger.events.knowledge import CopySynced, WorkQueued
+from fsar_ledger.events.request import GapDetected
+from fsar_ledger.events.world import SyncPhaseSet
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.world import in_force
+from fsar_ledger.runtime.handlers.attribution import capable, is_idle
+from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, Reacts, Scheduled
 
 
 class Sync(Command):

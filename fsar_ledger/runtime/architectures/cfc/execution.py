@@ -1,14 +1,15 @@
 """CFC: robots are thin endpoints that execute what they are told, without a local check. Paper: sec:evaluation:baselines."""
 
-from ....events import Event
-from ....events.authority import AuthorityClaimed, AuthorityReleased
-from ....events.envelope import COORDINATOR, FLEET_SUPERVISOR, local_supervisor
-from ....events.execution import ApproachStarted, ExecutionPaused, ReplanOrdered, RoutinePerformed, RoutineWithheld
-from ....events.world import ContextChanged, PolicyWindowClosed, RoutineDue
-from ....projections.fold import State
-from ...handlers.attribution import on_shift
-from ...handlers.commands import Command, Decides, Draw, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn, message
-from ...handlers.execution import pause_running, start_action, started
+from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
+from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, local_supervisor
+from fsar_ledger.events.execution import ApproachStarted, ExecutionPaused, ReplanOrdered, RoutinePerformed, RoutineWithheld
+from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, RoutineDue
+from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.handlers.attribution import on_shift
+from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn, message
+from fsar_ledger.runtime.handlers.execution import pause_running, start_action, started
+
 from .coordinator import ReachCoordinator, copied_policy, copied_rule, until_next_sync_us
 
 
@@ -93,7 +94,7 @@ def end_watch(state: State, command: EndWatch) -> tuple[Event, ...]:
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """The robot has done its routine operation; a motion unless the last copy says that policy or rule forbid it."""
     robot = command.robot
-    context = (robot, robot, robot, on_shift(state, robot), (robot,), robot, command.operation)
+    context = (robot, robot, robot, FLEET_SUPERVISOR, (robot,), robot, command.operation)
     if command.operation == "motion" and (copied_policy(state, robot) != "allow" or copied_rule(state, robot) != "allow"):
         return (RoutineWithheld(*context),)  # type: ignore[arg-type]
     return (RoutinePerformed(*context),)  # type: ignore[arg-type]

@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from ....events import Event
-from ....events.envelope import COORDINATOR, FLEET_SUPERVISOR
-from ....events.execution import ExecutionFailed, ReplanOrdered
-from ....events.recovery import (
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR
+from fsar_ledger.events.execution import ExecutionFailed, ReplanOrdered
+from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
     AssistanceDeclined,
     AssistanceEnded,
@@ -15,13 +15,14 @@ from ....events.recovery import (
     RecoveryAttemptFailed,
     RecoveryEscalated,
 )
-from ....events.supervision import SupervisorCalled
-from ....projections.execution import Action
-from ....projections.fold import State
-from ....projections.recovery import Recovery
-from ...handlers.attribution import helpers, is_idle
-from ...handlers.commands import Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, message
-from ...handlers.recovery import attempt_succeeds
+from fsar_ledger.events.supervision import SupervisorCalled
+from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.recovery import Recovery
+from fsar_ledger.runtime.handlers.attribution import helpers, is_idle
+from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, message
+from fsar_ledger.runtime.handlers.recovery import attempt_succeeds
+
 from .coordinator import ProcessWork, by_coordinator, copied_policy, to_coordinator
 
 

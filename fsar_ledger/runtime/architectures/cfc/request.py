@@ -1,18 +1,28 @@
 """CFC: every step goes through the coordinator, which matches, gates and commands. Paper: sec:evaluation:baselines."""
 
-from ....events import Event
-from ....events.authority import AuthorityClaimed, AuthorityReleased
-from ....events.envelope import COORDINATOR, FLEET_SUPERVISOR
-from ....events.execution import ExecutionFinished, ExecutionQueued, OwnStepDecided
-from ....events.request import CandidateMatched, CommandIssued, GapDetected, RequestAccepted, RequestClosed, RequestDeferred, RequestDenied, RequestIssued
-from ....events.supervision import SupervisorCalled, SupervisorResponded
-from ....events.task import StepBegan
-from ....events.world import OutsiderRequestInjected
-from ....projections.fold import State
-from ....projections.request import Request
-from ....projections.world import in_force, stricter
-from ...handlers.attribution import pending_of_other_task
-from ...handlers.commands import CloseExecution, Command, CompleteStep, Decides, Reacts, Scheduled, message
+from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
+from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, OwnStepDecided
+from fsar_ledger.events.request import (
+    CandidateMatched,
+    CommandIssued,
+    GapDetected,
+    RequestAccepted,
+    RequestClosed,
+    RequestDeferred,
+    RequestDenied,
+    RequestIssued,
+)
+from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
+from fsar_ledger.events.task import StepBegan
+from fsar_ledger.events.world import OutsiderRequestInjected
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.request import Request
+from fsar_ledger.projections.world import in_force, stricter
+from fsar_ledger.runtime.handlers.attribution import pending_of_other_task
+from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, CompleteStep, Decides, Reacts, Scheduled, message
+
 from . import recovery
 from .coordinator import ProcessWork, ReachCoordinator, by_coordinator, candidates_of, copied_policy, to_coordinator, until_next_sync_us
 
@@ -99,12 +109,13 @@ def _commanded(state: State, request: Request, robot: str, seen_busy: bool) -> t
 
 
 def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
-    """The command waits in the robot's queue; one for a robot that was not seen to be taken is first put in order by H_F."""
+    """The command waits in the robot's queue; a second delegation to a robot not seen to be taken is first put in order by H_F."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
     robot = request.target or request.requester
-    running = None if request.seen_busy else pending_of_other_task(state, robot, request.task_id)
+    is_second = request.is_delegated and not request.seen_busy
+    running = pending_of_other_task(state, robot, request.task_id) if is_second else None
     if running is None:
         return (_queued(state, request, robot),)
     task_id = state.execution.actions[running].task_id

@@ -2,18 +2,18 @@
 
 from typing import Any
 
-from ....events import Event
-from ....events.authority import AuthorityClaimed, AuthorityReleased
-from ....events.envelope import PolicyOutcome, agent
-from ....events.knowledge import PlannerEngaged, SnapshotTaken
-from ....events.request import ContractQuestioned, InternalHandoff
-from ....events.world import ContextChanged, SnapshotPhaseSet
-from ....projections.execution import Action
-from ....projections.fold import State
-from ....projections.world import in_force
-from ...handlers.attribution import is_injected, on_shift
-from ...handlers.commands import CloseExecution, Command, Decides, Reacts, Scheduled
-from ...handlers.execution import pause_running
+from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
+from fsar_ledger.events.envelope import PolicyOutcome, agent
+from fsar_ledger.events.knowledge import PlannerEngaged, SnapshotTaken
+from fsar_ledger.events.request import ContractQuestioned, InternalHandoff
+from fsar_ledger.events.world import ContextChanged, SnapshotPhaseSet
+from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.world import in_force
+from fsar_ledger.runtime.handlers.attribution import is_injected, on_shift
+from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, Decides, Reacts, Scheduled
+from fsar_ledger.runtime.handlers.execution import pause_running
 
 
 class TakeSnapshot(Command):
@@ -44,6 +44,11 @@ def handoff(state: State, robot: str, sender: Any, receiver: Any) -> InternalHan
     return InternalHandoff(None, robot, on_shift(state, robot), agent(robot, sender), agent(robot, receiver))
 
 
+def round_trip(state: State, robot: str, one: Any, other: Any, count: int) -> tuple[InternalHandoff, ...]:
+    """Two agents have talked to and fro, one message a hop."""
+    return tuple(handoff(state, robot, *((one, other) if ordinal % 2 == 0 else (other, one))) for ordinal in range(count))
+
+
 def snapshot(state: State, robot: str) -> PolicyOutcome:
     """The robot's own policy as its planner last saw it."""
     return state.knowledge.snapshot.get(robot, "allow")
@@ -71,11 +76,7 @@ def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
 def claims(state: State, action: Action, dimension: Any, claimants: tuple[str, ...], reason: str) -> list[AuthorityClaimed]:
     """The claims that these agents make and do not hold already."""
     known = {(claim.dimension, claim.claimant) for claim in state.authority.get(action.action_id, ())}
-    return [
-        AuthorityClaimed(action.task_id, action.action_id, dimension, claimant, reason)
-        for claimant in claimants
-        if (dimension, claimant) not in known
-    ]
+    return [AuthorityClaimed(action.task_id, action.action_id, dimension, claimant, reason) for claimant in claimants if (dimension, claimant) not in known]
 
 
 def released(state: State, action_id: str, reason: str | None = None) -> tuple[AuthorityReleased, ...]:

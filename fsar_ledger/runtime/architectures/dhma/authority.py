@@ -2,15 +2,16 @@
 
 from typing import Any
 
-from ....events import Event
-from ....events.authority import AuthorityClaimed, AuthorityReleased
-from ....events.envelope import agent
-from ....events.execution import ExecutionQueued
-from ....events.request import RequestAdmitted, RequestIssued
-from ....events.world import OutsiderRequestInjected
-from ....projections.execution import Action
-from ....projections.fold import State
-from ...handlers.commands import Command, Decides, Reacts, Scheduled, hop, hops, message
+from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
+from fsar_ledger.events.envelope import agent
+from fsar_ledger.events.execution import ExecutionQueued
+from fsar_ledger.events.request import RequestAdmitted, RequestIssued
+from fsar_ledger.events.world import OutsiderRequestInjected
+from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.handlers.commands import Command, Decides, Reacts, Scheduled, hop, hops, message
+
 from .agents import handoff, path, released
 
 

@@ -2,9 +2,9 @@
 
 from typing import Any
 
-from ....events import Event
-from ....events.envelope import FLEET_SUPERVISOR
-from ....events.execution import (
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR
+from fsar_ledger.events.execution import (
     ApproachStarted,
     ExecutionPaused,
     ExecutionQueued,
@@ -14,16 +14,17 @@ from ....events.execution import (
     RoutineReported,
     RoutineWithheld,
 )
-from ....events.knowledge import PlannerEngaged
-from ....events.request import ContractVoided, RequestDenied
-from ....events.supervision import SupervisorCalled, SupervisorResponded
-from ....events.task import StepBegan
-from ....events.world import RoutineDue
-from ....projections.fold import State
-from ...handlers.attribution import on_shift
-from ...handlers.commands import BeginStep, Command, Decides, Draw, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn, hop, hops, message
-from ...handlers.execution import start_action, started
-from .agents import handoff, path, released, snapshot
+from fsar_ledger.events.knowledge import PlannerEngaged
+from fsar_ledger.events.request import ContractVoided, RequestDenied
+from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
+from fsar_ledger.events.task import StepBegan
+from fsar_ledger.events.world import RoutineDue
+from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.handlers.attribution import on_shift
+from fsar_ledger.runtime.handlers.commands import BeginStep, Command, Decides, Draw, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn, hop, hops, message
+from fsar_ledger.runtime.handlers.execution import start_action, started
+
+from .agents import handoff, path, released, round_trip, snapshot
 
 
 class PlanOwnStep(Command):
@@ -34,6 +35,12 @@ class PlanOwnStep(Command):
 
 class QueueOwnStep(Command):
     """The execution agent has the plan."""
+
+    action_id: str
+
+
+class TalkReplan(Command):
+    """A paused action needs a new plan."""
 
     action_id: str
 
@@ -88,8 +95,19 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is not None and request.is_questioned and command.action_id not in state.supervision:
         about = (action.task_id, action.action_id, action.robot)
-        return (*released(state, action.action_id), ContractVoided(*about), ExecutionWithdrawn(*about))
+        talk = round_trip(state, action.robot, "execution", "communication", 3)
+        back = handoff(state, action.on_behalf_of, "communication", "planning")
+        return (*released(state, action.action_id), ContractVoided(*about), ExecutionWithdrawn(*about), *talk, back)
     return (started(state, action, command),)
+
+
+def talk_replan(state: State, command: TalkReplan) -> tuple[Event, ...]:
+    """The agents have passed the new plan on: three hops in the robot, four more in the other where the action is delegated."""
+    action = state.execution.actions.get(command.action_id)
+    if action is None:
+        return ()
+    own = (*round_trip(state, action.robot, "execution", "planning", 2), handoff(state, action.robot, "planning", "execution"))
+    return (*own, *round_trip(state, action.on_behalf_of, "communication", "planning", 4)) if action.is_delegated else own
 
 
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
@@ -137,10 +155,11 @@ def _on_pause(state: State, event: ExecutionPaused, now_us: int) -> tuple[Schedu
     """Replanning goes through the robot's agents, and for a delegated action through the other robot's too."""
     structure = state.fleet.structure
     key = f"{event.action_id}/replan{now_us}"
+    talk = Scheduled(TalkReplan(event.action_id))
     if not state.execution.actions[event.action_id].is_delegated:
-        return (Scheduled(ResumeAction(event.action_id), structure.replan_us, hops(state, key, "own", 3)),)
+        return (talk, Scheduled(ResumeAction(event.action_id), structure.replan_us, hops(state, key, "own", 3)))
     way = (*hops(state, key, "own", 3), message(key, 0), message(key, 1), *hops(state, key, "other", 4))
-    return (Scheduled(ResumeAction(event.action_id), structure.replan_us + structure.renegotiation_us, way),)
+    return (talk, Scheduled(ResumeAction(event.action_id), structure.replan_us + structure.renegotiation_us, way))
 
 
 def _on_routine(_state: State, event: RoutineDue, _now_us: int) -> tuple[Scheduled, ...]:
@@ -152,6 +171,7 @@ DECIDES: Decides = {
     QueueOwnStep: queue_own_step,
     TakeTurn: take_turn,
     StartAction: start,
+    TalkReplan: talk_replan,
     DecideRoutine: decide_routine,
 }
 REACTS: Reacts = {

@@ -2,19 +2,20 @@
 
 from typing import Any
 
-from ....events import Event
-from ....events.envelope import FLEET_SUPERVISOR, agent
-from ....events.execution import ExecutionFailed
-from ....events.knowledge import PlannerEngaged
-from ....events.recovery import FailureResolved, RecoveryAttempted, RecoveryAttemptFailed, RecoveryEscalated
-from ....events.supervision import SupervisorCalled
-from ....projections.execution import Action
-from ....projections.fold import State
-from ....projections.recovery import Recovery
-from ...handlers.attribution import principals
-from ...handlers.commands import Command, Decides, Draw, EndAttempt, Reacts, Scheduled, hops
-from ...handlers.recovery import attempt_succeeds
-from .agents import claims, path, planner, released
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, agent
+from fsar_ledger.events.execution import ExecutionFailed
+from fsar_ledger.events.knowledge import PlannerEngaged
+from fsar_ledger.events.recovery import FailureResolved, RecoveryAttempted, RecoveryAttemptFailed, RecoveryEscalated
+from fsar_ledger.events.supervision import SupervisorCalled
+from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.recovery import Recovery
+from fsar_ledger.runtime.handlers.attribution import principals
+from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, EndAttempt, Reacts, Scheduled, hops
+from fsar_ledger.runtime.handlers.recovery import attempt_succeeds
+
+from .agents import claims, handoff, path, planner, released, round_trip
 
 DISPUTE = "dispute"
 
@@ -65,7 +66,8 @@ def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
     """The first attempt to recover has begun."""
     match _open(state, command.action_id):
         case action, recovery:
-            return (_attempted(state, action, recovery),)
+            told = (handoff(state, action.robot, "execution", "recovery"), *round_trip(state, action.robot, "recovery", "planning", 2))
+            return (*told, _attempted(state, action, recovery))
         case _:
             return ()
 
@@ -87,13 +89,14 @@ def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     match _open(state, command.action_id):
         case action, recovery if recovery.number == command.number and recovery.level == "local":
             about = (action.task_id, action.action_id, action.robot, recovery.failure)
+            reported = (*round_trip(state, action.robot, "recovery", "planning", 2), handoff(state, action.robot, "recovery", "execution"))
             if attempt_succeeds(state, recovery, command):
-                return (FailureResolved(*about, "local"), *released(state, action.action_id, DISPUTE))
+                return (FailureResolved(*about, "local"), *released(state, action.action_id, DISPUTE), *reported)
             if _is_disputed(state, action.action_id):
-                return (RecoveryAttemptFailed(*about, command.number),)
+                return (RecoveryAttemptFailed(*about, command.number), *reported)
             if recovery.number < state.fleet.structure.local_attempts:
-                return (_attempted(state, action, recovery),)
-            return _escalated(state, action, recovery)
+                return (*reported, _attempted(state, action, recovery))
+            return (*reported, *_escalated(state, action, recovery))
         case _:
             return ()
 

@@ -2,13 +2,13 @@
 
 from typing import Any
 
-from ....events import Event
-from ....events.authority import AuthorityClaimed
-from ....events.envelope import FLEET_SUPERVISOR, PolicyOutcome, agent
-from ....events.execution import ExecutionFinished, ExecutionQueued
-from ....events.knowledge import BidReceived
-from ....events.registry import RegistryQueried
-from ....events.request import (
+from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, PolicyOutcome, agent
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued
+from fsar_ledger.events.knowledge import BidReceived
+from fsar_ledger.events.registry import RegistryQueried
+from fsar_ledger.events.request import (
     AwardMade,
     BidSubmitted,
     ContractVoided,
@@ -20,12 +20,13 @@ from ....events.request import (
     RequestDenied,
     RequestIssued,
 )
-from ....events.supervision import SupervisorCalled, SupervisorResponded
-from ....events.task import StepBegan
-from ....projections.fold import State
-from ....projections.request import Request
-from ...handlers.attribution import capable, is_idle, on_shift, pending_of_other_task
-from ...handlers.commands import BeginStep, CloseExecution, CloseRequest, Command, CompleteStep, Decides, Reacts, Scheduled, hop, hops, message
+from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
+from fsar_ledger.events.task import StepBegan
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.request import Request
+from fsar_ledger.runtime.handlers.attribution import capable, is_idle, on_shift, pending_of_other_task
+from fsar_ledger.runtime.handlers.commands import BeginStep, CloseExecution, CloseRequest, Command, CompleteStep, Decides, Reacts, Scheduled, hop, hops, message
+
 from .agents import handoff, path, snapshot
 
 

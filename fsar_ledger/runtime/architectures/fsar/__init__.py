@@ -1,8 +1,9 @@
 """Federated single-agent robotics: every robot stays one accountable principal; the federation only coordinates."""
 
-from ...handlers import execution as bodies
-from ...handlers import supervision, task
-from ..wiring import Wiring, wire
+from fsar_ledger.runtime.architectures.wiring import Wiring, wire
+from fsar_ledger.runtime.handlers import execution as bodies
+from fsar_ledger.runtime.handlers import supervision, task
+
 from . import authority, execution, recovery, request
 
 FSAR: Wiring = wire(task, bodies, supervision, request, execution, authority, recovery)

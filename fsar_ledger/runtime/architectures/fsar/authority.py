@@ -2,17 +2,17 @@
 
 from typing import Any
 
-from ....events import Event
-from ....events.authority import AuthorityClaimed, AuthorityReleased
-from ....events.envelope import FLEET_SUPERVISOR, REGISTRY
-from ....events.execution import ExecutionFinished, ExecutionQueued
-from ....events.knowledge import PeerRemembered
-from ....events.registry import RegistryQueried
-from ....events.request import GapDetected, RequestAccepted, RequestAdmitted, RequestDenied, RequestIssued
-from ....events.world import ContextChanged, OutsiderRequestInjected, PeersMet
-from ....projections.fold import State
-from ...handlers.attribution import on_shift
-from ...handlers.commands import CloseExecution, Command, Decides, Reacts, Scheduled, message
+from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, REGISTRY
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued
+from fsar_ledger.events.knowledge import PeerRemembered
+from fsar_ledger.events.registry import RegistryQueried
+from fsar_ledger.events.request import GapDetected, RequestAccepted, RequestAdmitted, RequestDenied, RequestIssued
+from fsar_ledger.events.world import ContextChanged, OutsiderRequestInjected, PeersMet
+from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.handlers.attribution import on_shift
+from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, Decides, Reacts, Scheduled, message
 
 
 class Revoke(Command):

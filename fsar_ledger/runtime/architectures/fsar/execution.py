@@ -1,16 +1,16 @@
 """FSAR: the robot that executes decides when; own steps and routine need nobody else. Paper: sec:architecture:local."""
 
-from ....events import Event
-from ....events.execution import ApproachStarted, ExecutionHeld, ExecutionPaused, ExecutionQueued, OwnStepDecided, RoutinePerformed, RoutineWithheld
-from ....events.knowledge import FleetRuleLearned
-from ....events.task import StepBegan
-from ....events.world import ContextChanged, PolicyWindowClosed, PolicyWindowOpened, RoutineDue
-from ....projections.execution import Action
-from ....projections.fold import State
-from ....projections.world import in_force
-from ...handlers.attribution import on_shift, principals
-from ...handlers.commands import Command, Decides, Draw, Reacts, ResumeAction, Scheduled, StartAction, message
-from ...handlers.execution import pause_running, start_action, started
+from fsar_ledger.events import Event
+from fsar_ledger.events.execution import ApproachStarted, ExecutionHeld, ExecutionPaused, ExecutionQueued, OwnStepDecided, RoutinePerformed, RoutineWithheld
+from fsar_ledger.events.knowledge import FleetRuleLearned
+from fsar_ledger.events.task import StepBegan
+from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, PolicyWindowOpened, RoutineDue
+from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.world import in_force
+from fsar_ledger.runtime.handlers.attribution import on_shift, principals
+from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, Reacts, ResumeAction, Scheduled, StartAction, message
+from fsar_ledger.runtime.handlers.execution import pause_running, start_action, started
 
 
 class DecideOwnStep(Command):

@@ -2,10 +2,10 @@
 
 from typing import Any
 
-from ....events import Event
-from ....events.envelope import FLEET_SUPERVISOR, RECOVERY
-from ....events.execution import ExecutionFailed, ExecutionQueued, ExecutionWithdrawn
-from ....events.recovery import (
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, RECOVERY
+from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionWithdrawn
+from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
     AssistanceEnded,
     AssistanceRequested,
@@ -14,15 +14,16 @@ from ....events.recovery import (
     RecoveryAttempted,
     RecoveryEscalated,
 )
-from ....events.supervision import SupervisorCalled
-from ....projections.execution import Action
-from ....projections.fold import State
-from ....projections.recovery import Recovery
-from ....projections.world import in_force
-from ...handlers.attribution import helpers, is_idle, on_shift, principals, stand_ins
-from ...handlers.commands import Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, message
-from ...handlers.execution import NAVIGATION
-from ...handlers.recovery import attempt_succeeds
+from fsar_ledger.events.supervision import SupervisorCalled
+from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.recovery import Recovery
+from fsar_ledger.projections.world import in_force
+from fsar_ledger.runtime.handlers.attribution import helpers, is_idle, on_shift, principals, stand_ins
+from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, message
+from fsar_ledger.runtime.handlers.execution import NAVIGATION
+from fsar_ledger.runtime.handlers.recovery import attempt_succeeds
+
 from .authority import released
 from .request import compose, trusts
 

@@ -1,11 +1,11 @@
 """FSAR: a delegated step is a governed request between two robots. Paper: sec:model:request, eq:admissible."""
 
-from ....events import Event
-from ....events.authority import AuthorityClaimed
-from ....events.envelope import COORDINATION, FLEET_SUPERVISOR, REGISTRY, PolicyOutcome
-from ....events.execution import ApproachStarted, ExecutionFinished, ExecutionQueued
-from ....events.registry import RegistryQueried
-from ....events.request import (
+from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.envelope import COORDINATION, FLEET_SUPERVISOR, REGISTRY, PolicyOutcome
+from fsar_ledger.events.execution import ApproachStarted, ExecutionFinished, ExecutionQueued
+from fsar_ledger.events.registry import RegistryQueried
+from fsar_ledger.events.request import (
     GapDetected,
     PeerSought,
     RequestAccepted,
@@ -17,13 +17,13 @@ from ....events.request import (
     RequestRelayed,
     RequestUnanswered,
 )
-from ....events.supervision import SupervisorCalled, SupervisorResponded
-from ....events.task import StepBegan
-from ....projections.fold import State
-from ....projections.request import Request
-from ....projections.world import in_force, stricter
-from ...handlers.attribution import capable, is_idle, on_shift
-from ...handlers.commands import BeginStep, CloseRequest, Command, CompleteStep, Decides, Reacts, Scheduled, TakeTurn, message
+from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
+from fsar_ledger.events.task import StepBegan
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.request import Request
+from fsar_ledger.projections.world import in_force, stricter
+from fsar_ledger.runtime.handlers.attribution import capable, is_idle, on_shift
+from fsar_ledger.runtime.handlers.commands import BeginStep, CloseRequest, Command, CompleteStep, Decides, Reacts, Scheduled, TakeTurn, message
 
 Found = tuple[tuple[str, ...], str | None]  # candidates, relay
 
