@@ -271,7 +271,7 @@ def calibrate(
 
     The fit is to the paper's results table alone; the record of it says what was tried, what the data identify and what was accepted.
     """
-    from .runtime.calibration import calibrate as fit
+    from .calibration import calibrate as fit
 
     with Progress("tried", "parameter sets") as progress:
         fit(out, progress)

@@ -14,7 +14,7 @@ class SyncPhaseSet(Event, frozen=True):
 
 
 class SnapshotPhaseSet(Event, frozen=True):
-    """This robot's clock of periodic refreshes has this phase (parts per million of a period)."""
+    """The robot's clock of periodic refreshes has this phase (parts per million of a period)."""
 
     robot: str
     phase_ppm: int

@@ -6,13 +6,15 @@ import stat
 from pathlib import Path
 
 import msgspec
+import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from fsar_ledger.ledger import canonical
 from fsar_ledger.ledger.check import first_flaw, run_starts
 from fsar_ledger.ledger.record import COMMITS, CommitRecord
 from fsar_ledger.ledger.schema import fingerprint
-from fsar_ledger.ledger.segment import read_table
+from fsar_ledger.ledger.segment import read_table, to_parquet
 
 
 class Problem(msgspec.Struct, frozen=True):
@@ -89,5 +91,31 @@ def _examine(file: str, path: Path, number: int, record: CommitRecord) -> Segmen
     problems = () if flaw is None else (Problem(file, flaw.found, flaw.expected, number, flaw.run, flaw.seq, flaw.field),)
     run_ids = table.column("run_id").combine_chunks()
     runs = tuple(run_ids.take(run_starts(run_ids)).to_pylist())
+    misleading = _misleading(path, metadata, table)
+    if misleading is not None:
+        problems = (*problems, Problem(file, *misleading, commit=number, field="segment_sha256"))
     leaves = b"".join(canonical.hashes(canonical.from_table(table)))
     return SegmentFacts(file, problems, table.num_rows, runs, leaves)
+
+
+def _misleading(path: Path, metadata: pq.FileMetaData, table: pa.Table) -> tuple[str, str] | None:
+    """What in the file beside its rows (found, expected) could make a reader see other rows than those; None if nothing.
+
+    A query engine skips rows by the statistics in the footer, and no leaf covers those. The same version of pyarrow
+    must write the same bytes; of a file by another version the statistics are compared.
+    """
+    again = to_parquet(table)
+    if again.equals(pa.py_buffer(path.read_bytes())):
+        return None
+    if metadata.created_by == pq.read_metadata(pa.BufferReader(again)).created_by:
+        return "other bytes", "those that these rows are written as"
+    for at in range(metadata.num_columns):
+        stored = metadata.row_group(0).column(at)
+        if stored.is_stats_set:
+            name = stored.path_in_schema
+            values = table.column(name) if name in table.column_names else None
+            span = pc.min_max(values).as_py() if values is not None else {}
+            said = {"min": stored.statistics.min, "max": stored.statistics.max} if stored.statistics.has_min_max else span
+            if said != span or stored.statistics.null_count not in (None, values.null_count if values is not None else None):
+                return f"statistics {said} of column {name}", f"{span}, as its rows are"
+    return None

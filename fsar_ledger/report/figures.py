@@ -24,6 +24,7 @@ STYLE: dict[str, Any] = {
     "axes.spines.right": False,
 }
 DIAMOND: dict[str, Any] = {"marker": "D", "markersize": 5, "markerfacecolor": "white", "markeredgecolor": "black", "markeredgewidth": 0.9, "linestyle": "none"}
+HEADROOM = 1.1  # height of a panel, as a multiple of its highest value
 BAND_SE = 2.0  # the acceptance band of the distance figure, in standard errors
 
 
@@ -67,8 +68,8 @@ def _panel(axes: Any, spec: specs.MetricSpec, rows: Sequence[Row]) -> None:
     axes.set_xticks(range(len(COLOURS)), [name.upper() for name in COLOURS])
     axes.set_xlim(-0.55, len(COLOURS) - 0.35)
     axes.tick_params(axis="x", length=0)
-    axes.margins(y=0.1)  # room above the highest mark; before the lower limit is fixed, which ends automatic limits
-    axes.set_ylim(bottom=0)
+    drawn = [row[key] for row in rows if row["metric"] == spec.name for key in ("paper", "mean", "ci_high") if row[key] is not None]
+    axes.set_ylim(0, HEADROOM * spec.scale * max(drawn))
     axes.grid(axis="y", color="#dddddd", linewidth=0.5, zorder=0)
     axes.set_axisbelow(True)
 

@@ -70,18 +70,18 @@ def run_id(started: RunStarted) -> str:
     return f"{name}-{digest}"
 
 
-def kernel(spec: RunSpec, constants: Constants) -> Kernel:
-    """The run at its founding, before the world has done anything."""
+def kernel(spec: RunSpec, constants: Constants, structure: Wiring | None = None) -> Kernel:
+    """The run at its founding, before the world has done anything; `structure` replaces the architecture's own wiring."""
     facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size)
     draws = Draws(run_key(spec.seed, spec.scenario, spec.run), constants.world)
-    return Kernel(wiring(spec.architecture), facts, draws, (run_started(spec, constants), *_founding(spec.fleet_size)))
+    return Kernel(structure or wiring(spec.architecture), facts, draws, (run_started(spec, constants), *_founding(spec.fleet_size)))
 
 
 _founding = lru_cache(maxsize=4)(founding)
 
 
-def simulate_run(spec: RunSpec, constants: Constants) -> RunRecord:
+def simulate_run(spec: RunSpec, constants: Constants, structure: Wiring | None = None) -> RunRecord:
     """The whole run."""
-    one = kernel(spec, constants)
+    one = kernel(spec, constants, structure)
     one.run()
     return RunRecord(run_id(run_started(spec, constants)), one.times_us, one.caused_by, one.events)

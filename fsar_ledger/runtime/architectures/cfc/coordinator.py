@@ -116,8 +116,7 @@ def _next_sync(state: State, _event: CopySynced, now_us: int) -> tuple[Scheduled
     return (Scheduled(Sync(), structure.sync_period_us),)
 
 
-def _on_work(state: State, event: WorkQueued, now_us: int) -> tuple[Scheduled, ...]:
-    del state
+def _on_work(_state: State, event: WorkQueued, now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(ProcessWork(event.action_id, event.item), max(1, event.ready_us - now_us)),)
 
 

@@ -81,7 +81,7 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
         return (*records, RequestDenied(request.task_id, None, None, **by_coordinator(), executed_by=robot, reason="policy"))
     if outcome == "review" and command.action_id not in state.supervision:
         return (*records, SupervisorCalled(request.task_id, command.action_id, FLEET_SUPERVISOR, "review"))
-    return (*records, *_commanded(state, request, robot, not idle))
+    return (*records, *_commanded(request, robot, not idle))
 
 
 def command_reviewed(state: State, command: CommandReviewed) -> tuple[Event, ...]:
@@ -91,10 +91,10 @@ def command_reviewed(state: State, command: CommandReviewed) -> tuple[Event, ...
         return ()
     candidates = candidates_of(state, command.action_id)
     idle = [robot for robot in candidates if robot not in state.knowledge.copy.busy]
-    return _commanded(state, request, idle[0] if idle else candidates[0], not idle)
+    return _commanded(request, idle[0] if idle else candidates[0], not idle)
 
 
-def _commanded(state: State, request: Request, robot: str, seen_busy: bool) -> tuple[Event, ...]:
+def _commanded(request: Request, robot: str, seen_busy: bool) -> tuple[Event, ...]:
     task_id, action_id = request.task_id, request.action_id
     claims = (
         AuthorityClaimed(task_id, action_id, "execution", COORDINATOR, "command"),
@@ -117,7 +117,7 @@ def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
     is_second = request.is_delegated and not request.seen_busy
     running = pending_of_other_task(state, robot, request.task_id) if is_second else None
     if running is None:
-        return (_queued(state, request, robot),)
+        return (_queued(request, robot),)
     task_id = state.execution.actions[running].task_id
     return (
         AuthorityClaimed(task_id, running, "execution", request.requester, AGAIN),
@@ -136,11 +136,10 @@ def queue_ordered(state: State, command: QueueOrdered) -> tuple[Event, ...]:
         for claim in claims
         if claim.claimant == request.requester and claim.reason == AGAIN
     ]
-    return (*released, _queued(state, request, request.target or request.requester))
+    return (*released, _queued(request, request.target or request.requester))
 
 
-def _queued(state: State, request: Request, robot: str) -> ExecutionQueued:
-    del state
+def _queued(request: Request, robot: str) -> ExecutionQueued:
     return ExecutionQueued(
         request.task_id,
         request.action_id,

@@ -1,0 +1,251 @@
+"""Fits world laws and structural lengths to the paper's results table, and nothing else.
+
+Gauss-Newton on the 24 cells of `results.csv` with common random numbers: every trial meets the same worlds.
+A residual is (ours - paper) in standard errors at n = 100; the prior keeps each constant near its start. The
+held-out tables (ablation, scaling, significance, cases) are never read here. A fit is not evidence: the
+record says how many directions of the constants the 24 cells identify at all.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.errors import WriteFailed
+from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.ledger.codec import encode
+from fsar_ledger.metrics.database import from_table
+from fsar_ledger.metrics.results import MetricRow, metric_rows
+from fsar_ledger.metrics.verdicts import compare
+from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS, RunSpec, simulate_run
+from fsar_ledger.runtime.switches import SWITCHES, Switch
+
+SEED = 20260001  # never used for a published number
+RUNS = 60  # per scenario and architecture
+ROUNDS = 3
+STEP = 0.12  # of the logarithm of a constant, for the central differences of the Jacobian
+PRIOR = 0.25  # standard deviation of the logarithm of a constant around its start
+LONGEST_STEP = 0.30
+
+Vector = np.ndarray[tuple[int], np.dtype[np.float64]]
+Matrix = np.ndarray[tuple[int, int], np.dtype[np.float64]]
+Progress = Callable[[int, int], None]
+
+
+class Fitted(msgspec.Struct, frozen=True):
+    """One constant that is fitted: where it lives, its unit and its start."""
+
+    name: str
+    unit: str
+    start: float
+    meaning: str
+
+
+FITTED: tuple[Fitted, ...] = (
+    Fitted("world.context_rate_per_s", "1/s", 0.0227, "context changes per robot"),
+    Fitted("world.context_window_share", "share", 0.37, "context changes that close the robot's own policy"),
+    Fitted("world.window_mean_s", "s", 11.5, "mean length of policy windows"),
+    Fitted("world.review_share", "share", 0.06, "windows that ask for review"),
+    Fitted("world.fleet_rule_rate_per_s", "1/s", 0.0063, "fleet rules on a robot's zone"),
+    Fitted("world.obstruction_rate_per_s", "1/s", 0.0165, "obstructions in a robot's way"),
+    Fitted("world.obstruction_mean_s", "s", 2.75, "mean length of obstructions"),
+    Fitted("world.routine_rate_per_s", "1/s", 0.22, "routine operations per robot"),
+    Fitted("world.motion_share", "share", 0.24, "routine operations that move the robot"),
+    Fitted("world.absence_s", "s", 4.0, "length of the local supervisor's absence"),
+    Fitted("world.budget_base_s", "s", 46.0, "base of the task budget"),
+    Fitted("structure.sync_period_us", "us", 6_500_000, "CFC: copies are refreshed this often"),
+    Fitted("structure.service_us", "us", 110_000, "CFC: the coordinator's time per item"),
+    Fitted("structure.hop_ppm", "ppm", 750_000, "DHMA: an internal hop as a share of a message"),
+    Fitted("structure.snapshot_period_us", "us", 13_000_000, "DHMA: planners refresh their snapshot this often"),
+    Fitted("structure.engagement_us", "us", 2_800_000, "DHMA: the planner attends this long"),
+    Fitted("structure.dispute_timeout_us", "us", 12_000_000, "DHMA: a disputed recovery gives up after this"),
+    Fitted("structure.renegotiation_us", "us", 4_600_000, "DHMA: replanning a delegated action takes this much more"),
+)
+
+
+def with_values(values: Sequence[float]) -> Constants:
+    """The constants with these values for the fitted ones, in the order of `FITTED`."""
+    changes: dict[str, dict[str, Any]] = {"world": {}, "structure": {}}
+    for fitted, value in zip(FITTED, values, strict=True):
+        part, _, name = fitted.name.partition(".")
+        changes[part][name] = rounded(value) if part == "world" else int(rounded(value))
+    base = Constants()
+    replace = msgspec.structs.replace
+    return Constants(replace(base.world, **changes["world"]), replace(base.structure, **changes["structure"]))
+
+
+def rounded(value: float) -> float:
+    """Three significant digits: the data do not determine more."""
+    return float(f"{value:.3g}")
+
+
+def measure(constants: Constants, runs: int, architectures: Sequence[Architecture] = ARCHITECTURES, switch: Switch | None = None) -> list[MetricRow]:
+    """The eight metrics, judged by SQL, of runs under these constants; `switch` takes one mechanism out."""
+    records = []
+    for scenario in SCENARIOS:
+        for run in range(runs):
+            for architecture in architectures:
+                configuration = switch.configuration if switch is not None else "full"
+                spec = RunSpec(SEED, architecture, configuration, scenario, 4, run)
+                records.append(simulate_run(spec, constants, switch.structure() if switch is not None else None))
+    with from_table(encode(records), threads=1) as database:
+        return metric_rows(database)
+
+
+def residuals(values: Sequence[float]) -> list[float]:
+    """(ours - paper) of the 24 cells in standard errors at n = 100."""
+    found = [cell.distance_se for cell in compare(measure(with_values(values), RUNS))]
+    return [0.0 if distance is None else distance for distance in found]
+
+
+def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> None:
+    """The record of the fit is in the file. Takes minutes.
+
+    Raises:
+        WriteFailed: the file cannot be written.
+    """
+    _require_writable(out)
+    total = ROUNDS * (2 * len(FITTED) + 4) + 1 + len(SWITCHES)
+    done = 0
+
+    def advance(count: int) -> None:
+        nonlocal done
+        done += count
+        if progress is not None:
+            progress(min(done, total), total)
+
+    starts = np.array([fitted.start for fitted in FITTED])
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+
+        def evaluate(points: list[Vector]) -> list[Vector]:
+            results = []
+            for result in pool.map(residuals, [list(starts * np.exp(point)) for point in points]):
+                results.append(np.array(result))
+                advance(1)
+            return results
+
+        point = np.zeros(len(FITTED))
+        [now] = evaluate([point])
+        start_value = objective(now, point)
+        jacobian = np.zeros((len(now), len(FITTED)))
+        for _ in range(ROUNDS):
+            jacobian = _jacobian(evaluate, point)
+            trials = [point + scale * _step(jacobian, now, point) for scale in (0.25, 0.5, 1.0)]
+            values = evaluate(trials)
+            best = min(range(len(trials)), key=lambda index: objective(values[index], trials[index]))
+            if objective(values[best], trials[best]) < objective(now, point):
+                point, now = trials[best], values[best]
+        record = _record(starts, point, now, start_value, jacobian, done)
+        accepted = with_values(list(starts * np.exp(point)))
+        record["switch_offs"] = _switch_offs(accepted)
+        advance(len(SWITCHES))
+    _write(out, record)
+
+
+def objective(distances: Vector, point: Vector) -> float:
+    """What the fit makes small: squared residuals in standard errors, plus the prior."""
+    return float(distances @ distances + (point @ point) / PRIOR**2)
+
+
+def _jacobian(evaluate: Callable[[list[Vector]], list[Vector]], point: Vector) -> Matrix:
+    """Change of each residual with the logarithm of each constant, by central differences on the same worlds."""
+    shifts = np.eye(len(FITTED)) * STEP
+    sides = evaluate([point + shift for shift in shifts] + [point - shift for shift in shifts])
+    up, down = np.array(sides[: len(FITTED)]), np.array(sides[len(FITTED) :])
+    return np.asarray((up - down).T / (2 * STEP))
+
+
+def _step(jacobian: Matrix, now: Vector, point: Vector) -> Vector:
+    """The Gauss-Newton step under the prior, no constant by more than `LONGEST_STEP`."""
+    normal = jacobian.T @ jacobian + np.eye(len(point)) / PRIOR**2
+    step = -np.linalg.solve(normal, jacobian.T @ now + point / PRIOR**2)
+    longest = float(np.abs(step).max())
+    return np.asarray(step * min(1.0, LONGEST_STEP / longest) if longest > 0 else step)
+
+
+def _record(starts: Vector, point: Vector, now: Vector, start_value: float, jacobian: Matrix, evaluations: int) -> dict[str, Any]:
+    constants = with_values(list(starts * np.exp(point)))
+    _, singular, directions = np.linalg.svd(jacobian * PRIOR, full_matrices=False)
+    return {
+        "objective": {
+            "description": "sum over the 24 cells of ((ours - paper) / standard error at n = 100)^2, plus ((log of constant / start) / prior SD)^2",
+            "start": round(start_value, 3),
+            "accepted": round(objective(now, point), 3),
+        },
+        "seeds": [SEED],
+        "runs_per_scenario": RUNS,
+        "evaluations": evaluations,
+        "model_version": MODEL_VERSION,
+        "command": "fsar-ledger calibrate --out FILE",
+        "parameters": [_parameter(fitted, constants, directions, singular, index) for index, fitted in enumerate(FITTED)],
+        "residuals": [
+            {"metric": cell.metric, "architecture": cell.architecture, "paper": cell.paper, "ours": cell.ours, "distance_se": cell.distance_se}
+            for cell in compare(measure(constants, RUNS))
+        ],
+        "directions": [
+            {
+                "singular_value": round(float(value), 3),
+                "identified": bool(value > 1),
+                "weights": {FITTED[index].name: round(float(row[index]), 2) for index in np.argsort(-np.abs(row))[:4]},
+            }
+            for value, row in zip(singular, directions, strict=True)
+        ],
+    }
+
+
+def _parameter(fitted: Fitted, constants: Constants, directions: Matrix, singular: Vector, index: int) -> dict[str, Any]:
+    """A constant is identified when the data alone determine it better than the prior does."""
+    part, _, name = fitted.name.partition(".")
+    information = float(((singular * directions[:, index]) ** 2).sum())
+    return {
+        "name": fitted.name,
+        "unit": fitted.unit,
+        "start": fitted.start,
+        "accepted": getattr(getattr(constants, part), name),
+        "meaning": fitted.meaning,
+        "identified": information > 1,
+    }
+
+
+def _switch_offs(constants: Constants) -> list[dict[str, Any]]:
+    """Each mechanism switched off once, under the accepted constants and on the same worlds."""
+    found = []
+    whole: dict[tuple[str, str], float | None] = {(row.architecture, row.metric): row.mean for row in measure(constants, RUNS)}
+    for switch in SWITCHES:
+        without = {row.metric: row.mean for row in measure(constants, RUNS, (switch.architecture,), switch)}
+        for metric in switch.metrics:
+            found.append(
+                {
+                    "mechanism": switch.mechanism,
+                    "metric": metric,
+                    "architecture": switch.architecture,
+                    "with_mechanism": whole[switch.architecture, metric],
+                    "without": without[metric] if without[metric] is not None else math.nan,
+                }
+            )
+    return found
+
+
+def _require_writable(out: Path) -> None:
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with out.open("ab"):
+            pass
+    except OSError as error:
+        raise WriteFailed(f"{out}: cannot be written ({error.strerror}); expected a path for the record of the fit") from error
+
+
+def _write(out: Path, record: dict[str, Any]) -> None:
+    data = msgspec.json.format(msgspec.json.encode(record), indent=2) + b"\n"
+    try:
+        temporary = out.with_name(out.name + ".tmp")
+        temporary.write_bytes(data)
+        temporary.replace(out)
+    except OSError as error:
+        raise WriteFailed(f"{out}: cannot be written ({error.strerror}); free space or give another path") from error
