@@ -17,7 +17,7 @@ from typing import get_args
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from benchmarks.polars_metrics import GROUP, eight_metrics
+from benchmarks.polars_metrics import GROUP, EventClasses, eight_metrics
 from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.metrics.database import connect
@@ -48,8 +48,14 @@ def by_sql(ledger: Path) -> Numbers:
         return {(row.architecture, row.configuration, row.fleet_size, row.metric): row.mean for row in metric_rows(database) if row.mean is not None}
 
 
-def by_polars(segments: list[Path]) -> Numbers:
-    rows = eight_metrics(segments).to_dicts()
+def event_classes(ledger: Path) -> EventClasses:
+    with connect(ledger) as database:
+        rows = database.rows("SELECT type, decision_kind, record_kind FROM event_classes")
+    return EventClasses([row["type"] for row in rows if row["decision_kind"]], [row["type"] for row in rows if row["record_kind"]])
+
+
+def by_polars(segments: list[Path], classes: EventClasses) -> Numbers:
+    rows = eight_metrics(segments, classes).to_dicts()
     return {
         (row["architecture"], row["configuration"], row["fleet_size"], metric): value
         for row in rows
@@ -73,12 +79,12 @@ def main() -> int:
     options = parser.parse_args()
     ledger = ledger_of(options.events, options.cache, options.workers)
     view = open_ledger(ledger)
-    segments = view.segments()
+    segments, classes = view.segments(), event_classes(ledger)
     sql_s, polars_s = [], []
     for _ in range(options.repeats):  # in turns, so that a slow moment of the machine meets both
         seconds, ours = timed(lambda: by_sql(ledger))
         sql_s.append(seconds)
-        seconds, theirs = timed(lambda: by_polars(segments))
+        seconds, theirs = timed(lambda: by_polars(segments, classes))
         polars_s.append(seconds)
         differing = sorted(key for key in ours.keys() | theirs.keys() if abs(ours.get(key, float("inf")) - theirs.get(key, float("-inf"))) > TOLERANCE)
         if differing:

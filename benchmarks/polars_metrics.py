@@ -1,62 +1,21 @@
 """The eight metrics written by hand in Polars, by the same judging rules as `queries/metrics`: what the SQL is measured against."""
 
 from pathlib import Path
+from typing import NamedTuple
 
 import polars as pl
 
 GROUP = ["architecture", "configuration", "fleet_size"]
 ACTION = ["run_id", "action_id"]
 FAILURE = ["run_id", "action_id", "failure"]
-DECISIONS = [
-    "RequestIssued",
-    "RequestUnanswered",
-    "RequestRelayed",
-    "CandidateMatched",
-    "RequestAdmitted",
-    "RequestDenied",
-    "RequestDeferred",
-    "CommandIssued",
-    "RequestAccepted",
-    "RequestClosed",
-    "OwnStepDecided",
-    "ExecutionHeld",
-    "ReplanOrdered",
-    "RoutinePerformed",
-    "RoutineWithheld",
-    "RecoveryAttempted",
-    "RecoveryEscalated",
-    "AssistanceRequested",
-    "AssistanceAdmitted",
-    "ReassignmentDecided",
-    "SupervisorResponded",
-]
-RECORDS = [
-    "GapDetected",
-    "RegistryQueried",
-    "RequestIssued",
-    "RequestUnanswered",
-    "CandidateMatched",
-    "RequestAdmitted",
-    "RequestDenied",
-    "CommandIssued",
-    "RequestAccepted",
-    "ExecutionStarted",
-    "ExecutionFinished",
-    "OwnStepDecided",
-    "BidSubmitted",
-    "AwardMade",
-    "InternalHandoff",
-    "ReplanOrdered",
-    "RecoveryAttempted",
-    "RecoveryEscalated",
-    "AssistanceRequested",
-    "ReassignmentDecided",
-    "SupervisorResponded",
-    "RoutinePerformed",
-    "RoutineWithheld",
-    "RoutineReported",
-]
 PRINCIPALS = ["requested_by", "executed_by", "supervised_by"]
+
+
+class EventClasses(NamedTuple):
+    """Which types are decisions and which are records: the judges' table, the same for both sides of the comparison."""
+
+    decisions: list[str]
+    records: list[str]
 
 
 def of(events: pl.LazyFrame, *types: str) -> pl.LazyFrame:
@@ -70,9 +29,9 @@ def success(events: pl.LazyFrame) -> pl.LazyFrame:
     return tasks.group_by("run_id").agg(in_time.mean().alias("coordination_success"))
 
 
-def locality(events: pl.LazyFrame) -> pl.LazyFrame:
+def locality(events: pl.LazyFrame, types: list[str]) -> pl.LazyFrame:
     is_local = (pl.col("path").list.len() == 1) & pl.col("decided_by").str.contains("^(robot|supervisor)/").fill_null(value=False)
-    decisions = of(events, *DECISIONS).filter(pl.col("path").list.len() > 0)
+    decisions = events.filter(pl.col("type").is_in(types)).filter(pl.col("path").list.len() > 0)
     return decisions.group_by("run_id").agg(is_local.mean().alias("governance_locality"))
 
 
@@ -125,19 +84,28 @@ def human(events: pl.LazyFrame) -> pl.LazyFrame:
     return called.select("run_id").unique().with_columns(human_intervention=pl.lit(1))
 
 
-def attributability(events: pl.LazyFrame) -> pl.LazyFrame:
+def attributability(events: pl.LazyFrame, types: list[str]) -> pl.LazyFrame:
     known = events.filter(pl.col("action_id").is_not_null()).group_by(ACTION).agg(pl.col(name).is_not_null().any().alias(f"has_{name}") for name in PRINCIPALS)
-    records = of(events, *RECORDS).select(*ACTION, *PRINCIPALS).join(known, on=ACTION, how="left")
+    records = events.filter(pl.col("type").is_in(types)).select(*ACTION, *PRINCIPALS).join(known, on=ACTION, how="left")
     complete = pl.all_horizontal(pl.col(name).is_not_null() | pl.col(f"has_{name}").fill_null(value=False) for name in PRINCIPALS)
     return records.group_by("run_id").agg(complete.mean().alias("audit_attributability"))
 
 
-def eight_metrics(segments: list[Path]) -> pl.DataFrame:
+def eight_metrics(segments: list[Path], classes: EventClasses) -> pl.DataFrame:
     """Mean of each metric by architecture, configuration and fleet size; containment and latency pooled over runs."""
     events = pl.scan_parquet(segments)
     runs = of(events, "RunStarted").select("run_id", *GROUP)
     parts = pl.collect_all(
-        [runs, success(events), locality(events), failures(events), conflicts(events), violations(events), human(events), attributability(events)]
+        [
+            runs,
+            success(events),
+            locality(events, classes.decisions),
+            failures(events),
+            conflicts(events),
+            violations(events),
+            human(events),
+            attributability(events, classes.records),
+        ]
     )
     table = parts[0]
     for part in parts[1:]:

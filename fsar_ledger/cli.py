@@ -136,7 +136,9 @@ def metrics(
     if by not in (None, "scenario"):
         raise UsageError(f"--by {by}: expected --by scenario, or no --by")
     with connect(ledger) as database:
-        _answer(database.head, _plain(metric_rows(database, by_scenario=by == "scenario")), as_json=as_json, as_csv=as_csv)
+        rows = _plain(metric_rows(database, by_scenario=by is not None))
+        columns = [name for name in rows[0] if by or name != "scenario"] if rows else []
+        _answer(database.head, [{name: row[name] for name in columns} for row in rows], as_json=as_json, as_csv=as_csv)
 
 
 @app.command(epilog=_examples("fsar-ledger statistics out/ledger", "fsar-ledger statistics out/ledger --csv"))

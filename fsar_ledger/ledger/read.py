@@ -79,16 +79,25 @@ class LedgerView(msgspec.Struct, frozen=True):
     def tables(self, columns: list[str] | None = None) -> Iterator[pa.Table]:
         """The rows of each commit, in order, with these columns (all: None). Raises: LedgerCorrupted for a segment that cannot be read."""
         for number in range(len(self.records)):
-            yield segment.read_table(self.segment(number), columns)
+            yield self._table(number, columns)
+
+    def _table(self, number: int, columns: list[str] | None = None) -> pa.Table:
+        path = self.segment(number)
+        try:
+            return segment.read_table(path, columns)
+        except LedgerCorrupted:
+            if path.exists():
+                raise
+            return segment.read_table(self.segment(number), columns)  # a writer moved it into place in between
 
     def runs(self) -> Iterator[codec.RunRecord]:
         """Every run, in order. Raises: LedgerCorrupted or UnknownEventTag where a segment does not hold valid events."""
         for number in range(len(self.records)):
-            path = self.segment(number)
+            table = self._table(number)
             try:
-                runs = list(codec.decode(segment.read_table(path)))
+                runs = list(codec.decode(table))
             except LedgerCorrupted as error:
-                raise type(error)(str(error) if str(path) in str(error) else f"{path}: commit {number}: {error}") from error
+                raise type(error)(f"{self.segment(number)}: commit {number}: {error}") from error
             yield from runs
 
 

@@ -8,7 +8,7 @@ WITH judged AS (
     SELECT
         run_id,
         count(*) AS denominator,
-        count_if(is_attributable) AS numerator
+        count(*) FILTER (WHERE is_attributable) AS numerator
     FROM coordination_events
     GROUP BY run_id
 )

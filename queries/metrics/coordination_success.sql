@@ -17,7 +17,7 @@ tasks AS (
     SELECT
         arrived.run_id,
         count(*) AS denominator,
-        count_if(completions.completed_us - arrived.time_us <= arrived.budget_us) AS numerator
+        count(*) FILTER (WHERE completions.completed_us - arrived.time_us <= arrived.budget_us) AS numerator
     FROM task_arrived AS arrived
     LEFT JOIN completions ON arrived.run_id = completions.run_id AND arrived.task_id = completions.task_id
     GROUP BY arrived.run_id

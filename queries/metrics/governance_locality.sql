@@ -8,7 +8,7 @@ WITH judged AS (
     SELECT
         run_id,
         count(*) AS denominator,
-        count_if(is_local) AS numerator
+        count(*) FILTER (WHERE is_local) AS numerator
     FROM decisions
     GROUP BY run_id
 )

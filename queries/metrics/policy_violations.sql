@@ -7,7 +7,7 @@
 WITH judged AS (
     SELECT
         run_id,
-        count_if(is_violation) AS numerator
+        count(*) FILTER (WHERE is_violation) AS numerator
     FROM governed_starts
     GROUP BY run_id
 )

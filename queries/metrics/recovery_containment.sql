@@ -8,7 +8,7 @@ WITH judged AS (
     SELECT
         run_id,
         count(*) AS denominator,
-        count_if(is_contained) AS numerator
+        count(*) FILTER (WHERE is_contained) AS numerator
     FROM failures
     GROUP BY run_id
 )

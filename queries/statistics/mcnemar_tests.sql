@@ -7,8 +7,8 @@
 WITH discordant AS (
     SELECT
         test,
-        count_if(difference_ppb > 0)::BIGINT AS mcnemar_first_only,
-        count_if(difference_ppb < 0)::BIGINT AS mcnemar_second_only
+        count(*) FILTER (WHERE difference_ppb > 0)::BIGINT AS mcnemar_first_only,
+        count(*) FILTER (WHERE difference_ppb < 0)::BIGINT AS mcnemar_second_only
     FROM paired_differences
     WHERE metric = 'human_intervention'
     GROUP BY test

@@ -165,3 +165,15 @@ def test_the_ledger_is_the_same_whatever_the_surroundings(ledger: Path, tmp_path
     assert in_a_process("simulate", tmp_path / "again", *SMALL[:-1], workers, surroundings=surroundings).code == 0
     files = {path.relative_to(ledger): path.read_bytes() for path in ledger.rglob("*") if path.is_file()}
     assert {path.relative_to(tmp_path / "again"): path.read_bytes() for path in (tmp_path / "again").rglob("*") if path.is_file()} == files
+
+
+def test_reproduce_does_the_whole_experiment_and_can_be_repeated(call: Call, tmp_path: Path) -> None:
+    said = call("reproduce", "--out", tmp_path / "out", "--workers", "2")
+    assert said.code == 0, said.err
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"ledger", "metrics.csv", "statistics.csv", "report.pdf"}
+    info = json.loads(call("info", tmp_path / "out" / "ledger", "--json").out)
+    assert (info["runs"], info["is_complete"]) == (300, True)
+    assert len(said.out.splitlines()) == 2 + 24 + 3
+    before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir() if path.is_file()}
+    assert call("reproduce", "--out", tmp_path / "out").code == 0
+    assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir() if path.is_file()} == before

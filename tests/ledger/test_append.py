@@ -139,6 +139,22 @@ def test_a_committed_segment_still_in_staging_is_read_there_and_moved_by_the_nex
     assert contents(path) == before
 
 
+def test_a_segment_that_moves_into_place_while_it_is_read_is_found_there(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    append_all(path, BATCHES[:1])
+    placed = path / "segments" / "000000000000.parquet"
+    staged = path / "staging" / f"{open_ledger(path).records[0].segment_sha256}.parquet"
+    placed.rename(staged)
+    read_table = segment.read_table
+
+    def moved_first(file: Path, columns: list[str] | None = None) -> pa.Table:
+        if staged.exists():
+            staged.rename(placed)
+        return read_table(file, columns)
+
+    monkeypatch.setattr(segment, "read_table", moved_first)
+    assert list(open_ledger(path).runs()) == BATCHES[0]
+
+
 def test_a_closed_writer_appends_nothing(path: Path) -> None:
     with Writer(path, ORIGIN) as writer:
         staged = stage(path, BATCHES[0])

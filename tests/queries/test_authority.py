@@ -38,6 +38,7 @@ def test_overlapping_claims_of_two_principals_conflict() -> None:
 
 def test_claims_that_touch_do_not_conflict() -> None:
     assert conflicts(claim("a", 1), release("a", 2), claim("b", 2), release("b", 3)) == 0
+    assert conflicts(claim("b", 1), release("b", 2), claim("a", 2), release("a", 3)) == 0
 
 
 def test_claims_that_touch_do_not_conflict_even_if_the_second_is_logged_before_the_release() -> None:

@@ -57,6 +57,8 @@ def test_a_record_with_all_principals_is_attributable_without_any_other() -> Non
 def test_a_record_that_lacks_one_principal_is_not_attributable(lacking: str) -> None:
     ((*_, whole),) = judged(event("GapDetected", **(WHOLE | {lacking: None})))
     assert whole is False
+    ((*_, whole),) = judged(*[event(name, action_id="t1/1", **(WHOLE | {lacking: None})) for name in ("GapDetected", "ExecutionQueued")])
+    assert whole is False, "the other event of the action lacks it too"
 
 
 def test_a_principal_is_recoverable_from_any_event_of_the_same_action() -> None:

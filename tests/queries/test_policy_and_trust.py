@@ -67,6 +67,10 @@ def test_a_review_with_an_earlier_approval_of_the_same_action_is_no_violation() 
     assert violations(opened(1, "review"), responded(2), started(3)) == 0
 
 
+def test_the_first_approval_of_an_action_counts() -> None:
+    assert violations(opened(1, "review"), responded(2), started(3), responded(4)) == 0
+
+
 def test_a_review_without_approval_is_a_violation() -> None:
     assert violations(opened(1, "review"), started(3)) == 1
     assert violations(opened(1, "review"), started(3), responded(3)) == 1, "approved too late"
@@ -111,6 +115,15 @@ def test_policy_in_force_is_the_strictest_of_the_open_windows() -> None:
 def test_policy_in_force_at_one_moment_is_what_holds_after_all_of_its_edges() -> None:
     rows = answer("facts/policy_in_force", run(opened(1), closed(2), opened(2, "review", window="w2")), columns=("since_us", "until_us", "outcome"))
     assert rows == [(1, 2, "deny"), (2, None, "review")]
+
+
+def test_two_windows_that_open_together_are_two() -> None:
+    rows = answer("facts/policy_in_force", run(opened(1), opened(1, window="w2"), closed(2), closed(3, window="w2")), columns=("since_us", "outcome"))
+    assert rows == [(1, "deny"), (2, "deny"), (3, "allow")]
+
+
+def test_the_first_closing_of_a_window_counts() -> None:
+    assert violations(opened(1), closed(3), started(4), closed(5)) == 0
 
 
 def test_policy_windows_pair_each_opening_with_its_closing() -> None:

@@ -1,0 +1,50 @@
+"""Given events, when a command, then events: helpers for the tests of pure handlers."""
+
+from collections.abc import Callable
+from typing import Any
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Architecture, Configuration
+from fsar_ledger.events.task import StepBegan
+from fsar_ledger.events.world import PolicyWindowOpened, TaskArrived
+from fsar_ledger.projections.fold import State, fold
+from fsar_ledger.runtime.kernel import Kernel
+from fsar_ledger.runtime.simulation import RunSpec, kernel, run_started
+from fsar_ledger.runtime.world.scenarios import founding
+
+STEPS = ("A navigate.indoor", "A door.open.secure B")
+ARRIVED = TaskArrived("A1-1", "robot/A1", 1, STEPS, 60_000_000, 65_000_000)
+OWN_STEP = StepBegan("A1-1", "A1-1/1.1", "robot/A1", 1, 1, "navigate.indoor")
+DELEGATED_STEP = StepBegan("A1-1", "A1-1/2.1", "robot/A1", 2, 1, "door.open.secure", "B")
+
+
+def started(architecture: Architecture, configuration: Configuration = "full") -> tuple[Event, ...]:
+    """The founding of a fleet of four under this architecture."""
+    spec = RunSpec(1, architecture, configuration, "door-relay", 4, 0)
+    return (run_started(spec, Constants()), *founding(4))
+
+
+def given(architecture: Architecture, *events: Event, configuration: Configuration = "full") -> State:
+    """The state after the founding and these events."""
+    return fold((*started(architecture, configuration), *events))
+
+
+def window(robot: str, outcome: Any = "deny", scope: Any = "local") -> PolicyWindowOpened:
+    """A policy window at the robot."""
+    return PolicyWindowOpened(robot, scope, f"{scope}/{robot[6:]}/0", outcome)
+
+
+def finished(spec: RunSpec, constants: Constants | None = None) -> Kernel:
+    """A whole run."""
+    one = kernel(spec, constants or Constants())
+    one.run()
+    return one
+
+
+def types(events: tuple[Event, ...]) -> list[str]:
+    """The names of the events' types."""
+    return [type(event).__name__ for event in events]
+
+
+Check = Callable[..., bool]

@@ -1,0 +1,260 @@
+"""FSAR's handlers: given events, when a command, then events."""
+
+from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
+from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
+from fsar_ledger.events.knowledge import FleetRuleLearned
+from fsar_ledger.events.registry import RegistryQueried
+from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, RequestDenied, RequestIssued, RequestUnanswered
+from fsar_ledger.events.world import ObstructionAppeared, OutsiderRequestInjected, SupervisorLeft
+from fsar_ledger.projections.fold import apply
+from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider, Revoke, answer_outsider, close_execution, revoke
+from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, DecideRoutine, decide_own_step, decide_routine, start
+from fsar_ledger.runtime.architectures.fsar.recovery import (
+    AskPeers,
+    ConsiderReassignment,
+    StartRecovery,
+    ask_peers,
+    consider_reassignment,
+    end_attempt,
+    start_recovery,
+)
+from fsar_ledger.runtime.architectures.fsar.request import (
+    DetectGap,
+    EvaluateRequest,
+    IssueRequest,
+    QueryRegistry,
+    detect_gap,
+    evaluate_request,
+    issue_request,
+    query_registry,
+    take_turn,
+)
+from fsar_ledger.runtime.handlers.commands import CloseExecution, DetectObstruction, EndAttempt, StartAction, TakeTurn
+from fsar_ledger.runtime.handlers.execution import detect_obstruction
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, types, window
+
+REQUESTED = (ARRIVED, DELEGATED_STEP, RegistryQueried("A1-1", "A1-1/2.1", "robot/A1", "robot/B1", None, "door.open.secure", ("robot/B1",)))
+
+
+def executing(*before, own: bool = False):  # type: ignore[no-untyped-def]
+    """A state in which the action runs, and its id."""
+    state = given("fsar", ARRIVED, *(() if own else REQUESTED[1:]), *before)
+    if own:
+        apply(state, OWN_STEP)
+        events = decide_own_step(state, DecideOwnStep("A1-1/1.1"))
+    else:
+        events = evaluate_request(state, EvaluateRequest("A1-1/2.1"))
+    action_id = "A1-1/1.1" if own else "A1-1/2.1"
+    for event in events:
+        apply(state, event)
+    if not own:
+        for event in take_turn(state, TakeTurn(action_id)):
+            apply(state, event)
+    for event in start(state, StartAction(action_id, now_us=9_000_000, drawn=2_000_000)):
+        apply(state, event)
+    return state, action_id
+
+
+def test_a_gap_is_on_record_with_its_requester_and_supervisor() -> None:
+    [gap] = detect_gap(given("fsar", ARRIVED, DELEGATED_STEP), DetectGap("A1-1/2.1"))
+    assert (gap.requested_by, gap.supervised_by) == ("robot/A1", "supervisor/A1")  # type: ignore[attr-defined]
+
+
+def test_a_supervisor_who_is_off_shift_is_not_named() -> None:
+    [gap] = detect_gap(given("fsar", ARRIVED, DELEGATED_STEP, SupervisorLeft("supervisor/A1")), DetectGap("A1-1/2.1"))
+    assert gap.supervised_by is None  # type: ignore[attr-defined]
+
+
+def test_the_registry_shows_only_trusted_robots() -> None:
+    [answer] = query_registry(given("fsar", ARRIVED, DELEGATED_STEP), QueryRegistry("A1-1/2.1"))
+    assert isinstance(answer, RegistryQueried)
+    assert (answer.candidates, answer.relay) == (("robot/B1",), None)
+
+
+def test_a_robot_without_direct_trust_is_reached_through_a_doubly_trusted_peer() -> None:
+    step = DELEGATED_STEP.__class__("A1-1", "A1-1/2.1", "robot/D1", 2, 1, "door.open.secure", "B")
+    [answer] = query_registry(given("fsar", ARRIVED, step), QueryRegistry("A1-1/2.1"))
+    assert isinstance(answer, RegistryQueried)
+    assert (answer.candidates, answer.relay) == (("robot/B1",), "robot/A1")
+
+
+def test_a_private_zone_is_hidden_from_those_who_may_not_see_it() -> None:
+    step = DELEGATED_STEP.__class__("A1-1", "A1-1/2.1", "robot/D1", 2, 1, "inspect.private_zone", "C")
+    [answer] = query_registry(given("fsar", ARRIVED, step), QueryRegistry("A1-1/2.1"))
+    assert isinstance(answer, RegistryQueried)
+    assert answer.candidates == ()
+
+
+def test_an_empty_answer_leads_to_no_request() -> None:
+    state = given("fsar", ARRIVED, DELEGATED_STEP)
+    assert isinstance(issue_request(state, IssueRequest("A1-1/2.1"))[0], RequestUnanswered)
+
+
+def test_the_request_carries_the_requesters_policy() -> None:
+    [issued] = issue_request(given("fsar", *REQUESTED, window("robot/A1", "review")), IssueRequest("A1-1/2.1"))
+    assert isinstance(issued, RequestIssued)
+    assert issued.carried_policy == "review"
+
+
+def test_an_admissible_request_is_admitted_and_queued() -> None:
+    assert types(evaluate_request(given("fsar", *REQUESTED), EvaluateRequest("A1-1/2.1"))) == ["RequestAdmitted", "ExecutionQueued"]
+
+
+def test_the_executors_own_denial_rejects_the_request() -> None:
+    [denied] = evaluate_request(given("fsar", *REQUESTED, window("robot/B1")), EvaluateRequest("A1-1/2.1"))
+    assert isinstance(denied, RequestDenied)
+    assert (denied.decided_by, denied.path) == ("robot/B1", ("robot/B1",))
+
+
+def test_the_fleet_rule_counts_as_it_was_heard() -> None:
+    open_rule = given("fsar", *REQUESTED, window("robot/B1", scope="fleet"))
+    assert isinstance(evaluate_request(open_rule, EvaluateRequest("A1-1/2.1"))[0], RequestAdmitted)
+    heard = given("fsar", *REQUESTED, window("robot/B1", scope="fleet"), FleetRuleLearned("robot/B1", "deny", 1))
+    assert isinstance(evaluate_request(heard, EvaluateRequest("A1-1/2.1"))[0], RequestDenied)
+
+
+def test_without_policy_composition_only_the_executors_policy_counts() -> None:
+    state = given("fsar", *REQUESTED, FleetRuleLearned("robot/B1", "deny", 1), configuration="without-policy-composition")
+    assert isinstance(evaluate_request(state, EvaluateRequest("A1-1/2.1"))[0], RequestAdmitted)
+
+
+def test_a_review_goes_to_the_fleet_supervisor() -> None:
+    assert types(evaluate_request(given("fsar", *REQUESTED, window("robot/B1", "review")), EvaluateRequest("A1-1/2.1"))) == ["SupervisorCalled"]
+
+
+def test_a_busy_executor_defers() -> None:
+    state, _ = executing()
+    other = (ARRIVED.__class__("A1-2", "robot/A1", 1, ARRIVED.steps, 1, 1), DELEGATED_STEP.__class__("A1-2", "A1-2/2.1", "robot/A1", 2, 1, "door.open.secure", "B"))
+    for event in (*other, RegistryQueried("A1-2", "A1-2/2.1", "robot/A1", "robot/B1", None, "door.open.secure", ("robot/B1",))):
+        apply(state, event)
+    assert types(evaluate_request(state, EvaluateRequest("A1-2/2.1"))) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
+
+
+def test_acceptance_claims_execution_and_override_for_the_executor() -> None:
+    state = given("fsar", *REQUESTED)
+    for event in evaluate_request(state, EvaluateRequest("A1-1/2.1")):
+        apply(state, event)
+    accepted = take_turn(state, TakeTurn("A1-1/2.1"))
+    assert isinstance(accepted[0], RequestAccepted)
+    assert [(event.dimension, event.claimant) for event in accepted if isinstance(event, AuthorityClaimed)] == [
+        ("execution", "robot/B1"),
+        ("override", "robot/B1"),
+    ]
+    for event in accepted:
+        apply(state, event)
+    assert take_turn(state, TakeTurn("A1-1/2.1")) == ()
+
+
+def test_a_revocation_claims_override_once_until_the_boundary() -> None:
+    state, action_id = executing()
+    [claim] = revoke(state, Revoke("robot/A1"))
+    assert claim == AuthorityClaimed("A1-1", action_id, "override", "robot/A1", "revocation")
+    apply(state, claim)
+    assert revoke(state, Revoke("robot/A1")) == ()
+    assert {event.claimant for event in close_execution(state, CloseExecution(action_id)) if isinstance(event, AuthorityReleased)} == {"robot/A1", "robot/B1"}
+
+
+def test_an_own_step_is_the_robots_own_decision() -> None:
+    [decided, queued] = decide_own_step(given("fsar", ARRIVED, OWN_STEP), DecideOwnStep("A1-1/1.1"))
+    assert decided.path == ("robot/A1",)  # type: ignore[attr-defined]
+    assert not queued.is_delegated  # type: ignore[attr-defined]
+
+
+def test_a_start_waits_for_the_robots_own_policy() -> None:
+    state, _ = executing(own=True)
+    queued = given("fsar", ARRIVED, OWN_STEP)
+    for event in decide_own_step(queued, DecideOwnStep("A1-1/1.1")):
+        apply(queued, event)
+    apply(queued, window("robot/A1"))
+    [held] = start(queued, StartAction("A1-1/1.1", now_us=5, drawn=7))
+    assert isinstance(held, ExecutionHeld)
+    assert held.path == ("robot/A1",)
+    apply(queued, held)
+    [again] = start(queued, StartAction("A1-1/1.1", now_us=9, drawn=7))
+    assert again.path == ()  # type: ignore[attr-defined]
+    assert state.execution.actions["A1-1/1.1"].stage == "running"
+
+
+def test_a_start_takes_as_long_as_the_world_says() -> None:
+    queued = given("fsar", ARRIVED, OWN_STEP)
+    for event in decide_own_step(queued, DecideOwnStep("A1-1/1.1")):
+        apply(queued, event)
+    [began] = start(queued, StartAction("A1-1/1.1", now_us=5, drawn=7))
+    assert isinstance(began, ExecutionStarted)
+    assert began.ends_us == 12
+
+
+def test_a_motion_is_withheld_while_policy_forbids_it_and_sensing_is_not() -> None:
+    state = given("fsar", window("robot/A1"))
+    assert types(decide_routine(state, DecideRoutine("robot/A1", "motion"))) == ["RoutineWithheld"]
+    assert types(decide_routine(state, DecideRoutine("robot/A1", "sensing"))) == ["RoutinePerformed"]
+
+
+def failed(own: bool = False):  # type: ignore[no-untyped-def]
+    state, action_id = executing(ObstructionAppeared("robot/A1" if own else "robot/B1", "o"), own=own)
+    for event in detect_obstruction(state, DetectObstruction(action_id, now_us=9_500_000)):
+        apply(state, event)
+    return state, action_id
+
+
+def test_recovery_begins_at_the_robot_and_goes_outward_without_skipping() -> None:
+    state, action_id = failed()
+    levels = []
+    for event in start_recovery(state, StartRecovery(action_id)):
+        apply(state, event)
+    [second] = end_attempt(state, EndAttempt(action_id, 1, now_us=11_000_000))
+    assert (type(second).__name__, second.number) == ("RecoveryAttempted", 2)  # type: ignore[attr-defined]
+    apply(state, second)
+    [outward] = end_attempt(state, EndAttempt(action_id, 2, now_us=13_000_000))
+    levels.append((outward.level, outward.to_level))  # type: ignore[attr-defined]
+    apply(state, outward)
+    assert types(ask_peers(state, AskPeers(action_id))) == ["AssistanceRequested", "AssistanceAdmitted"]
+    apply(state, window("robot/A1"))
+    [onward] = ask_peers(state, AskPeers(action_id))
+    levels.append((onward.level, onward.to_level))  # type: ignore[attr-defined]
+    apply(state, onward)
+    decided, human, called = consider_reassignment(state, ConsiderReassignment(action_id))
+    levels.append((human.level, human.to_level))  # type: ignore[attr-defined]
+    assert (decided.helper, type(called).__name__) == (None, "SupervisorCalled")  # type: ignore[attr-defined]
+    assert levels == [("local", "peer"), ("peer", "fleet"), ("fleet", "human")]
+
+
+def test_a_spent_time_budget_ends_local_recovery() -> None:
+    state, action_id = failed()
+    for event in start_recovery(state, StartRecovery(action_id)):
+        apply(state, event)
+    [outward] = end_attempt(state, EndAttempt(action_id, 1, now_us=60_000_000))
+    assert outward.to_level == "peer"  # type: ignore[attr-defined]
+
+
+def test_a_failed_carry_is_reassigned_to_a_trusted_substitute() -> None:
+    step = OWN_STEP.__class__("A1-1", "A1-1/1.1", "robot/A1", 1, 1, "carry.package")
+    state = given("fsar", ARRIVED, step, ObstructionAppeared("robot/A1", "o"))
+    for event in decide_own_step(state, DecideOwnStep("A1-1/1.1")):
+        apply(state, event)
+    for event in start(state, StartAction("A1-1/1.1", now_us=5, drawn=7_000_000)):
+        apply(state, event)
+    for event in detect_obstruction(state, DetectObstruction("A1-1/1.1", now_us=6)):
+        apply(state, event)
+    reassigned = consider_reassignment(state, ConsiderReassignment("A1-1/1.1"))
+    assert types(reassigned) == ["ReassignmentDecided", "FailureResolved", "ExecutionWithdrawn", "ExecutionQueued"]
+    assert reassigned[0].helper == "robot/D1"  # type: ignore[attr-defined]
+
+
+def test_without_layered_recovery_the_fleet_supervisor_is_called_at_once() -> None:
+    state, action_id = failed()
+    state.fleet = given("fsar", configuration="without-layered-recovery").fleet
+    assert types(start_recovery(state, StartRecovery(action_id))) == ["RecoveryEscalated", "SupervisorCalled"]
+
+
+def test_an_outsider_finds_nothing_and_is_denied_by_the_federation() -> None:
+    injected = OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.private_zone")
+    query, denied = answer_outsider(given("fsar", injected), AnswerOutsider("injected-1-1"))
+    assert query.candidates == ()  # type: ignore[attr-defined]
+    assert denied.decided_by == "service/registry"  # type: ignore[attr-defined]
+
+
+def test_without_trust_evaluation_the_outsider_runs_under_contested_audit() -> None:
+    injected = OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.private_zone")
+    events = answer_outsider(given("fsar", injected, configuration="without-trust-evaluation"), AnswerOutsider("injected-1-1"))
+    assert {event.claimant for event in events if isinstance(event, AuthorityClaimed) and event.dimension == "audit"} == {"robot/D1", "supervisor/fleet"}

@@ -1,0 +1,116 @@
+"""Stop anywhere, fold the stored events, derive what is pending, go on: the rest is the same.
+
+Architectures and handlers keep nothing of their own, so state and pending commands follow from the events.
+"""
+
+import io
+from collections.abc import Iterator
+from itertools import count
+from typing import get_args
+
+import pyarrow.parquet as pq
+import pytest
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
+from fsar_ledger.ledger.codec import RunRecord, decode, encode
+from fsar_ledger.projections.fold import State, fold
+from fsar_ledger.runtime.architectures.fsar.execution import DecideRoutine, decide_routine
+from fsar_ledger.runtime.architectures.wiring import Wiring
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, kernel, simulate_run, wiring
+
+CONSTANTS = Constants()
+
+
+def stored(record: RunRecord) -> RunRecord:
+    """The run as it comes back from Parquet."""
+    sink = io.BytesIO()
+    pq.write_table(encode([record]), sink)
+    [back] = decode(pq.read_table(io.BytesIO(sink.getvalue())))
+    return back
+
+
+def resumed(spec: RunSpec, record: RunRecord, position: int) -> tuple[list[int], list[int | None], list[object]]:
+    one = kernel(spec, CONSTANTS)
+    one.restore(record.times_us[:position], record.caused_by[:position], record.events[:position])
+    one.run()
+    return one.times_us, one.caused_by, list(one.events)
+
+
+def positions(length: int, founding: int, places: int) -> Iterator[int]:
+    """Positions spread over the run by a step that meets all kinds of places."""
+    step = max(1, (length - founding) // places)
+    yield from range(founding + 1, length, step)
+    yield length
+
+
+def assert_resumes(spec: RunSpec, places: int) -> None:
+    record = stored(simulate_run(spec, CONSTANTS))
+    founding = sum(time == 0 for time in record.times_us)
+    for position in positions(len(record.events), founding, places):
+        times, causes, events = resumed(spec, record, position)
+        assert (times, causes, events) == (list(record.times_us), list(record.caused_by), list(record.events)), f"stopped at {position}"
+
+
+@pytest.mark.parametrize("architecture", get_args(Architecture))
+@pytest.mark.parametrize("scenario", SCENARIOS)
+def test_a_run_resumes_anywhere(scenario: Scenario, architecture: Architecture) -> None:
+    for run in range(2):
+        assert_resumes(RunSpec(5, architecture, "full", scenario, 4, run), 25)
+
+
+@pytest.mark.parametrize("configuration", get_args(Configuration)[1:])
+def test_an_ablated_run_resumes_anywhere(configuration: Configuration) -> None:
+    for scenario in SCENARIOS:
+        assert_resumes(RunSpec(5, "fsar", configuration, scenario, 4, 0), 8)
+
+
+@pytest.mark.parametrize("architecture", get_args(Architecture))
+def test_a_run_resumes_at_every_single_position(architecture: Architecture) -> None:
+    assert_resumes(RunSpec(6, architecture, "full", "failure-recovery-chain", 4, 3), 10_000)
+
+
+def test_a_larger_fleet_resumes_anywhere() -> None:
+    for architecture in get_args(Architecture):
+        assert_resumes(RunSpec(5, architecture, "full", "fleet-contention", 8, 0), 6)
+
+
+def test_the_live_state_is_the_fold_of_the_stored_events() -> None:
+    for architecture in get_args(Architecture):
+        spec = RunSpec(7, architecture, "full", "fleet-contention", 4, 0)
+        one = kernel(spec, CONSTANTS)
+        one.run()
+        back = stored(simulate_run(spec, CONSTANTS))
+        assert fold(back.events) == one.state
+
+
+def with_memory() -> Wiring:
+    """Broken on purpose: a handler that counts its calls and every other time does nothing."""
+    whole, calls = wiring("fsar"), count()
+
+    def decide(state: State, command: DecideRoutine) -> tuple[Event, ...]:
+        return decide_routine(state, command) if next(calls) % 2 else ()
+
+    return Wiring({**whole.decides, DecideRoutine: decide}, whole.reacts)
+
+
+def test_an_architecture_with_a_memory_of_its_own_does_not_resume() -> None:
+    spec = RunSpec(5, "fsar", "full", "door-relay", 4, 0)
+    record = simulate_run(spec, CONSTANTS, with_memory())
+    half = next(seq for seq in range(len(record.events) // 2, len(record.events)) if type(record.events[seq]).__name__ == "RoutineDue")
+
+    def rest(structure: Wiring) -> list[Event]:
+        one = kernel(spec, CONSTANTS, structure)
+        one.restore(record.times_us[:half], record.caused_by[:half], record.events[:half])
+        one.run()
+        return one.events
+
+    assert any(rest(structure) != list(record.events) for structure in (with_memory(), _shifted()))
+
+
+def _shifted() -> Wiring:
+    """The same memory, one call further on: at one of two phases the rest must differ."""
+    structure = with_memory()
+    structure.decides[DecideRoutine](fold(()), DecideRoutine("robot/A1", "sensing"))
+    return structure
