@@ -268,6 +268,7 @@ def report(
 @app.command(epilog=_examples("fsar-ledger calibrate --out out/calibration.json"))
 def calibrate(
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The record of the fit, as JSON; replaced if it exists.", show_default=False)],
+    workers: WorkersOption = None,
 ) -> None:
     """Fit the parameters of the world again; takes minutes.
 
@@ -276,7 +277,7 @@ def calibrate(
     from .calibration import calibrate as fit
 
     with Progress("tried", "parameter sets") as progress:
-        fit(out, progress)
+        fit(out, progress, workers_of(workers))
     _show(f"{out}\n")
 
 

@@ -87,6 +87,10 @@ def test_an_uncompleted_or_abandoned_task_does_not_succeed() -> None:
     assert measured("coordination_success", arrived(5), arrived(6, "t2"), completed(7, "t2"), event("TaskAbandoned", 9, task_id="t1")) == (1, 2, 0.5)
 
 
+def test_the_first_completion_of_a_task_counts() -> None:
+    assert measured("coordination_success", arrived(5), completed(9), completed(99)) == (1, 1, 1.0)
+
+
 def test_success_of_a_run_without_tasks_is_undefined() -> None:
     assert measured("coordination_success") == (0, 0, None)
 

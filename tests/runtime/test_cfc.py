@@ -1,0 +1,192 @@
+"""CFC's handlers: given events, when a command, then events."""
+
+from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR
+from fsar_ledger.events.knowledge import CopySynced, WorkQueued
+from fsar_ledger.events.request import CommandIssued, GapDetected
+from fsar_ledger.events.world import ActuatorDegraded, ObstructionAppeared
+from fsar_ledger.projections.fold import State, apply
+from fsar_ledger.runtime.architectures.cfc.coordinator import ProcessWork, ReachCoordinator, Sync, reach_coordinator, sync, until_next_sync_us
+from fsar_ledger.runtime.architectures.cfc.execution import DecideRoutine, SafeStop, decide_routine, safe_stop, start, take_turn
+from fsar_ledger.runtime.architectures.cfc.recovery import ReachHelper, end_attempt, reach_helper
+from fsar_ledger.runtime.architectures.cfc.request import QueueOrdered, ReceiveCommand, close_execution, process, queue_ordered, receive_command
+from fsar_ledger.runtime.handlers.commands import CloseExecution, DetectObstruction, EndAttempt, StartAction, TakeTurn
+from fsar_ledger.runtime.handlers.execution import detect_obstruction
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, types, window
+
+ACTION = "A1-1/2.1"
+DELEGATED = (ARRIVED, DELEGATED_STEP)
+
+
+def commanded(*before) -> State:  # type: ignore[no-untyped-def]
+    state = given("cfc", *DELEGATED, *before)
+    for event in process(state, ProcessWork(ACTION, "step")):
+        apply(state, event)
+    return state
+
+
+def running(*before) -> State:  # type: ignore[no-untyped-def]
+    state = commanded(*before)
+    for event in receive_command(state, ReceiveCommand(ACTION)):
+        apply(state, event)
+    for event in take_turn(state, TakeTurn(ACTION)):
+        apply(state, event)
+    for event in start(state, StartAction(ACTION, now_us=9_000_000, drawn=2_000_000)):
+        apply(state, event)
+    return state
+
+
+def test_the_coordinator_records_a_gap_without_saying_whose() -> None:
+    gap, queued = reach_coordinator(given("cfc", *DELEGATED), ReachCoordinator(ACTION, "step", now_us=1_000_000))
+    assert isinstance(gap, GapDetected)
+    assert (gap.action_id, gap.requested_by, gap.executed_by, gap.supervised_by) == (None, None, None, FLEET_SUPERVISOR)
+    assert isinstance(queued, WorkQueued)
+
+
+def test_work_is_served_in_order_of_arrival_and_takes_longer_with_candidates() -> None:
+    state = given("cfc", *DELEGATED)
+    *_, first = reach_coordinator(state, ReachCoordinator(ACTION, "step", now_us=1_000_000))
+    apply(state, first)
+    *_, second = reach_coordinator(state, ReachCoordinator(ACTION, "completion", now_us=1_000_001))
+    structure = state.fleet.structure
+    assert first.ready_us == 1_000_000 + structure.service_us + structure.service_us * structure.candidate_cost_ppm // 1_000_000  # type: ignore[union-attr]
+    assert second.ready_us == first.ready_us + structure.service_us  # type: ignore[union-attr]
+
+
+def test_a_delegation_is_decided_committed_and_claimed_by_the_coordinator() -> None:
+    events = process(given("cfc", *DELEGATED), ProcessWork(ACTION, "step"))
+    assert types(events) == ["RequestIssued", "CandidateMatched", "CommandIssued", "RequestAccepted", "AuthorityClaimed", "AuthorityClaimed"]
+    assert {event.claimant for event in events if isinstance(event, AuthorityClaimed)} == {COORDINATOR}
+
+
+def test_the_gate_reads_the_copied_policy_and_not_the_true_one() -> None:
+    unseen = given("cfc", *DELEGATED, window("robot/B1"))
+    assert "CommandIssued" in types(process(unseen, ProcessWork(ACTION, "step")))
+    seen = given("cfc", *DELEGATED, window("robot/B1"), CopySynced(local_deny=("robot/B1",)))
+    assert types(process(seen, ProcessWork(ACTION, "step")))[-1] == "RequestDenied"
+
+
+def test_the_gate_reads_the_fleet_rule_live_and_the_requesters_policy_not_at_all() -> None:
+    assert types(process(given("cfc", *DELEGATED, window("robot/B1", scope="fleet")), ProcessWork(ACTION, "step")))[-1] == "RequestDenied"
+    requester = given("cfc", *DELEGATED, window("robot/A1"), CopySynced(local_deny=("robot/A1",)))
+    assert "CommandIssued" in types(process(requester, ProcessWork(ACTION, "step")))
+
+
+def test_an_own_step_leaves_one_decision_without_requester() -> None:
+    events = process(given("cfc", ARRIVED, OWN_STEP), ProcessWork("A1-1/1.1", "step"))
+    assert types(events) == ["OwnStepDecided", "AuthorityClaimed", "AuthorityClaimed"]
+    assert events[0].requested_by is None  # type: ignore[attr-defined]
+
+
+def second_delegation(state: State) -> None:
+    for event in (ARRIVED.__class__("A1-2", "robot/A1", 1, ARRIVED.steps, 1, 1), DELEGATED_STEP.__class__("A1-2", "A1-2/2.1", "robot/A1", 2, 1, "door.open.secure", "B")):
+        apply(state, event)
+    for event in process(state, ProcessWork("A1-2/2.1", "step")):
+        apply(state, event)
+
+
+def test_a_second_command_for_a_robot_not_seen_busy_disputes_the_running_action() -> None:
+    state = running()
+    second_delegation(state)
+    claim, called = receive_command(state, ReceiveCommand("A1-2/2.1"))
+    assert claim == AuthorityClaimed("A1-1", ACTION, "execution", "robot/A1", "assigned again")
+    assert called.purpose == "ordering"  # type: ignore[attr-defined]
+    apply(state, claim)
+    assert types(queue_ordered(state, QueueOrdered("A1-2/2.1"))) == ["AuthorityReleased", "ExecutionQueued"]
+
+
+def test_a_second_command_for_a_robot_seen_busy_only_waits() -> None:
+    state = running()
+    apply(state, CopySynced(busy=("robot/B1",)))
+    second_delegation(state)
+    assert types(receive_command(state, ReceiveCommand("A1-2/2.1"))) == ["ExecutionQueued"]
+
+
+def test_the_command_says_whether_the_robot_was_seen_busy() -> None:
+    events = process(given("cfc", *DELEGATED, CopySynced(busy=("robot/B1",))), ProcessWork(ACTION, "step"))
+    [issued] = [event for event in events if isinstance(event, CommandIssued)]
+    assert issued.seen_busy
+    assert "RequestDeferred" in types(events)
+
+
+def test_a_context_change_of_either_party_claims_override_against_the_coordinator() -> None:
+    state = running()
+    for robot in ("robot/A1", "robot/B1"):
+        [claim] = safe_stop(state, SafeStop(robot, None))
+        assert claim == AuthorityClaimed("A1-1", ACTION, "override", robot, "safe stop")
+    assert safe_stop(state, SafeStop("robot/C1", None)) == ()
+
+
+def test_a_window_brings_both_supervisors_to_claim_supervision() -> None:
+    claims = safe_stop(running(), SafeStop("robot/B1", "local/B1/0"))
+    assert {(event.dimension, event.claimant) for event in claims} == {  # type: ignore[attr-defined]
+        ("override", "robot/B1"),
+        ("audit", FLEET_SUPERVISOR),
+        ("audit", "supervisor/B1"),
+    }
+
+
+def test_the_coordinator_keeps_override_until_it_has_processed_the_completion() -> None:
+    state = running()
+    [released] = close_execution(state, CloseExecution(ACTION))
+    assert (released.dimension, released.claimant) == ("execution", COORDINATOR)  # type: ignore[attr-defined]
+    closed, last = process(state, ProcessWork(ACTION, "completion"))
+    assert type(closed).__name__ == "RequestClosed"
+    assert (last.dimension, last.claimant) == ("override", COORDINATOR)  # type: ignore[attr-defined]
+
+
+def test_a_motion_is_withheld_by_the_copy_alone() -> None:
+    unseen = given("cfc", window("robot/A1"))
+    assert types(decide_routine(unseen, DecideRoutine("robot/A1", "motion"))) == ["RoutinePerformed"]
+    seen = given("cfc", CopySynced(fleet_deny=("robot/A1",)))
+    assert types(decide_routine(seen, DecideRoutine("robot/A1", "motion"))) == ["RoutineWithheld"]
+
+
+def failed(*before) -> State:  # type: ignore[no-untyped-def]
+    state = running(*before, ObstructionAppeared("robot/B1", "o"))
+    for event in detect_obstruction(state, DetectObstruction(ACTION, now_us=9_500_000)):
+        apply(state, event)
+    return state
+
+
+def test_a_failure_gets_one_ordered_retry() -> None:
+    state = failed()
+    [attempt] = process(state, ProcessWork(ACTION, "failure", now_us=10_000_000))
+    apply(state, attempt)
+    [report] = end_attempt(state, EndAttempt(ACTION, 1))
+    assert type(report).__name__ == "RecoveryAttemptFailed"
+    assert types(process(state, ProcessWork(ACTION, "retry-failed"))) == ["AssistanceRequested"]
+
+
+def test_a_robot_that_the_copy_shows_degraded_gets_no_retry() -> None:
+    state = failed(ActuatorDegraded("robot/B1"))
+    apply(state, CopySynced(degraded=("robot/B1",)))
+    assert types(process(state, ProcessWork(ACTION, "failure"))) == ["AssistanceRequested"]
+
+
+def test_a_busy_helper_declines_and_the_next_is_tried() -> None:
+    state = failed()
+    [order] = process(state, ProcessWork(ACTION, "retry-failed"))
+    apply(state, order)
+    state.execution.current[order.helper] = "something"  # type: ignore[attr-defined]
+    assert types(reach_helper(state, ReachHelper(ACTION, order.helper))) == ["AssistanceDeclined"]  # type: ignore[attr-defined]
+    [second] = process(state, ProcessWork(ACTION, "declined"))
+    assert second.helper != order.helper  # type: ignore[attr-defined]
+
+
+def test_without_an_idle_helper_the_fleet_supervisor_is_called() -> None:
+    state = failed()
+    apply(state, CopySynced(busy=("robot/A1", "robot/D1")))
+    assert types(process(state, ProcessWork(ACTION, "retry-failed"))) == ["RecoveryEscalated", "SupervisorCalled"]
+
+
+def test_the_copy_shows_the_robots_as_they_are_at_the_sync() -> None:
+    [copy] = sync(running(window("robot/C1"), window("robot/D1", "review", "fleet"), ActuatorDegraded("robot/A1")), Sync())
+    assert (copy.local_deny, copy.fleet_review, copy.busy, copy.degraded) == (("robot/C1",), ("robot/D1",), ("robot/B1",), ("robot/A1",))
+
+
+def test_the_next_sync_is_never_now() -> None:
+    state = given("cfc")
+    period = state.fleet.structure.sync_period_us
+    assert until_next_sync_us(state, period) == period + 1
+    assert until_next_sync_us(state, period - 1) == 2

@@ -1,0 +1,177 @@
+"""DHMA's handlers: given events, when a command, then events."""
+
+from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.knowledge import BidReceived, PlannerEngaged, SnapshotTaken
+from fsar_ledger.events.registry import RegistryQueried
+from fsar_ledger.events.request import AwardMade, InternalHandoff
+from fsar_ledger.events.world import ObstructionAppeared, OutsiderRequestInjected
+from fsar_ledger.projections.fold import State, apply
+from fsar_ledger.runtime.architectures.dhma.agents import EngagePlanner, TakeSnapshot, close_execution, engage_planner, take_snapshot
+from fsar_ledger.runtime.architectures.dhma.authority import (
+    AcknowledgeExecution,
+    PassExecution,
+    RunOutsider,
+    SettleBooking,
+    acknowledge_execution,
+    pass_execution,
+    run_outsider,
+    settle_booking,
+)
+from fsar_ledger.runtime.architectures.dhma.execution import DecideRoutine, PlanOwnStep, decide_routine, plan_own_step, start, take_turn
+from fsar_ledger.runtime.architectures.dhma.recovery import Dispute, Escalate, StartRecovery, dispute, end_attempt, escalate, start_recovery
+from fsar_ledger.runtime.architectures.dhma.request import AcceptAward, Award, CallForProposals, EvaluateBid, accept_award, award, call_for_proposals, evaluate_bid
+from fsar_ledger.runtime.handlers.commands import CloseExecution, DetectObstruction, EndAttempt, StartAction, TakeTurn
+from fsar_ledger.runtime.handlers.execution import detect_obstruction
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, types, window
+
+ACTION = "A1-1/2.1"
+CALLED = (ARRIVED, DELEGATED_STEP, RegistryQueried("A1-1", ACTION, "robot/A1", None, None, "door.open.secure", ("robot/B1",)))
+AWARDED = (*CALLED, BidReceived("A1-1", ACTION, "robot/B1", "allow"), AwardMade("A1-1", "robot/A1", None, None, "robot/B1"))
+
+
+def accepted(*before) -> State:  # type: ignore[no-untyped-def]
+    state = given("dhma", *AWARDED, *before)
+    for event in accept_award(state, AcceptAward(ACTION)):
+        apply(state, event)
+    return state
+
+
+def running(*before) -> State:  # type: ignore[no-untyped-def]
+    state = accepted(*before)
+    for event in take_turn(state, TakeTurn(ACTION)):
+        apply(state, event)
+    for event in start(state, StartAction(ACTION, now_us=9_000_000, drawn=2_000_000)):
+        apply(state, event)
+    return state
+
+
+def claimants(state: State, dimension: str) -> set[str]:
+    return {claim.claimant for claim in state.authority.get(ACTION, ()) if claim.dimension == dimension}
+
+
+def test_a_call_names_no_executor_before_the_award() -> None:
+    events = call_for_proposals(given("dhma", ARRIVED, DELEGATED_STEP), CallForProposals(ACTION))
+    assert types(events) == ["InternalHandoff", "RegistryQueried", "RequestIssued"]
+    assert [event.executed_by for event in events[1:]] == [None, None]  # type: ignore[attr-defined]
+
+
+def test_a_bid_follows_the_planners_snapshot_and_not_the_true_policy() -> None:
+    unseen = given("dhma", *CALLED, window("robot/B1"))
+    assert types(evaluate_bid(unseen, EvaluateBid(ACTION, "robot/B1"))) == ["RequestAdmitted", "BidSubmitted"]
+    seen = given("dhma", *CALLED, SnapshotTaken("robot/B1", "deny"))
+    assert types(evaluate_bid(seen, EvaluateBid(ACTION, "robot/B1"))) == ["RequestDenied", "BidSubmitted"]
+
+
+def test_a_snapshot_is_the_policy_of_its_moment() -> None:
+    assert take_snapshot(given("dhma", window("robot/B1", "review")), TakeSnapshot("robot/B1")) == (SnapshotTaken("robot/B1", "review"),)
+
+
+def test_a_bid_under_review_goes_to_the_fleet_supervisor_first() -> None:
+    state = given("dhma", *CALLED, BidReceived("A1-1", ACTION, "robot/B1", "review"))
+    assert types(award(state, Award(ACTION))) == ["SupervisorCalled"]
+
+
+def test_execution_goes_from_agent_to_agent_and_overlaps_until_acknowledged() -> None:
+    state = accepted()
+    assert claimants(state, "execution") == {"agent/B1/communication"}
+    for event in pass_execution(state, PassExecution(ACTION, 0, "communication", "planning")):
+        apply(state, event)
+    assert claimants(state, "execution") == {"agent/B1/communication", "agent/B1/planning"}
+    for event in acknowledge_execution(state, AcknowledgeExecution(ACTION, 0, "communication")):
+        apply(state, event)
+    assert claimants(state, "execution") == {"agent/B1/planning"}
+    assert pass_execution(state, PassExecution(ACTION, 1, "planning", "execution")) == ()
+
+
+def test_another_tasks_action_at_the_executor_is_double_booking_until_settled() -> None:
+    state = running()
+    other = "A1-2/2.1"
+    for event in (
+        ARRIVED.__class__("A1-2", "robot/A1", 1, ARRIVED.steps, 1, 1),
+        DELEGATED_STEP.__class__("A1-2", other, "robot/A1", 2, 1, "door.open.secure", "B"),
+        AwardMade("A1-2", "robot/A1", None, None, "robot/B1"),
+    ):
+        apply(state, event)
+    booked = accept_award(state, AcceptAward(other))
+    assert "RequestDeferred" in types(booked)
+    assert {event.claimant for event in booked if isinstance(event, AuthorityClaimed) and event.dimension == "override"} == {
+        "agent/B1/communication",
+        "agent/B1/execution",
+    }
+    for event in booked:
+        apply(state, event)
+    assert len(settle_booking(state, SettleBooking(other))) == 2
+
+
+def test_a_context_change_questions_a_contract_that_has_not_started() -> None:
+    state = accepted()
+    questioned = engage_planner(state, EngagePlanner("robot/A1", now_us=5_000_000))
+    assert types(questioned) == ["PlannerEngaged", "AuthorityClaimed", "AuthorityClaimed", "ContractQuestioned"]
+    assert {event.claimant for event in questioned if isinstance(event, AuthorityClaimed)} == {"agent/A1/planning", "agent/B1/planning"}
+    for event in (*questioned, *take_turn(state, TakeTurn(ACTION))):
+        apply(state, event)
+    voided = start(state, StartAction(ACTION, now_us=9_000_000, drawn=1))
+    assert "ContractVoided" in types(voided)
+    assert types(voided).count("InternalHandoff") == 4
+
+
+def test_a_context_change_during_execution_leaves_the_contract_standing() -> None:
+    assert "ContractQuestioned" not in types(engage_planner(running(), EngagePlanner("robot/B1", now_us=9_500_000)))
+
+
+def test_an_own_step_goes_through_two_agents() -> None:
+    decided, handed = plan_own_step(given("dhma", ARRIVED, OWN_STEP), PlanOwnStep("A1-1/1.1"))
+    assert decided.path == ("agent/A1/planning", "agent/A1/execution")  # type: ignore[attr-defined]
+    assert isinstance(handed, InternalHandoff)
+
+
+def test_a_motion_is_two_half_records_and_engages_the_planner() -> None:
+    performed, reported, engaged = decide_routine(given("dhma"), DecideRoutine("robot/A1", "motion", now_us=1_000_000))
+    assert (performed.requested_by, performed.executed_by) == ("robot/A1", None)  # type: ignore[attr-defined]
+    assert (reported.requested_by, reported.executed_by) == (None, "robot/A1")  # type: ignore[attr-defined]
+    assert isinstance(engaged, PlannerEngaged)
+
+
+def test_sensing_is_one_agents_and_completely_recorded() -> None:
+    [performed] = decide_routine(given("dhma"), DecideRoutine("robot/A1", "sensing"))
+    assert performed.path == ("robot/A1",)  # type: ignore[attr-defined]
+
+
+def failed() -> State:
+    state = running(ObstructionAppeared("robot/B1", "o"))
+    for event in detect_obstruction(state, DetectObstruction(ACTION, now_us=9_500_000)):
+        apply(state, event)
+    for event in start_recovery(state, StartRecovery(ACTION)):
+        apply(state, event)
+    return state
+
+
+def test_an_undisputed_recovery_has_two_attempts() -> None:
+    state = failed()
+    again = end_attempt(state, EndAttempt(ACTION, 1))
+    assert types(again)[-1] == "RecoveryAttempted"
+    for event in again:
+        apply(state, event)
+    assert types(end_attempt(state, EndAttempt(ACTION, 2)))[-2:] == ["RecoveryEscalated", "SupervisorCalled"]
+
+
+def test_a_disputed_recovery_has_one_attempt_and_then_loops() -> None:
+    state = failed()
+    claims = dispute(state, Dispute(ACTION))
+    assert {event.claimant for event in claims} == {"agent/B1/recovery", "agent/B1/planning"}  # type: ignore[attr-defined]
+    for event in claims:
+        apply(state, event)
+    assert types(end_attempt(state, EndAttempt(ACTION, 1)))[0] == "RecoveryAttemptFailed"
+    assert types(escalate(state, Escalate(ACTION)))[:2] == ["RecoveryEscalated", "SupervisorCalled"]
+
+
+def test_an_outsider_runs_unchecked_and_nobody_is_on_record() -> None:
+    injected = OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.private_zone")
+    events = run_outsider(given("dhma", injected), RunOutsider("injected-1-1"))
+    assert types(events) == ["RequestIssued", "RequestAdmitted", "ExecutionQueued"]
+    assert all(event.executed_by is None and event.supervised_by is None for event in events)  # type: ignore[attr-defined]
+
+
+def test_claims_end_with_the_execution() -> None:
+    state = running()
+    assert "AuthorityReleased" in types(close_execution(state, CloseExecution(ACTION)))
