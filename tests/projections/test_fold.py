@@ -1,0 +1,137 @@
+"""State is the fold of events; every event type has a projection or is listed as a mere record."""
+
+from typing import get_args
+
+import msgspec
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.events import EVENT_TYPES, Event
+from fsar_ledger.events.envelope import Architecture, Configuration
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionWithdrawn
+from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
+from fsar_ledger.projections import execution, world
+from fsar_ledger.projections.fold import ROUTES, STATELESS, State, apply, fold
+from fsar_ledger.projections.world import in_force, stricter
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
+
+RECORDS_ONLY = {
+    "RequestUnanswered",
+    "PeerSought",
+    "GapDetected",
+    "CandidateMatched",
+    "BidSubmitted",
+    "InternalHandoff",
+    "RequestAdmitted",
+    "RequestDenied",
+    "RequestDeferred",
+    "RequestClosed",
+    "OwnStepDecided",
+    "ReplanOrdered",
+    "RoutinePerformed",
+    "RoutineWithheld",
+    "RoutineReported",
+    "RecoveryAttemptFailed",
+    "ReassignmentDecided",
+    "SupervisorCalled",
+    "ContextChanged",
+    "RoutineDue",
+    "PeersMet",
+}
+
+
+def test_every_event_type_has_a_projection_or_is_listed_as_a_record() -> None:
+    assert {event_type.__name__ for event_type in STATELESS} == RECORDS_ONLY
+    assert {event_type.__name__ for event_type in ROUTES} | RECORDS_ONLY == {event_type.__name__ for event_type in EVENT_TYPES}
+
+
+@pytest.fixture(scope="module")
+def emitted() -> set[type[Event]]:
+    specs = [
+        RunSpec(8, architecture, "full", scenario, 4, run) for architecture in get_args(Architecture) for scenario in SCENARIOS for run in range(12)
+    ]
+    specs += [RunSpec(8, "fsar", configuration, scenario, 4, 0) for configuration in get_args(Configuration)[1:] for scenario in SCENARIOS]
+    return {type(event) for spec in specs for event in simulate_run(spec, Constants()).events}
+
+
+def test_every_event_type_is_emitted_by_some_run(emitted: set[type[Event]]) -> None:
+    assert {event_type.__name__ for event_type in EVENT_TYPES} - {event_type.__name__ for event_type in emitted} == set()
+
+
+def test_folding_on_is_folding_all() -> None:
+    events = simulate_run(RunSpec(8, "cfc", "full", "fleet-contention", 4, 0), Constants()).events
+    state = State()
+    for event in events:
+        apply(state, event)
+    assert state == fold(events)
+    assert state != fold(events[:-40])
+
+
+def test_states_do_not_change_behind_the_back_of_those_who_hold_them() -> None:
+    events = simulate_run(RunSpec(8, "dhma", "full", "fleet-contention", 4, 0), Constants()).events
+    state = fold(events[: len(events) // 2])
+    slots = {slot: getattr(state, slot) for slot in State.__slots__}
+    before = {slot: repr(value) for slot, value in slots.items()}
+    for event in events[len(events) // 2 :]:
+        apply(state, event)
+    assert {slot: repr(value) for slot, value in slots.items()} == before
+
+
+OUTCOMES = st.sampled_from(["allow", "deny", "review"])
+
+
+@given(OUTCOMES, OUTCOMES, OUTCOMES)
+def test_composition_is_commutative_associative_and_never_overrides_a_denial(one: str, two: str, three: str) -> None:
+    left, right = stricter(one, two), stricter(two, one)  # type: ignore[arg-type]
+    assert left == right
+    assert stricter(left, three) == stricter(one, stricter(two, three))  # type: ignore[arg-type]
+    assert (left == "deny") == ("deny" in (one, two))
+
+
+@given(st.lists(st.tuples(st.integers(0, 5), st.sampled_from(["deny", "review"])), max_size=12), st.data())
+@settings(max_examples=60)
+def test_the_policy_in_force_is_the_strictest_open_window(windows: list[tuple[int, str]], data: st.DataObject) -> None:
+    state, opened = world.INITIAL, {}
+    for name, outcome in windows:
+        if name in opened:
+            state = world.evolve(state, PolicyWindowClosed("robot/A1", "local", str(name)))
+            del opened[name]
+        else:
+            state = world.evolve(state, PolicyWindowOpened("robot/A1", "local", str(name), outcome))  # type: ignore[arg-type]
+            opened[name] = outcome
+    expected = "deny" if "deny" in opened.values() else "review" if opened else "allow"
+    assert in_force(state.local, "robot/A1") == expected
+
+
+def queued(name: str, robot: str) -> ExecutionQueued:
+    return ExecutionQueued(name, name, None, None, None, robot, robot, "carry.package", 1, 1, False, False, True)
+
+
+@given(st.lists(st.integers(0, 9), max_size=40))
+@settings(max_examples=80)
+def test_a_robot_serves_one_at_a_time_in_order_of_arrival(moves: list[int]) -> None:
+    """Even numbers queue an action, odd ones finish the present one or withdraw the last; the model is a plain list."""
+    state, model = execution.INITIAL, []
+    for ordinal, move in enumerate(moves):
+        name = f"task-{ordinal}"
+        if move % 2 == 0 or not model:
+            state = execution.evolve(state, queued(name, "robot/A1"))
+            model.append(name)
+        elif move < 6:
+            state = execution.evolve(state, ExecutionFinished(model[0], model[0], None, None, None, "robot/A1"))
+            model.pop(0)
+        else:
+            state = execution.evolve(state, ExecutionWithdrawn(model[-1], model[-1], "robot/A1"))
+            model.pop()
+        assert [*([state.current["robot/A1"]] if model else []), *state.queues.get("robot/A1", ())] == model
+
+
+def test_events_are_immutable_to_the_leaves() -> None:
+    for event_type in EVENT_TYPES:
+        assert event_type.__struct_config__.frozen
+        for field in msgspec.structs.fields(event_type):
+            assert "list" not in str(field.type)
+            assert "dict" not in str(field.type)
+            assert "float" not in str(field.type)

@@ -1,0 +1,85 @@
+"""The same simulation gives the same ledger, byte for byte, whatever the machine is doing."""
+
+import hashlib
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from fsar_ledger.ledger.verify import verify
+
+RUNS = ["--runs", "5", "--seed", "9"]
+
+
+def command(out: Path, *options: str) -> list[str]:
+    return [sys.executable, "-m", "fsar_ledger", "simulate", str(out), *RUNS, *options]
+
+
+def simulate(out: Path, *options: str, **environment: str) -> None:
+    subprocess.run(command(out, *options), check=True, env={**os.environ, **environment}, capture_output=True, timeout=120)
+
+
+def fingerprint(ledger: Path) -> dict[str, str]:
+    """Every file of the ledger and the hash of its bytes."""
+    files = sorted(path for path in ledger.rglob("*") if path.is_file() and "staging" not in path.parts)
+    return {str(path.relative_to(ledger)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
+
+
+@pytest.fixture(scope="module")
+def expected(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    out = tmp_path_factory.mktemp("expected") / "ledger"
+    simulate(out, "--workers", "1", PYTHONHASHSEED="0", TZ="UTC", LC_ALL="C")
+    assert verify(out).ok
+    return fingerprint(out)
+
+
+@pytest.mark.parametrize(
+    ("workers", "environment"),
+    [
+        ("1", {"PYTHONHASHSEED": "1", "TZ": "Asia/Kathmandu", "LC_ALL": "C.UTF-8"}),
+        ("2", {"PYTHONHASHSEED": "2", "TZ": "America/St_Johns", "LC_ALL": "POSIX"}),
+        ("4", {"PYTHONHASHSEED": "3", "TZ": "UTC", "LC_ALL": "C.UTF-8"}),
+        ("2", {"PYTHONHASHSEED": "4294967295", "TZ": "Asia/Kathmandu", "LC_ALL": "C"}),
+    ],
+)
+def test_the_bytes_do_not_depend_on_hash_seed_time_zone_locale_or_workers(
+    tmp_path: Path, expected: dict[str, str], workers: str, environment: dict[str, str]
+) -> None:
+    simulate(tmp_path / "ledger", "--workers", workers, **environment)
+    assert fingerprint(tmp_path / "ledger") == expected
+
+
+def test_another_seed_gives_another_ledger(tmp_path: Path, expected: dict[str, str]) -> None:
+    subprocess.run(
+        [sys.executable, "-m", "fsar_ledger", "simulate", str(tmp_path / "ledger"), "--runs", "5", "--seed", "10"], check=True, capture_output=True
+    )
+    assert fingerprint(tmp_path / "ledger") != expected
+
+
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_killed_simulation_resumes_to_the_same_bytes(tmp_path: Path, expected: dict[str, str], workers: str) -> None:
+    out = tmp_path / "ledger"
+    kills = 0
+    for commits in (1, 2):
+        process = subprocess.Popen(command(out, "--workers", workers), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+        deadline = time.monotonic() + 60
+        while process.poll() is None and time.monotonic() < deadline:
+            if len(list((out / "commits").glob("0*.json")) if (out / "commits").is_dir() else []) >= commits:
+                os.killpg(process.pid, signal.SIGKILL)
+                kills += 1
+                break
+        process.wait()
+    simulate(out, "--workers", workers)
+    assert kills >= 1
+    assert fingerprint(out) == expected
+    assert verify(out).ok
+
+
+def test_simulating_again_adds_nothing(tmp_path: Path, expected: dict[str, str]) -> None:
+    simulate(tmp_path / "ledger")
+    simulate(tmp_path / "ledger")
+    assert fingerprint(tmp_path / "ledger") == expected
