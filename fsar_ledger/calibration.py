@@ -27,8 +27,8 @@ from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARI
 from fsar_ledger.runtime.switches import SWITCHES, Switch
 
 SEED = 20260001  # never used for a published number
-RUNS = 60  # per scenario and architecture
-ROUNDS = 3
+RUNS = 120  # per scenario and architecture
+ROUNDS = 2
 STEP = 0.12  # of the logarithm of a constant, for the central differences of the Jacobian
 PRIOR = 0.25  # standard deviation of the logarithm of a constant around its start
 LONGEST_STEP = 0.30
