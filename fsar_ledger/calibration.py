@@ -6,10 +6,7 @@ held-out tables (ablation, scaling, significance, cases) are never read here. A 
 record says how many directions of the constants the 24 cells identify at all.
 """
 
-import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +22,7 @@ from fsar_ledger.metrics.results import MetricRow, metric_rows
 from fsar_ledger.metrics.verdicts import compare
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS, RunSpec, simulate_run
 from fsar_ledger.runtime.switches import SWITCHES, Switch
+from fsar_ledger.workers import WorkerPool
 
 SEED = 20260001  # never used for a published number
 RUNS = 120  # per scenario and architecture
@@ -121,7 +119,7 @@ def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> 
             progress(min(done, total), total)
 
     starts = np.array([fitted.start for fitted in FITTED])
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+    with WorkerPool(workers) as pool:
 
         def evaluate(points: list[Vector]) -> list[Vector]:
             results = []
@@ -215,28 +213,26 @@ def _parameter(fitted: Fitted, constants: Constants, directions: Matrix, singula
 
 def _switch_offs(constants: Constants) -> list[dict[str, Any]]:
     """Each mechanism switched off once, under the accepted constants and on the same worlds."""
-    found = []
-    whole: dict[tuple[str, str], float | None] = {(row.architecture, row.metric): row.mean for row in measure(constants, RUNS)}
+    whole = {(row.architecture, row.metric): row.mean for row in measure(constants, RUNS)}
+    found: list[dict[str, Any]] = []
     for switch in SWITCHES:
         without = {row.metric: row.mean for row in measure(constants, RUNS, (switch.architecture,), switch)}
-        for metric in switch.metrics:
-            found.append(
-                {
-                    "mechanism": switch.mechanism,
-                    "metric": metric,
-                    "architecture": switch.architecture,
-                    "with_mechanism": whole[switch.architecture, metric],
-                    "without": without[metric] if without[metric] is not None else math.nan,
-                }
-            )
+        of_switch = {"mechanism": switch.mechanism, "architecture": switch.architecture}
+        found += [
+            {**of_switch, "metric": metric, "with_mechanism": whole[switch.architecture, metric], "without": without[metric]} for metric in switch.metrics
+        ]
     return found
 
 
 def _require_writable(out: Path) -> None:
+    """Minutes of work should not end in a refusal. Nothing is left behind."""
+    probe = out.with_name(out.name + ".tmp")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with out.open("ab"):
-            pass
+        if out.is_dir():
+            raise IsADirectoryError(None, "it is a folder")
+        probe.touch()
+        probe.unlink()
     except OSError as error:
         raise WriteFailed(f"{out}: cannot be written ({error.strerror}); expected a path for the record of the fit") from error
 

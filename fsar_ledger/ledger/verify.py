@@ -8,10 +8,8 @@ that needs the signature or an earlier checkpoint kept elsewhere.
 import os
 import stat
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from itertools import repeat
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Literal
 
@@ -35,6 +33,7 @@ from fsar_ledger.ledger.record import (
     staged_path,
 )
 from fsar_ledger.ledger.verify_segment import Problem, SegmentFacts, examine, unexpected
+from fsar_ledger.workers import WorkerPool
 
 MAX_PROBLEMS = 100
 """A report names the first so many; a ledger with more is lost anyway."""
@@ -189,7 +188,7 @@ def _examine_all(path: Path, commits: list[_Commit], workers: int) -> Iterator[S
     numbers = range(len(commits))
     with ExitStack() as stack:
         if workers > 1 and len(commits) > 1:
-            pool = stack.enter_context(ProcessPoolExecutor(min(workers, len(commits)), get_context("spawn")))
+            pool = stack.enter_context(WorkerPool(min(workers, len(commits))))
             yield from pool.map(examine, files, repeat(str(path)), numbers, records)
         else:
             yield from map(examine, files, repeat(str(path)), numbers, records)

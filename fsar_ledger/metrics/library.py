@@ -16,7 +16,7 @@ from importlib.resources.abc import Traversable
 import msgspec
 
 from fsar_ledger.errors import UnknownQuery
-from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, LAYOUTS
+from fsar_ledger.ledger.schema import ENVELOPE, LAYOUTS
 
 REQUIRED_KEYS = ("Title", "Paper", "Grain", "Units", "NULL", "Example")
 KEYS = (*REQUIRED_KEYS, "Parameters", "Stored")
@@ -192,7 +192,3 @@ def library() -> Library:
     """The packaged queries and one view per event type."""
     packaged = [parse(name, sql) for name, sql in _files(files("fsar_ledger.queries"))]
     return Library([*map(staging_query, LAYOUTS), *packaged])
-
-
-EVENT_COLUMNS: tuple[str, ...] = tuple(COLUMNS)
-"""The columns of the relation `events`, in order."""

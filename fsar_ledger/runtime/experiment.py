@@ -2,9 +2,8 @@
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from itertools import islice
-from multiprocessing import get_context
 from pathlib import Path
 from typing import get_args
 
@@ -15,8 +14,8 @@ from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
 from fsar_ledger.ledger.append import Staged, Writer, stage
 from fsar_ledger.ledger.read import Head, LedgerView, open_ledger
-
-from .simulation import RunSpec, run_id, run_started, simulate_run
+from fsar_ledger.runtime.simulation import RunSpec, run_id, run_started, simulate_run
+from fsar_ledger.workers import WorkerPool
 
 ORIGIN = "fsar-ledger/simulated"
 BATCH_RUNS = 25  # runs in a commit, whatever the number of workers
@@ -126,8 +125,7 @@ def _staged(out: Path, batches: list[tuple[RunSpec, ...]], constants: Constants,
         for batch in batches:
             yield _stage(out, batch, constants)
         return
-    pool = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
-    try:
+    with WorkerPool(workers) as pool:
         queue: deque[Future[Staged]] = deque()
         for batch in batches:
             queue.append(pool.submit(_stage, out, batch, constants))
@@ -135,5 +133,3 @@ def _staged(out: Path, batches: list[tuple[RunSpec, ...]], constants: Constants,
                 yield queue.popleft().result()
         while queue:
             yield queue.popleft().result()
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)

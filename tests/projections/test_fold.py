@@ -49,9 +49,7 @@ def test_every_event_type_has_a_projection_or_is_listed_as_a_record() -> None:
 
 @pytest.fixture(scope="module")
 def emitted() -> set[type[Event]]:
-    specs = [
-        RunSpec(8, architecture, "full", scenario, 4, run) for architecture in get_args(Architecture) for scenario in SCENARIOS for run in range(12)
-    ]
+    specs = [RunSpec(8, architecture, "full", scenario, 4, run) for architecture in get_args(Architecture) for scenario in SCENARIOS for run in range(12)]
     specs += [RunSpec(8, "fsar", configuration, scenario, 4, 0) for configuration in get_args(Configuration)[1:] for scenario in SCENARIOS]
     return {type(event) for spec in specs for event in simulate_run(spec, Constants()).events}
 
@@ -93,7 +91,8 @@ def test_composition_is_commutative_associative_and_never_overrides_a_denial(one
 @given(st.lists(st.tuples(st.integers(0, 5), st.sampled_from(["deny", "review"])), max_size=12), st.data())
 @settings(max_examples=60)
 def test_the_policy_in_force_is_the_strictest_open_window(windows: list[tuple[int, str]], data: st.DataObject) -> None:
-    state, opened = world.INITIAL, {}
+    state = world.INITIAL
+    opened: dict[int, str] = {}
     for name, outcome in windows:
         if name in opened:
             state = world.evolve(state, PolicyWindowClosed("robot/A1", "local", str(name)))
@@ -113,7 +112,8 @@ def queued(name: str, robot: str) -> ExecutionQueued:
 @settings(max_examples=80)
 def test_a_robot_serves_one_at_a_time_in_order_of_arrival(moves: list[int]) -> None:
     """Even numbers queue an action, odd ones finish the present one or withdraw the last; the model is a plain list."""
-    state, model = execution.INITIAL, []
+    state = execution.INITIAL
+    model: list[str] = []
     for ordinal, move in enumerate(moves):
         name = f"task-{ordinal}"
         if move % 2 == 0 or not model:

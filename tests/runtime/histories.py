@@ -1,6 +1,5 @@
 """Given events, when a command, then events: helpers for the tests of pure handlers."""
 
-from collections.abc import Callable
 from typing import Any
 
 from fsar_ledger.constants import Constants
@@ -15,6 +14,10 @@ from fsar_ledger.runtime.world.scenarios import founding
 
 STEPS = ("A navigate.indoor", "A door.open.secure B")
 ARRIVED = TaskArrived("A1-1", "robot/A1", 1, STEPS, 60_000_000, 65_000_000)
+SECOND: tuple[Event, ...] = (  # another task of the same robot that needs the same door
+    TaskArrived("A1-2", "robot/A1", 1, STEPS, 60_000_000, 65_000_000),
+    StepBegan("A1-2", "A1-2/2.1", "robot/A1", 2, 1, "door.open.secure", "B"),
+)
 OWN_STEP = StepBegan("A1-1", "A1-1/1.1", "robot/A1", 1, 1, "navigate.indoor")
 DELEGATED_STEP = StepBegan("A1-1", "A1-1/2.1", "robot/A1", 2, 1, "door.open.secure", "B")
 
@@ -45,6 +48,3 @@ def finished(spec: RunSpec, constants: Constants | None = None) -> Kernel:
 def types(events: tuple[Event, ...]) -> list[str]:
     """The names of the events' types."""
     return [type(event).__name__ for event in events]
-
-
-Check = Callable[..., bool]

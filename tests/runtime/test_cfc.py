@@ -12,7 +12,7 @@ from fsar_ledger.runtime.architectures.cfc.recovery import ReachHelper, end_atte
 from fsar_ledger.runtime.architectures.cfc.request import QueueOrdered, ReceiveCommand, close_execution, process, queue_ordered, receive_command
 from fsar_ledger.runtime.handlers.commands import CloseExecution, DetectObstruction, EndAttempt, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.execution import detect_obstruction
-from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, types, window
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
 
 ACTION = "A1-1/2.1"
 DELEGATED = (ARRIVED, DELEGATED_STEP)
@@ -79,7 +79,7 @@ def test_an_own_step_leaves_one_decision_without_requester() -> None:
 
 
 def second_delegation(state: State) -> None:
-    for event in (ARRIVED.__class__("A1-2", "robot/A1", 1, ARRIVED.steps, 1, 1), DELEGATED_STEP.__class__("A1-2", "A1-2/2.1", "robot/A1", 2, 1, "door.open.secure", "B")):
+    for event in SECOND:
         apply(state, event)
     for event in process(state, ProcessWork("A1-2/2.1", "step")):
         apply(state, event)

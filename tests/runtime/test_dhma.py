@@ -19,10 +19,19 @@ from fsar_ledger.runtime.architectures.dhma.authority import (
 )
 from fsar_ledger.runtime.architectures.dhma.execution import DecideRoutine, PlanOwnStep, decide_routine, plan_own_step, start, take_turn
 from fsar_ledger.runtime.architectures.dhma.recovery import Dispute, Escalate, StartRecovery, dispute, end_attempt, escalate, start_recovery
-from fsar_ledger.runtime.architectures.dhma.request import AcceptAward, Award, CallForProposals, EvaluateBid, accept_award, award, call_for_proposals, evaluate_bid
+from fsar_ledger.runtime.architectures.dhma.request import (
+    AcceptAward,
+    Award,
+    CallForProposals,
+    EvaluateBid,
+    accept_award,
+    award,
+    call_for_proposals,
+    evaluate_bid,
+)
 from fsar_ledger.runtime.handlers.commands import CloseExecution, DetectObstruction, EndAttempt, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.execution import detect_obstruction
-from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, types, window
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
 
 ACTION = "A1-1/2.1"
 CALLED = (ARRIVED, DELEGATED_STEP, RegistryQueried("A1-1", ACTION, "robot/A1", None, None, "door.open.secure", ("robot/B1",)))
@@ -86,11 +95,7 @@ def test_execution_goes_from_agent_to_agent_and_overlaps_until_acknowledged() ->
 def test_another_tasks_action_at_the_executor_is_double_booking_until_settled() -> None:
     state = running()
     other = "A1-2/2.1"
-    for event in (
-        ARRIVED.__class__("A1-2", "robot/A1", 1, ARRIVED.steps, 1, 1),
-        DELEGATED_STEP.__class__("A1-2", other, "robot/A1", 2, 1, "door.open.secure", "B"),
-        AwardMade("A1-2", "robot/A1", None, None, "robot/B1"),
-    ):
+    for event in (*SECOND, AwardMade("A1-2", "robot/A1", None, None, "robot/B1")):
         apply(state, event)
     booked = accept_award(state, AcceptAward(other))
     assert "RequestDeferred" in types(booked)

@@ -31,7 +31,7 @@ from fsar_ledger.runtime.architectures.fsar.request import (
 )
 from fsar_ledger.runtime.handlers.commands import CloseExecution, DetectObstruction, EndAttempt, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.execution import detect_obstruction
-from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, types, window
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
 
 REQUESTED = (ARRIVED, DELEGATED_STEP, RegistryQueried("A1-1", "A1-1/2.1", "robot/A1", "robot/B1", None, "door.open.secure", ("robot/B1",)))
 
@@ -124,8 +124,7 @@ def test_a_review_goes_to_the_fleet_supervisor() -> None:
 
 def test_a_busy_executor_defers() -> None:
     state, _ = executing()
-    other = (ARRIVED.__class__("A1-2", "robot/A1", 1, ARRIVED.steps, 1, 1), DELEGATED_STEP.__class__("A1-2", "A1-2/2.1", "robot/A1", 2, 1, "door.open.secure", "B"))
-    for event in (*other, RegistryQueried("A1-2", "A1-2/2.1", "robot/A1", "robot/B1", None, "door.open.secure", ("robot/B1",))):
+    for event in (*SECOND, RegistryQueried("A1-2", "A1-2/2.1", "robot/A1", "robot/B1", None, "door.open.secure", ("robot/B1",))):
         apply(state, event)
     assert types(evaluate_request(state, EvaluateRequest("A1-2/2.1"))) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
 

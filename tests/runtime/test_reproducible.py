@@ -54,9 +54,7 @@ def test_the_bytes_do_not_depend_on_hash_seed_time_zone_locale_or_workers(
 
 
 def test_another_seed_gives_another_ledger(tmp_path: Path, expected: dict[str, str]) -> None:
-    subprocess.run(
-        [sys.executable, "-m", "fsar_ledger", "simulate", str(tmp_path / "ledger"), "--runs", "5", "--seed", "10"], check=True, capture_output=True
-    )
+    subprocess.run([sys.executable, "-m", "fsar_ledger", "simulate", str(tmp_path / "ledger"), "--runs", "5", "--seed", "10"], check=True, capture_output=True)
     assert fingerprint(tmp_path / "ledger") != expected
 
 

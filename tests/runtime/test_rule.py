@@ -4,6 +4,7 @@ Each test of the Rule is a check with two subjects: ours, which holds, and one t
 """
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import get_args
 
 import pytest
@@ -167,9 +168,7 @@ def test_when_all_robots_are_offline_no_task_succeeds() -> None:
 
 def metric(name: str, architecture: Architecture, structure: Structure, runs: int = 25) -> float:
     constants = Constants(structure=structure)
-    records: list[RunRecord] = [
-        simulate_run(RunSpec(11, architecture, "full", scenario, 4, run), constants) for scenario in SCENARIOS for run in range(runs)
-    ]
+    records: list[RunRecord] = [simulate_run(RunSpec(11, architecture, "full", scenario, 4, run), constants) for scenario in SCENARIOS for run in range(runs)]
     with from_table(encode(records), threads=1) as database:
         found = next(row.mean for row in metric_rows(database) if row.metric == name)
     assert found is not None
@@ -177,7 +176,7 @@ def metric(name: str, architecture: Architecture, structure: Structure, runs: in
 
 
 def rises(values: Sequence[float]) -> bool:
-    return all(left < right for left, right in zip(values, values[1:], strict=False))
+    return all(left < right for left, right in pairwise(values))
 
 
 def test_more_local_attempts_contain_more_failures() -> None:
