@@ -113,12 +113,17 @@ def _child(pipe: Connection, segments: list[str], sql: str, limits: Limits) -> N
     pipe.send_bytes(msgspec.json.encode(refusal))
 
 
+def _checked() -> ds.ParquetFileFormat:
+    """Parquet whose page checksums are verified: a flipped bit is an error and not an answer."""
+    return ds.ParquetFileFormat(default_fragment_scan_options=ds.ParquetFragmentScanOptions(page_checksum_verification=True))
+
+
 def _select(segments: list[str], sql: str, limits: Limits) -> pa.Table:
     """The answer, read no further than the limit of rows. Raises: QueryFailed, LedgerCorrupted."""
     pa.set_cpu_count(1)  # threads reserve address space, which is limited
     pa.set_io_thread_count(1)
     with Database(None, [Path(segment) for segment in segments], threads=1) as database:
-        database.hold("events", ds.dataset(segments, schema=SCHEMA, format="parquet") if segments else SCHEMA.empty_table())
+        database.hold("events", ds.dataset(segments, schema=SCHEMA, format=_checked()) if segments else SCHEMA.empty_table())
         database.check_one_select(sql)
         database.prepare(sql)
         database.lock(limits.seconds + GRACE_S)

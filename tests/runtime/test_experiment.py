@@ -1,0 +1,98 @@
+"""An experiment is a row of runs in canonical order, committed in batches of 25."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fsar_ledger.constants import Constants, WorldConstants
+from fsar_ledger.errors import InvalidExperiment, NotALedger
+from fsar_ledger.ledger.read import open_ledger
+from fsar_ledger.ledger.verify import verify
+from fsar_ledger.runtime.experiment import BATCH_RUNS, Experiment, simulate
+from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, run_id, run_started
+
+SMALL = Experiment(ARCHITECTURES, SCENARIOS[:2], runs=5, seed=3)
+
+
+def test_runs_come_in_canonical_order() -> None:
+    specs = [(spec.scenario, spec.run, spec.architecture) for spec in SMALL.specs()]
+    assert specs[:4] == [("door-relay", 0, "fsar"), ("door-relay", 0, "cfc"), ("door-relay", 0, "dhma"), ("door-relay", 1, "fsar")]
+    assert len(specs) == len(set(specs)) == 30
+
+
+def test_batches_have_25_runs_and_the_last_one_the_rest() -> None:
+    assert [len(batch) for batch in SMALL.batches()] == [BATCH_RUNS, 5]
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"architectures": ("fsra",)}, "architecture: found fsra"),
+        ({"architectures": ()}, "architecture: found none"),
+        ({"architectures": ("cfc", "cfc")}, "each once"),
+        ({"scenarios": ("moon",)}, "scenario: found moon"),
+        ({"configurations": ("without-luck",)}, "configuration: found without-luck"),
+        ({"configurations": ("without-trust-evaluation",)}, "taken out of FSAR only"),
+        ({"runs": 0}, "runs: found 0"),
+        ({"runs": 10_000}, "runs: found 10000"),
+        ({"seed": -1}, "seed: found -1"),
+        ({"seed": 2**53}, "seed: found"),
+        ({"fleet_size": 6}, "fleet size: found 6"),
+        ({"fleet_size": 0}, "fleet size: found 0"),
+    ],
+)
+def test_an_impossible_experiment_is_refused_with_what_was_found(changes: dict[str, Any], message: str) -> None:
+    given: dict[str, Any] = {"architectures": ARCHITECTURES, "scenarios": SCENARIOS, "runs": 1, **changes}
+    with pytest.raises(InvalidExperiment, match=message):
+        Experiment(**given)
+
+
+def test_other_parameters_are_other_runs() -> None:
+    spec = RunSpec(1, "fsar", "full", "door-relay", 4, 0)
+    other = Constants(world=WorldConstants(window_mean_s=12.0))
+    names = {run_id(run_started(spec, constants)) for constants in (Constants(), other)}
+    assert len(names) == 2
+    assert all(name.startswith("fsar.full.door-relay.n4.s1.r0000-") for name in names)
+
+
+def test_an_interrupted_experiment_goes_on_at_the_first_missing_batch(tmp_path: Path) -> None:
+    told: list[tuple[int, int]] = []
+
+    class Stop(Exception):
+        pass
+
+    def stop_after_one(done: int, total: int) -> None:
+        told.append((done, total))
+        if done == 1:
+            raise Stop
+
+    with pytest.raises(Stop):
+        simulate(tmp_path / "ledger", SMALL, 1, stop_after_one)
+    assert open_ledger(tmp_path / "ledger").head.commits == 1
+    told.clear()
+    head = simulate(tmp_path / "ledger", SMALL, 1, lambda done, total: told.append((done, total)))
+    assert told == [(1, 2), (2, 2)]
+    assert simulate(tmp_path / "whole", SMALL, 1) == head
+    assert verify(tmp_path / "ledger").ok
+
+
+def test_another_experiment_can_join_a_ledger_if_it_shares_no_run(tmp_path: Path) -> None:
+    simulate(tmp_path / "ledger", SMALL, 1)
+    joined = simulate(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], runs=2, seed=4), 1)
+    assert joined.commits == 3
+    assert verify(tmp_path / "ledger").ok
+
+
+def test_runs_that_are_there_in_other_batches_are_refused_and_nothing_changes(tmp_path: Path) -> None:
+    head = simulate(tmp_path / "ledger", SMALL, 1)
+    with pytest.raises(InvalidExperiment, match="is in the ledger already"):
+        simulate(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], runs=2, seed=3), 1)
+    assert open_ledger(tmp_path / "ledger").head == head
+
+
+def test_a_folder_that_is_no_ledger_is_left_as_it_was(tmp_path: Path) -> None:
+    (tmp_path / "precious.txt").write_text("mine")
+    with pytest.raises(NotALedger):
+        simulate(tmp_path, SMALL, 1)
+    assert [path.name for path in tmp_path.iterdir()] == ["precious.txt"]
