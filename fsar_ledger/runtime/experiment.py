@@ -1,5 +1,6 @@
 """An experiment is a row of runs in canonical order, committed in batches: architectures x scenarios x runs."""
 
+import gc
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
@@ -116,7 +117,12 @@ def _missing(ledger: LedgerView, batches: list[tuple[RunSpec, ...]], constants: 
 
 
 def _stage(out: Path, batch: tuple[RunSpec, ...], constants: Constants) -> Staged:
-    return stage(out, [simulate_run(spec, constants) for spec in batch])
+    """The batch is simulated and staged; meanwhile nothing looks for cyclic garbage, for a run makes none."""
+    gc.disable()
+    try:
+        return stage(out, [simulate_run(spec, constants) for spec in batch])
+    finally:
+        gc.enable()
 
 
 def _staged(out: Path, batches: list[tuple[RunSpec, ...]], constants: Constants, workers: int) -> Iterator[Staged]:

@@ -51,7 +51,7 @@ class Kernel:
                     raise RuntimeError(f"the run does not end: {command} is due at {time_us} microseconds, caused by event {cause}")
                 command.now_us = time_us
                 if ask is not None:
-                    command.drawn = self._draws.value(*ask)
+                    command.drawn = self._draws.value(ask.stream, ask.key)
                 events = decides[type(command)](self.state, command)
                 if events:
                     self._batch(events, time_us, cause)
@@ -104,17 +104,17 @@ class Kernel:
         kind = type(event)
         for slot, evolve in ROUTES.get(kind, ()):
             setattr(state, slot, evolve(getattr(state, slot), event))
-        taken: set[int] = set()
+        taken: tuple[int, ...] = ()
         for react in self._wiring.reacts.get(kind, ()):
-            for command, after_us, draws, ask in react(state, event, time_us):
-                due_us = time_us + after_us
-                for draw in draws:
-                    due_us += self._draws.value(*draw)
+            for scheduled in react(state, event, time_us):
+                due_us = time_us + scheduled.after_us
+                for draw in scheduled.draws:
+                    due_us += self._draws.value(draw.stream, draw.key, draw.share_ppm)
                 while due_us in taken or due_us <= time_us:
                     due_us += 1
-                taken.add(due_us)
+                taken = (*taken, due_us)
                 self._serial += 1
-                heappush(self._pending, (due_us, self._serial, seq, command, ask))
+                heappush(self._pending, (due_us, self._serial, seq, scheduled.command, scheduled.ask))
 
 
 def _is_same_batch(times_us: Sequence[int], caused_by: Sequence[int | None], seq: int) -> bool:

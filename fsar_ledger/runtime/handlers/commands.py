@@ -6,7 +6,7 @@ every architecture that meets the same hop of the same action meets the same lat
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import msgspec
 
@@ -21,7 +21,7 @@ class Command(msgspec.Struct, kw_only=True):
     drawn: int = 0
 
 
-class Draw(NamedTuple):
+class Draw(msgspec.Struct, frozen=True, gc=False):
     """A draw from the world: which law, what it serves, and which share of it counts (parts per million)."""
 
     stream: str
@@ -29,7 +29,7 @@ class Draw(NamedTuple):
     share_ppm: int = 1_000_000
 
 
-class Scheduled(NamedTuple):
+class Scheduled(msgspec.Struct, frozen=True, gc=False):
     """`command` is due `after_us` plus the drawn lengths of time from now; never at the same instant."""
 
     command: Command
