@@ -8,6 +8,7 @@ record says how many directions of the constants the 24 cells identify at all.
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import msgspec
@@ -17,19 +18,22 @@ from fsar_ledger.constants import Constants
 from fsar_ledger.errors import WriteFailed
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.codec import encode
-from fsar_ledger.metrics.database import from_table
+from fsar_ledger.metrics.database import connect, from_table
 from fsar_ledger.metrics.results import MetricRow, metric_rows
 from fsar_ledger.metrics.verdicts import compare
+from fsar_ledger.runtime.experiment import Experiment, simulate
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS, RunSpec, simulate_run
 from fsar_ledger.runtime.switches import SWITCHES, Switch
 from fsar_ledger.workers import WorkerPool
 
 SEED = 20260001  # never used for a published number
-RUNS = 120  # per scenario and architecture
+RUNS = 400  # per scenario and architecture, where a point is judged
+SLOPE_RUNS = 80  # where only the slope around it is: the same worlds on both sides take most of the noise away
 ROUNDS = 2
 STEP = 0.12  # of the logarithm of a constant, for the central differences of the Jacobian
 PRIOR = 0.25  # standard deviation of the logarithm of a constant around its start
 LONGEST_STEP = 0.30
+SCALES = (0.5, 1.0)  # of a step, tried in each round
 
 Vector = np.ndarray[tuple[int], np.dtype[np.float64]]
 Matrix = np.ndarray[tuple[int, int], np.dtype[np.float64]]
@@ -84,22 +88,36 @@ def rounded(value: float) -> float:
 
 
 def measure(constants: Constants, runs: int, architectures: Sequence[Architecture] = ARCHITECTURES, switch: Switch | None = None) -> list[MetricRow]:
-    """The eight metrics, judged by SQL, of runs under these constants; `switch` takes one mechanism out."""
-    records = []
-    for scenario in SCENARIOS:
-        for run in range(runs):
-            for architecture in architectures:
-                configuration = switch.configuration if switch is not None else "full"
-                spec = RunSpec(SEED, architecture, configuration, scenario, 4, run)
-                records.append(simulate_run(spec, constants, switch.structure() if switch is not None else None))
+    """The eight metrics, judged by SQL, of runs under these constants; `switch` takes one mechanism out. For few runs: all are held in memory."""
+    structure = switch.structure() if switch is not None else None
+    configuration = switch.configuration if switch is not None else "full"
+    records = [
+        simulate_run(RunSpec(SEED, architecture, configuration, scenario, 4, run), constants, structure)
+        for scenario in SCENARIOS
+        for run in range(runs)
+        for architecture in architectures
+    ]
     with from_table(encode(records), threads=1) as database:
         return metric_rows(database)
 
 
-def residuals(values: Sequence[float]) -> list[float]:
+def measure_stored(constants: Constants, runs: int, workers: int) -> list[MetricRow]:
+    """The same for many runs, through a ledger that is thrown away."""
+    with TemporaryDirectory() as folder:
+        ledger = Path(folder) / "ledger"
+        simulate(ledger, Experiment(ARCHITECTURES, SCENARIOS, runs, SEED, constants=constants), workers)
+        with connect(ledger) as database:
+            return metric_rows(database)
+
+
+def distances(rows: list[MetricRow]) -> Vector:
     """(ours - paper) of the 24 cells in standard errors at n = 100."""
-    found = [cell.distance_se for cell in compare(measure(with_values(values), RUNS))]
-    return [0.0 if distance is None else distance for distance in found]
+    return np.array([cell.distance_se or 0.0 for cell in compare(rows)])
+
+
+def slope_distances(values: Sequence[float]) -> Vector:
+    """The distances on the few runs that slopes are taken from."""
+    return distances(measure(with_values(values), SLOPE_RUNS))
 
 
 def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> None:
@@ -109,52 +127,55 @@ def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> 
         WriteFailed: the file cannot be written.
     """
     _require_writable(out)
-    total = ROUNDS * (2 * len(FITTED) + 4) + 1 + len(SWITCHES)
-    done = 0
-
-    def advance(count: int) -> None:
-        nonlocal done
-        done += count
-        if progress is not None:
-            progress(min(done, total), total)
-
     starts = np.array([fitted.start for fitted in FITTED])
-    with WorkerPool(workers) as pool:
+    total = ROUNDS * (2 * len(FITTED) + len(SCALES)) + 2
+    steps = iter(range(1, total + 1))
 
-        def evaluate(points: list[Vector]) -> list[Vector]:
-            results = []
-            for result in pool.map(residuals, [list(starts * np.exp(point)) for point in points]):
-                results.append(np.array(result))
-                advance(1)
-            return results
+    def advance() -> None:
+        if progress is not None:
+            progress(next(steps), total)
 
-        point = np.zeros(len(FITTED))
-        [now] = evaluate([point])
-        start_value = objective(now, point)
-        jacobian = np.zeros((len(now), len(FITTED)))
-        for _ in range(ROUNDS):
-            jacobian = _jacobian(evaluate, point)
-            trials = [point + scale * _step(jacobian, now, point) for scale in (0.25, 0.5, 1.0)]
-            values = evaluate(trials)
-            best = min(range(len(trials)), key=lambda index: objective(values[index], trials[index]))
-            if objective(values[best], trials[best]) < objective(now, point):
-                point, now = trials[best], values[best]
-        record = _record(starts, point, now, start_value, jacobian, done)
-        accepted = with_values(list(starts * np.exp(point)))
-        record["switch_offs"] = _switch_offs(accepted)
-        advance(len(SWITCHES))
+    def at(point: Vector) -> Constants:
+        return with_values(list(starts * np.exp(point)))
+
+    def judge(point: Vector) -> Vector:
+        found = distances(measure_stored(at(point), RUNS, workers))
+        advance()
+        return found
+
+    def slopes(points: list[Vector]) -> list[Vector]:
+        with WorkerPool(workers) as pool:
+            found = []
+            for distance in pool.map(slope_distances, [list(starts * np.exp(point)) for point in points]):
+                found.append(distance)
+                advance()
+            return found
+
+    point = np.zeros(len(FITTED))
+    now = judge(point)
+    start_value, jacobian = objective(now, point), np.zeros((len(now), len(FITTED)))
+    for _ in range(ROUNDS):
+        jacobian = _jacobian(slopes, point)
+        step = _step(jacobian, now, point)
+        trials = [(judge(point + scale * step), point + scale * step) for scale in SCALES]
+        best_now, best_point = min(trials, key=lambda trial: objective(*trial))
+        if objective(best_now, best_point) < objective(now, point):
+            now, point = best_now, best_point
+    record = _record(starts, point, measure_stored(at(point), RUNS, workers), start_value, jacobian)
+    record["switch_offs"] = _switch_offs(at(point))
+    advance()
     _write(out, record)
 
 
-def objective(distances: Vector, point: Vector) -> float:
+def objective(found: Vector, point: Vector) -> float:
     """What the fit makes small: squared residuals in standard errors, plus the prior."""
-    return float(distances @ distances + (point @ point) / PRIOR**2)
+    return float(found @ found + (point @ point) / PRIOR**2)
 
 
-def _jacobian(evaluate: Callable[[list[Vector]], list[Vector]], point: Vector) -> Matrix:
+def _jacobian(slopes: Callable[[list[Vector]], list[Vector]], point: Vector) -> Matrix:
     """Change of each residual with the logarithm of each constant, by central differences on the same worlds."""
     shifts = np.eye(len(FITTED)) * STEP
-    sides = evaluate([point + shift for shift in shifts] + [point - shift for shift in shifts])
+    sides = slopes([point + shift for shift in shifts] + [point - shift for shift in shifts])
     up, down = np.array(sides[: len(FITTED)]), np.array(sides[len(FITTED) :])
     return np.asarray((up - down).T / (2 * STEP))
 
@@ -167,24 +188,24 @@ def _step(jacobian: Matrix, now: Vector, point: Vector) -> Vector:
     return np.asarray(step * min(1.0, LONGEST_STEP / longest) if longest > 0 else step)
 
 
-def _record(starts: Vector, point: Vector, now: Vector, start_value: float, jacobian: Matrix, evaluations: int) -> dict[str, Any]:
+def _record(starts: Vector, point: Vector, rows: list[MetricRow], start_value: float, jacobian: Matrix) -> dict[str, Any]:
     constants = with_values(list(starts * np.exp(point)))
     _, singular, directions = np.linalg.svd(jacobian * PRIOR, full_matrices=False)
     return {
         "objective": {
             "description": "sum over the 24 cells of ((ours - paper) / standard error at n = 100)^2, plus ((log of constant / start) / prior SD)^2",
             "start": round(start_value, 3),
-            "accepted": round(objective(now, point), 3),
+            "accepted": round(objective(distances(rows), point), 3),
         },
         "seeds": [SEED],
         "runs_per_scenario": RUNS,
-        "evaluations": evaluations,
+        "evaluations": ROUNDS * (2 * len(FITTED) + len(SCALES)) + 2,
         "model_version": MODEL_VERSION,
         "command": "fsar-ledger calibrate --out FILE",
         "parameters": [_parameter(fitted, constants, directions, singular, index) for index, fitted in enumerate(FITTED)],
         "residuals": [
             {"metric": cell.metric, "architecture": cell.architecture, "paper": cell.paper, "ours": cell.ours, "distance_se": cell.distance_se}
-            for cell in compare(measure(constants, RUNS))
+            for cell in compare(rows)
         ],
         "directions": [
             {
@@ -213,10 +234,10 @@ def _parameter(fitted: Fitted, constants: Constants, directions: Matrix, singula
 
 def _switch_offs(constants: Constants) -> list[dict[str, Any]]:
     """Each mechanism switched off once, under the accepted constants and on the same worlds."""
-    whole = {(row.architecture, row.metric): row.mean for row in measure(constants, RUNS)}
+    whole = {(row.architecture, row.metric): row.mean for row in measure(constants, SLOPE_RUNS)}
     found: list[dict[str, Any]] = []
     for switch in SWITCHES:
-        without = {row.metric: row.mean for row in measure(constants, RUNS, (switch.architecture,), switch)}
+        without = {row.metric: row.mean for row in measure(constants, SLOPE_RUNS, (switch.architecture,), switch)}
         of_switch = {"mechanism": switch.mechanism, "architecture": switch.architecture}
         found += [
             {**of_switch, "metric": metric, "with_mechanism": whole[switch.architecture, metric], "without": without[metric]} for metric in switch.metrics

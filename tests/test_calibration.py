@@ -1,6 +1,7 @@
 """The fit reads the results table alone, and the constants of the package are the ones that it accepted."""
 
 import json
+from concurrent.futures import ThreadPoolExecutor
 from importlib.resources import files
 from pathlib import Path
 
@@ -76,19 +77,15 @@ def test_a_path_that_cannot_be_written_is_refused_before_the_work(tmp_path: Path
 
 
 def test_the_record_of_a_small_fit_is_complete_and_the_same_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(calibration, "residuals", _plain_residuals)
-    monkeypatch.setattr(calibration, "RUNS", 1)
-    monkeypatch.setattr(calibration, "ROUNDS", 1)
+    for name, value in {"RUNS": 1, "SLOPE_RUNS": 1, "ROUNDS": 1, "FITTED": FITTED[:2], "WorkerPool": ThreadPoolExecutor}.items():
+        monkeypatch.setattr(calibration, name, value)
+    told: list[tuple[int, int]] = []
     for name in ("one.json", "two.json"):
-        calibrate(tmp_path / name, workers=1)
+        calibrate(tmp_path / name, lambda done, total: told.append((done, total)), workers=1)
     assert (tmp_path / "one.json").read_bytes() == (tmp_path / "two.json").read_bytes()
+    assert told[-1] == (8, 8)
     record = json.loads((tmp_path / "one.json").read_text())
-    assert record["objective"]["accepted"] < record["objective"]["start"]
+    assert record["objective"]["accepted"] <= record["objective"]["start"]
     assert len(record["residuals"]) == 24
+    assert [parameter["name"] for parameter in record["parameters"]] == [fitted.name for fitted in FITTED[:2]]
     assert len(record["switch_offs"]) == sum(len(switch.metrics) for switch in SWITCHES)
-
-
-def _plain_residuals(values: list[float]) -> list[float]:
-    """A world whose 24 distances are linear in the logarithms of the first constants."""
-    ratios = [np.log(value / fitted.start) for value, fitted in zip(values, FITTED, strict=True)]
-    return [0.5 + 3 * ratios[index % 6] for index in range(24)]

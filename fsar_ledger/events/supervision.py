@@ -8,12 +8,16 @@ Purpose = Literal["review", "recovery", "ordering"]
 
 
 class SupervisorCalled(Event, frozen=True):
-    """A supervisor is asked to decide: a review, a failure that nothing else resolved, or the order of two commands."""
+    """A supervisor is asked to decide: a review, a failure that nothing else resolved, or the order of two commands.
+
+    `robot` is the executor that a coordinator has picked already for what is under review.
+    """
 
     task_id: str
     action_id: str
     supervisor: str
     purpose: Purpose
+    robot: str | None = None
 
 
 class SupervisorResponded(Event, frozen=True):

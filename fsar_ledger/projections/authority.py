@@ -17,8 +17,13 @@ def evolve(state: Authority, event: HANDLES) -> Authority:
         case AuthorityClaimed():
             return {**state, event.action_id: (*state.get(event.action_id, ()), event)}
         case AuthorityReleased():
-            left = tuple(claim for claim in state[event.action_id] if (claim.dimension, claim.claimant) != (event.dimension, event.claimant))
+            left = tuple(claim for claim in state[event.action_id] if _key(claim) != _key(event))
             others = {action: claims for action, claims in state.items() if action != event.action_id}
             return {**others, event.action_id: left} if left else others
         case _:
             assert_never(event)
+
+
+def _key(event: AuthorityClaimed | AuthorityReleased) -> tuple[str, str, str]:
+    """A claimant may hold the same dimension for two reasons, and let go of one."""
+    return event.dimension, event.claimant, event.reason

@@ -54,6 +54,7 @@ class Action(msgspec.Struct, frozen=True, gc=False):
     remaining_us: int = 0
     failures: int = 0
     segments: int = 0
+    was_denied: bool = False
 
 
 class Execution(msgspec.Struct, frozen=True, gc=False):
@@ -80,7 +81,7 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
             actions = {name: action for name, action in state.actions.items() if name != event.action_id}
             return _freed(Execution(state.current, state.queues, actions), event.robot)
         case ExecutionHeld():
-            return _staged(state, event.action_id, "polling" if event.reason == "fleet-rule" else "held")
+            return _held(state, event)
         case ExecutionPaused():
             return _staged(state, event.action_id, "paused", remaining_us=event.remaining_us)
         case ExecutionResumed():
@@ -124,6 +125,14 @@ def _queued(state: Execution, event: ExecutionQueued) -> Execution:
         queue = (*state.queues.get(event.robot, ()), event.action_id)
         return Execution(state.current, {**state.queues, event.robot: queue}, actions)
     return Execution({**state.current, event.robot: event.action_id}, state.queues, actions)
+
+
+def _held(state: Execution, event: ExecutionHeld) -> Execution:
+    """It polls the fleet's rule, or waits for the window of its own policy; `path` is there when waiting is a denial."""
+    action = state.actions[event.action_id]
+    stage: Stage = "polling" if event.reason == "fleet-rule" else "held"
+    changed = msgspec.structs.replace(action, stage=stage, was_denied=action.was_denied or bool(event.path))
+    return Execution(state.current, state.queues, {**state.actions, event.action_id: changed})
 
 
 def _staged(state: Execution, action_id: str, stage: Stage, ends_us: int = 0, remaining_us: int = 0, failures: int | None = None) -> Execution:

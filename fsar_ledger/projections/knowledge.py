@@ -6,16 +6,15 @@ import msgspec
 
 from fsar_ledger.events.envelope import PolicyOutcome
 from fsar_ledger.events.knowledge import CopySynced, FleetRuleLearned, PeerRemembered, PlannerEngaged, SnapshotTaken, WorkQueued
-from fsar_ledger.events.world import SnapshotPhaseSet, SyncPhaseSet
+from fsar_ledger.events.world import SyncPhaseSet
 
-HANDLES = SyncPhaseSet | SnapshotPhaseSet | FleetRuleLearned | PeerRemembered | CopySynced | SnapshotTaken | PlannerEngaged | WorkQueued
+HANDLES = SyncPhaseSet | FleetRuleLearned | PeerRemembered | CopySynced | SnapshotTaken | PlannerEngaged | WorkQueued
 
 
 class Knowledge(msgspec.Struct, frozen=True, gc=False):
     """`copy` is the coordinator's last synced copy; `ready_us` when its queue of work is done (run time, microseconds)."""
 
     sync_phase_ppm: int = 0
-    snapshot_phase_ppm: dict[str, int] = {}
     fleet_rule: dict[str, PolicyOutcome] = {}
     fleet_rule_as_of_us: dict[str, int] = {}
     met: dict[tuple[str, str], int] = {}
@@ -47,7 +46,5 @@ def evolve(state: Knowledge, event: HANDLES) -> Knowledge:
             return replace(state, met={**state.met, (event.robot, event.peer): event.until_us})
         case SyncPhaseSet():
             return replace(state, sync_phase_ppm=event.phase_ppm)
-        case SnapshotPhaseSet():
-            return replace(state, snapshot_phase_ppm={**state.snapshot_phase_ppm, event.robot: event.phase_ppm})
         case _:
             assert_never(event)

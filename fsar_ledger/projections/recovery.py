@@ -6,9 +6,9 @@ import msgspec
 
 from fsar_ledger.events.envelope import FailureCause, RecoveryLevel
 from fsar_ledger.events.execution import ExecutionFailed
-from fsar_ledger.events.recovery import AssistanceDeclined, AssistanceRequested, FailureResolved, RecoveryAttempted, RecoveryEscalated
+from fsar_ledger.events.recovery import AssistanceRequested, FailureResolved, RecoveryAttempted, RecoveryEscalated
 
-HANDLES = ExecutionFailed | RecoveryAttempted | RecoveryEscalated | AssistanceRequested | AssistanceDeclined | FailureResolved
+HANDLES = ExecutionFailed | RecoveryAttempted | RecoveryEscalated | AssistanceRequested | FailureResolved
 
 
 class Recovery(msgspec.Struct, frozen=True, gc=False):
@@ -42,8 +42,6 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
         case AssistanceRequested():
             known = state[event.failed_action]
             return {**state, event.failed_action: msgspec.structs.replace(known, tried=(*known.tried, event.helper))}
-        case AssistanceDeclined():
-            return state
         case FailureResolved():
             return {action: recovery for action, recovery in state.items() if action != event.action_id}
         case _:

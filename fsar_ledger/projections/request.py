@@ -8,6 +8,7 @@ from fsar_ledger.events.envelope import PolicyOutcome
 from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import AwardMade, CommandIssued, ContractQuestioned, ContractVoided, RequestAccepted, RequestIssued, RequestRelayed
+from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import StepBegan, StepCompleted
 from fsar_ledger.events.world import OutsiderRequestInjected
 
@@ -20,6 +21,7 @@ HANDLES = (
     | RequestRelayed
     | CommandIssued
     | BidReceived
+    | SupervisorCalled
     | AwardMade
     | RequestAccepted
     | ContractQuestioned
@@ -79,14 +81,16 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
             return _changed(state, event.action_id, bids=bids)
         case AwardMade():
             action_id = next(name for name, request in state.items() if request.task_id == event.task_id)
-            return _changed(state, action_id, target=event.robot)
+            return _changed(state, action_id, target=event.robot, is_questioned=False)
+        case SupervisorCalled():
+            return state if event.robot is None else _changed(state, event.action_id, target=event.robot)
         case RequestAccepted():
-            return _changed(state, event.action_id, is_accepted=True, is_questioned=False)
+            return _changed(state, event.action_id, target=event.executed_by, is_accepted=True)
         case ContractQuestioned():
             return _changed(state, event.action_id, is_questioned=True)
         case ContractVoided():
             known = state[event.action_id]
-            return _changed(state, event.action_id, bids=(), is_accepted=False, is_questioned=False, round=known.round + 1)
+            return _changed(state, event.action_id, bids=(), target=None, is_accepted=False, is_questioned=False, round=known.round + 1)
         case _:
             assert_never(event)
 

@@ -77,7 +77,9 @@ def evolve(state: World, event: HANDLES) -> World:
         case ObstructionCleared():
             inside = tuple(name for name in state.obstructions.get(event.robot, ()) if name != event.obstruction)
             return msgspec.structs.replace(state, obstructions={**state.obstructions, event.robot: inside})
-        case FailureResolved():  # whoever helped has cleared the way
+        case FailureResolved():  # whoever helped has cleared the way; a robot that helped itself found it clear
+            if event.level == "local":
+                return state
             return msgspec.structs.replace(state, obstructions={**state.obstructions, event.robot: ()})
         case ActuatorDegraded():
             return msgspec.structs.replace(state, degraded=state.degraded | {event.robot})

@@ -9,7 +9,6 @@ from typing import NamedTuple
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import Architecture, Configuration
 from fsar_ledger.events.request import RequestClosed
 from fsar_ledger.projections.fold import State
@@ -56,16 +55,12 @@ def _passed_at_once(state: State, command: dhma_authority.PassExecution) -> tupl
     return (*acknowledged, *events)
 
 
-def _safe_stop_without_claims(state: State, command: cfc_execution.SafeStop) -> tuple[Event, ...]:
-    return tuple(event for event in cfc_execution.safe_stop(state, command) if not isinstance(event, AuthorityClaimed))
-
-
 SWITCHES: tuple[Switch, ...] = (
     Switch("closing by the coordination engine (else by the requester)", "fsar", ("governance_locality",), {CloseRequest: _closed_by_requester}),
     Switch("revocation waits for the request boundary (else no claim)", "fsar", ("authority_conflicts",), {fsar_authority.Revoke: _nothing}),
     Switch("requester's policy and fleet rule composed", "fsar", ("policy_violations",), {}, "without-policy-composition"),
     Switch("layered recovery", "fsar", ("recovery_containment", "human_intervention"), {}, "without-layered-recovery"),
-    Switch("safe stop claims override (else no claim)", "cfc", ("authority_conflicts",), {cfc_execution.SafeStop: _safe_stop_without_claims}),
+    Switch("context changes make robots and supervisors claim (else no claim)", "cfc", ("authority_conflicts",), {cfc_execution.SafeStop: _nothing}),
     Switch("hand-off is acknowledged (else at once)", "dhma", ("authority_conflicts",), {dhma_authority.PassExecution: _passed_at_once}),
     Switch("recovery is disputed by an engaged planner", "dhma", ("recovery_containment", "reassignment_latency_s"), {dhma_recovery.Dispute: _nothing}),
 )

@@ -13,7 +13,8 @@ WITH edges AS (
         task_id,
         action_id,
         dimension,
-        claimant
+        claimant,
+        reason
     FROM events
     WHERE type IN ('AuthorityClaimed.v1', 'AuthorityReleased.v1')
 ),
@@ -23,7 +24,7 @@ paired AS (
         *,
         -- The first later release, whatever claims lie between: a claim that is repeated ends with the one before it.
         first_value(CASE WHEN type = 'AuthorityReleased.v1' THEN time_us END IGNORE NULLS) OVER (
-            PARTITION BY run_id, action_id, dimension, claimant
+            PARTITION BY run_id, action_id, dimension, claimant, reason
             ORDER BY seq
             ROWS BETWEEN 1 FOLLOWING AND UNBOUNDED FOLLOWING
         ) AS ended_us
@@ -37,6 +38,7 @@ SELECT
     action_id,
     dimension,
     claimant,
+    reason,
     time_us AS began_us,
     ended_us
 FROM paired

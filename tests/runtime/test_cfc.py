@@ -89,7 +89,7 @@ def test_a_second_command_for_a_robot_not_seen_busy_disputes_the_running_action(
     state = running()
     second_delegation(state)
     claim, called = receive_command(state, ReceiveCommand("A1-2/2.1"))
-    assert claim == AuthorityClaimed("A1-1", ACTION, "execution", "robot/A1", "assigned again")
+    assert claim == AuthorityClaimed("A1-1", ACTION, "execution", "robot/A1", "assigned again: A1-2/2.1")
     assert called.purpose == "ordering"  # type: ignore[attr-defined]
     apply(state, claim)
     assert types(queue_ordered(state, QueueOrdered("A1-2/2.1"))) == ["AuthorityReleased", "ExecutionQueued"]

@@ -4,6 +4,7 @@ from typing import Any
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.execution import (
+    ApproachStarted,
     ExecutionFailed,
     ExecutionFinished,
     ExecutionPaused,
@@ -26,6 +27,14 @@ NAVIGATION = "navigate.indoor"
 def start_action(action_id: str, capability: str, after_us: int = 1, draws: tuple[Draw, ...] = ()) -> Scheduled:
     """The action starts when the robot is ready; how long it takes is the world's."""
     return Scheduled(StartAction(action_id), after_us, draws, Draw(capability, action_id))
+
+
+def start_after_approach(state: State, event: ApproachStarted) -> Scheduled:
+    """The action starts when the robot has arrived; a second approach for the same action is another way."""
+    action, request = state.execution.actions[event.action_id], state.request.get(event.action_id)
+    again = action.failures + (request.round if request is not None else 0)
+    way = Draw("approach", f"{event.action_id}/{again}" if again else event.action_id)
+    return start_action(event.action_id, action.capability, 0, (way,))
 
 
 def started(state: State, action: Action, command: StartAction) -> ExecutionStarted:
@@ -108,11 +117,12 @@ def _on_assistance_ended(state: State, event: AssistanceEnded, _now_us: int) -> 
 
 
 def _on_running(state: State, event: ExecutionStarted | ExecutionResumed, now_us: int) -> tuple[Scheduled, ...]:
-    if state.world.obstructions.get(event.robot):
-        return (Scheduled(DetectObstruction(event.action_id)),)
     segment = state.execution.actions[event.action_id].segments
-    finish = FinishAttempt(event.action_id, event.ends_us)
-    return (Scheduled(finish, max(1, event.ends_us - now_us), ask=Draw("reliability", f"{event.action_id}/{segment}")),)
+    ask = Draw("reliability", f"{event.action_id}/{segment}")
+    finish = Scheduled(FinishAttempt(event.action_id, event.ends_us), max(1, event.ends_us - now_us), ask=ask)
+    if state.world.obstructions.get(event.robot):
+        return (Scheduled(DetectObstruction(event.action_id)), finish)
+    return (finish,)
 
 
 def _on_obstruction(state: State, event: ObstructionAppeared, _now_us: int) -> tuple[Scheduled, ...]:

@@ -7,8 +7,8 @@ from fsar_ledger.events.execution import ApproachStarted, ExecutionPaused, Repla
 from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, RoutineDue
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.handlers.attribution import on_shift
-from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn, message
-from fsar_ledger.runtime.handlers.execution import pause_running, start_action, started
+from fsar_ledger.runtime.handlers.commands import Command, Decides, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn, message
+from fsar_ledger.runtime.handlers.execution import pause_running, start_after_approach, started
 
 from .coordinator import ReachCoordinator, copied_policy, copied_rule, until_next_sync_us
 
@@ -23,7 +23,6 @@ class SafeStop(Command):
 class EndWatch(Command):
     """A policy window that a local supervisor watched over has closed."""
 
-    robot: str
     window: str
 
 
@@ -60,11 +59,11 @@ def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
             wanted.append(("audit", FLEET_SUPERVISOR, "policy window"))
             if on_shift(state, command.robot) is not None:
                 wanted.append(("audit", local_supervisor(command.robot), command.window))
-        known = {(claim.dimension, claim.claimant) for claim in state.authority[action_id]}
+        known = {(claim.dimension, claim.claimant, claim.reason) for claim in state.authority[action_id]}
         claimed += [
             AuthorityClaimed(task_id, action_id, dimension, claimant, reason)  # type: ignore[arg-type]
             for dimension, claimant, reason in wanted
-            if (dimension, claimant) not in known
+            if (dimension, claimant, reason) not in known
         ]
     return tuple(claimed)
 
@@ -95,14 +94,13 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """The robot has done its routine operation; a motion unless the last copy says that policy or rule forbid it."""
     robot = command.robot
     context = (robot, robot, robot, FLEET_SUPERVISOR, (robot,), robot, command.operation)
-    if command.operation == "motion" and (copied_policy(state, robot) != "allow" or copied_rule(state, robot) != "allow"):
+    if command.operation == "motion" and "deny" in (copied_policy(state, robot), copied_rule(state, robot)):
         return (RoutineWithheld(*context),)  # type: ignore[arg-type]
     return (RoutinePerformed(*context),)  # type: ignore[arg-type]
 
 
 def _on_approach(state: State, event: ApproachStarted, _now_us: int) -> tuple[Scheduled, ...]:
-    capability = state.execution.actions[event.action_id].capability
-    return (start_action(event.action_id, capability, 0, (Draw("approach", event.action_id),)),)
+    return (start_after_approach(state, event),)
 
 
 def _on_context(state: State, event: ContextChanged, now_us: int) -> tuple[Scheduled, ...]:
@@ -112,7 +110,7 @@ def _on_context(state: State, event: ContextChanged, now_us: int) -> tuple[Sched
 
 def _on_window_closed(state: State, event: PolicyWindowClosed, _now_us: int) -> tuple[Scheduled, ...]:
     if any(claim.reason == event.window for claims in state.authority.values() for claim in claims):
-        return (Scheduled(EndWatch(event.robot, event.window)),)
+        return (Scheduled(EndWatch(event.window)),)
     return ()
 
 
@@ -121,9 +119,10 @@ def _on_pause(state: State, event: ExecutionPaused, now_us: int) -> tuple[Schedu
     return (Scheduled(ReachCoordinator(event.action_id, "replan"), until_next_sync_us(state, now_us)),)
 
 
-def _on_replan(state: State, event: ReplanOrdered, now_us: int) -> tuple[Scheduled, ...]:
+def _on_replan(state: State, event: ReplanOrdered, _now_us: int) -> tuple[Scheduled, ...]:
     action_id = state.task[event.task_id].action_id
-    return (Scheduled(ResumeAction(action_id), state.fleet.structure.replan_us, (message(action_id, f"replan{now_us}"),)),)
+    segment = state.execution.actions[action_id].segments
+    return (Scheduled(ResumeAction(action_id), state.fleet.structure.replan_us, (message(action_id, f"replan{segment}"),)),)
 
 
 def _on_routine(_state: State, event: RoutineDue, _now_us: int) -> tuple[Scheduled, ...]:

@@ -26,7 +26,7 @@ from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, Compl
 from . import recovery
 from .coordinator import ProcessWork, ReachCoordinator, by_coordinator, candidates_of, copied_policy, to_coordinator, until_next_sync_us
 
-AGAIN = "assigned again"
+AGAIN = "assigned again: "
 
 
 class CommandReviewed(Command):
@@ -80,7 +80,7 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
     if outcome == "deny":
         return (*records, RequestDenied(request.task_id, None, None, **by_coordinator(), executed_by=robot, reason="policy"))
     if outcome == "review" and command.action_id not in state.supervision:
-        return (*records, SupervisorCalled(request.task_id, command.action_id, FLEET_SUPERVISOR, "review"))
+        return (*records, SupervisorCalled(request.task_id, command.action_id, FLEET_SUPERVISOR, "review", robot))
     return (*records, *_commanded(request, robot, not idle))
 
 
@@ -89,9 +89,8 @@ def command_reviewed(state: State, command: CommandReviewed) -> tuple[Event, ...
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    candidates = candidates_of(state, command.action_id)
-    idle = [robot for robot in candidates if robot not in state.knowledge.copy.busy]
-    return _commanded(request, idle[0] if idle else candidates[0], not idle)
+    robot = request.target or request.requester
+    return _commanded(request, robot, robot in state.knowledge.copy.busy)
 
 
 def _commanded(request: Request, robot: str, seen_busy: bool) -> tuple[Event, ...]:
@@ -120,7 +119,7 @@ def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
         return (_queued(request, robot),)
     task_id = state.execution.actions[running].task_id
     return (
-        AuthorityClaimed(task_id, running, "execution", request.requester, AGAIN),
+        AuthorityClaimed(task_id, running, "execution", request.requester, AGAIN + request.action_id),
         SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "ordering"),
     )
 
@@ -131,10 +130,10 @@ def queue_ordered(state: State, command: QueueOrdered) -> tuple[Event, ...]:
     if request is None:
         return ()
     released = [
-        AuthorityReleased(claim.task_id, claim.action_id, "execution", claim.claimant, AGAIN)
+        AuthorityReleased(claim.task_id, claim.action_id, "execution", claim.claimant, claim.reason)
         for claims in state.authority.values()
         for claim in claims
-        if claim.claimant == request.requester and claim.reason == AGAIN
+        if claim.reason == AGAIN + request.action_id
     ]
     return (*released, _queued(request, request.target or request.requester))
 

@@ -10,6 +10,7 @@ from fsar_ledger.events.request import ContractQuestioned, InternalHandoff
 from fsar_ledger.events.world import ContextChanged, SnapshotPhaseSet
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.attribution import is_injected, on_shift
 from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, Decides, Reacts, Scheduled
@@ -68,15 +69,26 @@ def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
             continue
         claimants = (planner(robot), agent(robot, "execution")) if robot == action.robot else (planner(robot), planner(action.robot))
         made += claims(state, action, "override", claimants, "context change")
-        if action.is_delegated and action.stage in ("queued", "approaching"):
-            made.append(ContractQuestioned(action.task_id, action.action_id, robot))
+    for request in state.request.values():
+        if request.target is not None and robot in (request.requester, request.target) and not _has_started(state, request):
+            made.append(ContractQuestioned(request.task_id, request.action_id, robot))
     return tuple(made)
+
+
+def _has_started(state: State, request: Request) -> bool:
+    """True when no contract is left to question: the action runs, has ended, or is an outsider's, which has none."""
+    action = state.execution.actions.get(request.action_id)
+    if action is None:
+        return request.step == 0 or request.is_accepted
+    return action.stage not in ("queued", "approaching")
 
 
 def claims(state: State, action: Action, dimension: Any, claimants: tuple[str, ...], reason: str) -> list[AuthorityClaimed]:
     """The claims that these agents make and do not hold already."""
-    known = {(claim.dimension, claim.claimant) for claim in state.authority.get(action.action_id, ())}
-    return [AuthorityClaimed(action.task_id, action.action_id, dimension, claimant, reason) for claimant in claimants if (dimension, claimant) not in known]
+    known = {(claim.dimension, claim.claimant, claim.reason) for claim in state.authority.get(action.action_id, ())}
+    return [
+        AuthorityClaimed(action.task_id, action.action_id, dimension, claimant, reason) for claimant in claimants if (dimension, claimant, reason) not in known
+    ]
 
 
 def released(state: State, action_id: str, reason: str | None = None) -> tuple[AuthorityReleased, ...]:

@@ -21,8 +21,8 @@ from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import RoutineDue
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.handlers.attribution import on_shift
-from fsar_ledger.runtime.handlers.commands import BeginStep, Command, Decides, Draw, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn, hop, hops, message
-from fsar_ledger.runtime.handlers.execution import start_action, started
+from fsar_ledger.runtime.handlers.commands import BeginStep, Command, Decides, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn, hop, hops, message
+from fsar_ledger.runtime.handlers.execution import start_after_approach, started
 
 from .agents import handoff, path, released, round_trip, snapshot
 
@@ -147,16 +147,16 @@ def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Sch
 
 
 def _on_approach(state: State, event: ApproachStarted, _now_us: int) -> tuple[Scheduled, ...]:
-    capability = state.execution.actions[event.action_id].capability
-    return (start_action(event.action_id, capability, 0, (Draw("approach", event.action_id),)),)
+    return (start_after_approach(state, event),)
 
 
-def _on_pause(state: State, event: ExecutionPaused, now_us: int) -> tuple[Scheduled, ...]:
+def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
     """Replanning goes through the robot's agents, and for a delegated action through the other robot's too."""
     structure = state.fleet.structure
-    key = f"{event.action_id}/replan{now_us}"
+    action = state.execution.actions[event.action_id]
+    key = f"{event.action_id}/replan{action.segments}"
     talk = Scheduled(TalkReplan(event.action_id))
-    if not state.execution.actions[event.action_id].is_delegated:
+    if not action.is_delegated:
         return (talk, Scheduled(ResumeAction(event.action_id), structure.replan_us, hops(state, key, "own", 3)))
     way = (*hops(state, key, "own", 3), message(key, 0), message(key, 1), *hops(state, key, "other", 4))
     return (talk, Scheduled(ResumeAction(event.action_id), structure.replan_us + structure.renegotiation_us, way))

@@ -25,7 +25,20 @@ from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, on_shift, pending_of_other_task
-from fsar_ledger.runtime.handlers.commands import BeginStep, CloseExecution, CloseRequest, Command, CompleteStep, Decides, Reacts, Scheduled, hop, hops, message
+from fsar_ledger.runtime.handlers.commands import (
+    BeginStep,
+    CloseExecution,
+    CloseRequest,
+    Command,
+    CompleteStep,
+    Decides,
+    Draw,
+    Reacts,
+    Scheduled,
+    hop,
+    hops,
+    message,
+)
 
 from .agents import handoff, path, snapshot
 
@@ -185,10 +198,10 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     return (RequestClosed(**context, **path(request.requester, "communication", "planning")),)
 
 
-def call(state: State, request: Request, robot: str) -> Scheduled:
-    """The call reaches the candidate and goes from its communication agent to its planner."""
+def call(state: State, request: Request, robot: str, before: tuple[Draw, ...] = ()) -> Scheduled:
+    """The call reaches the candidate and goes from its communication agent to its planner; `before` comes first."""
     key = f"{request.action_id}/{request.round}/{robot}"
-    return Scheduled(EvaluateBid(request.action_id, robot), 0, (message(key, "call"), *hops(state, key, "evaluate", 2)))
+    return Scheduled(EvaluateBid(request.action_id, robot), 0, (*before, message(key, "call"), *hops(state, key, "evaluate", 2)))
 
 
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
@@ -240,8 +253,8 @@ def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Schedul
     """Both sides' agents agree that it is void and negotiate again, under the same action."""
     request = state.request[event.action_id]
     key = f"{request.action_id}/{request.round}/void"
-    delay = (*hops(state, key, "void", 3), message(key, "void"), hop(state, key, "again"))
-    return tuple(Scheduled(EvaluateBid(request.action_id, robot), 0, delay) for robot in request.candidates)
+    agreed = (*hops(state, key, "void", 3), message(key, "void"), hop(state, key, "again"))
+    return tuple(call(state, request, robot, agreed) for robot in request.candidates)
 
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:

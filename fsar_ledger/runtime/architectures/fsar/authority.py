@@ -66,8 +66,8 @@ def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
     if state.fleet.configuration != "without-trust-evaluation":
         supervisor = on_shift(state, robot)
         return (
-            RegistryQueried(task_id, task_id, robot, REGISTRY, supervisor, request.capability, ()),
-            RequestDenied(task_id, task_id, task_id, REGISTRY, robot, REGISTRY, supervisor, (REGISTRY,), "not visible"),
+            RegistryQueried(task_id, task_id, robot, None, supervisor, request.capability, ()),
+            RequestDenied(task_id, task_id, task_id, REGISTRY, robot, None, supervisor, (REGISTRY,), "not visible"),
         )
     ids = (task_id, task_id, task_id)
     requester: dict[str, Any] = {"decided_by": robot, "requested_by": robot, "executed_by": peer, "supervised_by": None, "path": (robot,)}

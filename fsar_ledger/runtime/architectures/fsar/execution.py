@@ -1,6 +1,7 @@
 """FSAR: the robot that executes decides when; own steps and routine need nobody else. Paper: sec:architecture:local."""
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import PolicyOutcome
 from fsar_ledger.events.execution import ApproachStarted, ExecutionHeld, ExecutionPaused, ExecutionQueued, OwnStepDecided, RoutinePerformed, RoutineWithheld
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.task import StepBegan
@@ -9,8 +10,8 @@ from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.attribution import on_shift, principals
-from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, Reacts, ResumeAction, Scheduled, StartAction, message
-from fsar_ledger.runtime.handlers.execution import pause_running, start_action, started
+from fsar_ledger.runtime.handlers.commands import Command, Decides, Reacts, ResumeAction, Scheduled, StartAction, message
+from fsar_ledger.runtime.handlers.execution import pause_running, start_action, start_after_approach, started
 
 
 class DecideOwnStep(Command):
@@ -56,12 +57,19 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     if command.action_id not in state.supervision:
         local = in_force(state.world.local, action.robot)
         if local != "allow":
-            decided_by = None if action.is_delegated or action.stage in ("held", "polling") else action.robot
+            decided_by = None if action.is_delegated or action.was_denied else action.robot
             return (_held(state, action, local, "local-policy", decided_by),)
-        rule = state.knowledge.fleet_rule.get(action.robot, "allow")
-        if not action.is_delegated and rule != "allow" and state.fleet.configuration != "without-policy-composition":
+        rule = heard_rule(state, action.robot)
+        if not action.is_delegated and rule != "allow":
             return (_held(state, action, rule, "fleet-rule", None),)
     return (started(state, action, command),)
+
+
+def heard_rule(state: State, robot: str) -> PolicyOutcome:
+    """The fleet's rule for the robot's zone as it last heard it; without policy composition nobody asks for it."""
+    if state.fleet.configuration == "without-policy-composition":
+        return "allow"
+    return state.knowledge.fleet_rule.get(robot, "allow")
 
 
 def _held(state: State, action: Action, outcome: str, reason: str, decided_by: str | None) -> ExecutionHeld:
@@ -82,10 +90,8 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """The robot has done its routine operation; a motion only if its own policy and the fleet's rule are clear."""
     robot = command.robot
     context = (robot, robot, robot, on_shift(state, robot), (robot,), robot, command.operation)
-    if command.operation == "motion":
-        rule = state.knowledge.fleet_rule.get(robot, "allow")
-        if in_force(state.world.local, robot) != "allow" or rule != "allow":
-            return (RoutineWithheld(*context),)  # type: ignore[arg-type]
+    if command.operation == "motion" and (in_force(state.world.local, robot) != "allow" or heard_rule(state, robot) != "allow"):
+        return (RoutineWithheld(*context),)  # type: ignore[arg-type]
     return (RoutinePerformed(*context),)  # type: ignore[arg-type]
 
 
@@ -101,8 +107,7 @@ def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, 
 
 
 def _on_approach(state: State, event: ApproachStarted, _now_us: int) -> tuple[Scheduled, ...]:
-    capability = state.execution.actions[event.action_id].capability
-    return (start_action(event.action_id, capability, 0, (Draw("approach", event.action_id),)),)
+    return (start_after_approach(state, event),)
 
 
 def _on_hold(state: State, event: ExecutionHeld, _now_us: int) -> tuple[Scheduled, ...]:

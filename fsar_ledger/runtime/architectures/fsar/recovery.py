@@ -18,14 +18,14 @@ from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
-from fsar_ledger.projections.world import in_force
+from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.handlers.attribution import helpers, is_idle, on_shift, principals, stand_ins
 from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, message
 from fsar_ledger.runtime.handlers.execution import NAVIGATION
 from fsar_ledger.runtime.handlers.recovery import attempt_succeeds
 
 from .authority import released
-from .request import compose, trusts
+from .request import compose
 
 ASSISTING_SCOPES = ("task", "session", "persistent")  # capability scope does not cover assistance
 
@@ -37,7 +37,7 @@ class StartRecovery(Command):
 
 
 class AskPeers(Command):
-    """The question for help has been to the peers and back."""
+    """The question for help has reached the peers."""
 
     action_id: str
 
@@ -184,8 +184,10 @@ def _reassignee(state: State, action: Action) -> str | None:
     request = state.request.get(action.action_id)
     if action.capability == NAVIGATION or request is None:
         return None
+    asking = in_force(state.world.local, action.on_behalf_of)
     for name in stand_ins(state, action):
-        is_admissible = name != action.on_behalf_of and trusts(state, name, action.on_behalf_of) and compose(state, request, name) == "allow"
+        is_trusted = state.trust.get((name, action.on_behalf_of), "none") != "none"  # recovery keeps its trust gate
+        is_admissible = name != action.on_behalf_of and is_trusted and stricter(asking, compose(state, request, name)) == "allow"
         if is_admissible and is_idle(state, name):
             return name
     return None
@@ -204,14 +206,15 @@ def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[S
 def _on_escalation(_state: State, event: RecoveryEscalated, _now_us: int) -> tuple[Scheduled, ...]:
     key = f"{event.failed_action}/{event.failure}"
     if event.to_level == "peer":
-        return (Scheduled(AskPeers(event.failed_action), 0, (message(key, "peer"), message(key, "answer"))),)
-    if event.to_level == "fleet":
-        return (Scheduled(ConsiderReassignment(event.failed_action), 0, (message(key, "fleet"),)),)
+        return (Scheduled(AskPeers(event.failed_action), 0, (message(key, "peer"),)),)
+    if event.to_level == "fleet":  # the peers' refusals come back before the orchestrator is asked
+        return (Scheduled(ConsiderReassignment(event.failed_action), 0, (message(key, "answer"), message(key, "fleet"))),)
     return ()
 
 
 def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(EndAssistance(event.action_id, event.helper), state.fleet.structure.assistance_us),)
+    answer = message(f"{event.action_id}/{event.failure}", "answer")
+    return (Scheduled(EndAssistance(event.action_id, event.helper), state.fleet.structure.assistance_us, (answer,)),)
 
 
 DECIDES: Decides = {

@@ -2,7 +2,7 @@
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import COORDINATION, FLEET_SUPERVISOR, REGISTRY, PolicyOutcome
+from fsar_ledger.events.envelope import COORDINATION, FLEET_SUPERVISOR, PolicyOutcome
 from fsar_ledger.events.execution import ApproachStarted, ExecutionFinished, ExecutionQueued
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import (
@@ -22,7 +22,7 @@ from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import in_force, stricter
-from fsar_ledger.runtime.handlers.attribution import capable, is_idle, on_shift
+from fsar_ledger.runtime.handlers.attribution import capable, is_idle, nearest_first, on_shift
 from fsar_ledger.runtime.handlers.commands import BeginStep, CloseRequest, Command, CompleteStep, Decides, Reacts, Scheduled, TakeTurn, message
 
 Found = tuple[tuple[str, ...], str | None]  # candidates, relay
@@ -74,18 +74,28 @@ def discover(state: State, request: Request) -> Found:
 
     Paper: sec:architecture:registry, eq:nontransitive.
     """
-    role = state.fleet.robots[request.requester].role
-    roles = dict(state.registry.get(request.capability, ()))
-    is_open = state.fleet.configuration == "without-trust-evaluation"
-    visible = [name for name in capable(state, request.capability, request.requester) if is_open or not roles[name] or role in roles[name]]
+    visible = _visible(state, request)
     direct = [name for name in visible if trusts(state, name, request.requester)]
     if direct:
         return tuple(sorted(direct, key=lambda name: not is_idle(state, name))), None
-    for name in visible:
-        for peer in state.fleet.robots:
-            if peer not in (name, request.requester) and trusts(state, peer, request.requester) and trusts(state, name, peer):
-                return (name,), peer
+    for name in sorted(visible, key=lambda name: not is_idle(state, name)):
+        for peer in _relays(state, request, name):
+            return (name,), peer
     return (), None
+
+
+def _visible(state: State, request: Request) -> list[str]:
+    """Capable robots whose advertisement the requester's role may see, nearest team first. Paper: eq:advertise."""
+    role = state.fleet.robots[request.requester].role
+    roles = dict(state.registry.get(request.capability, ()))
+    is_open = state.fleet.configuration == "without-trust-evaluation"
+    return [name for name in capable(state, request.capability, request.requester) if is_open or not roles[name] or role in roles[name]]
+
+
+def _relays(state: State, request: Request, name: str) -> list[str]:
+    """Peers that both the requester and the executor trust, so that each link is admissible by itself, nearest team first."""
+    others = [peer for peer in state.fleet.robots if peer not in (name, request.requester)]
+    return [peer for peer in nearest_first(state, others, request.requester) if trusts(state, peer, request.requester) and trusts(state, name, peer)]
 
 
 def compose(state: State, request: Request, executor: str) -> PolicyOutcome:
@@ -108,7 +118,7 @@ def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
             if request.attempt > 1:
                 return (PeerSought(request.task_id, request.action_id, request.requester),)
             return (_unanswered(state, request),)
-        found = (_queried(state, request, request.requester, candidates, relay),)
+        found = (_queried(state, request, candidates, relay),)
     return (
         GapDetected(request.task_id, request.action_id, request.requester, None, on_shift(state, request.requester), request.capability),
         *found,
@@ -116,10 +126,23 @@ def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
 
 
 def _among_met(state: State, request: Request, now_us: int) -> Found:
-    candidates, relay = discover(state, request)
+    """The same without a registry: only robots that were met lately, each link of a chain by itself."""
     met = state.knowledge.met
-    known = tuple(name for name in candidates if met.get((request.requester, relay or name), -1) >= now_us)
-    return known, relay if known else None
+
+    def knows(robot: str, peer: str) -> bool:
+        return met.get((robot, peer), -1) >= now_us
+
+    visible = _visible(state, request)
+    direct = tuple(name for name in visible if trusts(state, name, request.requester) and knows(request.requester, name))
+    if direct:
+        return direct, None
+    for name in visible:
+        if trusts(state, name, request.requester):
+            continue
+        for peer in _relays(state, request, name):
+            if knows(request.requester, peer) and knows(peer, name):
+                return (name,), peer
+    return (), None
 
 
 def _unanswered(state: State, request: Request) -> RequestUnanswered:
@@ -128,9 +151,9 @@ def _unanswered(state: State, request: Request) -> RequestUnanswered:
     return RequestUnanswered(request.task_id, request.action_id, robot, robot, None, supervisor, (robot,), request.capability)
 
 
-def _queried(state: State, request: Request, by: str, candidates: tuple[str, ...], relay: str | None) -> RegistryQueried:
+def _queried(state: State, request: Request, candidates: tuple[str, ...], relay: str | None) -> RegistryQueried:
     supervisor = on_shift(state, request.requester)
-    executor = candidates[0] if candidates else by
+    executor = candidates[0] if candidates else None
     return RegistryQueried(request.task_id, request.action_id, request.requester, executor, supervisor, request.capability, candidates, relay)
 
 
@@ -140,7 +163,7 @@ def query_registry(state: State, command: QueryRegistry) -> tuple[Event, ...]:
     if request is None:
         return ()
     candidates, relay = discover(state, request)
-    return (_queried(state, request, REGISTRY, candidates, relay),)
+    return (_queried(state, request, candidates, relay),)
 
 
 def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
@@ -262,9 +285,8 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    executor = request.candidates[0] if request.candidates else None
     supervisor = on_shift(state, request.requester)
-    context = (request.task_id, request.action_id, request.action_id, COORDINATION, request.requester, executor, supervisor)
+    context = (request.task_id, request.action_id, request.action_id, COORDINATION, request.requester, request.target, supervisor)
     return (RequestClosed(*context, (COORDINATION,)),)
 
 
