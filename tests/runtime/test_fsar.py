@@ -1,12 +1,15 @@
 """FSAR's handlers: given events, when a command, then events."""
 
+from fsar_ledger.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
-from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
+from fsar_ledger.events.execution import ApproachStarted, ExecutionHeld, ExecutionStarted
 from fsar_ledger.events.knowledge import FleetRuleLearned
+from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, RequestDenied, RequestIssued, RequestUnanswered
-from fsar_ledger.events.world import ObstructionAppeared, OutsiderRequestInjected, SupervisorLeft
-from fsar_ledger.projections.fold import apply
+from fsar_ledger.events.task import StepBegan
+from fsar_ledger.events.world import ObstructionAppeared, ObstructionCleared, OutsiderRequestInjected, SupervisorLeft, TaskArrived
+from fsar_ledger.projections.fold import apply, fold
 from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider, Revoke, answer_outsider, close_execution, revoke
 from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, DecideRoutine, decide_own_step, decide_routine, start
 from fsar_ledger.runtime.architectures.fsar.recovery import (
@@ -30,7 +33,9 @@ from fsar_ledger.runtime.architectures.fsar.request import (
     take_turn,
 )
 from fsar_ledger.runtime.handlers.commands import CloseExecution, DetectObstruction, EndAttempt, StartAction, TakeTurn
-from fsar_ledger.runtime.handlers.execution import detect_obstruction
+from fsar_ledger.runtime.handlers.execution import _on_running, detect_obstruction, start_after_approach
+from fsar_ledger.runtime.simulation import RunSpec, run_started
+from fsar_ledger.runtime.world.scenarios import founding
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
 
 REQUESTED = (ARRIVED, DELEGATED_STEP, RegistryQueried("A1-1", "A1-1/2.1", "robot/A1", "robot/B1", None, "door.open.secure", ("robot/B1",)))
@@ -257,3 +262,37 @@ def test_without_trust_evaluation_the_outsider_runs_under_contested_audit() -> N
     injected = OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.private_zone")
     events = answer_outsider(given("fsar", injected, configuration="without-trust-evaluation"), AnswerOutsider("injected-1-1"))
     assert {event.claimant for event in events if isinstance(event, AuthorityClaimed) and event.dimension == "audit"} == {"robot/D1", "supervisor/fleet"}
+
+
+def test_an_execution_that_starts_in_the_way_of_something_finishes_if_that_goes_at_once() -> None:
+    state, action_id = executing(ObstructionAppeared("robot/B1", "o"))
+    started = ExecutionStarted("A1-1", action_id, None, None, None, "robot/B1", "robot/A1", "door.open.secure", 11_000_000)
+    scheduled = [type(one.command).__name__ for one in _on_running(state, started, 9_000_000)]
+    assert scheduled == ["DetectObstruction", "FinishAttempt"]
+    apply(state, ObstructionCleared("robot/B1", "o"))
+    assert detect_obstruction(state, DetectObstruction(action_id, now_us=9_000_001)) == ()
+
+
+def test_a_local_recovery_clears_nothing_but_what_was_clear() -> None:
+    resolved = FailureResolved("A1-1", "A1-1/1.1", "robot/A1", 1, "local")
+    helped = FailureResolved("A1-1", "A1-1/1.1", "robot/A1", 1, "peer")
+    in_the_way = ObstructionAppeared("robot/A1", "o")
+    assert given("fsar", in_the_way, resolved).world.obstructions["robot/A1"] == ("o",)
+    assert given("fsar", in_the_way, helped).world.obstructions["robot/A1"] == ()
+
+
+def test_the_relay_is_the_nearest_teams() -> None:
+    spec = RunSpec(1, "fsar", "full", "door-relay", 8, 0)
+    step = StepBegan("D2-1", "D2-1/1.1", "robot/D2", 1, 1, "door.open.secure", "B")
+    arrived = TaskArrived("D2-1", "robot/D2", 2, ("D door.open.secure B",), 1, 1)
+    state = fold((run_started(spec, Constants()), *founding(8), arrived, step))
+    [answer] = query_registry(state, QueryRegistry("D2-1/1.1"))
+    assert (answer.candidates, answer.relay) == (("robot/B2",), "robot/A2")  # type: ignore[attr-defined]
+
+
+def test_a_second_approach_for_an_action_is_another_way() -> None:
+    state, action_id = failed()
+    approach = ApproachStarted("A1-1", action_id, "robot/B1")
+    again = start_after_approach(state, approach).draws[0].key
+    first = start_after_approach(executing()[0], approach).draws[0].key
+    assert (first, again) == (action_id, f"{action_id}/1")
