@@ -18,11 +18,13 @@ from typing import get_args
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.polars_metrics import GROUP, EventClasses, eight_metrics
+from fsar_ledger.constants import Constants
 from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.experiment import Experiment, simulate
+from fsar_ledger.runtime.simulation import run_id, run_started
 
 TOLERANCE = 1e-9
 Numbers = dict[tuple[str, str, int, str], float]
@@ -30,10 +32,11 @@ Numbers = dict[tuple[str, str, int, str], float]
 
 def ledger_of(events: int, cache: Path, workers: int) -> Path:
     """A ledger with about so many events: five scenarios, three architectures, as many runs as it takes."""
-    probe = cache / "probe"
-    per_run = simulate(probe, experiment(4), workers, None).size / (15 * 4)
+    with tempfile.TemporaryDirectory() as probe:
+        per_run = simulate(Path(probe) / "probe", experiment(4), workers, None).size / (15 * 4)
     runs = max(4, round(events / per_run / 15))
-    ledger = cache / f"runs-{runs}"
+    model = run_id(run_started(next(experiment(1).specs()), Constants()))[-12:]  # another model has another cache
+    ledger = cache / f"runs-{runs}-{model}"
     print(f"ledger of {runs} runs per scenario and architecture: {ledger}", flush=True)
     simulate(ledger, experiment(runs), workers, None)
     return ledger

@@ -51,8 +51,8 @@ def failures(events: pl.LazyFrame) -> pl.LazyFrame:
 def conflicts(events: pl.LazyFrame) -> pl.LazyFrame:
     subject = [*ACTION, "dimension"]
     is_release = pl.col("type") == "AuthorityReleased.v1"
-    ended_us = pl.when(is_release).then("time_us").shift(-1).backward_fill().over([*subject, "claimant"])
-    edges = of(events, "AuthorityClaimed", "AuthorityReleased").select("type", "time_us", *subject, "claimant")
+    ended_us = pl.when(is_release).then("time_us").shift(-1).backward_fill().over([*subject, "claimant", "reason"])
+    edges = of(events, "AuthorityClaimed", "AuthorityReleased").select("type", "time_us", *subject, "claimant", "reason")
     held = edges.with_columns(ended_us.fill_null(2**62).alias("ended_us")).filter(~is_release & (pl.col("ended_us") > pl.col("time_us")))
     pairs = held.join(held, on=subject, how="inner").filter(
         (pl.col("claimant") < pl.col("claimant_right")) & (pl.col("time_us") < pl.col("ended_us_right")) & (pl.col("time_us_right") < pl.col("ended_us"))
