@@ -7,11 +7,11 @@ from fsar_ledger.events.request import CommandIssued, GapDetected
 from fsar_ledger.events.world import ActuatorDegraded, ObstructionAppeared
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.architectures.cfc.coordinator import ProcessWork, ReachCoordinator, Sync, reach_coordinator, sync, until_next_sync_us
-from fsar_ledger.runtime.architectures.cfc.execution import DecideRoutine, SafeStop, decide_routine, safe_stop, start, take_turn
+from fsar_ledger.runtime.architectures.cfc.execution import SafeStop, decide_routine, safe_stop, start
 from fsar_ledger.runtime.architectures.cfc.recovery import ReachHelper, end_attempt, reach_helper
 from fsar_ledger.runtime.architectures.cfc.request import QueueOrdered, ReceiveCommand, close_execution, process, queue_ordered, receive_command
-from fsar_ledger.runtime.handlers.commands import CloseExecution, DetectObstruction, EndAttempt, StartAction, TakeTurn
-from fsar_ledger.runtime.handlers.execution import detect_obstruction
+from fsar_ledger.runtime.handlers.commands import CloseExecution, DecideRoutine, DetectObstruction, EndAttempt, StartAction, TakeTurn
+from fsar_ledger.runtime.handlers.execution import approach, detect_obstruction
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
 
 ACTION = "A1-1/2.1"
@@ -29,7 +29,7 @@ def running(*before) -> State:  # type: ignore[no-untyped-def]
     state = commanded(*before)
     for event in receive_command(state, ReceiveCommand(ACTION)):
         apply(state, event)
-    for event in take_turn(state, TakeTurn(ACTION)):
+    for event in approach(state, TakeTurn(ACTION)):
         apply(state, event)
     for event in start(state, StartAction(ACTION, now_us=9_000_000, drawn=2_000_000)):
         apply(state, event)

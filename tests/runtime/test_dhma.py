@@ -17,7 +17,7 @@ from fsar_ledger.runtime.architectures.dhma.authority import (
     run_outsider,
     settle_booking,
 )
-from fsar_ledger.runtime.architectures.dhma.execution import DecideRoutine, PlanOwnStep, decide_routine, plan_own_step, start, take_turn
+from fsar_ledger.runtime.architectures.dhma.execution import PlanOwnStep, decide_routine, plan_own_step, start
 from fsar_ledger.runtime.architectures.dhma.recovery import Dispute, Escalate, StartRecovery, dispute, end_attempt, escalate, start_recovery
 from fsar_ledger.runtime.architectures.dhma.request import (
     AcceptAward,
@@ -29,8 +29,8 @@ from fsar_ledger.runtime.architectures.dhma.request import (
     call_for_proposals,
     evaluate_bid,
 )
-from fsar_ledger.runtime.handlers.commands import CloseExecution, DetectObstruction, EndAttempt, StartAction, TakeTurn
-from fsar_ledger.runtime.handlers.execution import detect_obstruction
+from fsar_ledger.runtime.handlers.commands import CloseExecution, DecideRoutine, DetectObstruction, EndAttempt, StartAction, TakeTurn
+from fsar_ledger.runtime.handlers.execution import approach, detect_obstruction
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
 
 ACTION = "A1-1/2.1"
@@ -47,7 +47,7 @@ def accepted(*before) -> State:  # type: ignore[no-untyped-def]
 
 def running(*before) -> State:  # type: ignore[no-untyped-def]
     state = accepted(*before)
-    for event in take_turn(state, TakeTurn(ACTION)):
+    for event in approach(state, TakeTurn(ACTION)):
         apply(state, event)
     for event in start(state, StartAction(ACTION, now_us=9_000_000, drawn=2_000_000)):
         apply(state, event)
@@ -113,7 +113,7 @@ def test_a_context_change_questions_a_contract_that_has_not_started() -> None:
     questioned = engage_planner(state, EngagePlanner("robot/A1", now_us=5_000_000))
     assert types(questioned) == ["PlannerEngaged", "AuthorityClaimed", "AuthorityClaimed", "ContractQuestioned"]
     assert {event.claimant for event in questioned if isinstance(event, AuthorityClaimed)} == {"agent/A1/planning", "agent/B1/planning"}
-    for event in (*questioned, *take_turn(state, TakeTurn(ACTION))):
+    for event in (*questioned, *approach(state, TakeTurn(ACTION))):
         apply(state, event)
     voided = start(state, StartAction(ACTION, now_us=9_000_000, drawn=1))
     assert "ContractVoided" in types(voided)

@@ -11,7 +11,7 @@ from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import ObstructionAppeared, ObstructionCleared, OutsiderRequestInjected, SupervisorLeft, TaskArrived
 from fsar_ledger.projections.fold import apply, fold
 from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider, Revoke, answer_outsider, close_execution, revoke
-from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, DecideRoutine, decide_own_step, decide_routine, start
+from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, decide_own_step, decide_routine, start
 from fsar_ledger.runtime.architectures.fsar.recovery import (
     AskPeers,
     ConsiderReassignment,
@@ -32,7 +32,7 @@ from fsar_ledger.runtime.architectures.fsar.request import (
     query_registry,
     take_turn,
 )
-from fsar_ledger.runtime.handlers.commands import CloseExecution, DetectObstruction, EndAttempt, StartAction, TakeTurn
+from fsar_ledger.runtime.handlers.commands import CloseExecution, DecideRoutine, DetectObstruction, EndAttempt, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.execution import _on_running, detect_obstruction, start_after_approach
 from fsar_ledger.runtime.simulation import RunSpec, run_started
 from fsar_ledger.runtime.world.scenarios import founding
@@ -292,7 +292,7 @@ def test_the_relay_is_the_nearest_teams() -> None:
 
 def test_a_second_approach_for_an_action_is_another_way() -> None:
     state, action_id = failed()
-    approach = ApproachStarted("A1-1", action_id, "robot/B1")
-    again = start_after_approach(state, approach).draws[0].key
-    first = start_after_approach(executing()[0], approach).draws[0].key
+    way = ApproachStarted("A1-1", action_id, "robot/B1")
+    again = start_after_approach(state, way, 0)[0].draws[0].key
+    first = start_after_approach(executing()[0], way, 0)[0].draws[0].key
     assert (first, again) == (action_id, f"{action_id}/1")

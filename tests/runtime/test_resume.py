@@ -16,8 +16,9 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
 from fsar_ledger.ledger.codec import RunRecord, decode, encode
 from fsar_ledger.projections.fold import State, fold
-from fsar_ledger.runtime.architectures.fsar.execution import DecideRoutine, decide_routine
+from fsar_ledger.runtime.architectures.fsar.execution import decide_routine
 from fsar_ledger.runtime.architectures.wiring import Wiring
+from fsar_ledger.runtime.handlers.commands import DecideRoutine
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, kernel, simulate_run, wiring
 
 CONSTANTS = Constants()

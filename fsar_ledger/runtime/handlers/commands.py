@@ -139,3 +139,10 @@ class EndAssistance(Command):
 
     action_id: str
     helper: str
+
+
+class DecideRoutine(Command):
+    """A routine operation is due."""
+
+    robot: str
+    operation: str

@@ -14,12 +14,12 @@ from fsar_ledger.events.execution import (
     ExecutionWithdrawn,
 )
 from fsar_ledger.events.recovery import AssistanceEnded, FailureResolved
-from fsar_ledger.events.world import ContextChanged, ObstructionAppeared
+from fsar_ledger.events.world import ContextChanged, ObstructionAppeared, RoutineDue
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 
 from .attribution import is_injected, principals
-from .commands import Decides, DetectObstruction, Draw, FinishAttempt, PauseAction, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn
+from .commands import DecideRoutine, Decides, DetectObstruction, Draw, FinishAttempt, PauseAction, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn
 
 NAVIGATION = "navigate.indoor"
 
@@ -29,12 +29,12 @@ def start_action(action_id: str, capability: str, after_us: int = 1, draws: tupl
     return Scheduled(StartAction(action_id), after_us, draws, Draw(capability, action_id))
 
 
-def start_after_approach(state: State, event: ApproachStarted) -> Scheduled:
+def start_after_approach(state: State, event: ApproachStarted, _now_us: int) -> tuple[Scheduled, ...]:
     """The action starts when the robot has arrived; a second approach for the same action is another way."""
     action, request = state.execution.actions[event.action_id], state.request.get(event.action_id)
     again = action.failures + (request.round if request is not None else 0)
     way = Draw("approach", f"{event.action_id}/{again}" if again else event.action_id)
-    return start_action(event.action_id, action.capability, 0, (way,))
+    return (start_action(event.action_id, action.capability, 0, (way,)),)
 
 
 def started(state: State, action: Action, command: StartAction) -> ExecutionStarted:
@@ -49,6 +49,14 @@ def started(state: State, action: Action, command: StartAction) -> ExecutionStar
         capability=action.capability,
         ends_us=command.now_us + duration_us,
     )
+
+
+def approach(state: State, command: TakeTurn) -> tuple[Event, ...]:
+    """The robot approaches; nobody has to agree to that any more."""
+    action = state.execution.actions.get(command.action_id)
+    if action is None or action.stage != "queued":
+        return ()
+    return (ApproachStarted(action.task_id, action.action_id, action.robot),)
 
 
 def finish_attempt(state: State, command: FinishAttempt) -> tuple[Event, ...]:
@@ -140,6 +148,10 @@ def _on_resolved(_state: State, event: FailureResolved, _now_us: int) -> tuple[S
     return (Scheduled(ResumeAction(event.action_id)),)
 
 
+def _on_routine(_state: State, event: RoutineDue, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(DecideRoutine(event.robot, event.operation)),)
+
+
 DECIDES: Decides = {
     FinishAttempt: finish_attempt,
     DetectObstruction: detect_obstruction,
@@ -147,6 +159,8 @@ DECIDES: Decides = {
     ResumeAction: resume_action,
 }
 REACTS: Reacts = {
+    RoutineDue: _on_routine,
+    ApproachStarted: start_after_approach,
     ExecutionQueued: _on_queue,
     ExecutionFinished: _on_queue,
     ExecutionWithdrawn: _on_queue,

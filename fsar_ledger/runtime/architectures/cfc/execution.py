@@ -3,12 +3,12 @@
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
 from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, local_supervisor
-from fsar_ledger.events.execution import ApproachStarted, ExecutionPaused, ReplanOrdered, RoutinePerformed, RoutineWithheld
-from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, RoutineDue
+from fsar_ledger.events.execution import ExecutionPaused, ReplanOrdered, RoutinePerformed, RoutineWithheld
+from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.handlers.attribution import on_shift
-from fsar_ledger.runtime.handlers.commands import Command, Decides, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn, message
-from fsar_ledger.runtime.handlers.execution import pause_running, start_after_approach, started
+from fsar_ledger.runtime.handlers.commands import Command, DecideRoutine, Decides, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn, message
+from fsar_ledger.runtime.handlers.execution import approach, pause_running, started
 
 from .coordinator import ReachCoordinator, copied_policy, copied_rule, until_next_sync_us
 
@@ -24,21 +24,6 @@ class EndWatch(Command):
     """A policy window that a local supervisor watched over has closed."""
 
     window: str
-
-
-class DecideRoutine(Command):
-    """A routine operation is due."""
-
-    robot: str
-    operation: str
-
-
-def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
-    """The robot approaches."""
-    action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage != "queued":
-        return ()
-    return (ApproachStarted(action.task_id, action.action_id, action.robot),)
 
 
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
@@ -99,10 +84,6 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     return (RoutinePerformed(*context),)  # type: ignore[arg-type]
 
 
-def _on_approach(state: State, event: ApproachStarted, _now_us: int) -> tuple[Scheduled, ...]:
-    return (start_after_approach(state, event),)
-
-
 def _on_context(state: State, event: ContextChanged, now_us: int) -> tuple[Scheduled, ...]:
     paused = pause_running(state, event, now_us)
     return (*paused, Scheduled(SafeStop(event.robot, event.window))) if _held(state, event.robot) else paused
@@ -125,22 +106,16 @@ def _on_replan(state: State, event: ReplanOrdered, _now_us: int) -> tuple[Schedu
     return (Scheduled(ResumeAction(action_id), state.fleet.structure.replan_us, (message(action_id, f"replan{segment}"),)),)
 
 
-def _on_routine(_state: State, event: RoutineDue, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(DecideRoutine(event.robot, event.operation)),)
-
-
 DECIDES: Decides = {
-    TakeTurn: take_turn,
+    TakeTurn: approach,
     StartAction: start,
     SafeStop: safe_stop,
     EndWatch: end_watch,
     DecideRoutine: decide_routine,
 }
 REACTS: Reacts = {
-    ApproachStarted: _on_approach,
     ContextChanged: _on_context,
     PolicyWindowClosed: _on_window_closed,
     ExecutionPaused: _on_pause,
     ReplanOrdered: _on_replan,
-    RoutineDue: _on_routine,
 }

@@ -21,7 +21,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.runtime.handlers.attribution import helpers, is_idle
 from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, message
-from fsar_ledger.runtime.handlers.recovery import attempt_succeeds
+from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
 
 from .coordinator import ProcessWork, by_coordinator, copied_policy, to_coordinator
 
@@ -77,9 +77,10 @@ def _order_help(state: State, action: Action, recovery: Recovery) -> tuple[Event
 
 def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     """The ordered retry has resolved the failure, or not."""
-    action, recovery = state.execution.actions.get(command.action_id), state.recovery.get(command.action_id)
-    if action is None or recovery is None:
+    failure = open_failure(state, command.action_id)
+    if failure is None:
         return ()
+    action, recovery = failure
     about = (action.task_id, action.action_id, action.robot, recovery.failure)
     if attempt_succeeds(state, recovery, command):
         return (FailureResolved(*about, "local"),)
@@ -88,9 +89,10 @@ def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
 
 def reach_helper(state: State, command: ReachHelper) -> tuple[Event, ...]:
     """The helper helps, or answers that it is busy."""
-    action, recovery = state.execution.actions.get(command.action_id), state.recovery.get(command.action_id)
-    if action is None or recovery is None:
+    failure = open_failure(state, command.action_id)
+    if failure is None:
         return ()
+    action, recovery = failure
     if not is_idle(state, command.helper):
         return (AssistanceDeclined(action.task_id, action.action_id, action.robot, command.helper, recovery.failure),)
     return (
@@ -112,9 +114,10 @@ def reach_helper(state: State, command: ReachHelper) -> tuple[Event, ...]:
 
 def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
     """The helper has resolved the failure and is free again."""
-    action, recovery = state.execution.actions.get(command.action_id), state.recovery.get(command.action_id)
-    if action is None or recovery is None:
+    failure = open_failure(state, command.action_id)
+    if failure is None:
         return ()
+    action, recovery = failure
     about = (action.task_id, action.action_id, action.robot)
     return (AssistanceEnded(*about, command.helper, recovery.failure), FailureResolved(*about, recovery.failure, "fleet"))
 

@@ -5,7 +5,6 @@ from typing import Any
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR
 from fsar_ledger.events.execution import (
-    ApproachStarted,
     ExecutionPaused,
     ExecutionQueued,
     ExecutionWithdrawn,
@@ -18,11 +17,23 @@ from fsar_ledger.events.knowledge import PlannerEngaged
 from fsar_ledger.events.request import ContractVoided, RequestDenied
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
-from fsar_ledger.events.world import RoutineDue
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.handlers.attribution import on_shift
-from fsar_ledger.runtime.handlers.commands import BeginStep, Command, Decides, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn, hop, hops, message
-from fsar_ledger.runtime.handlers.execution import start_after_approach, started
+from fsar_ledger.runtime.handlers.commands import (
+    BeginStep,
+    Command,
+    DecideRoutine,
+    Decides,
+    Reacts,
+    ResumeAction,
+    Scheduled,
+    StartAction,
+    TakeTurn,
+    hop,
+    hops,
+    message,
+)
+from fsar_ledger.runtime.handlers.execution import approach, started
 
 from .agents import handoff, path, released, round_trip, snapshot
 
@@ -43,13 +54,6 @@ class TalkReplan(Command):
     """A paused action needs a new plan."""
 
     action_id: str
-
-
-class DecideRoutine(Command):
-    """A routine operation is due."""
-
-    robot: str
-    operation: str
 
 
 def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
@@ -77,14 +81,6 @@ def queue_own_step(state: State, command: QueueOwnStep) -> tuple[Event, ...]:
     robot = request.requester
     queued = (robot, robot, request.capability, request.step, request.attempt, False, False, True)
     return (ExecutionQueued(request.task_id, request.action_id, robot, robot, on_shift(state, robot), *queued),)
-
-
-def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
-    """The robot approaches."""
-    action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage != "queued":
-        return ()
-    return (ApproachStarted(action.task_id, action.action_id, action.robot),)
 
 
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
@@ -146,10 +142,6 @@ def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Sch
     return (Scheduled(QueueOwnStep(event.action_id), 0, (hop(state, event.action_id, "own"),)),)
 
 
-def _on_approach(state: State, event: ApproachStarted, _now_us: int) -> tuple[Scheduled, ...]:
-    return (start_after_approach(state, event),)
-
-
 def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
     """Replanning goes through the robot's agents, and for a delegated action through the other robot's too."""
     structure = state.fleet.structure
@@ -162,14 +154,10 @@ def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Sched
     return (talk, Scheduled(ResumeAction(event.action_id), structure.replan_us + structure.renegotiation_us, way))
 
 
-def _on_routine(_state: State, event: RoutineDue, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(DecideRoutine(event.robot, event.operation)),)
-
-
 DECIDES: Decides = {
     PlanOwnStep: plan_own_step,
     QueueOwnStep: queue_own_step,
-    TakeTurn: take_turn,
+    TakeTurn: approach,
     StartAction: start,
     TalkReplan: talk_replan,
     DecideRoutine: decide_routine,
@@ -179,7 +167,5 @@ REACTS: Reacts = {
     RequestDenied: _on_denial,
     SupervisorResponded: _on_response,
     OwnStepDecided: _on_own_step,
-    ApproachStarted: _on_approach,
     ExecutionPaused: _on_pause,
-    RoutineDue: _on_routine,
 }

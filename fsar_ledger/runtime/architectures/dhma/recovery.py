@@ -13,7 +13,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.runtime.handlers.attribution import principals
 from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, EndAttempt, Reacts, Scheduled, hops
-from fsar_ledger.runtime.handlers.recovery import attempt_succeeds
+from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
 
 from .agents import claims, handoff, path, planner, released, round_trip
 
@@ -38,11 +38,6 @@ class Escalate(Command):
     action_id: str
 
 
-def _open(state: State, action_id: str) -> tuple[Action, Recovery] | None:
-    action, recovery = state.execution.actions.get(action_id), state.recovery.get(action_id)
-    return None if action is None or recovery is None else (action, recovery)
-
-
 def _context(state: State, action: Action) -> dict[str, Any]:
     agents = path(action.robot, "recovery", "planning", "execution")
     return {"task_id": action.task_id, "action_id": action.action_id, **agents, **principals(state, action)}
@@ -54,7 +49,7 @@ def _is_disputed(state: State, action_id: str) -> bool:
 
 def dispute(state: State, command: Dispute) -> tuple[Event, ...]:
     """Recovery and planning agent both claim override until the failure is over."""
-    match _open(state, command.action_id):
+    match open_failure(state, command.action_id):
         case action, recovery if recovery.level == "local":
             claimants = (agent(action.robot, "recovery"), planner(action.robot))
             return tuple(claims(state, action, "override", claimants, DISPUTE))
@@ -64,7 +59,7 @@ def dispute(state: State, command: Dispute) -> tuple[Event, ...]:
 
 def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
     """The first attempt to recover has begun."""
-    match _open(state, command.action_id):
+    match open_failure(state, command.action_id):
         case action, recovery:
             told = (handoff(state, action.robot, "execution", "recovery"), *round_trip(state, action.robot, "recovery", "planning", 2))
             return (*told, _attempted(state, action, recovery))
@@ -86,7 +81,7 @@ def _attempted(state: State, action: Action, recovery: Recovery) -> RecoveryAtte
 
 def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     """The failure is resolved, or the next attempt has begun; a disputed one leaves only one attempt, and then loops."""
-    match _open(state, command.action_id):
+    match open_failure(state, command.action_id):
         case action, recovery if recovery.number == command.number and recovery.level == "local":
             about = (action.task_id, action.action_id, action.robot, recovery.failure)
             reported = (*round_trip(state, action.robot, "recovery", "planning", 2), handoff(state, action.robot, "recovery", "execution"))
@@ -103,7 +98,7 @@ def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
 
 def escalate(state: State, command: Escalate) -> tuple[Event, ...]:
     """H_F has been called."""
-    match _open(state, command.action_id):
+    match open_failure(state, command.action_id):
         case action, recovery if recovery.level == "local":
             return (*_escalated(state, action, recovery), *released(state, action.action_id, DISPUTE))
         case _:

@@ -2,29 +2,22 @@
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import PolicyOutcome
-from fsar_ledger.events.execution import ApproachStarted, ExecutionHeld, ExecutionPaused, ExecutionQueued, OwnStepDecided, RoutinePerformed, RoutineWithheld
+from fsar_ledger.events.execution import ExecutionHeld, ExecutionPaused, ExecutionQueued, OwnStepDecided, RoutinePerformed, RoutineWithheld
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.task import StepBegan
-from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, PolicyWindowOpened, RoutineDue
+from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.attribution import on_shift, principals
-from fsar_ledger.runtime.handlers.commands import Command, Decides, Reacts, ResumeAction, Scheduled, StartAction, message
-from fsar_ledger.runtime.handlers.execution import pause_running, start_action, start_after_approach, started
+from fsar_ledger.runtime.handlers.commands import Command, DecideRoutine, Decides, Reacts, ResumeAction, Scheduled, StartAction, message
+from fsar_ledger.runtime.handlers.execution import pause_running, start_action, started
 
 
 class DecideOwnStep(Command):
     """A step of the robot's own is due."""
 
     action_id: str
-
-
-class DecideRoutine(Command):
-    """A routine operation is due."""
-
-    robot: str
-    operation: str
 
 
 class LearnFleetRule(Command):
@@ -106,10 +99,6 @@ def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, 
     return (Scheduled(DecideOwnStep(event.action_id)),) if event.target_role is None else ()
 
 
-def _on_approach(state: State, event: ApproachStarted, _now_us: int) -> tuple[Scheduled, ...]:
-    return (start_after_approach(state, event),)
-
-
 def _on_hold(state: State, event: ExecutionHeld, _now_us: int) -> tuple[Scheduled, ...]:
     if event.reason != "fleet-rule":
         return ()
@@ -134,10 +123,6 @@ def _on_fleet_rule(state: State, event: PolicyWindowOpened | PolicyWindowClosed,
     return (Scheduled(word, 0, (message(event.window, edge),)),)
 
 
-def _on_routine(_state: State, event: RoutineDue, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(DecideRoutine(event.robot, event.operation)),)
-
-
 def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(ResumeAction(event.action_id), state.fleet.structure.replan_us),)
 
@@ -150,11 +135,9 @@ DECIDES: Decides = {
 }
 REACTS: Reacts = {
     StepBegan: _on_step,
-    ApproachStarted: _on_approach,
     ExecutionHeld: _on_hold,
     PolicyWindowOpened: _on_fleet_rule,
     PolicyWindowClosed: _on_window_closed,
-    RoutineDue: _on_routine,
     ExecutionPaused: _on_pause,
     ContextChanged: pause_running,
 }

@@ -22,7 +22,7 @@ from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.handlers.attribution import helpers, is_idle, on_shift, principals, stand_ins
 from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, message
 from fsar_ledger.runtime.handlers.execution import NAVIGATION
-from fsar_ledger.runtime.handlers.recovery import attempt_succeeds
+from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
 
 from .authority import released
 from .request import compose
@@ -46,11 +46,6 @@ class ConsiderReassignment(Command):
     """The failure has reached the recovery orchestrator."""
 
     action_id: str
-
-
-def _open(state: State, action_id: str) -> tuple[Action, Recovery] | None:
-    action, recovery = state.execution.actions.get(action_id), state.recovery.get(action_id)
-    return None if action is None or recovery is None else (action, recovery)
 
 
 def _context(state: State, action: Action, decided_by: str, is_decision: bool = True) -> dict[str, Any]:
@@ -83,7 +78,7 @@ def _attempted(state: State, action: Action, recovery: Recovery, deadline_us: in
 
 def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
     """The robot has begun to recover by itself; without layered recovery H_F is called at once."""
-    match _open(state, command.action_id):
+    match open_failure(state, command.action_id):
         case None:
             return ()
         case action, recovery:
@@ -96,7 +91,7 @@ def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
 
 def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     """The failure is resolved, or the next attempt has begun, or the budget is spent and recovery goes to the peers."""
-    match _open(state, command.action_id):
+    match open_failure(state, command.action_id):
         case action, recovery if recovery.number == command.number and recovery.level == "local":
             if attempt_succeeds(state, recovery, command):
                 return (FailureResolved(action.task_id, action.action_id, action.robot, recovery.failure, "local"),)
@@ -110,7 +105,7 @@ def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
 
 def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
     """A trusted idle peer helps, or recovery goes to the fleet. Paper: sec:model:recovery, level 2."""
-    match _open(state, command.action_id):
+    match open_failure(state, command.action_id):
         case None:
             return ()
         case action, recovery:
@@ -138,7 +133,7 @@ def _peer(state: State, action: Action, recovery: Recovery) -> str | None:
 
 def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
     """The peer has resolved the failure and is free again."""
-    match _open(state, command.action_id):
+    match open_failure(state, command.action_id):
         case action, recovery:
             about = (action.task_id, action.action_id, action.robot)
             return (AssistanceEnded(*about, command.helper, recovery.failure), FailureResolved(*about, recovery.failure, "peer"))
@@ -148,7 +143,7 @@ def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
 
 def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[Event, ...]:
     """Another robot takes the step over from its checkpoint, or H_F is called. Paper: sec:model:recovery, level 3."""
-    match _open(state, command.action_id):
+    match open_failure(state, command.action_id):
         case None:
             return ()
         case action, recovery:
