@@ -5,7 +5,8 @@ columns when a ledger is verified. Tests hold them equal.
 """
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice
 from typing import Any, Literal
 
 import msgspec
@@ -17,6 +18,7 @@ from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, LAYOUTS, Layout
 _ENCODER = msgspec.json.Encoder()
 _SORTING_ENCODER = msgspec.json.Encoder(order="sorted")
 _TEXT = pa.large_string()
+_ROWS_AT_ONCE = 256
 _PIVOT = "run_id"  # a column that is never NULL, so the commas can lean on it
 
 
@@ -35,16 +37,19 @@ def _row_type(layout: Layout) -> tuple[type[msgspec.Struct], tuple[str, ...]]:
 _ROW_TYPES = {tag: _row_type(layout) for tag, layout in LAYOUTS.items()}
 
 
-def lines(tag: str, columns: Mapping[str, Sequence[object]]) -> list[bytes]:
+def lines(tag: str, columns: Mapping[str, Sequence[object]]) -> Iterator[list[bytes]]:
     """The canonical bytes of rows of one event type, each after the 0x00 that RFC 6962 puts before a leaf.
+
+    They come in lists of a few hundred rows, which the processor's caches hold while they are hashed.
 
     Args:
         tag: The stored type of the events.
         columns: Every column of this type, envelope included, as Python values.
     """
     row, names = _ROW_TYPES[tag]
-    encoded = _ENCODER.encode_lines(map(row, *[columns[name] for name in names]))
-    return (b"\x00" + encoded[:-1].replace(b"\n", b"\n\x00")).split(b"\n")  # JSON holds no raw line feed
+    rows = map(row, *[columns[name] for name in names])
+    while encoded := _ENCODER.encode_lines(islice(rows, _ROWS_AT_ONCE)):
+        yield (b"\x00" + encoded[:-1].replace(b"\n", b"\n\x00")).split(b"\n")  # JSON holds no raw line feed
 
 
 def _joined(*pieces: pa.Array | str, nulls: Literal["emit_null", "skip"] = "emit_null") -> pa.Array:

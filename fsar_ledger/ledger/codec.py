@@ -3,27 +3,31 @@
 Events are taken by type and by column, never row by row: that is what makes it fast.
 """
 
-from collections.abc import Iterator, Sequence
-from itertools import chain, pairwise, repeat
-from operator import attrgetter, itemgetter
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain, count, pairwise
+from typing import Any, NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from fsar_ledger.errors import LedgerCorrupted, UnknownEventTag
 from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.ledger import canonical
 from fsar_ledger.ledger.check import first_flaw, run_starts
 from fsar_ledger.ledger.merkle import HASH_BYTES
-from fsar_ledger.ledger.schema import ARROW_TYPES, COLUMNS, ENVELOPE, LAYOUTS, MAX_INTEGER, PAYLOAD, SCHEMA, Layout
+from fsar_ledger.ledger.schema import ARROW_TYPES, CODED_SCHEMA, COLUMNS, LAYOUTS, MAX_INTEGER, PAYLOAD, SCHEMA, Field, Layout
 
 __all__ = ["SCHEMA", "RunRecord", "decode", "encode", "encode_hashed"]
 
+Positions: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
+Codes: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int32]]"
+Values: TypeAlias = "np.ndarray[tuple[int], np.dtype[Any]]"
+
 _LAYOUTS = tuple(LAYOUTS.values())
 _CODES = {cls: code for code, cls in enumerate(EVENT_TYPES)}
-_GETTERS = {field.name: attrgetter(field.name) for layout in _LAYOUTS for field in layout.fields}
+_TAGS = tuple(LAYOUTS)
 
 
 class RunRecord(msgspec.Struct, frozen=True):
@@ -35,113 +39,207 @@ class RunRecord(msgspec.Struct, frozen=True):
     events: Sequence[Event]
 
 
+class _Part(NamedTuple):
+    """What the events of one type put in one column: values, and the rows that they belong to."""
+
+    layout: Layout
+    field: Field
+    at: Positions
+    values: Sequence[object]
+
+
+class _Texts:
+    """The strings of all columns, each held once and coded by a number from 1; the code of None is 0."""
+
+    def __init__(self) -> None:
+        self._codes: defaultdict[object, int] = defaultdict(count(1).__next__, {None: 0})
+
+    def codes(self, texts: Iterable[object], size: int) -> Codes:
+        """The codes of so many strings."""
+        return np.fromiter(map(self._codes.__getitem__, texts), np.int32, size)
+
+    def sorted(self) -> tuple[Values, Codes]:
+        """All strings in order, behind a None, and for each code the place of its string there; 0 for None.
+
+        Raises:
+            TypeError: One of them is not a string.
+        """
+        _, *texts = self._codes
+        order = sorted(range(len(texts)), key=texts.__getitem__)  # type: ignore[arg-type]
+        places = np.zeros(len(texts) + 1, np.int32)
+        places[1:][order] = np.arange(1, len(texts) + 1)
+        return np.array([None, *[texts[at] for at in order]], object), places
+
+
 class _Rows:
     """The rows of several runs, envelope in order and events sorted by type."""
 
     def __init__(self, runs: Sequence[RunRecord]):
-        sizes = [len(run.events) for run in runs]
-        for run, size in zip(runs, sizes, strict=True):
+        self.sizes = [len(run.events) for run in runs]
+        for run, size in zip(runs, self.sizes, strict=True):
             if not size == len(run.times_us) == len(run.caused_by) or not size:
                 found = f"{size} events, {len(run.times_us)} times and {len(run.caused_by)} causes"
                 raise ValueError(f"run {run.run_id}: found {found}; expected as many of each, at least 1")
-        self.size = sum(sizes)
-        self.run_ids = list(chain.from_iterable(repeat(run.run_id, size) for run, size in zip(runs, sizes, strict=True)))
-        self.seqs = list(chain.from_iterable(map(range, sizes)))
+        self.size = sum(self.sizes)
+        self.runs = [run.run_id for run in runs]
         self.times_us = list(chain.from_iterable(run.times_us for run in runs))
         self.causes = list(chain.from_iterable(run.caused_by for run in runs))
-        events = np.empty(self.size, object)
-        events[:] = list(chain.from_iterable(run.events for run in runs))
-        self.codes = np.fromiter(map(_CODES.__getitem__, map(type, events)), np.int64, self.size)
+        self.seqs = np.concatenate([np.empty(0, np.int64), *map(np.arange, self.sizes)])
+        events = list(chain.from_iterable(run.events for run in runs))
+        self.codes = np.fromiter(map(_CODES.__getitem__, map(type, events)), np.uint16, self.size)
         self.order = np.argsort(self.codes, kind="stable")  # position of each row when rows are sorted by type
-        counts = np.bincount(self.codes, minlength=len(EVENT_TYPES))
-        ends = np.cumsum(counts)
-        self.blocks: list[tuple[Layout, slice, dict[str, list[object]]]] = []
-        events = events[self.order]
-        for code in np.flatnonzero(counts):
-            block = slice(int(ends[code] - counts[code]), int(ends[code]))
-            bucket = events[block].tolist()
-            self.blocks.append((_LAYOUTS[code], block, {field.name: list(map(_GETTERS[field.name], bucket)) for field in _LAYOUTS[code].fields}))
+        events = list(map(events.__getitem__, self.order.tolist()))
+        self.blocks: list[tuple[Layout, slice, tuple[Sequence[object], ...]]] = []
+        start = 0
+        for layout, rows in zip(_LAYOUTS, np.bincount(self.codes, minlength=len(_LAYOUTS)).tolist(), strict=True):
+            if rows:
+                block = slice(start, start + rows)
+                self.blocks.append((layout, block, tuple(zip(*map(msgspec.structs.astuple, events[block]), strict=True))))
+                start += rows
 
     def table(self) -> pa.Table:
-        rank = np.empty(self.size, np.int64)
-        rank[self.order] = np.arange(self.size)
-        parts: dict[str, list[tuple[slice, pa.Array]]] = {}
-        for layout, block, values in self.blocks:
-            for field in layout.fields:
-                column = pa.array(values[field.name], ARROW_TYPES[field.kind])
-                if column.null_count and not field.is_nullable:
-                    raise ValueError(f"{layout.tag}: field {field.name} is None, expected a value in every event")
-                parts.setdefault(field.name, []).append((block, column))
-        envelope = (self.run_ids, self.seqs, self.times_us, self.causes)
-        arrays = [pa.array(values, ARROW_TYPES[field.kind]) for values, field in zip(envelope, ENVELOPE, strict=False)]
-        arrays.append(pa.array(LAYOUTS, pa.string()).take(pa.array(self.codes)))
-        arrays += [self._spread(name, parts.get(name, []), rank) for name in PAYLOAD]
-        table = pa.Table.from_arrays(arrays, schema=SCHEMA)
-        _require_integers(table)
-        self._require_causes(table)
-        return table
+        """The rows with the columns of `CODED_SCHEMA`."""
+        parts: dict[str, list[_Part]] = {name: [] for name in PAYLOAD}
+        for layout, block, columns in self.blocks:
+            at = self.order[block]
+            for field, values in zip(layout.fields, columns, strict=True):
+                parts[field.name].append(_Part(layout, field, at, values))
+        arrays = self._strings({name: parts[name] for name in PAYLOAD if COLUMNS[name] == "string"})
+        arrays |= {name: self._lists(parts[name]) for name in PAYLOAD if COLUMNS[name] == "strings"}
+        arrays |= {name: self._numbers(name, parts[name]) for name in PAYLOAD if COLUMNS[name] in ("integer", "boolean")}
+        arrays |= self._integers()
+        return pa.Table.from_arrays([arrays[name] for name in COLUMNS], schema=CODED_SCHEMA)
 
-    def _require_causes(self, table: pa.Table) -> None:
-        """Raises: ValueError unless every event but the first of a run was caused by an earlier one."""
-        causes = table.column("caused_by").fill_null(-1).to_numpy()
-        seqs = table.column("seq").to_numpy()
-        is_wrong = np.where(seqs == 0, causes != -1, (causes < 0) | (causes >= seqs))
+    def _integers(self) -> dict[str, pa.Array]:
+        """The integers of the envelope. Raises: ValueError unless every event but the first of a run was caused by an earlier one."""
+        times_us, causes = pa.array(self.times_us, pa.int64()), pa.array(self.causes, pa.int64())
+        if times_us.null_count:
+            raise ValueError("column time_us: found None, expected a value in every row")
+        numbers = causes.fill_null(-1).to_numpy()
+        _require_exact("time_us", times_us.to_numpy())
+        _require_exact("caused_by", numbers)
+        is_wrong = np.where(self.seqs == 0, np.asarray(causes.is_valid()), (numbers < 0) | (numbers >= self.seqs))
         if is_wrong.any():
             at = int(np.argmax(is_wrong))
-            raise ValueError(f"run {self.run_ids[at]}, seq {seqs[at]}: found caused_by {self.causes[at]}, expected None at seq 0, else an earlier seq")
+            run = np.repeat(np.arange(len(self.runs)), self.sizes)[at]
+            found = f"run {self.runs[run]}, seq {self.seqs[at]}: found caused_by {self.causes[at]}"
+            raise ValueError(f"{found}, expected None at seq 0, else an earlier seq")
+        return {"seq": pa.array(self.seqs), "time_us": times_us, "caused_by": causes}
 
-    def _spread(self, name: str, parts: list[tuple[slice, pa.Array]], rank: np.ndarray[tuple[int], np.dtype[np.int64]]) -> pa.Array:
-        """The column in row order, NULL where the event type has no such field."""
-        kind = ARROW_TYPES[COLUMNS[name]]
-        if not parts:
-            return pa.nulls(self.size, kind)
-        at = np.full(self.size, -1, np.int32)
-        filled = 0
-        for block, column in parts:
-            at[block] = np.arange(filled, filled + len(column), dtype=np.int32)
-            filled += len(column)
-        at = at[rank]
-        return pa.concat_arrays([column for _, column in parts]).take(pa.array(at, mask=at < 0))
+    def _strings(self, columns: dict[str, list[_Part]]) -> dict[str, pa.DictionaryArray]:
+        """The columns of strings, those of the envelope too, each with a sorted dictionary of what is in it."""
+        texts = _Texts()
+        everywhere: Positions = np.arange(self.size)
+        found = {"run_id": (everywhere, np.repeat(texts.codes(self.runs, len(self.runs)), self.sizes))}
+        found["type"] = (everywhere, texts.codes(_TAGS, len(_TAGS))[self.codes])
+        for name, parts in columns.items():
+            at = _positions(parts)
+            found[name] = (at, texts.codes(chain.from_iterable(part.values for part in parts), len(at)))
+            if not found[name][1].all():
+                _require_values(parts)
+        dictionary, places = texts.sorted()
+        return {name: self._coded(at, places[codes], dictionary) for name, (at, codes) in found.items()}
+
+    def _coded(self, at: Positions, places: Codes, dictionary: Values) -> pa.DictionaryArray:
+        """A column of strings, given by their places in the sorted dictionary of all columns, where place 0 is NULL."""
+        is_used = np.zeros(len(dictionary), bool)
+        is_used[places] = True
+        is_used[0] = False
+        codes = np.cumsum(is_used, dtype=np.int32) - 1  # -1 at place 0, as nothing used lies before it
+        indices = np.full(self.size, -1, np.int32)
+        indices[at] = codes[places]
+        used = pa.array(dictionary[is_used], pa.string())
+        return pa.DictionaryArray.from_arrays(_array(indices, indices >= 0), used, safe=False)  # each code is less than the number of used places
+
+    def _numbers(self, name: str, parts: list[_Part]) -> pa.Array:
+        """A column of integers or booleans, NULL where the event type has no such field."""
+        at, column = _joined(parts, ARROW_TYPES[COLUMNS[name]])
+        values, is_valid = np.zeros(self.size, column.type.to_pandas_dtype()), np.zeros(self.size, bool)
+        is_valid[at] = column.is_valid() if column.null_count else True
+        values[at] = (column.fill_null(values.dtype.type(0)) if column.null_count else column).to_numpy(zero_copy_only=False)
+        if COLUMNS[name] == "integer":
+            _require_exact(name, values)
+        return _array(values, is_valid)
+
+    def _lists(self, parts: list[_Part]) -> pa.Array:
+        """A column of lists of strings, NULL where the event type has no such field."""
+        at, column = _joined(parts, ARROW_TYPES["strings"])
+        order = np.argsort(at, kind="stable")
+        at, column = at[order], column.take(pa.array(order))
+        ends, is_valid = np.zeros(self.size + 1, np.int32), np.zeros(self.size, bool)
+        ends[at + 1] = np.diff(column.offsets.to_numpy())
+        is_valid[at] = column.is_valid() if column.null_count else True
+        np.cumsum(ends, out=ends)
+        return pa.Array.from_buffers(column.type, self.size, [_bits(is_valid), pa.py_buffer(ends)], children=[column.flatten()])
 
     def leaves(self) -> bytes:
         """The packed RFC 6962 leaf hashes in row order."""
-        packed = np.empty((self.size, HASH_BYTES), np.uint8)
-        envelope: tuple[Sequence[object], ...] = (self.run_ids, self.seqs, self.times_us, self.causes)
+        order = self.order.tolist()
+        times_us, causes = (list(map(rows.__getitem__, order)) for rows in (self.times_us, self.causes))
+        run_ids = list(map(self.runs.__getitem__, np.repeat(np.arange(len(self.runs)), self.sizes)[self.order].tolist()))
+        seqs = self.seqs[self.order].tolist()
+        hashed: list[bytes] = []
         for layout, block, values in self.blocks:
-            at = self.order[block]
-            pick = itemgetter(at[0], *at.tolist())  # the first once more, as a getter of one item gives no tuple
-            columns: dict[str, Sequence[object]] = {**values}
-            columns |= {field.name: pick(rows)[1:] for field, rows in zip(ENVELOPE, envelope, strict=False)}
-            columns["type"] = [layout.tag] * len(at)
-            hashed = canonical.hashes(canonical.lines(layout.tag, columns))
-            packed[at] = np.frombuffer(b"".join(hashed), np.uint8).reshape(-1, HASH_BYTES)
+            columns = {field.name: column for field, column in zip(layout.fields, values, strict=True)}
+            columns |= {"run_id": run_ids[block], "seq": seqs[block], "time_us": times_us[block], "caused_by": causes[block]}
+            columns["type"] = [layout.tag] * (block.stop - block.start)
+            hashed += [b"".join(canonical.hashes(lines)) for lines in canonical.lines(layout.tag, columns)]
+        packed = np.empty((self.size, HASH_BYTES), np.uint8)
+        packed[self.order] = np.frombuffer(b"".join(hashed), np.uint8).reshape(-1, HASH_BYTES)
         return packed.tobytes()
 
 
-def _require_integers(table: pa.Table) -> None:
-    """Raises: ValueError for an integer beyond 2^53 - 1, which JSON readers may round, or a missing time."""
-    for field in table.schema:
-        column = table.column(field.name)
-        if column.null_count and not field.nullable:
-            raise ValueError(f"column {field.name}: found None, expected a value in every row")
-        if field.type == pa.int64():
-            span = pc.min_max(column).as_py()
-            if span["min"] is not None and not -MAX_INTEGER <= span["min"] <= span["max"] <= MAX_INTEGER:
-                raise ValueError(f"column {field.name}: found integers from {span['min']} to {span['max']}, expected at most 2^53 - 1 in size")
+def _positions(parts: list[_Part]) -> Positions:
+    """The rows of all parts, one part after the other."""
+    return np.concatenate([part.at for part in parts]) if parts else np.empty(0, np.int64)
+
+
+def _joined(parts: list[_Part], kind: pa.DataType) -> tuple[Positions, pa.Array]:
+    """The rows and the values of all parts. Raises: ValueError for None in a field that must have a value."""
+    column = pa.array(list(chain.from_iterable(part.values for part in parts)), kind)
+    if column.null_count:
+        _require_values(parts)
+    return _positions(parts), column
+
+
+def _bits(is_set: Values) -> pa.Buffer:
+    """Booleans as Arrow holds them, without going through its slower conversion of a mask of bytes."""
+    return pa.py_buffer(np.packbits(is_set, bitorder="little"))
+
+
+def _array(values: Values, is_valid: Values) -> pa.Array:
+    """An Arrow array of int32, int64 or bool, NULL where it is not valid."""
+    data = _bits(values) if values.dtype == bool else pa.py_buffer(values)
+    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [_bits(is_valid), data])
+
+
+def _require_values(parts: list[_Part]) -> None:
+    """Raises: ValueError for None in a field that must have a value."""
+    for part in parts:
+        if not part.field.is_nullable and None in part.values:
+            raise ValueError(f"{part.layout.tag}: field {part.field.name} is None, expected a value in every event")
+
+
+def _require_exact(name: str, numbers: Values) -> None:
+    """Raises: ValueError for an integer beyond 2^53 - 1, which JSON readers may round."""
+    least, most = int(numbers.min(initial=0)), int(numbers.max(initial=0))
+    if least < -MAX_INTEGER or most > MAX_INTEGER:
+        raise ValueError(f"column {name}: found integers from {least} to {most}, expected at most 2^53 - 1 in size")
 
 
 def encode(runs: Sequence[RunRecord]) -> pa.Table:
-    """The rows of these runs in order (run, seq).
+    """The rows of these runs in order (run, seq), with the columns of `SCHEMA`.
 
     Raises:
         ValueError: A run has no events, or not as many times and causes as events; an event other than the first
             is not caused by an earlier one; a field that must have a value is None; an integer lies beyond 2^53 - 1.
+        TypeError: A field of strings holds something else.
     """
-    return _Rows(runs).table()
+    return _Rows(runs).table().cast(SCHEMA)
 
 
 def encode_hashed(runs: Sequence[RunRecord]) -> tuple[pa.Table, bytes]:
-    """As `encode`, with the packed RFC 6962 leaf hash of each row."""
+    """As `encode`, but with the columns of `CODED_SCHEMA`, and with the packed RFC 6962 leaf hash of each row."""
     rows = _Rows(runs)
     return rows.table(), rows.leaves()
 

@@ -118,6 +118,9 @@ _REQUIRED = frozenset(field.name for field in ENVELOPE if not field.is_nullable)
 SCHEMA: pa.Schema = pa.schema([pa.field(name, ARROW_TYPES[kind], nullable=name not in _REQUIRED) for name, kind in COLUMNS.items()])
 """The Arrow schema of every segment."""
 
+CODED_SCHEMA: pa.Schema = pa.schema([field.with_type(pa.dictionary(pa.int32(), field.type)) if field.type == pa.string() else field for field in SCHEMA])
+"""`SCHEMA` in memory before it is written: each column of strings as codes into a sorted dictionary of what is in it."""
+
 
 def fingerprint(schema: pa.Schema) -> str:
     """The SHA-256, in hex, of `name type` or `name type not null` of each column, one a line."""

@@ -2,27 +2,33 @@
 
 from pathlib import Path
 
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.schema import COLUMNS, SCHEMA
+from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, SCHEMA
 
-_DELTA_CODED = ("seq", "time_us", "caused_by")  # they grow row by row, so differences are small
+_INTEGERS = tuple(name for name in COLUMNS if COLUMNS[name] == "integer")
 _PRUNED_BY = ("run_id", "seq", "time_us")  # statistics of the other columns spare no reader any work
 
 
 def to_parquet(table: pa.Table) -> pa.Buffer:
-    """The bytes of a segment: one row group, zstd-3, a dictionary for each column that repeats itself, a checksum on each page."""
+    """The bytes of a segment: one row group, zstd-3, a dictionary for each column of strings, a checksum on each page.
+
+    Args:
+        table: Rows with the columns of `SCHEMA` or, ready to be written, of `CODED_SCHEMA`. Both give the same bytes.
+    """
     sink = pa.BufferOutputStream()
     pq.write_table(
-        table,
+        coded(table),
         sink,
         row_group_size=max(1, table.num_rows),
         compression="zstd",
         compression_level=3,
-        use_dictionary=[_leaf(name) for name in COLUMNS if name not in _DELTA_CODED and COLUMNS[name] != "boolean"],
-        column_encoding=dict.fromkeys(_DELTA_CODED, "DELTA_BINARY_PACKED"),
+        use_dictionary=[_leaf(name) for name in COLUMNS if COLUMNS[name] in ("string", "strings")],
+        column_encoding=dict.fromkeys(_INTEGERS, "DELTA_BINARY_PACKED"),  # most grow row by row, so differences are small
         write_statistics=list(_PRUNED_BY),
         write_page_checksum=True,
         store_schema=False,
@@ -30,6 +36,23 @@ def to_parquet(table: pa.Table) -> pa.Buffer:
         write_batch_size=1 << 16,
     )
     return sink.getvalue()
+
+
+def coded(table: pa.Table) -> pa.Table:
+    """The table with its columns of strings as `CODED_SCHEMA` has them."""
+    if table.schema.equals(CODED_SCHEMA):
+        return table
+    arrays = [_coded(column.combine_chunks()) if column.type == pa.string() else column for column in table.columns]
+    return pa.Table.from_arrays(arrays, schema=CODED_SCHEMA)
+
+
+def _coded(strings: pa.Array) -> pa.DictionaryArray:
+    """The strings as codes into a sorted dictionary of them."""
+    found = strings.dictionary_encode()
+    order = pc.sort_indices(found.dictionary).to_numpy()
+    places = np.empty(len(order), np.int32)
+    places[order] = np.arange(len(order))
+    return pa.DictionaryArray.from_arrays(pa.array(places).take(found.indices), found.dictionary.take(pa.array(order)))
 
 
 def _leaf(name: str) -> str:

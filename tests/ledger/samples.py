@@ -109,7 +109,7 @@ def pinned_row(layout: Layout) -> bytes:
     }
     columns: dict[str, Sequence[object]] = {name: [value] for name, value in values.items()}
     columns |= {"run_id": ["run-1"], "seq": [7], "time_us": [2_500_000], "caused_by": [6], "type": [layout.tag]}
-    (line,) = canonical.lines(layout.tag, columns)
+    ((line,),) = canonical.lines(layout.tag, columns)
     return line[1:]
 
 

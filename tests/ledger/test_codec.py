@@ -14,7 +14,7 @@ from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.ledger import canonical, merkle, schema, segment
 from fsar_ledger.ledger.check import first_flaw
 from fsar_ledger.ledger.codec import RunRecord, decode, encode, encode_hashed
-from fsar_ledger.ledger.schema import COLUMNS, FINGERPRINT, LAYOUTS, MAX_INTEGER, SCHEMA
+from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, FINGERPRINT, LAYOUTS, MAX_INTEGER, SCHEMA
 from tests.ledger.samples import any_event_of, any_runs, made_up_batches, made_up_run, pinned_row
 
 PINNED = Path(__file__).with_name("canonical_rows.jsonl").read_bytes().splitlines()
@@ -53,13 +53,34 @@ def rows_as_json(runs: list[RunRecord]) -> list[bytes]:
     return found
 
 
+def check_leaves(runs: list[RunRecord]) -> None:
+    leaves = encode_hashed(runs)[1]
+    expected = rows_as_json(runs)
+    assert canonical.from_table(encode(runs)) == [b"\x00" + row for row in expected]
+    assert leaves == b"".join(map(merkle.leaf_hash, expected))
+
+
 @settings(max_examples=80, deadline=None)
 @given(runs=any_runs())
 def test_structs_columns_and_the_standard_library_give_the_same_canonical_bytes(runs: list[RunRecord]) -> None:
-    table, leaves = encode_hashed(runs)
-    expected = rows_as_json(runs)
-    assert canonical.from_table(table) == [b"\x00" + row for row in expected]
-    assert leaves == b"".join(map(merkle.leaf_hash, expected))
+    check_leaves(runs)
+
+
+def test_canonical_bytes_are_the_same_when_a_type_has_more_rows_than_are_encoded_at_once() -> None:
+    runs = [made_up_run(f"run-{seed}", 900, seed) for seed in range(2)]
+    first = runs[0].events[0]
+    many = [made_up_run("one-type", size, seed=3) for size in (255, 256, 257, 513)]
+    check_leaves([*runs, *(msgspec.structs.replace(run, run_id=f"r{len(run.events)}", events=[first] * len(run.events)) for run in many)])
+
+
+@settings(max_examples=60, deadline=None)
+@given(runs=any_runs())
+def test_coded_and_plain_strings_are_the_same_rows_and_the_same_segment(runs: list[RunRecord]) -> None:
+    coded, plain = encode_hashed(runs)[0], encode(runs)
+    assert coded.schema.equals(CODED_SCHEMA)
+    coded.validate(full=True)
+    assert segment.coded(plain).equals(coded)
+    assert segment.to_parquet(plain).equals(segment.to_parquet(coded))
 
 
 def test_the_bytes_of_one_row_of_each_type_are_pinned() -> None:
@@ -120,6 +141,8 @@ def test_encode_refuses_what_could_not_be_verified() -> None:
         msgspec.structs.replace(run, caused_by=[None, 0, 2, 0]),
         msgspec.structs.replace(run, caused_by=[None, 0, None, 0]),
         msgspec.structs.replace(run, caused_by=[0, 0, 0, 0]),
+        msgspec.structs.replace(run, caused_by=[-1, 0, 0, 0]),
+        msgspec.structs.replace(run, caused_by=[None, 0, 0, -1]),
         msgspec.structs.replace(run, times_us=[0, 1, 2, MAX_INTEGER + 1]),
         msgspec.structs.replace(run, times_us=[0, 1, 2, None]),
     ):
@@ -132,6 +155,31 @@ def test_encode_refuses_none_in_a_field_that_must_have_a_value() -> None:
     event = layout.cls(*[None for _ in layout.fields])
     with pytest.raises(ValueError, match="expected a value"):
         encode([RunRecord("run", [0], [None], [event])])
+
+
+def run_with(kind: str, value: object) -> RunRecord:
+    """A run of one event that is as it should be but for its fields of this kind."""
+    layout = next(layout for layout in LAYOUT_LIST if any(field.kind == kind and field.values is None for field in layout.fields))
+    event = next(event for seed in range(99) for event in made_up_run("run", 400, seed).events if type(event) is layout.cls)
+    fields: dict[str, Any] = {field.name: value for field in layout.fields if field.kind == kind}
+    return RunRecord("run", [0], [None], [msgspec.structs.replace(event, **fields)])
+
+
+@pytest.mark.parametrize("value", [MAX_INTEGER + 1, -MAX_INTEGER - 1])
+def test_encode_refuses_integers_that_json_readers_round(value: int) -> None:
+    with pytest.raises(ValueError, match=r"expected at most 2\^53 - 1"):
+        encode([run_with("integer", value)])
+
+
+@pytest.mark.parametrize(("kind", "value"), [("string", 1), ("string", b"text"), ("string", ("a",)), ("integer", "1"), ("boolean", 1), ("strings", (1,))])
+def test_encode_refuses_values_of_another_type(kind: str, value: object) -> None:
+    with pytest.raises((TypeError, ValueError)):
+        encode([run_with(kind, value)])
+
+
+def test_encode_refuses_text_that_is_not_unicode() -> None:
+    with pytest.raises(UnicodeEncodeError):
+        encode([run_with("string", "\ud800")])
 
 
 def table_with(name: str, row: int, value: object, kind: pa.DataType | None = None) -> pa.Table:
@@ -235,7 +283,12 @@ def test_a_segment_is_the_same_bytes_every_time_and_plain_parquet(tmp_path: Path
     (tmp_path / "s.parquet").write_bytes(one)
     metadata = pq.read_metadata(tmp_path / "s.parquet")
     assert metadata.num_row_groups == 1
-    assert {metadata.row_group(0).column(at).compression for at in range(metadata.num_columns)} == {"ZSTD"}
+    columns = [metadata.row_group(0).column(at) for at in range(metadata.num_columns)]
+    assert {column.compression for column in columns} == {"ZSTD"}
+    for column, kind in zip(columns, COLUMNS.values(), strict=True):
+        assert column.has_dictionary_page == (kind in ("string", "strings"))
+        assert ("DELTA_BINARY_PACKED" in column.encodings) == (kind == "integer")
+    assert pq.ParquetFile(tmp_path / "s.parquet").schema_arrow.equals(SCHEMA)
 
 
 def test_a_segment_of_other_columns_is_refused(tmp_path: Path) -> None:

@@ -44,6 +44,13 @@ def test_the_root_of_every_size_is_as_defined(start: int) -> None:
         assert len(frontier.subtrees) == size.bit_count()
 
 
+@pytest.mark.parametrize("size", [1023, 1024, 1025, 2049, 3000])
+def test_the_root_of_more_leaves_than_are_hashed_at_once_is_as_defined(size: int) -> None:
+    leaves = [leaf_hash(b"%d" % number) for number in range(size)]
+    assert root(leaves) == defined_root(leaves)
+    assert Frontier().extend(b"".join(leaves[:7])).extend(b"".join(leaves[7:])).root() == defined_root(leaves)
+
+
 def test_growing_leaf_by_leaf_gives_every_root() -> None:
     frontier = Frontier()
     for size in range(301):
