@@ -18,8 +18,10 @@ def evolve(state: Authority, event: HANDLES) -> Authority:
             return {**state, event.action_id: (*state.get(event.action_id, ()), event)}
         case AuthorityReleased():
             left = tuple(claim for claim in state[event.action_id] if _key(claim) != _key(event))
-            others = {action: claims for action, claims in state.items() if action != event.action_id}
-            return {**others, event.action_id: left} if left else others
+            changed = {**state, event.action_id: left}
+            if not left:
+                del changed[event.action_id]
+            return changed
         case _:
             assert_never(event)
 

@@ -9,7 +9,7 @@ events of a batch are caused by its first.
 from collections.abc import Sequence
 from heapq import heappop, heappush
 
-from fsar_ledger.events import Event
+from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.projections.fold import ROUTES, State
 
 from .architectures.wiring import Wiring
@@ -28,7 +28,8 @@ class Kernel:
         self.caused_by: list[int | None] = []
         self.events: list[Event] = []
         self.state = State()
-        self._wiring = wiring
+        self._decides = wiring.decides
+        self._plan = {kind: (ROUTES.get(kind, ()), wiring.reacts.get(kind, ())) for kind in EVENT_TYPES}
         self._facts = facts
         self._next_fact = 0
         self._draws = draws
@@ -38,7 +39,7 @@ class Kernel:
 
     def run(self) -> None:
         """Nothing is left to happen."""
-        facts, count, pending, decides = self._facts, len(self._facts), self._pending, self._wiring.decides
+        facts, count, pending, decides = self._facts, len(self._facts), self._pending, self._decides
         position = self._next_fact
         while True:
             if position < count and (not pending or facts[position][0] <= pending[0][0]):
@@ -101,11 +102,11 @@ class Kernel:
         self.times_us.append(time_us)
         self.caused_by.append(cause)
         self.events.append(event)
-        kind = type(event)
-        for slot, evolve in ROUTES.get(kind, ()):
+        routes, reacts = self._plan[type(event)]
+        for slot, evolve in routes:
             setattr(state, slot, evolve(getattr(state, slot), event))
         taken: tuple[int, ...] = ()
-        for react in self._wiring.reacts.get(kind, ()):
+        for react in reacts:
             for scheduled in react(state, event, time_us):
                 due_us = time_us + scheduled.after_us
                 for draw in scheduled.draws:
