@@ -141,7 +141,7 @@ def main() -> int:
     parser.add_argument("--scaling-runs", type=int, help="the same for one worker against two; more, because two also take time to start", default=None)
     parser.add_argument("--repeats", type=int, default=3)
     options = parser.parse_args()
-    scaling_runs = options.scaling_runs or 4 * options.runs
+    scaling_runs = options.scaling_runs or 8 * options.runs
     ours, theirs, one, two = [], [], [], []
     with tempfile.TemporaryDirectory(prefix="fsar-ledger-") as name:
         folder = Path(name)
