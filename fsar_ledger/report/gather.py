@@ -88,9 +88,17 @@ def _tests(rows: Iterable[StatisticRow]) -> tuple[Row, ...]:
             row = found.get((spec.name, comparison))
             test = msgspec.structs.asdict(row) if row is not None else _blank(StatisticRow)
             beside = {"paper_t": float(paper["t"]), "paper_p": paper["p"], "paper_d": float(paper["cohens_d"]), "paper_level": paper["significance"]}
-            effect = None if test["cohens_d"] is None else abs(test["cohens_d"])
-            tests.append(with_agreement(test | {"metric": spec.name, "comparison": comparison, "effect": effect} | beside))
+            named = {"metric": spec.name, "comparison": comparison}
+            tests.append(with_agreement(test | named | _effect(test) | beside))
     return tuple(tests)
+
+
+def _effect(test: Row) -> Row:
+    """Cohen's d without its sign, as the paper prints it, and the 95 % interval of Hedges g turned the same way round."""
+    if test["cohens_d"] is None or test["g_ci_low"] is None:
+        return {"effect": None, "effect_interval": None}
+    sign = -1 if test["cohens_d"] < 0 else 1
+    return {"effect": sign * test["cohens_d"], "effect_interval": tuple(sorted((sign * test["g_ci_low"], sign * test["g_ci_high"])))}
 
 
 def _scenarios(overall: Iterable[MetricRow], by_scenario: Iterable[MetricRow]) -> tuple[Row, ...]:

@@ -100,6 +100,7 @@ FORMATS: Mapping[str, Formatter] = {
     "own-metric": lambda value, column, _row: in_metric(column.key, value),
     "metric": lambda value, _column, row: in_metric(row["metric"], value),
     "interval": lambda value, _column, row: _interval(value, row["metric"]),
+    "span": lambda value, column, _row: f"{number(value[0], column.digits)} to {number(value[1], column.digits)}",
     "counted": lambda value, _column, row: _counted(value, row["metric"]),
     "agreement": lambda value, _column, _row: "yes" if value else "no",
     "verdict": lambda value, _column, _row: str(value),
