@@ -1,0 +1,62 @@
+-- Title: The owner of the decision that led to an event: the nearest decision on the way back through its causes
+-- Paper: sec:evaluation:metrics (governance locality)
+-- Grain: one row per event of this number: one for a run, at most one for each run of the ledger
+-- Units: steps causes between the event and the decision (0: the event is the decision); decided_us microseconds of run time
+-- NULL: the decision's columns when no cause was a decision; decided_by when the record names no decider
+-- Example: fsar-ledger query audit/decision_owner LEDGER --param run=RUN --param seq=107
+--   answers for an ExecutionFinished: RequestAccepted, 3 causes back, by robot/C1 alone, so it was local
+-- Parameters: run = all, seq = 0
+WITH RECURSIVE causes AS (
+    SELECT
+        run_id,
+        seq,
+        caused_by
+    FROM events
+    WHERE $run IN ('all', run_id) AND seq <= $seq::BIGINT
+),
+
+way_back AS (
+    SELECT
+        causes.run_id,
+        causes.seq,
+        causes.caused_by,
+        0 AS steps
+    FROM causes
+    WHERE causes.seq = $seq::BIGINT
+    UNION ALL
+    SELECT
+        causes.run_id,
+        causes.seq,
+        causes.caused_by,
+        way_back.steps + 1 AS steps
+    FROM way_back
+    -- A cause comes before what it causes; a forged record that says otherwise ends the way.
+    INNER JOIN causes ON way_back.run_id = causes.run_id AND way_back.caused_by = causes.seq AND way_back.seq > causes.seq
+),
+
+nearest AS (
+    SELECT
+        way_back.run_id,
+        min(way_back.steps) AS steps,
+        arg_min(decisions.seq, way_back.steps) AS decision_seq
+    FROM way_back
+    INNER JOIN decisions ON way_back.run_id = decisions.run_id AND way_back.seq = decisions.seq
+    GROUP BY way_back.run_id
+)
+
+SELECT
+    asked.run_id,
+    asked.seq,
+    asked.type,
+    nearest.steps,
+    nearest.decision_seq,
+    decisions.type AS decision_type,
+    decisions.decision_kind,
+    decisions.time_us AS decided_us,
+    decisions.decided_by,
+    decisions.path,
+    decisions.is_local
+FROM events AS asked
+LEFT JOIN nearest ON asked.run_id = nearest.run_id
+LEFT JOIN decisions ON nearest.run_id = decisions.run_id AND nearest.decision_seq = decisions.seq
+WHERE $run IN ('all', asked.run_id) AND asked.seq = $seq::BIGINT

@@ -1,0 +1,71 @@
+-- Title: The policy at a time as its decider knew it, beside the policy as it truly was
+-- Paper: eq:policy, sec:evaluation:baselines
+-- Grain: one row per run, decider, robot and scope of which the decider had been told by then
+-- Units: learned_us, as_of_us, at_us microseconds of run time; the default time is after the end of every run
+-- NULL: never; a decider without a row had not been told, or reads the policy itself (an FSAR robot its own)
+-- Example: fsar-ledger query audit/policy_known_at LEDGER --param run=RUN --param robot=robot/D1 --param at_us=31200000
+--   answers the coordinator takes the fleet's rule to allow, as of 25.305 s; truly it denies, so it is wrong
+-- Parameters: run = all, robot = all, at_us = 9007199254740991
+WITH copies AS (
+    -- A copy tells of every robot; one that it does not name is allowed.
+    SELECT
+        copies.run_id,
+        copies.seq,
+        copies.time_us AS learned_us,
+        'coordinator' AS known_by,
+        members.robot,
+        scopes.scope,
+        CASE
+            WHEN list_contains(CASE scopes.scope WHEN 'local' THEN copies.local_deny ELSE copies.fleet_deny END, members.robot) THEN 'deny'
+            WHEN list_contains(CASE scopes.scope WHEN 'local' THEN copies.local_review ELSE copies.fleet_review END, members.robot) THEN 'review'
+            ELSE 'allow'
+        END AS outcome,
+        copies.time_us AS as_of_us
+    FROM copy_synced AS copies
+    INNER JOIN robot_joined AS members ON copies.run_id = members.run_id
+    CROSS JOIN (VALUES ('local'), ('fleet')) AS scopes (scope)
+),
+
+told AS (
+    SELECT
+        run_id,
+        seq,
+        time_us AS learned_us,
+        CASE type WHEN 'FleetRuleLearned.v1' THEN robot ELSE 'agent/' || robot[7:] || '/planning' END AS known_by,
+        robot,
+        CASE type WHEN 'FleetRuleLearned.v1' THEN 'fleet' ELSE 'local' END AS scope,
+        outcome,
+        coalesce(as_of_us, time_us) AS as_of_us
+    FROM events
+    WHERE type IN ('FleetRuleLearned.v1', 'SnapshotTaken.v1')
+    UNION ALL
+    SELECT *
+    FROM copies
+),
+
+known AS (
+    SELECT
+        run_id,
+        known_by,
+        robot,
+        scope,
+        arg_max(outcome, seq) AS known_outcome,
+        arg_max(learned_us, seq) AS learned_us,
+        arg_max(as_of_us, seq) AS as_of_us
+    FROM told
+    WHERE $run IN ('all', run_id) AND $robot IN ('all', robot) AND learned_us <= $at_us::BIGINT
+    GROUP BY run_id, known_by, robot, scope
+)
+
+SELECT
+    known.*,
+    coalesce(policy.outcome, 'allow') AS true_outcome,
+    known.known_outcome <> coalesce(policy.outcome, 'allow') AS is_wrong
+FROM known
+LEFT JOIN policy_in_force AS policy
+    ON
+        known.run_id = policy.run_id
+        AND known.robot = policy.robot
+        AND known.scope = policy.scope
+        AND policy.since_us <= $at_us::BIGINT
+        AND (policy.until_us IS NULL OR policy.until_us > $at_us::BIGINT)

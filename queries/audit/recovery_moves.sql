@@ -1,0 +1,55 @@
+-- Title: The levels that each failure's recovery came to, in order
+-- Paper: eq:recovery
+-- Grain: one row per failure and level that its recovery turned to; attempts that stay at the level are no new row
+-- Units: time_us microseconds of run time; move number of the row within the failure from 1; *_rank 1 local to 4 human
+-- NULL: from_level, from_rank for the first level of a failure
+-- Example: fsar-ledger query audit/recovery_moves LEDGER
+--   answers A1-1/4.1: local at 80.172 s, peer at 84.274 s, fleet at 84.339 s, human at 84.854 s
+WITH ranks (level, rank) AS (
+    VALUES
+    ('local', 1),
+    ('peer', 2),
+    ('fleet', 3),
+    ('human', 4)
+),
+
+records AS (
+    SELECT
+        events.run_id,
+        coalesce(events.failed_action, events.action_id) AS action_id,
+        events.failure,
+        events.seq,
+        events.time_us,
+        events.type,
+        events.decided_by,
+        ranks.level,
+        ranks.rank
+    FROM events
+    INNER JOIN ranks ON coalesce(events.to_level, events.level) = ranks.level
+    WHERE events.type IN ('RecoveryAttempted.v1', 'AssistanceRequested.v1', 'RecoveryEscalated.v1', 'FailureResolved.v1')
+),
+
+steps AS (
+    SELECT
+        *,
+        lag(level) OVER failures AS from_level,
+        lag(rank) OVER failures AS from_rank
+    FROM records
+    WINDOW failures AS (PARTITION BY run_id, action_id, failure ORDER BY seq)
+)
+
+SELECT
+    run_id,
+    action_id,
+    failure,
+    row_number() OVER (PARTITION BY run_id, action_id, failure ORDER BY seq) AS move,
+    seq,
+    time_us,
+    type,
+    decided_by,
+    from_level,
+    from_rank,
+    level,
+    rank
+FROM steps
+WHERE from_level IS NULL OR from_level <> level

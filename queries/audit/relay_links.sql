@@ -1,0 +1,62 @@
+-- Title: Chains through a relay, link by link: whom each receiver trusted, and that the ends do not trust each other
+-- Paper: eq:nontransitive
+-- Grain: one row per link (two for a chain: requester to relay, relay to executor) of each request through a relay
+-- Units: link number of the link from 1; passed_us microseconds of run time
+-- NULL: passed_us, seq when the relay did not pass it on; a trust scope that had not been set by then
+-- Example: fsar-ledger query audit/relay_links LEDGER --param run=RUN
+--   answers link 1 robot/D1 to robot/A1 (capability), link 2 robot/A1 to robot/B1 (task); robot/B1 has set none for robot/D1
+-- Parameters: run = all, action = all
+WITH chains AS (
+    -- The relay's record is the first after the request.
+    SELECT
+        asked.run_id,
+        asked.action_id,
+        asked.seq AS asked_seq,
+        asked.time_us AS asked_us,
+        asked.requested_by,
+        asked.relay,
+        asked.executed_by,
+        min(relayed.seq) AS relayed_seq,
+        min(relayed.time_us) AS relayed_us
+    FROM request_issued AS asked
+    LEFT JOIN request_relayed AS relayed
+        ON asked.run_id = relayed.run_id AND asked.action_id = relayed.action_id AND asked.seq < relayed.seq
+    WHERE asked.relay IS NOT NULL AND $run IN ('all', asked.run_id) AND $action IN ('all', asked.action_id)
+    GROUP BY ALL
+),
+
+links AS (
+    SELECT
+        chains.*,
+        numbers.link,
+        CASE numbers.link WHEN 1 THEN chains.asked_seq ELSE chains.relayed_seq END AS seq,
+        CASE numbers.link WHEN 1 THEN chains.asked_us ELSE chains.relayed_us END AS passed_us,
+        CASE numbers.link WHEN 1 THEN chains.requested_by ELSE chains.relay END AS sender,
+        CASE numbers.link WHEN 1 THEN chains.relay ELSE chains.executed_by END AS receiver
+    FROM chains
+    CROSS JOIN (VALUES (1), (2)) AS numbers (link)
+),
+
+judged AS (
+    SELECT
+        links.*,
+        arg_max(trust.scope, trust.seq) FILTER (WHERE links.receiver = trust.robot AND links.sender = trust.peer) AS link_scope,
+        arg_max(trust.scope, trust.seq) FILTER (WHERE links.executed_by = trust.robot AND links.requested_by = trust.peer) AS direct_scope
+    FROM links
+    LEFT JOIN trust_set AS trust ON links.run_id = trust.run_id AND coalesce(links.seq, links.asked_seq) > trust.seq
+    GROUP BY ALL
+)
+
+SELECT
+    run_id,
+    action_id,
+    asked_seq,
+    link,
+    seq,
+    passed_us,
+    sender,
+    receiver,
+    link_scope,
+    coalesce(link_scope, 'none') <> 'none' AS is_trusted,
+    direct_scope
+FROM judged

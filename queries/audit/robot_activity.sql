@@ -1,0 +1,48 @@
+-- Title: What a robot was doing at a time
+-- Paper: sec:model:robot
+-- Grain: one row per run, robot and action that it had in hand; one row `idle` for a robot that had none
+-- Units: since_us, at_us microseconds of run time; the default time is after the end of every run
+-- NULL: action_id, since_us, on_behalf_of when idle; on_behalf_of also when the robot helps another
+-- Example: fsar-ledger query audit/robot_activity LEDGER --param run=RUN --param robot=robot/C1 --param at_us=20000000
+--   answers executing B1-1/2.1 for robot/B1 since 18.0 s
+-- Parameters: run = all, robot = all, at_us = 9007199254740991
+WITH doings (type, doing) AS (
+    VALUES
+    ('ExecutionQueued.v1', 'queued'),
+    ('ApproachStarted.v1', 'approaching'),
+    ('ExecutionHeld.v1', 'held by policy'),
+    ('ExecutionStarted.v1', 'executing'),
+    ('ExecutionResumed.v1', 'executing'),
+    ('ExecutionPaused.v1', 'paused'),
+    ('ExecutionFailed.v1', 'recovering'),
+    ('AssistanceAdmitted.v1', 'helping'),
+    ('ExecutionFinished.v1', NULL),
+    ('ExecutionWithdrawn.v1', NULL),
+    ('AssistanceEnded.v1', NULL)
+),
+
+latest AS (
+    SELECT
+        events.run_id,
+        coalesce(events.helper, events.robot) AS robot,
+        events.action_id,
+        arg_max(coalesce(doings.doing, 'done'), events.seq) AS doing,
+        arg_max(events.time_us, events.seq) AS since_us,
+        arg_max(events.on_behalf_of, events.seq) FILTER (WHERE events.on_behalf_of IS NOT NULL) AS on_behalf_of
+    FROM events
+    INNER JOIN doings ON events.type = doings.type
+    WHERE $run IN ('all', events.run_id) AND events.time_us <= $at_us::BIGINT
+    -- A helper may have an action of its own in hand, and help with another.
+    GROUP BY events.run_id, coalesce(events.helper, events.robot), events.action_id, events.helper IS NOT NULL
+)
+
+SELECT
+    members.run_id,
+    members.robot,
+    coalesce(latest.doing, 'idle') AS doing,
+    latest.action_id,
+    latest.on_behalf_of,
+    latest.since_us
+FROM robot_joined AS members
+LEFT JOIN latest ON members.run_id = latest.run_id AND members.robot = latest.robot AND latest.doing <> 'done'
+WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot) AND members.time_us <= $at_us::BIGINT

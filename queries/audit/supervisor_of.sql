@@ -1,0 +1,43 @@
+-- Title: Who supervised an action, by its records, and whether that supervisor was on shift
+-- Paper: eq:supervision
+-- Grain: one row per run, action and supervisor that its coordination events name
+-- Units: first_us, last_us microseconds of run time; records and records_off_shift events
+-- NULL: supervised_by for the records that name no supervisor; records_off_shift for these, too
+-- Example: fsar-ledger query audit/supervisor_of LEDGER --param run=RUN --param action=B1-1/2.1
+--   answers supervisor/B1 in 3 records, supervisor/C1 in 4 records, none of them while off shift
+-- Parameters: run = all, action = all
+WITH shifts AS (
+    SELECT
+        run_id,
+        seq,
+        supervisor,
+        type = 'SupervisorLeft.v1' AS is_off
+    FROM events
+    WHERE type IN ('SupervisorLeft.v1', 'SupervisorReturned.v1')
+),
+
+records AS (
+    SELECT
+        events.run_id,
+        events.seq,
+        events.time_us,
+        events.action_id,
+        events.supervised_by,
+        coalesce(arg_max(shifts.is_off, shifts.seq), FALSE) AS is_off
+    FROM coordination_events AS events
+    LEFT JOIN shifts
+        ON events.run_id = shifts.run_id AND events.supervised_by = shifts.supervisor AND events.seq > shifts.seq
+    WHERE events.action_id IS NOT NULL AND $run IN ('all', events.run_id) AND $action IN ('all', events.action_id)
+    GROUP BY events.run_id, events.seq, events.time_us, events.action_id, events.supervised_by
+)
+
+SELECT
+    run_id,
+    action_id,
+    supervised_by,
+    min(time_us) AS first_us,
+    max(time_us) AS last_us,
+    count(*) AS records,
+    CASE WHEN supervised_by IS NOT NULL THEN count_if(is_off) END AS records_off_shift
+FROM records
+GROUP BY run_id, action_id, supervised_by
