@@ -2,7 +2,7 @@
 
 Every command body imports what it needs, so that `--help` stays quick. A command that fails raises one of
 the errors of `errors.py`; `run` turns it into one message on stderr and its exit code:
-0 fine, 1 a write failed, 2 the call was wrong, 3 the ledger is damaged, 130 interrupted.
+0 fine, 1 a write failed or an audit found something, 2 the call was wrong, 3 the ledger is damaged, 130 interrupted.
 """
 
 import os
@@ -16,7 +16,9 @@ import typer
 
 from .commands.options import (
     ArchitectureOption,
+    AuditedOption,
     CsvOption,
+    InvariantOption,
     JsonOption,
     LedgerArgument,
     LimitOption,
@@ -230,6 +232,20 @@ def export(
 
     rows = export_events(ledger, out) if name is None else export_query(ledger, name, parameters_of(param), out)
     _show(f"{out}: {rows:,} rows\n")
+
+
+@app.command(epilog=_examples("fsar-ledger audit out/ledger --architecture fsar", "fsar-ledger audit out/ledger --architecture fsar --invariant i4 --json"))
+def audit(ledger: LedgerArgument, invariant: InvariantOption = None, architecture: AuditedOption = None, as_json: JsonOption = False) -> None:
+    """Check the invariants I1 to I5 and A1 to A5.
+
+    Counts the events that offend each, by architecture and configuration, and names the first. Exit code 0 if all hold on all runs, else 1.
+    """
+    from .commands.audit import audit as check
+
+    text, holds = check(ledger, invariant or (), architecture or (), as_json=as_json)
+    _show(text)
+    if not holds:
+        raise typer.Exit(1)
 
 
 @app.command(epilog=_examples("fsar-ledger verify out/ledger", "fsar-ledger verify out/ledger --json"))

@@ -31,6 +31,12 @@ WorkersOption = Annotated[
 ArchitectureOption = Annotated[
     list[str] | None, typer.Option("--architecture", metavar="NAME", help="fsar, cfc or dhma; may be repeated.", show_default="all; with --without, fsar")
 ]
+AuditedOption = Annotated[
+    list[str] | None, typer.Option("--architecture", metavar="NAME", help="Only the runs of fsar, cfc or dhma; may be repeated.", show_default="all")
+]
+InvariantOption = Annotated[
+    list[str] | None, typer.Option("--invariant", metavar="NAME", help="i1 to i5 or a1 to a5, or a whole name; may be repeated.", show_default="all ten")
+]
 ScenarioOption = Annotated[
     list[str] | None,
     typer.Option(
@@ -66,10 +72,10 @@ def experiment_of(
 
     every_architecture, every_scenario, every_configuration = get_args(Architecture), get_args(Scenario), get_args(Configuration)
     ablations = {name.removeprefix("without-"): name for name in every_configuration if name != "full"}
-    configurations = tuple(ablations[name] for name in _known("mechanism", without, tuple(ablations)))
+    configurations = tuple(ablations[name] for name in known("mechanism", without, tuple(ablations)))
     return Experiment(
-        architectures=_known("architecture", architectures, every_architecture) or (("fsar",) if configurations else every_architecture),
-        scenarios=_known("scenario", scenarios, every_scenario) or every_scenario,
+        architectures=known("architecture", architectures, every_architecture) or (("fsar",) if configurations else every_architecture),
+        scenarios=known("scenario", scenarios, every_scenario) or every_scenario,
         configurations=configurations or ("full",),
         runs=runs,
         seed=seed,
@@ -77,8 +83,12 @@ def experiment_of(
     )
 
 
-def _known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> tuple[_Name, ...]:
-    """The names that were asked for, each once, in the order of `names`."""
+def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> tuple[_Name, ...]:
+    """The names that were asked for, each once, in the order of `names`.
+
+    Raises:
+        InvalidExperiment: one of them is none of `names`; the message suggests the nearest.
+    """
     for name in asked or ():
         if name not in names:
             nearest = get_close_matches(name.lower(), names, n=1, cutoff=0.4)

@@ -1,0 +1,67 @@
+-- Title: Executions and motions that policy governs, with the composed outcome that was known at the decision
+-- Paper: eq:policy
+-- Grain: one row per ExecutionStarted event and per RoutinePerformed event whose operation is motion
+-- Units: time_us microseconds of run time; decision_seq, denied_seq positions in the run
+-- NULL: action_id for a motion; denied_seq without an earlier refusal of the action that still stands
+-- Example: fsar-ledger query facts/known_policy LEDGER
+-- Stored: I3 and A3 both read it
+WITH starts AS (
+    -- A delegated action was decided when the executor last admitted it (accepted, where nobody admits), anything else when it starts.
+    SELECT
+        events.run_id,
+        events.seq,
+        events.time_us,
+        events.type,
+        events.action_id,
+        events.robot,
+        coalesce(max(said.seq) FILTER (said.type = 'RequestAdmitted.v1'), max(said.seq) FILTER (said.type = 'RequestAccepted.v1'), events.seq) AS decision_seq,
+        coalesce(max(said.seq) FILTER (said.type = 'SupervisorResponded.v1' AND said.purpose = 'review'), -1) AS approved_seq,
+        coalesce(max(said.seq) FILTER (said.type = 'RequestAdmitted.v1' AND said.outcome <> 'deny'), -1) AS admitted_seq,
+        max(said.seq) FILTER (said.type = 'RequestDenied.v1') AS denied_seq
+    FROM events
+    LEFT JOIN events AS said ON events.run_id = said.run_id AND events.action_id = said.action_id AND events.seq > said.seq
+    WHERE events.type = 'ExecutionStarted.v1' OR (events.type = 'RoutinePerformed.v1' AND events.operation = 'motion')
+    GROUP BY events.run_id, events.seq, events.time_us, events.type, events.action_id, events.robot
+),
+
+outcomes AS (
+    -- The executor's own policy, which it knows as it is until it starts.
+    SELECT
+        starts.run_id,
+        starts.seq,
+        windows.seq AS known_seq,
+        windows.outcome
+    FROM starts
+    INNER JOIN policy_windows AS windows
+        ON
+            starts.run_id = windows.run_id AND starts.robot = windows.robot AND windows.scope = 'local'
+            AND starts.time_us >= windows.opened_us AND starts.time_us < coalesce(windows.closed_us, starts.time_us + 1)
+    UNION ALL
+    -- The fleet's rule for its zone, as the executor had last been told at the decision.
+    SELECT
+        starts.run_id,
+        starts.seq,
+        rules.seq AS known_seq,
+        rules.outcome
+    FROM starts
+    ASOF JOIN fleet_rule_learned AS rules ON starts.run_id = rules.run_id AND starts.robot = rules.robot AND starts.decision_seq > rules.seq
+    UNION ALL
+    -- The requester's own, and that of a relay, as the request carried it.
+    SELECT
+        starts.run_id,
+        starts.seq,
+        requests.seq AS known_seq,
+        requests.carried_policy AS outcome
+    FROM starts
+    INNER JOIN events AS requests ON starts.run_id = requests.run_id AND starts.action_id = requests.action_id AND starts.seq > requests.seq
+    WHERE requests.carried_policy IS NOT NULL
+)
+
+SELECT
+    starts.* EXCLUDE (approved_seq, admitted_seq, denied_seq),
+    CASE WHEN bool_or(outcomes.outcome = 'deny') THEN 'deny' WHEN bool_or(outcomes.outcome = 'review') THEN 'review' ELSE 'allow' END AS outcome,
+    CASE WHEN starts.denied_seq > greatest(starts.approved_seq, starts.admitted_seq) THEN starts.denied_seq END AS denied_seq
+FROM starts
+-- What a supervisor approves is what was known by then.
+LEFT JOIN outcomes ON starts.run_id = outcomes.run_id AND starts.seq = outcomes.seq AND starts.approved_seq < outcomes.known_seq
+GROUP BY ALL

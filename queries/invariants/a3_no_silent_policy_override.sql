@@ -1,0 +1,73 @@
+-- Title: A3 broken: a known conflict of policies is passed over instead of escalated
+-- Paper: sec:architecture:invariants (A3), eq:policy
+-- Grain: one row per start under a known review or deny that no supervisor had approved, after a refusal that nothing lifted, or after a hold that
+--        nothing ended; and per admission that is milder than what the request carried, or grants what it denies
+-- Units: time_us microseconds of run time
+-- NULL: action_id for a motion
+-- Example: fsar-ledger query invariants/a3_no_silent_policy_override LEDGER
+WITH holds AS (
+    -- A hold ends when a supervisor approves, a window of the robot closes, or the fleet tells it another rule.
+    SELECT
+        starts.run_id,
+        starts.seq,
+        max(said.seq) FILTER (said.type = 'ExecutionHeld.v1' AND starts.action_id = said.action_id) AS held_seq,
+        max(said.seq) FILTER (said.type <> 'ExecutionHeld.v1') AS changed_seq
+    FROM execution_started AS starts
+    INNER JOIN events AS said ON starts.run_id = said.run_id AND starts.seq > said.seq
+    WHERE
+        (said.type IN ('ExecutionHeld.v1', 'PolicyWindowClosed.v1', 'FleetRuleLearned.v1') AND starts.robot = said.robot)
+        OR (said.type = 'SupervisorResponded.v1' AND said.purpose = 'review' AND starts.action_id = said.action_id)
+    GROUP BY starts.run_id, starts.seq
+),
+
+admissions AS (
+    SELECT
+        admitted.run_id,
+        admitted.seq,
+        bool_or(said.type = 'SupervisorResponded.v1' AND said.purpose = 'review') AS is_approved,
+        max(CASE said.carried_policy WHEN 'deny' THEN 2 WHEN 'review' THEN 1 ELSE 0 END) AS carried
+    FROM request_admitted AS admitted
+    INNER JOIN events AS said ON admitted.run_id = said.run_id AND admitted.action_id = said.action_id AND admitted.seq > said.seq
+    GROUP BY admitted.run_id, admitted.seq
+),
+
+findings AS (
+    SELECT
+        run_id,
+        seq,
+        CASE
+            WHEN denied_seq IS NOT NULL THEN 'starts after the refusal at seq ' || denied_seq || ', which nothing lifted'
+            ELSE 'starts under a known ' || outcome || ' that no supervisor had approved'
+        END AS found
+    FROM known_policy
+    WHERE denied_seq IS NOT NULL OR outcome <> 'allow'
+    UNION ALL
+    SELECT
+        run_id,
+        seq,
+        'starts after the hold at seq ' || held_seq || ', and nothing has changed since' AS found
+    FROM holds
+    WHERE held_seq > coalesce(changed_seq, -1)
+    UNION ALL
+    SELECT
+        admitted.run_id,
+        admitted.seq,
+        'admitted as ' || admitted.outcome || ' although the request carried '
+        || list_extract(['allow', 'review', 'deny'], coalesce(admissions.carried, 0) + 1) AS found
+    FROM request_admitted AS admitted
+    LEFT JOIN admissions ON admitted.run_id = admissions.run_id AND admitted.seq = admissions.seq
+    WHERE
+        admitted.outcome = 'deny'
+        OR admissions.carried = 2
+        OR (admissions.carried = 1 AND admitted.outcome = 'allow' AND NOT coalesce(admissions.is_approved, FALSE))
+)
+
+SELECT
+    findings.run_id,
+    findings.seq,
+    events.time_us,
+    events.type,
+    events.action_id,
+    findings.found
+FROM findings
+INNER JOIN events ON findings.run_id = events.run_id AND findings.seq = events.seq

@@ -1,0 +1,67 @@
+-- Title: I1 broken: a robot acts as more than one fleet-visible principal, or as one that never joined
+-- Paper: sec:model:invariants (I1), eq:runtime
+-- Grain: one row per event and principal that is no joined robot, no supervisor, no federation service and no coordinator; and per second joining of
+--        a robot
+-- Units: time_us microseconds of run time
+-- NULL: action_id when the event is not tied to an action
+-- Example: fsar-ledger query invariants/i1_local_agent_coherence LEDGER
+WITH members AS (
+    SELECT
+        run_id,
+        robot,
+        supervisor,
+        seq,
+        time_us,
+        row_number() OVER (PARTITION BY run_id, robot ORDER BY seq) AS joining
+    FROM robot_joined
+),
+
+known AS (
+    SELECT
+        run_id,
+        robot AS principal
+    FROM members
+    UNION
+    SELECT
+        run_id,
+        supervisor AS principal
+    FROM members
+    UNION
+    SELECT
+        run_id,
+        unnest(['supervisor/fleet', 'service/registry', 'service/coordination', 'service/recovery', 'coordinator']) AS principal
+    FROM runs
+),
+
+named AS (
+    SELECT
+        run_id,
+        seq,
+        time_us,
+        type,
+        action_id,
+        unnest(list_concat([decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver], coalesce(path, []))) AS principal
+    FROM events
+    WHERE coalesce(decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver) IS NOT NULL OR len(path) > 0
+)
+
+SELECT DISTINCT
+    named.run_id,
+    named.seq,
+    named.time_us,
+    named.type,
+    named.action_id,
+    named.principal || ' acts, which is neither a robot of the fleet nor one of its supervisors or services' AS found
+FROM named
+LEFT JOIN known ON named.run_id = known.run_id AND named.principal = known.principal
+WHERE named.principal IS NOT NULL AND known.principal IS NULL
+UNION ALL
+SELECT
+    run_id,
+    seq,
+    time_us,
+    'RobotJoined.v1' AS type,
+    NULL AS action_id,
+    robot || ' joins although it is in the fleet' AS found
+FROM members
+WHERE joining > 1

@@ -1,0 +1,34 @@
+-- Title: I2 broken: a delegated action is executed that its executor had not accepted itself
+-- Paper: sec:model:invariants (I2), eq:request
+-- Grain: one row per ExecutionStarted event for another robot without an earlier acceptance, by the executing robot, of that action
+-- Units: time_us microseconds of run time
+-- NULL: never
+-- Example: fsar-ledger query invariants/i2_local_execution_ownership LEDGER
+-- An acceptance counts when the executing robot decided it, it names that robot as executor, and nobody else was on its path.
+WITH acceptances AS (
+    SELECT
+        starts.run_id,
+        starts.seq,
+        arg_max(coalesce(accepted.decided_by, 'nobody'), accepted.seq) AS decided_by,
+        coalesce(bool_or(accepted.decided_by = starts.robot AND accepted.executed_by = starts.robot AND accepted.path = [starts.robot]), FALSE) AS is_own
+    FROM execution_started AS starts
+    LEFT JOIN request_accepted AS accepted
+        ON starts.run_id = accepted.run_id AND starts.action_id = accepted.action_id AND starts.seq > accepted.seq
+    WHERE starts.robot <> starts.on_behalf_of
+    GROUP BY starts.run_id, starts.seq
+)
+
+SELECT
+    starts.run_id,
+    starts.seq,
+    starts.time_us,
+    'ExecutionStarted.v1' AS type,
+    starts.action_id,
+    starts.robot || ' executes for ' || starts.on_behalf_of || CASE
+        WHEN acceptances.decided_by IS NULL THEN ' what nobody had accepted'
+        WHEN NOT acceptances.is_own THEN ' what ' || acceptances.decided_by || ' had accepted'
+        ELSE ', but the record names ' || coalesce(starts.executed_by, 'nobody') || ' as executor'
+    END AS found
+FROM execution_started AS starts
+INNER JOIN acceptances ON starts.run_id = acceptances.run_id AND starts.seq = acceptances.seq
+WHERE NOT acceptances.is_own OR starts.executed_by IS DISTINCT FROM starts.robot

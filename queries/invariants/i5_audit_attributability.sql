@@ -1,0 +1,48 @@
+-- Title: I5 broken: a coordination event from which a principal cannot be recovered
+-- Paper: sec:model:invariants (I5), sec:evaluation:metrics (audit attributability)
+-- Grain: one row per coordination event that lacks a requester, an executor, or a supervisor who is not recorded as absent
+-- Units: time_us microseconds of run time
+-- NULL: action_id when the record is not correlated with an action
+-- Example: fsar-ledger query invariants/i5_audit_attributability LEDGER
+-- A principal counts when the record or another event of its action names it. The supervisor that may be absent is that of the robot that
+-- decided; where no robot did, of the requester until the request is issued, and of the executor after that.
+WITH lacking AS (
+    SELECT
+        records.*,
+        'supervisor/' || split_part(
+            CASE
+                WHEN starts_with(decisions.decided_by, 'robot/') OR starts_with(decisions.decided_by, 'agent/') THEN decisions.decided_by
+                WHEN records.record_kind IN ('gap', 'query', 'request') THEN coalesce(records.requested_by, records.executed_by)
+                ELSE coalesce(records.executed_by, records.requested_by)
+            END, '/', 2
+        ) AS supervisor
+    FROM coordination_events AS records
+    INNER JOIN events AS decisions ON records.run_id = decisions.run_id AND records.seq = decisions.seq
+    WHERE NOT records.is_attributable
+),
+
+judged AS (
+    SELECT
+        lacking.*,
+        NOT lacking.has_supervisor AND absences.supervisor IS NULL AS lacks_supervisor
+    FROM lacking
+    LEFT JOIN supervisor_absences AS absences
+        ON
+            lacking.run_id = absences.run_id AND lacking.supervisor = absences.supervisor
+            AND lacking.seq > absences.left_seq AND lacking.seq < coalesce(absences.returned_seq, lacking.seq + 1)
+)
+
+SELECT
+    run_id,
+    seq,
+    time_us,
+    type,
+    action_id,
+    'no ' || concat_ws(
+        ', no ',
+        CASE WHEN NOT has_origin THEN 'requester' END,
+        CASE WHEN NOT has_executor THEN 'executor' END,
+        CASE WHEN lacks_supervisor THEN 'supervisor' END
+    ) || ' can be recovered' AS found
+FROM judged
+WHERE NOT has_origin OR NOT has_executor OR lacks_supervisor

@@ -1,0 +1,325 @@
+"""The ten invariants: real FSAR runs satisfy them, and every seeded defect is caught at its event."""
+
+from collections.abc import Callable
+from functools import cache
+from typing import Any, NamedTuple
+
+import msgspec
+import pytest
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.events import AnyEvent
+from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
+from fsar_ledger.events.execution import ExecutionStarted, RoutinePerformed
+from fsar_ledger.events.recovery import RecoveryEscalated
+from fsar_ledger.events.request import RequestAccepted
+from fsar_ledger.ledger.codec import encode
+from fsar_ledger.metrics.database import from_rows, from_table
+from fsar_ledger.metrics.invariants import audit_rows, chosen, invariants
+from fsar_ledger.runtime.architectures.fsar import FSAR
+from fsar_ledger.runtime.architectures.fsar.execution import start as start_as_fsar
+from fsar_ledger.runtime.architectures.wiring import Wiring
+from fsar_ledger.runtime.handlers.commands import DecideRoutine, StartAction
+from fsar_ledger.runtime.handlers.execution import started
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+
+Row = dict[str, Any]
+Seeds = Callable[[list[Row]], list[int]]
+"""Puts a defect into the rows and says at which positions it shows."""
+
+RUNS: tuple[tuple[Scenario, int], ...] = (("failure-recovery-chain", 12), ("failure-recovery-chain", 17), ("collaborative-delivery", 7))
+"""Between them: relays, holds, reviews, an absent supervisor at an execution, and recovery at all four levels."""
+
+
+def record(scenario: Scenario, run: int, architecture: Architecture = "fsar", configuration: Configuration = "full", structure: Wiring | None = None) -> Any:
+    return simulate_run(RunSpec(42, architecture, configuration, scenario, 4, run), Constants(), structure)
+
+
+@cache
+def history() -> tuple[Row, ...]:
+    return tuple(encode([record(*run) for run in RUNS]).to_pylist())
+
+
+def where(rows: list[Row], name: str, **fields: Any) -> list[int]:
+    """The positions of the events of this type with these values (a callable: that satisfy it), in order."""
+    matches = {key: value if callable(value) else (lambda found, value=value: found == value) for key, value in fields.items()}
+    return [at for at, row in enumerate(rows) if row["type"] == f"{name}.v1" and all(match(row[key]) for key, match in matches.items())]
+
+
+def robots(name: str | None) -> bool:
+    return name is not None and name.startswith("robot/")
+
+
+def forged(name: str, change: dict[str, Any], nth: int = 0, **fields: Any) -> Seeds:
+    """One event of this type says something else."""
+
+    def seed(rows: list[Row]) -> list[int]:
+        at = where(rows, name, **fields)[nth]
+        rows[at] = {**rows[at], **change}
+        return [at]
+
+    return seed
+
+
+def delegated_start(rows: list[Row]) -> int:
+    return next(at for at in where(rows, "ExecutionStarted") if rows[at]["robot"] != rows[at]["on_behalf_of"])
+
+
+def of_delegated_start(change: dict[str, Any]) -> Seeds:
+    """The record of an execution for another robot, whose supervisor is on shift, says something else."""
+
+    def seed(rows: list[Row]) -> list[int]:
+        at = next(at for at in where(rows, "ExecutionStarted", supervised_by=lambda found: found is not None) if rows[at]["robot"] != rows[at]["on_behalf_of"])
+        rows[at] = {**rows[at], **change}
+        return [at]
+
+    return seed
+
+
+def lost(name: str) -> Seeds:
+    """The events of this type of a delegated action are lost (they become an event that says nothing of it)."""
+
+    def seed(rows: list[Row]) -> list[int]:
+        start = delegated_start(rows)
+        key = ("run_id", "action_id")
+        for at in where(rows, name):
+            if all(rows[at][column] == rows[start][column] for column in key):
+                rows[at] = {**rows[at], "action_id": None}
+        return [start]
+
+    return seed
+
+
+def swapped(name: str, other: str) -> Seeds:
+    """An event of the first type and the next one of the other type of the same action have changed places."""
+
+    def seed(rows: list[Row]) -> list[int]:
+        for at in where(rows, name):
+            key = (rows[at]["run_id"], rows[at]["action_id"])
+            later = [place for place in where(rows, other) if place > at and (rows[place]["run_id"], rows[place]["action_id"]) == key]
+            if later and (name != "RequestAccepted" or rows[later[0]]["robot"] != rows[later[0]]["on_behalf_of"]):
+                rows[at], rows[later[0]] = rows[later[0]], rows[at]
+                for column in ("seq", "time_us"):
+                    rows[at][column], rows[later[0]][column] = rows[later[0]][column], rows[at][column]
+                return [at]
+        raise AssertionError(f"no {name} before {other}")
+
+    return seed
+
+
+def before_start(name: str, change: dict[str, Any]) -> Seeds:
+    """An event of this type about the action stands just before a delegated execution, in place of another action's event."""
+
+    def seed(rows: list[Row]) -> list[int]:
+        start = next(at for at in where(rows, "ExecutionStarted") if rows[at]["robot"] != rows[at]["on_behalf_of"] and is_free(rows[at - 1]))
+        kept = {column: rows[start - 1][column] for column in ("run_id", "seq", "time_us", "caused_by")}
+        empty = dict.fromkeys(rows[start])
+        rows[start - 1] = {**empty, **kept, "type": f"{name}.v1", "action_id": rows[start]["action_id"], "robot": rows[start]["robot"], **change}
+        return [start]
+
+    return seed
+
+
+def is_free(row: Row) -> bool:
+    return row["type"] in ("RoutineDue.v1", "RoutinePerformed.v1", "ContextChanged.v1", "PeersMet.v1", "ObstructionAppeared.v1", "ApproachStarted.v1")
+
+
+def under_its_own_deny(name: str) -> Seeds:
+    """A window of the robot's own policy opened before this event, and nothing heeded it."""
+
+    def seed(rows: list[Row]) -> list[int]:
+        for start in where(rows, name, **({"operation": "motion"} if name == "RoutinePerformed" else {})):
+            free = next((at for at in range(start - 1, max(start - 6, 0), -1) if is_free(rows[at]) and rows[at]["run_id"] == rows[start]["run_id"]), None)
+            if free is not None:
+                kept = {column: rows[free][column] for column in ("run_id", "seq", "time_us", "caused_by")}
+                window = {"type": "PolicyWindowOpened.v1", "robot": rows[start]["robot"], "scope": "local", "window": "seeded", "outcome": "deny"}
+                rows[free] = {**dict.fromkeys(rows[free]), **kept, **window}
+                return [start]
+        raise AssertionError(f"no place before {name}")
+
+    return seed
+
+
+def carried(outcome: str) -> Seeds:
+    """The request of an admitted action carried another policy than it said."""
+
+    def seed(rows: list[Row]) -> list[int]:
+        admitted = where(rows, "RequestAdmitted", outcome="allow")[0]
+        key = (rows[admitted]["run_id"], rows[admitted]["action_id"])
+        for at in where(rows, "RequestIssued"):
+            if (rows[at]["run_id"], rows[at]["action_id"]) == key:
+                rows[at] = {**rows[at], "carried_policy": outcome}
+        return [admitted]
+
+    return seed
+
+
+def at_its_start(seed: Seeds) -> Seeds:
+    """The same defect, which shows when the action of that event is executed."""
+
+    def seed_and_follow(rows: list[Row]) -> list[int]:
+        (at,) = seed(rows)
+        key = {column: rows[at][column] for column in ("run_id", "action_id")}
+        return [next(place for place in where(rows, "ExecutionStarted", **key) if place > at)]
+
+    return seed_and_follow
+
+
+def joined_again(rows: list[Row]) -> list[int]:
+    first, second = where(rows, "RobotJoined")[:2]
+    rows[second] = {**rows[second], "robot": rows[first]["robot"]}
+    return [second]
+
+
+class Defect(NamedTuple):
+    """What is done to the rows, and the invariant that must say so."""
+
+    invariant: str
+    name: str
+    seed: Seeds
+
+
+AGENT = "agent/A1/execution"
+DEFECTS = (
+    Defect("i1", "a part of the robot accepts", forged("RequestAccepted", {"decided_by": AGENT})),
+    Defect("i1", "a part of the robot holds authority", forged("AuthorityClaimed", {"claimant": "agent/B1/planning"})),
+    Defect("i1", "a part of the robot is on the path", forged("RoutinePerformed", {"path": [AGENT, "robot/A1"]})),
+    Defect("i1", "a robot that never joined asks", forged("RequestIssued", {"requested_by": "robot/Z9"})),
+    Defect("i1", "a robot joins twice", joined_again),
+    Defect("i2", "the coordinator accepts", at_its_start(forged("RequestAccepted", {"decided_by": "coordinator"}))),
+    Defect("i2", "the acceptance names no decider", at_its_start(forged("RequestAccepted", {"decided_by": None}))),
+    Defect("i2", "the acceptance is lost", lost("RequestAccepted")),
+    Defect("i2", "the execution comes before the acceptance", swapped("RequestAccepted", "ExecutionStarted")),
+    Defect("i2", "the execution names another executor", of_delegated_start({"executed_by": "robot/Z1"})),
+    Defect("i3", "a refusal before the start", before_start("RequestDenied", {"reason": "policy"})),
+    Defect("i3", "the request carried a deny", at_its_start(carried("deny"))),
+    Defect("i3", "the robot's own policy denies the execution", under_its_own_deny("ExecutionStarted")),
+    Defect("i3", "the robot's own policy denies the motion", under_its_own_deny("RoutinePerformed")),
+    Defect("i4", "a level is skipped", forged("RecoveryEscalated", {"to_level": "human"}, level="local")),
+    Defect("i4", "recovery goes back", forged("RecoveryEscalated", {"to_level": "local"}, level="fleet")),
+    Defect("i4", "an attempt at a level not reached", forged("RecoveryAttempted", {"level": "fleet"})),
+    Defect("i4", "resolved below the level reached", forged("FailureResolved", {"level": "local"}, level="human")),
+    Defect("i4", "the level is not recorded", forged("RecoveryEscalated", {"to_level": None})),
+    Defect("i4", "recovery comes before the failure", swapped("ExecutionFailed", "RecoveryAttempted")),
+    Defect("i5", "a routine without executor", forged("RoutinePerformed", {"executed_by": None})),
+    Defect("i5", "a routine without requester", forged("RoutinePerformed", {"requested_by": None})),
+    Defect("i5", "a routine without supervisor on shift", forged("RoutinePerformed", {"supervised_by": None}, supervised_by=lambda found: found is not None)),
+    Defect("i5", "a gap that belongs to no action", forged("GapDetected", {"action_id": None})),
+    Defect("a1", "the coordinator decides an own step", forged("OwnStepDecided", {"decided_by": "coordinator"})),
+    Defect("a1", "a service is on the path of a motion", forged("RoutinePerformed", {"path": ["service/coordination", "robot/A1"]})),
+    Defect("a1", "nobody decides an own step", forged("OwnStepDecided", {"decided_by": None})),
+    Defect("a1", "an own step is executed before it is decided", swapped("OwnStepDecided", "ExecutionStarted")),
+    Defect("a2", "a service executes", forged("ExecutionStarted", {"executed_by": "service/coordination"})),
+    Defect("a2", "the coordinator executes", forged("ExecutionFinished", {"executed_by": "coordinator"})),
+    Defect("a2", "the registry is the body that moves", forged("ExecutionStarted", {"robot": "service/registry"})),
+    Defect("a3", "admitted against a carried deny", carried("deny")),
+    Defect("a3", "admitted without the review that was carried", carried("review")),
+    Defect("a3", "admitted as deny", forged("RequestAdmitted", {"outcome": "deny"})),
+    Defect("a3", "a hold that nothing ends", before_start("ExecutionHeld", {"outcome": "deny"})),
+    Defect("a3", "a refusal before the start", before_start("RequestDenied", {"reason": "policy"})),
+    Defect("a3", "the robot's own policy denies the execution", under_its_own_deny("ExecutionStarted")),
+    Defect("a4", "a service accepts", forged("RequestAccepted", {"decided_by": "service/coordination"})),
+    Defect("a4", "the requester admits", forged("RequestAdmitted", {"decided_by": "robot/Z1"})),
+    Defect("a4", "nobody decides a motion", forged("RoutinePerformed", {"decided_by": None})),
+    Defect("a4", "the recovery service retries", forged("RecoveryAttempted", {"decided_by": "service/recovery"})),
+    Defect("a4", "the asked robot's peer lends it", forged("AssistanceAdmitted", {"decided_by": "service/recovery"})),
+    Defect("a5", "no requester", of_delegated_start({"requested_by": None})),
+    Defect("a5", "no executor", of_delegated_start({"executed_by": None})),
+    Defect("a5", "no supervisor on shift", of_delegated_start({"supervised_by": None})),
+    Defect("a5", "another requester", of_delegated_start({"requested_by": "robot/Z1"})),
+    Defect("a5", "the request is lost", lost("RequestIssued")),
+    Defect("a5", "the acceptance is lost", lost("RequestAccepted")),
+)
+
+
+def offending(name: str, rows: list[Row]) -> set[tuple[str, int]]:
+    (query,) = chosen([name])
+    with from_rows(rows, threads=1) as database:
+        return {(row["run_id"], row["seq"]) for row in database.rows(f"SELECT run_id, seq FROM {query.relation}")}
+
+
+def test_all_ten_hold_on_the_untouched_history_which_has_what_they_judge() -> None:
+    rows = list(history())
+    for name in ("RequestRelayed", "ExecutionHeld", "AssistanceAdmitted", "ReassignmentDecided", "SupervisorResponded"):
+        assert where(rows, name), name
+    assert {rows[at]["to_level"] for at in where(rows, "RecoveryEscalated")} == {"peer", "fleet", "human"}
+    assert where(rows, "ExecutionStarted", supervised_by=None)
+    with from_rows(rows, threads=1) as database:
+        assert [(row.invariant, row.events) for row in audit_rows(database, invariants())] == [(query.relation, 0) for query in invariants()]
+    assert len(invariants()) == 10
+
+
+@pytest.mark.parametrize("defect", DEFECTS, ids=lambda defect: f"{defect.invariant}: {defect.name}")
+def test_a_seeded_defect_is_caught_at_its_event(defect: Defect) -> None:
+    rows = [dict(row) for row in history()]
+    (shows_at,) = defect.seed(rows)
+    assert (rows[shows_at]["run_id"], rows[shows_at]["seq"]) in offending(defect.invariant, rows)
+
+
+def test_every_invariant_has_at_least_three_seeded_defects() -> None:
+    count = {query.relation[:2]: sum(defect.invariant == query.relation[:2] for defect in DEFECTS) for query in invariants()}
+    assert min(count.values()) >= 3, count
+
+
+def changed(event: type[AnyEvent], **fields: Any) -> Wiring:
+    """FSAR, with every handler that emits this event saying something else in it."""
+
+    def mutated(decide: Any) -> Any:
+        return lambda state, command: tuple(msgspec.structs.replace(one, **fields) if isinstance(one, event) else one for one in decide(state, command))
+
+    return Wiring({command: mutated(decide) for command, decide in FSAR.decides.items()}, FSAR.reacts)
+
+
+def unchecked_start(state: Any, command: StartAction) -> tuple[Any, ...]:
+    """FSAR's handler without its look at policy."""
+    would_be = start_as_fsar(state, command)
+    return (started(state, state.execution.actions[command.action_id], command),) if would_be else ()
+
+
+def unchecked_routine(state: Any, command: DecideRoutine) -> tuple[Any, ...]:
+    """FSAR's handler, which moves whatever it is told."""
+    return tuple(RoutinePerformed(**msgspec.structs.asdict(one)) for one in FSAR.decides[DecideRoutine](state, command))
+
+
+MUTATED: tuple[tuple[str, Wiring], ...] = (
+    ("i2", changed(RequestAccepted, decided_by="service/coordination")),
+    ("a4", changed(RequestAccepted, decided_by="service/coordination")),
+    ("i4", changed(RecoveryEscalated, level="fleet")),
+    ("a5", changed(ExecutionStarted, supervised_by=None)),
+    ("a2", changed(ExecutionStarted, executed_by="service/recovery")),
+    ("i3", FSAR._replace(decides={**FSAR.decides, StartAction: unchecked_start})),
+    ("a3", FSAR._replace(decides={**FSAR.decides, StartAction: unchecked_start})),
+    ("i3", FSAR._replace(decides={**FSAR.decides, DecideRoutine: unchecked_routine})),
+)
+
+
+@pytest.mark.parametrize(("name", "structure"), MUTATED, ids=[f"{name}-{at}" for at, (name, _) in enumerate(MUTATED)])
+def test_a_mutated_handler_is_caught(name: str, structure: Wiring) -> None:
+    (query,) = chosen([name])
+    with from_table(encode([record(*run, structure=structure) for run in RUNS]), threads=1) as database:
+        assert audit_rows(database, [query])[0].events > 0
+
+
+BROKEN_BY_DESIGN = {
+    ("cfc", "full"): {"i2", "i3", "i4", "i5", "a1", "a3", "a4", "a5"},
+    ("dhma", "full"): {"i1", "i2", "i3", "i4", "i5", "a1", "a3", "a4"},
+    ("fsar", "without-layered-recovery"): {"i4"},
+    ("fsar", "without-policy-composition"): {"i3", "a3"},
+    ("fsar", "without-shared-registry"): {"i5"},
+}
+
+
+@pytest.mark.parametrize(("architecture", "configuration"), list(BROKEN_BY_DESIGN))
+def test_what_a_baseline_or_an_ablation_gives_up_is_reported_and_nothing_else(architecture: Architecture, configuration: Configuration) -> None:
+    scenarios: tuple[Scenario, ...] = ("door-relay", "collaborative-delivery", "failure-recovery-chain", "fleet-contention")
+    records = [record(scenario, run, architecture, configuration) for scenario in scenarios for run in range(8)]
+    with from_table(encode(records), threads=1) as database:
+        broken = {row.invariant[:2] for row in audit_rows(database, invariants()) if row.events}
+    assert broken == BROKEN_BY_DESIGN[architecture, configuration]
+
+
+def test_i5_finds_that_the_query_of_a_refused_outsider_names_no_executor() -> None:
+    rows = encode([record("mixed-trust-inspection", 0)]).to_pylist()
+    refused = {(rows[at]["run_id"], rows[at]["seq"]) for at in where(rows, "RegistryQueried", candidates=[])}
+    assert refused
+    assert offending("i5", rows) == refused
