@@ -128,7 +128,7 @@ def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> 
     """
     _require_writable(out)
     starts = np.array([fitted.start for fitted in FITTED])
-    total = ROUNDS * (2 * len(FITTED) + len(SCALES)) + 2
+    total = _evaluations()
     steps = iter(range(1, total + 1))
 
     def advance() -> None:
@@ -167,6 +167,11 @@ def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> 
     _write(out, record)
 
 
+def _evaluations() -> int:
+    """How often the model is measured: the slopes and trials of each round, the start, and the accepted point."""
+    return ROUNDS * (2 * len(FITTED) + len(SCALES)) + 2
+
+
 def objective(found: Vector, point: Vector) -> float:
     """What the fit makes small: squared residuals in standard errors, plus the prior."""
     return float(found @ found + (point @ point) / PRIOR**2)
@@ -199,7 +204,7 @@ def _record(starts: Vector, point: Vector, rows: list[MetricRow], start_value: f
         },
         "seeds": [SEED],
         "runs_per_scenario": RUNS,
-        "evaluations": ROUNDS * (2 * len(FITTED) + len(SCALES)) + 2,
+        "evaluations": _evaluations(),
         "model_version": MODEL_VERSION,
         "command": "fsar-ledger calibrate --out FILE",
         "parameters": [_parameter(fitted, constants, directions, singular, index) for index, fitted in enumerate(FITTED)],

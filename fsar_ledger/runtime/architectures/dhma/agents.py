@@ -13,6 +13,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.attribution import is_injected, on_shift
+from fsar_ledger.runtime.handlers.authority import released as end_claims
 from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, Decides, Reacts, Scheduled
 from fsar_ledger.runtime.handlers.execution import pause_running
 
@@ -93,11 +94,7 @@ def claims(state: State, action: Action, dimension: Any, claimants: tuple[str, .
 
 def released(state: State, action_id: str, reason: str | None = None) -> tuple[AuthorityReleased, ...]:
     """The open claims on the action end, or those made for this reason."""
-    return tuple(
-        AuthorityReleased(claim.task_id, action_id, claim.dimension, claim.claimant, claim.reason)
-        for claim in state.authority.get(action_id, ())
-        if reason is None or claim.reason == reason
-    )
+    return end_claims(claim for claim in state.authority.get(action_id, ()) if reason is None or claim.reason == reason)
 
 
 def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:

@@ -12,6 +12,7 @@ from fsar_ledger.events.request import GapDetected, RequestAccepted, RequestAdmi
 from fsar_ledger.events.world import ContextChanged, OutsiderRequestInjected, PeersMet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.handlers.attribution import on_shift
+from fsar_ledger.runtime.handlers.authority import released as end_claims
 from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, Decides, Reacts, Scheduled, message
 
 
@@ -36,8 +37,7 @@ class RememberPeer(Command):
 
 def released(state: State, action_id: str) -> tuple[AuthorityReleased, ...]:
     """Every open claim on the action ends."""
-    claims = state.authority.get(action_id, ())
-    return tuple(AuthorityReleased(claim.task_id, action_id, claim.dimension, claim.claimant, claim.reason) for claim in claims)
+    return end_claims(state.authority.get(action_id, ()))
 
 
 def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
