@@ -3,10 +3,12 @@
 from typing import get_args
 
 from .authority import AuthorityEvent
+from .command import CommandEvent
 from .envelope import Event
 from .execution import ExecutionEvent
 from .fleet import FleetEvent
 from .knowledge import KnowledgeEvent
+from .policy import PolicyEvent
 from .recovery import RecoveryEvent
 from .registry import RegistryEvent
 from .request import RequestEvent
@@ -19,6 +21,7 @@ AnyEvent = (
     FleetEvent
     | RegistryEvent
     | TrustEvent
+    | PolicyEvent
     | WorldEvent
     | TaskEvent
     | RequestEvent
@@ -27,6 +30,7 @@ AnyEvent = (
     | RecoveryEvent
     | SupervisionEvent
     | KnowledgeEvent
+    | CommandEvent
 )
 
 EVENT_TYPES: tuple[type[Event], ...] = get_args(AnyEvent)

@@ -1,6 +1,10 @@
 """Who holds which dimension of authority over an action, from when to when (`eq:auth`)."""
 
-from .envelope import Dimension, Event
+from typing import Literal
+
+from .envelope import Dimension, Event, OverrideLevel
+
+RevocationReason = Literal["trust downgrade", "context expired", "human override"]
 
 
 class AuthorityClaimed(Event, frozen=True):
@@ -23,4 +27,26 @@ class AuthorityReleased(Event, frozen=True):
     reason: str
 
 
-AuthorityEvent = AuthorityClaimed | AuthorityReleased
+class AuthorityGranted(Event, frozen=True):
+    """`requested_by` may ask (of None: anyone) up to this override level, by role or a supervisor's word; lifts a revocation. Paper: eq:auth, eq:override."""
+
+    requested_by: str
+    executed_by: str | None
+    capability: str | None
+    context: str | None
+    override: OverrideLevel
+    decided_by: str | None
+
+
+class AuthorityRevoked(Event, frozen=True):
+    """`requested_by` may no longer ask this, from the next request boundary on: what executes already goes on. Paper: sec:model:authority."""
+
+    requested_by: str
+    executed_by: str | None
+    capability: str | None
+    context: str | None
+    reason: RevocationReason
+    decided_by: str | None
+
+
+AuthorityEvent = AuthorityClaimed | AuthorityReleased | AuthorityGranted | AuthorityRevoked

@@ -30,6 +30,8 @@ FLEET_SUPERVISOR = "supervisor/fleet"
 REGISTRY = "service/registry"
 COORDINATION = "service/coordination"
 RECOVERY = "service/recovery"
+POLICY = "service/policy"
+TRUST = "service/trust"
 
 
 def local_supervisor(robot: str) -> str:
@@ -45,10 +47,16 @@ def agent(robot: str, kind: Literal["planning", "execution", "communication", "r
 Architecture = Literal["fsar", "cfc", "dhma"]
 Configuration = Literal["full", "without-trust-evaluation", "without-policy-composition", "without-layered-recovery", "without-shared-registry"]
 Scenario = Literal["door-relay", "collaborative-delivery", "failure-recovery-chain", "mixed-trust-inspection", "fleet-contention"]
+Workflow = Literal["workflow-door-relay", "workflow-layered-recovery", "workflow-human-supervision"]
+Setting = Literal[Scenario, Workflow, "live"]  # what a run plays; a live run is played by its commands
 PolicyOutcome = Literal["allow", "deny", "review"]
 PolicyScope = Literal["local", "fleet"]
 Dimension = Literal["execution", "override", "audit"]
 TrustScope = Literal["none", "capability", "task", "session", "persistent"]
 RecoveryLevel = Literal["local", "peer", "fleet", "human"]
+OverrideLevel = Literal["none", "soft-priority", "hard-preempt", "emergency-only"]
+Availability = Literal["ready", "busy", "degraded", "restricted", "offline"]
+Visibility = Literal["global", "domain", "trust-gated"]
+Result = Literal["success", "partial", "failure"]
 FailureCause = Literal["obstruction", "degradation"]
 Operation = Literal["motion", "sensing"]

@@ -4,7 +4,7 @@
 stand beside the principals that the architecture recorded, which may be None.
 """
 
-from .envelope import Event, FailureCause, Operation, PolicyOutcome
+from .envelope import Event, FailureCause, Operation, OverrideLevel, PolicyOutcome, Result
 
 
 class OwnStepDecided(Event, frozen=True):
@@ -21,7 +21,7 @@ class OwnStepDecided(Event, frozen=True):
 
 
 class ExecutionQueued(Event, frozen=True):
-    """The action waits for the robot, which serves one at a time in order of arrival.
+    """The action waits for the robot, which serves one at a time: by override level, else in order of arrival. Paper: eq:override.
 
     The principals are those that the architecture records of the execution; `is_supervised` is False when
     it knows no supervisor for it at all.
@@ -40,6 +40,7 @@ class ExecutionQueued(Event, frozen=True):
     is_delegated: bool
     has_approach: bool
     is_supervised: bool
+    override: OverrideLevel = "none"
 
 
 class ApproachStarted(Event, frozen=True):
@@ -91,6 +92,19 @@ class ExecutionPaused(Event, frozen=True):
     remaining_us: int
 
 
+class ExecutionPreempted(Event, frozen=True):
+    """A request of a higher override level has taken the robot; this action goes on after it. Paper: eq:override.
+
+    Units: `remaining_us` microseconds of execution left, None when it had not started.
+    """
+
+    task_id: str
+    action_id: str
+    robot: str
+    preempted_by: str
+    remaining_us: int | None
+
+
 class ReplanOrdered(Event, frozen=True):
     """The coordinator has sent a new plan for a paused action."""
 
@@ -127,7 +141,10 @@ class ExecutionFailed(Event, frozen=True):
 
 
 class ExecutionFinished(Event, frozen=True):
-    """The capability was executed to its end and the result is known to the robot. Paper: sec:model:request, phase 5."""
+    """The execution is over and its result is known to the robot. Paper: sec:model:request, phase 5.
+
+    `achieved` names the postconditions that hold, when not all do.
+    """
 
     task_id: str
     action_id: str
@@ -135,6 +152,8 @@ class ExecutionFinished(Event, frozen=True):
     executed_by: str | None
     supervised_by: str | None
     robot: str
+    result: Result = "success"
+    achieved: tuple[str, ...] = ()
 
 
 class ExecutionWithdrawn(Event, frozen=True):
@@ -185,6 +204,7 @@ ExecutionEvent = (
     | ExecutionHeld
     | ExecutionStarted
     | ExecutionPaused
+    | ExecutionPreempted
     | ReplanOrdered
     | ExecutionResumed
     | ExecutionFailed

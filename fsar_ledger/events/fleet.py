@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from .envelope import Architecture, Configuration, Event, Scenario
+from .envelope import Architecture, Configuration, Event, Setting
 
 
 class RunStarted(Event, frozen=True):
@@ -15,7 +15,7 @@ class RunStarted(Event, frozen=True):
     seed: int
     architecture: Architecture
     configuration: Configuration
-    scenario: Scenario
+    scenario: Setting
     fleet_size: int
     run: int
     model_version: str
@@ -23,12 +23,16 @@ class RunStarted(Event, frozen=True):
 
 
 class RobotJoined(Event, frozen=True):
-    """A robot is part of the fleet, under its own supervisor. Paper: eq:fleet."""
+    """A robot is part of the fleet, under its own supervisor H_i, if it has one. Paper: eq:fleet, eq:runtime.
+
+    `domain` is the path of the registry that the robot advertises in (`hall/cell`); empty is the fleet's own.
+    """
 
     robot: str
     role: str
     team: int
-    supervisor: str
+    supervisor: str | None
+    domain: str = ""
 
 
 FleetEvent = RunStarted | RobotJoined

@@ -3,7 +3,17 @@
 `failure` is the number of the failure within the action, as in `ExecutionFailed`.
 """
 
-from .envelope import Event, RecoveryLevel
+from .envelope import Event, RecoveryLevel, Result
+
+
+class RecoveryBudgetSet(Event, frozen=True):
+    """Q_i of the robot gives a level this budget (t_max, n_max) from now on. Units: `t_max_us` microseconds. Paper: app:foundations."""
+
+    robot: str
+    level: RecoveryLevel
+    t_max_us: int
+    n_max: int
+    decided_by: str | None
 
 
 class RecoveryAttempted(Event, frozen=True):
@@ -25,17 +35,19 @@ class RecoveryAttempted(Event, frozen=True):
 
 
 class RecoveryAttemptFailed(Event, frozen=True):
-    """The attempt did not resolve the failure."""
+    """The attempt did not resolve the failure; a partial one has `achieved` some of the postconditions."""
 
     task_id: str
     action_id: str
     robot: str
     failure: int
     number: int
+    result: Result = "failure"
+    achieved: tuple[str, ...] = ()
 
 
 class RecoveryEscalated(Event, frozen=True):
-    """Recovery leaves one level for another. Paper: eq:recovery."""
+    """Recovery leaves one level for the next, for this reason; a level that has nothing to try is left at once. Paper: eq:recovery."""
 
     task_id: str
     action_id: str | None
@@ -49,6 +61,7 @@ class RecoveryEscalated(Event, frozen=True):
     level: RecoveryLevel
     to_level: RecoveryLevel
     failed_action: str
+    reason: str | None = None
 
 
 class AssistanceRequested(Event, frozen=True):
@@ -105,7 +118,10 @@ class AssistanceEnded(Event, frozen=True):
 
 
 class ReassignmentDecided(Event, frozen=True):
-    """The recovery orchestrator has looked for another robot; `helper` is None when no reassignment is feasible. Paper: sec:model:recovery, level 3."""
+    """The recovery orchestrator has looked for another robot; `helper` is None when no reassignment is feasible. Paper: sec:model:recovery, level 3.
+
+    `checkpoint` is the declared state from which the helper resumes; `reason` says why none can.
+    """
 
     task_id: str
     action_id: str
@@ -117,6 +133,19 @@ class ReassignmentDecided(Event, frozen=True):
     robot: str
     helper: str | None
     failure: int
+    checkpoint: str | None = None
+    reason: str | None = None
+
+
+class TaskStateTransferred(Event, frozen=True):
+    """The helper holds the state of the task as of the checkpoint: the steps done until then. Paper: sec:model:recovery, level 3."""
+
+    task_id: str
+    action_id: str
+    robot: str
+    helper: str
+    checkpoint: str
+    completed: tuple[str, ...]
 
 
 class FailureResolved(Event, frozen=True):
@@ -130,7 +159,8 @@ class FailureResolved(Event, frozen=True):
 
 
 RecoveryEvent = (
-    RecoveryAttempted
+    RecoveryBudgetSet
+    | RecoveryAttempted
     | RecoveryAttemptFailed
     | RecoveryEscalated
     | AssistanceRequested
@@ -138,5 +168,6 @@ RecoveryEvent = (
     | AssistanceDeclined
     | AssistanceEnded
     | ReassignmentDecided
+    | TaskStateTransferred
     | FailureResolved
 )

@@ -1,20 +1,94 @@
-"""Advertisement and discovery of capabilities (Gamma, `eq:adv`)."""
+"""Possession, advertisement and discovery of capabilities (Gamma, `eq:adv`).
 
-from .envelope import Event
+A contract is the same everywhere: `preconditions` must hold before, `postconditions` hold after, `resources`
+are taken meanwhile; a contradiction is written with `not `: `not door.closed` beside `door.closed`.
+"""
+
+from .envelope import Availability, Event, OverrideLevel, TrustScope, Visibility
+
+
+class CapabilityInstalled(Event, frozen=True):
+    """The robot possesses this version of an ECM. Paper: eq:possess, sec:model:robot."""
+
+    robot: str
+    capability: str
+    version: str
+    preconditions: tuple[str, ...] = ()
+    postconditions: tuple[str, ...] = ()
+    resources: tuple[str, ...] = ()
+
+
+class CapabilityRemoved(Event, frozen=True):
+    """The robot no longer possesses it, nor advertises it."""
+
+    robot: str
+    capability: str
 
 
 class CapabilityAdvertised(Event, frozen=True):
-    """A robot offers a capability. `visible_to` names the roles that may discover it; empty means all. Paper: eq:adv."""
+    """A robot offers a capability; a later record of the same robot and capability replaces this one. Paper: eq:adv.
+
+    The seven fields are `version`; the contract; `trust_required`, the narrowest scope that suffices;
+    `policy_required`, contexts in which it may be asked for (empty: any); `override_allowed`, the highest
+    override level that a request may carry (the authority profile); `availability`; `embodiment`, what body it
+    needs or is. `visibility` says who may discover it: everyone, the robot's own domain and those below it, or
+    whoever the robot trusts; `visible_to` narrows that to roles (empty: all).
+    """
 
     robot: str
     capability: str
     visible_to: tuple[str, ...] = ()
+    version: str = "1.0.0"
+    preconditions: tuple[str, ...] = ()
+    postconditions: tuple[str, ...] = ()
+    resources: tuple[str, ...] = ()
+    trust_required: TrustScope = "capability"
+    policy_required: tuple[str, ...] = ()
+    override_allowed: OverrideLevel = "none"
+    availability: Availability = "ready"
+    embodiment: tuple[str, ...] = ()
+    visibility: Visibility = "global"
+
+
+class CapabilityWithdrawn(Event, frozen=True):
+    """The capability is no longer on the robot's surface; the robot still possesses it. Paper: sec:architecture:registry."""
+
+    robot: str
+    capability: str
+    reason: str
+
+
+class AvailabilityChanged(Event, frozen=True):
+    """The robot has reported another availability, of one capability or (None) of all that it advertises. Paper: sec:architecture:registry."""
+
+    robot: str
+    capability: str | None
+    availability: Availability
+    reason: str
+
+
+class CapabilityDeprecated(Event, frozen=True):
+    """The version is on its way out: shown last, and to no query that another version satisfies. Paper: sec:discussion:continuity."""
+
+    robot: str
+    capability: str
+    version: str
+    successor: str | None = None
+
+
+class RegistryCached(Event, frozen=True):
+    """`holder` keeps a copy of the registry as it was at `as_of_us` (run time). Paper: sec:discussion:heterogeneity."""
+
+    holder: str
+    as_of_us: int
 
 
 class RegistryQueried(Event, frozen=True):
     """A registry or directory has answered a query with the candidates it may show. Paper: sec:architecture:registry.
 
-    `relay` is the doubly trusted peer through which a request must go when there is no direct trust.
+    `relay` is the doubly trusted peer through which a request must go when there is no direct trust. Each robot of
+    `rejected` matched by name and was left out by the filter at the same place of `rejected_by`. `domain` is the
+    registry that answered, `as_of_us` the run time of the copy that it read, None for the present.
     """
 
     task_id: str | None
@@ -25,6 +99,19 @@ class RegistryQueried(Event, frozen=True):
     capability: str
     candidates: tuple[str, ...]
     relay: str | None = None
+    rejected: tuple[str, ...] = ()
+    rejected_by: tuple[str, ...] = ()
+    domain: str = ""
+    as_of_us: int | None = None
 
 
-RegistryEvent = CapabilityAdvertised | RegistryQueried
+RegistryEvent = (
+    CapabilityInstalled
+    | CapabilityRemoved
+    | CapabilityAdvertised
+    | CapabilityWithdrawn
+    | AvailabilityChanged
+    | CapabilityDeprecated
+    | RegistryCached
+    | RegistryQueried
+)

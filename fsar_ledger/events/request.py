@@ -1,6 +1,6 @@
 """The request lifecycle and its counterparts in the two baselines (Delta, `eq:request`)."""
 
-from .envelope import Event, PolicyOutcome
+from .envelope import Event, OverrideLevel, PolicyOutcome, Result, TrustScope
 
 
 class GapDetected(Event, frozen=True):
@@ -17,7 +17,9 @@ class GapDetected(Event, frozen=True):
 class RequestIssued(Event, frozen=True):
     """A request is on its way. `carried_policy` is the requester's own policy at this moment, if it sends it.
 
-    Paper: eq:request, phase 3.
+    `override` is the level it asks for; `parent` the request in whose service the requester asks (a chain);
+    `directives` what it would dictate to the executor (`plan`, `policy`, `recovery`), which no request may.
+    Paper: eq:request, phase 3; eq:override; eq:nontransitive.
     """
 
     task_id: str | None
@@ -31,6 +33,9 @@ class RequestIssued(Event, frozen=True):
     capability: str
     carried_policy: PolicyOutcome | None = None
     relay: str | None = None
+    override: OverrideLevel = "none"
+    parent: str | None = None
+    directives: tuple[str, ...] = ()
 
 
 class RequestRelayed(Event, frozen=True):
@@ -112,7 +117,11 @@ class InternalHandoff(Event, frozen=True):
 
 
 class RequestAdmitted(Event, frozen=True):
-    """The executor has found the request admissible. Paper: eq:admissible, phase 4."""
+    """The executor has found the request admissible. Paper: eq:admissible, phase 4.
+
+    With the trust it rests on and the authority tuple that it gives: may request, may execute, override level, audited
+    (None where the architecture evaluates neither). Paper: eq:auth.
+    """
 
     task_id: str | None
     action_id: str | None
@@ -123,10 +132,19 @@ class RequestAdmitted(Event, frozen=True):
     supervised_by: str | None
     path: tuple[str, ...]
     outcome: PolicyOutcome
+    trust: TrustScope | None = None
+    may_request: bool | None = None
+    may_execute: bool | None = None
+    override: OverrideLevel | None = None
+    is_audited: bool | None = None
 
 
 class RequestDenied(Event, frozen=True):
-    """The request may not go ahead now, for the reason named. Paper: sec:model:request (reject)."""
+    """The request may not go ahead now. Paper: sec:model:request (reject), eq:admissible.
+
+    `reason` is the conjunct that failed: possession, advertisement, trust, policy, local-execution, authority,
+    negotiation or review.
+    """
 
     task_id: str | None
     action_id: str | None
@@ -150,6 +168,40 @@ class RequestDeferred(Event, frozen=True):
     executed_by: str | None
     supervised_by: str | None
     path: tuple[str, ...]
+
+
+class RequestCountered(Event, frozen=True):
+    """The executor would do it on other terms: with this override level at most. Paper: sec:model:request (negotiate).
+
+    `round` counts the offers of the request from 1; the number of rounds is bounded.
+    """
+
+    task_id: str | None
+    action_id: str | None
+    request_id: str | None
+    decided_by: str | None
+    requested_by: str | None
+    executed_by: str | None
+    supervised_by: str | None
+    path: tuple[str, ...]
+    round: int
+    override: OverrideLevel
+
+
+class OfferAnswered(Event, frozen=True):
+    """The requester has answered the counter-offer: it takes the terms, asks for others, or (neither) lets go. Paper: sec:model:request (negotiate)."""
+
+    task_id: str | None
+    action_id: str | None
+    request_id: str | None
+    decided_by: str | None
+    requested_by: str | None
+    executed_by: str | None
+    supervised_by: str | None
+    path: tuple[str, ...]
+    round: int
+    is_accepted: bool
+    override: OverrideLevel | None = None
 
 
 class CommandIssued(Event, frozen=True):
@@ -207,6 +259,7 @@ class RequestClosed(Event, frozen=True):
     executed_by: str | None
     supervised_by: str | None
     path: tuple[str, ...]
+    result: Result = "success"
 
 
 RequestEvent = (
@@ -222,6 +275,8 @@ RequestEvent = (
     | RequestAdmitted
     | RequestDenied
     | RequestDeferred
+    | RequestCountered
+    | OfferAnswered
     | CommandIssued
     | RequestAccepted
     | ContractQuestioned

@@ -10,7 +10,8 @@ Purpose = Literal["review", "recovery", "ordering"]
 class SupervisorCalled(Event, frozen=True):
     """A supervisor is asked to decide: a review, a failure that nothing else resolved, or the order of two commands.
 
-    `robot` is the executor that a coordinator has picked already for what is under review.
+    `robot` is the executor that a coordinator has picked already for what is under review; `competing` the other
+    action that wants the same robot.
     """
 
     task_id: str
@@ -18,10 +19,11 @@ class SupervisorCalled(Event, frozen=True):
     supervisor: str
     purpose: Purpose
     robot: str | None = None
+    competing: str | None = None
 
 
 class SupervisorResponded(Event, frozen=True):
-    """The supervisor has decided: approved the review, resolved the failure, ordered the commands."""
+    """The supervisor has decided: approved the review or not, resolved the failure, ordered the commands (`preferred` goes first)."""
 
     task_id: str
     action_id: str
@@ -31,12 +33,23 @@ class SupervisorResponded(Event, frozen=True):
     supervised_by: str | None
     path: tuple[str, ...]
     purpose: Purpose
+    approves: bool = True
+    preferred: str | None = None
+
+
+class SupervisionDensitySet(Event, frozen=True):
+    """One in so many admissions of the robot (None: of every robot) is put before a supervisor; 0 is none. Paper: sec:model:supervision."""
+
+    robot: str | None
+    review_every: int
+    decided_by: str | None
+    reason: str
 
 
 class ActuatorServiced(Event, frozen=True):
-    """The fleet supervisor has had the robot's actuator repaired."""
+    """A supervisor has had the robot's actuator repaired."""
 
     robot: str
 
 
-SupervisionEvent = SupervisorCalled | SupervisorResponded | ActuatorServiced
+SupervisionEvent = SupervisorCalled | SupervisorResponded | SupervisionDensitySet | ActuatorServiced

@@ -4,7 +4,11 @@ Every one of these comes from the schedule that is generated before the run (see
 their (time_us, type, payload) is the same under every architecture and configuration.
 """
 
+from typing import Literal
+
 from .envelope import Event, Operation, PolicyOutcome, PolicyScope
+
+Grade = Literal["unreliable", "slipping", "lost"]
 
 
 class SyncPhaseSet(Event, frozen=True):
@@ -59,9 +63,13 @@ class ObstructionCleared(Event, frozen=True):
 
 
 class ActuatorDegraded(Event, frozen=True):
-    """The robot's actuator has become unreliable. Paper: sec:evaluation:simulator (failure injection)."""
+    """The robot's actuator has become unreliable. Paper: sec:evaluation:simulator (failure injection).
+
+    An unreliable one fails some attempts, a slipping one grips but does not hold, a lost one does not grip.
+    """
 
     robot: str
+    grade: Grade = "unreliable"
 
 
 class SupervisorLeft(Event, frozen=True):
@@ -93,6 +101,9 @@ class PeersMet(Event, frozen=True):
 class TaskArrived(Event, frozen=True):
     """A task is there. `steps` are `ACTOR capability` (own) or `ACTOR capability TARGET` (delegated), roles of `team`.
 
+    Another robot can resume before each step whose number stands in `checkpoints` (None: before every step); a task that
+    is time-critical competes for robots.
+
     Units: `budget_us` microseconds from arrival; `due_us` run time at which the budget ends.
     """
 
@@ -102,6 +113,8 @@ class TaskArrived(Event, frozen=True):
     steps: tuple[str, ...]
     budget_us: int
     due_us: int
+    checkpoints: tuple[str, ...] | None = None
+    is_time_critical: bool = False
 
 
 class OutsiderRequestInjected(Event, frozen=True):

@@ -2,26 +2,36 @@
 
 from typing import assert_never
 
-from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
+import msgspec
 
-HANDLES = AuthorityClaimed | AuthorityReleased
+from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted, AuthorityReleased, AuthorityRevoked
 
-Authority = dict[str, tuple[AuthorityClaimed, ...]]  # action -> open claims
+HANDLES = AuthorityClaimed | AuthorityReleased | AuthorityGranted | AuthorityRevoked
 
-INITIAL: Authority = {}
+
+class Authority(msgspec.Struct, frozen=True, gc=False):
+    """`claims`: action -> open claims; `rights`: who may, and who may no longer ask for what, in order."""
+
+    claims: dict[str, tuple[AuthorityClaimed, ...]] = {}
+    rights: tuple[AuthorityGranted | AuthorityRevoked, ...] = ()
+
+
+INITIAL = Authority()
 
 
 def evolve(state: Authority, event: HANDLES) -> Authority:
-    """The open claims after the event."""
+    """The claims and rights after the event."""
     match event:
         case AuthorityClaimed():
-            return {**state, event.action_id: (*state.get(event.action_id, ()), event)}
+            return Authority({**state.claims, event.action_id: (*state.claims.get(event.action_id, ()), event)}, state.rights)
         case AuthorityReleased():
-            left = tuple(claim for claim in state[event.action_id] if _key(claim) != _key(event))
-            changed = {**state, event.action_id: left}
+            left = tuple(claim for claim in state.claims[event.action_id] if _key(claim) != _key(event))
+            claims = {**state.claims, event.action_id: left}
             if not left:
-                del changed[event.action_id]
-            return changed
+                del claims[event.action_id]
+            return Authority(claims, state.rights)
+        case AuthorityGranted() | AuthorityRevoked():
+            return Authority(state.claims, (*state.rights, event))
         case _:
             assert_never(event)
 

@@ -16,7 +16,8 @@ class Robot(msgspec.Struct, frozen=True, gc=False):
     name: str
     role: str
     team: int
-    supervisor: str
+    supervisor: str | None
+    domain: str = ""
 
 
 class Fleet(msgspec.Struct, frozen=True, gc=False):
@@ -39,7 +40,7 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
             structure = msgspec.json.decode(event.parameters, type=Constants).structure
             return Fleet(event.architecture, event.configuration, event.fleet_size, structure)
         case RobotJoined():
-            robot = Robot(event.robot, event.role, event.team, event.supervisor)
+            robot = Robot(event.robot, event.role, event.team, event.supervisor, event.domain)
             return msgspec.structs.replace(state, robots={**state.robots, event.robot: robot})
         case _:
             assert_never(event)

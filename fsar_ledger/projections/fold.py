@@ -10,19 +10,20 @@ from typing import Any, get_args
 
 from fsar_ledger.events import EVENT_TYPES, Event
 
-from . import authority, execution, fleet, knowledge, recovery, registry, request, supervision, task, trust, world
+from . import authority, execution, fleet, knowledge, policy, recovery, registry, request, supervision, task, trust, world
 
 
 class State:
     """All projections of one run. The slots are replaced by `apply`; the values in them never change."""
 
-    __slots__ = ("authority", "execution", "fleet", "knowledge", "recovery", "registry", "request", "supervision", "task", "trust", "world")
+    __slots__ = ("authority", "execution", "fleet", "knowledge", "policy", "recovery", "registry", "request", "supervision", "task", "trust", "world")
 
     def __init__(self) -> None:
         self.authority = authority.INITIAL
         self.execution = execution.INITIAL
         self.fleet = fleet.INITIAL
         self.knowledge = knowledge.INITIAL
+        self.policy = policy.INITIAL
         self.recovery = recovery.INITIAL
         self.registry = registry.INITIAL
         self.request = request.INITIAL
@@ -37,7 +38,7 @@ class State:
     __hash__ = None  # type: ignore[assignment]
 
 
-_PROJECTIONS = (authority, execution, fleet, knowledge, recovery, registry, request, supervision, task, trust, world)
+_PROJECTIONS = (authority, execution, fleet, knowledge, policy, recovery, registry, request, supervision, task, trust, world)
 _Evolve = Callable[[Any, Any], Any]
 
 

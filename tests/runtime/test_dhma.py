@@ -55,7 +55,7 @@ def running(*before) -> State:  # type: ignore[no-untyped-def]
 
 
 def claimants(state: State, dimension: str) -> set[str]:
-    return {claim.claimant for claim in state.authority.get(ACTION, ()) if claim.dimension == dimension}
+    return {claim.claimant for claim in state.authority.claims.get(ACTION, ()) if claim.dimension == dimension}
 
 
 def test_a_call_names_no_executor_before_the_award() -> None:

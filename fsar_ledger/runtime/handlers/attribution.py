@@ -2,17 +2,20 @@
 
 from typing import Any
 
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, local_supervisor
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.registry import offers
 
 BODIES = ("A", "B", "D")  # roles whose bodies can clear an obstruction
 SUBSTITUTES = {"carry.package": "D", "handover.dropoff": "D"}  # capability -> role that can stand in
 
 
 def on_shift(state: State, robot: str) -> str | None:
-    """The robot's own supervisor H_i, or None while off shift. Paper: eq:supervision."""
-    supervisor = local_supervisor(robot)
+    """The robot's own supervisor H_i, or None while off shift; H_F for a robot that has none of its own. Paper: eq:supervision."""
+    supervisor = state.fleet.robots[robot].supervisor
+    if supervisor is None:
+        return FLEET_SUPERVISOR
     return None if supervisor in state.world.off_shift else supervisor
 
 
@@ -47,8 +50,7 @@ def nearest_first(state: State, robots: list[str], near: str) -> tuple[str, ...]
 
 def capable(state: State, capability: str, requester: str) -> tuple[str, ...]:
     """Every other robot that has the capability, nearest team first. Paper: eq:possess."""
-    offers = state.registry.get(capability, ())
-    return nearest_first(state, [robot for robot, _ in offers if robot != requester], requester)
+    return nearest_first(state, [offer.robot for offer in offers(state.registry.offers, capability) if offer.robot != requester], requester)
 
 
 def helpers(state: State, action: Action, cause: str) -> tuple[str, ...]:
@@ -61,7 +63,7 @@ def helpers(state: State, action: Action, cause: str) -> tuple[str, ...]:
 
 def stand_ins(state: State, action: Action) -> tuple[str, ...]:
     """Every other robot that has the capability or can substitute for it, nearest team first."""
-    able = [robot for robot, _ in state.registry.get(action.capability, ()) if robot != action.robot]
+    able = [offer.robot for offer in offers(state.registry.offers, action.capability) if offer.robot != action.robot]
     role = SUBSTITUTES.get(action.capability)
     able += [name for name, robot in state.fleet.robots.items() if robot.role == role and name != action.robot]
     return nearest_first(state, able, action.robot)

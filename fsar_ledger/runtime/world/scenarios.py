@@ -5,7 +5,7 @@ from typing import NamedTuple
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Scenario, TrustScope, local_supervisor
 from fsar_ledger.events.fleet import RobotJoined
-from fsar_ledger.events.registry import CapabilityAdvertised
+from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled
 from fsar_ledger.events.trust import TrustSet
 
 CAPABILITIES: dict[str, tuple[str, ...]] = {
@@ -102,6 +102,7 @@ def founding(fleet_size: int) -> tuple[Event, ...]:
     """The events that found the fleet: members, advertisements, trust. Paper: sec:prototype:design."""
     members = robots(fleet_size)
     joined: list[Event] = [RobotJoined(name, role, team, local_supervisor(name)) for name, role, team in members]
+    joined += [CapabilityInstalled(name, capability, "1.0.0") for name, role, _ in members for capability in CAPABILITIES[role]]
     joined += [CapabilityAdvertised(name, capability, VISIBLE_TO.get(capability, ())) for name, role, _ in members for capability in CAPABILITIES[role]]
     for one, other, scope in TRUST:
         for left, left_role, _ in members:

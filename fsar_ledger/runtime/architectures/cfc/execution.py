@@ -44,7 +44,7 @@ def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
             wanted.append(("audit", FLEET_SUPERVISOR, "policy window"))
             if on_shift(state, command.robot) is not None:
                 wanted.append(("audit", local_supervisor(command.robot), command.window))
-        known = {(claim.dimension, claim.claimant, claim.reason) for claim in state.authority[action_id]}
+        known = {(claim.dimension, claim.claimant, claim.reason) for claim in state.authority.claims[action_id]}
         claimed += [
             AuthorityClaimed(task_id, action_id, dimension, claimant, reason)  # type: ignore[arg-type]
             for dimension, claimant, reason in wanted
@@ -56,7 +56,7 @@ def safe_stop(state: State, command: SafeStop) -> tuple[Event, ...]:
 def _held(state: State, robot: str) -> list[str]:
     """Actions whose execution the coordinator claims and to which the robot is party."""
     held = []
-    for action_id, claims in state.authority.items():
+    for action_id, claims in state.authority.claims.items():
         request = state.request.get(action_id)
         if request is None or robot not in (request.requester, request.target or request.requester):
             continue
@@ -69,7 +69,7 @@ def end_watch(state: State, command: EndWatch) -> tuple[Event, ...]:
     """The local supervisor no longer claims what it watched over in this window."""
     return tuple(
         AuthorityReleased(claim.task_id, claim.action_id, claim.dimension, claim.claimant, claim.reason)
-        for claims in state.authority.values()
+        for claims in state.authority.claims.values()
         for claim in claims
         if claim.reason == command.window
     )
@@ -90,7 +90,7 @@ def _on_context(state: State, event: ContextChanged, now_us: int) -> tuple[Sched
 
 
 def _on_window_closed(state: State, event: PolicyWindowClosed, _now_us: int) -> tuple[Scheduled, ...]:
-    if any(claim.reason == event.window for claims in state.authority.values() for claim in claims):
+    if any(claim.reason == event.window for claims in state.authority.claims.values() for claim in claims):
         return (Scheduled(EndWatch(event.window)),)
     return ()
 

@@ -79,7 +79,7 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
     outcome = stricter(copied_policy(state, robot), in_force(state.world.fleet, robot))
     if outcome == "deny":
         return (*records, RequestDenied(request.task_id, None, None, **by_coordinator(), executed_by=robot, reason="policy"))
-    if outcome == "review" and command.action_id not in state.supervision:
+    if outcome == "review" and command.action_id not in state.supervision.approved:
         return (*records, SupervisorCalled(request.task_id, command.action_id, FLEET_SUPERVISOR, "review", robot))
     return (*records, *_commanded(request, robot, not idle))
 
@@ -131,7 +131,7 @@ def queue_ordered(state: State, command: QueueOrdered) -> tuple[Event, ...]:
         return ()
     released = [
         AuthorityReleased(claim.task_id, claim.action_id, "execution", claim.claimant, claim.reason)
-        for claims in state.authority.values()
+        for claims in state.authority.claims.values()
         for claim in claims
         if claim.reason == AGAIN + request.action_id
     ]
@@ -160,7 +160,7 @@ def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
     """Every claim on the execution has ended, but the coordinator's override until it has processed the completion."""
     return tuple(
         AuthorityReleased(claim.task_id, claim.action_id, claim.dimension, claim.claimant, claim.reason)
-        for claim in state.authority.get(command.action_id, ())
+        for claim in state.authority.claims.get(command.action_id, ())
         if (claim.dimension, claim.claimant) != ("override", COORDINATOR)
     )
 

@@ -86,7 +86,7 @@ def _has_started(state: State, request: Request) -> bool:
 
 def claims(state: State, action: Action, dimension: Any, claimants: tuple[str, ...], reason: str) -> list[AuthorityClaimed]:
     """The claims that these agents make and do not hold already."""
-    known = {(claim.dimension, claim.claimant, claim.reason) for claim in state.authority.get(action.action_id, ())}
+    known = {(claim.dimension, claim.claimant, claim.reason) for claim in state.authority.claims.get(action.action_id, ())}
     return [
         AuthorityClaimed(action.task_id, action.action_id, dimension, claimant, reason) for claimant in claimants if (dimension, claimant, reason) not in known
     ]
@@ -94,7 +94,7 @@ def claims(state: State, action: Action, dimension: Any, claimants: tuple[str, .
 
 def released(state: State, action_id: str, reason: str | None = None) -> tuple[AuthorityReleased, ...]:
     """The open claims on the action end, or those made for this reason."""
-    return end_claims(claim for claim in state.authority.get(action_id, ()) if reason is None or claim.reason == reason)
+    return end_claims(claim for claim in state.authority.claims.get(action_id, ()) if reason is None or claim.reason == reason)
 
 
 def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:

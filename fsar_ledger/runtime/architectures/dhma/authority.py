@@ -72,7 +72,7 @@ def acknowledge_execution(state: State, command: AcknowledgeExecution) -> tuple[
     sender = agent(action.robot, command.sender)  # type: ignore[arg-type]
     return tuple(
         AuthorityReleased(claim.task_id, claim.action_id, "execution", sender, claim.reason)
-        for claim in state.authority.get(command.action_id, ())
+        for claim in state.authority.claims.get(command.action_id, ())
         if (claim.dimension, claim.claimant) == ("execution", sender)
     )
 

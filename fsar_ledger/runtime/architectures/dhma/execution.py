@@ -65,7 +65,7 @@ def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
     supervisor = on_shift(state, robot)
     context: dict[str, Any] = {"task_id": request.task_id, "action_id": request.action_id}
     context |= {"requested_by": robot, "executed_by": robot, "supervised_by": supervisor, **path(robot, "planning", "execution")}
-    if command.action_id not in state.supervision:
+    if command.action_id not in state.supervision.approved:
         if outcome == "deny":
             return (RequestDenied(**context, request_id=None, reason="own step"),)
         if outcome == "review":
@@ -89,7 +89,7 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     if action is None or action.stage not in ("queued", "approaching"):
         return ()
     request = state.request.get(command.action_id)
-    if request is not None and request.is_questioned and command.action_id not in state.supervision:
+    if request is not None and request.is_questioned and command.action_id not in state.supervision.approved:
         about = (action.task_id, action.action_id, action.robot)
         talk = round_trip(state, action.robot, "execution", "communication", 3)
         back = handoff(state, action.on_behalf_of, "communication", "planning")

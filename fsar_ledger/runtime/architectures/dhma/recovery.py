@@ -44,7 +44,7 @@ def _context(state: State, action: Action) -> dict[str, Any]:
 
 
 def _is_disputed(state: State, action_id: str) -> bool:
-    return any(claim.reason == DISPUTE for claim in state.authority.get(action_id, ()))
+    return any(claim.reason == DISPUTE for claim in state.authority.claims.get(action_id, ()))
 
 
 def dispute(state: State, command: Dispute) -> tuple[Event, ...]:

@@ -150,7 +150,7 @@ def award(state: State, command: Award) -> tuple[Event, ...]:
     best = best_bid(request) if request is not None else None
     if request is None or best is None:
         return ()
-    if best[1] == "review" and command.action_id not in state.supervision:
+    if best[1] == "review" and command.action_id not in state.supervision.approved:
         return (SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "review"),)
     return (AwardMade(request.task_id, request.requester, None, on_shift(state, request.requester), best[0]),)
 

@@ -4,6 +4,6 @@ from fsar_ledger.runtime.architectures.wiring import Wiring, wire
 from fsar_ledger.runtime.handlers import execution as bodies
 from fsar_ledger.runtime.handlers import supervision, task
 
-from . import authority, execution, recovery, request
+from . import authority, discovery, execution, recovery, request
 
-FSAR: Wiring = wire(task, bodies, supervision, request, execution, authority, recovery)
+FSAR: Wiring = wire(task, bodies, supervision, discovery, request, execution, authority, recovery)

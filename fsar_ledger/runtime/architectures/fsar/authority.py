@@ -37,7 +37,7 @@ class RememberPeer(Command):
 
 def released(state: State, action_id: str) -> tuple[AuthorityReleased, ...]:
     """Every open claim on the action ends."""
-    return end_claims(state.authority.get(action_id, ()))
+    return end_claims(state.authority.claims.get(action_id, ()))
 
 
 def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
@@ -48,7 +48,7 @@ def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
 def revoke(state: State, command: Revoke) -> tuple[Event, ...]:
     """The requester holds override over what runs for it, until the next request boundary."""
     revoked: list[Event] = []
-    for action_id, claims in state.authority.items():
+    for action_id, claims in state.authority.claims.items():
         action = state.execution.actions.get(action_id)
         if action is None or action.on_behalf_of != command.robot or action.robot == command.robot:
             continue
@@ -92,12 +92,12 @@ def remember_peer(state: State, command: RememberPeer) -> tuple[Event, ...]:
 
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(CloseExecution(event.action_id)),) if event.action_id in state.authority else ()
+    return (Scheduled(CloseExecution(event.action_id)),) if event.action_id in state.authority.claims else ()
 
 
 def _on_context(state: State, event: ContextChanged, _now_us: int) -> tuple[Scheduled, ...]:
     actions = state.execution.actions
-    if any(action in actions and actions[action].on_behalf_of == event.robot for action in state.authority):
+    if any(action in actions and actions[action].on_behalf_of == event.robot for action in state.authority.claims):
         return (Scheduled(Revoke(event.robot)),)
     return ()
 

@@ -1,7 +1,6 @@
 """FSAR: the robot that executes decides when; own steps and routine need nobody else. Paper: sec:architecture:local."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import PolicyOutcome
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionPaused, ExecutionQueued, OwnStepDecided, RoutinePerformed, RoutineWithheld
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.task import StepBegan
@@ -12,6 +11,7 @@ from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.attribution import on_shift, principals
 from fsar_ledger.runtime.handlers.commands import Command, DecideRoutine, Decides, Reacts, ResumeAction, Scheduled, StartAction, message
 from fsar_ledger.runtime.handlers.execution import pause_running, start_action, started
+from fsar_ledger.runtime.handlers.policy import fleet_policy, own_policy
 
 
 class DecideOwnStep(Command):
@@ -47,22 +47,15 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage not in ("queued", "approaching", "held", "polling"):
         return ()
-    if command.action_id not in state.supervision:
-        local = in_force(state.world.local, action.robot)
+    if command.action_id not in state.supervision.approved:
+        local = own_policy(state, action.robot, action.capability, action.task_id)
         if local != "allow":
             decided_by = None if action.is_delegated or action.was_denied else action.robot
             return (_held(state, action, local, "local-policy", decided_by),)
-        rule = heard_rule(state, action.robot)
+        rule = fleet_policy(state, action.robot, action.capability, action.task_id)
         if not action.is_delegated and rule != "allow":
             return (_held(state, action, rule, "fleet-rule", None),)
     return (started(state, action, command),)
-
-
-def heard_rule(state: State, robot: str) -> PolicyOutcome:
-    """The fleet's rule for the robot's zone as it last heard it; without policy composition nobody asks for it."""
-    if state.fleet.configuration == "without-policy-composition":
-        return "allow"
-    return state.knowledge.fleet_rule.get(robot, "allow")
 
 
 def _held(state: State, action: Action, outcome: str, reason: str, decided_by: str | None) -> ExecutionHeld:
@@ -83,7 +76,7 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """The robot has done its routine operation; a motion only if its own policy and the fleet's rule are clear."""
     robot = command.robot
     context = (robot, robot, robot, on_shift(state, robot), (robot,), robot, command.operation)
-    if command.operation == "motion" and (in_force(state.world.local, robot) != "allow" or heard_rule(state, robot) != "allow"):
+    if command.operation == "motion" and (own_policy(state, robot, None, None) != "allow" or fleet_policy(state, robot, None, None) != "allow"):
         return (RoutineWithheld(*context),)  # type: ignore[arg-type]
     return (RoutinePerformed(*context),)  # type: ignore[arg-type]
 

@@ -18,14 +18,15 @@ from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
-from fsar_ledger.projections.world import in_force, stricter
+from fsar_ledger.projections.trust import scope_of
+from fsar_ledger.projections.world import stricter
 from fsar_ledger.runtime.handlers.attribution import helpers, is_idle, on_shift, principals, stand_ins
 from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, message
 from fsar_ledger.runtime.handlers.execution import NAVIGATION
+from fsar_ledger.runtime.handlers.policy import compose, own_policy
 from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
 
 from .authority import released
-from .request import compose
 
 ASSISTING_SCOPES = ("task", "session", "persistent")  # capability scope does not cover assistance
 
@@ -124,9 +125,9 @@ def _peer(state: State, action: Action, recovery: Recovery) -> str | None:
     if state.fleet.configuration == "without-shared-registry":
         return None
     for name in helpers(state, action, recovery.cause):
-        scope = state.trust.get((name, action.robot), "none")
+        scope = scope_of(state.trust, name, action.robot, action.capability, action.task_id)
         is_trusted = scope in ASSISTING_SCOPES if recovery.cause == "obstruction" else scope != "none"
-        if is_trusted and is_idle(state, name) and in_force(state.world.local, name) == "allow":
+        if is_trusted and is_idle(state, name) and own_policy(state, name, action.capability, action.task_id) == "allow":
             return name
     return None
 
@@ -179,10 +180,12 @@ def _reassignee(state: State, action: Action) -> str | None:
     request = state.request.get(action.action_id)
     if action.capability == NAVIGATION or request is None:
         return None
-    asking = in_force(state.world.local, action.on_behalf_of)
+    asking = own_policy(state, action.on_behalf_of, action.capability, action.task_id)
     for name in stand_ins(state, action):
-        is_trusted = state.trust.get((name, action.on_behalf_of), "none") != "none"  # recovery keeps its trust gate
-        is_admissible = name != action.on_behalf_of and is_trusted and stricter(asking, compose(state, request, name)) == "allow"
+        is_trusted = scope_of(state.trust, name, action.on_behalf_of, action.capability, action.task_id) != "none"  # recovery keeps its trust gate
+        is_admissible = (
+            name != action.on_behalf_of and is_trusted and stricter(asking, compose(state, request.carried, name, action.capability, action.task_id)) == "allow"
+        )
         if is_admissible and is_idle(state, name):
             return name
     return None

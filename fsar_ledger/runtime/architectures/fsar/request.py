@@ -2,11 +2,10 @@
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import COORDINATION, FLEET_SUPERVISOR, PolicyOutcome
+from fsar_ledger.events.envelope import COORDINATION, FLEET_SUPERVISOR
 from fsar_ledger.events.execution import ApproachStarted, ExecutionFinished, ExecutionQueued
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import (
-    GapDetected,
     PeerSought,
     RequestAccepted,
     RequestAdmitted,
@@ -18,26 +17,14 @@ from fsar_ledger.events.request import (
     RequestUnanswered,
 )
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
-from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
-from fsar_ledger.projections.world import in_force, stricter
-from fsar_ledger.runtime.handlers.attribution import capable, is_idle, nearest_first, on_shift
+from fsar_ledger.projections.world import stricter
+from fsar_ledger.runtime.handlers.attribution import is_idle, on_shift
 from fsar_ledger.runtime.handlers.commands import BeginStep, CloseRequest, Command, CompleteStep, Decides, Reacts, Scheduled, TakeTurn, message
+from fsar_ledger.runtime.handlers.policy import compose, own_policy
 
-Found = tuple[tuple[str, ...], str | None]  # candidates, relay
-
-
-class DetectGap(Command):
-    """The step needs another robot."""
-
-    action_id: str
-
-
-class QueryRegistry(Command):
-    """The query has reached the registry."""
-
-    action_id: str
+from .discovery import unanswered
 
 
 class IssueRequest(Command):
@@ -64,117 +51,15 @@ class AdmitReviewed(Command):
     action_id: str
 
 
-def trusts(state: State, robot: str, peer: str) -> bool:
-    """TrustOK: the robot lets the peer ask something of it. Paper: eq:delegable."""
-    return state.fleet.configuration == "without-trust-evaluation" or state.trust.get((robot, peer), "none") != "none"
-
-
-def discover(state: State, request: Request) -> Found:
-    """The candidates that the registry may show the requester, idle first; else those behind a doubly trusted peer.
-
-    Paper: sec:architecture:registry, eq:nontransitive.
-    """
-    visible = _visible(state, request)
-    direct = [name for name in visible if trusts(state, name, request.requester)]
-    if direct:
-        return tuple(sorted(direct, key=lambda name: not is_idle(state, name))), None
-    for name in sorted(visible, key=lambda name: not is_idle(state, name)):
-        for peer in _relays(state, request, name):
-            return (name,), peer
-    return (), None
-
-
-def _visible(state: State, request: Request) -> list[str]:
-    """Capable robots whose advertisement the requester's role may see, nearest team first. Paper: eq:advertise."""
-    role = state.fleet.robots[request.requester].role
-    roles = dict(state.registry.get(request.capability, ()))
-    is_open = state.fleet.configuration == "without-trust-evaluation"
-    return [name for name in capable(state, request.capability, request.requester) if is_open or not roles[name] or role in roles[name]]
-
-
-def _relays(state: State, request: Request, name: str) -> list[str]:
-    """Peers that both the requester and the executor trust, so that each link is admissible by itself, nearest team first."""
-    others = [peer for peer in state.fleet.robots if peer not in (name, request.requester)]
-    return [peer for peer in nearest_first(state, others, request.requester) if trusts(state, peer, request.requester) and trusts(state, name, peer)]
-
-
-def compose(state: State, request: Request, executor: str) -> PolicyOutcome:
-    """The outcome of requester's (as carried), executor's and fleet's policy together. Paper: eq:policy."""
-    own = in_force(state.world.local, executor)
-    if state.fleet.configuration == "without-policy-composition":
-        return own
-    return stricter(request.carried, stricter(own, state.knowledge.fleet_rule.get(executor, "allow")))
-
-
-def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
-    """The requester has found that it needs another robot; without a registry it looks among the peers it met."""
-    request = state.request.get(command.action_id)
-    if request is None:
-        return ()
-    found: tuple[Event, ...] = ()
-    if state.fleet.configuration == "without-shared-registry":
-        candidates, relay = _among_met(state, request, command.now_us)
-        if not candidates:
-            if request.attempt > 1:
-                return (PeerSought(request.task_id, request.action_id, request.requester),)
-            return (_unanswered(state, request),)
-        found = (_queried(state, request, candidates, relay),)
-    return (
-        GapDetected(request.task_id, request.action_id, request.requester, None, on_shift(state, request.requester), request.capability),
-        *found,
-    )
-
-
-def _among_met(state: State, request: Request, now_us: int) -> Found:
-    """The same without a registry: only robots that were met lately, each link of a chain by itself."""
-    met = state.knowledge.met
-
-    def knows(robot: str, peer: str) -> bool:
-        return met.get((robot, peer), -1) >= now_us
-
-    visible = _visible(state, request)
-    direct = tuple(name for name in visible if trusts(state, name, request.requester) and knows(request.requester, name))
-    if direct:
-        return direct, None
-    for name in visible:
-        if trusts(state, name, request.requester):
-            continue
-        for peer in _relays(state, request, name):
-            if knows(request.requester, peer) and knows(peer, name):
-                return (name,), peer
-    return (), None
-
-
-def _unanswered(state: State, request: Request) -> RequestUnanswered:
-    robot = request.requester
-    supervisor = on_shift(state, robot)
-    return RequestUnanswered(request.task_id, request.action_id, robot, robot, None, supervisor, (robot,), request.capability)
-
-
-def _queried(state: State, request: Request, candidates: tuple[str, ...], relay: str | None) -> RegistryQueried:
-    supervisor = on_shift(state, request.requester)
-    executor = candidates[0] if candidates else None
-    return RegistryQueried(request.task_id, request.action_id, request.requester, executor, supervisor, request.capability, candidates, relay)
-
-
-def query_registry(state: State, command: QueryRegistry) -> tuple[Event, ...]:
-    """The registry has answered, governed by trust and visibility."""
-    request = state.request.get(command.action_id)
-    if request is None:
-        return ()
-    candidates, relay = discover(state, request)
-    return (_queried(state, request, candidates, relay),)
-
-
 def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
     """The requester has sent its request, its own policy in it; without a candidate it backs off."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
     if not request.candidates:
-        return (_unanswered(state, request),)
+        return (unanswered(state, request),)
     robot, executor = request.requester, request.candidates[0]
-    carried = in_force(state.world.local, robot)
+    carried = own_policy(state, robot, request.capability, request.task_id)
     return (
         RequestIssued(
             request.task_id,
@@ -197,7 +82,7 @@ def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None or request.relay is None:
         return ()
-    carried = stricter(request.carried, in_force(state.world.local, request.relay))
+    carried = stricter(request.carried, own_policy(state, request.relay, request.capability, request.task_id))
     supervisor = on_shift(state, request.relay)
     path = (request.requester, request.relay)
     return (
@@ -221,7 +106,7 @@ def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...
     if request is None:
         return ()
     executor = request.candidates[0]
-    outcome = compose(state, request, executor)
+    outcome = compose(state, request.carried, executor, request.capability, request.task_id)
     if outcome == "deny":
         context = _context(state, request, executor)
         return (RequestDenied(*context, reason="policy"),)
@@ -290,17 +175,6 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     return (RequestClosed(*context, (COORDINATION,)),)
 
 
-def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(DetectGap(event.action_id)),) if event.target_role is not None else ()
-
-
-def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
-    if state.fleet.configuration == "without-shared-registry" or event.task_id not in state.task:
-        return ()
-    assert event.action_id is not None
-    return (Scheduled(QueryRegistry(event.action_id), 0, (message(event.action_id, 0),)),)
-
-
 def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
     if event.task_id not in state.task:  # an outsider's request is nobody's step
         return ()
@@ -350,8 +224,6 @@ def _on_close(_state: State, event: RequestClosed, _now_us: int) -> tuple[Schedu
 
 
 DECIDES: Decides = {
-    DetectGap: detect_gap,
-    QueryRegistry: query_registry,
     IssueRequest: issue_request,
     RelayRequest: relay_request,
     EvaluateRequest: evaluate_request,
@@ -360,8 +232,6 @@ DECIDES: Decides = {
     CloseRequest: close_request,
 }
 REACTS: Reacts = {
-    StepBegan: _on_step,
-    GapDetected: _on_gap,
     RegistryQueried: _on_answer,
     RequestIssued: _on_request,
     RequestRelayed: _on_relay,

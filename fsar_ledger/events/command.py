@@ -1,0 +1,18 @@
+"""Commands that could not be carried out: bad input is recorded and changes nothing."""
+
+from .envelope import Event
+
+
+class CommandRejected(Event, frozen=True):
+    """The command named something that is unknown, over, or impossible; nothing else has happened. Paper: sec:architecture:overview.
+
+    `subject` is what it was about, `reason` what was found and what was expected.
+    """
+
+    command: str
+    subject: str
+    reason: str
+    issued_by: str | None = None
+
+
+CommandEvent = CommandRejected

@@ -1,0 +1,37 @@
+"""Policy that is set by rule (`eq:policy`, `app:foundations`); what opens and closes by itself is the world's."""
+
+from .envelope import Event, PolicyOutcome, PolicyScope
+
+
+class PolicyRuleSet(Event, frozen=True):
+    """P_i(e, sigma) is this from now on: of one robot (`local`) or of the fleet for it, None for every robot. Paper: app:foundations.
+
+    For one `capability`, in one `context` (task), or (None) for all; the strictest rule that applies holds. A rule
+    replaces the one with the same scope, robot, capability and context. A fleet rule that says `allow` is a mandate:
+    where the robot's own policy denies, the two conflict.
+    """
+
+    scope: PolicyScope
+    robot: str | None
+    capability: str | None
+    context: str | None
+    outcome: PolicyOutcome
+    decided_by: str | None
+
+
+class PolicyConflictEscalated(Event, frozen=True):
+    """The fleet mandates what the robot's own policy denies: nothing is overridden, a supervisor is told. Paper: sec:architecture:fleet."""
+
+    task_id: str | None
+    action_id: str | None
+    decided_by: str | None
+    requested_by: str | None
+    executed_by: str | None
+    supervised_by: str | None
+    path: tuple[str, ...]
+    capability: str
+    local: PolicyOutcome
+    fleet: PolicyOutcome
+
+
+PolicyEvent = PolicyRuleSet | PolicyConflictEscalated

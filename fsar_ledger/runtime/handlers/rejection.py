@@ -1,0 +1,27 @@
+"""A command that cannot be carried out is a fact, and changes nothing. Paper: sec:architecture:overview."""
+
+from fsar_ledger.events.command import CommandRejected
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR
+from fsar_ledger.projections.fold import State
+
+from .commands import Command
+
+
+def rejected(command: Command, subject: str, reason: str, issued_by: str | None = None) -> tuple[CommandRejected]:
+    """The one event of a command that named something unknown, over or impossible."""
+    return (CommandRejected(type(command).__name__, subject, reason, issued_by),)
+
+
+def unknown_robot(state: State, *robots: str | None) -> str | None:
+    """The reason to reject a command that names a robot outside the fleet, or None when every one is a member (None names nobody)."""
+    for robot in robots:
+        if robot is not None and robot not in state.fleet.robots:
+            return f"unknown robot {robot}, expected a member of the fleet"
+    return None
+
+
+def unknown_supervisor(state: State, supervisor: str | None) -> str | None:
+    """The reason to reject a command in the name of somebody who supervises nothing here, or None."""
+    if supervisor == FLEET_SUPERVISOR or any(supervisor == robot.supervisor for robot in state.fleet.robots.values()):
+        return None
+    return f"unknown supervisor {supervisor}, expected {FLEET_SUPERVISOR} or a robot's own"
