@@ -11,6 +11,7 @@ from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import ObstructionAppeared, ObstructionCleared, OutsiderRequestInjected, SupervisorLeft, TaskArrived
 from fsar_ledger.projections.fold import apply, fold
 from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider, Revoke, answer_outsider, close_execution, revoke
+from fsar_ledger.runtime.architectures.fsar.discovery import DetectGap, QueryRegistry, detect_gap, query_registry
 from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, decide_own_step, decide_routine, start
 from fsar_ledger.runtime.architectures.fsar.recovery import (
     AskPeers,
@@ -21,17 +22,7 @@ from fsar_ledger.runtime.architectures.fsar.recovery import (
     end_attempt,
     start_recovery,
 )
-from fsar_ledger.runtime.architectures.fsar.request import (
-    DetectGap,
-    EvaluateRequest,
-    IssueRequest,
-    QueryRegistry,
-    detect_gap,
-    evaluate_request,
-    issue_request,
-    query_registry,
-    take_turn,
-)
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, IssueRequest, evaluate_request, issue_request, take_turn
 from fsar_ledger.runtime.handlers.commands import CloseExecution, DecideRoutine, DetectObstruction, EndAttempt, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.execution import _on_running, detect_obstruction, start_after_approach
 from fsar_ledger.runtime.simulation import RunSpec, run_started

@@ -52,11 +52,9 @@ def _visible(state: State, request: Request) -> list[str]:
 def _relays(state: State, request: Request, name: str) -> list[str]:
     """Peers that both the requester and the executor trust, so that each link is admissible by itself, nearest team first."""
     others = [peer for peer in state.fleet.robots if peer not in (name, request.requester)]
-    return [
-        peer
-        for peer in nearest_first(state, others, request.requester)
-        if trusts(state, peer, request.requester, request.capability, request.task_id) and trusts(state, name, peer, request.capability, request.task_id)
-    ]
+    about = (request.capability, request.task_id)
+    near = nearest_first(state, others, request.requester)
+    return [peer for peer in near if trusts(state, peer, request.requester, *about) and trusts(state, name, peer, *about)]
 
 
 def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:

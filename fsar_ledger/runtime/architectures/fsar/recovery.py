@@ -181,11 +181,10 @@ def _reassignee(state: State, action: Action) -> str | None:
     if action.capability == NAVIGATION or request is None:
         return None
     asking = own_policy(state, action.on_behalf_of, action.capability, action.task_id)
+    about = (action.capability, action.task_id)
     for name in stand_ins(state, action):
-        is_trusted = scope_of(state.trust, name, action.on_behalf_of, action.capability, action.task_id) != "none"  # recovery keeps its trust gate
-        is_admissible = (
-            name != action.on_behalf_of and is_trusted and stricter(asking, compose(state, request.carried, name, action.capability, action.task_id)) == "allow"
-        )
+        is_trusted = scope_of(state.trust, name, action.on_behalf_of, *about) != "none"  # recovery keeps its trust gate
+        is_admissible = name != action.on_behalf_of and is_trusted and stricter(asking, compose(state, request.carried, name, *about)) == "allow"
         if is_admissible and is_idle(state, name):
             return name
     return None
