@@ -26,7 +26,7 @@ from fsar_ledger.ledger.codec import encode
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.invariants import audit_rows, chosen
 from fsar_ledger.projections.fold import State
-from tests.runtime.live import PUBLIC, ROBOTS, TRUST, Bench, arguments, founding
+from tests.runtime.bench import PUBLIC, ROBOTS, TRUST, Bench, arguments, founding
 
 COUNTS: Counter[str] = Counter()
 
