@@ -124,8 +124,10 @@ def _names(state: State) -> dict[str, list[Any]]:
     }
 
 
-def _typed(kind: Any) -> st.SearchStrategy[Any]:
+def _typed(state: State, kind: Any) -> st.SearchStrategy[Any]:
     """Values of an annotation."""
+    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
+        return arguments(state, kind).map(lambda values: kind(**values))
     if get_origin(kind) is Literal:
         return st.sampled_from(get_args(kind))
     if get_origin(kind) is tuple:
@@ -137,18 +139,18 @@ def _typed(kind: Any) -> st.SearchStrategy[Any]:
     return st.sampled_from(["", "x"])
 
 
-def arguments(state: State, command: type[Command]) -> st.SearchStrategy[dict[str, Any]]:
+def arguments(state: State, command: type[msgspec.Struct]) -> st.SearchStrategy[dict[str, Any]]:
     """Arguments of the command, by the names and the types of its fields."""
     names, hints = _names(state), get_type_hints(command)
     drawn: dict[str, st.SearchStrategy[Any]] = {}
     for field in msgspec.structs.fields(command):
         if field.name in ("now_us", "drawn"):
             continue
-        kinds = list(get_args(hints[field.name]) if _is_union(hints[field.name]) else (hints[field.name],))
-        values = st.sampled_from(names[field.name]) if field.name in names else st.one_of(*[_typed(kind) for kind in kinds if kind is not type(None)])
+        hint = hints[field.name]
+        kinds = get_args(hint) if type(None) in get_args(hint) else (hint,)
+        if field.name in names:
+            values = st.sampled_from(names[field.name])
+        else:
+            values = st.one_of(*[_typed(state, kind) for kind in kinds if kind is not type(None)])
         drawn[field.name] = st.one_of(st.none(), values) if type(None) in kinds else values
     return st.fixed_dictionaries(drawn)
-
-
-def _is_union(kind: Any) -> bool:
-    return type(None) in get_args(kind)
