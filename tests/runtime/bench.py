@@ -148,9 +148,6 @@ def arguments(state: State, command: type[msgspec.Struct]) -> st.SearchStrategy[
             continue
         hint = hints[field.name]
         kinds = get_args(hint) if type(None) in get_args(hint) else (hint,)
-        if field.name in names:
-            values = st.sampled_from(names[field.name])
-        else:
-            values = st.one_of(*[_typed(state, kind) for kind in kinds if kind is not type(None)])
+        values = st.sampled_from(names[field.name]) if field.name in names else st.one_of(*[_typed(state, kind) for kind in kinds if kind is not type(None)])
         drawn[field.name] = st.one_of(st.none(), values) if type(None) in kinds else values
     return st.fixed_dictionaries(drawn)
