@@ -95,7 +95,11 @@ def founding(fleet: Sequence[tuple[str, int, bool, str, frozenset[str]]], trust:
 
 ROBOTS = st.lists(
     st.tuples(
-        st.sampled_from("ABCD"), st.integers(1, 2), st.booleans(), st.sampled_from(["", "hall", "hall/cell"]), st.frozensets(st.sampled_from(CAPABILITIES))
+        st.sampled_from("ABCD"),
+        st.integers(1, 2),
+        st.booleans(),
+        st.sampled_from(["", "hall", "hall/cell"]),
+        st.frozensets(st.sampled_from(CAPABILITIES), min_size=1),
     ),
     min_size=2,
     max_size=6,
@@ -106,11 +110,11 @@ TRUST = st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5), st.sampled_from
 
 def _names(state: State) -> dict[str, list[Any]]:
     """What a field of a command may name: mostly something that exists, sometimes something that does not."""
-    robots = [*state.fleet.robots, "robot/Z9"]
-    supervisors = ["supervisor/fleet", *(robot.supervisor for robot in state.fleet.robots.values() if robot.supervisor), "supervisor/Z9"]
+    robots = [*state.fleet.robots] * 3 + ["robot/Z9"]
+    supervisors = ["supervisor/fleet", *(robot.supervisor for robot in state.fleet.robots.values() if robot.supervisor)] * 2 + ["supervisor/Z9"]
     actions = [*state.request, *state.execution.actions, "nothing/1.1"]
     tasks = [*state.task, "T1", "T2", "gone"]
-    capabilities = [*CAPABILITIES, "fly"]
+    capabilities = [*CAPABILITIES] * 2 + ["fly"]
     return {
         **dict.fromkeys(("robot", "requester", "executor", "peer", "helper", "holder", "requested_by", "executed_by"), robots),
         **dict.fromkeys(("supervisor", "issued_by", "decided_by"), supervisors),

@@ -55,8 +55,12 @@ class Federation(RuleBasedStateMachine):
         self.things += 1
         return f"{kind}/{self.things}"
 
-    @rule(data=st.data())
-    def command(self, data: st.DataObject) -> None:
+    @rule(data=st.data(), times=st.integers(1, 5))
+    def command(self, data: st.DataObject, times: int) -> None:
+        for _ in range(times):
+            self.command_once(data)
+
+    def command_once(self, data: st.DataObject) -> None:
         kind = data.draw(st.sampled_from(PUBLIC))
         command = kind(**data.draw(arguments(self.live.state, kind)))
         before = {slot: getattr(self.live.state, slot) for slot in State.__slots__}
