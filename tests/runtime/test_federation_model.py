@@ -135,7 +135,7 @@ class Federation(RuleBasedStateMachine):
         assert self.bench.refolded() == self.bench.state
         with from_table(encode([self.bench.record("live")])) as database:
             broken = [(row.invariant, row.first_seq, row.first_found) for row in audit_rows(database, chosen(())) if row.events]
-        assert broken == []
+        assert broken == [], broken
 
 
 SETTINGS = settings(
