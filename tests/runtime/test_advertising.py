@@ -158,13 +158,13 @@ def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on
     terms = CapabilityAdvertised(*DOOR, ("A",), trust_required="task", override_allowed="soft-priority", visibility="domain", embodiment=("arm",))
     state = given("fsar", terms)
     events = upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0", postconditions=("door.opened",)))
-    assert types(events) == ["AvailabilityChanged", "CapabilityInstalled"]
+    assert types(events) == ["CapabilityInstalled", "AvailabilityChanged"]
     for event in events:
         apply(state, event)
     record = advertisement(state.registry, *DOOR)
     assert record is not None
     assert (record.version, record.availability) == ("1.0.0", "restricted")
-    [scheduled] = REACTS[CapabilityInstalled](state, events[-1], 0)
+    [scheduled] = REACTS[AvailabilityChanged](state, events[-1], 0)
     assert scheduled.command == FinishRollOut(*DOOR)
     [shown] = finish_roll_out(state, FinishRollOut(*DOOR))
     assert shown == CapabilityAdvertised(
@@ -192,8 +192,9 @@ def test_a_degraded_robot_shows_its_new_version_as_degraded() -> None:
     assert finish_roll_out(state, FinishRollOut(*DOOR))[0].availability == "degraded"  # type: ignore[attr-defined]
 
 
-def test_founding_a_fleet_rolls_nothing_out() -> None:
-    assert REACTS[CapabilityInstalled](given("fsar"), CapabilityInstalled(*DOOR, "1.0.0"), 0) == ()
+def test_a_restriction_that_is_no_roll_out_is_not_ended() -> None:
+    held_back = AvailabilityChanged(*DOOR, "restricted", "inspection")
+    assert REACTS[AvailabilityChanged](given("fsar", held_back), held_back, 0) == ()
 
 
 VERSIONS = st.sampled_from(("1.0.0", "2.0.0", "3.0.0"))

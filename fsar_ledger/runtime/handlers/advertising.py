@@ -171,7 +171,7 @@ def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event,
     installed = CapabilityInstalled(robot, capability, command.version, contract.preconditions, contract.postconditions, contract.resources)
     if record is None:
         return (installed,)
-    return (AvailabilityChanged(robot, capability, "restricted", f"roll-out of {command.version}"), installed)
+    return (installed, AvailabilityChanged(robot, capability, "restricted", f"roll-out of {command.version}"))
 
 
 def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
@@ -245,8 +245,8 @@ def _not_newer(version: str, known: str) -> str | None:
     return f"version {version} is not newer than {known}" if before is not None and found <= before else None
 
 
-def _on_install(state: State, event: CapabilityInstalled, _now_us: int) -> tuple[Scheduled, ...]:
-    if _rolling_out(state, event.robot, event.capability) is None:
+def _on_restriction(state: State, event: AvailabilityChanged, _now_us: int) -> tuple[Scheduled, ...]:
+    if event.capability is None or _rolling_out(state, event.robot, event.capability) is None:
         return ()
     return (Scheduled(FinishRollOut(event.robot, event.capability)),)
 
@@ -259,4 +259,4 @@ DECIDES: Decides = {
     UpgradeCapability: upgrade_capability,
     FinishRollOut: finish_roll_out,
 }
-REACTS: Reacts = {CapabilityInstalled: _on_install}
+REACTS: Reacts = {AvailabilityChanged: _on_restriction}

@@ -3,7 +3,7 @@
 It is authoritative about discoverability, never about execution: the robot that is asked judges the request by itself.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Literal, get_args
 
 import msgspec
@@ -81,17 +81,23 @@ def candidates(state: State, query: Query, cache_holder: str | None = None) -> A
         _search(state, query, level, but, cache is None, found, left_out)
         if found:
             break
-    near = nearest_first(state, list(found), query.requester)
-    ranked = sorted(near, key=lambda robot: (_rank(state, found[robot], cache is None), found[robot].is_deprecated))[: query.limit]
-    others = nearest_first(state, list(left_out), query.requester)
+    ranked = _nearest(state, found, query)
+    if len(ranked) > 1:
+        ranked = tuple(sorted(ranked, key=lambda robot: (_rank(state, found[robot], cache is None), found[robot].is_deprecated))[: query.limit])
+    others = _nearest(state, left_out, query)
     return Answer(
-        tuple(ranked),
+        ranked,
         tuple(found[robot].capability for robot in ranked),
         others,
         tuple(left_out[robot] for robot in others),
         answering,
         None if cache is None else cache.as_of_us,
     )
+
+
+def _nearest(state: State, robots: Iterable[str], query: Query) -> tuple[str, ...]:
+    found = list(robots)
+    return nearest_first(state, found, query.requester) if len(found) > 1 else tuple(found)
 
 
 def _search(state: State, query: Query, level: Offers, but: str | None, is_present: bool, found: dict[str, Advertisement], left_out: dict[str, Filter]) -> None:
@@ -108,13 +114,14 @@ def _search(state: State, query: Query, level: Offers, but: str | None, is_prese
             continue
         found[robot] = record
         left_out.pop(robot, None)
-        ready += not record.is_deprecated and _rank(state, record, is_present) == 0
-        if ready == query.limit:
-            break
-    current = {record.capability for record in found.values() if not record.is_deprecated}
-    for robot in [robot for robot, record in found.items() if record.is_deprecated and record.capability in current]:
-        del found[robot]
-        left_out[robot] = "version"
+        if query.limit is not None:
+            ready += not record.is_deprecated and _rank(state, record, is_present) == 0
+            if ready == query.limit:
+                break
+    for robot in [robot for robot, record in found.items() if record.is_deprecated]:
+        if any(record.capability == found[robot].capability and not record.is_deprecated for record in found.values()):
+            del found[robot]
+            left_out[robot] = "version"
 
 
 def _matches(level: Offers, wanted: str, but: str | None) -> Iterator[Advertisement]:
