@@ -1,9 +1,9 @@
 """Federated single-agent robotics: every robot stays one accountable principal; the federation only coordinates."""
 
 from fsar_ledger.runtime.architectures.wiring import Wiring, wire
+from fsar_ledger.runtime.handlers import advertising, fleet, registry, supervision, task
 from fsar_ledger.runtime.handlers import execution as bodies
-from fsar_ledger.runtime.handlers import supervision, task
 
-from . import authority, discovery, execution, recovery, request
+from . import authority, availability, discovery, execution, recovery, request
 
-FSAR: Wiring = wire(task, bodies, supervision, discovery, request, execution, authority, recovery)
+FSAR: Wiring = wire(task, bodies, supervision, discovery, request, execution, authority, recovery, availability, registry, advertising, fleet)
