@@ -18,12 +18,12 @@ from fsar_ledger.events.registry import (
     CapabilityInstalled,
     CapabilityWithdrawn,
     RegistryCached,
-    RegistryQueried,
+    RegistryConsulted,
 )
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.projections.registry import advertisement
-from fsar_ledger.runtime.handlers.registry import FILTERS, AskRegistry, CacheRegistry, Query, ask_registry, cache_registry, candidates, rejecting_filter
+from fsar_ledger.runtime.handlers.registry import FILTERS, CacheRegistry, ConsultRegistry, Query, cache_registry, candidates, consult_registry, rejecting_filter
 from tests.runtime.histories import given, started, types, window
 
 ASKING = Query("robot/A1", "door.open.secure", "A1-1")
@@ -254,16 +254,13 @@ def test_that_a_robot_executes_just_now_is_in_no_copy() -> None:
 
 def test_a_query_from_outside_is_answered_and_recorded_with_its_rejections() -> None:
     state = given("fsar", *second(trust_required="persistent"))
-    [answer] = ask_registry(state, AskRegistry(ASKING))
-    assert answer == RegistryQueried(
-        None, None, "robot/A1", "robot/B1", "supervisor/A1", "door.open.secure", ("robot/B1",), None, ("robot/E1",), ("trust",), "", None
-    )
+    [answer] = consult_registry(state, ConsultRegistry(ASKING))
+    assert answer == RegistryConsulted("robot/A1", "door.open.secure", ("robot/B1",), ("robot/E1",), ("trust",), "", None)
 
 
 def test_that_nobody_offers_it_is_an_answer() -> None:
-    [answer] = ask_registry(given("fsar"), AskRegistry(Query("robot/A1", "teleport")))
-    assert isinstance(answer, RegistryQueried)
-    assert (answer.candidates, answer.rejected, answer.executed_by) == ((), (), None)
+    [answer] = consult_registry(given("fsar"), ConsultRegistry(Query("robot/A1", "teleport")))
+    assert answer == RegistryConsulted("robot/A1", "teleport", (), (), ())
 
 
 def test_a_copy_is_taken_and_asked() -> None:
@@ -271,26 +268,26 @@ def test_a_copy_is_taken_and_asked() -> None:
     [cached] = cache_registry(state, CacheRegistry("robot/A1", now_us=7))
     assert cached == RegistryCached("robot/A1", 7)
     apply(state, cached)
-    [answer] = ask_registry(state, AskRegistry(ASKING, "robot/A1", now_us=9))
+    [answer] = consult_registry(state, ConsultRegistry(ASKING, "robot/A1", now_us=9))
     assert (answer.candidates, answer.as_of_us) == (("robot/B1",), 7)  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
-        (AskRegistry(Query("robot/Z9", "door.open.secure")), "unknown robot robot/Z9"),
-        (AskRegistry(ASKING, "robot/Z9"), "unknown robot robot/Z9"),
-        (AskRegistry(ASKING, "robot/A1"), "no copy"),
-        (AskRegistry(Query("robot/A1", "")), "no name"),
-        (AskRegistry(Query("robot/A1", ".*")), "no name"),
-        (AskRegistry(Query("robot/A1", "door*")), "no name"),
-        (AskRegistry(Query("robot/A1", "door.open.secure", version="~1")), "no range"),
-        (AskRegistry(Query("robot/A1", "door.open.secure", override="total")), "unknown"),  # type: ignore[arg-type]
-        (AskRegistry(Query("robot/A1", "door.open.secure", limit=0)), "limit 0"),
+        (ConsultRegistry(Query("robot/Z9", "door.open.secure")), "unknown robot robot/Z9"),
+        (ConsultRegistry(ASKING, "robot/Z9"), "unknown robot robot/Z9"),
+        (ConsultRegistry(ASKING, "robot/A1"), "no copy"),
+        (ConsultRegistry(Query("robot/A1", "")), "no name"),
+        (ConsultRegistry(Query("robot/A1", ".*")), "no name"),
+        (ConsultRegistry(Query("robot/A1", "door*")), "no name"),
+        (ConsultRegistry(Query("robot/A1", "door.open.secure", version="~1")), "no range"),
+        (ConsultRegistry(Query("robot/A1", "door.open.secure", override="total")), "unknown"),  # type: ignore[arg-type]
+        (ConsultRegistry(Query("robot/A1", "door.open.secure", limit=0)), "limit 0"),
     ],
 )
-def test_a_query_that_cannot_be_asked_is_rejected(command: AskRegistry, reason: str) -> None:
-    [rejection] = ask_registry(given("fsar"), command)
+def test_a_query_that_cannot_be_asked_is_rejected(command: ConsultRegistry, reason: str) -> None:
+    [rejection] = consult_registry(given("fsar"), command)
     assert reason in rejection.reason  # type: ignore[attr-defined]
     assert types((rejection,)) == ["CommandRejected"]
 

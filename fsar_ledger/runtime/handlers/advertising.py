@@ -12,13 +12,13 @@ from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertise
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Advertisement, Contract, Module, advertisement, surface
 
-from .commands import Command, Decides, Reacts, Scheduled
+from .commands import Command, Decides, PublicCommand, Reacts, Scheduled
 from .fleet import in_use, is_degraded, not_possessed
 from .matching import contradiction, version_of, weaker
 from .rejection import rejected, unknown_robot
 
 
-class AdvertiseCapability(Command):
+class AdvertiseCapability(PublicCommand):
     """The seven fields of an advertisement and who may see it; a part of the contract that is None is that of the installed module. Paper: eq:adv."""
 
     robot: str
@@ -37,7 +37,7 @@ class AdvertiseCapability(Command):
     issued_by: str | None = None
 
 
-class WithdrawCapability(Command):
+class WithdrawCapability(PublicCommand):
     """Take the capability off the surface; the robot keeps it."""
 
     robot: str
@@ -46,7 +46,7 @@ class WithdrawCapability(Command):
     issued_by: str | None = None
 
 
-class ReportAvailability(Command):
+class ReportAvailability(PublicCommand):
     """Another availability, of one capability or (None) of everything that the robot advertises."""
 
     robot: str
@@ -56,7 +56,7 @@ class ReportAvailability(Command):
     issued_by: str | None = None
 
 
-class DeprecateCapability(Command):
+class DeprecateCapability(PublicCommand):
     """The advertised version is on its way out, for the successor if there is one."""
 
     robot: str
@@ -66,7 +66,7 @@ class DeprecateCapability(Command):
     issued_by: str | None = None
 
 
-class UpgradeCapability(Command):
+class UpgradeCapability(PublicCommand):
     """Roll a newer version out; parts of its contract that are None stay as they are."""
 
     robot: str

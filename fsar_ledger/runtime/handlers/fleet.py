@@ -12,14 +12,14 @@ from fsar_ledger.events.registry import CapabilityInstalled, CapabilityRemoved
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Contract, path_of, possesses, surface
 
-from .commands import Command, Decides, Reacts
+from .commands import Decides, PublicCommand, Reacts
 from .matching import contradiction, version_of
 from .rejection import rejected, unknown_robot
 
 ExecutionState = Literal["idle", "executing", "degraded", "failed"]
 
 
-class JoinFleet(Command):
+class JoinFleet(PublicCommand):
     """A robot registers itself in the domain's registry, under its own supervisor if it has one. Paper: sec:discussion:heterogeneity."""
 
     robot: str
@@ -30,7 +30,7 @@ class JoinFleet(Command):
     issued_by: str | None = None
 
 
-class InstallCapability(Command):
+class InstallCapability(PublicCommand):
     """The robot is to possess a capability that it did not have. Paper: eq:possess."""
 
     robot: str
@@ -42,7 +42,7 @@ class InstallCapability(Command):
     issued_by: str | None = None
 
 
-class RemoveCapability(Command):
+class RemoveCapability(PublicCommand):
     """The robot is to possess it no longer."""
 
     robot: str

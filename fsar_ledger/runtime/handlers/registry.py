@@ -10,14 +10,14 @@ import msgspec
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import OverrideLevel, TrustScope
-from fsar_ledger.events.registry import RegistryCached, RegistryQueried
+from fsar_ledger.events.registry import RegistryCached, RegistryConsulted, RegistryQueried
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import ruled
 from fsar_ledger.projections.registry import Advertisement, Offers, enclosing, offers
 from fsar_ledger.projections.trust import covers, scope_of
 
 from .attribution import is_idle, nearest_first, on_shift
-from .commands import Command, Decides, Reacts
+from .commands import Decides, PublicCommand, Reacts
 from .matching import is_in_range, is_range, is_suitable
 from .rejection import rejected, unknown_robot
 
@@ -208,20 +208,20 @@ def queried(state: State, query: Query, answer: Answer, task_id: str | None, act
     )
 
 
-class AskRegistry(Command):
-    """Public: a query from outside any task. With `cache_holder`, answered from that robot's copy."""
+class ConsultRegistry(PublicCommand):
+    """Public: a look into the registry outside of any request. With `cache_holder`, answered from that robot's copy."""
 
     query: Query
     cache_holder: str | None = None
 
 
-class CacheRegistry(Command):
+class CacheRegistry(PublicCommand):
     """Public: the robot takes a copy of the registry as it is now."""
 
     holder: str
 
 
-def ask_registry(state: State, command: AskRegistry) -> tuple[Event, ...]:
+def consult_registry(state: State, command: ConsultRegistry) -> tuple[Event, ...]:
     """The registry has answered; that nobody offers the capability is an answer too."""
     query = command.query
     wrong = unknown_robot(state, query.requester, command.cache_holder) or _malformed(query)
@@ -229,7 +229,8 @@ def ask_registry(state: State, command: AskRegistry) -> tuple[Event, ...]:
         wrong = f"{command.cache_holder} has no copy of the registry, expected one that was taken"
     if wrong is not None:
         return rejected(command, query.capability, wrong, query.requester)
-    return (queried(state, query, candidates(state, query, command.cache_holder), None, None),)
+    found = candidates(state, query, command.cache_holder)
+    return (RegistryConsulted(query.requester, query.capability, found.candidates, found.rejected, found.rejected_by, found.domain, found.as_of_us),)
 
 
 def _malformed(query: Query) -> str | None:
@@ -253,5 +254,5 @@ def cache_registry(state: State, command: CacheRegistry) -> tuple[Event, ...]:
     return (RegistryCached(command.holder, command.now_us),)
 
 
-DECIDES: Decides = {AskRegistry: ask_registry, CacheRegistry: cache_registry}
+DECIDES: Decides = {ConsultRegistry: consult_registry, CacheRegistry: cache_registry}
 REACTS: Reacts = {}
