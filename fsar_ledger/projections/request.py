@@ -4,10 +4,23 @@ from typing import assert_never
 
 import msgspec
 
-from fsar_ledger.events.envelope import PolicyOutcome
+from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome, Result
+from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.events.registry import RegistryQueried
-from fsar_ledger.events.request import AwardMade, CommandIssued, ContractQuestioned, ContractVoided, RequestAccepted, RequestIssued, RequestRelayed
+from fsar_ledger.events.request import (
+    AwardMade,
+    CommandIssued,
+    ContractQuestioned,
+    ContractVoided,
+    OfferAnswered,
+    RequestAccepted,
+    RequestClosed,
+    RequestCountered,
+    RequestDenied,
+    RequestIssued,
+    RequestRelayed,
+)
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import StepBegan, StepCompleted
 from fsar_ledger.events.world import OutsiderRequestInjected
@@ -26,11 +39,21 @@ HANDLES = (
     | RequestAccepted
     | ContractQuestioned
     | ContractVoided
+    | RequestDenied
+    | RequestCountered
+    | OfferAnswered
+    | ExecutionFinished
+    | RequestClosed
 )
 
 
 class Request(msgspec.Struct, frozen=True, gc=False):
-    """The request for one action. `target` is the robot asked; `round` counts negotiations from 0."""
+    """The request for one action. `target` is the robot asked; `round` counts negotiations from 0.
+
+    `is_adhoc`: it was issued by itself and is no step of a task, whatever its context; it is kept when it is over, so
+    that its name is not used again. `offered` is the override level of the counter-offer that waits for an answer,
+    `offers` counts them; `result` is known once the execution is over.
+    """
 
     task_id: str
     action_id: str
@@ -48,6 +71,15 @@ class Request(msgspec.Struct, frozen=True, gc=False):
     is_accepted: bool = False
     is_questioned: bool = False
     round: int = 0
+    is_adhoc: bool = False
+    override: OverrideLevel = "none"
+    parent: str | None = None
+    directives: tuple[str, ...] = ()
+    version: str | None = None
+    offers: int = 0
+    offered: OverrideLevel | None = None
+    result: Result | None = None
+    is_over: bool = False
 
 
 Requests = dict[str, Request]
@@ -59,7 +91,7 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
     """The requests after the event."""
     match event:
         case StepBegan():
-            others = {name: request for name, request in state.items() if request.task_id != event.task_id}
+            others = {name: request for name, request in state.items() if request.is_adhoc or request.task_id != event.task_id}
             begun = Request(event.task_id, event.action_id, event.robot, event.capability, event.step, event.attempt, event.target_role is not None)
             return {**others, event.action_id: begun}
         case StepCompleted():
@@ -70,8 +102,7 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
         case RegistryQueried():
             return _changed(state, event.action_id, candidates=event.candidates, relay=event.relay)
         case RequestIssued():
-            carried = event.carried_policy or "allow"
-            return _changed(state, event.action_id, carried=carried, relay=event.relay)
+            return _issued(state, event)
         case RequestRelayed():
             return _changed(state, event.action_id, carried=event.carried_policy)
         case CommandIssued():
@@ -91,8 +122,42 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
         case ContractVoided():
             known = state[event.action_id]
             return _changed(state, event.action_id, bids=(), target=None, is_accepted=False, is_questioned=False, round=known.round + 1)
+        case RequestDenied():
+            return _changed(state, event.action_id, is_over=True)
+        case RequestCountered():
+            return _changed(state, event.action_id, offers=event.round, offered=event.override)
+        case OfferAnswered():
+            return _answered(state, event)
+        case ExecutionFinished():
+            return _changed(state, event.action_id, result=event.result)
+        case RequestClosed():
+            return _changed(state, event.action_id, is_over=True)
         case _:
             assert_never(event)
+
+
+def _issued(state: Requests, event: RequestIssued) -> Requests:
+    """The step's request is on its way; one that is nobody's step begins here. Paper: eq:request."""
+    carried = event.carried_policy or "allow"
+    asked = {"override": event.override, "parent": event.parent, "directives": event.directives, "version": event.version}
+    if event.action_id in state or None in (event.task_id, event.action_id, event.requested_by, event.executed_by):
+        return _changed(state, event.action_id, carried=carried, relay=event.relay, **asked)
+    assert event.task_id is not None
+    assert event.action_id is not None
+    assert event.requested_by is not None
+    assert event.executed_by is not None
+    begun = Request(event.task_id, event.action_id, event.requested_by, event.capability, 1, 1, True, (event.executed_by,), event.relay, carried)
+    return {**state, event.action_id: msgspec.structs.replace(begun, is_adhoc=True, **asked)}
+
+
+def _answered(state: Requests, event: OfferAnswered) -> Requests:
+    """The requester takes the terms or asks for others, and the executor is to judge again; or it lets go and the request is over."""
+    if event.action_id is None or event.action_id not in state:
+        return state
+    asked = state[event.action_id].offered if event.is_accepted else event.override
+    if asked is None:
+        return _changed(state, event.action_id, offered=None, is_over=True)
+    return _changed(state, event.action_id, offered=None, override=asked)
 
 
 def _changed(state: Requests, action_id: str | None, **changes: object) -> Requests:
