@@ -82,7 +82,7 @@ def failing(state: State, request: Request, executor: str, outcome: PolicyOutcom
         return "trust"
     if outcome == "deny" or (record.policy_required and request.task_id not in record.policy_required):
         return "policy"
-    if request.directives or record.availability == "offline":
+    if request.directives or record.availability in ("offline", "restricted"):
         return "local-execution"
     if request.task_id in state.authority.expired or is_revoked(state, request, executor):
         return "authority"

@@ -3,7 +3,6 @@
 from fsar_ledger.events import Event
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionPaused, ExecutionQueued, OwnStepDecided, RoutinePerformed, RoutineWithheld
 from fsar_ledger.events.knowledge import FleetRuleLearned
-from fsar_ledger.events.policy import PolicyRuleSet
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections.execution import Action
@@ -121,16 +120,6 @@ def _on_fleet_rule(state: State, event: PolicyWindowOpened | PolicyWindowClosed,
     return (Scheduled(word, 0, (message(event.window, edge),)),)
 
 
-def _on_rule(state: State, event: PolicyRuleSet, _now_us: int) -> tuple[Scheduled, ...]:
-    """What policy held looks again when a rule has changed."""
-    held = [state.execution.actions.get(name) for name in state.execution.current.values()]
-    return tuple(
-        start_action(action.action_id, action.capability)
-        for action in held
-        if action is not None and action.stage == "held" and event.robot in (None, action.robot) and holding(state, action)[0] == "allow"
-    )
-
-
 def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
     return (Scheduled(ResumeAction(event.action_id), state.fleet.structure.replan_us),)
 
@@ -148,5 +137,4 @@ REACTS: Reacts = {
     PolicyWindowClosed: _on_window_closed,
     ExecutionPaused: _on_pause,
     ContextChanged: pause_running,
-    PolicyRuleSet: _on_rule,
 }
