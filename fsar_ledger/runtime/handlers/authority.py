@@ -5,13 +5,14 @@ admitted before, queued or executing, goes on.
 """
 
 from collections.abc import Iterable
+from typing import get_args
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted, AuthorityReleased, AuthorityRevoked, RevocationReason
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST, Dimension, OverrideLevel
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.trust import TrustSet
-from fsar_ledger.projections.authority import Right
+from fsar_ledger.projections.authority import LEVELS, Right
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import possesses
@@ -75,6 +76,8 @@ def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
     robot = state.fleet.robots.get(command.executor or "")
     if reason is None and command.supervisor != FLEET_SUPERVISOR and (robot is None or robot.supervisor != command.supervisor):
         reason = f"{command.supervisor} does not supervise {command.executor or 'every robot'}, expected {FLEET_SUPERVISOR} or the executor's own"
+    if reason is None and command.override not in LEVELS:
+        reason = f"unknown override level {command.override}, expected one of {', '.join(LEVELS)}"
     if reason is None and command.context in state.authority.expired:
         reason = f"context {command.context} has expired, expected one that is not over"
     if reason is None and command.supervisor != FLEET_SUPERVISOR and _is_revoked_by_fleet(state, command):
@@ -92,6 +95,8 @@ def revoke_authority(state: State, command: RevokeAuthority) -> tuple[Event, ...
         parties = [state.fleet.robots[name] for name in (command.requester, command.executor) if name is not None]
         if all(robot.supervisor != command.supervisor for robot in parties):
             reason = f"{command.supervisor} supervises neither robot, expected {FLEET_SUPERVISOR} or one's own"
+    if reason is None and command.reason not in get_args(RevocationReason):
+        reason = f"unknown reason {command.reason}, expected one of {', '.join(get_args(RevocationReason))}"
     if reason is None and isinstance(_standing(state, command), AuthorityRevoked):
         reason = "it is revoked already, expected a right that stands"
     if reason is not None:
