@@ -26,12 +26,19 @@ from fsar_ledger.events.policy import PolicyRuleSet
 from fsar_ledger.events.recovery import AssistanceAdmitted
 from fsar_ledger.events.registry import CapabilityAdvertised
 from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, RequestClosed, RequestDenied
+from fsar_ledger.events.task import StepBegan
+from fsar_ledger.events.world import ObstructionAppeared, TaskArrived
+from fsar_ledger.ledger.codec import RunRecord, encode
+from fsar_ledger.metrics.database import from_table, plain_rows
+from fsar_ledger.metrics.library import library
 from fsar_ledger.projections import execution
 from fsar_ledger.projections.authority import LEVELS, rank
 from fsar_ledger.projections.fold import State, apply, fold
+from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
-from fsar_ledger.runtime.handlers.commands import ResumeAction, StartAction, TakeTurn
+from fsar_ledger.runtime.handlers.commands import DetectObstruction, ResumeAction, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import RequestCapability
+from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.world.schedule import schedule
 from tests.runtime.histories import given, types
 from tests.runtime.live import decided, of, played
@@ -139,6 +146,37 @@ def test_a_robot_that_helps_another_is_not_interrupted() -> None:
     state = given("fsar", OPEN, help_given)
     events = play(state, urgent("hard-preempt"), EvaluateRequest("q2"))
     assert types(events) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
+
+
+def test_what_was_replanning_keeps_its_rest_and_no_early_plan_takes_the_robot_back() -> None:
+    state = busy()
+    apply(state, ExecutionPaused("visit", "q1", "robot/B1", 700_000))
+    _, preempted, _ = play(state, urgent("hard-preempt"), EvaluateRequest("q2", now_us=1_900_000))
+    assert preempted.remaining_us == 700_000
+    assert play(state, ResumeAction("q1", now_us=2_300_000)) == ()
+    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    [resumed] = play(state, ResumeAction("q1", now_us=4_000_000))
+    assert resumed.ends_us == 4_700_000
+
+
+def test_a_failure_is_first_handled_by_the_executors_own_recovery() -> None:
+    state = busy()
+    apply(state, ObstructionAppeared("robot/B1", "o"))
+    assert types(play(state, DetectObstruction("q1", now_us=1_500_000))) == ["ExecutionFailed"]
+    assert types(play(state, urgent("hard-preempt"), EvaluateRequest("q2"))) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
+
+
+def test_an_own_step_that_was_preempted_while_policy_held_it_does_not_start_behind_the_other() -> None:
+    own = StepBegan("B1-1", "B1-1/1.1", "robot/B1", 1, 1, "navigate.indoor")
+    arrived = TaskArrived("B1-1", "robot/B1", 1, ("B navigate.indoor",), 60_000_000, 65_000_000)
+    rule = PolicyRuleSet("local", "robot/B1", "navigate.indoor", None, "deny", "supervisor/B1")
+    state = given("fsar", OPEN, rule, arrived, own)
+    assert types(play(state, DecideOwnStep("B1-1/1.1"), StartAction("B1-1/1.1", drawn=5))) == ["ExecutionHeld"]
+    assert "ExecutionPreempted" in types(play(state, urgent("hard-preempt"), EvaluateRequest("q2")))
+    apply(state, msgspec.structs.replace(rule, outcome="allow"))
+    assert play(state, StartAction("B1-1/1.1", drawn=5)) == ()
+    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    assert types(play(state, StartAction("B1-1/1.1", drawn=5))) == ["ExecutionStarted"]
 
 
 def entry(name: str, level: OverrideLevel) -> ExecutionQueued:
@@ -292,16 +330,28 @@ OFFERS = [
 PAIRS = (("robot/C1", "robot/B1", DOOR), ("robot/A1", "robot/B1", DOOR), ("robot/D1", "robot/A1", "carry.package"), ("robot/A1", "robot/D1", "carry.heavy"))
 
 
-@pytest.mark.parametrize("seed", range(12))
-def test_amid_tasks_failures_and_changing_policy_nothing_is_lost_or_doubled(seed: int) -> None:
+def amid(seed: int) -> Kernel:
     """A whole scenario with its obstructions, windows, context changes and recoveries, and urgent requests all through it."""
     commands: list[tuple[int, Any]] = []
     for number in range(24):
         requester, executor, capability = PAIRS[(number + seed) % len(PAIRS)]
         level = LEVELS[(number * 7 + seed) % len(LEVELS)]
         commands.append((4_000_000 + number * 4_700_000 + seed * 137_000, RequestCapability(requester, executor, capability, "visit", f"q{number}", level)))
-    facts = schedule(Constants().world, seed, "fleet-contention", 0, 4)
-    run = played(commands, *OFFERS, GRANT, facts=facts)
+    return played(commands, *OFFERS, GRANT, facts=schedule(Constants().world, seed, "fleet-contention", 0, 4))
+
+
+def test_the_ten_invariants_hold_amid_urgent_requests() -> None:
+    runs = [amid(seed) for seed in range(6)]
+    records = [RunRecord(f"amid-{seed}", run.times_us, run.caused_by, run.events) for seed, run in enumerate(runs)]
+    names = [name for name in library().queries if name.startswith("invariants/")]
+    with from_table(encode(records)) as database:
+        assert {name: plain_rows(database.query(name)) for name in names} == {name: [] for name in names}
+    assert len(names) == 10
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_amid_tasks_failures_and_changing_policy_nothing_is_lost_or_doubled(seed: int) -> None:
+    run = amid(seed)
     preempted = [event.action_id for _, event in of(run, ExecutionPreempted)]  # type: ignore[attr-defined]
     assert preempted
     admitted = [event.action_id for _, event in of(run, RequestAdmitted)]  # type: ignore[attr-defined]
