@@ -83,14 +83,6 @@ def evolve(state: Authority, event: HANDLES) -> Authority:
             if not left:
                 del claims[event.action_id]
             return Authority(claims, state.rights, state.expired, state.approvals)
-        case AuthorityGranted() | AuthorityRevoked():
-            return Authority(state.claims, (*state.rights, event), state.expired, state.approvals)
-        case TaskCompleted() | TaskAbandoned():
-            return Authority(state.claims, state.rights, state.expired | {event.task_id}, state.approvals)
-        case SupervisorResponded():
-            if event.purpose != "review" or not event.approves:
-                return state
-            return Authority(state.claims, state.rights, state.expired, {**state.approvals, event.action_id: Later()})
         case PolicyWindowOpened() | PolicyRuleSet() | FleetRuleLearned():
             if not state.approvals:
                 return state
@@ -101,6 +93,14 @@ def evolve(state: Authority, event: HANDLES) -> Authority:
                 return state
             approvals = {action: later for action, later in state.approvals.items() if action != event.action_id}
             return Authority(state.claims, state.rights, state.expired, approvals)
+        case AuthorityGranted() | AuthorityRevoked():
+            return Authority(state.claims, (*state.rights, event), state.expired, state.approvals)
+        case TaskCompleted() | TaskAbandoned():
+            return Authority(state.claims, state.rights, state.expired | {event.task_id}, state.approvals)
+        case SupervisorResponded():
+            if event.purpose != "review" or not event.approves:
+                return state
+            return Authority(state.claims, state.rights, state.expired, {**state.approvals, event.action_id: Later()})
         case _:
             assert_never(event)
 

@@ -94,6 +94,8 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
             others = {name: request for name, request in state.items() if request.is_adhoc or request.task_id != event.task_id}
             begun = Request(event.task_id, event.action_id, event.robot, event.capability, event.step, event.attempt, event.target_role is not None)
             return {**others, event.action_id: begun}
+        case ExecutionFinished() | RequestClosed() | RequestDenied():
+            return _ended(state, event)
         case StepCompleted():
             return {name: request for name, request in state.items() if name != event.action_id}
         case OutsiderRequestInjected():
@@ -122,32 +124,33 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
         case ContractVoided():
             known = state[event.action_id]
             return _changed(state, event.action_id, bids=(), target=None, is_accepted=False, is_questioned=False, round=known.round + 1)
-        case RequestDenied():
-            return _changed(state, event.action_id, is_over=True)
         case RequestCountered():
             return _changed(state, event.action_id, offers=event.round, offered=event.override)
         case OfferAnswered():
             return _answered(state, event)
-        case ExecutionFinished():
-            return _changed(state, event.action_id, result=event.result)
-        case RequestClosed():
-            return _changed(state, event.action_id, is_over=True)
         case _:
             assert_never(event)
 
 
 def _issued(state: Requests, event: RequestIssued) -> Requests:
     """The step's request is on its way; one that is nobody's step begins here. Paper: eq:request."""
+    task_id, action_id, robot, executor = event.task_id, event.action_id, event.requested_by, event.executed_by
     carried = event.carried_policy or "allow"
+    if action_id in state or task_id is None or action_id is None or robot is None or executor is None:
+        return _changed(state, action_id, carried=carried, relay=event.relay, override=event.override)
+    begun = Request(task_id, action_id, robot, event.capability, 1, 1, True, (executor,), event.relay, carried)
     asked = {"override": event.override, "parent": event.parent, "directives": event.directives, "version": event.version}
-    if event.action_id in state or None in (event.task_id, event.action_id, event.requested_by, event.executed_by):
-        return _changed(state, event.action_id, carried=carried, relay=event.relay, **asked)
-    assert event.task_id is not None
-    assert event.action_id is not None
-    assert event.requested_by is not None
-    assert event.executed_by is not None
-    begun = Request(event.task_id, event.action_id, event.requested_by, event.capability, 1, 1, True, (event.executed_by,), event.relay, carried)
-    return {**state, event.action_id: msgspec.structs.replace(begun, is_adhoc=True, **asked)}
+    return {**state, action_id: msgspec.structs.replace(begun, is_adhoc=True, **asked)}
+
+
+def _ended(state: Requests, event: ExecutionFinished | RequestClosed | RequestDenied) -> Requests:
+    """A request by itself is over, or has its result; of a step only a result other than success is news before the step ends."""
+    known = state.get(event.action_id or "")
+    if known is None:
+        return state
+    if isinstance(event, ExecutionFinished):
+        return _changed(state, known.action_id, result=event.result) if known.is_adhoc or event.result != "success" else state
+    return _changed(state, known.action_id, is_over=True) if known.is_adhoc else state
 
 
 def _answered(state: Requests, event: OfferAnswered) -> Requests:

@@ -15,12 +15,11 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import ruled
 from fsar_ledger.projections.registry import Advertisement, advertisement, possesses
 from fsar_ledger.projections.request import Request
-from fsar_ledger.projections.trust import scope_of
+from fsar_ledger.projections.trust import covers, scope_of
 from fsar_ledger.projections.world import stricter
 
 from .attribution import is_idle
 from .policy import compose, fleet_policy, own_policy
-from .trust import trusts
 
 Conjunct = Literal["possession", "advertisement", "trust", "policy", "local-execution", "authority"]
 Verdict = Literal["accept", "defer", "negotiate", "review", "reject"]
@@ -49,16 +48,18 @@ def evaluate(state: State, request: Request, executor: str, is_reviewed: bool = 
     A request through a relay rests on the executor's trust in the relay: each link is judged by itself. A revocation of
     the requester's own right counts all the same.
     """
-    outcome = "allow" if is_reviewed else compose(state, request.carried, executor, request.capability, request.task_id)
-    trust = None
-    if state.fleet.configuration != "without-trust-evaluation":
-        trust = scope_of(state.trust, executor, asker(request), request.capability, request.task_id)
-    asked, allowed = override_asked(state, request, executor), override_allowed(state, request, executor)
-    conjunct = failing(state, request, executor, outcome)
+    about = (request.capability, request.task_id)
+    outcome = "allow" if is_reviewed else compose(state, request.carried, executor, *about)
+    is_blind = state.fleet.configuration == "without-trust-evaluation"
+    trust = None if is_blind else scope_of(state.trust, executor, asker(request), *about)
+    conjunct = failing(state, request, executor, trust, outcome)
     if conjunct is not None:
         return Evaluation("reject", conjunct, trust, conjunct not in ("trust", "authority"), False, "none")
-    if rank(asked) > rank(allowed):
-        return Evaluation("negotiate", None, trust, True, False, allowed)
+    asked: OverrideLevel = "none"
+    if request.override != "none":
+        asked, allowed = override_asked(state, request, executor), override_allowed(state, request, executor)
+        if rank(asked) > rank(allowed):
+            return Evaluation("negotiate", None, trust, True, False, allowed)
     if outcome == "review":
         return Evaluation("review", None, trust, True, False, asked)
     is_free = is_idle(state, executor) or preemptible(state, executor, asked) is not None
@@ -70,15 +71,14 @@ def asker(request: Request) -> str:
     return request.relay or request.requester
 
 
-def failing(state: State, request: Request, executor: str, outcome: PolicyOutcome) -> Conjunct | None:
-    """The first conjunct that fails, or None. Paper: eq:admissible."""
-    about = (request.capability, request.task_id)
+def failing(state: State, request: Request, executor: str, trust: TrustScope | None, outcome: PolicyOutcome) -> Conjunct | None:
+    """The first conjunct that fails, or None; `trust` is the executor's in who asks, `outcome` the composed policy. Paper: eq:admissible."""
     if not possesses(state.registry, executor, request.capability):
         return "possession"
     record = advertisement(state.registry, executor, request.capability)
     if record is None or not is_visible(state, record, request) or request.version not in (None, record.version):
         return "advertisement"
-    if not trusts(state, executor, asker(request), *about):
+    if trust is not None and not covers(trust, record.trust_required):
         return "trust"
     if outcome == "deny" or (record.policy_required and request.task_id not in record.policy_required):
         return "policy"
@@ -105,6 +105,8 @@ def is_visible(state: State, record: Advertisement, request: Request) -> bool:
 
 def is_revoked(state: State, request: Request, executor: str) -> bool:
     """True when the requester, or the relay that asks for it, may no longer ask this of the executor. Paper: sec:model:authority."""
+    if not state.authority.rights:
+        return False
     about = (executor, request.capability, request.task_id)
     return any(isinstance(right_of(state.authority, robot, *about), AuthorityRevoked) for robot in {request.requester, asker(request)})
 
