@@ -285,6 +285,20 @@ def test_a_requester_that_lets_go_ends_its_request() -> None:
     assert evaluate_request(state, EvaluateRequest("q1")) == ()
 
 
+@pytest.mark.parametrize(("answers", "ends"), [([True], "closed"), ([None, True], "closed"), ([False], "let go"), ([None, None, None], "denied")])
+def test_in_a_whole_run_a_negotiation_comes_to_its_end(answers: list[bool | None], ends: str) -> None:
+    """True takes the offer, None asks for the same again, False lets go."""
+    commands: list[tuple[int, Command]] = [(1_000_000, msgspec.structs.replace(ASK, override="hard-preempt"))]
+    for number, answer in enumerate(answers, 1):
+        commands.append((1_000_000 + number * 2_000_000, AnswerOffer("robot/A1", "q1", answer is True, "hard-preempt" if answer is None else None)))
+    run = played(commands, offered("soft-priority"))
+    assert len(of(run, RequestCountered)) == len(of(run, OfferAnswered)) == len(answers)
+    assert bool(of(run, RequestClosed)) == (ends == "closed")
+    assert [event.reason for _, event in of(run, RequestDenied)] == (["negotiation"] if ends == "denied" else [])  # type: ignore[attr-defined]
+    assert run.state.request["q1"].is_over
+    assert run.state == fold(run.events)
+
+
 @pytest.mark.parametrize(
     ("command", "found"),
     [
@@ -310,7 +324,7 @@ def executing(result_of: str = "q1") -> State:
     return state
 
 
-@pytest.mark.parametrize(("result", "achieved"), [("success", ()), ("partial", ("door.unlocked",)), ("failure", ())])
+@pytest.mark.parametrize(("result", "achieved"), [("success", ()), ("partial", ("door.opened",)), ("failure", ())])
 def test_a_reported_result_ends_the_execution_and_the_closing_carries_it_on(result: Any, achieved: tuple[str, ...]) -> None:
     [finished] = decided(executing(), ReportResult("robot/B1", "q1", result, achieved))
     assert isinstance(finished, ExecutionFinished)
