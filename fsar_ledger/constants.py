@@ -80,6 +80,7 @@ class Structure(msgspec.Struct, frozen=True):
     retry_preparation_us: int = 400_000  # diagnosis before each attempt to recover (DHMA too)
     local_attempts: int = 2  # recovery budget of the local level: attempts [paper] (DHMA too)
     local_budget_us: int = 30_000_000  # recovery budget of the local level: time [paper]
+    negotiation_rounds: int = 3  # counter-offers in one negotiation; the executor then denies [chosen]
     encounter_memory_us: int = 60_000_000  # without a registry, a met peer is known this long
     # CFC
     sync_period_us: int = 5_930_000  # the coordinator's copies are refreshed this often [calibrated]

@@ -2,8 +2,12 @@
 
 from fsar_ledger.runtime.architectures.wiring import Wiring, wire
 from fsar_ledger.runtime.handlers import advertising, fleet, registry, supervision, task
+from fsar_ledger.runtime.handlers import authority as rights
 from fsar_ledger.runtime.handlers import execution as bodies
+from fsar_ledger.runtime.handlers import request as requests
 
 from . import authority, availability, discovery, execution, recovery, request
 
-FSAR: Wiring = wire(task, bodies, supervision, discovery, request, execution, authority, recovery, availability, registry, advertising, fleet)
+_PUBLIC = (fleet, registry, advertising, requests, rights)
+
+FSAR: Wiring = wire(task, bodies, supervision, discovery, request, execution, authority, recovery, availability, *_PUBLIC)

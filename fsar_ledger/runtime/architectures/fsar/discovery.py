@@ -138,8 +138,8 @@ def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, 
 
 
 def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
-    if state.fleet.configuration == "without-shared-registry" or event.task_id not in state.task:
-        return ()
+    if state.fleet.configuration == "without-shared-registry" or event.task_id not in state.task or event.action_id not in state.request:
+        return ()  # a request that is no step names whom it asks
     assert event.action_id is not None
     return (Scheduled(QueryRegistry(event.action_id), 0, (message(event.action_id, 0),)),)
 
