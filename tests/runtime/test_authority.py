@@ -264,20 +264,3 @@ def test_a_start_without_a_review_waits_for_policy_as_ever() -> None:
     assert types(play(state, START)) == ["ExecutionHeld"]
     apply(state, FleetRuleLearned("robot/B1", "allow", 1))
     assert types(play(state, START)) == ["ExecutionHeld"]
-
-
-def test_a_fleet_rule_that_was_heard_after_the_admission_holds_the_start_until_it_is_over() -> None:
-    state = given("fsar")
-    play(state, ASK, EvaluateRequest("q1"), TakeTurn("q1"))
-    apply(state, FleetRuleLearned("robot/B1", "deny", 1))
-    [held] = play(state, START)
-    assert (held.reason, held.outcome, held.decided_by) == ("fleet-rule", "deny", None)
-    apply(state, FleetRuleLearned("robot/B1", "allow", 2))
-    assert types(play(state, START)) == ["ExecutionStarted"]
-
-
-def test_a_fleet_rule_that_was_heard_before_the_approval_is_covered_by_it_and_one_after_is_not() -> None:
-    state = approved(FleetRuleLearned("robot/B1", "review", 1))
-    assert types(decided(state, START)) == ["ExecutionStarted"]
-    apply(state, FleetRuleLearned("robot/B1", "deny", 2))
-    assert types(decided(state, START)) == ["ExecutionHeld"]

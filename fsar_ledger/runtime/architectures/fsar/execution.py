@@ -44,7 +44,7 @@ def decide_own_step(state: State, command: DecideOwnStep) -> tuple[Event, ...]:
 
 
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
-    """The action runs, unless the robot's own policy, or the fleet's rule as last heard, holds it.
+    """The action runs, unless the robot's own policy (or, for an own step, the fleet's rule as last heard) holds it.
 
     What a supervisor approved lifts only what was known then. Paper: sec:architecture:fleet (never a silent override).
     """
@@ -57,7 +57,7 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     if local != "allow":
         decided_by = None if action.is_delegated or action.was_denied else action.robot
         return (_held(state, action, local, "local-policy", decided_by),)
-    if rule != "allow":
+    if rule != "allow" and not action.is_delegated:
         return (_held(state, action, rule, "fleet-rule", None),)
     return (started(state, action, command),)
 
