@@ -17,12 +17,12 @@ from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import possesses
 
-from .commands import Command, Decides, Reacts, Scheduled
+from .commands import Command, Decides, PublicCommand, Reacts, Scheduled
 from .rejection import rejected, unknown_robot, unknown_supervisor
 from .trust import trusts
 
 
-class GrantAuthority(Command):
+class GrantAuthority(PublicCommand):
     """The supervisor lets the requester ask this (None: anyone, anything, in any context), up to the override level."""
 
     supervisor: str
@@ -33,7 +33,7 @@ class GrantAuthority(Command):
     context: str | None = None
 
 
-class RevokeAuthority(Command):
+class RevokeAuthority(PublicCommand):
     """The supervisor no longer lets the requester ask this (None: anyone, anything, in any context)."""
 
     supervisor: str
@@ -44,7 +44,7 @@ class RevokeAuthority(Command):
     reason: RevocationReason = "human override"
 
 
-class ReleaseAuthority(Command):
+class ReleaseAuthority(PublicCommand):
     """The claimant lets go of what it holds of this dimension over the action."""
 
     claimant: str

@@ -14,12 +14,12 @@ from fsar_ledger.projections.registry import possesses
 from fsar_ledger.projections.request import Request
 
 from .attribution import on_shift, principals
-from .commands import Command, Decides, Reacts
+from .commands import Decides, PublicCommand, Reacts
 from .policy import own_policy
 from .rejection import rejected, unknown_robot
 
 
-class RequestCapability(Command):
+class RequestCapability(PublicCommand):
     """The requester asks the executor for the capability, in a context (a task, or a free name), under a new action name.
 
     Fields beyond these: the override level asked for, the request in whose service it asks (`parent`), what it would
@@ -37,7 +37,7 @@ class RequestCapability(Command):
     version: str | None = None
 
 
-class AnswerOffer(Command):
+class AnswerOffer(PublicCommand):
     """The requester answers a counter-offer: it takes it, asks for this other override level, or (neither) lets go."""
 
     requester: str
@@ -46,7 +46,7 @@ class AnswerOffer(Command):
     override: OverrideLevel | None = None
 
 
-class ReportResult(Command):
+class ReportResult(PublicCommand):
     """The executor says how the action ended; a partial result names the postconditions that hold."""
 
     executor: str
