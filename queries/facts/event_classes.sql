@@ -35,8 +35,6 @@ WITH classes (type, decision_kind, record_kind, requires_origin, requires_execut
     ('RequestRelayed.v1', 'delegation', NULL, FALSE, FALSE, FALSE),
     ('RequestDenied.v1', 'denial', NULL, FALSE, FALSE, FALSE),
     ('RequestDeferred.v1', 'defer', NULL, FALSE, FALSE, FALSE),
-    ('RequestCountered.v1', 'negotiation', NULL, FALSE, FALSE, FALSE),
-    ('OfferAnswered.v1', 'negotiation', NULL, FALSE, FALSE, FALSE),
     ('RequestClosed.v1', 'closing', NULL, FALSE, FALSE, FALSE),
     ('ExecutionHeld.v1', 'denial', NULL, FALSE, FALSE, FALSE),
     ('AssistanceAdmitted.v1', 'admission', NULL, FALSE, FALSE, FALSE)
