@@ -24,7 +24,6 @@ RECORDS_ONLY = {
     "CandidateMatched",
     "BidSubmitted",
     "InternalHandoff",
-    "RequestAdmitted",
     "RequestDenied",
     "RequestDeferred",
     "RequestClosed",
