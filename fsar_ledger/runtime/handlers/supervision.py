@@ -9,6 +9,7 @@ from fsar_ledger.projections.supervision import density
 
 from .commands import Command, Decides, Draw, Reacts, Respond, Scheduled
 from .rejection import not_in_charge, rejected, unknown_robot
+from .task import first_in_order
 
 
 class RespondToCall(Command):
@@ -48,7 +49,7 @@ def respond(state: State, command: Respond) -> tuple[Event, ...]:
     call = state.supervision.calls.get((command.action_id, command.purpose))  # type: ignore[arg-type]
     if call is None or (command.action_id not in state.request and command.action_id not in state.execution.actions):
         return ()
-    return _responded(state, call, True, None)
+    return _responded(state, call, True, first_in_order(state, call))
 
 
 def respond_to_call(state: State, command: RespondToCall) -> tuple[Event, ...]:
