@@ -98,9 +98,7 @@ def _attempted(state: State, action: Action, recovery: Recovery, deadline_us: in
 def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
     """The robot has begun to recover by itself, if it may; without layered recovery H_F is called at once. Paper: sec:model:recovery, level 1."""
     match open_failure(state, command.action_id):
-        case None:
-            return ()
-        case action, recovery:
+        case action, recovery if recovery.level == "local" and recovery.number == 0:
             if state.fleet.configuration == "without-layered-recovery":
                 called = SupervisorCalled(action.task_id, action.action_id, FLEET_SUPERVISOR, "recovery")
                 return (_escalated(state, action, recovery, "human", action.robot, "no layered recovery"), called)
@@ -109,6 +107,8 @@ def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
             if allowed.n_max == 0 or command.now_us >= deadline_us:
                 return (_escalated(state, action, recovery, "peer", action.robot, EXHAUSTED),)
             return (_attempted(state, action, recovery, deadline_us),)
+        case _:
+            return ()
 
 
 def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
