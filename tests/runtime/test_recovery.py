@@ -1,13 +1,10 @@
 """Recovery: given events, when a command, then events. Paper: eq:recovery, app:foundations."""
 
-import msgspec
 import pytest
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
-from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import RecoveryLevel
-from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionStarted
+from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
     AssistanceRequested,
@@ -21,9 +18,8 @@ from fsar_ledger.events.recovery import (
 )
 from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled, RegistryQueried
 from fsar_ledger.events.supervision import ActuatorServiced, SupervisorCalled
-from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.trust import TrustSet
-from fsar_ledger.events.world import ActuatorDegraded, Grade, ObstructionAppeared, SupervisorLeft, SupervisorReturned, TaskArrived
+from fsar_ledger.events.world import ActuatorDegraded, Grade, ObstructionAppeared, SupervisorLeft, SupervisorReturned
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.architectures.fsar.recovery import (
     AskPeers,
@@ -38,51 +34,11 @@ from fsar_ledger.runtime.architectures.fsar.recovery import (
 )
 from fsar_ledger.runtime.handlers.commands import Command, EndAttempt, FinishAttempt
 from fsar_ledger.runtime.handlers.execution import finish_attempt
-from fsar_ledger.runtime.handlers.recovery import ReportFailure, SetRecoveryBudget, budget, report_failure, set_recovery_budget
+from fsar_ledger.runtime.handlers.recovery import budget
 from fsar_ledger.runtime.handlers.trust import trusts
 from fsar_ledger.runtime.simulation import wiring
-from tests.runtime.histories import given, types, window
-
-A, B, C, D = "robot/A1", "robot/B1", "robot/C1", "robot/D1"
-STEPS = ("A navigate.indoor", "A carry.package")
-ACTION = "A1-1/2.1"
-
-
-def executing(
-    robot: str = A,
-    capability: str = "carry.package",
-    *before: Event,
-    owner: str = A,
-    behalf: str | None = None,
-    checkpoints: tuple[str, ...] | None = None,
-    configuration: str = "full",
-) -> State:
-    """The state in which the robot executes the second step of a task, from 1 s to 3 s."""
-    behalf = behalf or robot
-    return given(
-        "fsar",
-        *before,
-        TaskArrived("A1-1", owner, 1, STEPS, 60_000_000, 65_000_000, checkpoints),
-        StepBegan("A1-1", ACTION, behalf, 2, 1, capability),
-        ExecutionQueued("A1-1", ACTION, behalf, robot, None, robot, behalf, capability, 2, 1, robot != behalf, robot != behalf, True),
-        ExecutionStarted("A1-1", ACTION, behalf, robot, None, robot, behalf, capability, 3_000_000),
-        configuration=configuration,  # type: ignore[arg-type]
-    )
-
-
-def failed(state: State, level: RecoveryLevel = "local", cause: str = "obstruction") -> State:
-    """The execution has failed at 2 s, and its recovery has come to this level."""
-    action = state.execution.actions[ACTION]
-    apply(state, ExecutionFailed("A1-1", ACTION, action.robot, 1, cause, 1_000_000, 2_000_000))  # type: ignore[arg-type]
-    state.recovery = {ACTION: msgspec.structs.replace(state.recovery[ACTION], level=level)}
-    return state
-
-
-def taken(state: State, events: tuple[Event, ...]) -> tuple[Event, ...]:
-    """The events, which the state has taken in."""
-    for event in events:
-        apply(state, event)
-    return events
+from tests.runtime.failures import ACTION, A, B, C, D, executing, failed, taken
+from tests.runtime.histories import types, window
 
 
 def escalation(events: tuple[Event, ...]) -> tuple[str, str, str | None]:
@@ -348,65 +304,6 @@ def test_an_unreliable_actuator_that_fails_is_not_worn_by_it() -> None:
     ended, _ = taken(state, end_attempt(state, EndAttempt(ACTION, 1, now_us=4_000_000, drawn=0)))
     assert ended == RecoveryAttemptFailed("A1-1", ACTION, D, 1, 1)
     assert state.world.degraded == {D: "unreliable"}
-
-
-# Commands from outside
-
-
-@pytest.mark.parametrize("issued_by", ["supervisor/A1", "supervisor/fleet"])
-def test_a_supervisor_in_charge_sets_a_recovery_budget(issued_by: str) -> None:
-    assert set_recovery_budget(given("fsar"), SetRecoveryBudget(issued_by, A, "peer", 5_000_000, 0)) == (RecoveryBudgetSet(A, "peer", 5_000_000, 0, issued_by),)
-
-
-@pytest.mark.parametrize(
-    ("command", "reason"),
-    [
-        (SetRecoveryBudget("supervisor/fleet", "robot/Z9", "peer", 1, 1), "unknown robot robot/Z9"),
-        (SetRecoveryBudget("supervisor/Z9", A, "peer", 1, 1), "unknown supervisor supervisor/Z9"),
-        (SetRecoveryBudget("supervisor/B1", A, "peer", 1, 1), "supervisor/B1 does not supervise robot/A1"),
-        (SetRecoveryBudget(A, A, "peer", 1, 1), "unknown supervisor robot/A1"),
-        (SetRecoveryBudget("supervisor/A1", A, "cosmic", 1, 1), "level cosmic"),
-        (SetRecoveryBudget("supervisor/A1", A, "local", -1, 1), "at least 0"),
-        (SetRecoveryBudget("supervisor/A1", A, "local", 1, -1), "at least 0"),
-        (SetRecoveryBudget("supervisor/A1", A, "human", 0, 1), "at least 1"),
-        (SetRecoveryBudget("supervisor/A1", A, "human", 1, 0), "at least 1"),
-    ],
-)
-def test_an_impossible_budget_is_rejected(command: SetRecoveryBudget, reason: str) -> None:
-    [found] = set_recovery_budget(given("fsar"), command)
-    assert isinstance(found, CommandRejected)
-    assert (found.command, found.subject, found.issued_by) == ("SetRecoveryBudget", command.robot, command.issued_by)
-    assert reason in found.reason
-
-
-def test_a_reported_failure_is_recovered_like_any_other() -> None:
-    state = executing(B, "door.open.basic")
-    [event] = taken(state, report_failure(state, ReportFailure(B, ACTION, "obstruction", now_us=2_000_000)))
-    assert event == ExecutionFailed("A1-1", ACTION, B, 1, "obstruction", 1_000_000, 2_000_000)
-    [scheduled] = [one.command for react in wiring("fsar").reacts[ExecutionFailed] for one in react(state, event, 2_000_000)]
-    assert scheduled == StartRecovery(ACTION)
-
-
-@pytest.mark.parametrize(
-    ("command", "reason"),
-    [
-        (ReportFailure("robot/Z9", ACTION, "obstruction"), "unknown robot robot/Z9"),
-        (ReportFailure(A, "A1-9/1.1", "obstruction"), "unknown or finished action A1-9/1.1"),
-        (ReportFailure(B, ACTION, "obstruction"), "executed by robot/A1"),
-        (ReportFailure(A, ACTION, "boredom"), "cause boredom"),
-    ],
-)
-def test_a_report_about_what_the_robot_does_not_execute_is_rejected(command: ReportFailure, reason: str) -> None:
-    [found] = report_failure(executing(), command)
-    assert isinstance(found, CommandRejected)
-    assert (found.command, found.subject, found.issued_by) == ("ReportFailure", command.action_id, command.robot)
-    assert reason in found.reason
-
-
-def test_a_second_report_of_the_same_failure_is_rejected() -> None:
-    [found] = report_failure(failed(executing()), ReportFailure(A, ACTION, "obstruction"))
-    assert isinstance(found, CommandRejected)
-    assert "is failed, expected running" in found.reason
 
 
 def test_stale_commands_do_nothing() -> None:

@@ -61,7 +61,7 @@ def test_the_door_is_opened_for_a_by_b_under_its_own_runtime(seed: int) -> None:
     [closed] = every(events, RequestClosed)
     assert (closed.action_id, closed.result) == (gap.action_id, "success")
     assert every(events, TaskCompleted)
-    assert not every(events, RequestDenied) + every(events, SupervisorCalled)  # type: ignore[operator]
+    assert not every(events, RequestDenied) + every(events, SupervisorCalled)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
