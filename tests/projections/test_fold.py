@@ -18,21 +18,18 @@ from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 
 RECORDS_ONLY = {
-    "RequestUnanswered",
     "PeerSought",
     "GapDetected",
     "CandidateMatched",
     "BidSubmitted",
     "InternalHandoff",
-    "RequestAdmitted",
-    "RequestDeferred",
     "OwnStepDecided",
     "ReplanOrdered",
     "RoutinePerformed",
     "RoutineWithheld",
     "RoutineReported",
-    "RecoveryAttemptFailed",
     "ReassignmentDecided",
+    "TaskStateTransferred",
     "SnapshotPhaseSet",
     "AssistanceDeclined",
     "ContextChanged",

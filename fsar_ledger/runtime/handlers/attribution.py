@@ -5,7 +5,7 @@ from typing import Any
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.registry import offers
+from fsar_ledger.projections.registry import offers, surface
 
 BODIES = ("A", "B", "D")  # roles whose bodies can clear an obstruction
 SUBSTITUTES = {"carry.package": "D", "handover.dropoff": "D"}  # capability -> role that can stand in
@@ -67,6 +67,30 @@ def stand_ins(state: State, action: Action) -> tuple[str, ...]:
     role = SUBSTITUTES.get(action.capability)
     able += [name for name, robot in state.fleet.robots.items() if robot.role == role and name != action.robot]
     return nearest_first(state, able, action.robot)
+
+
+def family(capability: str) -> str:
+    """The pattern of a capability's kind, by which peers are sought: `grasp.robust` is of `grasp.*`."""
+    return capability.partition(".")[0] + ".*"
+
+
+def kin(state: State, robot: str, capability: str) -> tuple[str, ...]:
+    """Every other robot that advertises something of the capability's family, nearest team first."""
+    stem = family(capability)[:-1]
+    others = [name for name in state.fleet.robots if name != robot]
+    return nearest_first(state, [name for name in others if any(record.capability.startswith(stem) for record in surface(state.registry, name))], robot)
+
+
+def is_reachable(state: State, robot: str) -> bool:
+    """True unless the robot has reported itself offline, or restricted, in all that it advertises. Paper: eq:adv (availability)."""
+    reported = [record.availability for record in surface(state.registry, robot)]
+    return not reported or any(availability not in ("offline", "restricted") for availability in reported)
+
+
+def is_cross_robot(state: State, action: Action) -> bool:
+    """True when a failure of the action concerns more than its robot: it was delegated, or the task is another robot's. Paper: sec:model:supervision."""
+    task = state.task.get(action.task_id)
+    return action.is_delegated or task is None or task.robot != action.robot
 
 
 def pending_of_other_task(state: State, robot: str, task_id: str) -> str | None:

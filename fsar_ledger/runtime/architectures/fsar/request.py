@@ -29,6 +29,7 @@ from fsar_ledger.runtime.handlers.execution import holds_robot
 from fsar_ledger.runtime.handlers.policy import own_policy
 from fsar_ledger.runtime.handlers.trust import trusts
 
+from .contention import in_order, put_in_order
 from .discovery import unanswered
 
 
@@ -130,7 +131,7 @@ def _judged(state: State, request: Request, found: Evaluation, now_us: int) -> t
         return (RequestCountered(*context, round=request.offers + 1, override=found.override),)
     if found.verdict == "review":
         return (SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "review"),)
-    return _admitted(state, request, found, now_us)
+    return put_in_order(state, request, executor, context) or _admitted(state, request, found, now_us)
 
 
 def _context(state: State, request: Request, executor: str) -> tuple[str, str, str, str, str, str, str | None, tuple[str, ...]]:
@@ -204,7 +205,7 @@ def _is_step(state: State, request: Request | None) -> bool:
 
 
 def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
-    if event.task_id not in state.task:  # an outsider's request is nobody's step
+    if event.task_id not in state.task or event.action_id in state.recovery:  # an outsider's request is nobody's step; recovery asks for itself
         return ()
     assert event.action_id is not None
     if state.fleet.configuration == "without-shared-registry":
@@ -248,7 +249,10 @@ def _on_unanswered(state: State, event: RequestUnanswered | PeerSought, _now_us:
     return (Scheduled(BeginStep(event.task_id), state.fleet.structure.back_off_us),)
 
 
-def _on_response(_state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
+def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
+    if event.purpose == "ordering":
+        waiting = in_order(state, event.action_id, event.preferred)
+        return tuple(Scheduled(EvaluateRequest(name), place) for place, name in enumerate(waiting, start=1))
     return (Scheduled(AdmitReviewed(event.action_id)),) if event.purpose == "review" else ()
 
 
