@@ -22,7 +22,8 @@ from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import stricter
 from fsar_ledger.runtime.handlers.attribution import is_idle, on_shift
 from fsar_ledger.runtime.handlers.commands import BeginStep, CloseRequest, Command, CompleteStep, Decides, Reacts, Scheduled, TakeTurn, message
-from fsar_ledger.runtime.handlers.policy import compose, own_policy
+from fsar_ledger.runtime.handlers.policy import compose, conflict, own_policy
+from fsar_ledger.runtime.handlers.supervision import is_due_for_review
 
 from .discovery import unanswered
 
@@ -46,9 +47,10 @@ class EvaluateRequest(Command):
 
 
 class AdmitReviewed(Command):
-    """H_F has approved what policy wanted reviewed."""
+    """A supervisor has approved what policy or supervision density wanted reviewed, or not."""
 
     action_id: str
+    approves: bool = True
 
 
 def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
@@ -109,16 +111,22 @@ def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...
     outcome = compose(state, request.carried, executor, request.capability, request.task_id)
     if outcome == "deny":
         context = _context(state, request, executor)
-        return (RequestDenied(*context, reason="policy"),)
-    if outcome == "review":
+        clash = conflict(state, request.task_id, request.action_id, request.requester, executor, request.capability)
+        return (*clash, RequestDenied(*context, reason="policy"))
+    if outcome == "review" or is_due_for_review(state, executor):
         return (SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "review"),)
     return _admitted(state, request, executor)
 
 
 def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
-    """The executor has admitted the approved request."""
+    """The executor has admitted the approved request, or denied the one that was not."""
     request = state.request.get(command.action_id)
-    return () if request is None else _admitted(state, request, request.candidates[0])
+    if request is None:
+        return ()
+    executor = request.candidates[0]
+    if not command.approves:
+        return (RequestDenied(*_context(state, request, executor), reason="review"),)
+    return _admitted(state, request, executor)
 
 
 def _context(state: State, request: Request, executor: str) -> tuple[str, str, str, str, str, str, str | None, tuple[str, ...]]:
@@ -207,7 +215,7 @@ def _on_unanswered(state: State, event: RequestUnanswered | PeerSought, _now_us:
 
 
 def _on_response(_state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(AdmitReviewed(event.action_id)),) if event.purpose == "review" else ()
+    return (Scheduled(AdmitReviewed(event.action_id, event.approves)),) if event.purpose == "review" else ()
 
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
