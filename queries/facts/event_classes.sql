@@ -25,6 +25,7 @@ WITH classes (type, decision_kind, record_kind, requires_origin, requires_execut
     ('RecoveryEscalated.v1', 'escalation', 'escalation', TRUE, TRUE, TRUE),
     ('AssistanceRequested.v1', 'request', 'request', TRUE, TRUE, TRUE),
     ('ReassignmentDecided.v1', 'delegation', 'reassignment', TRUE, TRUE, TRUE),
+    ('PolicyConflictEscalated.v1', 'escalation', 'escalation', TRUE, TRUE, TRUE),
     ('SupervisorResponded.v1', 'escalation', 'escalation', TRUE, TRUE, TRUE),
     ('RequestCountered.v1', 'negotiation', 'negotiation', TRUE, TRUE, TRUE),
     ('OfferAnswered.v1', 'negotiation', 'negotiation', TRUE, TRUE, TRUE),

@@ -31,7 +31,7 @@ AGAIN = "assigned again: "
 
 
 class CommandReviewed(Command):
-    """H_F has approved what policy wanted reviewed."""
+    """H_F has decided on what policy wanted reviewed."""
 
     action_id: str
 
@@ -86,11 +86,13 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
 
 
 def command_reviewed(state: State, command: CommandReviewed) -> tuple[Event, ...]:
-    """The approved step is commanded."""
+    """The approved step is commanded; one that was not approved is denied."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
     robot = request.target or request.requester
+    if command.action_id not in state.supervision.approved:
+        return (RequestDenied(request.task_id, None, None, **by_coordinator(), executed_by=robot, reason="review"),)
     return _commanded(request, robot, robot in state.knowledge.copy.busy)
 
 

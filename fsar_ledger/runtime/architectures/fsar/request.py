@@ -26,7 +26,8 @@ from fsar_ledger.runtime.handlers.admissibility import Evaluation, evaluate, is_
 from fsar_ledger.runtime.handlers.attribution import on_shift
 from fsar_ledger.runtime.handlers.commands import BeginStep, CloseRequest, Command, CompleteStep, Decides, Reacts, Scheduled, TakeTurn, message
 from fsar_ledger.runtime.handlers.execution import holds_robot
-from fsar_ledger.runtime.handlers.policy import own_policy
+from fsar_ledger.runtime.handlers.policy import conflict, own_policy
+from fsar_ledger.runtime.handlers.supervision import is_due_for_review
 from fsar_ledger.runtime.handlers.trust import trusts
 
 from .contention import in_order, put_in_order
@@ -52,9 +53,10 @@ class EvaluateRequest(Command):
 
 
 class AdmitReviewed(Command):
-    """H_F has approved what policy wanted reviewed."""
+    """A supervisor has approved what policy or supervision density wanted reviewed, or not."""
 
     action_id: str
+    approves: bool = True
 
 
 def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
@@ -108,11 +110,14 @@ def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...
 
 
 def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
-    """The executor has admitted the approved request, if all but policy still holds."""
+    """The executor has admitted the approved request, if all but policy still holds, or denied the one that was not."""
     request = state.request.get(command.action_id)
     if request is None or not _is_open(state, request):
         return ()
-    return _judged(state, request, evaluate(state, request, request.candidates[0], is_reviewed=True), command.now_us)
+    executor = request.candidates[0]
+    if not command.approves:
+        return (RequestDenied(*_context(state, request, executor), reason="review"),)
+    return _judged(state, request, evaluate(state, request, executor, is_reviewed=True), command.now_us, is_reviewed=True)
 
 
 def _is_open(state: State, request: Request) -> bool:
@@ -120,16 +125,17 @@ def _is_open(state: State, request: Request) -> bool:
     return not request.is_over and request.result is None and request.offered is None and request.action_id not in state.execution.actions
 
 
-def _judged(state: State, request: Request, found: Evaluation, now_us: int) -> tuple[Event, ...]:
+def _judged(state: State, request: Request, found: Evaluation, now_us: int, is_reviewed: bool = False) -> tuple[Event, ...]:
     executor = request.candidates[0]
     context = _context(state, request, executor)
     if found.verdict == "reject":
-        return (RequestDenied(*context, reason=found.conjunct or ""),)
+        clash = conflict(state, request.task_id, request.action_id, request.requester, executor, request.capability) if found.conjunct == "policy" else ()
+        return (*clash, RequestDenied(*context, reason=found.conjunct or ""))
     if found.verdict == "negotiate":
         if request.offers >= state.fleet.structure.negotiation_rounds:
             return (RequestDenied(*context, reason="negotiation"),)
         return (RequestCountered(*context, round=request.offers + 1, override=found.override),)
-    if found.verdict == "review":
+    if found.verdict == "review" or (not is_reviewed and is_due_for_review(state, executor)):
         return (SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "review"),)
     return put_in_order(state, request, executor, context) or _admitted(state, request, found, now_us)
 
@@ -253,7 +259,7 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     if event.purpose == "ordering":
         waiting = in_order(state, event.action_id, event.preferred)
         return tuple(Scheduled(EvaluateRequest(name), place) for place, name in enumerate(waiting, start=1))
-    return (Scheduled(AdmitReviewed(event.action_id)),) if event.purpose == "review" else ()
+    return (Scheduled(AdmitReviewed(event.action_id, event.approves)),) if event.purpose == "review" else ()
 
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
