@@ -9,13 +9,13 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import ruled
 from fsar_ledger.projections.world import in_force, stricter
 
-from .commands import Command, Decides, Reacts, Scheduled
+from .commands import Decides, PublicCommand, Reacts, Scheduled
 from .execution import start_action
 from .rejection import expired_context, not_in_charge, rejected, unknown_capability, unknown_robot
 from .supervision import supervisor_for
 
 
-class SetPolicyRule(Command):
+class SetPolicyRule(PublicCommand):
     """A supervisor rules: P_i(e, sigma) of one robot (`local`), or the fleet's for it or (None) for every robot."""
 
     issued_by: str

@@ -11,13 +11,13 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement
 from fsar_ledger.projections.trust import SCOPES, covers, follows_record, scope_of
 
-from .commands import Command, Decides, Reacts, Scheduled
+from .commands import Command, Decides, PublicCommand, Reacts, Scheduled
 from .rejection import expired_context, not_in_charge, rejected, unknown_capability, unknown_robot
 
 BROADEST_BY_RECORD: TrustScope = "session"  # persistent trust is for an operator to give
 
 
-class SetTrust(Command):
+class SetTrust(PublicCommand):
     """A supervisor has the robot trust the peer with this scope: for one capability, in one context (task), or (None) for all."""
 
     issued_by: str
@@ -29,7 +29,7 @@ class SetTrust(Command):
     reason: str = "operator"
 
 
-class SetTrustThresholds(Command):
+class SetTrustThresholds(PublicCommand):
     """H_F has trust follow the record: so many successes in a row promote it, so many failures downgrade it; 0 is never."""
 
     issued_by: str
