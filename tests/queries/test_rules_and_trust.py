@@ -211,7 +211,13 @@ def test_of_several_entries_the_most_specific_one_holds(given: dict[str, Any], e
 
 @pytest.mark.parametrize(
     ("given", "outcome"),
-    [({}, "allow"), ({"capability": DOOR}, "review"), ({"context": "t1"}, "deny"), ({"capability": DOOR, "context": "t1"}, "deny"), ({"context": "t2"}, "allow")],
+    [
+        ({}, "allow"),
+        ({"capability": DOOR}, "review"),
+        ({"context": "t1"}, "deny"),
+        ({"capability": DOOR, "context": "t1"}, "deny"),
+        ({"context": "t2"}, "allow"),
+    ],
 )
 def test_policy_at_a_time_is_the_strictest_of_what_is_about_the_question(given: dict[str, str], outcome: str) -> None:
     rules = (rule(1, "review", capability=DOOR), rule(2, context="t1"))
@@ -250,7 +256,9 @@ def test_every_intervention_of_a_supervisor_is_on_the_list() -> None:
     assert len(asked("supervisor_decisions", "seq", *interventions, supervisor=H_B)) == 4
 
 
-@pytest.mark.parametrize(("supervisor", "left", "count"), [("supervisor/night", "supervisor/night", 0), ("supervisor/night", "supervisor/X1", 1), (None, "supervisor/X1", 1)])
+@pytest.mark.parametrize(
+    ("supervisor", "left", "count"), [("supervisor/night", "supervisor/night", 0), ("supervisor/night", "supervisor/X1", 1), (None, "supervisor/X1", 1)]
+)
 def test_the_absence_that_excuses_is_that_of_the_robots_own_supervisor(supervisor: str | None, left: str, count: int) -> None:
     joined = event("RobotJoined", robot="robot/X1", role="A", team=1, supervisor=supervisor)
     alone = event("RoutinePerformed", 3, decided_by="robot/X1", requested_by="robot/X1", executed_by="robot/X1", robot="robot/X1", operation="sensing")

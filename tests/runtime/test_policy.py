@@ -1,10 +1,9 @@
 """Policy rules: who may set which, deny before review before allow, and a mandate never overrides a robot's own denial."""
 
+import pytest
 from hypothesis import given as for_all
 from hypothesis import settings
 from hypothesis import strategies as st
-
-import pytest
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
@@ -89,9 +88,7 @@ def test_the_strictest_rule_that_applies_holds_and_of_one_rule_the_last_word(rul
     for one in rules:
         state = evolve(state, one)
     last = {(one.robot, one.capability, one.context): one.outcome for one in rules if one.scope == "local"}
-    applying = [
-        outcome for (of, what, where), outcome in last.items() if of in (None, robot) and what in (None, capability) and where in (None, context)
-    ]
+    applying = [outcome for (of, what, where), outcome in last.items() if of in (None, robot) and what in (None, capability) and where in (None, context)]
     expected = None if not applying else "deny" if "deny" in applying else "review" if "review" in applying else "allow"
     assert ruled(state, "local", robot, capability, context) == expected
 

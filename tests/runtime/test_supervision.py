@@ -1,10 +1,9 @@
 """Supervision: whom a matter goes to, who may answer, and how often supervisors are asked."""
 
+import pytest
 from hypothesis import given as for_all
 from hypothesis import settings
 from hypothesis import strategies as st
-
-import pytest
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
