@@ -172,10 +172,14 @@ def _distrusts(state: State, query: Query, record: Advertisement) -> bool:
 
 
 def _forbids(state: State, query: Query, record: Advertisement) -> bool:
-    """The advertisement is for other contexts, or a declared rule of the robot denies; what closes for a while is the robot's to judge."""
+    """The advertisement is for other contexts, or a declared rule of the robot denies; what closes for a while is the robot's to judge.
+
+    So is a denial against the fleet's mandate: the robot is shown, so that the conflict comes up and is escalated.
+    """
     if record.policy_required and query.context not in record.policy_required:
         return True
-    return ruled(state.policy, "local", record.robot, record.capability, query.context) == "deny"
+    about = (record.robot, record.capability, query.context)
+    return ruled(state.policy, "local", *about) == "deny" and ruled(state.policy, "fleet", *about) != "allow"
 
 
 _REJECTS: tuple[tuple[Filter, Callable[[State, Query, Advertisement], bool]], ...] = (
