@@ -56,6 +56,26 @@ WithoutOption = Annotated[
     ),
 ]
 
+RunOption = Annotated[
+    str | None, typer.Option("--run", metavar="RUN", help="A run, or the beginning of its name: the first such run.", show_default="the first run")
+]
+RequestOption = Annotated[
+    str | None, typer.Option("--request", metavar="ACTION", help="The request (action) to tell, as in the list.", show_default="list all")
+]
+FailureOption = Annotated[
+    str | None, typer.Option("--failure", metavar="ACTION", help="The failed action whose recovery to tell, level by level.", show_default=False)
+]
+SvgOption = Annotated[Path | None, typer.Option("--svg", metavar="FILE", help="Draw it, too, as SVG; replaced if it exists.", show_default=False)]
+PdfOption = Annotated[Path | None, typer.Option("--pdf", metavar="FILE", help="Draw it, too, as PDF; replaced if it exists.", show_default=False)]
+WorkflowLedgerOption = Annotated[
+    Path | None, typer.Option("--workflows", metavar="LEDGER", help="A ledger of the paper's three workflows.", show_default="say that there is none")
+]
+
+
+def examples(*lines: str) -> str:
+    """The end of a command's help: calls that run."""
+    return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
+
 
 def experiment_of(
     architectures: list[str] | None, scenarios: list[str] | None, runs: int, seed: int, fleet_size: int, without: list[str] | None

@@ -1,6 +1,6 @@
 -- Title: Requests: who asked, who allowed, who executed, who supervised, and what came of it; and own steps that failed
 -- Paper: eq:request, eq:auth, sec:model:invariants (I5)
--- Grain: one row per action that another robot was to do, per attempt of an outsider, and per own action with a failure
+-- Grain: one row per action that another robot was to do, per attempt of an outsider, per own action with a failure, and per action that is named
 -- Units: began_s, ended_s seconds of run time; failures count
 -- NULL: a principal that the record does not name; capability when the record of the action names none; ended_s when the record shows no end
 -- Example: fsar-ledger query audit/requests LEDGER --param run=RUN
@@ -60,4 +60,4 @@ SELECT
     result,
     ended_us / 1000000 AS ended_s
 FROM actions
-WHERE is_request OR failures > 0
+WHERE is_request OR failures > 0 OR $action = action_id
