@@ -76,7 +76,9 @@ def _run(database: Database, ledger: Path, asked: str | None) -> str:
 
 
 def _no_action(database: Database, ledger: Path, run: str, asked: str) -> str:
-    known = [row["action_id"] for row in database.rows("SELECT DISTINCT action_id FROM keyed_events WHERE run_id = $run AND action_id IS NOT NULL", {"run": run})]
+    known = [
+        row["action_id"] for row in database.rows("SELECT DISTINCT action_id FROM keyed_events WHERE run_id = $run AND action_id IS NOT NULL", {"run": run})
+    ]
     return f"{asked}: there is no such request in run {run}; {_did_you_mean(asked, known)}`fsar-ledger explain {ledger} --run {run}` lists them"
 
 

@@ -14,12 +14,12 @@ from fsar_ledger.report import figures
 Row = Mapping[str, Any]
 
 FONT = 7.5  # points
-LETTER = 0.062  # width of a letter of that size, inches, a little more than the mean
+LETTER = 0.056  # width of a letter of that size, inches, a little more than the mean
 LINE = 0.135  # height of a line of text
 TIME = 0.75  # left column, for the times
 LANE = 1.55  # between two life lines
 AGENT_LANE = 1.15  # the same where a figure has many
-RIGHT = 1.75  # right of the last life line, for what its principal does
+DEED = 2.4  # the widest that a deed is written
 HEAD = 0.45
 TEXT: dict[str, Any] = {"fontsize": FONT, "parse_math": False}
 FILLS = {"robot": "#e3f1e3", "agent": "#f3e6f0", "service": "#e1ebf7", "coordinator": "#e1ebf7", "supervisor": "#fbe7d3"}
@@ -43,11 +43,12 @@ def sequence(rows: Sequence[Row], kind: str = "svg") -> bytes:
     names = lanes(rows)
     step = LANE if len(names) <= 5 else AGENT_LANE
     at = {name: TIME + 0.55 + step * position for position, name in enumerate(names)}
-    width = max(at.values()) + RIGHT
-    texts = [_lines(row, at, width) for row in rows]
+    width = max(at.values()) + step / 2
+    width = max([width, *(at[row["sender"] or NOBODY] + 0.2 + min(LETTER * len(_words(row)), DEED) for row in rows if row["kind"] == "deed")])
+    texts = [_lines(row, at) for row in rows]
     heights = [_height(row, lines) for row, lines in zip(rows, texts, strict=True)]
-    tops = [HEAD + 0.18 + sum(heights[:position]) for position in range(len(rows))]
-    height = HEAD + 0.3 + sum(heights)
+    tops = [HEAD + 0.08 + sum(heights[:position]) for position in range(len(rows))]
+    height = HEAD + 0.2 + sum(heights)
     with figures.plain_canvas(width, height) as (figure, axes):
         for name, x in at.items():
             axes.plot([x, x], [HEAD, height - 0.05], color="#bbbbbb", linewidth=0.8, zorder=1)
@@ -56,20 +57,23 @@ def sequence(rows: Sequence[Row], kind: str = "svg") -> bytes:
         for row, lines, top, room in zip(rows, texts, tops, heights, strict=True):
             time = f"{row['time_s']:.3f} s"
             if time != before:
-                axes.text(0.08, top + room - 0.06, time, ha="left", va="center", color=QUIET, **TEXT)
+                level = top + room - 0.06 if row["kind"] == "message" else top + room / 2
+                axes.text(0.08, level, time, ha="left", va="center", color=QUIET, **TEXT)
             before = time
             _step(axes, row, lines, at, top, room)
         return figures.rendered(figure, kind)
 
 
-def _lines(row: Row, at: Mapping[str, float], width: float) -> list[str]:
+def _words(row: Row) -> str:
+    return str(row["message"]) if row["note"] is None else f"{row['message']} ({row['note']})"
+
+
+def _lines(row: Row, at: Mapping[str, float]) -> list[str]:
     """What the row says, wrapped to the room that it has."""
-    here, there = at[row["sender"] or NOBODY], at[row["receiver"] or NOBODY] if row["kind"] == "message" else None
-    room = width - here - 0.25 if there is None else max(abs(there - here) - 0.15, 1.0)
-    words = row["message"] if row["note"] is None else f"{row['message']} ({row['note']})"
     if row["kind"] == "evaluation":
         return [row["message"], *(row["note"].split("; ") if row["note"] else ())]
-    return textwrap.wrap(words, max(int(room / LETTER), 12))
+    between = abs(at[row["receiver"] or NOBODY] - at[row["sender"] or NOBODY]) - 0.15 if row["kind"] == "message" else DEED
+    return textwrap.wrap(_words(row), max(int(between / LETTER), 12))
 
 
 def _height(row: Row, lines: Sequence[str]) -> float:
@@ -109,7 +113,9 @@ def _box(axes: Any, x: float, y: float, width: float, height: float, fill: str, 
 
 def rungs(rows: Sequence[Row]) -> list[Row]:
     """The rows that a ladder shows: without a resolution that only repeats the result of the step before it."""
-    return [row for before, row in zip([None, *rows], rows, strict=False) if row["what"] != "resolved" or before is None or before["result"] not in GOOD_RESULTS]
+    return [
+        row for before, row in zip([None, *rows], rows, strict=False) if row["what"] != "resolved" or before is None or before["result"] not in GOOD_RESULTS
+    ]
 
 
 def ladder(rows: Sequence[Row], kind: str = "svg") -> bytes:

@@ -37,7 +37,7 @@ filled AS (
             'decision': CASE
                 WHEN preferred IS NOT NULL THEN preferred || ' first'
                 WHEN NOT approves THEN 'refused'
-                ELSE CASE purpose WHEN 'review' THEN 'approved' WHEN 'recovery' THEN 'failure dealt with' ELSE 'ordered' END
+                ELSE CASE purpose WHEN 'review' THEN 'approved' WHEN 'recovery' THEN 'resolved' ELSE 'ordered' END
             END
         } AS details,
         concat_ws(
@@ -50,7 +50,7 @@ filled AS (
             CASE WHEN type IN ('RequestIssued.v1', 'ExecutionPreempted.v1') THEN 'override ' || nullif(override, 'none') END,
             'left out: ' || nullif(array_to_string(list_transform(list_zip(rejected, rejected_by), LAMBDA pair: pair[1] || ' by ' || pair[2]), ', '), ''),
             CASE WHEN type NOT IN ('RequestDenied.v1', 'AuthorityClaimed.v1') THEN reason END, 'gives way to ' || preempted_by, 'competes with ' || competing,
-            CASE WHEN type = 'RequestAccepted.v1' THEN NULL WHEN type LIKE 'Recovery%' AND level IS NOT NULL THEN 'level ' || level END,
+            CASE WHEN type = 'RecoveryAttempted.v1' THEN 'level ' || level END,
             'achieved ' || nullif(array_to_string(achieved, ', '), ''),
             CASE WHEN type = 'ExecutionStarted.v1' THEN 'for ' || on_behalf_of || CASE WHEN executed_by IS NULL THEN ', no executor on record' ELSE '' END END
         ) AS note
