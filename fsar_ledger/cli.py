@@ -28,11 +28,13 @@ from .commands.options import (
     PdfOption,
     RequestOption,
     RunOption,
+    RunsOption,
     ScenarioOption,
     SvgOption,
     WithoutOption,
     WorkersOption,
     WorkflowLedgerOption,
+    WorkflowOption,
     examples,
     experiment_of,
     parameters_of,
@@ -69,6 +71,7 @@ def _version(version: Annotated[bool, typer.Option("--version", help="Show the v
         "fsar-ledger simulate out/ledger",
         "fsar-ledger simulate out/doors --architecture fsar --scenario door-relay --runs 3 --seed 7",
         "fsar-ledger simulate out/untrusting --without trust-evaluation --runs 2",
+        "fsar-ledger simulate out/workflows --workflow door-relay --workflow layered-recovery --workflow human-supervision",
         "fsar-ledger simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 --runs 2",
     )
 )
@@ -76,7 +79,8 @@ def simulate(
     out: NewLedgerArgument,
     architecture: ArchitectureOption = None,
     scenario: ScenarioOption = None,
-    runs: Annotated[int, typer.Option(metavar="N", help="Runs per scenario and architecture.")] = 20,
+    workflow: WorkflowOption = None,
+    runs: RunsOption = None,
     seed: Annotated[int, typer.Option(metavar="N", help="Decides every draw of the world.")] = 42,
     fleet_size: Annotated[int, typer.Option(metavar="N", help="Robots; a multiple of 4.")] = 4,
     without: WithoutOption = None,
@@ -90,13 +94,11 @@ def simulate(
     from .commands.output import json_text
     from .runtime.experiment import simulate as run_experiment
 
-    experiment = experiment_of(architecture, scenario, runs, seed, fleet_size, without)
+    experiment = experiment_of(architecture, scenario, runs, seed, fleet_size, without, workflow)
     with Progress("simulated", "batches") as progress:
         head = run_experiment(out, experiment, workers_of(workers), progress)
-    if as_json:
-        _show(json_text(head, {"ledger": str(out), "commits": head.commits}))
-    else:
-        _show(f"{out}: {head.size:,} events in {head.commits:,} commits\nroot {head.root}\n")
+    plain = f"{out}: {head.size:,} events in {head.commits:,} commits\nroot {head.root}\n"
+    _show(json_text(head, {"ledger": str(out), "commits": head.commits}) if as_json else plain)
 
 
 @app.command(epilog=examples("fsar-ledger info out/ledger", "fsar-ledger info out/ledger --json"))

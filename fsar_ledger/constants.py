@@ -80,6 +80,12 @@ class Structure(msgspec.Struct, frozen=True):
     retry_preparation_us: int = 400_000  # diagnosis before each attempt to recover (DHMA too)
     local_attempts: int = 2  # recovery budget of the local level: attempts [paper] (DHMA too)
     local_budget_us: int = 30_000_000  # recovery budget of the local level: time [paper]
+    peer_budget_us: int = 30_000_000  # recovery budget of the peer level: time from turning to the peers until one of them has been asked [chosen]
+    peer_helpers: int = 1  # and helpers asked: whoever agrees is held until the failure is over [chosen]
+    fleet_budget_us: int = 30_000_000  # recovery budget of the fleet level: time until the orchestrator has decided [chosen]
+    fleet_reassignments: int = 1  # and reassignments: after one it is another robot's execution [chosen]
+    human_budget_us: int = 120_000_000  # recovery budget of the human level: time a call may stay open, twice the longest response [chosen]
+    human_calls: int = 2  # and calls: an H_i who does not answer, then H_F [chosen]
     encounter_memory_us: int = 60_000_000  # without a registry, a met peer is known this long
     # CFC
     sync_period_us: int = 5_930_000  # the coordinator's copies are refreshed this often [calibrated]

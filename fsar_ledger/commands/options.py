@@ -56,6 +56,16 @@ WithoutOption = Annotated[
     ),
 ]
 
+WorkflowOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--workflow",
+        metavar="NAME",
+        help="Play one of the paper's workflows under FSAR instead: door-relay, layered-recovery or human-supervision; may be repeated.",
+        show_default=False,
+    ),
+]
+RunsOption = Annotated[int | None, typer.Option(metavar="N", help="Runs per scenario (or workflow) and architecture.", show_default="20; with --workflow, 1")]
 RunOption = Annotated[
     str | None, typer.Option("--run", metavar="RUN", help="A run, or the beginning of its name: the first such run.", show_default="the first run")
 ]
@@ -71,6 +81,8 @@ WorkflowLedgerOption = Annotated[
     Path | None, typer.Option("--workflows", metavar="LEDGER", help="A ledger of the paper's three workflows.", show_default="say that there is none")
 ]
 
+RUNS = 20  # per scenario and architecture, as in the paper
+
 
 def examples(*lines: str) -> str:
     """The end of a command's help: calls that run."""
@@ -78,13 +90,22 @@ def examples(*lines: str) -> str:
 
 
 def experiment_of(
-    architectures: list[str] | None, scenarios: list[str] | None, runs: int, seed: int, fleet_size: int, without: list[str] | None
+    architectures: list[str] | None,
+    scenarios: list[str] | None,
+    runs: int | None,
+    seed: int,
+    fleet_size: int,
+    without: list[str] | None,
+    workflows: list[str] | None = None,
 ) -> "Experiment":
     """The experiment that the options of `simulate` name; the ablations are FSAR's, so with them the default architecture is FSAR alone.
 
     Raises:
         InvalidExperiment: a name is unknown, or a number impossible.
+        UsageError: a workflow was asked for together with what it does not have.
     """
+    if workflows:
+        return _workflows_of(workflows, runs, seed, {"--scenario": scenarios, "--without": without}, architectures, fleet_size)
     from typing import get_args
 
     from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
@@ -97,10 +118,32 @@ def experiment_of(
         architectures=known("architecture", architectures, every_architecture) or (("fsar",) if configurations else every_architecture),
         scenarios=known("scenario", scenarios, every_scenario) or every_scenario,
         configurations=configurations or ("full",),
-        runs=runs,
+        runs=RUNS if runs is None else runs,
         seed=seed,
         fleet_size=fleet_size,
     )
+
+
+def _workflows_of(
+    asked: list[str], runs: int | None, seed: int, others: dict[str, list[str] | None], architectures: list[str] | None, fleet_size: int
+) -> "Experiment":
+    """The workflows that were asked for: FSAR's, with one robot of each role, and nothing beside them."""
+    from typing import get_args
+
+    from fsar_ledger.events.envelope import Workflow
+    from fsar_ledger.runtime.experiment import workflow_experiment
+
+    for option, found in others.items():
+        if found:
+            raise UsageError(f"--workflow and {option} {found[0]}: expected one or the other")
+    for name in architectures or ():
+        if name != "fsar":
+            raise UsageError(f"--workflow and --architecture {name}: expected fsar; the workflows are FSAR's")
+    if fleet_size != 4:
+        raise UsageError(f"--workflow and --fleet-size {fleet_size}: expected 4, one robot of each role")
+    names = {name.removeprefix("workflow-"): name for name in get_args(Workflow)}
+    chosen = tuple(names[name] for name in known("workflow", asked, tuple(names)))
+    return workflow_experiment(seed, 1 if runs is None else runs, chosen)
 
 
 def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> tuple[_Name, ...]:

@@ -10,16 +10,33 @@ from typing import Any, get_args
 
 from fsar_ledger.events import EVENT_TYPES, Event
 
-from . import authority, execution, fleet, knowledge, policy, recovery, registry, request, supervision, task, trust, world
+from . import authority, budget, contention, execution, fleet, knowledge, policy, recovery, registry, request, supervision, task, trust, world
 
 
 class State:
     """All projections of one run. The slots are replaced by `apply`; the values in them never change."""
 
-    __slots__ = ("authority", "execution", "fleet", "knowledge", "policy", "recovery", "registry", "request", "supervision", "task", "trust", "world")
+    __slots__ = (
+        "authority",
+        "budget",
+        "contention",
+        "execution",
+        "fleet",
+        "knowledge",
+        "policy",
+        "recovery",
+        "registry",
+        "request",
+        "supervision",
+        "task",
+        "trust",
+        "world",
+    )
 
     def __init__(self) -> None:
         self.authority = authority.INITIAL
+        self.budget = budget.INITIAL
+        self.contention = contention.INITIAL
         self.execution = execution.INITIAL
         self.fleet = fleet.INITIAL
         self.knowledge = knowledge.INITIAL
@@ -38,7 +55,7 @@ class State:
     __hash__ = None  # type: ignore[assignment]
 
 
-_PROJECTIONS = (authority, execution, fleet, knowledge, policy, recovery, registry, request, supervision, task, trust, world)
+_PROJECTIONS = (authority, budget, contention, execution, fleet, knowledge, policy, recovery, registry, request, supervision, task, trust, world)
 _Evolve = Callable[[Any, Any], Any]
 
 

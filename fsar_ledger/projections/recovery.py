@@ -7,12 +7,16 @@ import msgspec
 from fsar_ledger.events.envelope import FailureCause, RecoveryLevel
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.recovery import AssistanceRequested, FailureResolved, RecoveryAttempted, RecoveryEscalated
+from fsar_ledger.events.supervision import SupervisorCalled
 
-HANDLES = ExecutionFailed | RecoveryAttempted | RecoveryEscalated | AssistanceRequested | FailureResolved
+HANDLES = ExecutionFailed | RecoveryAttempted | RecoveryEscalated | AssistanceRequested | SupervisorCalled | FailureResolved
 
 
 class Recovery(msgspec.Struct, frozen=True, gc=False):
-    """The open failure of one action. Units: `detected_us` run time, `deadline_us` run time at which the local level's budget ends."""
+    """The open failure of one action: the attempts it took, the helpers that were asked and how often a supervisor was called.
+
+    Units: `detected_us` run time, `deadline_us` run time at which the local level's budget ends.
+    """
 
     robot: str
     failure: int
@@ -22,6 +26,7 @@ class Recovery(msgspec.Struct, frozen=True, gc=False):
     number: int = 0
     deadline_us: int = 0
     tried: tuple[str, ...] = ()
+    calls: int = 0
 
 
 Recoveries = dict[str, Recovery]  # action -> open failure
@@ -42,6 +47,11 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
         case AssistanceRequested():
             known = state[event.failed_action]
             return {**state, event.failed_action: msgspec.structs.replace(known, tried=(*known.tried, event.helper))}
+        case SupervisorCalled():
+            called = state.get(event.action_id)
+            if called is None or event.purpose != "recovery":
+                return state
+            return {**state, event.action_id: msgspec.structs.replace(called, calls=called.calls + 1)}
         case FailureResolved():
             return {action: recovery for action, recovery in state.items() if action != event.action_id}
         case _:

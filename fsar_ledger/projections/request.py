@@ -68,6 +68,9 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
             injected = Request(event.task_id, event.task_id, event.robot, event.capability, 0, 1, True, (event.peer,), target=event.peer)
             return {**state, event.task_id: injected}
         case RegistryQueried():
+            asking = state.get(event.action_id or "")
+            if asking is None or asking.capability != event.capability:  # a query in service of the action's recovery
+                return state
             return _changed(state, event.action_id, candidates=event.candidates, relay=event.relay)
         case RequestIssued():
             carried = event.carried_policy or "allow"

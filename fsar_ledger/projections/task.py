@@ -11,7 +11,7 @@ HANDLES = TaskArrived | StepBegan | StepCompleted | TaskCompleted | TaskAbandone
 
 
 class Task(msgspec.Struct, frozen=True, gc=False):
-    """An open task. `step` counts the steps done; `attempt` the attempts of the present one, from 1."""
+    """An open task. `step` counts the steps done; `attempt` the attempts of the present one, from 1; `checkpoints` as in `TaskArrived`."""
 
     task_id: str
     robot: str
@@ -22,6 +22,8 @@ class Task(msgspec.Struct, frozen=True, gc=False):
     step: int = 0
     attempt: int = 0
     action_id: str = ""
+    checkpoints: tuple[str, ...] | None = None
+    is_time_critical: bool = False
 
 
 Tasks = dict[str, Task]
@@ -33,16 +35,37 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
     """The open tasks after the event."""
     match event:
         case StepBegan():
-            task = state[event.task_id]
-            begun = Task(task.task_id, task.robot, task.team, task.steps, task.budget_us, task.due_us, task.step, event.attempt, event.action_id)
-            return {**state, event.task_id: begun}
+            return {**state, event.task_id: _at(state[event.task_id], 0, event.attempt, event.action_id)}
         case StepCompleted():
-            task = state[event.task_id]
-            done = Task(task.task_id, task.robot, task.team, task.steps, task.budget_us, task.due_us, task.step + 1, 0)
-            return {**state, event.task_id: done}
+            return {**state, event.task_id: _at(state[event.task_id], 1, 0, "")}
         case TaskArrived():
-            return {**state, event.task_id: Task(event.task_id, event.robot, event.team, event.steps, event.budget_us, event.due_us)}
+            about = (event.task_id, event.robot, event.team, event.steps, event.budget_us, event.due_us)
+            return {**state, event.task_id: Task(*about, checkpoints=event.checkpoints, is_time_critical=event.is_time_critical)}
         case TaskCompleted() | TaskAbandoned():
             return {task_id: task for task_id, task in state.items() if task_id != event.task_id}
         case _:
             assert_never(event)
+
+
+def checkpoint(state: Tasks, task_id: str, step: int) -> str | None:
+    """The declared state before the step, from which another robot can resume, or None. Paper: sec:model:recovery, level 3."""
+    task = state.get(task_id)
+    if task is None or not 1 <= step <= len(task.steps):
+        return None
+    return f"{task_id}/{step}" if task.checkpoints is None or str(step) in task.checkpoints else None
+
+
+def _at(task: Task, more: int, attempt: int, action_id: str) -> Task:
+    return Task(
+        task.task_id,
+        task.robot,
+        task.team,
+        task.steps,
+        task.budget_us,
+        task.due_us,
+        task.step + more,
+        attempt,
+        action_id,
+        task.checkpoints,
+        task.is_time_critical,
+    )

@@ -5,10 +5,11 @@ from typing import assert_never
 import msgspec
 
 from fsar_ledger.events.envelope import PolicyOutcome
-from fsar_ledger.events.recovery import FailureResolved
+from fsar_ledger.events.recovery import FailureResolved, RecoveryAttemptFailed
 from fsar_ledger.events.supervision import ActuatorServiced
 from fsar_ledger.events.world import (
     ActuatorDegraded,
+    Grade,
     ObstructionAppeared,
     ObstructionCleared,
     PolicyWindowClosed,
@@ -27,18 +28,22 @@ HANDLES = (
     | SupervisorLeft
     | SupervisorReturned
     | FailureResolved
+    | RecoveryAttemptFailed
 )
 
 Windows = dict[str, tuple[tuple[str, PolicyOutcome], ...]]  # robot -> open windows (id, outcome)
 
 
 class World(msgspec.Struct, frozen=True, gc=False):
-    """The true state of the world; deciders may read only what is local to them or what they were told."""
+    """The true state of the world; deciders may read only what is local to them or what they were told.
+
+    `degraded`: robot -> how far its actuator has gone.
+    """
 
     local: Windows = {}
     fleet: Windows = {}
     obstructions: dict[str, tuple[str, ...]] = {}
-    degraded: frozenset[str] = frozenset()
+    degraded: dict[str, Grade] = {}
     off_shift: frozenset[str] = frozenset()
 
 
@@ -82,9 +87,14 @@ def evolve(state: World, event: HANDLES) -> World:
                 return state
             return msgspec.structs.replace(state, obstructions={**state.obstructions, event.robot: ()})
         case ActuatorDegraded():
-            return msgspec.structs.replace(state, degraded=state.degraded | {event.robot})
+            return msgspec.structs.replace(state, degraded={**state.degraded, event.robot: event.grade})
         case ActuatorServiced():
-            return msgspec.structs.replace(state, degraded=state.degraded - {event.robot})
+            serviced = {robot: grade for robot, grade in state.degraded.items() if robot != event.robot}
+            return msgspec.structs.replace(state, degraded=serviced)
+        case RecoveryAttemptFailed():  # wear: a retry grips with all its force, and a load that slips through it takes the pads along
+            if event.result != "partial" or state.degraded.get(event.robot) != "slipping":
+                return state
+            return msgspec.structs.replace(state, degraded={**state.degraded, event.robot: "lost"})
         case SupervisorLeft():
             return msgspec.structs.replace(state, off_shift=state.off_shift | {event.supervisor})
         case SupervisorReturned():

@@ -12,11 +12,13 @@ import msgspec
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import InvalidExperiment
-from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
+from fsar_ledger.events.envelope import Architecture, Configuration, Scenario, Workflow
 from fsar_ledger.ledger.append import Staged, Writer, stage
 from fsar_ledger.ledger.read import Head, LedgerView, open_ledger
 from fsar_ledger.runtime.simulation import RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.workers import WorkerPool
+
+from .world.workflows import FLEET_SIZE, WORKFLOWS
 
 ORIGIN = "fsar-ledger/simulated"
 BATCH_RUNS = 25  # runs in a commit, whatever the number of workers
@@ -26,14 +28,14 @@ Progress = Callable[[int, int], None]
 
 
 class Experiment(msgspec.Struct, frozen=True):
-    """Which runs to make: `runs` per scenario, architecture and configuration.
+    """Which runs to make: `runs` per scenario (or workflow), architecture and configuration.
 
     Raises:
-        InvalidExperiment: a name is unknown, or a number impossible.
+        InvalidExperiment: a name is unknown, a number impossible, or a workflow meant for anything but FSAR and its fleet of four.
     """
 
     architectures: tuple[Architecture, ...]
-    scenarios: tuple[Scenario, ...]
+    scenarios: tuple[Scenario | Workflow, ...]
     runs: int
     seed: int = 42
     fleet_size: int = 4
@@ -42,7 +44,7 @@ class Experiment(msgspec.Struct, frozen=True):
 
     def __post_init__(self) -> None:
         _require_known("architecture", self.architectures, get_args(Architecture))
-        _require_known("scenario", self.scenarios, get_args(Scenario))
+        _require_known("scenario", self.scenarios, get_args(Scenario) + get_args(Workflow))
         _require_known("configuration", self.configurations, get_args(Configuration))
         if not 1 <= self.runs <= 9999:
             raise InvalidExperiment(f"runs: found {self.runs}, expected 1 to 9999")
@@ -53,6 +55,20 @@ class Experiment(msgspec.Struct, frozen=True):
         if self.configurations != ("full",) and self.architectures != ("fsar",):
             asked = ", ".join(self.architectures)
             raise InvalidExperiment(f"mechanisms are taken out of FSAR only: found architectures {asked}, expected fsar; leave out --architecture")
+        self._require_workflows_as_written()
+
+    def _require_workflows_as_written(self) -> None:
+        """The workflows are those of the paper: FSAR's, in full, with one robot of each role."""
+        workflows = [name for name in self.scenarios if name in WORKFLOWS]
+        if not workflows:
+            return
+        about = f"workflow {workflows[0]}"
+        if len(workflows) < len(self.scenarios):
+            raise InvalidExperiment(f"{about}: found beside scenarios, expected workflows alone")
+        if self.architectures != ("fsar",) or self.configurations != ("full",):
+            raise InvalidExperiment(f"{about}: found {', '.join(self.architectures)} ({', '.join(self.configurations)}), expected fsar (full)")
+        if self.fleet_size != FLEET_SIZE:
+            raise InvalidExperiment(f"{about}: found fleet size {self.fleet_size}, expected {FLEET_SIZE}")
 
     def specs(self) -> Iterator[RunSpec]:
         """The runs in canonical order: scenario, run, architecture, configuration."""
@@ -72,6 +88,11 @@ def _require_known(what: str, found: tuple[str, ...], expected: tuple[str, ...])
     unknown = [name for name in found if name not in expected]
     if unknown or not found or len(set(found)) != len(found):
         raise InvalidExperiment(f"{what}: found {', '.join(found) or 'none'}, expected some of {', '.join(expected)}, each once")
+
+
+def workflow_experiment(seed: int = 42, runs: int = 1, workflows: tuple[Workflow, ...] = WORKFLOWS) -> Experiment:
+    """The runs of the paper's workflows, all three unless some are named. Paper: sec:prototype:workflows."""
+    return Experiment(("fsar",), workflows, runs, seed, FLEET_SIZE)
 
 
 def simulate(out: Path, experiment: Experiment, workers: int, progress: Progress | None = None) -> Head:

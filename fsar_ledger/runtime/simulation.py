@@ -8,7 +8,7 @@ from typing import get_args
 import msgspec
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
+from fsar_ledger.events.envelope import Architecture, Configuration, Scenario, Workflow
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.codec import RunRecord
 
@@ -31,7 +31,7 @@ class RunSpec(msgspec.Struct, frozen=True):
     seed: int
     architecture: Architecture
     configuration: Configuration
-    scenario: Scenario
+    scenario: Scenario | Workflow
     fleet_size: int
     run: int
 

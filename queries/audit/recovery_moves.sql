@@ -2,7 +2,8 @@
 -- Paper: eq:recovery
 -- Grain: one row per failure and level that its recovery turned to; attempts that stay at the level are no new row
 -- Units: time_us microseconds of run time; move number of the row within the failure from 1; *_rank 1 local to 4 human
--- NULL: from_level, from_rank for the first level of a failure
+-- NULL: from_level, from_rank for the first level of a failure, unless it is an escalation that names the level before; reason, why that
+--       was left, for the first level and where the record does not say it
 -- Example: fsar-ledger query audit/recovery_moves LEDGER
 --   answers A1-1/4.1: local at 80.172 s, peer at 84.274 s, fleet at 84.339 s, human at 84.854 s
 WITH ranks (level, rank) AS (
@@ -22,18 +23,22 @@ records AS (
         events.time_us,
         events.type,
         events.decided_by,
+        events.reason,
         ranks.level,
-        ranks.rank
+        ranks.rank,
+        before.level AS left_level,
+        before.rank AS left_rank
     FROM events
     INNER JOIN ranks ON coalesce(events.to_level, events.level) = ranks.level
+    LEFT JOIN ranks AS before ON events.level = before.level AND events.to_level IS NOT NULL
     WHERE events.type IN ('RecoveryAttempted.v1', 'AssistanceRequested.v1', 'RecoveryEscalated.v1', 'FailureResolved.v1')
 ),
 
 steps AS (
     SELECT
         *,
-        lag(level) OVER failures AS from_level,
-        lag(rank) OVER failures AS from_rank
+        coalesce(lag(level) OVER failures, left_level) AS from_level,
+        coalesce(lag(rank) OVER failures, left_rank) AS from_rank
     FROM records
     WINDOW failures AS (PARTITION BY run_id, action_id, failure ORDER BY seq)
 )
@@ -50,6 +55,7 @@ SELECT
     from_level,
     from_rank,
     level,
-    rank
+    rank,
+    reason
 FROM steps
 WHERE from_level IS NULL OR from_level <> level

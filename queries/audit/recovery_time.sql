@@ -2,9 +2,9 @@
 -- Paper: eq:recovery
 -- Grain: one row per failure and level that its recovery turned to
 -- Units: entered_us, left_us microseconds of run time; spent_us microseconds; attempts count; the first level counts from detection
--- NULL: left_us, spent_us when the failure was still at this level at the end of its record
+-- NULL: left_because where nothing else came or the record does not say it; left_us, spent_us when the failure was still at this level at the end of its record
 -- Example: fsar-ledger query audit/recovery_time LEDGER --param run=RUN --param action=A1-1/4.1
---   answers local 4.101 s with 2 attempts, peer 0.065 s, fleet 0.515 s, human 40.066 s, where it was resolved
+--   answers local 4.101 s with 2 attempts (budget exhausted), peer 0.065 s, fleet 0.515 s, human 40.066 s, where it was resolved
 -- Parameters: run = all, action = all
 WITH stays AS (
     SELECT
@@ -16,6 +16,7 @@ WITH stays AS (
         moves.seq,
         CASE moves.move WHEN 1 THEN coalesce(failures.detected_us, moves.time_us) ELSE moves.time_us END AS entered_us,
         lead(moves.seq) OVER by_failure AS next_seq,
+        lead(moves.reason) OVER by_failure AS left_because,
         coalesce(lead(moves.time_us) OVER by_failure, failures.resolved_us) AS left_us,
         lead(moves.seq) OVER by_failure IS NULL AND failures.resolved_us IS NOT NULL AS is_resolved_here
     FROM recovery_moves AS moves
@@ -34,7 +35,8 @@ SELECT
     stays.left_us,
     stays.left_us - stays.entered_us AS spent_us,
     count(attempts.seq) AS attempts,
-    stays.is_resolved_here
+    stays.is_resolved_here,
+    stays.left_because
 FROM stays
 LEFT JOIN recovery_attempted AS attempts
     ON

@@ -2,7 +2,7 @@
 -- Paper: eq:recovery, sec:model:invariants (I4)
 -- Grain: one row per move of recovery that is not to the next level outward
 -- Units: time_us microseconds of run time
--- NULL: from_level when recovery did not begin at the first level; decided_by when the record names no decider
+-- NULL: from_level when recovery did not begin at the first level; decided_by when the record names no decider; reason when it gives none
 -- Example: fsar-ledger query audit/skipped_levels LEDGER --param run=RUN
 --   answers A1-1/8.2: from local to human, left out peer and fleet, decided by agent/A1/execution
 -- Parameters: run = all
@@ -17,6 +17,7 @@ SELECT
     from_level,
     level AS to_level,
     list_slice(['local', 'peer', 'fleet', 'human'], coalesce(from_rank, 0) + 1, rank - 1) AS skipped,
-    coalesce(rank < from_rank, FALSE) AS is_backwards
+    coalesce(rank < from_rank, FALSE) AS is_backwards,
+    reason
 FROM recovery_moves
 WHERE rank <> coalesce(from_rank, 0) + 1 AND $run IN ('all', run_id)

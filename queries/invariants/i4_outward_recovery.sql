@@ -1,6 +1,6 @@
--- Title: I4 broken: recovery of a failure skips a level, goes back, or is resolved by a level that it is not at
+-- Title: I4 broken: recovery of a failure skips a level, goes back, overruns its time, or is resolved by a level that it is not at
 -- Paper: sec:model:invariants (I4), eq:recovery
--- Grain: one row per recovery event whose level is not the one reached, or whose step is not to the next level outward
+-- Grain: one row per recovery event whose level is not the one reached, whose step is not to the next level outward, or that begins too late
 -- Units: time_us microseconds of run time
 -- NULL: never
 -- Example: fsar-ledger query invariants/i4_outward_recovery LEDGER
@@ -20,16 +20,18 @@ moves AS (
         events.type,
         coalesce(events.failed_action, events.action_id) AS action_id,
         events.failure,
-        events.level,
+        coalesce(events.level, CASE events.type WHEN 'ReassignmentDecided.v1' THEN 'fleet' END) AS level,
+        events.deadline_us,
         events.to_level,
         ranks.rank,
         targets.rank AS to_rank
     FROM events
-    LEFT JOIN ranks ON events.level = ranks.level
+    LEFT JOIN ranks ON coalesce(events.level, CASE events.type WHEN 'ReassignmentDecided.v1' THEN 'fleet' END) = ranks.level
     LEFT JOIN ranks AS targets ON events.to_level = targets.level
     WHERE
         events.type IN (
-            'ExecutionFailed.v1', 'RecoveryAttempted.v1', 'AssistanceRequested.v1', 'AssistanceAdmitted.v1', 'RecoveryEscalated.v1', 'FailureResolved.v1'
+            'ExecutionFailed.v1', 'RecoveryAttempted.v1', 'AssistanceRequested.v1', 'AssistanceAdmitted.v1', 'ReassignmentDecided.v1', 'RecoveryEscalated.v1',
+            'FailureResolved.v1'
         )
 ),
 
@@ -54,6 +56,7 @@ judged AS (
             WHEN is_resolved THEN 'recovery goes on after the failure is resolved'
             WHEN coalesce(rank, 0) <> reached
                 THEN 'recovery acts at level ' || coalesce(level, 'unknown') || ' while it is at ' || list_extract(['local', 'peer', 'fleet', 'human'], reached)
+            WHEN type = 'RecoveryAttempted.v1' AND time_us > deadline_us THEN 'an attempt begins after the time budget of its level'
             WHEN type = 'RecoveryEscalated.v1' AND coalesce(to_rank, 0) <> rank + 1
                 THEN 'recovery goes from ' || level || ' to ' || coalesce(to_level, 'an unknown level') || ', not one level outward'
         END AS found

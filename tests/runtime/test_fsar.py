@@ -1,5 +1,7 @@
 """FSAR's handlers: given events, when a command, then events."""
 
+import msgspec
+
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
 from fsar_ledger.events.execution import ApproachStarted, ExecutionHeld, ExecutionStarted
@@ -197,10 +199,10 @@ def test_recovery_begins_at_the_robot_and_goes_outward_without_skipping() -> Non
     levels = []
     for event in start_recovery(state, StartRecovery(action_id)):
         apply(state, event)
-    [second] = end_attempt(state, EndAttempt(action_id, 1, now_us=11_000_000))
+    _, second = end_attempt(state, EndAttempt(action_id, 1, now_us=11_000_000))
     assert (type(second).__name__, second.number) == ("RecoveryAttempted", 2)  # type: ignore[attr-defined]
     apply(state, second)
-    [outward] = end_attempt(state, EndAttempt(action_id, 2, now_us=13_000_000))
+    _, outward = end_attempt(state, EndAttempt(action_id, 2, now_us=13_000_000))
     levels.append((outward.level, outward.to_level))  # type: ignore[attr-defined]
     apply(state, outward)
     assert types(ask_peers(state, AskPeers(action_id))) == ["AssistanceRequested", "AssistanceAdmitted"]
@@ -218,7 +220,7 @@ def test_a_spent_time_budget_ends_local_recovery() -> None:
     state, action_id = failed()
     for event in start_recovery(state, StartRecovery(action_id)):
         apply(state, event)
-    [outward] = end_attempt(state, EndAttempt(action_id, 1, now_us=60_000_000))
+    _, outward = end_attempt(state, EndAttempt(action_id, 1, now_us=60_000_000))
     assert outward.to_level == "peer"  # type: ignore[attr-defined]
 
 
@@ -231,8 +233,9 @@ def test_a_failed_carry_is_reassigned_to_a_trusted_substitute() -> None:
         apply(state, event)
     for event in detect_obstruction(state, DetectObstruction("A1-1/1.1", now_us=6)):
         apply(state, event)
+    state.recovery = {"A1-1/1.1": msgspec.structs.replace(state.recovery["A1-1/1.1"], level="fleet")}
     reassigned = consider_reassignment(state, ConsiderReassignment("A1-1/1.1"))
-    assert types(reassigned) == ["ReassignmentDecided", "FailureResolved", "ExecutionWithdrawn", "ExecutionQueued"]
+    assert types(reassigned) == ["ReassignmentDecided", "FailureResolved", "ExecutionWithdrawn", "TaskStateTransferred", "ExecutionQueued"]
     assert reassigned[0].helper == "robot/D1"  # type: ignore[attr-defined]
 
 

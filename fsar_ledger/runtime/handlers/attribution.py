@@ -69,6 +69,24 @@ def stand_ins(state: State, action: Action) -> tuple[str, ...]:
     return nearest_first(state, able, action.robot)
 
 
+def family(capability: str) -> str:
+    """The pattern of a capability's kind, by which peers are sought: `grasp.robust` is of `grasp.*`."""
+    return capability.partition(".")[0] + ".*"
+
+
+def kin(state: State, robot: str, capability: str) -> tuple[str, ...]:
+    """Every other robot that advertises something of the capability's family, nearest team first."""
+    stem = family(capability)[:-1]
+    named = {offer.robot for name in state.registry.offers if name.startswith(stem) for offer in offers(state.registry.offers, name)}
+    return nearest_first(state, [name for name in named if name != robot], robot)
+
+
+def is_cross_robot(state: State, action: Action) -> bool:
+    """True when a failure of the action concerns more than its robot: it was delegated, or the task is another robot's. Paper: sec:model:supervision."""
+    task = state.task.get(action.task_id)
+    return action.is_delegated or task is None or task.robot != action.robot
+
+
 def pending_of_other_task(state: State, robot: str, task_id: str) -> str | None:
     """The first delegated action of another task that is unfinished at the robot, if any."""
     held = state.execution.current.get(robot)

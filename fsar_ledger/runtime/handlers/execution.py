@@ -20,6 +20,7 @@ from fsar_ledger.projections.fold import State
 
 from .attribution import is_injected, principals
 from .commands import DecideRoutine, Decides, DetectObstruction, Draw, FinishAttempt, PauseAction, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn
+from .recovery import actuator_holds
 
 NAVIGATION = "navigate.indoor"
 
@@ -64,7 +65,7 @@ def finish_attempt(state: State, command: FinishAttempt) -> tuple[Event, ...]:
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage != "running" or action.ends_us != command.ends_us:
         return ()
-    if action.robot in state.world.degraded and action.capability != NAVIGATION and not command.drawn:
+    if action.capability != NAVIGATION and not actuator_holds(state, action.robot, command.drawn):
         return (_failed(action, "degradation", command.now_us),)
     return (_finished(state, action),)
 

@@ -1,10 +1,92 @@
-"""What a recovery attempt meets in the world, whoever ordered it. Paper: sec:model:recovery."""
+"""What a recovery attempt meets in the world, what each level may spend, and failures that are reported from outside. Paper: sec:model:recovery."""
 
+from typing import get_args
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import FailureCause, RecoveryLevel, Result
+from fsar_ledger.events.execution import ExecutionFailed
+from fsar_ledger.events.recovery import RecoveryBudgetSet
+from fsar_ledger.projections.budget import Budget
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 
-from .commands import EndAttempt
+from .commands import Command, Decides, EndAttempt, Reacts
+from .rejection import not_in_charge, rejected, unknown_robot
+
+LEVELS: tuple[RecoveryLevel, ...] = get_args(RecoveryLevel)
+
+
+class SetRecoveryBudget(Command):
+    """A supervisor gives one level of the robot's recovery another budget. Units: `t_max_us` microseconds."""
+
+    issued_by: str
+    robot: str
+    level: str
+    t_max_us: int
+    n_max: int
+
+
+class ReportFailure(Command):
+    """The executor reports that what it executes has failed."""
+
+    robot: str
+    action_id: str
+    cause: str
+
+
+def budget(state: State, robot: str, level: RecoveryLevel) -> Budget:
+    """(t_max, n_max) of the level: the robot's own Q_i where it was set, else the fleet's structure. Paper: eq:recovery, app:foundations."""
+    own = state.budget.get((robot, level))
+    if own is not None:
+        return own
+    structure = state.fleet.structure
+    match level:
+        case "local":
+            return Budget(structure.local_budget_us, structure.local_attempts)
+        case "peer":
+            return Budget(structure.peer_budget_us, structure.peer_helpers)
+        case "fleet":
+            return Budget(structure.fleet_budget_us, structure.fleet_reassignments)
+        case "human":
+            return Budget(structure.human_budget_us, structure.human_calls)
+
+
+def set_recovery_budget(state: State, command: SetRecoveryBudget) -> tuple[Event, ...]:
+    """The level has this budget from now on; it is for the robot's own supervisor or H_F to say. Paper: app:foundations."""
+    refused = unknown_robot(state, command.robot) or not_in_charge(state, command.issued_by, command.robot) or _impossible(command)
+    if refused is not None:
+        return rejected(command, command.robot, refused, command.issued_by)
+    level = next(level for level in LEVELS if level == command.level)
+    return (RecoveryBudgetSet(command.robot, level, command.t_max_us, command.n_max, command.issued_by),)
+
+
+def _impossible(command: SetRecoveryBudget) -> str | None:
+    if command.level not in LEVELS:
+        return f"level {command.level}, expected one of {', '.join(LEVELS)}"
+    least = 1 if command.level == "human" else 0  # a failure that nobody else resolved must reach somebody
+    if command.t_max_us < least or command.n_max < least:
+        return f"budget ({command.t_max_us} microseconds, {command.n_max}), expected at least {least} of both at level {command.level}"
+    return None
+
+
+def report_failure(state: State, command: ReportFailure) -> tuple[Event, ...]:
+    """The running execution has failed, as its own robot reports; recovery begins from there. Paper: sec:model:recovery."""
+    refused = unknown_robot(state, command.robot)
+    action = state.execution.actions.get(command.action_id)
+    if refused is None and action is None:
+        refused = f"unknown or finished action {command.action_id}, expected one that is executing"
+    if refused is None and action is not None and action.robot != command.robot:
+        refused = f"{command.action_id} is executed by {action.robot}, expected its report"
+    if refused is None and action is not None and action.stage != "running":
+        refused = f"{command.action_id} is {action.stage}, expected running"
+    cause = next((cause for cause in get_args(FailureCause) if cause == command.cause), None)
+    if refused is None and cause is None:
+        refused = f"cause {command.cause}, expected one of {', '.join(get_args(FailureCause))}"
+    if refused is not None or action is None or cause is None:
+        return rejected(command, command.action_id, refused or "", command.robot)
+    remaining_us = max(0, action.ends_us - command.now_us)
+    return (ExecutionFailed(action.task_id, action.action_id, action.robot, action.failures + 1, cause, remaining_us, command.now_us),)
 
 
 def open_failure(state: State, action_id: str) -> tuple[Action, Recovery] | None:
@@ -13,8 +95,31 @@ def open_failure(state: State, action_id: str) -> tuple[Action, Recovery] | None
     return None if action is None or recovery is None else (action, recovery)
 
 
+def actuator_holds(state: State, robot: str, drawn: int) -> bool:
+    """True when the robot's actuator holds this time: a sound one always, an unreliable one as the world draws, a slipping or lost one never."""
+    grade = state.world.degraded.get(robot)
+    return grade is None or (grade == "unreliable" and bool(drawn))
+
+
 def attempt_succeeds(state: State, recovery: Recovery, command: EndAttempt) -> bool:
     """True when the way is clear, or the degraded actuator held this time."""
     if recovery.cause == "obstruction":
         return not state.world.obstructions.get(recovery.robot)
-    return bool(command.drawn) or recovery.robot not in state.world.degraded
+    return actuator_holds(state, recovery.robot, command.drawn)
+
+
+def attempt_result(state: State, action: Action, recovery: Recovery) -> tuple[Result, tuple[str, ...]]:
+    """What an attempt that did not succeed has come to, and which postconditions hold after it.
+
+    A slipping actuator grips and does not hold: all of the contract is achieved but its last postcondition.
+    """
+    if recovery.cause == "degradation" and state.world.degraded.get(action.robot) == "slipping":
+        module = state.registry.modules.get(action.robot, {}).get(action.capability)
+        achieved = () if module is None else module.contract.postconditions[:-1]
+        if achieved:
+            return "partial", achieved
+    return "failure", ()
+
+
+DECIDES: Decides = {SetRecoveryBudget: set_recovery_budget, ReportFailure: report_failure}
+REACTS: Reacts = {}

@@ -22,6 +22,22 @@ def unknown_robot(state: State, *robots: str | None) -> str | None:
 
 def unknown_supervisor(state: State, supervisor: str | None) -> str | None:
     """The reason to reject a command in the name of somebody who supervises nothing here, or None."""
-    if supervisor == FLEET_SUPERVISOR or any(supervisor == robot.supervisor for robot in state.fleet.robots.values()):
+    if supervisor == FLEET_SUPERVISOR or (supervisor is not None and any(supervisor == robot.supervisor for robot in state.fleet.robots.values())):
         return None
     return f"unknown supervisor {supervisor}, expected {FLEET_SUPERVISOR} or a robot's own"
+
+
+def not_in_charge(state: State, supervisor: str | None, robot: str | None, is_fleet_matter: bool = False) -> str | None:
+    """The reason to reject a command that this supervisor may not give about this robot (None: about nobody in particular), or None.
+
+    H_F may speak for every robot; H_i for its own alone, and not where the matter is the fleet's. Paper: sec:model:supervision.
+    """
+    if (unknown := unknown_supervisor(state, supervisor)) is not None:
+        return unknown
+    if supervisor == FLEET_SUPERVISOR:
+        return None
+    if is_fleet_matter:
+        return f"{supervisor} supervises one robot, expected {FLEET_SUPERVISOR} for what concerns the fleet"
+    if robot is not None and state.fleet.robots[robot].supervisor != supervisor:
+        return f"{supervisor} does not supervise {robot}, expected {state.fleet.robots[robot].supervisor or FLEET_SUPERVISOR} or {FLEET_SUPERVISOR}"
+    return None

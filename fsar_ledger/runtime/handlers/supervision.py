@@ -1,44 +1,112 @@
-"""The fleet supervisor H_F decides what is put before them, after a while. Paper: eq:supervision."""
+"""Supervisors decide what is put before them, and how often that is; H_i for its robot, H_F for the fleet. Paper: eq:supervision."""
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR
 from fsar_ledger.events.recovery import FailureResolved
-from fsar_ledger.events.supervision import ActuatorServiced, SupervisorCalled, SupervisorResponded
+from fsar_ledger.events.supervision import ActuatorServiced, SupervisionDensitySet, SupervisorCalled, SupervisorResponded
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.supervision import density
 
-from .commands import Decides, Draw, Reacts, Respond, Scheduled
+from .commands import Command, Decides, Draw, Reacts, Respond, Scheduled
+from .rejection import not_in_charge, rejected, unknown_robot
+from .task import first_in_order
+
+
+class RespondToCall(Command):
+    """A supervisor answers a call: approves the review or not, orders two commands (`preferred` goes first), or has resolved the failure."""
+
+    supervisor: str
+    action_id: str
+    approves: bool = True
+    preferred: str | None = None
+
+
+class SetSupervisionDensity(Command):
+    """A supervisor wants to see one in so many admissions of the robot (None: of every robot); 0 is none."""
+
+    issued_by: str
+    robot: str | None
+    review_every: int
+    reason: str
+
+
+def supervisor_for(state: State, robot: str, is_cross_robot: bool) -> str:
+    """Whom to call about the robot: its own H_i while on shift, if the matter concerns that robot alone; else H_F. Paper: sec:model:supervision."""
+    own = state.fleet.robots[robot].supervisor
+    if is_cross_robot or own is None or own in state.world.off_shift:
+        return FLEET_SUPERVISOR
+    return own
+
+
+def is_due_for_review(state: State, executor: str) -> bool:
+    """True when the executor's next admission is one that supervision density puts before a supervisor. Paper: sec:model:supervision."""
+    every = density(state.supervision, executor)
+    return every > 0 and (state.supervision.admissions.get(executor, 0) + 1) % every == 0
 
 
 def respond(state: State, command: Respond) -> tuple[Event, ...]:
-    """H_F has approved the review, ordered the commands, or resolved the failure (and had a degraded robot serviced)."""
-    action = state.execution.actions.get(command.action_id)
-    request = state.request.get(command.action_id)
-    if request is None and action is None:
+    """The supervisor who was called has approved the review, ordered the commands, or resolved the failure; nothing if that is settled."""
+    call = state.supervision.calls.get((command.action_id, command.purpose))  # type: ignore[arg-type]
+    if call is None or (command.action_id not in state.request and command.action_id not in state.execution.actions):
         return ()
-    is_cfc = state.fleet.architecture == "cfc"
+    return _responded(state, call, True, first_in_order(state, call))
+
+
+def respond_to_call(state: State, command: RespondToCall) -> tuple[Event, ...]:
+    """The open call is answered by the supervisor it went to."""
+    unknown = not_in_charge(state, command.supervisor, None)
+    if unknown is not None:
+        return rejected(command, command.action_id, unknown, command.supervisor)
+    calls = [call for (action_id, _), call in state.supervision.calls.items() if action_id == command.action_id]
+    call = next((call for call in calls if call.supervisor == command.supervisor), None)
+    if call is None:
+        found = f"the call went to {calls[0].supervisor}" if calls else "no open call"
+        return rejected(command, command.action_id, f"{found}, expected one to {command.supervisor}", command.supervisor)
+    refused = _unfit(call, command)
+    if refused is not None:
+        return rejected(command, command.action_id, refused, command.supervisor)
+    return _responded(state, call, command.approves, command.preferred)
+
+
+def _unfit(call: SupervisorCalled, command: RespondToCall) -> str | None:
+    """Why the answer does not fit what was asked, or None."""
+    if not command.approves and call.purpose != "review":
+        return f"found a disapproval of {call.purpose}, expected one of a review"
+    contenders = (call.action_id, call.competing) if call.purpose == "ordering" else ()
+    if command.preferred is not None and command.preferred not in contenders:
+        return f"{command.preferred} does not compete, expected one of {', '.join(filter(None, contenders)) or 'none'}"
+    return None
+
+
+def _responded(state: State, call: SupervisorCalled, approves: bool, preferred: str | None) -> tuple[Event, ...]:
+    """The answer is on record; a failure that was put before the supervisor is over, a degraded robot serviced."""
+    action, request = state.execution.actions.get(call.action_id), state.request.get(call.action_id)
+    requested_by = executed_by = None
     if action is not None:
-        task_id, requested_by, executed_by = action.task_id, action.requested_by, action.executed_by
-    else:
-        assert request is not None
-        task_id, executed_by = request.task_id, request.target
-        requested_by = None if is_cfc else request.requester
-    responded = SupervisorResponded(
-        task_id,
-        command.action_id,
-        FLEET_SUPERVISOR,
-        requested_by,
-        executed_by,
-        FLEET_SUPERVISOR,
-        (FLEET_SUPERVISOR,),
-        command.purpose,  # type: ignore[arg-type]
-    )
-    recovery = state.recovery.get(command.action_id)
-    if command.purpose != "recovery" or recovery is None:
+        requested_by, executed_by = action.requested_by, action.executed_by
+    elif request is not None:
+        executed_by = request.target
+        requested_by = None if state.fleet.architecture == "cfc" else request.requester
+    by = call.supervisor
+    responded = SupervisorResponded(call.task_id, call.action_id, by, requested_by, executed_by, by, (by,), call.purpose, approves, preferred)
+    recovery = state.recovery.get(call.action_id)
+    if call.purpose != "recovery" or recovery is None:
         return (responded,)
-    resolved = FailureResolved(task_id, command.action_id, recovery.robot, recovery.failure, "human")
+    resolved = FailureResolved(call.task_id, call.action_id, recovery.robot, recovery.failure, "human")
     if recovery.robot in state.world.degraded:
         return (responded, ActuatorServiced(recovery.robot), resolved)
     return (responded, resolved)
+
+
+def set_supervision_density(state: State, command: SetSupervisionDensity) -> tuple[Event, ...]:
+    """The density holds from now on: of a robot by its own supervisor or H_F, of every robot by H_F. Paper: sec:model:supervision."""
+    subject = command.robot or "every robot"
+    refused = unknown_robot(state, command.robot) or not_in_charge(state, command.issued_by, command.robot, is_fleet_matter=command.robot is None)
+    if refused is None and command.review_every < 0:
+        refused = f"density {command.review_every}, expected 0 (none) or one in so many"
+    if refused is not None:
+        return rejected(command, subject, refused, command.issued_by)
+    return (SupervisionDensitySet(command.robot, command.review_every, command.issued_by, command.reason),)
 
 
 def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
@@ -49,5 +117,5 @@ def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Sched
     return (Scheduled(Respond(event.action_id, event.purpose), 0, (response,)),)
 
 
-DECIDES: Decides = {Respond: respond}
+DECIDES: Decides = {Respond: respond, RespondToCall: respond_to_call, SetSupervisionDensity: set_supervision_density}
 REACTS: Reacts = {SupervisorCalled: _on_call}

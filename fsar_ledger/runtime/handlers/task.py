@@ -1,6 +1,7 @@
 """Tasks go through their steps, whoever governs them. Paper: sec:evaluation:scenarios."""
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.projections.fold import State
@@ -36,6 +37,21 @@ def complete_step(state: State, command: CompleteStep) -> tuple[Event, ...]:
     """The step is done, unless it was already."""
     request = state.request.get(command.action_id)
     return () if request is None else (StepCompleted(request.task_id, request.action_id),)
+
+
+def is_critical(state: State, task_id: str) -> bool:
+    """True when the task is open and time-critical."""
+    task = state.task.get(task_id)
+    return task is not None and task.is_time_critical
+
+
+def first_in_order(state: State, call: SupervisorCalled) -> str | None:
+    """Which of two competing actions H_F lets go first: the time-critical one, else the one that came first. Paper: sec:prototype:workflows."""
+    if call.competing is None:
+        return None
+    other = state.request.get(call.competing)
+    comes_before = other is not None and is_critical(state, other.task_id) and not is_critical(state, call.task_id)
+    return call.competing if comes_before else call.action_id
 
 
 def _begin(_state: State, event: TaskArrived | StepCompleted, _now_us: int) -> tuple[Scheduled, ...]:

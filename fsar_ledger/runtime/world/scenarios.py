@@ -14,6 +14,11 @@ CAPABILITIES: dict[str, tuple[str, ...]] = {
     "C": ("navigate.indoor", "inspect.visual", "inspect.private_zone"),
     "D": ("navigate.indoor", "carry.heavy", "grasp.robust"),
 }
+POSTCONDITIONS: dict[str, tuple[str, ...]] = {  # what holds after an ECM, in the order in which it comes about
+    "door.open.basic": ("door.opened",),
+    "door.open.secure": ("door.opened",),
+    "grasp.robust": ("load.gripped", "load.held"),
+}
 VISIBLE_TO: dict[str, tuple[str, ...]] = {"inspect.private_zone": ("B",)}
 TRUST: tuple[tuple[str, str, TrustScope], ...] = (("A", "B", "task"), ("A", "D", "capability"), ("B", "C", "session"))
 
@@ -102,8 +107,12 @@ def founding(fleet_size: int) -> tuple[Event, ...]:
     """The events that found the fleet: members, advertisements, trust. Paper: sec:prototype:design."""
     members = robots(fleet_size)
     joined: list[Event] = [RobotJoined(name, role, team, local_supervisor(name)) for name, role, team in members]
-    joined += [CapabilityInstalled(name, capability, "1.0.0") for name, role, _ in members for capability in CAPABILITIES[role]]
-    joined += [CapabilityAdvertised(name, capability, VISIBLE_TO.get(capability, ())) for name, role, _ in members for capability in CAPABILITIES[role]]
+    possessed = [(name, capability) for name, role, _ in members for capability in CAPABILITIES[role]]
+    joined += [CapabilityInstalled(name, capability, "1.0.0", (), POSTCONDITIONS.get(capability, ())) for name, capability in possessed]
+    joined += [
+        CapabilityAdvertised(name, capability, VISIBLE_TO.get(capability, ()), postconditions=POSTCONDITIONS.get(capability, ()))
+        for name, capability in possessed
+    ]
     for one, other, scope in TRUST:
         for left, left_role, _ in members:
             for right, right_role, _ in members:

@@ -9,7 +9,7 @@ from itertools import combinations
 
 from fsar_ledger.constants import WorldConstants
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Scenario, local_supervisor
+from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Scenario, Workflow, local_supervisor
 from fsar_ledger.events.world import (
     ActuatorDegraded,
     ContextChanged,
@@ -29,14 +29,24 @@ from fsar_ledger.events.world import (
 
 from .draws import Stream, run_key
 from .scenarios import DEGRADABLE, INJECTIONS, TASKS, robots
+from .workflows import workflow_facts
 
 Fact = tuple[int, Event]  # run time in microseconds, what happens
 
 
 @lru_cache(maxsize=4)
-def schedule(world: WorldConstants, seed: int, scenario: Scenario, run: int, fleet_size: int) -> tuple[Fact, ...]:
-    """All facts of the run in order of time; no two at the same microsecond."""
+def schedule(world: WorldConstants, seed: int, scenario: Scenario | Workflow, run: int, fleet_size: int) -> tuple[Fact, ...]:
+    """All facts of the run in order of time; no two at the same microsecond. A workflow has only those of its script."""
     key = run_key(seed, scenario, run)
+    match scenario:
+        case "workflow-door-relay" | "workflow-layered-recovery" | "workflow-human-supervision":
+            return _apart(workflow_facts(world, key, scenario))
+        case _:
+            return _disturbed(world, key, scenario, fleet_size)
+
+
+def _disturbed(world: WorldConstants, key: bytes, scenario: Scenario, fleet_size: int) -> tuple[Fact, ...]:
+    """The tasks of the scenario, in a world that disturbs them."""
     members = robots(fleet_size)
     facts: list[Fact] = [(1, SyncPhaseSet(round(Stream(key, "sync-phase").uniform() * 1e6)))]
     for name, _, _ in members:

@@ -1,9 +1,12 @@
-"""FSAR: recovery starts at the robot and goes outward level by level. Paper: eq:recovery, sec:model:recovery."""
+"""FSAR: recovery starts at the robot and goes outward level by level. Paper: eq:recovery, sec:model:recovery.
+
+A failure creates no authority: who helps or takes over is judged by the trust and the policy that were there before it.
+"""
 
 from typing import Any
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, RECOVERY
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, RECOVERY, RecoveryLevel
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionWithdrawn
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
@@ -12,23 +15,25 @@ from fsar_ledger.events.recovery import (
     FailureResolved,
     ReassignmentDecided,
     RecoveryAttempted,
+    RecoveryAttemptFailed,
     RecoveryEscalated,
+    TaskStateTransferred,
 )
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
-from fsar_ledger.projections.trust import scope_of
-from fsar_ledger.projections.world import stricter
-from fsar_ledger.runtime.handlers.attribution import helpers, is_idle, on_shift, principals, stand_ins
+from fsar_ledger.projections.task import checkpoint
+from fsar_ledger.runtime.handlers import recovery as shared
+from fsar_ledger.runtime.handlers.attribution import is_cross_robot, on_shift, principals
 from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, message
-from fsar_ledger.runtime.handlers.execution import NAVIGATION
-from fsar_ledger.runtime.handlers.policy import compose, own_policy
-from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
+from fsar_ledger.runtime.handlers.recovery import attempt_result, attempt_succeeds, budget, open_failure
+from fsar_ledger.runtime.handlers.supervision import supervisor_for
 
 from .authority import released
+from .helpers import peer, peer_query, reassignee
 
-ASSISTING_SCOPES = ("task", "session", "persistent")  # capability scope does not cover assistance
+EXHAUSTED = "budget exhausted"
 
 
 class StartRecovery(Command):
@@ -38,15 +43,25 @@ class StartRecovery(Command):
 
 
 class AskPeers(Command):
-    """The question for help has reached the peers."""
+    """The question for help has reached the peers. Units: `since_us` run time at which recovery turned to them."""
 
     action_id: str
+    since_us: int = 0
 
 
 class ConsiderReassignment(Command):
-    """The failure has reached the recovery orchestrator."""
+    """The failure has reached the recovery orchestrator. Units: `since_us` run time at which recovery turned to it."""
 
     action_id: str
+    since_us: int = 0
+
+
+class CallNext(Command):
+    """The time in which the supervisor who was called should have resolved the failure is over; `calls` counts the calls until then."""
+
+    action_id: str
+    failure: int
+    calls: int
 
 
 def _context(state: State, action: Action, decided_by: str, is_decision: bool = True) -> dict[str, Any]:
@@ -54,7 +69,9 @@ def _context(state: State, action: Action, decided_by: str, is_decision: bool = 
     return {"task_id": action.task_id, "action_id": action.action_id, "decided_by": decided_by, **principals(state, action), "path": path}
 
 
-def _escalated(state: State, action: Action, recovery: Recovery, to_level: Any, decided_by: str, is_decision: bool = True) -> RecoveryEscalated:
+def _escalated(
+    state: State, action: Action, recovery: Recovery, to_level: RecoveryLevel, decided_by: str, reason: str, is_decision: bool = True
+) -> RecoveryEscalated:
     return RecoveryEscalated(
         **_context(state, action, decided_by, is_decision),
         robot=action.robot,
@@ -62,6 +79,7 @@ def _escalated(state: State, action: Action, recovery: Recovery, to_level: Any, 
         level=recovery.level,
         to_level=to_level,
         failed_action=action.action_id,
+        reason=reason,
     )
 
 
@@ -78,58 +96,60 @@ def _attempted(state: State, action: Action, recovery: Recovery, deadline_us: in
 
 
 def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
-    """The robot has begun to recover by itself; without layered recovery H_F is called at once."""
+    """The robot has begun to recover by itself, if it may; without layered recovery H_F is called at once. Paper: sec:model:recovery, level 1."""
     match open_failure(state, command.action_id):
-        case None:
-            return ()
-        case action, recovery:
+        case action, recovery if recovery.level == "local" and recovery.number == 0:
             if state.fleet.configuration == "without-layered-recovery":
                 called = SupervisorCalled(action.task_id, action.action_id, FLEET_SUPERVISOR, "recovery")
-                return (_escalated(state, action, recovery, "human", action.robot), called)
-            deadline_us = recovery.detected_us + state.fleet.structure.local_budget_us
+                return (_escalated(state, action, recovery, "human", action.robot, "no layered recovery"), called)
+            allowed = budget(state, action.robot, "local")
+            deadline_us = recovery.detected_us + allowed.t_max_us
+            if allowed.n_max == 0 or command.now_us >= deadline_us:
+                return (_escalated(state, action, recovery, "peer", action.robot, EXHAUSTED),)
             return (_attempted(state, action, recovery, deadline_us),)
+        case _:
+            return ()
 
 
 def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     """The failure is resolved, or the next attempt has begun, or the budget is spent and recovery goes to the peers."""
     match open_failure(state, command.action_id):
         case action, recovery if recovery.number == command.number and recovery.level == "local":
+            about = (action.task_id, action.action_id, action.robot, recovery.failure)
             if attempt_succeeds(state, recovery, command):
-                return (FailureResolved(action.task_id, action.action_id, action.robot, recovery.failure, "local"),)
-            structure = state.fleet.structure
-            if recovery.number < structure.local_attempts and command.now_us < recovery.deadline_us:
-                return (_attempted(state, action, recovery, recovery.deadline_us),)
-            return (_escalated(state, action, recovery, "peer", action.robot),)
+                return (FailureResolved(*about, "local"),)
+            failed = RecoveryAttemptFailed(*about, command.number, *attempt_result(state, action, recovery))
+            if recovery.number < budget(state, action.robot, "local").n_max and command.now_us < recovery.deadline_us:
+                return (failed, _attempted(state, action, recovery, recovery.deadline_us))
+            return (failed, _escalated(state, action, recovery, "peer", action.robot, EXHAUSTED))
         case _:
             return ()
+
+
+def _is_exhausted(state: State, action: Action, level: RecoveryLevel, spent_us: int, spent: int) -> bool:
+    allowed = budget(state, action.robot, level)
+    return spent_us > allowed.t_max_us or spent >= allowed.n_max
 
 
 def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
     """A trusted idle peer helps, or recovery goes to the fleet. Paper: sec:model:recovery, level 2."""
     match open_failure(state, command.action_id):
-        case None:
-            return ()
-        case action, recovery:
-            helper = _peer(state, action, recovery)
+        case action, recovery if recovery.level == "peer":
+            if _is_exhausted(state, action, "peer", command.now_us - command.since_us, len(recovery.tried)):
+                return (_escalated(state, action, recovery, "fleet", RECOVERY, EXHAUSTED),)
+            helper, reason = peer(state, action, recovery)
+            query = peer_query(state, action, recovery)
             if helper is None:
-                return (_escalated(state, action, recovery, "fleet", RECOVERY),)
+                return (*query, _escalated(state, action, recovery, "fleet", RECOVERY, reason))
             about: dict[str, Any] = {"robot": action.robot, "helper": helper, "failure": recovery.failure}
             admitting = {**_context(state, action, helper), "supervised_by": on_shift(state, helper)}
             return (
+                *query,
                 AssistanceRequested(**_context(state, action, action.robot), **about, level="peer", failed_action=action.action_id),
                 AssistanceAdmitted(**admitting, **about, level="peer"),
             )
-
-
-def _peer(state: State, action: Action, recovery: Recovery) -> str | None:
-    if state.fleet.configuration == "without-shared-registry":
-        return None
-    for name in helpers(state, action, recovery.cause):
-        scope = scope_of(state.trust, name, action.robot, action.capability, action.task_id)
-        is_trusted = scope in ASSISTING_SCOPES if recovery.cause == "obstruction" else scope != "none"
-        if is_trusted and is_idle(state, name) and own_policy(state, name, action.capability, action.task_id) == "allow":
-            return name
-    return None
+        case _:
+            return ()
 
 
 def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
@@ -143,51 +163,58 @@ def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
 
 
 def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[Event, ...]:
-    """Another robot takes the step over from its checkpoint, or H_F is called. Paper: sec:model:recovery, level 3."""
+    """Another robot takes the step over from a declared checkpoint, or a supervisor is called. Paper: sec:model:recovery, level 3."""
     match open_failure(state, command.action_id):
-        case None:
-            return ()
-        case action, recovery:
-            helper = _reassignee(state, action)
-            decided = ReassignmentDecided(**_context(state, action, RECOVERY), robot=action.robot, helper=helper, failure=recovery.failure)
-            if helper is None:
-                called = SupervisorCalled(action.task_id, action.action_id, FLEET_SUPERVISOR, "recovery")
-                return (decided, _escalated(state, action, recovery, "human", RECOVERY, is_decision=False), called)
-            return (
-                decided,
-                FailureResolved(action.task_id, action.action_id, action.robot, recovery.failure, "fleet"),
-                *released(state, action.action_id),
-                ExecutionWithdrawn(action.task_id, action.action_id, action.robot),
-                ExecutionQueued(
-                    action.task_id,
-                    action.action_id,
-                    action.on_behalf_of,
-                    helper,
-                    on_shift(state, helper),
-                    helper,
-                    action.on_behalf_of,
-                    action.capability,
-                    action.step,
-                    action.attempt,
-                    True,
-                    True,
-                    True,
-                ),
+        case action, recovery if recovery.level == "fleet":
+            if _is_exhausted(state, action, "fleet", command.now_us - command.since_us, 0):
+                return _to_human(state, action, recovery, EXHAUSTED)
+            resume_at = checkpoint(state.task, action.task_id, action.step)
+            helper, reason = reassignee(state, action) if resume_at is not None else (None, "no checkpoint")
+            decided = ReassignmentDecided(
+                **_context(state, action, RECOVERY),
+                robot=action.robot,
+                helper=helper,
+                failure=recovery.failure,
+                checkpoint=resume_at,
+                reason=None if helper is not None else reason,
             )
+            if helper is None or resume_at is None:
+                return (decided, *_to_human(state, action, recovery, f"no feasible reassignment: {reason}"))
+            return (decided, *_handed_over(state, action, recovery, helper, resume_at))
+        case _:
+            return ()
 
 
-def _reassignee(state: State, action: Action) -> str | None:
-    request = state.request.get(action.action_id)
-    if action.capability == NAVIGATION or request is None:
-        return None
-    asking = own_policy(state, action.on_behalf_of, action.capability, action.task_id)
-    about = (action.capability, action.task_id)
-    for name in stand_ins(state, action):
-        is_trusted = scope_of(state.trust, name, action.on_behalf_of, *about) != "none"  # recovery keeps its trust gate
-        is_admissible = name != action.on_behalf_of and is_trusted and stricter(asking, compose(state, request.carried, name, *about)) == "allow"
-        if is_admissible and is_idle(state, name):
-            return name
-    return None
+def _handed_over(state: State, action: Action, recovery: Recovery, helper: str, resume_at: str) -> tuple[Event, ...]:
+    """The helper holds the state of the task, and the step waits at it; the robot that failed is free."""
+    about = (action.task_id, action.action_id, action.robot)
+    done = state.task[action.task_id].steps[: action.step - 1]
+    queued = (action.on_behalf_of, helper, on_shift(state, helper), helper, action.on_behalf_of, action.capability, action.step, action.attempt)
+    return (
+        FailureResolved(*about, recovery.failure, "fleet"),
+        *released(state, action.action_id),
+        ExecutionWithdrawn(*about),
+        TaskStateTransferred(*about, helper, resume_at, done),
+        ExecutionQueued(action.task_id, action.action_id, *queued, True, True, True),
+    )
+
+
+def _to_human(state: State, action: Action, recovery: Recovery, reason: str) -> tuple[Event, ...]:
+    """H_i is called about what is the robot's own matter, H_F about what concerns others. Paper: sec:model:recovery, level 4."""
+    supervisor = supervisor_for(state, action.robot, is_cross_robot(state, action))
+    called = SupervisorCalled(action.task_id, action.action_id, supervisor, "recovery")
+    return (_escalated(state, action, recovery, "human", RECOVERY, reason, is_decision=False), called)
+
+
+def call_next(state: State, command: CallNext) -> tuple[Event, ...]:
+    """H_F is called in the place of a supervisor who has not resolved the failure in time, while the level's budget lasts."""
+    match open_failure(state, command.action_id):
+        case action, recovery if (recovery.failure, recovery.calls) == (command.failure, command.calls):
+            if recovery.calls >= budget(state, action.robot, "human").n_max:
+                return ()
+            return (SupervisorCalled(action.task_id, action.action_id, FLEET_SUPERVISOR, "recovery"),)
+        case _:
+            return ()
 
 
 def _on_failure(_state: State, event: ExecutionFailed, _now_us: int) -> tuple[Scheduled, ...]:
@@ -200,12 +227,12 @@ def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[S
     return (Scheduled(end, state.fleet.structure.retry_preparation_us, (Draw("retry", key),), Draw("reliability", "retry/" + key)),)
 
 
-def _on_escalation(_state: State, event: RecoveryEscalated, _now_us: int) -> tuple[Scheduled, ...]:
+def _on_escalation(_state: State, event: RecoveryEscalated, now_us: int) -> tuple[Scheduled, ...]:
     key = f"{event.failed_action}/{event.failure}"
     if event.to_level == "peer":
-        return (Scheduled(AskPeers(event.failed_action), 0, (message(key, "peer"),)),)
+        return (Scheduled(AskPeers(event.failed_action, now_us), 0, (message(key, "peer"),)),)
     if event.to_level == "fleet":  # the peers' refusals come back before the orchestrator is asked
-        return (Scheduled(ConsiderReassignment(event.failed_action), 0, (message(key, "answer"), message(key, "fleet"))),)
+        return (Scheduled(ConsiderReassignment(event.failed_action, now_us), 0, (message(key, "answer"), message(key, "fleet"))),)
     return ()
 
 
@@ -214,16 +241,28 @@ def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tup
     return (Scheduled(EndAssistance(event.action_id, event.helper), state.fleet.structure.assistance_us, (answer,)),)
 
 
+def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
+    match open_failure(state, event.action_id):
+        case action, recovery if event.purpose == "recovery":
+            late = CallNext(event.action_id, recovery.failure, recovery.calls)
+            return (Scheduled(late, budget(state, action.robot, "human").t_max_us),)
+        case _:
+            return ()
+
+
 DECIDES: Decides = {
+    **shared.DECIDES,
     StartRecovery: start_recovery,
     EndAttempt: end_attempt,
     AskPeers: ask_peers,
     EndAssistance: end_assistance,
     ConsiderReassignment: consider_reassignment,
+    CallNext: call_next,
 }
 REACTS: Reacts = {
     ExecutionFailed: _on_failure,
     RecoveryAttempted: _on_attempt,
     RecoveryEscalated: _on_escalation,
     AssistanceAdmitted: _on_assistance,
+    SupervisorCalled: _on_call,
 }

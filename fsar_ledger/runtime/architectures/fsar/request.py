@@ -24,6 +24,7 @@ from fsar_ledger.runtime.handlers.attribution import is_idle, on_shift
 from fsar_ledger.runtime.handlers.commands import BeginStep, CloseRequest, Command, CompleteStep, Decides, Reacts, Scheduled, TakeTurn, message
 from fsar_ledger.runtime.handlers.policy import compose, own_policy
 
+from .contention import in_order, put_in_order
 from .discovery import unanswered
 
 
@@ -112,7 +113,7 @@ def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...
         return (RequestDenied(*context, reason="policy"),)
     if outcome == "review":
         return (SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "review"),)
-    return _admitted(state, request, executor)
+    return put_in_order(state, request, executor, _context(state, request, executor)) or _admitted(state, request, executor)
 
 
 def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
@@ -176,7 +177,7 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
 
 
 def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
-    if event.task_id not in state.task:  # an outsider's request is nobody's step
+    if event.task_id not in state.task or event.action_id in state.recovery:  # an outsider's request is nobody's step; recovery asks for itself
         return ()
     assert event.action_id is not None
     if state.fleet.configuration == "without-shared-registry":
@@ -206,7 +207,10 @@ def _on_unanswered(state: State, event: RequestUnanswered | PeerSought, _now_us:
     return (Scheduled(BeginStep(event.task_id), state.fleet.structure.back_off_us),)
 
 
-def _on_response(_state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
+def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
+    if event.purpose == "ordering":
+        waiting = in_order(state, event.action_id, event.preferred)
+        return tuple(Scheduled(EvaluateRequest(name), place) for place, name in enumerate(waiting, start=1))
     return (Scheduled(AdmitReviewed(event.action_id)),) if event.purpose == "review" else ()
 
 

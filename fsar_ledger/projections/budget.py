@@ -1,0 +1,25 @@
+"""What Q_i of each robot allows each level of recovery, where it differs from the fleet's structure. Paper: app:foundations."""
+
+from typing import NamedTuple
+
+from fsar_ledger.events.envelope import RecoveryLevel
+from fsar_ledger.events.recovery import RecoveryBudgetSet
+
+HANDLES = RecoveryBudgetSet
+
+
+class Budget(NamedTuple):
+    """(t_max, n_max) of one level. Units: `t_max_us` microseconds. Paper: app:foundations."""
+
+    t_max_us: int
+    n_max: int
+
+
+Budgets = dict[tuple[str, RecoveryLevel], Budget]  # robot, level
+
+INITIAL: Budgets = {}
+
+
+def evolve(state: Budgets, event: HANDLES) -> Budgets:
+    """The budgets after the event."""
+    return {**state, (event.robot, event.level): Budget(event.t_max_us, event.n_max)}

@@ -1,0 +1,72 @@
+-- Title: What each failure used of the budget that its robot had at each level of recovery
+-- Paper: eq:recovery, app:foundations (Paper 3)
+-- Grain: one row per failure and level that its recovery turned to
+-- Units: spent_us, t_max_us microseconds, spent_us with the time of the help; used, n_max attempts (local), helpers asked (peer),
+--        reassignments (fleet), calls (human); rank 1 local to 4 human
+-- NULL: spent_us when the failure was still at this level at the end of its record; t_max_us, n_max where the run records neither; set_by where the
+--       budget is the fleet's own
+-- Example: fsar-ledger query audit/recovery_budgets LEDGER --param run=RUN --param action=A1-1/2.1
+--   answers local 2 of 2 attempts, peer 0 of 1 helpers, fleet 0 of 1 reassignments, human 1 of 2 calls
+-- Parameters: run = all, action = all
+WITH stays AS (
+    SELECT
+        moves.run_id,
+        moves.action_id,
+        moves.failure,
+        moves.level,
+        moves.rank,
+        moves.seq,
+        failures.robot,
+        lead(moves.seq) OVER by_failure AS next_seq,
+        coalesce(lead(moves.time_us) OVER by_failure, failures.resolved_us)
+        - CASE moves.move WHEN 1 THEN failures.detected_us ELSE moves.time_us END AS spent_us
+    FROM recovery_moves AS moves
+    INNER JOIN failures ON moves.run_id = failures.run_id AND moves.action_id = failures.action_id AND moves.failure = failures.failure
+    WHERE $run IN ('all', moves.run_id) AND $action IN ('all', moves.action_id)
+    WINDOW by_failure AS (PARTITION BY moves.run_id, moves.action_id, moves.failure ORDER BY moves.seq)
+),
+
+uses AS (
+    SELECT
+        run_id,
+        seq,
+        coalesce(failed_action, action_id) AS action_id,
+        CASE type
+            WHEN 'RecoveryAttempted.v1' THEN 'local' WHEN 'AssistanceRequested.v1' THEN 'peer' WHEN 'ReassignmentDecided.v1' THEN 'fleet' ELSE 'human'
+        END AS level
+    FROM events
+    WHERE
+        type IN ('RecoveryAttempted.v1', 'AssistanceRequested.v1')
+        OR (type = 'ReassignmentDecided.v1' AND helper IS NOT NULL)
+        OR (type = 'SupervisorCalled.v1' AND purpose = 'recovery')
+),
+
+used AS (
+    SELECT
+        stays.*,
+        count(uses.seq) AS used
+    FROM stays
+    LEFT JOIN uses
+        ON
+            stays.run_id = uses.run_id AND stays.action_id = uses.action_id AND stays.level = uses.level
+            AND stays.seq <= uses.seq AND uses.seq < coalesce(stays.next_seq, uses.seq + 1)
+    GROUP BY ALL
+)
+
+SELECT
+    used.run_id,
+    used.action_id,
+    used.failure,
+    used.rank,
+    used.level,
+    used.robot,
+    used.spent_us,
+    coalesce(own.t_max_us, json_extract(runs.parameters, '$.structure.' || used.level || '_budget_us')::BIGINT) AS t_max_us,
+    used.used,
+    coalesce(own.n_max, json_extract(runs.parameters, '$.structure.' || CASE used.level
+        WHEN 'local' THEN 'local_attempts' WHEN 'peer' THEN 'peer_helpers' WHEN 'fleet' THEN 'fleet_reassignments' ELSE 'human_calls'
+    END)::BIGINT) AS n_max,
+    own.decided_by AS set_by
+FROM used
+INNER JOIN run_started AS runs ON used.run_id = runs.run_id
+ASOF LEFT JOIN recovery_budget_set AS own ON used.run_id = own.run_id AND used.robot = own.robot AND used.level = own.level AND used.seq >= own.seq

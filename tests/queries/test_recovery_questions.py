@@ -1,0 +1,104 @@
+"""Given rows, expect rows: levels of recovery, why each was left, and what was used of each budget."""
+
+from typing import Any
+
+import pytest
+
+from tests.queries.histories import Row, S, answer, event, run
+
+BUDGETS = '{"structure": {"local_budget_us": 30, "local_attempts": 2, "peer_budget_us": 20, "peer_helpers": 1, "human_budget_us": 90, "human_calls": 2}}'
+
+
+def failure(name: str, time_us: int, /, **fields: Any) -> Row:
+    """An event of failure 1 of action t1/1."""
+    about = {"robot": "robot/D1", "failure": 1, **fields}
+    is_named_by_failed_action = name in ("RecoveryAttempted", "RecoveryEscalated", "AssistanceRequested")
+    return event(name, time_us, **about, **{"failed_action" if is_named_by_failed_action else "action_id": "t1/1"})
+
+
+FAILED = failure("ExecutionFailed", 10, cause="degradation")
+LADDER = (
+    FAILED,
+    failure("RecoveryAttempted", 11, level="local", number=1, deadline_us=40),
+    failure("RecoveryAttemptFailed", 15, number=1, result="partial"),
+    failure("RecoveryAttempted", 15, level="local", number=2, deadline_us=40),
+    failure("RecoveryEscalated", 20, level="local", to_level="peer", reason="budget exhausted"),
+    failure("RecoveryEscalated", 21, level="peer", to_level="fleet", reason="no capable peer"),
+    failure("ReassignmentDecided", 23, reason="no checkpoint"),
+    failure("RecoveryEscalated", 23, level="fleet", to_level="human", reason="no feasible reassignment: no checkpoint"),
+    event("SupervisorCalled", 23, action_id="t1/1", purpose="recovery", supervisor="supervisor/D1"),
+    failure("FailureResolved", 63, level="human"),
+)
+AT_ONCE = (FAILED, failure("RecoveryEscalated", 11, level="local", to_level="peer", reason="budget exhausted"))
+
+
+def asked(name: str, columns: str, *events: Row) -> list[tuple[Any, ...]]:
+    return answer(name, run(*events, parameters=BUDGETS), columns=columns.split())
+
+
+def test_each_move_says_why_the_level_before_was_left() -> None:
+    assert asked("recovery_moves", "from_level level reason", *LADDER) == [
+        (None, "local", None),
+        ("local", "peer", "budget exhausted"),
+        ("peer", "fleet", "no capable peer"),
+        ("fleet", "human", "no feasible reassignment: no checkpoint"),
+    ]
+    assert [because for (because,) in asked("recovery_time", "left_because", *LADDER)] == [
+        "budget exhausted",
+        "no capable peer",
+        "no feasible reassignment: no checkpoint",
+        None,
+    ]
+
+
+def test_a_level_that_was_left_at_once_was_not_skipped() -> None:
+    assert asked("recovery_moves", "from_level level reason", *AT_ONCE) == [("local", "peer", "budget exhausted")]
+    assert asked("skipped_levels", "from_level to_level", *AT_ONCE) == []
+    assert asked("i4_outward_recovery", "found", *AT_ONCE) == []
+
+
+def test_a_skipped_level_is_named_with_the_reason_that_was_given() -> None:
+    skipping = failure("RecoveryEscalated", 11, level="local", to_level="human", reason="no layered recovery")
+    assert asked("skipped_levels", "from_level to_level skipped reason", FAILED, skipping) == [("local", "human", ["peer", "fleet"], "no layered recovery")]
+
+
+def test_the_use_of_each_budget_stands_beside_it() -> None:
+    assert asked("recovery_budgets", "level spent_us t_max_us used n_max set_by", *LADDER) == [
+        ("local", 10, 30, 2, 2, None),
+        ("peer", 1, 20, 0, 1, None),
+        ("fleet", 2, None, 0, None, None),
+        ("human", 40, 90, 1, 2, None),
+    ]
+
+
+def test_a_budget_counts_from_the_moment_in_which_it_was_set() -> None:
+    def budget(n_max: int, **fields: Any) -> Row:
+        of_robot = {"robot": "robot/D1", "level": "local", "decided_by": "supervisor/D1", **fields}
+        return event("RecoveryBudgetSet", 5, t_max_us=7, n_max=n_max, **of_robot)
+
+    columns, spent = "level t_max_us n_max set_by", [("peer", 20, 1, None)]
+    before = (budget(5), budget(1), *LADDER[:5])
+    assert asked("recovery_budgets", columns, *before) == [("local", 7, 1, "supervisor/D1"), *spent]
+    assert asked("recovery_budgets", columns, *LADDER[:5], budget(1)) == [("local", 30, 2, None), *spent]
+    assert asked("recovery_budgets", columns, budget(1, robot="robot/A1"), *LADDER[:5]) == [("local", 30, 2, None), *spent]
+
+
+@pytest.mark.parametrize(
+    ("events", "found"),
+    [
+        (LADDER, []),
+        ((*LADDER[:2], failure("RecoveryAttempted", 41, level="local", number=2, deadline_us=40)), ["an attempt begins after the time budget of its level"]),
+        ((*LADDER[:5], failure("ReassignmentDecided", 22, helper="robot/A1")), ["recovery acts at level fleet while it is at peer"]),
+        ((*LADDER, failure("ReassignmentDecided", 64)), ["recovery goes on after the failure is resolved"]),
+    ],
+)
+def test_recovery_that_overruns_or_forestalls_a_level_breaks_i4(events: tuple[Row, ...], found: list[str]) -> None:
+    assert [text.removeprefix("failure 1: ") for (text,) in asked("i4_outward_recovery", "found", *events)] == found
+
+
+def test_only_a_call_of_the_fleets_supervisor_is_human_intervention() -> None:
+    def intervention(supervisor: str) -> list[tuple[Any, ...]]:
+        called = event("SupervisorCalled", 23 * S, action_id="t1/1", purpose="recovery", supervisor=supervisor)
+        return asked("metrics/human_intervention", "value", called)
+
+    assert (intervention("supervisor/D1"), intervention("supervisor/fleet")) == ([(0.0,)], [(1.0,)])

@@ -1,0 +1,265 @@
+"""The paper's three workflows: each fact that it states follows from the scripted world, whatever the seed. Paper: sec:prototype:workflows."""
+
+from typing import TypeVar
+
+import pytest
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.errors import InvalidExperiment
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Workflow
+from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted
+from fsar_ledger.events.recovery import FailureResolved, ReassignmentDecided, RecoveryAttempted, RecoveryAttemptFailed, RecoveryEscalated
+from fsar_ledger.events.registry import RegistryQueried
+from fsar_ledger.events.request import GapDetected, RequestAccepted, RequestAdmitted, RequestClosed, RequestDeferred, RequestDenied, RequestIssued
+from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
+from fsar_ledger.events.task import StepBegan, TaskCompleted
+from fsar_ledger.events.world import ActuatorDegraded, TaskArrived
+from fsar_ledger.projections.fold import State, apply, fold
+from fsar_ledger.projections.trust import scope_of
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
+from fsar_ledger.runtime.experiment import Experiment, workflow_experiment
+from fsar_ledger.runtime.handlers.commands import Respond
+from fsar_ledger.runtime.handlers.supervision import respond
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run, wiring
+from fsar_ledger.runtime.world.schedule import schedule
+from fsar_ledger.runtime.world.workflows import WORKFLOWS
+from tests.runtime.histories import given, types, window
+from tests.runtime.test_resume import assert_resumes
+
+SEEDS = (1, 2, 3, 42, 2026)
+E = TypeVar("E", bound=Event)
+A, B, D = "robot/A1", "robot/B1", "robot/D1"
+
+
+def played(workflow: Workflow, seed: int, run: int = 0) -> tuple[Event, ...]:
+    """The events of one run of the workflow."""
+    return tuple(simulate_run(RunSpec(seed, "fsar", "full", workflow, 4, run), Constants()).events)
+
+
+def every(events: tuple[Event, ...], kind: type[E]) -> list[E]:
+    """The events of this type, in order."""
+    return [event for event in events if isinstance(event, kind)]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_door_is_opened_for_a_by_b_under_its_own_runtime(seed: int) -> None:
+    events = played("workflow-door-relay", seed)
+    [gap], [answer], [issued], [admitted] = (every(events, kind) for kind in (GapDetected, RegistryQueried, RequestIssued, RequestAdmitted))
+    assert isinstance(gap, GapDetected)
+    assert isinstance(answer, RegistryQueried)
+    assert isinstance(issued, RequestIssued)
+    assert isinstance(admitted, RequestAdmitted)
+    assert (gap.requested_by, gap.capability) == (A, "door.open.secure")
+    assert "door.open.secure" not in fold(events).registry.modules[A]
+    assert (answer.candidates, answer.relay) == ((B,), None)
+    assert (issued.requested_by, issued.executed_by, issued.carried_policy) == (A, B, "allow")
+    assert (admitted.decided_by, admitted.outcome) == (B, "allow")
+    started = next(event for event in every(events, ExecutionStarted) if event.action_id == gap.action_id)
+    assert (started.robot, started.executed_by, started.on_behalf_of) == (B, B, A)
+    assert [event.decided_by for event in every(events, RequestAccepted)] == [B]
+    [closed] = every(events, RequestClosed)
+    assert (closed.action_id, closed.result) == (gap.action_id, "success")
+    assert every(events, TaskCompleted)
+    assert not every(events, RequestDenied) + every(events, SupervisorCalled)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_door_relay_rests_on_a_task_scope(seed: int) -> None:
+    state = fold(played("workflow-door-relay", seed))
+    assert scope_of(state.trust, B, A, "door.open.secure", "A1-1") == "task"
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_admission_names_its_trust_and_the_authority_that_it_gives(seed: int) -> None:
+    [admitted] = every(played("workflow-door-relay", seed), RequestAdmitted)
+    assert admitted.trust == "task"
+    assert (admitted.may_request, admitted.may_execute, admitted.override, admitted.is_audited) == (True, True, "none", True)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_recovery_of_the_slipping_grip_goes_through_all_four_levels(seed: int) -> None:
+    events = played("workflow-layered-recovery", seed)
+    [failure] = every(events, ExecutionFailed)
+    assert (failure.robot, failure.cause) == (D, "degradation")
+    budget = Constants().structure
+    assert [(event.number, event.deadline_us) for event in every(events, RecoveryAttempted)] == [
+        (1, failure.detected_us + budget.local_budget_us),
+        (2, failure.detected_us + budget.local_budget_us),
+    ]
+    assert (budget.local_budget_us, budget.local_attempts) == (30_000_000, 2)
+    assert [(event.result, event.achieved) for event in every(events, RecoveryAttemptFailed)] == [("partial", ("load.gripped",)), ("failure", ())]
+    assert [(event.level, event.to_level, event.reason) for event in every(events, RecoveryEscalated)] == [
+        ("local", "peer", "budget exhausted"),
+        ("peer", "fleet", "no capable peer"),
+        ("fleet", "human", "no feasible reassignment: no capable robot"),
+    ]
+    [query] = every(events, RegistryQueried)
+    assert (query.requested_by, query.capability, query.candidates) == (D, "grasp.*", ())
+    [reassignment] = every(events, ReassignmentDecided)
+    assert (reassignment.helper, reassignment.reason) == (None, "no capable robot")
+    [call], [answer], [resolved] = every(events, SupervisorCalled), every(events, SupervisorResponded), every(events, FailureResolved)
+    assert (call.supervisor, answer.decided_by, resolved.level) == ("supervisor/fleet", "supervisor/fleet", "human")
+    assert every(events, TaskCompleted)
+    assert not every(events, RequestIssued)
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_grip_slips_during_a_heavy_transport_and_nothing_else_is_wrong(seed: int) -> None:
+    events = played("workflow-layered-recovery", seed)
+    [worn] = every(events, ActuatorDegraded)
+    assert (worn.robot, worn.grade) == (D, "slipping")
+    first = next(position for position, event in enumerate(events) if isinstance(event, ExecutionFinished))
+    assert events.index(worn) < first  # while D is on its way to the load
+    [task] = every(events, TaskArrived)
+    assert (task.robot, "D carry.heavy" in task.steps) == (A, True)
+
+
+@pytest.mark.parametrize("seed", [*SEEDS, *range(100, 140)])
+def test_b_and_d_ask_at_once_and_the_time_critical_delivery_goes_first(seed: int) -> None:
+    events = played("workflow-human-supervision", seed)
+    issued = {event.requested_by: event for event in every(events, RequestIssued)}
+    assert {asker: event.executed_by for asker, event in issued.items()} == {B: A, D: A}
+    [critical] = [task for task in every(events, TaskArrived) if task.is_time_critical]
+    assert critical.robot == B
+    [call], [answer] = every(events, SupervisorCalled), every(events, SupervisorResponded)
+    assert {call.action_id, call.competing} == {event.action_id for event in issued.values()}
+    assert (call.supervisor, call.purpose, answer.decided_by) == ("supervisor/fleet", "ordering", "supervisor/fleet")
+    assert answer.preferred == issued[B].action_id
+    admitted = every(events, RequestAdmitted)
+    assert [event.requested_by for event in admitted] == [B, D]
+    assert all(events.index(event) > events.index(answer) for event in admitted)
+    assert {event.action_id for event in every(events, RequestDeferred)} == {call.competing, issued[D].action_id}
+    assert [event.requested_by for event in every(events, ExecutionStarted) if event.robot == A] == [B, D]
+    assert {task.task_id for task in every(events, TaskCompleted)} == {"B1-1", "D1-2"}
+
+
+@pytest.mark.parametrize("workflow", WORKFLOWS)
+def test_nothing_happens_in_a_workflow_that_its_script_does_not_say(workflow: Workflow) -> None:
+    facts = [event for _, event in schedule(Constants().world, 7, workflow, 0, 4)]
+    assert {type(fact) for fact in facts} <= {TaskArrived, ActuatorDegraded}
+
+
+@pytest.mark.parametrize("workflow", WORKFLOWS)
+def test_a_workflow_resumes_anywhere(workflow: Workflow) -> None:
+    for run in range(2):
+        assert_resumes(RunSpec(5, "fsar", "full", workflow, 4, run), 10_000)
+
+
+@pytest.mark.parametrize("workflow", WORKFLOWS)
+def test_another_run_of_a_workflow_takes_other_times_and_the_same_course(workflow: Workflow) -> None:
+    one, other = (played(workflow, 9, run) for run in (0, 1))
+    assert one != other
+    if workflow != "workflow-human-supervision":  # there the first to be evaluated may be either
+        assert types(one) == types(other)
+
+
+# Requests that compete for one robot
+
+
+STEP = ("B carry.package A",)
+
+
+def competing(is_critical: tuple[bool, bool] = (True, False), *before: Event) -> State:
+    """B and D have both asked A for carry.package, and neither request has been evaluated."""
+    tasks = (("B1-1", B, is_critical[0]), ("D1-2", D, is_critical[1]))
+    arrived = [TaskArrived(task, robot, 1, STEP, 60_000_000, 65_000_000, None, critical) for task, robot, critical in tasks]
+    began = [StepBegan(task, f"{task}/1.1", robot, 1, 1, "carry.package", "A") for task, robot, _ in tasks]
+    shown = [RegistryQueried(task, f"{task}/1.1", robot, A, None, "carry.package", (A,)) for task, robot, _ in tasks]
+    return given("fsar", *before, *arrived, *began, *shown)
+
+
+def evaluated(state: State, action_id: str) -> tuple[Event, ...]:
+    """What the executor decides about the request, which the state has taken in."""
+    events = evaluate_request(state, EvaluateRequest(action_id))
+    for event in events:
+        apply(state, event)
+    return events
+
+
+def answered(state: State, action_id: str) -> list[str]:
+    """The requests that are evaluated again after H_F's answer, in this order."""
+    [answer] = respond(state, Respond(action_id, "ordering"))
+    apply(state, answer)
+    again = [one for react in wiring("fsar").reacts[SupervisorResponded] for one in react(state, answer, 0)]
+    return [one.command.action_id for one in sorted(again, key=lambda one: one.after_us) if isinstance(one.command, EvaluateRequest)]
+
+
+@pytest.mark.parametrize("first", ["B1-1/1.1", "D1-2/1.1"])
+def test_the_first_request_calls_and_the_other_joins(first: str) -> None:
+    state = competing()
+    [other] = {"B1-1/1.1", "D1-2/1.1"} - {first}
+    [call] = evaluated(state, first)
+    assert isinstance(call, SupervisorCalled)
+    assert (call.supervisor, call.purpose, call.competing) == ("supervisor/fleet", "ordering", other)
+    assert types(evaluated(state, other)) == ["RequestDeferred"]
+    assert answered(state, first) == ["B1-1/1.1", "D1-2/1.1"]
+    assert types(evaluated(state, "B1-1/1.1")) == ["RequestAdmitted", "ExecutionQueued"]
+    assert types(evaluated(state, "D1-2/1.1")) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
+
+
+@pytest.mark.parametrize("first", ["B1-1/1.1", "D1-2/1.1"])
+def test_of_two_time_critical_requests_the_first_to_come_goes_first(first: str) -> None:
+    state = competing((True, True))
+    [other] = {"B1-1/1.1", "D1-2/1.1"} - {first}
+    evaluated(state, first)
+    evaluated(state, other)
+    assert answered(state, first) == [first, other]
+
+
+def test_without_a_time_critical_task_requests_go_in_order_of_arrival() -> None:
+    state = competing((False, False))
+    assert types(evaluated(state, "D1-2/1.1")) == ["RequestAdmitted", "ExecutionQueued"]
+    assert types(evaluated(state, "B1-1/1.1")) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
+
+
+def test_a_request_that_has_not_come_holds_nobody_up() -> None:
+    state = competing()
+    evaluated(state, "D1-2/1.1")
+    assert answered(state, "D1-2/1.1") == ["D1-2/1.1"]
+    assert types(evaluated(state, "D1-2/1.1")) == ["RequestAdmitted", "ExecutionQueued"]
+    assert types(evaluated(state, "B1-1/1.1")) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
+
+
+def test_a_denied_request_competes_no_more() -> None:
+    state = competing()
+    apply(state, RequestDenied("B1-1", "B1-1/1.1", "B1-1/1.1", A, B, A, None, (A,), "policy"))
+    assert types(evaluated(state, "D1-2/1.1")) == ["RequestAdmitted", "ExecutionQueued"]
+
+
+def test_an_order_does_not_lift_a_denial_that_came_meanwhile() -> None:
+    state = competing()
+    evaluated(state, "B1-1/1.1")
+    evaluated(state, "D1-2/1.1")
+    apply(state, window(A))
+    assert [types(evaluated(state, name)) for name in answered(state, "B1-1/1.1")] == [["RequestDenied"], ["RequestDenied"]]
+
+
+def test_both_askers_are_trusted() -> None:
+    trust = competing().trust
+    assert (scope_of(trust, A, B, "carry.package"), scope_of(trust, A, D, "carry.package")) == ("task", "capability")
+
+
+# Which experiments there are
+
+
+def test_the_workflows_are_one_run_each_unless_more_are_asked_for() -> None:
+    assert [(spec.scenario, spec.run, spec.architecture, spec.fleet_size) for spec in workflow_experiment().specs()] == [
+        (name, 0, "fsar", 4) for name in WORKFLOWS
+    ]
+    assert len(list(workflow_experiment(seed=7, runs=3, workflows=WORKFLOWS[:1]).specs())) == 3
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"scenarios": (*WORKFLOWS, "door-relay")}, "beside scenarios"),
+        ({"architectures": ("cfc",)}, r"found cfc \(full\), expected fsar \(full\)"),
+        ({"configurations": ("without-trust-evaluation",)}, r"found fsar \(without-trust-evaluation\)"),
+        ({"fleet_size": 8}, "fleet size 8, expected 4"),
+    ],
+)
+def test_a_workflow_is_played_as_the_paper_has_it(changes: dict[str, object], message: str) -> None:
+    asked: dict[str, object] = {"architectures": ("fsar",), "scenarios": WORKFLOWS, "runs": 1, **changes}
+    with pytest.raises(InvalidExperiment, match=message):
+        Experiment(**asked)  # type: ignore[arg-type]
