@@ -124,7 +124,7 @@ def ladder(rows: Sequence[Row], kind: str = "svg") -> bytes:
     Each row holds failure, level_number, level, to_level, spent_s, time_s, until_s, what, result, achieved, budget_s, decided_by; at least one row.
     """
     shown = rungs(rows)
-    box, tall, left, middle = 2.6, 0.3, 1.35, 1.35 + 0.95 + 1.3
+    box, tall, left, middle = 2.9, 0.3, 1.35, 1.35 + 0.95 + 1.45
     width, height = middle + box / 2 + 2.1, 0.15 + (tall + 0.14) * len(shown)
     with figures.plain_canvas(width, height) as (figure, axes):
         heights = [0.12 + tall / 2 + (tall + 0.14) * position for position in range(len(shown))]
@@ -161,10 +161,10 @@ def _rung(row: Row, rows: Sequence[Row]) -> str:
         return str(row["what"])
     mates = [one for one in rows if (one["failure"], one["level"]) == (row["failure"], row["level"]) and one["budget_s"] is not None]
     budget = f" ({mates[0]['budget_s']:g} s, {len(mates)})" if mates else ""
-    return "\n".join(textwrap.wrap(f"{row['result'] or row['what']}{budget}", 40))
+    return "\n".join(textwrap.wrap(f"{row['result'] or row['what']}{budget}", 52))
 
 
 def _outcome(row: Row) -> str:
     until = f" at {row['until_s']:.3f} s" if row["result"] in GOOD_RESULTS and row["until_s"] is not None else ""
-    achieved = f"\n{row['achieved']}" if row["achieved"] else ""
-    return "\n".join(textwrap.wrap(f"{row['result']}{until}", 30)) + achieved
+    achieved = f": {row['achieved']}" if row["achieved"] else ""
+    return "\n".join(textwrap.wrap(f"{row['result']}{achieved}{until}", 34))

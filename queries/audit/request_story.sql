@@ -15,6 +15,24 @@ WITH RECURSIVE known AS (
     WHERE $run IN ('all', keyed_events.run_id)
 ),
 
+own AS (
+    SELECT
+        run_id,
+        action_id,
+        seq,
+        caused_by
+    FROM known
+    WHERE action_id IS NOT NULL AND $action IN ('all', action_id)
+    UNION
+    SELECT
+        run_id,
+        action_id,
+        seq,
+        NULL AS caused_by
+    FROM competing_calls
+    WHERE $run IN ('all', run_id) AND $action IN ('all', action_id)
+),
+
 chain AS (
     SELECT
         run_id,
@@ -22,8 +40,7 @@ chain AS (
         seq,
         caused_by,
         TRUE AS is_tied
-    FROM known
-    WHERE action_id IS NOT NULL AND $action IN ('all', action_id)
+    FROM own
     UNION
     -- What caused it, and what it caused, as long as the record names no action.
     SELECT

@@ -11,6 +11,11 @@ WITH told AS (
     FROM events
     INNER JOIN keyed_events ON events.run_id = keyed_events.run_id AND events.seq = keyed_events.seq
     WHERE $run IN ('all', events.run_id) AND $action IN ('all', keyed_events.action_id)
+    UNION ALL
+    SELECT events.* REPLACE (competing_calls.action_id AS action_id)
+    FROM events
+    INNER JOIN competing_calls ON events.run_id = competing_calls.run_id AND events.seq = competing_calls.seq
+    WHERE $run IN ('all', events.run_id) AND $action IN ('all', competing_calls.action_id)
 ),
 
 actions AS (

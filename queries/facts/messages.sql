@@ -49,10 +49,12 @@ filled AS (
             END,
             CASE WHEN type IN ('RequestIssued.v1', 'ExecutionPreempted.v1') THEN 'override ' || nullif(override, 'none') END,
             'left out: ' || nullif(array_to_string(list_transform(list_zip(rejected, rejected_by), LAMBDA pair: pair[1] || ' by ' || pair[2]), ', '), ''),
-            CASE WHEN type NOT IN ('RequestDenied.v1', 'AuthorityClaimed.v1') THEN reason END, 'gives way to ' || preempted_by, 'competes with ' || competing,
+            CASE WHEN type NOT IN ('RequestDenied.v1', 'AuthorityClaimed.v1') THEN reason END,
+            'gives way to ' || preempted_by, action_id || ' competes with ' || competing,
             CASE WHEN type = 'RecoveryAttempted.v1' THEN 'level ' || level END,
             'achieved ' || nullif(array_to_string(achieved, ', '), ''),
-            CASE WHEN type = 'ExecutionStarted.v1' THEN 'for ' || on_behalf_of || CASE WHEN executed_by IS NULL THEN ', no executor on record' ELSE '' END END
+            CASE WHEN type = 'ExecutionStarted.v1' AND robot <> on_behalf_of THEN 'for ' || on_behalf_of END,
+            CASE WHEN type = 'ExecutionStarted.v1' AND executed_by IS NULL THEN 'no executor on record' END
         ) AS note
     FROM told
 )
@@ -67,6 +69,6 @@ SELECT
     filled.parties[words.sender] AS sender,
     filled.parties[words.receiver] AS receiver,
     words.words || coalesce(': ' || filled.details[words.detail], '') AS message,
-    nullif(filled.note, '') AS note
+    CASE WHEN filled.type <> 'RegistryQueried.v1' OR words.part = 2 THEN nullif(filled.note, '') END AS note
 FROM filled
 INNER JOIN message_words AS words ON filled.type = words.type

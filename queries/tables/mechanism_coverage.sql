@@ -38,7 +38,7 @@ levels AS (
     SELECT
         run_id,
         count(DISTINCT level) AS levels
-    FROM recovery_steps
+    FROM recovery_moves
     GROUP BY run_id
 ),
 
