@@ -89,7 +89,7 @@ def _coverage(database: Database) -> tuple[Row, ...]:
         differing = [workflow for workflow, (paper, cell) in pairs.items() if workflow in held and paper != cell]
         titles = [specs.labels("workflow")[workflow] for workflow in differing]
         row: Row = {"mechanism": name, "verdict": f"{DIFFERS}: {', '.join(titles)}" if differing else AGREES}
-        row["reasons"] = [reason for workflow in differing if (reason := specs.labels("difference").get(f"{workflow}/{name}"))]
+        row["reasons"] = [reason for workflow in differing if (reason := specs.labels("difference").get(f"{workflow}/{name}/{pairs[workflow][1]}"))]
         for workflow, (paper, cell) in pairs.items():
             row |= {f"{workflow}_paper": paper, f"{workflow}_ours": cell}
         rows.append(row)

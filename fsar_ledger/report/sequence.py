@@ -5,7 +5,8 @@
 """
 
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from itertools import groupby
 from typing import Any
 
@@ -40,6 +41,13 @@ def sequence(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
     Each row holds sender, receiver, kind, message, note, time_s, is_tied; at least one row.
     """
+    with drawn_sequence(rows) as figure:
+        return figures.rendered(figure, kind)
+
+
+@contextmanager
+def drawn_sequence(rows: Sequence[Row]) -> Iterator[Any]:
+    """The figure of `sequence`, with its settings in force, so that it can be rendered or measured."""
     names = lanes(rows)
     step = LANE if len(names) <= 5 else AGENT_LANE
     at = {name: TIME + 0.55 + step * position for position, name in enumerate(names)}
@@ -61,7 +69,7 @@ def sequence(rows: Sequence[Row], kind: str = "svg") -> bytes:
                 axes.text(0.08, level, time, ha="left", va="center", color=QUIET, **TEXT)
             before = time
             _step(axes, row, lines, at, top, room)
-        return figures.rendered(figure, kind)
+        yield figure
 
 
 def _words(row: Row) -> str:
@@ -123,6 +131,13 @@ def ladder(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
     Each row holds failure, level_number, level, to_level, spent_s, time_s, until_s, what, result, achieved, budget_s, decided_by; at least one row.
     """
+    with drawn_ladder(rows) as figure:
+        return figures.rendered(figure, kind)
+
+
+@contextmanager
+def drawn_ladder(rows: Sequence[Row]) -> Iterator[Any]:
+    """The figure of `ladder`, with its settings in force, so that it can be rendered or measured."""
     shown = rungs(rows)
     box, tall, left, middle = 2.9, 0.3, 1.35, 1.35 + 0.95 + 1.45
     width, height = middle + box / 2 + 2.1, 0.15 + (tall + 0.14) * len(shown)
@@ -140,7 +155,7 @@ def ladder(rows: Sequence[Row], kind: str = "svg") -> bytes:
                 arrow = {"arrowstyle": "-|>", "color": "#888888", "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}
                 axes.annotate("", (middle, below - tall / 2), (middle, y + tall / 2), arrowprops=arrow, zorder=3)
         _levels(axes, shown, heights, left, tall)
-        return figures.rendered(figure, kind)
+        yield figure
 
 
 def _levels(axes: Any, shown: Sequence[Row], heights: Sequence[float], left: float, tall: float) -> None:

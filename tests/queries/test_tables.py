@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.metrics.database import from_rows, plain_rows
+from fsar_ledger.metrics.database import Value, from_rows, plain_rows
 from tests.queries.histories import Row, S, event, run
 
 A, B, C = "robot/A1", "robot/B1", "robot/C1"
@@ -190,7 +190,7 @@ def cells(*events: Row, scenario: str = "workflow-door-relay") -> dict[str, str]
     return {row["mechanism"]: row["cell"] for row in rows if row["cell"] is not None}
 
 
-STANDARD = {"trust": "task", "may_request": True, "may_execute": True, "override": "none", "is_audited": True}
+STANDARD: dict[str, Value] = {"trust": "task", "may_request": True, "may_execute": True, "override": "none", "is_audited": True}
 CALL = event("SupervisorCalled", 3 * S, task_id="t1", action_id="t1/1.1", supervisor="supervisor/fleet", purpose="ordering", robot=B, competing="t2/1.1")
 
 
