@@ -18,7 +18,7 @@ WITH words (type, part, sender, receiver, words, detail) AS (
     ('BidSubmitted.v1', 1, 'robot', 'requester', 'bid', 'outcome'),
     ('AwardMade.v1', 1, 'requester', 'robot', 'award', NULL),
     ('InternalHandoff.v1', 1, 'sender', 'receiver', 'hands over', NULL),
-    ('RequestAdmitted.v1', 1, 'decider', 'decider', 'evaluate', 'outcome'),
+    ('RequestAdmitted.v1', 1, 'decider', 'decider', 'evaluate', 'policy'),
     ('RequestDenied.v1', 1, 'decider', 'requester', 'deny', 'reason'),
     ('RequestDeferred.v1', 1, 'decider', 'requester', 'defer', NULL),
     ('RequestCountered.v1', 1, 'decider', 'requester', 'counter-offer', 'override'),

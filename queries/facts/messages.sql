@@ -10,6 +10,7 @@ WITH told AS (
     SELECT
         events.* REPLACE (keyed_events.action_id AS action_id),
         events.action_id IS NULL AND events.request_id IS NULL AS is_untied,
+        if(runs.configuration = 'without-shared-registry', events.requested_by, 'service/registry') AS registry,
         CASE
             WHEN events.purpose = 'review' AND events.robot IS NOT NULL THEN 'coordinator'
             WHEN events.purpose = 'recovery' THEN last_value(events.decided_by IGNORE NULLS) OVER earlier
@@ -17,6 +18,7 @@ WITH told AS (
         END AS caller
     FROM events
     INNER JOIN keyed_events ON events.run_id = keyed_events.run_id AND events.seq = keyed_events.seq
+    INNER JOIN runs ON events.run_id = runs.run_id
     WHERE events.type IN (SELECT message_words.type FROM message_words) AND (events.type <> 'AuthorityClaimed.v1' OR events.reason = 'revocation')
     WINDOW earlier AS (PARTITION BY events.run_id, keyed_events.action_id ORDER BY events.seq ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING)
 ),
@@ -25,13 +27,14 @@ filled AS (
     SELECT
         *,
         MAP {
-            'decider': decided_by, 'requester': requested_by, 'executor': executed_by, 'supervisor': supervised_by, 'registry': 'service/registry',
+            'decider': decided_by, 'requester': requested_by, 'executor': executed_by, 'supervisor': supervised_by, 'registry': registry,
             'target': CASE WHEN is_untied THEN decided_by ELSE coalesce(relay, executed_by) END, 'helper': coalesce(helper, decided_by),
             'robot': robot, 'peer': peer, 'claimant': claimant, 'sender': sender, 'receiver': receiver, 'caller': caller, 'called': supervisor
         } AS parties,
         MAP {
-            'capability': capability, 'candidates': coalesce(nullif(array_to_string(candidates, ', '), ''), 'none'), 'outcome': outcome, 'reason': reason,
-            'override': override, 'answer': CASE WHEN is_accepted THEN 'accepted' WHEN override IS NULL THEN 'let go' ELSE 'asks ' || override END,
+            'capability': capability, 'candidates': coalesce(nullif(array_to_string(candidates, ', '), ''), 'none'), 'reason': reason,
+            'outcome': outcome, 'policy': 'policy ' || outcome, 'override': override,
+            'answer': CASE WHEN is_accepted THEN 'accepted' WHEN override IS NULL THEN 'let go' ELSE 'asks ' || override END,
             'cause': cause, 'result': result, 'purpose': purpose, 'number': number::VARCHAR, 'level': level, 'levels': level || ' to ' || to_level,
             'checkpoint': CASE WHEN helper IS NULL THEN 'not feasible' ELSE coalesce(checkpoint, 'from the last step boundary') END,
             'decision': CASE
@@ -48,6 +51,7 @@ filled AS (
                     THEN format('authority ({}, {}, {}, {})', may_request::INT, may_execute::INT, coalesce(nullif(override, 'none'), '0'), is_audited::INT)
             END,
             CASE WHEN type IN ('RequestIssued.v1', 'ExecutionPreempted.v1') THEN 'override ' || nullif(override, 'none') END,
+            'in ' || nullif(domain, ''), 'as of ' || (as_of_us / 1000000) || ' s',
             'left out: ' || nullif(array_to_string(list_transform(list_zip(rejected, rejected_by), LAMBDA pair: pair[1] || ' by ' || pair[2]), ', '), ''),
             CASE WHEN type NOT IN ('RequestDenied.v1', 'AuthorityClaimed.v1') THEN reason END,
             'gives way to ' || preempted_by, action_id || ' competes with ' || competing,

@@ -2,6 +2,9 @@
 
 from typing import Any
 
+import pytest
+
+from fsar_ledger.ledger.schema import LAYOUTS
 from fsar_ledger.metrics.database import from_rows, plain_rows
 from tests.queries.histories import Row, S, event, run
 
@@ -52,7 +55,7 @@ def test_a_delegation_is_told_from_the_question_to_the_result() -> None:
 
 def test_an_evaluation_shows_trust_and_authority_tuple() -> None:
     told = admitted(trust="task", may_request=True, may_execute=True, override="none", is_audited=True)
-    assert asked("request_story", "kind message note", told) == [("evaluation", "evaluate: allow", "trust task; authority (1, 1, 0, 1)")]
+    assert asked("request_story", "kind message note", told) == [("evaluation", "evaluate: policy allow", "trust task; authority (1, 1, 0, 1)")]
     higher = admitted(trust="session", may_request=True, may_execute=False, override="soft-priority", is_audited=True)
     assert asked("request_story", "note", higher) == [("trust session; authority (1, 0, soft-priority, 1)",)]
     assert asked("request_story", "note", admitted()) == [(None,)]
@@ -208,3 +211,65 @@ def test_each_failure_of_an_action_has_its_own_story() -> None:
     rows = asked("failure_story", "failure step what", *TO_THE_END, failed(90 * S, 2), second)
     assert [row for row in rows if row[0] == 2] == [(2, 1, "attempt 1")]
     assert len(rows) == 10
+
+
+SILENT = {  # what names an action and is not told: claims, queues and plans are behind the deeds that are
+    "AuthorityReleased",
+    "BidReceived",
+    "ExecutionQueued",
+    "StepBegan",
+    "StepCompleted",
+    "WorkQueued",
+}
+
+
+def test_every_event_of_an_action_is_told_or_is_known_to_be_silent() -> None:
+    with from_rows([]) as database:
+        told = {row["type"] for row in database.rows("SELECT DISTINCT type FROM message_words")}
+    acting = {tag for tag, layout in LAYOUTS.items() if {"action_id", "failed_action"} & {field.name for field in layout.fields}}
+    assert {tag.partition(".")[0] for tag in acting - told} == SILENT
+    assert told <= set(LAYOUTS)
+
+
+@pytest.mark.parametrize(
+    ("name", "fields", "expected"),
+    [
+        ("RequestCountered", {"decided_by": B, "override": "soft-priority", "round": 1}, (B, A, "counter-offer: soft-priority")),
+        ("OfferAnswered", {"decided_by": A, "is_accepted": True, "round": 1}, (A, B, "answers the offer: accepted")),
+        ("OfferAnswered", {"decided_by": A, "is_accepted": False, "round": 1}, (A, B, "answers the offer: let go")),
+        ("OfferAnswered", {"decided_by": A, "is_accepted": False, "override": "none", "round": 1}, (A, B, "answers the offer: asks none")),
+        ("RequestRelayed", {"decided_by": C, "carried_policy": "allow"}, (C, B, "passes the request on")),
+        (
+            "PolicyConflictEscalated",
+            {"decided_by": "service/policy", "local": "deny", "fleet": "allow"},
+            ("service/policy", "supervisor/B1", "policy conflict"),
+        ),
+        ("AuthorityClaimed", {"claimant": A, "dimension": "override", "reason": "revocation"}, (A, A, "revokes")),
+        ("ExecutionPreempted", {"robot": B, "preempted_by": "t2/1.1"}, (B, B, "gives way")),
+        ("ExecutionHeld", {"robot": B, "outcome": "deny", "reason": "local policy"}, (B, B, "waits, policy says: deny")),
+        ("SupervisorResponded", {"decided_by": "supervisor/fleet", "purpose": "review", "approves": True}, ("supervisor/fleet", B, "decides: approved")),
+        ("SupervisorResponded", {"decided_by": "supervisor/fleet", "purpose": "review", "approves": False}, ("supervisor/fleet", B, "decides: refused")),
+        ("AssistanceRequested", {"decided_by": B, "robot": B, "helper": C, "level": "peer"}, (B, C, "asks for help")),
+        ("AssistanceAdmitted", {"decided_by": C, "robot": B, "helper": C, "level": "peer"}, (C, B, "agrees to help")),
+        ("AssistanceDeclined", {"robot": B, "helper": C}, (C, B, "is busy")),
+        ("ReassignmentDecided", {"decided_by": "service/recovery", "robot": B, "helper": C, "checkpoint": "t1/2"}, ("service/recovery", C, "reassigns: t1/2")),
+        ("ReassignmentDecided", {"decided_by": "service/recovery", "robot": B}, ("service/recovery", "service/recovery", "reassigns: not feasible")),
+        ("TaskStateTransferred", {"robot": B, "helper": C, "checkpoint": "t1/2"}, (B, C, "state of the task: t1/2")),
+        ("RecoveryEscalated", {"decided_by": B, "level": "local", "to_level": "peer"}, (B, B, "recovery goes on: local to peer")),
+        ("ExecutionFinished", {"robot": B, "result": "partial", "achieved": ["door.unlocked"]}, (B, A, "result: partial")),
+    ],
+)
+def test_each_event_is_told_by_whom_to_whom_in_its_words(name: str, fields: dict[str, Any], expected: tuple[str, str, str]) -> None:
+    assert asked("request_story", "sender receiver message", event(name, 1 * S, **{**about(), **fields})) == [expected]
+
+
+def test_a_claim_that_revokes_nothing_is_not_told() -> None:
+    claim = event("AuthorityClaimed", 1 * S, task_id="t1", action_id="t1/1.1", claimant=A, dimension="override", reason="acceptance")
+    assert asked("request_story", "message", claim) == []
+
+
+def test_without_a_registry_the_requester_asks_itself_whom_it_met_and_a_copy_says_its_age() -> None:
+    with from_rows(run(QUERY, configuration="without-shared-registry")) as database:
+        assert [(row["sender"], row["receiver"]) for row in plain_rows(database.query("audit/request_story"))] == [(A, A), (A, A)]
+    copied = {**QUERY, "domain": "hall/cell", "as_of_us": S // 2, "rejected": [], "rejected_by": []}
+    assert asked("request_story", "note", copied)[1] == ("in hall/cell; as of 0.5 s",)

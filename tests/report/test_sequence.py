@@ -18,7 +18,7 @@ STORY = [
     told(1, A, REGISTRY, "query: lift"),
     told(2, REGISTRY, A, f"candidates: {B}"),
     told(3, A, B, "request: lift", note="carries policy allow"),
-    told(4, B, B, "evaluate: allow", "evaluation", "trust task; authority (1, 1, 0, 1)"),
+    told(4, B, B, "evaluate: policy allow", "evaluation", "trust task; authority (1, 1, 0, 1)"),
     told(5, B, A, "accept"),
     told(6, B, B, "executes: lift", "deed"),
     told(7, B, A, "result: success"),
@@ -34,7 +34,7 @@ def test_the_sequence_shows_principals_messages_times_and_the_evaluation() -> No
     drawn = words(sequence.sequence(STORY))
     for text in ("robot", "A1", "service", "registry", "B1", "query: lift", "candidates: robot/B1", "request: lift (carries policy allow)", "accept"):
         assert text in drawn
-    assert {"evaluate: allow", "trust task", "authority (1, 1, 0, 1)"} <= set(drawn)
+    assert {"evaluate: policy allow", "trust task", "authority (1, 1, 0, 1)"} <= set(drawn)
     assert [text for text in drawn if text.endswith(" s")] == [f"{step / 2:.3f} s" for step in range(1, 8)]
 
 
