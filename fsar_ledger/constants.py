@@ -80,6 +80,7 @@ class Structure(msgspec.Struct, frozen=True):
     retry_preparation_us: int = 400_000  # diagnosis before each attempt to recover (DHMA too)
     local_attempts: int = 2  # recovery budget of the local level: attempts [paper] (DHMA too)
     local_budget_us: int = 30_000_000  # recovery budget of the local level: time [paper]
+    negotiation_rounds: int = 3  # counter-offers in one negotiation; the executor then denies [chosen]
     peer_budget_us: int = 30_000_000  # recovery budget of the peer level: time from turning to the peers until one of them has been asked [chosen]
     peer_helpers: int = 1  # and helpers asked: whoever agrees is held until the failure is over [chosen]
     fleet_budget_us: int = 30_000_000  # recovery budget of the fleet level: time until the orchestrator has decided [chosen]

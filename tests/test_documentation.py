@@ -93,6 +93,66 @@ def test_every_file_that_the_readme_names_exists() -> None:
     assert sorted(name for name in names if not (ROOT / name).exists()) == []
 
 
+MODEL = {label for label in LABELS if label.startswith(("eq:", "sec:model:", "sec:architecture:", "app:"))} | {
+    *(f"{kind}{number}" for kind in "IA" for number in range(1, 6)),
+    "Agent Core",
+    "Local ECM Manager",
+    "Local Policy Engine",
+    "Local Recovery Manager",
+    "Federation Interface",
+    "Local Human Supervision Interface",
+    "Shared ECM Registry",
+    "Coordination Engine",
+    "Trust and Authority Manager",
+    "Fleet Policy Resolver",
+    "Recovery Orchestrator",
+    "Audit and Traceability Service",
+    "Human Oversight Console",
+}
+
+
+def model_rows(text: str) -> list[tuple[set[str], list[str], list[str]]]:
+    """What each row of the README's table of the model is about, where it lives, and what holds it."""
+    table = text.partition("## The model, line by line")[2].partition("\n## ")[0]
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines() if line.startswith("| ")][1:]
+    named = re.compile(r"`([^`]+)`")
+    return [({paper.partition(":")[0].strip("* "), *named.findall(label)}, named.findall(code), named.findall(test)) for paper, label, code, test in rows]
+
+
+def unfounded(rows: list[tuple[set[str], list[str], list[str]]]) -> list[str]:
+    """Files that do not exist, code that does not name its equation, and rows that nothing holds."""
+    found = []
+    for about, code, tests in rows:
+        missing = [name for name in (*code, *(test.partition("::")[0] for test in tests)) if not (ROOT / name).exists()]
+        found += [f"{name} does not exist" for name in missing]
+        texts = [(ROOT / name).read_text("utf-8") for name in code if (ROOT / name).is_file()]
+        found += [f"no file of the row names {label}" for label in about if label.startswith("eq:") and not any(label in text for text in texts)]
+        if not code or not any(name.startswith("tests/") for name in tests):
+            found.append(f"{sorted(about)}: no code or no test")
+        for name, _, function in (test.partition("::") for test in tests):
+            if function and (ROOT / name).exists() and f"def {function}(" not in (ROOT / name).read_text("utf-8"):
+                found.append(f"{name} has no {function}")
+    return found
+
+
+def test_every_part_of_the_model_is_in_the_readme_with_its_code_and_its_test() -> None:
+    rows = model_rows(README)
+    assert MODEL - set().union(*(about for about, _, _ in rows)) == set()
+    assert unfounded(rows) == []
+
+
+def test_a_row_of_the_model_without_code_or_with_a_wrong_name_is_found() -> None:
+    head = "## The model, line by line\n\n| paper | label | lives in | held by |\n|---|---|---|---|\n"
+    assert unfounded(model_rows(head + "| trust | `eq:trust` | `fsar_ledger/events/task.py` | `tests/nothing.py` |\n")) == [
+        "tests/nothing.py does not exist",
+        "no file of the row names eq:trust",
+    ]
+    assert unfounded(model_rows(head + "| I1: coherence | `sec:model:invariants` | | `tests/test_house.py::test_no` |\n")) == [
+        "['I1', 'sec:model:invariants']: no code or no test",
+        "tests/test_house.py has no test_no",
+    ]
+
+
 @pytest.mark.parametrize(("name", "example"), list(examples()))
 def test_every_example_is_a_call_that_parses(name: str, example: str) -> None:
     program, verb, *arguments = shlex.split(example)

@@ -83,6 +83,21 @@ class RegistryCached(Event, frozen=True):
     as_of_us: int
 
 
+class RegistryConsulted(Event, frozen=True):
+    """Somebody has looked into the registry outside of any request: nothing between two robots follows from it. Paper: sec:architecture:registry.
+
+    The fields are as in `RegistryQueried`.
+    """
+
+    requested_by: str
+    capability: str
+    candidates: tuple[str, ...]
+    rejected: tuple[str, ...]
+    rejected_by: tuple[str, ...]
+    domain: str = ""
+    as_of_us: int | None = None
+
+
 class RegistryQueried(Event, frozen=True):
     """A registry or directory has answered a query with the candidates it may show. Paper: sec:architecture:registry.
 
@@ -113,5 +128,6 @@ RegistryEvent = (
     | AvailabilityChanged
     | CapabilityDeprecated
     | RegistryCached
+    | RegistryConsulted
     | RegistryQueried
 )

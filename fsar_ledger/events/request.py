@@ -18,7 +18,8 @@ class RequestIssued(Event, frozen=True):
     """A request is on its way. `carried_policy` is the requester's own policy at this moment, if it sends it.
 
     `override` is the level it asks for; `parent` the request in whose service the requester asks (a chain);
-    `directives` what it would dictate to the executor (`plan`, `policy`, `recovery`), which no request may.
+    `directives` what it would dictate to the executor (`plan`, `policy`, `recovery`), which no request may; `version` the
+    one that was advertised when it was formulated, if it depends on it.
     Paper: eq:request, phase 3; eq:override; eq:nontransitive.
     """
 
@@ -36,6 +37,7 @@ class RequestIssued(Event, frozen=True):
     override: OverrideLevel = "none"
     parent: str | None = None
     directives: tuple[str, ...] = ()
+    version: str | None = None
 
 
 class RequestRelayed(Event, frozen=True):

@@ -1,37 +1,119 @@
-"""Who holds which dimension of authority over which action. Paper: eq:auth."""
+"""Who holds which dimension of authority over which action, who may ask for what, and what an approval covers. Paper: eq:auth."""
 
 from typing import assert_never
 
 import msgspec
 
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted, AuthorityReleased, AuthorityRevoked
+from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome
+from fsar_ledger.events.execution import ExecutionFinished
+from fsar_ledger.events.knowledge import FleetRuleLearned
+from fsar_ledger.events.policy import PolicyRuleSet
+from fsar_ledger.events.supervision import SupervisorResponded
+from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
+from fsar_ledger.events.world import PolicyWindowOpened
 
-HANDLES = AuthorityClaimed | AuthorityReleased | AuthorityGranted | AuthorityRevoked
+from .policy import Rule
+
+HANDLES = (
+    AuthorityClaimed
+    | AuthorityReleased
+    | AuthorityGranted
+    | AuthorityRevoked
+    | TaskCompleted
+    | TaskAbandoned
+    | SupervisorResponded
+    | PolicyWindowOpened
+    | PolicyRuleSet
+    | FleetRuleLearned
+    | ExecutionFinished
+)
+
+LEVELS: tuple[OverrideLevel, ...] = ("none", "soft-priority", "hard-preempt", "emergency-only")  # from weak to strong, eq:override
+Right = AuthorityGranted | AuthorityRevoked
+
+
+class Later(msgspec.Struct, frozen=True, gc=False):
+    """Policy that came after an approval, which the approval therefore does not cover: windows, rules, and fleet rules heard by robot."""
+
+    windows: frozenset[str] = frozenset()
+    rules: frozenset[Rule] = frozenset()
+    heard: dict[str, PolicyOutcome] = {}
 
 
 class Authority(msgspec.Struct, frozen=True, gc=False):
-    """`claims`: action -> open claims; `rights`: who may, and who may no longer ask for what, in order."""
+    """`claims`: action -> open claims; `rights`: grants and revocations in order; `expired`: contexts that are over; `approvals`: action -> what came later."""
 
     claims: dict[str, tuple[AuthorityClaimed, ...]] = {}
-    rights: tuple[AuthorityGranted | AuthorityRevoked, ...] = ()
+    rights: tuple[Right, ...] = ()
+    expired: frozenset[str] = frozenset()
+    approvals: dict[str, Later] = {}
 
 
 INITIAL = Authority()
 
 
+def rank(level: OverrideLevel) -> int:
+    """The place of the level from weak (0) to strong. Paper: eq:override."""
+    return LEVELS.index(level)
+
+
+def right_of(state: Authority, requester: str, executor: str, capability: str, context: str) -> Right | None:
+    """The last grant or revocation that concerns this request, or None when nobody has said anything. Paper: sec:model:authority."""
+    for right in reversed(state.rights):
+        if (
+            right.requested_by == requester
+            and right.executed_by in (None, executor)
+            and right.capability in (None, capability)
+            and right.context in (None, context)
+        ):
+            return right
+    return None
+
+
 def evolve(state: Authority, event: HANDLES) -> Authority:
-    """The claims and rights after the event."""
+    """The claims, rights and approvals after the event."""
     match event:
         case AuthorityClaimed():
-            return Authority({**state.claims, event.action_id: (*state.claims.get(event.action_id, ()), event)}, state.rights)
+            claims = {**state.claims, event.action_id: (*state.claims.get(event.action_id, ()), event)}
+            return Authority(claims, state.rights, state.expired, state.approvals)
         case AuthorityReleased():
-            left = tuple(claim for claim in state.claims[event.action_id] if _key(claim) != _key(event))
+            left = tuple(claim for claim in state.claims.get(event.action_id, ()) if _key(claim) != _key(event))
             claims = {**state.claims, event.action_id: left}
             if not left:
                 del claims[event.action_id]
-            return Authority(claims, state.rights)
+            return Authority(claims, state.rights, state.expired, state.approvals)
+        case PolicyWindowOpened() | PolicyRuleSet() | FleetRuleLearned():
+            if not state.approvals:
+                return state
+            approvals = {action: _with(later, event) for action, later in state.approvals.items()}
+            return Authority(state.claims, state.rights, state.expired, approvals)
+        case ExecutionFinished():
+            if event.action_id not in state.approvals:
+                return state
+            approvals = {action: later for action, later in state.approvals.items() if action != event.action_id}
+            return Authority(state.claims, state.rights, state.expired, approvals)
         case AuthorityGranted() | AuthorityRevoked():
-            return Authority(state.claims, (*state.rights, event))
+            return Authority(state.claims, (*state.rights, event), state.expired, state.approvals)
+        case TaskCompleted() | TaskAbandoned():
+            return Authority(state.claims, state.rights, state.expired | {event.task_id}, state.approvals)
+        case SupervisorResponded():
+            if event.purpose != "review" or not event.approves:
+                return state
+            return Authority(state.claims, state.rights, state.expired, {**state.approvals, event.action_id: Later()})
+        case _:
+            assert_never(event)
+
+
+def _with(later: Later, event: PolicyWindowOpened | PolicyRuleSet | FleetRuleLearned) -> Later:
+    """What came after the approval, this included."""
+    match event:
+        case PolicyWindowOpened():
+            return Later(later.windows | {event.window}, later.rules, later.heard)
+        case PolicyRuleSet():
+            return Later(later.windows, later.rules | {(event.scope, event.robot, event.capability, event.context)}, later.heard)
+        case FleetRuleLearned():
+            return Later(later.windows, later.rules, {**later.heard, event.robot: event.outcome})
         case _:
             assert_never(event)
 

@@ -1,15 +1,17 @@
-"""Each robot serves one action at a time, in order of arrival; and how far each action is."""
+"""Each robot serves one action at a time, by override level and else in order of arrival; and how far each action is. Paper: eq:override."""
 
 from typing import Literal, assert_never
 
 import msgspec
 
+from fsar_ledger.events.envelope import OverrideLevel
 from fsar_ledger.events.execution import (
     ApproachStarted,
     ExecutionFailed,
     ExecutionFinished,
     ExecutionHeld,
     ExecutionPaused,
+    ExecutionPreempted,
     ExecutionQueued,
     ExecutionResumed,
     ExecutionStarted,
@@ -17,12 +19,15 @@ from fsar_ledger.events.execution import (
 )
 from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceEnded
 
+from .authority import rank
+
 HANDLES = (
     ExecutionQueued
     | ApproachStarted
     | ExecutionHeld
     | ExecutionStarted
     | ExecutionPaused
+    | ExecutionPreempted
     | ExecutionResumed
     | ExecutionFailed
     | ExecutionFinished
@@ -31,11 +36,15 @@ HANDLES = (
     | AssistanceEnded
 )
 
-Stage = Literal["queued", "approaching", "held", "polling", "running", "paused", "failed", "withdrawn"]
+Stage = Literal["queued", "approaching", "held", "polling", "running", "paused", "failed", "withdrawn", "preempted"]
+INTERRUPTING = rank("hard-preempt")  # from this level on a request takes the robot from a weaker one
 
 
 class Action(msgspec.Struct, frozen=True, gc=False):
-    """One action at its robot. Units: `ends_us` run time of the planned end, `remaining_us` execution left."""
+    """One action at its robot. Units: `ends_us` run time of the planned end, `remaining_us` execution left.
+
+    `has_begun` says of a preempted one whether it had begun to execute.
+    """
 
     task_id: str
     action_id: str
@@ -55,6 +64,9 @@ class Action(msgspec.Struct, frozen=True, gc=False):
     failures: int = 0
     segments: int = 0
     was_denied: bool = False
+    override: OverrideLevel = "none"
+    preemptions: int = 0
+    has_begun: bool = False
 
 
 class Execution(msgspec.Struct, frozen=True, gc=False):
@@ -84,6 +96,8 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
             return _held(state, event)
         case ExecutionPaused():
             return _staged(state, event.action_id, "paused", remaining_us=event.remaining_us)
+        case ExecutionPreempted():
+            return _preempted(state, event)
         case ExecutionResumed():
             return _staged(state, event.action_id, "running", ends_us=event.ends_us)
         case ExecutionFailed():
@@ -119,12 +133,34 @@ def _queued(state: Execution, event: ExecutionQueued) -> Execution:
         event.is_supervised,
         failures=known.failures if known else 0,
         segments=known.segments if known else 0,
+        override=event.override,
     )
     actions = {**state.actions, event.action_id: action}
     if event.robot in state.current:
-        queue = (*state.queues.get(event.robot, ()), event.action_id)
-        return Execution(state.current, {**state.queues, event.robot: queue}, actions)
+        queue = state.queues.get(event.robot, ())
+        place = len(queue) if event.override == "none" else _place(state, queue, event.override)
+        return Execution(state.current, {**state.queues, event.robot: (*queue[:place], event.action_id, *queue[place:])}, actions)
     return Execution({**state.current, event.robot: event.action_id}, state.queues, actions)
+
+
+def _place(state: Execution, queue: tuple[str, ...], override: OverrideLevel) -> int:
+    """Ahead of everything weaker; only a level that interrupts goes ahead of an action that was interrupted itself. Paper: eq:override."""
+    for place, name in enumerate(queue):
+        waiting = state.actions[name]
+        if rank(waiting.override) < rank(override) and (waiting.stage != "preempted" or rank(override) >= INTERRUPTING):
+            return place
+    return len(queue)
+
+
+def _preempted(state: Execution, event: ExecutionPreempted) -> Execution:
+    """The action waits at the head of the queue, and the robot is there for whoever has preempted it."""
+    known = state.actions[event.action_id]
+    changed = msgspec.structs.replace(
+        known, stage="preempted", ends_us=0, remaining_us=event.remaining_us or 0, preemptions=known.preemptions + 1, has_begun=event.remaining_us is not None
+    )
+    current = {robot: held for robot, held in state.current.items() if held != event.action_id}
+    queues = {**state.queues, event.robot: (event.action_id, *state.queues.get(event.robot, ()))}
+    return Execution(current, queues, {**state.actions, event.action_id: changed})
 
 
 def _held(state: Execution, event: ExecutionHeld) -> Execution:

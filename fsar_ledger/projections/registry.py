@@ -64,7 +64,16 @@ class Advertisement(msgspec.Struct, frozen=True, gc=False):
     successor: str | None = None
 
 
-Offers = dict[str, dict[str, dict[str, Advertisement]]]  # capability -> domain -> robot -> record
+class Offers(msgspec.Struct, frozen=True, gc=False):
+    """The registry of one domain, and in it those of the domains below; a change copies only the registries on its path.
+
+    `records`: capability -> robot -> record of the domain's own robots; `below`: name -> the registry of that domain;
+    `ways`: capability -> names of those below in which somebody offers it. Paper: sec:discussion:heterogeneity.
+    """
+
+    records: dict[str, dict[str, Advertisement]] = {}
+    below: "dict[str, Offers]" = {}
+    ways: dict[str, tuple[str, ...]] = {}
 
 
 class Cache(msgspec.Struct, frozen=True, gc=False):
@@ -75,11 +84,11 @@ class Cache(msgspec.Struct, frozen=True, gc=False):
 
 
 class Registry(msgspec.Struct, frozen=True, gc=False):
-    """`modules`: robot -> what it possesses; `offers`: what is on robots' surfaces; `caches`: holder -> its copy."""
+    """`domains`: robot -> its domain; `modules`: robot -> what it possesses; `offers`: robots' surfaces; `caches`: holder -> its copy."""
 
     domains: dict[str, str] = {}
     modules: dict[str, dict[str, Module]] = {}
-    offers: Offers = {}
+    offers: Offers = Offers()
     caches: dict[str, Cache] = {}
 
 
@@ -93,7 +102,12 @@ def possesses(state: Registry, robot: str, capability: str) -> bool:
 
 def advertisement(state: Registry, robot: str, capability: str) -> Advertisement | None:
     """The robot's record of the capability, or None while it does not advertise it. Paper: eq:advertise."""
-    return state.offers.get(capability, {}).get(state.domains.get(robot, ""), {}).get(robot)
+    found = state.offers
+    for name in path_of(state.domains.get(robot, "")):
+        if name not in found.below:
+            return None
+        found = found.below[name]
+    return found.records.get(capability, {}).get(robot)
 
 
 def surface(state: Registry, robot: str) -> Iterator[Advertisement]:
@@ -104,10 +118,30 @@ def surface(state: Registry, robot: str) -> Iterator[Advertisement]:
             yield record
 
 
-def offers(found: Offers, capability: str) -> Iterator[Advertisement]:
-    """Every record of the capability, in order of advertisement within each domain."""
-    for robots in found.get(capability, {}).values():
-        yield from robots.values()
+def offers(found: Offers, capability: str, but: str | None = None) -> Iterator[Advertisement]:
+    """Every record of the capability in the domain, then in each of those below (`but` one), in order of advertisement."""
+    yield from found.records.get(capability, {}).values()
+    for name in found.ways.get(capability, ()):
+        if name != but:
+            yield from offers(found.below[name], capability)
+
+
+def enclosing(found: Offers, domain: str) -> Iterator[tuple[str, Offers, str | None]]:
+    """The registries around a domain from its own to the fleet's: path, registry, and which one below was the last."""
+    path = path_of(domain)
+    levels = [found]
+    for name in path:
+        if name not in levels[-1].below:
+            break
+        levels.append(levels[-1].below[name])
+    last = len(levels) - 1
+    for depth in range(last, -1, -1):
+        yield "/".join(path[:depth]), levels[depth], path[depth] if depth < last else None
+
+
+def path_of(domain: str) -> tuple[str, ...]:
+    """The names on the way from the fleet's registry to that of the domain: none for the fleet's own."""
+    return tuple(domain.split("/")) if domain else ()
 
 
 def evolve(state: Registry, event: HANDLES) -> Registry:
@@ -121,21 +155,21 @@ def evolve(state: Registry, event: HANDLES) -> Registry:
             return replace(state, modules={**state.modules, event.robot: {**state.modules.get(event.robot, {}), event.capability: module}})
         case CapabilityRemoved():
             left = {name: module for name, module in state.modules.get(event.robot, {}).items() if name != event.capability}
-            return replace(_without(state, event.robot, event.capability), modules={**state.modules, event.robot: left})
+            return replace(_put(state, event.robot, event.capability, None), modules={**state.modules, event.robot: left})
         case CapabilityAdvertised():
-            return _with(state, _record(state, event))
+            return _put(state, event.robot, event.capability, _record(state, event))
         case CapabilityWithdrawn():
-            return _without(state, event.robot, event.capability)
+            return _put(state, event.robot, event.capability, None)
         case AvailabilityChanged():
             for record in tuple(surface(state, event.robot)):
                 if event.capability in (None, record.capability):
-                    state = _with(state, replace(record, availability=event.availability))
+                    state = _put(state, event.robot, record.capability, replace(record, availability=event.availability))
             return state
         case CapabilityDeprecated():
             known = advertisement(state, event.robot, event.capability)
             if known is None or known.version != event.version:
                 return state
-            return _with(state, replace(known, is_deprecated=True, successor=event.successor))
+            return _put(state, event.robot, event.capability, replace(known, is_deprecated=True, successor=event.successor))
         case RegistryCached():
             return replace(state, caches={**state.caches, event.holder: Cache(event.as_of_us, state.offers)})
         case _:
@@ -159,14 +193,39 @@ def _record(state: Registry, event: CapabilityAdvertised) -> Advertisement:
     )
 
 
-def _with(state: Registry, record: Advertisement) -> Registry:
-    domains = state.offers.get(record.capability, {})
-    robots = {**domains.get(record.domain, {}), record.robot: record}
-    return Registry(state.domains, state.modules, {**state.offers, record.capability: {**domains, record.domain: robots}}, state.caches)
+def _put(state: Registry, robot: str, capability: str, record: Advertisement | None) -> Registry:
+    changed = _changed(state.offers, path_of(state.domains.get(robot, "")), robot, capability, record)
+    return Registry(state.domains, state.modules, changed, state.caches)
 
 
-def _without(state: Registry, robot: str, capability: str) -> Registry:
-    domain = state.domains.get(robot, "")
-    domains = state.offers.get(capability, {})
-    robots = {name: record for name, record in domains.get(domain, {}).items() if name != robot}
-    return Registry(state.domains, state.modules, {**state.offers, capability: {**domains, domain: robots}}, state.caches)
+def _changed(found: Offers, path: tuple[str, ...], robot: str, capability: str, record: Advertisement | None) -> Offers:
+    """The registry with this record of the robot in the domain at the path, or with none of it."""
+    if path:
+        name = path[0]
+        before = found.below.get(name, Offers())
+        after = _changed(before, path[1:], robot, capability, record)
+        ways = found.ways if _leads(before, capability) == _leads(after, capability) else _turned(found.ways, name, capability)
+        return Offers(found.records, {**found.below, name: after}, ways)
+    known = found.records.get(capability, {})
+    if record is not None:
+        return Offers({**found.records, capability: {**known, robot: record}}, found.below, found.ways)
+    robots = {name: other for name, other in known.items() if name != robot}
+    records = {**found.records, capability: robots}
+    if not robots:
+        del records[capability]
+    return Offers(records, found.below, found.ways)
+
+
+def _leads(found: Offers, capability: str) -> bool:
+    return capability in found.records or capability in found.ways
+
+
+def _turned(ways: dict[str, tuple[str, ...]], name: str, capability: str) -> dict[str, tuple[str, ...]]:
+    """The ways with this one if it was not there, else without it."""
+    names = ways.get(capability, ())
+    if name not in names:
+        return {**ways, capability: (*names, name)}
+    left = {**ways, capability: tuple(other for other in names if other != name)}
+    if not left[capability]:
+        del left[capability]
+    return left

@@ -4,10 +4,23 @@ from typing import assert_never
 
 import msgspec
 
-from fsar_ledger.events.envelope import PolicyOutcome
+from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome, Result
+from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.events.registry import RegistryQueried
-from fsar_ledger.events.request import AwardMade, CommandIssued, ContractQuestioned, ContractVoided, RequestAccepted, RequestIssued, RequestRelayed
+from fsar_ledger.events.request import (
+    AwardMade,
+    CommandIssued,
+    ContractQuestioned,
+    ContractVoided,
+    OfferAnswered,
+    RequestAccepted,
+    RequestClosed,
+    RequestCountered,
+    RequestDenied,
+    RequestIssued,
+    RequestRelayed,
+)
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import StepBegan, StepCompleted
 from fsar_ledger.events.world import OutsiderRequestInjected
@@ -26,11 +39,21 @@ HANDLES = (
     | RequestAccepted
     | ContractQuestioned
     | ContractVoided
+    | RequestDenied
+    | RequestCountered
+    | OfferAnswered
+    | ExecutionFinished
+    | RequestClosed
 )
 
 
 class Request(msgspec.Struct, frozen=True, gc=False):
-    """The request for one action. `target` is the robot asked; `round` counts negotiations from 0."""
+    """The request for one action. `target` is the robot asked; `round` counts negotiations from 0.
+
+    `is_adhoc`: it was issued by itself and is no step of a task, whatever its context; it is kept when it is over, so
+    that its name is not used again. `offered` is the override level of the counter-offer that waits for an answer,
+    `offers` counts them; `result` is known once the execution is over.
+    """
 
     task_id: str
     action_id: str
@@ -48,6 +71,15 @@ class Request(msgspec.Struct, frozen=True, gc=False):
     is_accepted: bool = False
     is_questioned: bool = False
     round: int = 0
+    is_adhoc: bool = False
+    override: OverrideLevel = "none"
+    parent: str | None = None
+    directives: tuple[str, ...] = ()
+    version: str | None = None
+    offers: int = 0
+    offered: OverrideLevel | None = None
+    result: Result | None = None
+    is_over: bool = False
 
 
 Requests = dict[str, Request]
@@ -59,9 +91,11 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
     """The requests after the event."""
     match event:
         case StepBegan():
-            others = {name: request for name, request in state.items() if request.task_id != event.task_id}
+            others = {name: request for name, request in state.items() if request.is_adhoc or request.task_id != event.task_id}
             begun = Request(event.task_id, event.action_id, event.robot, event.capability, event.step, event.attempt, event.target_role is not None)
             return {**others, event.action_id: begun}
+        case ExecutionFinished() | RequestClosed() | RequestDenied():
+            return _ended(state, event)
         case StepCompleted():
             return {name: request for name, request in state.items() if name != event.action_id}
         case OutsiderRequestInjected():
@@ -73,8 +107,7 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
                 return state
             return _changed(state, event.action_id, candidates=event.candidates, relay=event.relay)
         case RequestIssued():
-            carried = event.carried_policy or "allow"
-            return _changed(state, event.action_id, carried=carried, relay=event.relay)
+            return _issued(state, event)
         case RequestRelayed():
             return _changed(state, event.action_id, carried=event.carried_policy)
         case CommandIssued():
@@ -94,8 +127,43 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
         case ContractVoided():
             known = state[event.action_id]
             return _changed(state, event.action_id, bids=(), target=None, is_accepted=False, is_questioned=False, round=known.round + 1)
+        case RequestCountered():
+            return _changed(state, event.action_id, offers=event.round, offered=event.override)
+        case OfferAnswered():
+            return _answered(state, event)
         case _:
             assert_never(event)
+
+
+def _issued(state: Requests, event: RequestIssued) -> Requests:
+    """The step's request is on its way; one that is nobody's step begins here. Paper: eq:request."""
+    task_id, action_id, robot, executor = event.task_id, event.action_id, event.requested_by, event.executed_by
+    carried = event.carried_policy or "allow"
+    if action_id in state or task_id is None or action_id is None or robot is None or executor is None:
+        return _changed(state, action_id, carried=carried, relay=event.relay, override=event.override)
+    begun = Request(task_id, action_id, robot, event.capability, 1, 1, True, (executor,), event.relay, carried)
+    asked = {"override": event.override, "parent": event.parent, "directives": event.directives, "version": event.version}
+    return {**state, action_id: msgspec.structs.replace(begun, is_adhoc=True, **asked)}
+
+
+def _ended(state: Requests, event: ExecutionFinished | RequestClosed | RequestDenied) -> Requests:
+    """A request by itself is over, or has its result; of a step only a result other than success is news before the step ends."""
+    known = state.get(event.action_id or "")
+    if known is None:
+        return state
+    if isinstance(event, ExecutionFinished):
+        return _changed(state, known.action_id, result=event.result) if known.is_adhoc or event.result != "success" else state
+    return _changed(state, known.action_id, is_over=True) if known.is_adhoc else state
+
+
+def _answered(state: Requests, event: OfferAnswered) -> Requests:
+    """The requester takes the terms or asks for others, and the executor is to judge again; or it lets go and the request is over."""
+    if event.action_id is None or event.action_id not in state:
+        return state
+    asked = state[event.action_id].offered if event.is_accepted else event.override
+    if asked is None:
+        return _changed(state, event.action_id, offered=None, is_over=True)
+    return _changed(state, event.action_id, offered=None, override=asked)
 
 
 def _changed(state: Requests, action_id: str | None, **changes: object) -> Requests:

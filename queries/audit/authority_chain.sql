@@ -1,10 +1,11 @@
--- Title: The authority chain of an action: who asked, relayed, admitted, accepted, supervised, acted and closed
+-- Title: The authority chain of an action: who granted, asked, relayed, admitted, accepted, supervised, acted and closed
 -- Paper: eq:auth, sec:model:request
--- Grain: one row per event of the action in which somebody asks, decides or acts
+-- Grain: one row per event of the action in which somebody asks, decides or acts; and per grant or revocation that concerned its request by then
 -- Units: time_us microseconds of run time
--- NULL: a principal that the record does not name; recovery is also found where only its failed action ties it to the action
+-- NULL: a principal that the record does not name; the authority tuple and trust where it gives none; recovery is also found where only its failed
+--       action ties it to the action
 -- Example: fsar-ledger query audit/authority_chain LEDGER --param run=RUN --param action=B1-1/2.1
---   answers asked robot/B1, admitted robot/C1, accepted robot/C1, acted robot/C1, finished robot/C1, closed service/coordination
+--   answers asked robot/B1, admitted robot/C1 (session; may ask, may execute, none, audited), accepted, acted, finished, closed service/coordination
 -- Parameters: run = all, action = all
 WITH deeds (type, deed) AS (
     VALUES
@@ -14,9 +15,12 @@ WITH deeds (type, deed) AS (
     ('RequestAdmitted.v1', 'admitted'),
     ('RequestDenied.v1', 'denied'),
     ('RequestDeferred.v1', 'deferred'),
+    ('RequestCountered.v1', 'countered'),
+    ('OfferAnswered.v1', 'answered'),
     ('CommandIssued.v1', 'commanded'),
     ('RequestAccepted.v1', 'accepted'),
     ('SupervisorResponded.v1', 'supervised'),
+    ('ExecutionPreempted.v1', 'interrupted'),
     ('ExecutionStarted.v1', 'acted'),
     ('ExecutionFinished.v1', 'finished'),
     ('RecoveryAttempted.v1', 'recovered'),
@@ -24,12 +28,37 @@ WITH deeds (type, deed) AS (
     ('AssistanceRequested.v1', 'asked for help'),
     ('AssistanceAdmitted.v1', 'agreed to help'),
     ('ReassignmentDecided.v1', 'reassigned'),
-    ('RequestClosed.v1', 'closed')
+    ('RequestClosed.v1', 'closed'),
+    ('AuthorityGranted.v1', 'granted'),
+    ('AuthorityRevoked.v1', 'revoked')
+),
+
+concerned AS (
+    -- Rights that bear on an evaluation, and events of the action itself.
+    SELECT DISTINCT
+        rights.run_id,
+        rights.seq,
+        evaluations.action_id
+    FROM events AS rights
+    INNER JOIN evaluations
+        ON
+            rights.run_id = evaluations.run_id AND rights.seq < evaluations.seq AND rights.requested_by = evaluations.requested_by
+            AND coalesce(rights.executed_by = evaluations.executed_by, TRUE)
+            AND coalesce(rights.capability = evaluations.capability, TRUE)
+            AND coalesce(rights.context = evaluations.context, TRUE)
+    WHERE rights.type IN ('AuthorityGranted.v1', 'AuthorityRevoked.v1')
+    UNION ALL
+    SELECT
+        run_id,
+        seq,
+        coalesce(action_id, failed_action) AS action_id
+    FROM events
+    WHERE coalesce(action_id, failed_action) IS NOT NULL
 )
 
 SELECT
     events.run_id,
-    coalesce(events.action_id, events.failed_action) AS action_id,
+    concerned.action_id,
     events.seq,
     events.time_us,
     deeds.deed,
@@ -37,10 +66,13 @@ SELECT
     events.requested_by,
     events.executed_by,
     events.supervised_by,
-    events.path
-FROM events
+    events.path,
+    events.trust,
+    events.may_request,
+    events.may_execute,
+    events.override,
+    events.is_audited
+FROM concerned
+INNER JOIN events ON concerned.run_id = events.run_id AND concerned.seq = events.seq
 INNER JOIN deeds ON events.type = deeds.type
-WHERE
-    $run IN ('all', events.run_id)
-    AND coalesce(events.action_id, events.failed_action) IS NOT NULL
-    AND $action IN ('all', coalesce(events.action_id, events.failed_action))
+WHERE $run IN ('all', events.run_id) AND $action IN ('all', concerned.action_id)

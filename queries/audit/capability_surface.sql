@@ -1,50 +1,58 @@
--- Title: The capability surface of a robot at a time: what it offers, who may discover it, who may ask for it
--- Paper: eq:advertise, eq:delegable
--- Grain: one row per run, robot and capability that it had advertised by then
+-- Title: The capability surface of a robot at a time: what it offers on which terms, who may discover it, who may ask for it
+-- Paper: eq:adv, eq:advertise, eq:delegable
+-- Grain: one row per run, robot and capability that it advertised at the time
 -- Units: since_us, at_us microseconds of run time; the default time is after the end of every run
--- NULL: never; visible_to is empty when every role may discover it, may_ask when nobody has both the role and the robot's trust
+-- NULL: successor unless a deprecation names one; visible_to is empty when every role may discover it, may_ask when no other robot has role and trust
 -- Example: fsar-ledger query audit/capability_surface LEDGER --param run=RUN --param robot=robot/C1 --param at_us=30000000
---   answers inspect.private_zone: discoverable by role B, and robot/B1 may ask for it
+--   answers inspect.private_zone 1.0.0 ready: discoverable by role B, and robot/B1 may ask for it
 -- Parameters: run = all, robot = all, at_us = 9007199254740991
-WITH offers AS (
-    -- Of several advertisements of a capability the last one holds.
-    SELECT
-        run_id,
-        robot,
-        capability,
-        arg_max(time_us, seq) AS since_us,
-        arg_max(visible_to, seq) AS visible_to
-    FROM capability_advertised
-    WHERE $run IN ('all', run_id) AND $robot IN ('all', robot) AND time_us <= $at_us::BIGINT
-    GROUP BY run_id, robot, capability
+WITH surfaces AS (
+    SELECT *
+    FROM advertisements
+    WHERE
+        $run IN ('all', run_id) AND $robot IN ('all', robot)
+        AND since_us <= $at_us::BIGINT AND (until_us IS NULL OR until_us > $at_us::BIGINT)
+),
+
+scopes (scope, breadth) AS (
+    VALUES ('none', 0), ('capability', 1), ('task', 2), ('session', 3), ('persistent', 4)
 ),
 
 trusted AS (
+    -- What a robot has said of this capability goes before what it has said of all.
     SELECT
-        trust.run_id,
-        trust.robot,
+        surfaces.run_id,
+        surfaces.robot,
+        surfaces.capability,
+        surfaces.trust_required,
         trust.peer,
-        members.role
-    FROM trust_in_force AS trust
-    INNER JOIN robot_joined AS members ON trust.run_id = members.run_id AND trust.peer = members.robot
-    WHERE
-        trust.trust_scope <> 'none'
-        AND members.time_us <= $at_us::BIGINT
-        AND trust.since_us <= $at_us::BIGINT
-        AND (trust.until_us IS NULL OR trust.until_us > $at_us::BIGINT)
+        arg_max(trust.scope, [(trust.capability IS NOT NULL)::BIGINT, trust.seq]) AS scope
+    FROM surfaces
+    INNER JOIN trust_set AS trust
+        ON
+            surfaces.run_id = trust.run_id AND surfaces.robot = trust.robot AND trust.context IS NULL AND trust.time_us <= $at_us::BIGINT
+            AND (trust.capability IS NULL OR surfaces.capability = trust.capability)
+    INNER JOIN robot_joined AS peers ON trust.run_id = peers.run_id AND trust.peer = peers.robot AND peers.time_us <= $at_us::BIGINT
+    WHERE len(surfaces.visible_to) = 0 OR list_contains(surfaces.visible_to, peers.role)
+    GROUP BY surfaces.run_id, surfaces.robot, surfaces.capability, surfaces.trust_required, trust.peer
+),
+
+admissible AS (
+    -- Those who may ask at all: what a request states more (version, contract, context), and policy, may still refuse them.
+    SELECT
+        trusted.run_id,
+        trusted.robot,
+        trusted.capability,
+        list(trusted.peer ORDER BY trusted.peer) AS may_ask
+    FROM trusted
+    INNER JOIN scopes AS given ON trusted.scope = given.scope
+    INNER JOIN scopes AS required ON trusted.trust_required = required.scope
+    WHERE given.breadth > 0 AND given.breadth >= required.breadth
+    GROUP BY trusted.run_id, trusted.robot, trusted.capability
 )
 
 SELECT
-    offers.run_id,
-    offers.robot,
-    offers.capability,
-    offers.since_us,
-    offers.visible_to,
-    coalesce(list(DISTINCT trusted.peer ORDER BY trusted.peer) FILTER (WHERE trusted.peer IS NOT NULL), []) AS may_ask
-FROM offers
-LEFT JOIN trusted
-    ON
-        offers.run_id = trusted.run_id
-        AND offers.robot = trusted.robot
-        AND (len(offers.visible_to) = 0 OR list_contains(offers.visible_to, trusted.role))
-GROUP BY offers.run_id, offers.robot, offers.capability, offers.since_us, offers.visible_to
+    surfaces.* EXCLUDE (since_seq, until_seq, until_us),
+    coalesce(admissible.may_ask, []) AS may_ask
+FROM surfaces
+LEFT JOIN admissible ON surfaces.run_id = admissible.run_id AND surfaces.robot = admissible.robot AND surfaces.capability = admissible.capability

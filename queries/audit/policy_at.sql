@@ -1,11 +1,11 @@
 -- Title: The policy in force at a time, as it truly was
--- Paper: eq:policy
--- Grain: one row per run, robot and scope (its own policy, the fleet's rule for its zone)
+-- Paper: eq:policy, app:foundations
+-- Grain: one row per run, robot and scope (its own policy, the fleet's for it)
 -- Units: since_us, until_us, at_us microseconds of run time, half-open; the default time is after the end of every run
--- NULL: since_us when no window had opened yet, so policy allowed from the start; until_us when no window opened or closed later
+-- NULL: since_us when nothing had begun yet, so policy allowed from the start; until_us when no window or rule began or ended later
 -- Example: fsar-ledger query audit/policy_at LEDGER --param run=RUN --param robot=robot/D1 --param at_us=31200000
 --   answers robot/D1: its own policy denies since 24.818 s, the fleet's rule since 31.07 s
--- Parameters: run = all, robot = all, at_us = 9007199254740991
+-- Parameters: run = all, robot = all, capability = any, context = any, at_us = 9007199254740991
 WITH subjects AS (
     SELECT
         members.run_id,
@@ -16,6 +16,15 @@ WITH subjects AS (
     WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot)
 ),
 
+applicable AS (
+    -- Without a capability or context, only what is in force for all of them; with one, the strictest of that and of what is about it.
+    SELECT
+        *,
+        CASE outcome WHEN 'deny' THEN 3 WHEN 'review' THEN 2 ELSE 1 END AS strictness
+    FROM policy_in_force
+    WHERE (capability IS NULL OR capability = $capability) AND (context IS NULL OR context = $context)
+),
+
 moments AS (
     SELECT
         subjects.run_id,
@@ -23,9 +32,9 @@ moments AS (
         subjects.scope,
         max(policy.since_us) FILTER (WHERE policy.since_us <= $at_us::BIGINT) AS since_us,
         min(policy.since_us) FILTER (WHERE policy.since_us > $at_us::BIGINT) AS until_us,
-        arg_max(policy.outcome, policy.since_us) FILTER (WHERE policy.since_us <= $at_us::BIGINT) AS outcome
+        max(policy.strictness) FILTER (WHERE policy.since_us <= $at_us::BIGINT AND (policy.until_us IS NULL OR policy.until_us > $at_us::BIGINT)) AS strictness
     FROM subjects
-    LEFT JOIN policy_in_force AS policy
+    LEFT JOIN applicable AS policy
         ON subjects.run_id = policy.run_id AND subjects.robot = policy.robot AND subjects.scope = policy.scope
     GROUP BY subjects.run_id, subjects.robot, subjects.scope
 )
@@ -34,7 +43,7 @@ SELECT
     run_id,
     robot,
     scope,
-    coalesce(outcome, 'allow') AS outcome,
+    list_extract(['allow', 'review', 'deny'], coalesce(strictness, 1)) AS outcome,
     since_us,
     until_us
 FROM moments

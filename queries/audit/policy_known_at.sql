@@ -27,6 +27,7 @@ WITH copies AS (
 ),
 
 told AS (
+    -- Told are the windows of the world; rules are known at once to all, and stand in audit/policy_at.
     SELECT
         run_id,
         seq,
@@ -55,17 +56,25 @@ known AS (
     FROM told
     WHERE $run IN ('all', run_id) AND $robot IN ('all', robot) AND learned_us <= $at_us::BIGINT
     GROUP BY run_id, known_by, robot, scope
+),
+
+judged AS (
+    SELECT
+        known.*,
+        CASE WHEN bool_or(windows.outcome = 'deny') THEN 'deny' WHEN bool_or(windows.outcome = 'review') THEN 'review' ELSE 'allow' END AS true_outcome
+    FROM known
+    LEFT JOIN policy_windows AS windows
+        ON
+            known.run_id = windows.run_id
+            AND known.robot = windows.robot
+            AND known.scope = windows.scope
+            AND windows."window" IS NOT NULL
+            AND windows.opened_us <= $at_us::BIGINT
+            AND (windows.closed_us IS NULL OR windows.closed_us > $at_us::BIGINT)
+    GROUP BY ALL
 )
 
 SELECT
-    known.*,
-    coalesce(policy.outcome, 'allow') AS true_outcome,
-    known.known_outcome <> coalesce(policy.outcome, 'allow') AS is_wrong
-FROM known
-LEFT JOIN policy_in_force AS policy
-    ON
-        known.run_id = policy.run_id
-        AND known.robot = policy.robot
-        AND known.scope = policy.scope
-        AND policy.since_us <= $at_us::BIGINT
-        AND (policy.until_us IS NULL OR policy.until_us > $at_us::BIGINT)
+    *,
+    known_outcome <> true_outcome AS is_wrong
+FROM judged

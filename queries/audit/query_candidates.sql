@@ -1,63 +1,76 @@
--- Title: The candidates of a query, and why each other robot was none, by visibility and trust as of then
+-- Title: The candidates of a query, and why each other robot was none: the filter that left it out, else what its surface and its trust say
 -- Paper: sec:architecture:registry, eq:adv, eq:trust
 -- Grain: one row per RegistryQueried event and other robot of the fleet
--- Units: time_us microseconds of run time
--- NULL: trust_scope when the robot had not set any for the requester; relay when the query was answered without one;
---   action_id when the query is tied to no action
--- Example: fsar-ledger query audit/query_candidates LEDGER --param run=RUN --param action=injected-1-2
---   answers robot/A1 does not offer it, robot/B1 does not offer it, robot/C1 not visible to role D
--- Parameters: run = all, action = all
-WITH asked AS (
+-- Units: time_us, as_of_us microseconds of run time
+-- NULL: rejected_by when the record names no filter for the robot; trust_scope when the robot had not set any for the requester; relay when the query
+--   was answered without one; as_of_us when it was answered from the present; action_id when the query is tied to no action
+-- Example: fsar-ledger query audit/query_candidates LEDGER --param run=RUN --param action=injected-1-2 --param robot=robot/C1
+--   answers robot/C1 was rejected by visibility: not visible to role D
+-- Parameters: run = all, action = all, robot = all
+WITH filters (filter, meaning) AS (
+    VALUES
+    ('version', 'its version is out of range or deprecated'), ('contract', 'its contract does not suit'),
+    ('policy', 'its declared policy does not allow it'), ('authority', 'its authority profile does not allow the override'),
+    ('availability', 'offline or restricted'), ('embodiment', 'not the body that is needed')
+),
+
+surfaces AS (
     SELECT
-        queries.run_id,
-        queries.seq,
-        queries.time_us,
-        queries.action_id,
-        queries.requested_by,
-        queries.capability,
-        queries.candidates,
-        queries.relay,
-        requesters.role,
-        runs.configuration = 'without-shared-registry' AS is_by_meeting
-    FROM registry_queried AS queries
-    INNER JOIN runs ON queries.run_id = runs.run_id
-    LEFT JOIN robot_joined AS requesters ON queries.run_id = requesters.run_id AND queries.requested_by = requesters.robot
-    WHERE $run IN ('all', queries.run_id) AND $action IN ('all', queries.action_id)
+        run_id,
+        robot,
+        capability,
+        seq AS since_seq,
+        lead(seq) OVER (PARTITION BY run_id, robot, capability ORDER BY seq) AS until_seq,
+        type = 'CapabilityAdvertised.v1' AS is_shown,
+        visible_to,
+        visibility
+    FROM events
+    WHERE type IN ('CapabilityAdvertised.v1', 'CapabilityWithdrawn.v1', 'CapabilityRemoved.v1')
 ),
 
 considered AS (
     SELECT
-        asked.*,
+        queries.*,
         others.robot,
-        arg_max(offers.visible_to, offers.seq) AS visible_to,
-        arg_max(trust.scope, trust.seq) AS trust_scope
-    FROM asked
-    INNER JOIN robot_joined AS others ON asked.run_id = others.run_id AND asked.requested_by <> others.robot AND asked.seq > others.seq
-    LEFT JOIN capability_advertised AS offers
-        ON asked.run_id = offers.run_id AND others.robot = offers.robot AND asked.capability = offers.capability AND asked.seq > offers.seq
+        requesters.role,
+        list_extract(queries.rejected_by, list_position(queries.rejected, others.robot)) AS filter,
+        any_value(surfaces.visible_to) AS visible_to,
+        any_value(surfaces.visibility) AS visibility,
+        count(surfaces.robot) > 0 AS is_offered,
+        arg_max(trust.scope, [(trust.capability IS NOT NULL)::BIGINT, (trust.context IS NOT NULL)::BIGINT, trust.seq]) AS trust_scope
+    FROM registry_queried AS queries
+    INNER JOIN robot_joined AS others ON queries.run_id = others.run_id AND queries.requested_by <> others.robot AND queries.seq > others.seq
+    LEFT JOIN robot_joined AS requesters ON queries.run_id = requesters.run_id AND queries.requested_by = requesters.robot
+    LEFT JOIN surfaces
+        ON
+            queries.run_id = surfaces.run_id AND others.robot = surfaces.robot AND surfaces.is_shown
+            AND (queries.capability = surfaces.capability OR (queries.capability LIKE '%.*' AND starts_with(surfaces.capability, queries.capability[:-2])))
+            AND queries.seq > surfaces.since_seq AND (surfaces.until_seq IS NULL OR queries.seq < surfaces.until_seq)
     LEFT JOIN trust_set AS trust
-        ON asked.run_id = trust.run_id AND others.robot = trust.robot AND asked.requested_by = trust.peer AND asked.seq > trust.seq
+        ON
+            queries.run_id = trust.run_id AND others.robot = trust.robot AND queries.requested_by = trust.peer AND queries.seq > trust.seq
+            AND (trust.capability IS NULL OR queries.capability = trust.capability) AND (trust.context IS NULL OR queries.task_id = trust.context)
+    WHERE $run IN ('all', queries.run_id) AND $action IN ('all', queries.action_id) AND $robot IN ('all', others.robot)
     GROUP BY ALL
 )
 
 SELECT
-    run_id,
-    seq,
-    time_us,
-    action_id,
-    requested_by,
-    capability,
-    robot,
-    list_contains(candidates, robot) AS is_candidate,
-    trust_scope,
-    relay,
+    considered.* EXCLUDE (role, filter, visible_to, visibility, is_offered, candidates, rejected, rejected_by),
+    list_contains(considered.candidates, considered.robot) AS is_candidate,
+    considered.filter AS rejected_by,
     CASE
-        WHEN list_contains(candidates, robot) AND relay IS NOT NULL THEN 'candidate through ' || relay
-        WHEN list_contains(candidates, robot) THEN 'candidate'
-        WHEN visible_to IS NULL THEN 'does not offer it'
-        WHEN len(visible_to) > 0 AND NOT coalesce(list_contains(visible_to, role), FALSE) THEN 'not visible to role ' || coalesce(role, 'unknown')
-        WHEN coalesce(trust_scope, 'none') = 'none' THEN 'no trust in the requester'
-        WHEN is_by_meeting THEN 'not met lately'
+        WHEN list_contains(considered.candidates, considered.robot) THEN 'candidate' || coalesce(' through ' || considered.relay, '')
+        WHEN filters.meaning IS NOT NULL THEN filters.meaning
+        WHEN considered.filter IS NULL AND NOT considered.is_offered THEN 'does not offer it'
+        WHEN len(considered.visible_to) > 0 AND NOT coalesce(list_contains(considered.visible_to, considered.role), FALSE)
+            THEN 'not visible to role ' || coalesce(considered.role, 'unknown')
+        WHEN considered.filter = 'visibility' THEN 'not visible outside ' || if(considered.visibility = 'domain', 'its domain', 'its trust')
+        WHEN coalesce(considered.trust_scope, 'none') = 'none' THEN 'no trust in the requester'
+        WHEN considered.filter = 'trust' THEN 'too little trust in the requester'
+        WHEN runs.configuration = 'without-shared-registry' THEN 'not met lately'
+        WHEN considered.domain <> '' THEN 'not reached by the search'
         ELSE 'the record gives no reason'
     END AS reason
 FROM considered
+INNER JOIN runs ON considered.run_id = runs.run_id
+LEFT JOIN filters ON considered.filter = filters.filter

@@ -1,30 +1,58 @@
--- Title: Refusals by reason: requests denied or unanswered, help declined, executions held
--- Paper: sec:model:request
+-- Title: Refusals by reason and failed conjunct: requests denied, countered or unanswered, help declined, executions held, commands rejected
+-- Paper: sec:model:request, eq:admissible
 -- Grain: one row per run, type of refusal, reason and principal that decided it
 -- Units: refusals count; first_us, last_us microseconds of run time
--- NULL: decided_by when the record names no decider; the reason of an unanswered request and of declined help is what their type means
+-- NULL: decided_by when the record names no decider; conjunct when the refusal is no part of eq:admissible; the reason of an unanswered request, of
+--       declined help and of a counter-offer is what their type means
 -- Example: fsar-ledger query audit/refusals LEDGER --param run=RUN
---   answers RequestDenied, not visible, by service/registry: 2, the first at 9.797 s
+--   answers RequestDenied, policy (conjunct policy), by robot/B1: 1, at 31.046 s
 -- Parameters: run = all, reason = all
-WITH refused AS (
+WITH conjuncts (reason, conjunct) AS (
+    VALUES
+    ('possession', 'possession'),
+    ('advertisement', 'advertisement'),
+    ('not visible', 'advertisement'),
+    ('trust', 'trust'),
+    ('no trust', 'trust'),
+    ('policy', 'policy'),
+    ('local-policy', 'policy'),
+    ('fleet-rule', 'policy'),
+    ('review', 'policy'),
+    ('local-execution', 'local-execution'),
+    ('authority', 'authority'),
+    ('negotiation', 'authority'),
+    ('override', 'authority')
+),
+
+refused AS (
     SELECT
         run_id,
         time_us,
         type,
-        CASE type WHEN 'RequestUnanswered.v1' THEN 'no candidate' WHEN 'AssistanceDeclined.v1' THEN 'helper busy' ELSE reason END AS reason,
+        CASE type
+            WHEN 'RequestUnanswered.v1' THEN 'no candidate'
+            WHEN 'AssistanceDeclined.v1' THEN 'helper busy'
+            WHEN 'RequestCountered.v1' THEN 'override'
+            ELSE reason
+        END AS reason,
         CASE type WHEN 'AssistanceDeclined.v1' THEN helper ELSE decided_by END AS decided_by
     FROM events
-    WHERE type IN ('RequestDenied.v1', 'RequestUnanswered.v1', 'AssistanceDeclined.v1', 'ExecutionHeld.v1')
+    WHERE
+        type IN (
+            'RequestDenied.v1', 'RequestCountered.v1', 'RequestUnanswered.v1', 'AssistanceDeclined.v1', 'ExecutionHeld.v1', 'CommandRejected.v1'
+        )
 )
 
 SELECT
-    run_id,
-    type,
-    reason,
-    decided_by,
+    refused.run_id,
+    refused.type,
+    refused.reason,
+    conjuncts.conjunct,
+    refused.decided_by,
     count(*) AS refusals,
-    min(time_us) AS first_us,
-    max(time_us) AS last_us
+    min(refused.time_us) AS first_us,
+    max(refused.time_us) AS last_us
 FROM refused
-WHERE $run IN ('all', run_id) AND $reason IN ('all', reason)
-GROUP BY run_id, type, reason, decided_by
+LEFT JOIN conjuncts ON refused.reason = conjuncts.reason AND refused.type <> 'CommandRejected.v1'
+WHERE $run IN ('all', refused.run_id) AND $reason IN ('all', refused.reason)
+GROUP BY refused.run_id, refused.type, refused.reason, conjuncts.conjunct, refused.decided_by

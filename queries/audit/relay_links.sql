@@ -16,6 +16,8 @@ WITH chains AS (
         asked.requested_by,
         asked.relay,
         asked.executed_by,
+        asked.capability,
+        asked.task_id AS context,
         min(relayed.seq) AS relayed_seq,
         min(relayed.time_us) AS relayed_us
     FROM request_issued AS asked
@@ -37,13 +39,25 @@ links AS (
     CROSS JOIN (VALUES (1), (2)) AS numbers (link)
 ),
 
+scopes AS (
+    -- What is set for the capability and the context holds before what is set for one of them or for all; of equals the last.
+    SELECT
+        *,
+        ((capability IS NOT NULL)::BIGINT * 2 + (context IS NOT NULL)::BIGINT) * 1000000000 + seq AS weight
+    FROM trust_set
+),
+
 judged AS (
     SELECT
         links.*,
-        arg_max(trust.scope, trust.seq) FILTER (WHERE links.receiver = trust.robot AND links.sender = trust.peer) AS link_scope,
-        arg_max(trust.scope, trust.seq) FILTER (WHERE links.executed_by = trust.robot AND links.requested_by = trust.peer) AS direct_scope
+        arg_max(scopes.scope, scopes.weight) FILTER (WHERE links.receiver = scopes.robot AND links.sender = scopes.peer) AS link_scope,
+        arg_max(scopes.scope, scopes.weight) FILTER (WHERE links.executed_by = scopes.robot AND links.requested_by = scopes.peer) AS direct_scope
     FROM links
-    LEFT JOIN trust_set AS trust ON links.run_id = trust.run_id AND coalesce(links.seq, links.asked_seq) > trust.seq
+    LEFT JOIN scopes
+        ON
+            links.run_id = scopes.run_id AND coalesce(links.seq, links.asked_seq) > scopes.seq
+            AND coalesce(links.capability = scopes.capability, scopes.capability IS NULL)
+            AND coalesce(links.context = scopes.context, scopes.context IS NULL)
     GROUP BY ALL
 )
 

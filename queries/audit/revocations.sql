@@ -1,72 +1,80 @@
 -- Title: Revocations of authority, and when each took effect
 -- Paper: eq:nontransitive, sec:model:authority
--- Grain: one row per claim whose reason is a revocation
+-- Grain: one row per claim whose reason is a revocation, and per AuthorityRevoked event
 -- Units: revoked_us, effective_us microseconds of run time; waited_us microseconds
--- NULL: effective_us, waited_us when it never took effect; revoked_from when nobody held execution then; boundary when the record shows none
+-- NULL: effective_us, waited_us, boundary, action_id of a right when it never took effect; revoked_from when nobody held execution; capability, context: any
 -- Example: fsar-ledger query audit/revocations LEDGER --param run=RUN
 --   answers A1-1/7.1: robot/A1 revoked at 51.375 s what robot/D1 executed; effective after its ExecutionFinished, 7.111 s later
 -- Parameters: run = all
-WITH revoked AS (
+WITH claimed AS (
     SELECT
         claims.run_id,
         claims.seq,
         claims.action_id,
-        claims.claimant,
-        claims.began_us,
-        claims.ended_us,
+        claims.claimant AS revoked_by,
+        arg_max(held.claimant, held.seq) AS revoked_from,
+        claims.began_us AS revoked_us,
+        claims.ended_us AS effective_us,
         min(releases.seq) AS release_seq
     FROM claims
+    LEFT JOIN claims AS held
+        ON
+            claims.run_id = held.run_id AND claims.action_id = held.action_id AND claims.seq > held.seq
+            AND held.dimension = 'execution' AND claims.began_us < coalesce(held.ended_us, claims.began_us + 1)
     LEFT JOIN authority_released AS releases
         ON
-            claims.run_id = releases.run_id
-            AND claims.action_id = releases.action_id
-            AND claims.dimension = releases.dimension
-            AND claims.claimant = releases.claimant
-            AND claims.reason = releases.reason
-            AND claims.seq < releases.seq
-    WHERE claims.reason = 'revocation' AND $run IN ('all', claims.run_id)
+            claims.run_id = releases.run_id AND claims.action_id = releases.action_id AND claims.seq < releases.seq
+            AND claims.dimension = releases.dimension AND claims.claimant = releases.claimant AND claims.reason = releases.reason
+    WHERE claims.reason = 'revocation'
+    GROUP BY claims.run_id, claims.seq, claims.action_id, claims.claimant, claims.began_us, claims.ended_us
+),
+
+ended AS (
+    -- The boundary is what happened to the action just before the release, apart from other claims and releases.
+    SELECT
+        claimed.* EXCLUDE (release_seq),
+        'context changed' AS reason,
+        arg_max(events.type, events.seq) AS boundary
+    FROM claimed
+    LEFT JOIN events
+        ON
+            claimed.run_id = events.run_id AND claimed.action_id = events.action_id AND claimed.seq < events.seq AND claimed.release_seq > events.seq
+            AND events.type NOT IN ('AuthorityClaimed.v1', 'AuthorityReleased.v1')
     GROUP BY ALL
 ),
 
-held AS (
+withdrawn AS (
+    -- A right is withdrawn at the next evaluation of a request that it is about.
     SELECT
         revoked.run_id,
         revoked.seq,
-        arg_max(claims.claimant, claims.seq) AS revoked_from
-    FROM revoked
-    INNER JOIN claims
+        arg_min(evaluations.action_id, evaluations.seq) AS action_id,
+        revoked.decided_by AS revoked_by,
+        revoked.requested_by AS revoked_from,
+        revoked.reason,
+        revoked.capability,
+        revoked.context,
+        revoked.time_us AS revoked_us,
+        min(evaluations.time_us) AS effective_us,
+        arg_min(evaluations.type, evaluations.seq) AS boundary
+    FROM authority_revoked AS revoked
+    LEFT JOIN evaluations
         ON
-            revoked.run_id = claims.run_id
-            AND revoked.action_id = claims.action_id
-            AND claims.dimension = 'execution'
-            AND revoked.seq > claims.seq
-            AND (claims.ended_us IS NULL OR revoked.began_us < claims.ended_us)
-    GROUP BY revoked.run_id, revoked.seq
+            revoked.run_id = evaluations.run_id AND revoked.seq < evaluations.seq AND revoked.requested_by = evaluations.requested_by
+            AND coalesce(revoked.executed_by = evaluations.executed_by, TRUE)
+            AND coalesce(revoked.capability = evaluations.capability, TRUE)
+            AND coalesce(revoked.context = evaluations.context, TRUE)
+    GROUP BY ALL
 ),
 
-boundaries AS (
-    -- What happened to the action just before the release, apart from other claims and releases.
-    SELECT
-        revoked.run_id,
-        revoked.seq,
-        arg_max(events.type, events.seq) AS boundary
-    FROM revoked
-    INNER JOIN events
-        ON revoked.run_id = events.run_id AND revoked.action_id = events.action_id AND revoked.seq < events.seq AND revoked.release_seq > events.seq
-    WHERE events.type NOT IN ('AuthorityClaimed.v1', 'AuthorityReleased.v1')
-    GROUP BY revoked.run_id, revoked.seq
+every AS (
+    SELECT * FROM ended
+    UNION ALL BY NAME
+    SELECT * FROM withdrawn
 )
 
 SELECT
-    revoked.run_id,
-    revoked.seq,
-    revoked.action_id,
-    revoked.claimant AS revoked_by,
-    held.revoked_from,
-    revoked.began_us AS revoked_us,
-    revoked.ended_us AS effective_us,
-    revoked.ended_us - revoked.began_us AS waited_us,
-    boundaries.boundary
-FROM revoked
-LEFT JOIN held ON revoked.run_id = held.run_id AND revoked.seq = held.seq
-LEFT JOIN boundaries ON revoked.run_id = boundaries.run_id AND revoked.seq = boundaries.seq
+    *,
+    effective_us - revoked_us AS waited_us
+FROM every
+WHERE $run IN ('all', run_id)

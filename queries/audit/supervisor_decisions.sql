@@ -1,30 +1,62 @@
--- Title: What one supervisor decided, when it had been called, and how long that took
--- Paper: eq:supervision
--- Grain: one row per SupervisorResponded event
+-- Title: What one supervisor decided: answers to calls, and interventions of their own accord
+-- Paper: eq:supervision, sec:architecture:fleet (human oversight console)
+-- Grain: one row per SupervisorResponded event, and per other event that a supervisor decided (trust, rules, rights, density, budgets)
 -- Units: called_us, decided_us microseconds of run time; waited_us microseconds
--- NULL: called_us, waited_us when no call for this purpose came before; decided_by when the record names no decider
+-- NULL: purpose, called_us, waited_us for what answers no call; decided_by when the record names no decider; robot, capability, action_id and the
+--   principals when the decision is about none in particular
 -- Example: fsar-ledger query audit/supervisor_decisions LEDGER --param supervisor=supervisor/fleet
 --   answers recovery of A1-1/4.1, called at 84.854 s, decided at 124.92 s
 -- Parameters: run = all, supervisor = all
+WITH decided AS (
+    SELECT
+        run_id,
+        seq,
+        time_us AS decided_us,
+        type,
+        decided_by,
+        action_id,
+        requested_by,
+        executed_by,
+        robot,
+        capability,
+        CASE WHEN type = 'SupervisorResponded.v1' THEN purpose END AS purpose,
+        CASE type
+            WHEN 'SupervisorResponded.v1' THEN CASE WHEN approves = FALSE THEN 'disapproved' ELSE coalesce('first ' || preferred, 'approved') END
+            WHEN 'TrustSet.v1' THEN peer || ' ' || scope || coalesce(' in ' || context, '')
+            WHEN 'TrustThresholdsSet.v1' THEN 'promote after ' || promote_after || ', downgrade after ' || downgrade_after
+            WHEN 'PolicyRuleSet.v1' THEN scope || ' ' || outcome || coalesce(' in ' || context, '')
+            WHEN 'SupervisionDensitySet.v1' THEN 'review every ' || review_every
+            WHEN 'AuthorityGranted.v1' THEN 'up to ' || override
+            WHEN 'AuthorityRevoked.v1' THEN reason
+            WHEN 'RecoveryBudgetSet.v1' THEN level || ' ' || n_max || ' in ' || t_max_us || ' us'
+        END AS decision
+    FROM events
+    WHERE (type = 'SupervisorResponded.v1' OR starts_with(decided_by, 'supervisor/')) AND $run IN ('all', run_id) AND $supervisor IN ('all', decided_by)
+),
+
+answered AS (
+    SELECT
+        decided.*,
+        max(calls.time_us) AS called_us
+    FROM decided
+    LEFT JOIN supervisor_called AS calls
+        ON decided.run_id = calls.run_id AND decided.action_id = calls.action_id AND decided.purpose = calls.purpose AND decided.seq > calls.seq
+    GROUP BY ALL
+)
+
 SELECT
-    responses.run_id,
-    responses.seq,
-    responses.decided_by,
-    responses.purpose,
-    responses.action_id,
-    responses.requested_by,
-    responses.executed_by,
-    max(calls.time_us) AS called_us,
-    responses.time_us AS decided_us,
-    responses.time_us - max(calls.time_us) AS waited_us
-FROM supervisor_responded AS responses
-LEFT JOIN supervisor_called AS calls
-    ON
-        responses.run_id = calls.run_id
-        AND responses.action_id = calls.action_id
-        AND responses.purpose = calls.purpose
-        AND responses.seq > calls.seq
-WHERE $run IN ('all', responses.run_id) AND $supervisor IN ('all', responses.decided_by)
-GROUP BY
-    responses.run_id, responses.seq, responses.decided_by, responses.purpose, responses.action_id, responses.requested_by, responses.executed_by,
-    responses.time_us
+    run_id,
+    seq,
+    type,
+    decided_by,
+    purpose,
+    decision,
+    action_id,
+    robot,
+    capability,
+    requested_by,
+    executed_by,
+    called_us,
+    decided_us,
+    decided_us - called_us AS waited_us
+FROM answered

@@ -1,5 +1,5 @@
 -- Title: Executions and motions that policy governs, with the true policy at their start
--- Paper: eq:policy
+-- Paper: eq:policy, app:foundations
 -- Grain: one row per ExecutionStarted event and per RoutinePerformed event whose operation is motion
 -- Units: started_us microseconds of run time
 -- NULL: action_id and on_behalf_of for a motion, which serves no action and nobody else
@@ -9,9 +9,11 @@ WITH starts AS (
         run_id,
         seq,
         time_us AS started_us,
+        task_id,
         action_id,
         robot,
-        on_behalf_of
+        on_behalf_of,
+        capability
     FROM events
     WHERE type = 'ExecutionStarted.v1' OR (type = 'RoutinePerformed.v1' AND operation = 'motion')
 ),
@@ -19,25 +21,21 @@ WITH starts AS (
 subjects AS (
     -- Whose policy counts: the executor's own and the fleet's for its zone, and the requester's own.
     SELECT
-        run_id,
-        seq,
-        started_us,
-        robot,
+        starts.*,
+        starts.robot AS subject,
         FALSE AS own_only
     FROM starts
     UNION ALL
     SELECT
-        run_id,
-        seq,
-        started_us,
-        on_behalf_of AS robot,
+        starts.*,
+        starts.on_behalf_of AS subject,
         TRUE AS own_only
     FROM starts
-    WHERE on_behalf_of <> robot
+    WHERE starts.on_behalf_of <> starts.robot
 ),
 
 checks AS (
-    -- A window that closes at the start no longer counts; one that opens at it does.
+    -- A window that closes at the start no longer counts; one that opens at it does. A rule counts where it is about this capability and context.
     SELECT
         subjects.run_id,
         subjects.seq,
@@ -46,20 +44,21 @@ checks AS (
     INNER JOIN policy_windows AS windows
         ON
             subjects.run_id = windows.run_id
-            AND subjects.robot = windows.robot
+            AND subjects.subject = windows.robot
             AND subjects.started_us >= windows.opened_us
             AND subjects.started_us < coalesce(windows.closed_us, subjects.started_us + 1)
             AND (windows.scope = 'local' OR NOT subjects.own_only)
+            AND (windows.capability IS NULL OR subjects.capability = windows.capability)
+            AND (windows.context IS NULL OR subjects.task_id = windows.context)
     GROUP BY subjects.run_id, subjects.seq
 ),
 
-approvals AS (
+approved AS (
     SELECT
         run_id,
         action_id,
         min(seq) AS approved_seq
-    FROM supervisor_responded
-    WHERE purpose = 'review'
+    FROM approvals
     GROUP BY run_id, action_id
 )
 
@@ -71,8 +70,8 @@ SELECT
     starts.robot,
     starts.on_behalf_of,
     CASE WHEN checks.run_id IS NULL THEN 'allow' WHEN checks.is_denied THEN 'deny' ELSE 'review' END AS outcome,
-    coalesce(approvals.approved_seq < starts.seq, FALSE) AS is_approved,
-    checks.run_id IS NOT NULL AND (checks.is_denied OR NOT coalesce(approvals.approved_seq < starts.seq, FALSE)) AS is_violation
+    coalesce(approved.approved_seq < starts.seq, FALSE) AS is_approved,
+    checks.run_id IS NOT NULL AND (checks.is_denied OR NOT coalesce(approved.approved_seq < starts.seq, FALSE)) AS is_violation
 FROM starts
 LEFT JOIN checks ON starts.run_id = checks.run_id AND starts.seq = checks.seq
-LEFT JOIN approvals ON starts.run_id = approvals.run_id AND starts.action_id = approvals.action_id
+LEFT JOIN approved ON starts.run_id = approved.run_id AND starts.action_id = approved.action_id

@@ -1,5 +1,5 @@
 -- Title: Executions and motions that policy governs, with the composed outcome that was known at the decision
--- Paper: eq:policy
+-- Paper: eq:policy, app:foundations
 -- Grain: one row per ExecutionStarted event and per RoutinePerformed event whose operation is motion
 -- Units: time_us microseconds of run time; decision_seq, denied_seq positions in the run
 -- NULL: action_id for a motion; denied_seq without an earlier refusal of the action that still stands
@@ -12,20 +12,22 @@ WITH starts AS (
         events.seq,
         events.time_us,
         events.type,
+        events.task_id,
         events.action_id,
         events.robot,
+        events.capability,
         coalesce(max(said.seq) FILTER (said.type = 'RequestAdmitted.v1'), max(said.seq) FILTER (said.type = 'RequestAccepted.v1'), events.seq) AS decision_seq,
-        coalesce(max(said.seq) FILTER (said.type = 'SupervisorResponded.v1' AND said.purpose = 'review'), -1) AS approved_seq,
+        coalesce(max(said.seq) FILTER (said.type = 'SupervisorResponded.v1' AND said.purpose = 'review' AND coalesce(said.approves, TRUE)), -1) AS approved_seq,
         coalesce(max(said.seq) FILTER (said.type = 'RequestAdmitted.v1' AND said.outcome <> 'deny'), -1) AS admitted_seq,
         max(said.seq) FILTER (said.type = 'RequestDenied.v1') AS denied_seq
     FROM events
     LEFT JOIN events AS said ON events.run_id = said.run_id AND events.action_id = said.action_id AND events.seq > said.seq
     WHERE events.type = 'ExecutionStarted.v1' OR (events.type = 'RoutinePerformed.v1' AND events.operation = 'motion')
-    GROUP BY events.run_id, events.seq, events.time_us, events.type, events.action_id, events.robot
+    GROUP BY events.run_id, events.seq, events.time_us, events.type, events.task_id, events.action_id, events.robot, events.capability
 ),
 
 outcomes AS (
-    -- The executor's own policy, which it knows as it is until it starts.
+    -- The executor's own policy, which it knows as it is until it starts; rules of the fleet are known at once to all, and count at the decision.
     SELECT
         starts.run_id,
         starts.seq,
@@ -34,8 +36,13 @@ outcomes AS (
     FROM starts
     INNER JOIN policy_windows AS windows
         ON
-            starts.run_id = windows.run_id AND starts.robot = windows.robot AND windows.scope = 'local'
-            AND starts.time_us >= windows.opened_us AND starts.time_us < coalesce(windows.closed_us, starts.time_us + 1)
+            starts.run_id = windows.run_id AND starts.robot = windows.robot
+            AND CASE
+                WHEN windows.scope = 'local' THEN starts.time_us >= windows.opened_us AND starts.time_us < coalesce(windows.closed_us, starts.time_us + 1)
+                ELSE windows."window" IS NULL AND starts.decision_seq > windows.seq AND starts.decision_seq <= coalesce(windows.closed_seq, starts.seq)
+            END
+            AND (windows.capability IS NULL OR starts.capability = windows.capability)
+            AND (windows.context IS NULL OR starts.task_id = windows.context)
     UNION ALL
     -- The fleet's rule for its zone, as the executor had last been told at the decision.
     SELECT
@@ -58,7 +65,7 @@ outcomes AS (
 )
 
 SELECT
-    starts.* EXCLUDE (approved_seq, admitted_seq, denied_seq),
+    starts.* EXCLUDE (task_id, capability, approved_seq, admitted_seq, denied_seq),
     CASE WHEN bool_or(outcomes.outcome = 'deny') THEN 'deny' WHEN bool_or(outcomes.outcome = 'review') THEN 'review' ELSE 'allow' END AS outcome,
     CASE WHEN starts.denied_seq > greatest(starts.approved_seq, starts.admitted_seq) THEN starts.denied_seq END AS denied_seq
 FROM starts

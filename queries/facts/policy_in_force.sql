@@ -1,14 +1,16 @@
--- Title: The policy in force, from each moment at which it may have changed
--- Paper: eq:policy
--- Grain: one row per run, robot, scope and moment at which a window opens or closes; before the first, policy allows
+-- Title: The policy in force, by what it is about, from each moment at which it may have changed
+-- Paper: eq:policy, app:foundations
+-- Grain: one row per run, robot, scope, capability, context and moment at which a window or rule about them begins or ends; before the first, policy allows
 -- Units: since_us, until_us microseconds of run time, half-open
--- NULL: until_us for the last row of a robot and scope
+-- NULL: capability, context for what holds for all of them; until_us for the last row of a robot, scope, capability and context
 -- Example: fsar-ledger query facts/policy_in_force LEDGER
 WITH edges AS (
     SELECT
         run_id,
         robot,
         scope,
+        capability,
+        context,
         opened_us AS since_us,
         (outcome = 'deny')::INTEGER AS denies,
         (outcome = 'review')::INTEGER AS reviews
@@ -18,6 +20,8 @@ WITH edges AS (
         run_id,
         robot,
         scope,
+        capability,
+        context,
         closed_us AS since_us,
         -(outcome = 'deny')::INTEGER AS denies,
         -(outcome = 'review')::INTEGER AS reviews
@@ -30,11 +34,13 @@ moments AS (
         run_id,
         robot,
         scope,
+        capability,
+        context,
         since_us,
         sum(denies) AS denies,
         sum(reviews) AS reviews
     FROM edges
-    GROUP BY run_id, robot, scope, since_us
+    GROUP BY run_id, robot, scope, capability, context, since_us
 ),
 
 open_windows AS (
@@ -42,18 +48,22 @@ open_windows AS (
         run_id,
         robot,
         scope,
+        capability,
+        context,
         since_us,
-        lead(since_us) OVER robot_scope AS until_us,
-        sum(denies) OVER robot_scope AS denies,
-        sum(reviews) OVER robot_scope AS reviews
+        lead(since_us) OVER subject AS until_us,
+        sum(denies) OVER subject AS denies,
+        sum(reviews) OVER subject AS reviews
     FROM moments
-    WINDOW robot_scope AS (PARTITION BY run_id, robot, scope ORDER BY since_us)
+    WINDOW subject AS (PARTITION BY run_id, robot, scope, capability, context ORDER BY since_us)
 )
 
 SELECT
     run_id,
     robot,
     scope,
+    capability,
+    context,
     since_us,
     until_us,
     CASE WHEN denies > 0 THEN 'deny' WHEN reviews > 0 THEN 'review' ELSE 'allow' END AS outcome

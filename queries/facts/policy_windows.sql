@@ -1,8 +1,8 @@
--- Title: Windows in which a policy does not allow
--- Paper: eq:policy
--- Grain: one row per PolicyWindowOpened event
--- Units: opened_us, closed_us microseconds of run time, half-open: the window is over at closed_us
--- NULL: closed_us when the window was never closed
+-- Title: When a policy does not allow: windows of the world, and rules that deny or ask for review
+-- Paper: eq:policy, app:foundations
+-- Grain: one row per PolicyWindowOpened event, and per robot and PolicyRuleSet event whose outcome is not allow
+-- Units: opened_us, closed_us microseconds of run time, half-open: it is over at closed_us; seq, closed_seq positions in the run
+-- NULL: window for a rule; capability, context when it holds for all of them; closed_us, closed_seq when it was never closed or replaced
 -- Example: fsar-ledger query facts/policy_windows LEDGER
 WITH closings AS (
     SELECT
@@ -10,7 +10,8 @@ WITH closings AS (
         robot,
         scope,
         "window",
-        min(time_us) AS closed_us
+        min(time_us) AS closed_us,
+        min(seq) AS closed_seq
     FROM policy_window_closed
     GROUP BY run_id, robot, scope, "window"
 )
@@ -21,9 +22,27 @@ SELECT
     opened.robot,
     opened.scope,
     opened."window",
+    NULL::VARCHAR AS capability,
+    NULL::VARCHAR AS context,
     opened.outcome,
     opened.time_us AS opened_us,
-    closings.closed_us
+    closings.closed_us,
+    closings.closed_seq
 FROM policy_window_opened AS opened
 LEFT JOIN closings
     ON opened.run_id = closings.run_id AND opened.robot = closings.robot AND opened.scope = closings.scope AND opened."window" = closings."window"
+UNION ALL
+SELECT
+    run_id,
+    seq,
+    robot,
+    scope,
+    NULL AS "window",
+    capability,
+    context,
+    outcome,
+    set_us AS opened_us,
+    until_us AS closed_us,
+    until_seq AS closed_seq
+FROM policy_rules
+WHERE outcome <> 'allow'

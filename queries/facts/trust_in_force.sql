@@ -1,26 +1,35 @@
--- Title: The trust in force between two robots, from each moment at which it was set
+-- Title: The trust in force between two robots, by capability and context, from each moment at which it was set
 -- Paper: eq:trust
--- Grain: one row per run, robot, peer and moment of a TrustSet event; before the first there is none
+-- Grain: one row per run, robot, peer, capability, context and moment of a TrustSet event; before the first there is none
 -- Units: since_us, until_us microseconds of run time, half-open
--- NULL: until_us for the last row of a pair
+-- NULL: capability, context when the entry is about all of them; until_us for the last row of an entry; set_by for what the fleet was founded with
 -- Example: fsar-ledger query facts/trust_in_force LEDGER
 WITH moments AS (
+    -- Of the entries that hold at a moment the most specific one counts: capability and context, capability, context, neither (audit/trust_at).
     -- Of several at one moment the last one holds.
     SELECT
         run_id,
         robot,
         peer,
+        capability,
+        context,
         time_us AS since_us,
-        arg_max(scope, seq) AS trust_scope
+        arg_max(scope, seq) AS trust_scope,
+        arg_max_null(decided_by, seq) AS set_by,
+        arg_max(reason, seq) AS reason
     FROM trust_set
-    GROUP BY run_id, robot, peer, time_us
+    GROUP BY run_id, robot, peer, capability, context, time_us
 )
 
 SELECT
     run_id,
     robot,
     peer,
+    capability,
+    context,
     since_us,
-    lead(since_us) OVER (PARTITION BY run_id, robot, peer ORDER BY since_us) AS until_us,
-    trust_scope
+    lead(since_us) OVER (PARTITION BY run_id, robot, peer, capability, context ORDER BY since_us) AS until_us,
+    trust_scope,
+    set_by,
+    reason
 FROM moments

@@ -1,12 +1,12 @@
 -- Title: A3 broken: a known conflict of policies is passed over instead of escalated
 -- Paper: sec:architecture:invariants (A3), eq:policy
 -- Grain: one row per start under a known review or deny that no supervisor had approved, after a refusal that nothing lifted, or after a hold that
---        nothing ended; and per admission that is milder than what the request carried, or grants what it denies
+--        nothing ended; per admission that is milder than what the request carried; and per refusal against a mandate that was not escalated
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a motion
 -- Example: fsar-ledger query invariants/a3_no_silent_policy_override LEDGER
 WITH holds AS (
-    -- A hold ends when a supervisor approves, a window of the robot closes, or the fleet tells it another rule.
+    -- A hold ends when a supervisor approves, a window of the robot closes, a rule is set, or the fleet tells it another rule.
     SELECT
         starts.run_id,
         starts.seq,
@@ -16,7 +16,8 @@ WITH holds AS (
     INNER JOIN events AS said ON starts.run_id = said.run_id AND starts.seq > said.seq
     WHERE
         (said.type IN ('ExecutionHeld.v1', 'PolicyWindowClosed.v1', 'FleetRuleLearned.v1') AND starts.robot = said.robot)
-        OR (said.type = 'SupervisorResponded.v1' AND said.purpose = 'review' AND starts.action_id = said.action_id)
+        OR (said.type = 'PolicyRuleSet.v1' AND coalesce(said.robot, starts.robot) = starts.robot)
+        OR (said.type = 'SupervisorResponded.v1' AND said.purpose = 'review' AND coalesce(said.approves, TRUE) AND starts.action_id = said.action_id)
     GROUP BY starts.run_id, starts.seq
 ),
 
@@ -24,7 +25,7 @@ admissions AS (
     SELECT
         admitted.run_id,
         admitted.seq,
-        bool_or(said.type = 'SupervisorResponded.v1' AND said.purpose = 'review') AS is_approved,
+        bool_or(said.type = 'SupervisorResponded.v1' AND said.purpose = 'review' AND coalesce(said.approves, TRUE)) AS is_approved,
         max(CASE said.carried_policy WHEN 'deny' THEN 2 WHEN 'review' THEN 1 ELSE 0 END) AS carried
     FROM request_admitted AS admitted
     INNER JOIN events AS said ON admitted.run_id = said.run_id AND admitted.action_id = said.action_id AND admitted.seq > said.seq
@@ -57,9 +58,15 @@ findings AS (
     FROM request_admitted AS admitted
     LEFT JOIN admissions ON admitted.run_id = admissions.run_id AND admitted.seq = admissions.seq
     WHERE
-        admitted.outcome = 'deny'
-        OR admissions.carried = 2
+        admitted.outcome = 'deny' OR admissions.carried = 2
         OR (admissions.carried = 1 AND admitted.outcome = 'allow' AND NOT coalesce(admissions.is_approved, FALSE))
+    UNION ALL
+    SELECT
+        run_id,
+        seq,
+        'refuses what the rule at seq ' || mandate_seq || ' mandates, and nobody was told of the conflict' AS found
+    FROM mandate_conflicts
+    WHERE escalated_seq IS NULL
 )
 
 SELECT

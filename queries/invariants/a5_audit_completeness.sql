@@ -5,7 +5,8 @@
 -- Units: time_us microseconds of run time
 -- NULL: never
 -- Example: fsar-ledger query invariants/a5_audit_completeness LEDGER
--- The robots are physical facts, the principals what was recorded. No supervisor is needed while that of the executing robot is recorded as absent.
+-- The robots are physical facts, the principals what was recorded. No supervisor is needed while that of the executing robot is recorded as absent;
+-- a robot without one of its own is supervised by H_F, who is always there.
 WITH executions AS (
     SELECT
         starts.run_id,
@@ -58,9 +59,10 @@ judged AS (
         ) AS lacks
     FROM records
     LEFT JOIN phases ON records.run_id = phases.run_id AND records.seq = phases.seq
+    LEFT JOIN robot_joined AS members ON records.run_id = members.run_id AND records.robot = members.robot
     LEFT JOIN supervisor_absences AS absences
         ON
-            records.run_id = absences.run_id AND absences.supervisor = 'supervisor/' || split_part(records.robot, '/', 2)
+            records.run_id = absences.run_id AND members.supervisor = absences.supervisor
             AND records.seq > absences.left_seq AND records.seq < coalesce(absences.returned_seq, records.seq + 1)
 )
 

@@ -5,17 +5,18 @@
 -- NULL: action_id when the record is not correlated with an action
 -- Example: fsar-ledger query invariants/i5_audit_attributability LEDGER
 -- A principal counts when the record or another event of its action names it. The supervisor that may be absent is that of the robot that
--- decided; where no robot did, of the requester until the request is issued, and of the executor after that.
+-- decided; where no robot did, of the requester until the request is issued, and of the executor after that. A robot without a supervisor of its
+-- own is supervised by H_F, who is always there.
 WITH lacking AS (
     SELECT
         records.*,
-        'supervisor/' || split_part(
+        'robot/' || split_part(
             CASE
                 WHEN starts_with(decisions.decided_by, 'robot/') OR starts_with(decisions.decided_by, 'agent/') THEN decisions.decided_by
                 WHEN records.record_kind IN ('gap', 'query', 'request') THEN coalesce(records.requested_by, records.executed_by)
                 ELSE coalesce(records.executed_by, records.requested_by)
             END, '/', 2
-        ) AS supervisor
+        ) AS robot
     FROM coordination_events AS records
     INNER JOIN events AS decisions ON records.run_id = decisions.run_id AND records.seq = decisions.seq
     WHERE NOT records.is_attributable
@@ -26,9 +27,10 @@ judged AS (
         lacking.*,
         NOT lacking.has_supervisor AND absences.supervisor IS NULL AS lacks_supervisor
     FROM lacking
+    LEFT JOIN robot_joined AS members ON lacking.run_id = members.run_id AND lacking.robot = members.robot
     LEFT JOIN supervisor_absences AS absences
         ON
-            lacking.run_id = absences.run_id AND lacking.supervisor = absences.supervisor
+            lacking.run_id = absences.run_id AND members.supervisor = absences.supervisor
             AND lacking.seq > absences.left_seq AND lacking.seq < coalesce(absences.returned_seq, lacking.seq + 1)
 )
 

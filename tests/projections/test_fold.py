@@ -23,7 +23,6 @@ RECORDS_ONLY = {
     "CandidateMatched",
     "BidSubmitted",
     "InternalHandoff",
-    "RequestClosed",
     "OwnStepDecided",
     "ReplanOrdered",
     "RoutinePerformed",

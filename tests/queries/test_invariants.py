@@ -318,8 +318,11 @@ def test_what_a_baseline_or_an_ablation_gives_up_is_reported_and_nothing_else(ar
     assert broken == BROKEN_BY_DESIGN[architecture, configuration]
 
 
-def test_i5_finds_that_the_query_of_a_refused_outsider_names_no_executor() -> None:
+def test_i5_holds_where_the_registry_refuses_an_outsider_and_finds_when_it_does_not_say_whom() -> None:
     rows = encode([record("mixed-trust-inspection", 0)]).to_pylist()
-    refused = {(rows[at]["run_id"], rows[at]["seq"]) for at in where(rows, "RegistryQueried", candidates=[])}
+    refused = where(rows, "RegistryQueried", candidates=[])
     assert refused
-    assert offending("i5", rows) == refused
+    assert offending("i5", rows) == set()
+    for at in refused:
+        rows[at] = {**rows[at], "executed_by": None}
+    assert offending("i5", rows) == {(rows[at]["run_id"], rows[at]["seq"]) for at in refused}

@@ -248,7 +248,8 @@ def test_without_layered_recovery_the_fleet_supervisor_is_called_at_once() -> No
 def test_an_outsider_finds_nothing_and_is_denied_by_the_federation() -> None:
     injected = OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.private_zone")
     query, denied = answer_outsider(given("fsar", injected), AnswerOutsider("injected-1-1"))
-    assert query.candidates == ()  # type: ignore[attr-defined]
+    assert isinstance(query, RegistryQueried)
+    assert (query.candidates, query.executed_by, query.rejected, query.rejected_by) == ((), "robot/C1", ("robot/C1",), ("visibility",))
     assert denied.decided_by == "service/registry"  # type: ignore[attr-defined]
 
 

@@ -16,7 +16,7 @@ from fsar_ledger.events.recovery import (
     RecoveryEscalated,
     TaskStateTransferred,
 )
-from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled, RegistryQueried
+from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityInstalled, RegistryQueried
 from fsar_ledger.events.supervision import ActuatorServiced, SupervisorCalled
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import ActuatorDegraded, Grade, ObstructionAppeared, SupervisorLeft, SupervisorReturned
@@ -137,6 +137,15 @@ def test_the_answer_says_why_a_peer_of_the_family_is_no_help() -> None:
     assert isinstance(query, RegistryQueried)
     assert (query.rejected, query.rejected_by) == ((A, C), ("contract", "trust"))
     assert escalation((outward,)) == ("peer", "fleet", "no trusted peer")
+
+
+def test_a_robot_that_is_offline_neither_helps_nor_takes_over() -> None:
+    offline = AvailabilityChanged(D, None, "offline", "charging")
+    query, outward = asked(failed(executing(A, "carry.package", offline), "peer", "degradation"))
+    assert isinstance(query, RegistryQueried)
+    assert (query.rejected, query.rejected_by) == ((D,), ("availability",))
+    assert escalation((outward,)) == ("peer", "fleet", "no capable peer")
+    assert escalation(considered(failed(executing(A, "carry.package", offline), "fleet")))[2] == "no feasible reassignment: no capable robot"
 
 
 def test_a_substitute_stands_in_for_a_degraded_robot() -> None:

@@ -5,7 +5,7 @@ from typing import Any
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.registry import offers
+from fsar_ledger.projections.registry import offers, surface
 
 BODIES = ("A", "B", "D")  # roles whose bodies can clear an obstruction
 SUBSTITUTES = {"carry.package": "D", "handover.dropoff": "D"}  # capability -> role that can stand in
@@ -77,8 +77,14 @@ def family(capability: str) -> str:
 def kin(state: State, robot: str, capability: str) -> tuple[str, ...]:
     """Every other robot that advertises something of the capability's family, nearest team first."""
     stem = family(capability)[:-1]
-    named = {offer.robot for name in state.registry.offers if name.startswith(stem) for offer in offers(state.registry.offers, name)}
-    return nearest_first(state, [name for name in named if name != robot], robot)
+    others = [name for name in state.fleet.robots if name != robot]
+    return nearest_first(state, [name for name in others if any(record.capability.startswith(stem) for record in surface(state.registry, name))], robot)
+
+
+def is_reachable(state: State, robot: str) -> bool:
+    """True unless the robot has reported itself offline, or restricted, in all that it advertises. Paper: eq:adv (availability)."""
+    reported = [record.availability for record in surface(state.registry, robot)]
+    return not reported or any(availability not in ("offline", "restricted") for availability in reported)
 
 
 def is_cross_robot(state: State, action: Action) -> bool:

@@ -1,10 +1,220 @@
-"""Authority that was claimed ends, whoever held it. Paper: sec:model:authority."""
+"""Authority: who may ask for what by a supervisor's word, and claims that end. Paper: eq:auth, sec:model:authority.
+
+Rights are looked up when a request is evaluated, so a revocation takes effect at the next request boundary: what was
+admitted before, queued or executing, goes on.
+"""
 
 from collections.abc import Iterable
+from typing import get_args
 
-from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
+from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted, AuthorityReleased, AuthorityRevoked, RevocationReason
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST, Dimension, OverrideLevel
+from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
+from fsar_ledger.events.trust import TrustSet
+from fsar_ledger.projections.authority import LEVELS, Right
+from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.registry import possesses
+
+from .commands import Command, Decides, PublicCommand, Reacts, Scheduled
+from .rejection import rejected, unknown_robot, unknown_supervisor
+from .trust import trusts
+
+
+class GrantAuthority(PublicCommand):
+    """The supervisor lets the requester ask this (None: anyone, anything, in any context), up to the override level."""
+
+    supervisor: str
+    requester: str
+    executor: str | None
+    override: OverrideLevel
+    capability: str | None = None
+    context: str | None = None
+
+
+class RevokeAuthority(PublicCommand):
+    """The supervisor no longer lets the requester ask this (None: anyone, anything, in any context)."""
+
+    supervisor: str
+    requester: str
+    executor: str | None
+    capability: str | None = None
+    context: str | None = None
+    reason: RevocationReason = "human override"
+
+
+class ReleaseAuthority(PublicCommand):
+    """The claimant lets go of what it holds of this dimension over the action."""
+
+    claimant: str
+    action_id: str
+    dimension: Dimension
+
+
+class ExpireContext(Command):
+    """A context in which rights were granted is over."""
+
+    context: str
+
+
+class RevokeDistrusted(Command):
+    """The robot trusts the peer less than before, while it has admitted requests of it."""
+
+    robot: str
+    peer: str
 
 
 def released(claims: Iterable[AuthorityClaimed]) -> tuple[AuthorityReleased, ...]:
     """Each of these claims ends."""
     return tuple(AuthorityReleased(claim.task_id, claim.action_id, claim.dimension, claim.claimant, claim.reason) for claim in claims)
+
+
+def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
+    """The requester may ask up to this level: by word of the executor's own supervisor, or of H_F. Paper: eq:auth, eq:override."""
+    reason = _unknown(state, command)
+    robot = state.fleet.robots.get(command.executor or "")
+    if reason is None and command.supervisor != FLEET_SUPERVISOR and (robot is None or robot.supervisor != command.supervisor):
+        reason = f"{command.supervisor} does not supervise {command.executor or 'every robot'}, expected {FLEET_SUPERVISOR} or the executor's own"
+    if reason is None and command.override not in LEVELS:
+        reason = f"unknown override level {command.override}, expected one of {', '.join(LEVELS)}"
+    if reason is None and command.context in state.authority.expired:
+        reason = f"context {command.context} has expired, expected one that is not over"
+    if reason is None and command.supervisor != FLEET_SUPERVISOR and _is_revoked_by_fleet(state, command):
+        reason = f"{FLEET_SUPERVISOR} has revoked it, expected {FLEET_SUPERVISOR} to lift that"
+    if reason is not None:
+        return rejected(command, command.requester, reason, command.supervisor)
+    about = (command.requester, command.executor, command.capability, command.context)
+    return (AuthorityGranted(*about, command.override, command.supervisor),)
+
+
+def revoke_authority(state: State, command: RevokeAuthority) -> tuple[Event, ...]:
+    """From the next evaluation on the requester may not ask this: by word of either robot's own supervisor, or of H_F. Paper: sec:model:authority."""
+    reason = _unknown(state, command)
+    if reason is None and command.supervisor != FLEET_SUPERVISOR:
+        parties = [state.fleet.robots[name] for name in (command.requester, command.executor) if name is not None]
+        if all(robot.supervisor != command.supervisor for robot in parties):
+            reason = f"{command.supervisor} supervises neither robot, expected {FLEET_SUPERVISOR} or one's own"
+    if reason is None and command.reason not in get_args(RevocationReason):
+        reason = f"unknown reason {command.reason}, expected one of {', '.join(get_args(RevocationReason))}"
+    if reason is None and isinstance(_standing(state, command), AuthorityRevoked):
+        reason = "it is revoked already, expected a right that stands"
+    if reason is not None:
+        return rejected(command, command.requester, reason, command.supervisor)
+    about = (command.requester, command.executor, command.capability, command.context)
+    return (AuthorityRevoked(*about, command.reason, command.supervisor),)
+
+
+def release_authority(state: State, command: ReleaseAuthority) -> tuple[Event, ...]:
+    """The claimant holds this dimension no longer; the authority to execute ends with the execution only."""
+    claims = state.authority.claims.get(command.action_id, ())
+    held = tuple(claim for claim in claims if (claim.claimant, claim.dimension) == (command.claimant, command.dimension))
+    if not held:
+        found = f"{command.claimant} holds no {command.dimension} authority over it, expected an open claim"
+        return rejected(command, command.action_id, found, command.claimant)
+    action = state.execution.actions.get(command.action_id)
+    if command.dimension == "execution" and action is not None and action.robot == command.claimant:
+        found = f"{command.claimant} has yet to finish it, expected the result first"
+        return rejected(command, command.action_id, found, command.claimant)
+    return released(held)
+
+
+def expire_context(state: State, command: ExpireContext) -> tuple[AuthorityRevoked, ...]:
+    """Rights that were granted for the context are over with it. Paper: sec:model:authority (context expiration)."""
+    return tuple(
+        AuthorityRevoked(right.requested_by, right.executed_by, right.capability, right.context, "context expired", TRUST)
+        for right in _in_context(state, command.context)
+    )
+
+
+def revoke_distrusted(state: State, command: RevokeDistrusted) -> tuple[AuthorityRevoked, ...]:
+    """The peer may not ask again what it is no longer trusted with; what was admitted goes on. Paper: sec:model:authority (trust downgrade)."""
+    about = {(action.capability, action.task_id): None for action in _distrusted(state, command.robot, command.peer)}
+    revoked = (AuthorityRevoked(command.peer, command.robot, capability, context, "trust downgrade", TRUST) for capability, context in about)
+    return tuple(right for right in revoked if not isinstance(_latest(state, right), AuthorityRevoked))
+
+
+def _unknown(state: State, command: GrantAuthority | RevokeAuthority) -> str | None:
+    reason = unknown_supervisor(state, command.supervisor) or unknown_robot(state, command.requester, command.executor)
+    if reason is None and command.requester == command.executor:
+        reason = f"{command.requester} needs nobody's authority to ask itself, expected two robots"
+    if reason is None and command.capability is not None and not any(possesses(state.registry, name, command.capability) for name in state.fleet.robots):
+        reason = f"unknown capability {command.capability}, expected one that a member possesses"
+    return reason
+
+
+def _latest(state: State, about: AuthorityRevoked) -> Right | None:
+    """The last word on exactly this."""
+    return next((right for right in reversed(state.authority.rights) if _subject(right) == _subject(about)), None)
+
+
+def _subject(right: Right) -> tuple[str, str | None, str | None, str | None]:
+    return right.requested_by, right.executed_by, right.capability, right.context
+
+
+def _covers(right: Right, command: GrantAuthority | RevokeAuthority) -> bool:
+    """True when the right is about all that the command is about."""
+    pairs = ((right.executed_by, command.executor), (right.capability, command.capability), (right.context, command.context))
+    return right.requested_by == command.requester and all(one in (None, other) for one, other in pairs)
+
+
+def _overlaps(right: Right, command: GrantAuthority) -> bool:
+    """True when some request is subject to both."""
+    pairs = ((right.executed_by, command.executor), (right.capability, command.capability), (right.context, command.context))
+    return right.requested_by == command.requester and all(None in pair or pair[0] == pair[1] for pair in pairs)
+
+
+def _standing(state: State, command: RevokeAuthority) -> Right | None:
+    """The last word that is about all that the command is about, if no later one is about a part of it."""
+    for right in reversed(state.authority.rights):
+        if _covers(right, command):
+            return right
+        if right.requested_by == command.requester and isinstance(right, AuthorityGranted):
+            return None
+    return None
+
+
+def _is_revoked_by_fleet(state: State, command: GrantAuthority) -> bool:
+    """True when the grant would lift something that H_F has revoked and not granted again."""
+    for right in reversed(state.authority.rights):
+        if right.decided_by == FLEET_SUPERVISOR and _overlaps(right, command):
+            return isinstance(right, AuthorityRevoked)
+    return False
+
+
+def _in_context(state: State, context: str) -> tuple[AuthorityGranted, ...]:
+    """The grants for this context, each once, that nothing has revoked since."""
+    last = {_subject(right): right for right in state.authority.rights if right.context == context}
+    return tuple(right for right in last.values() if isinstance(right, AuthorityGranted))
+
+
+def _distrusted(state: State, robot: str, peer: str) -> list[Action]:
+    """What the robot has admitted of the peer, as requester or relay, and would not admit again for lack of trust."""
+    found = []
+    for action in state.execution.actions.values():
+        request = state.request.get(action.action_id)
+        if request is None or not action.is_delegated or action.robot != robot or peer != (request.relay or request.requester):
+            continue
+        if not trusts(state, robot, peer, action.capability, action.task_id):
+            found.append(action)
+    return found
+
+
+def _on_end(state: State, event: TaskCompleted | TaskAbandoned, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(ExpireContext(event.task_id)),) if state.authority.rights and _in_context(state, event.task_id) else ()
+
+
+def _on_trust(state: State, event: TrustSet, _now_us: int) -> tuple[Scheduled, ...]:
+    if not state.execution.actions or not _distrusted(state, event.robot, event.peer):
+        return ()
+    return (Scheduled(RevokeDistrusted(event.robot, event.peer)),)
+
+
+DECIDES: Decides = {
+    GrantAuthority: grant_authority,
+    RevokeAuthority: revoke_authority,
+    ReleaseAuthority: release_authority,
+    ExpireContext: expire_context,
+    RevokeDistrusted: revoke_distrusted,
+}
+REACTS: Reacts = {TaskCompleted: _on_end, TaskAbandoned: _on_end, TrustSet: _on_trust}

@@ -21,6 +21,10 @@ class Command(msgspec.Struct, kw_only=True):
     drawn: int = 0
 
 
+class PublicCommand(Command, kw_only=True):
+    """A robot, an operator or a supervisor asks for something from outside; what cannot be done is rejected as an event, and changes nothing."""
+
+
 class Draw(msgspec.Struct, frozen=True, gc=False):
     """A draw from the world: which law, what it serves, and which share of it counts (parts per million)."""
 

@@ -33,7 +33,7 @@ def start_action(action_id: str, capability: str, after_us: int = 1, draws: tupl
 def start_after_approach(state: State, event: ApproachStarted, _now_us: int) -> tuple[Scheduled, ...]:
     """The action starts when the robot has arrived; a second approach for the same action is another way."""
     action, request = state.execution.actions[event.action_id], state.request.get(event.action_id)
-    again = action.failures + (request.round if request is not None else 0)
+    again = action.failures + action.preemptions + (request.round if request is not None else 0)
     way = Draw("approach", f"{event.action_id}/{again}" if again else event.action_id)
     return (start_action(event.action_id, action.capability, 0, (way,)),)
 
@@ -89,7 +89,9 @@ def pause_action(state: State, command: PauseAction) -> tuple[Event, ...]:
 def resume_action(state: State, command: ResumeAction) -> tuple[Event, ...]:
     """The rest of the execution runs; without a rest it has finished."""
     action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage not in ("paused", "failed") or command.action_id in state.recovery:
+    if action is None or action.stage not in ("paused", "failed", "preempted") or command.action_id in state.recovery:
+        return ()
+    if action.stage == "preempted" and not (action.has_begun and holds_robot(state, action)):
         return ()
     if action.remaining_us == 0:
         return (_finished(state, action),)
@@ -105,11 +107,18 @@ def _finished(state: State, action: Action) -> ExecutionFinished:
     return ExecutionFinished(action.task_id, action.action_id, **principals(state, action), robot=action.robot)
 
 
+def holds_robot(state: State, action: Action) -> bool:
+    """True when the robot serves this action and no other."""
+    return state.execution.current.get(action.robot) == action.action_id
+
+
 def next_turn(state: State, robot: str) -> tuple[Scheduled, ...]:
-    """The action that now holds the robot takes its turn, if it has not yet."""
+    """The action that now holds the robot takes its turn, if it has not yet; one that was preempted goes on. Paper: eq:override."""
     action = state.execution.actions.get(state.execution.current.get(robot, ""))
-    if action is None or action.stage != "queued":
+    if action is None or action.stage not in ("queued", "preempted"):
         return ()
+    if action.stage == "preempted" and action.has_begun:
+        return (Scheduled(ResumeAction(action.action_id)),)
     if action.has_approach:
         return (Scheduled(TakeTurn(action.action_id)),)
     return (start_action(action.action_id, action.capability),)

@@ -1,9 +1,29 @@
 """Which policy holds for an action, and what several of them make together. Paper: eq:policy, app:foundations."""
 
-from fsar_ledger.events.envelope import PolicyOutcome
+from typing import get_args
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import POLICY, PolicyOutcome, PolicyScope
+from fsar_ledger.events.policy import PolicyConflictEscalated, PolicyRuleSet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import ruled
 from fsar_ledger.projections.world import in_force, stricter
+
+from .commands import Decides, PublicCommand, Reacts, Scheduled
+from .execution import start_action
+from .rejection import expired_context, not_in_charge, rejected, unknown_capability, unknown_robot
+from .supervision import supervisor_for
+
+
+class SetPolicyRule(PublicCommand):
+    """A supervisor rules: P_i(e, sigma) of one robot (`local`), or the fleet's for it or (None) for every robot."""
+
+    issued_by: str
+    scope: PolicyScope
+    robot: str | None
+    capability: str | None
+    context: str | None
+    outcome: PolicyOutcome
 
 
 def own_policy(state: State, robot: str, capability: str | None, context: str | None) -> PolicyOutcome:
@@ -25,3 +45,56 @@ def compose(state: State, carried: PolicyOutcome, executor: str, capability: str
     if state.fleet.configuration == "without-policy-composition":
         return own
     return stricter(carried, stricter(own, fleet_policy(state, executor, capability, context)))
+
+
+def conflict(
+    state: State, task_id: str | None, action_id: str | None, requester: str | None, executor: str, capability: str
+) -> tuple[PolicyConflictEscalated, ...]:
+    """The escalation when the fleet mandates what the executor's own policy denies; the denial stands. Paper: sec:architecture:fleet."""
+    if state.fleet.configuration == "without-policy-composition" or ruled(state.policy, "fleet", executor, capability, task_id) is None:
+        return ()
+    own, fleet = own_policy(state, executor, capability, task_id), fleet_policy(state, executor, capability, task_id)
+    if (own, fleet) != ("deny", "allow"):
+        return ()
+    supervisor = supervisor_for(state, executor, is_cross_robot=requester != executor)
+    return (PolicyConflictEscalated(task_id, action_id, POLICY, requester, executor, supervisor, (POLICY,), capability, own, fleet),)
+
+
+def set_policy_rule(state: State, command: SetPolicyRule) -> tuple[Event, ...]:
+    """The rule holds from now on: a robot's own by its own supervisor alone, the fleet's by H_F alone. Paper: app:foundations."""
+    refused = unknown_robot(state, command.robot) or unknown_capability(state, command.capability) or expired_context(state, command.context)
+    refused = refused or _unfit(state, command)
+    if refused is not None:
+        return rejected(command, command.robot or "fleet", refused, command.issued_by)
+    return (PolicyRuleSet(command.scope, command.robot, command.capability, command.context, command.outcome, command.issued_by),)
+
+
+def _unfit(state: State, command: SetPolicyRule) -> str | None:
+    """Why this supervisor may not set this rule, or why there is no such rule; or None."""
+    if command.scope not in get_args(PolicyScope) or command.outcome not in get_args(PolicyOutcome):
+        return f"found {command.scope} {command.outcome}, expected local or fleet, and allow, deny or review"
+    if command.scope == "fleet":
+        return not_in_charge(state, command.issued_by, None, is_fleet_matter=True)
+    if command.robot is None:
+        return "a local rule of no robot, expected a robot; what holds for every robot is the fleet's"
+    refused = not_in_charge(state, command.issued_by, command.robot)
+    own = state.fleet.robots[command.robot].supervisor
+    if refused is None and own is not None and own != command.issued_by:
+        return f"{command.issued_by} does not set {command.robot}'s own policy, expected {own}; a fleet rule composes with it"
+    return refused
+
+
+def _on_rule(state: State, event: PolicyRuleSet, _now_us: int) -> tuple[Scheduled, ...]:
+    """What waits for a robot's own policy tries again when that may have changed; what polls the fleet's does so by itself."""
+    if event.scope == "fleet":
+        return ()
+    actions = (state.execution.actions.get(held) for robot, held in state.execution.current.items() if event.robot in (None, robot))
+    return tuple(
+        start_action(action.action_id, action.capability)
+        for action in actions
+        if action is not None and action.stage == "held" and own_policy(state, action.robot, action.capability, action.task_id) == "allow"
+    )
+
+
+DECIDES: Decides = {SetPolicyRule: set_policy_rule}
+REACTS: Reacts = {PolicyRuleSet: _on_rule}

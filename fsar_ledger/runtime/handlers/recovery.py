@@ -11,13 +11,13 @@ from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 
-from .commands import Command, Decides, EndAttempt, Reacts
+from .commands import Decides, EndAttempt, PublicCommand, Reacts
 from .rejection import not_in_charge, rejected, unknown_robot
 
 LEVELS: tuple[RecoveryLevel, ...] = get_args(RecoveryLevel)
 
 
-class SetRecoveryBudget(Command):
+class SetRecoveryBudget(PublicCommand):
     """A supervisor gives one level of the robot's recovery another budget. Units: `t_max_us` microseconds."""
 
     issued_by: str
@@ -27,7 +27,7 @@ class SetRecoveryBudget(Command):
     n_max: int
 
 
-class ReportFailure(Command):
+class ReportFailure(PublicCommand):
     """The executor reports that what it executes has failed."""
 
     robot: str

@@ -41,3 +41,15 @@ def not_in_charge(state: State, supervisor: str | None, robot: str | None, is_fl
     if robot is not None and state.fleet.robots[robot].supervisor != supervisor:
         return f"{supervisor} does not supervise {robot}, expected {state.fleet.robots[robot].supervisor or FLEET_SUPERVISOR} or {FLEET_SUPERVISOR}"
     return None
+
+
+def unknown_capability(state: State, capability: str | None) -> str | None:
+    """The reason to reject a command about a capability that no robot of the fleet possesses, or None (None names none)."""
+    if capability is None or any(capability in modules for modules in state.registry.modules.values()):
+        return None
+    return f"unknown capability {capability}, expected one that some robot possesses"
+
+
+def expired_context(state: State, context: str | None) -> str | None:
+    """The reason to reject a command in the context of a task that is over, or None (None is no context)."""
+    return f"task {context} is over, expected a context that is not" if context in state.trust.over else None

@@ -7,12 +7,12 @@ from fsar_ledger.events.supervision import ActuatorServiced, SupervisionDensityS
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.supervision import density
 
-from .commands import Command, Decides, Draw, Reacts, Respond, Scheduled
+from .commands import Decides, Draw, PublicCommand, Reacts, Respond, Scheduled
 from .rejection import not_in_charge, rejected, unknown_robot
 from .task import first_in_order
 
 
-class RespondToCall(Command):
+class RespondToCall(PublicCommand):
     """A supervisor answers a call: approves the review or not, orders two commands (`preferred` goes first), or has resolved the failure."""
 
     supervisor: str
@@ -21,7 +21,7 @@ class RespondToCall(Command):
     preferred: str | None = None
 
 
-class SetSupervisionDensity(Command):
+class SetSupervisionDensity(PublicCommand):
     """A supervisor wants to see one in so many admissions of the robot (None: of every robot); 0 is none."""
 
     issued_by: str

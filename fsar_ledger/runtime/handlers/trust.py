@@ -1,9 +1,54 @@
-"""Whether one robot lets another ask something of it. Paper: eq:trust, eq:delegable."""
+"""Whether one robot lets another ask something of it, and how that trust moves. Paper: eq:trust, eq:delegable."""
 
-from fsar_ledger.events.envelope import TrustScope
+from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityRevoked
+from fsar_ledger.events.envelope import TRUST, TrustScope
+from fsar_ledger.events.execution import ExecutionFailed
+from fsar_ledger.events.request import RequestClosed, RequestDenied
+from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
+from fsar_ledger.events.trust import TrustSet, TrustThresholdsSet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement
-from fsar_ledger.projections.trust import covers, scope_of
+from fsar_ledger.projections.trust import SCOPES, covers, follows_record, scope_of
+
+from .commands import Command, Decides, PublicCommand, Reacts, Scheduled
+from .rejection import expired_context, not_in_charge, rejected, unknown_capability, unknown_robot
+
+BROADEST_BY_RECORD: TrustScope = "session"  # persistent trust is for an operator to give
+
+
+class SetTrust(PublicCommand):
+    """A supervisor has the robot trust the peer with this scope: for one capability, in one context (task), or (None) for all."""
+
+    issued_by: str
+    robot: str
+    peer: str
+    scope: TrustScope
+    capability: str | None = None
+    context: str | None = None
+    reason: str = "operator"
+
+
+class SetTrustThresholds(PublicCommand):
+    """H_F has trust follow the record: so many successes in a row promote it, so many failures downgrade it; 0 is never."""
+
+    issued_by: str
+    promote_after: int
+    downgrade_after: int
+
+
+class AssessTrust(Command):
+    """The robot's record of the peer has changed."""
+
+    robot: str
+    peer: str
+    capability: str
+
+
+class ExpireTrust(Command):
+    """A task is over that some trust was limited to."""
+
+    task_id: str
 
 
 def trusts(state: State, executor: str, requester: str, capability: str, context: str | None = None) -> bool:
@@ -13,3 +58,74 @@ def trusts(state: State, executor: str, requester: str, capability: str, context
     record = advertisement(state.registry, executor, capability)
     required: TrustScope = "capability" if record is None else record.trust_required
     return covers(scope_of(state.trust, executor, requester, capability, context), required)
+
+
+def set_trust(state: State, command: SetTrust) -> tuple[Event, ...]:
+    """The robot trusts the peer so far from now on, by word of its own supervisor or of H_F. Paper: eq:trust."""
+    refused = unknown_robot(state, command.robot, command.peer) or not_in_charge(state, command.issued_by, command.robot)
+    refused = refused or unknown_capability(state, command.capability) or expired_context(state, command.context)
+    if refused is None and command.scope not in SCOPES:
+        refused = f"unknown scope {command.scope}, expected one of {', '.join(SCOPES)}"
+    if refused is None and command.robot == command.peer:
+        refused = f"{command.robot} needs no trust in itself, expected another robot"
+    if refused is not None:
+        return rejected(command, command.robot, refused, command.issued_by)
+    return (TrustSet(command.robot, command.peer, command.scope, command.capability, command.context, command.issued_by, command.reason),)
+
+
+def set_trust_thresholds(state: State, command: SetTrustThresholds) -> tuple[Event, ...]:
+    """Trust follows the record from now on, by word of H_F. Paper: sec:model:trust."""
+    refused = not_in_charge(state, command.issued_by, None, is_fleet_matter=True)
+    if refused is None and min(command.promote_after, command.downgrade_after) < 0:
+        refused = f"thresholds {command.promote_after} and {command.downgrade_after}, expected 0 (never) or more"
+    if refused is not None:
+        return rejected(command, "trust", refused, command.issued_by)
+    return (TrustThresholdsSet(command.promote_after, command.downgrade_after, command.issued_by),)
+
+
+def assess_trust(state: State, command: AssessTrust) -> tuple[Event, ...]:
+    """Trust in the peer is one scope narrower or broader when the record has reached a threshold; what is none stays none. Paper: sec:model:trust."""
+    trust = state.trust
+    record = trust.records.get((command.robot, command.peer, command.capability))
+    scope = scope_of(trust, command.robot, command.peer, command.capability)
+    if record is None or scope == "none":
+        return ()
+    if 0 < trust.downgrade_after <= record.failures:
+        moved = SCOPES[SCOPES.index(scope) - 1]
+    elif 0 < trust.promote_after <= record.successes and not covers(scope, BROADEST_BY_RECORD):
+        moved = SCOPES[SCOPES.index(scope) + 1]
+    else:
+        return ()
+    return (TrustSet(command.robot, command.peer, moved, command.capability, None, TRUST, "record"),)
+
+
+def expire_trust(state: State, command: ExpireTrust) -> tuple[Event, ...]:
+    """Task-scoped trust that was given in the context of the finished task has ended. Paper: sec:model:trust."""
+    return tuple(
+        TrustSet(robot, peer, "none", capability, context, TRUST, "context expired")
+        for (robot, peer), entries in state.trust.entries.items()
+        for (capability, context), scope in entries.items()
+        if context == command.task_id and scope == "task"
+    )
+
+
+def _on_result(state: State, _event: RequestClosed | RequestDenied | ExecutionFailed | AuthorityRevoked, _now_us: int) -> tuple[Scheduled, ...]:
+    """Trust is assessed after each coordination event that changed a record. Paper: sec:evaluation:simulator."""
+    if not follows_record(state.trust):
+        return ()
+    return tuple(Scheduled(AssessTrust(*key)) for key in state.trust.judged)
+
+
+def _on_task_over(state: State, event: TaskCompleted | TaskAbandoned, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(ExpireTrust(event.task_id)),) if event.task_id in state.trust.contexts else ()
+
+
+DECIDES: Decides = {SetTrust: set_trust, SetTrustThresholds: set_trust_thresholds, AssessTrust: assess_trust, ExpireTrust: expire_trust}
+REACTS: Reacts = {
+    RequestClosed: _on_result,
+    RequestDenied: _on_result,
+    ExecutionFailed: _on_result,
+    AuthorityRevoked: _on_result,
+    TaskCompleted: _on_task_over,
+    TaskAbandoned: _on_task_over,
+}

@@ -15,8 +15,6 @@ CAPABILITIES: dict[str, tuple[str, ...]] = {
     "D": ("navigate.indoor", "carry.heavy", "grasp.robust"),
 }
 POSTCONDITIONS: dict[str, tuple[str, ...]] = {  # what holds after an ECM, in the order in which it comes about
-    "door.open.basic": ("door.opened",),
-    "door.open.secure": ("door.opened",),
     "grasp.robust": ("load.gripped", "load.held"),
 }
 VISIBLE_TO: dict[str, tuple[str, ...]] = {"inspect.private_zone": ("B",)}

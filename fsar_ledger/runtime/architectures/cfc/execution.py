@@ -1,12 +1,13 @@
 """CFC: robots are thin endpoints that execute what they are told, without a local check. Paper: sec:evaluation:baselines."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
+from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, local_supervisor
 from fsar_ledger.events.execution import ExecutionPaused, ReplanOrdered, RoutinePerformed, RoutineWithheld
 from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.handlers.attribution import on_shift
+from fsar_ledger.runtime.handlers.authority import released
 from fsar_ledger.runtime.handlers.commands import Command, DecideRoutine, Decides, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn, message
 from fsar_ledger.runtime.handlers.execution import approach, pause_running, started
 
@@ -67,12 +68,7 @@ def _held(state: State, robot: str) -> list[str]:
 
 def end_watch(state: State, command: EndWatch) -> tuple[Event, ...]:
     """The local supervisor no longer claims what it watched over in this window."""
-    return tuple(
-        AuthorityReleased(claim.task_id, claim.action_id, claim.dimension, claim.claimant, claim.reason)
-        for claims in state.authority.claims.values()
-        for claim in claims
-        if claim.reason == command.window
-    )
+    return released(claim for claims in state.authority.claims.values() for claim in claims if claim.reason == command.window)
 
 
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:

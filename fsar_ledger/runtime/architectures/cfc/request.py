@@ -21,6 +21,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.handlers.attribution import pending_of_other_task
+from fsar_ledger.runtime.handlers.authority import released
 from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, CompleteStep, Decides, Reacts, Scheduled, message
 
 from . import recovery
@@ -30,7 +31,7 @@ AGAIN = "assigned again: "
 
 
 class CommandReviewed(Command):
-    """H_F has approved what policy wanted reviewed."""
+    """H_F has decided on what policy wanted reviewed."""
 
     action_id: str
 
@@ -85,11 +86,13 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
 
 
 def command_reviewed(state: State, command: CommandReviewed) -> tuple[Event, ...]:
-    """The approved step is commanded."""
+    """The approved step is commanded; one that was not approved is denied."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
     robot = request.target or request.requester
+    if command.action_id not in state.supervision.approved:
+        return (RequestDenied(request.task_id, None, None, **by_coordinator(), executed_by=robot, reason="review"),)
     return _commanded(request, robot, robot in state.knowledge.copy.busy)
 
 
@@ -129,13 +132,8 @@ def queue_ordered(state: State, command: QueueOrdered) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    released = [
-        AuthorityReleased(claim.task_id, claim.action_id, "execution", claim.claimant, claim.reason)
-        for claims in state.authority.claims.values()
-        for claim in claims
-        if claim.reason == AGAIN + request.action_id
-    ]
-    return (*released, _queued(request, request.target or request.requester))
+    ended = released(claim for claims in state.authority.claims.values() for claim in claims if claim.reason == AGAIN + request.action_id)
+    return (*ended, _queued(request, request.target or request.requester))
 
 
 def _queued(request: Request, robot: str) -> ExecutionQueued:
@@ -158,11 +156,8 @@ def _queued(request: Request, robot: str) -> ExecutionQueued:
 
 def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
     """Every claim on the execution has ended, but the coordinator's override until it has processed the completion."""
-    return tuple(
-        AuthorityReleased(claim.task_id, claim.action_id, claim.dimension, claim.claimant, claim.reason)
-        for claim in state.authority.claims.get(command.action_id, ())
-        if (claim.dimension, claim.claimant) != ("override", COORDINATOR)
-    )
+    claims = state.authority.claims.get(command.action_id, ())
+    return released(claim for claim in claims if (claim.dimension, claim.claimant) != ("override", COORDINATOR))
 
 
 def _complete(state: State, command: ProcessWork) -> tuple[Event, ...]:
@@ -171,11 +166,11 @@ def _complete(state: State, command: ProcessWork) -> tuple[Event, ...]:
     if request is None:
         return ()
     task_id, action_id = request.task_id, request.action_id
-    released = AuthorityReleased(task_id, action_id, "override", COORDINATOR, "command")
+    closed = AuthorityReleased(task_id, action_id, "override", COORDINATOR, "command")
     if not request.is_delegated:
-        return (released,)
+        return (closed,)
     context = (task_id, action_id, action_id, COORDINATOR, COORDINATOR, request.target, FLEET_SUPERVISOR)
-    return (RequestClosed(*context, (COORDINATOR,)), released)
+    return (RequestClosed(*context, (COORDINATOR,)), closed)
 
 
 def deny_outsider(state: State, command: DenyOutsider) -> tuple[Event, ...]:

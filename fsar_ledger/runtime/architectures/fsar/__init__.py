@@ -1,9 +1,13 @@
 """Federated single-agent robotics: every robot stays one accountable principal; the federation only coordinates."""
 
 from fsar_ledger.runtime.architectures.wiring import Wiring, wire
+from fsar_ledger.runtime.handlers import advertising, fleet, policy, registry, supervision, task, trust
+from fsar_ledger.runtime.handlers import authority as rights
 from fsar_ledger.runtime.handlers import execution as bodies
-from fsar_ledger.runtime.handlers import supervision, task
+from fsar_ledger.runtime.handlers import request as requests
 
-from . import authority, discovery, execution, recovery, request
+from . import authority, availability, discovery, execution, recovery, request
 
-FSAR: Wiring = wire(task, bodies, supervision, discovery, request, execution, authority, recovery)
+_PUBLIC = (fleet, registry, advertising, requests, rights, trust, policy)
+
+FSAR: Wiring = wire(task, bodies, supervision, discovery, request, execution, authority, recovery, availability, *_PUBLIC)

@@ -11,9 +11,11 @@ from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import GapDetected, RequestAccepted, RequestAdmitted, RequestDenied, RequestIssued
 from fsar_ledger.events.world import ContextChanged, OutsiderRequestInjected, PeersMet
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.registry import advertisement
 from fsar_ledger.runtime.handlers.attribution import on_shift
 from fsar_ledger.runtime.handlers.authority import released as end_claims
 from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, Decides, Reacts, Scheduled, message
+from fsar_ledger.runtime.handlers.registry import Query, rejecting_filter
 
 
 class Revoke(Command):
@@ -66,7 +68,7 @@ def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
     if state.fleet.configuration != "without-trust-evaluation":
         supervisor = on_shift(state, robot)
         return (
-            RegistryQueried(task_id, task_id, robot, None, supervisor, request.capability, ()),
+            _refused(state, task_id, robot, peer, request.capability),
             RequestDenied(task_id, task_id, task_id, REGISTRY, robot, None, supervisor, (REGISTRY,), "not visible"),
         )
     ids = (task_id, task_id, task_id)
@@ -83,6 +85,13 @@ def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
         AuthorityClaimed(task_id, task_id, "audit", FLEET_SUPERVISOR, "no trust scope"),
         ExecutionQueued(task_id, task_id, robot, peer, None, peer, robot, request.capability, 0, 1, True, False, False),
     )
+
+
+def _refused(state: State, task_id: str, robot: str, peer: str, capability: str) -> RegistryQueried:
+    """The registry's answer to an outsider: not the robot that was asked for, by the filter that leaves it out (shown to nobody: visibility)."""
+    record = advertisement(state.registry, peer, capability)
+    by = None if record is None else rejecting_filter(state, Query(robot, capability, task_id), record)
+    return RegistryQueried(task_id, task_id, robot, peer, on_shift(state, robot), capability, (), rejected=(peer,), rejected_by=(by or "visibility",))
 
 
 def remember_peer(state: State, command: RememberPeer) -> tuple[Event, ...]:

@@ -5,10 +5,11 @@ from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import GapDetected, PeerSought, RequestUnanswered
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.registry import offers
+from fsar_ledger.projections.registry import advertisement, offers
 from fsar_ledger.projections.request import Request
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, nearest_first, on_shift
 from fsar_ledger.runtime.handlers.commands import Command, Decides, Reacts, Scheduled, message
+from fsar_ledger.runtime.handlers.registry import Answer, Query, candidates, queried, rejecting_filter
 from fsar_ledger.runtime.handlers.trust import trusts
 
 Found = tuple[tuple[str, ...], str | None]  # candidates, relay
@@ -26,19 +27,31 @@ class QueryRegistry(Command):
     action_id: str
 
 
-def discover(state: State, request: Request) -> Found:
-    """The candidates that the registry may show the requester, idle first; else those behind a doubly trusted peer.
+def discover(state: State, request: Request) -> tuple[Answer, str | None]:
+    """What the registry may show the requester, idle first; else one robot behind a doubly trusted peer, and that peer.
 
     Paper: sec:architecture:registry, eq:nontransitive.
     """
-    visible = _visible(state, request)
-    direct = [name for name in visible if trusts(state, name, request.requester, request.capability, request.task_id)]
-    if direct:
-        return tuple(sorted(direct, key=lambda name: not is_idle(state, name))), None
-    for name in sorted(visible, key=lambda name: not is_idle(state, name)):
+    query = Query(request.requester, request.capability, request.task_id)
+    answer = candidates(state, query)
+    if answer.candidates:
+        return answer, None
+    for name in sorted(_untrusting(state, query, answer), key=lambda name: not is_idle(state, name)):
         for peer in _relays(state, request, name):
-            return (name,), peer
-    return (), None
+            others = [place for place, robot in enumerate(answer.rejected) if robot != name]
+            rejected, rejected_by = tuple(answer.rejected[place] for place in others), tuple(answer.rejected_by[place] for place in others)
+            return Answer((name,), (request.capability,), rejected, rejected_by, answer.domain, answer.as_of_us), peer
+    return answer, None
+
+
+def _untrusting(state: State, query: Query, answer: Answer) -> list[str]:
+    """The robots that only their lack of trust left out, nearest team first: a peer that both trust may ask them."""
+    found = []
+    for name, by in zip(answer.rejected, answer.rejected_by, strict=True):
+        record = advertisement(state.registry, name, query.capability)
+        if by == "trust" and record is not None and rejecting_filter(state, query, record, but="trust") is None:
+            found.append(name)
+    return found
 
 
 def _visible(state: State, request: Request) -> list[str]:
@@ -64,12 +77,12 @@ def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
         return ()
     found: tuple[Event, ...] = ()
     if state.fleet.configuration == "without-shared-registry":
-        candidates, relay = _among_met(state, request, command.now_us)
-        if not candidates:
+        peers, relay = _among_met(state, request, command.now_us)
+        if not peers:
             if request.attempt > 1:
                 return (PeerSought(request.task_id, request.action_id, request.requester),)
             return (unanswered(state, request),)
-        found = (_queried(state, request, candidates, relay),)
+        found = (_met(state, request, peers, relay),)
     return (
         GapDetected(request.task_id, request.action_id, request.requester, None, on_shift(state, request.requester), request.capability),
         *found,
@@ -103,10 +116,11 @@ def unanswered(state: State, request: Request) -> RequestUnanswered:
     return RequestUnanswered(request.task_id, request.action_id, robot, robot, None, supervisor, (robot,), request.capability)
 
 
-def _queried(state: State, request: Request, candidates: tuple[str, ...], relay: str | None) -> RegistryQueried:
-    supervisor = on_shift(state, request.requester)
-    executor = candidates[0] if candidates else None
-    return RegistryQueried(request.task_id, request.action_id, request.requester, executor, supervisor, request.capability, candidates, relay)
+def _met(state: State, request: Request, found: tuple[str, ...], relay: str | None) -> RegistryQueried:
+    """The record of an answer from memory: no registry, so nobody says why others were left out."""
+    query = Query(request.requester, request.capability, request.task_id)
+    answer = Answer(found, (request.capability,) * len(found), (), ())
+    return queried(state, query, answer, request.task_id, request.action_id, relay)
 
 
 def query_registry(state: State, command: QueryRegistry) -> tuple[Event, ...]:
@@ -114,8 +128,9 @@ def query_registry(state: State, command: QueryRegistry) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    candidates, relay = discover(state, request)
-    return (_queried(state, request, candidates, relay),)
+    query = Query(request.requester, request.capability, request.task_id)
+    answer, relay = discover(state, request)
+    return (queried(state, query, answer, request.task_id, request.action_id, relay),)
 
 
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
@@ -123,8 +138,8 @@ def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, 
 
 
 def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
-    if state.fleet.configuration == "without-shared-registry" or event.task_id not in state.task:
-        return ()
+    if state.fleet.configuration == "without-shared-registry" or event.task_id not in state.task or event.action_id not in state.request:
+        return ()  # a request that is no step names whom it asks
     assert event.action_id is not None
     return (Scheduled(QueryRegistry(event.action_id), 0, (message(event.action_id, 0),)),)
 

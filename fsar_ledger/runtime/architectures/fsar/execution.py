@@ -8,9 +8,10 @@ from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, PolicyW
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import in_force
+from fsar_ledger.runtime.handlers.admissibility import holding
 from fsar_ledger.runtime.handlers.attribution import on_shift, principals
 from fsar_ledger.runtime.handlers.commands import Command, DecideRoutine, Decides, Reacts, ResumeAction, Scheduled, StartAction, message
-from fsar_ledger.runtime.handlers.execution import pause_running, start_action, started
+from fsar_ledger.runtime.handlers.execution import holds_robot, pause_running, start_action, started
 from fsar_ledger.runtime.handlers.policy import fleet_policy, own_policy
 
 
@@ -43,18 +44,21 @@ def decide_own_step(state: State, command: DecideOwnStep) -> tuple[Event, ...]:
 
 
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
-    """The action runs, unless the robot's own policy (or, for an own step, the fleet's rule as last heard) holds it."""
+    """The action runs, unless the robot's own policy (or, for an own step, the fleet's rule as last heard) holds it.
+
+    What a supervisor approved lifts only what was known then. Paper: sec:architecture:fleet (never a silent override).
+    """
     action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage not in ("queued", "approaching", "held", "polling"):
+    if action is None or action.stage not in ("queued", "approaching", "held", "polling", "preempted") or not holds_robot(state, action):
         return ()
-    if command.action_id not in state.supervision.approved:
-        local = own_policy(state, action.robot, action.capability, action.task_id)
-        if local != "allow":
-            decided_by = None if action.is_delegated or action.was_denied else action.robot
-            return (_held(state, action, local, "local-policy", decided_by),)
-        rule = fleet_policy(state, action.robot, action.capability, action.task_id)
-        if not action.is_delegated and rule != "allow":
-            return (_held(state, action, rule, "fleet-rule", None),)
+    if action.stage == "preempted" and action.has_approach:  # it has to come back first
+        return ()
+    local, rule = holding(state, action)
+    if local != "allow":
+        decided_by = None if action.is_delegated or action.was_denied else action.robot
+        return (_held(state, action, local, "local-policy", decided_by),)
+    if rule != "allow" and not action.is_delegated:
+        return (_held(state, action, rule, "fleet-rule", None),)
     return (started(state, action, command),)
 
 
@@ -103,7 +107,7 @@ def _on_window_closed(state: State, event: PolicyWindowClosed, now_us: int) -> t
     if event.scope == "fleet":
         return _on_fleet_rule(state, event, now_us)
     action = state.execution.actions.get(state.execution.current.get(event.robot, ""))
-    if action is None or action.stage != "held" or in_force(state.world.local, event.robot) != "allow":
+    if action is None or action.stage != "held" or holding(state, action)[0] != "allow":
         return ()
     return (start_action(action.action_id, action.capability),)
 

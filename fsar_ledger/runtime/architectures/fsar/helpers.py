@@ -1,6 +1,6 @@
 """FSAR: who may help with a failure or take the step over, and if nobody may, why. Paper: sec:model:recovery, levels 2 and 3.
 
-The checks are those of any request, in its order: possession, trust, policy, then whether the robot is free. What
+The checks are those of any request, in its order: who can and is there, trust, policy, then whether the robot is free. What
 remains after one is judged by the next; the check after which nobody remains is the reason.
 """
 
@@ -13,7 +13,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.trust import scope_of
 from fsar_ledger.projections.world import stricter
-from fsar_ledger.runtime.handlers.attribution import family, helpers, is_idle, kin, on_shift, stand_ins
+from fsar_ledger.runtime.handlers.attribution import family, helpers, is_idle, is_reachable, kin, on_shift, stand_ins
 from fsar_ledger.runtime.handlers.execution import NAVIGATION
 from fsar_ledger.runtime.handlers.policy import compose, own_policy
 
@@ -26,7 +26,7 @@ def peer(state: State, action: Action, recovery: Recovery) -> Found:
     """The nearest peer that can help, is trusted to, whose policy and the asking robot's allow it, and that is idle."""
     if state.fleet.configuration == "without-shared-registry":
         return None, "no shared registry"
-    able = helpers(state, action, recovery.cause)
+    able = [name for name in helpers(state, action, recovery.cause) if is_reachable(state, name)]
     if not able:
         return None, "no capable peer"
     trusted = [name for name in able if _may_assist(state, name, action, recovery)]
@@ -41,10 +41,11 @@ def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event,
     """The registry has answered which peers have a capability of this kind; an obstruction needs none, and is not asked about."""
     if recovery.cause == "obstruction" or state.fleet.configuration == "without-shared-registry":
         return ()
-    able = stand_ins(state, action)
+    able = [name for name in stand_ins(state, action) if is_reachable(state, name)]
     trusted = tuple(name for name in able if _may_assist(state, name, action, recovery))
     unfit = tuple(name for name in kin(state, action.robot, action.capability) if name not in able)
     distrusting = tuple(name for name in able if name not in trusted)
+    away = [name for name in unfit if not is_reachable(state, name)]
     return (
         RegistryQueried(
             action.task_id,
@@ -55,7 +56,7 @@ def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event,
             family(action.capability),
             trusted,
             rejected=unfit + distrusting,
-            rejected_by=("contract",) * len(unfit) + ("trust",) * len(distrusting),
+            rejected_by=tuple("availability" if name in away else "contract" for name in unfit) + ("trust",) * len(distrusting),
         ),
     )
 
@@ -70,7 +71,7 @@ def reassignee(state: State, action: Action) -> Found:
     request = state.request.get(action.action_id)
     if action.capability == NAVIGATION or request is None:
         return None, "the robot's own way"
-    able = [name for name in stand_ins(state, action) if name != action.on_behalf_of]
+    able = [name for name in stand_ins(state, action) if name != action.on_behalf_of and is_reachable(state, name)]
     if not able:
         return None, "no capable robot"
     about = (action.capability, action.task_id)

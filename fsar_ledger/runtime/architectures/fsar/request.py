@@ -3,13 +3,15 @@
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import COORDINATION, FLEET_SUPERVISOR
-from fsar_ledger.events.execution import ApproachStarted, ExecutionFinished, ExecutionQueued
+from fsar_ledger.events.execution import ApproachStarted, ExecutionFinished, ExecutionPreempted, ExecutionQueued
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import (
+    OfferAnswered,
     PeerSought,
     RequestAccepted,
     RequestAdmitted,
     RequestClosed,
+    RequestCountered,
     RequestDeferred,
     RequestDenied,
     RequestIssued,
@@ -20,9 +22,13 @@ from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import stricter
-from fsar_ledger.runtime.handlers.attribution import is_idle, on_shift
+from fsar_ledger.runtime.handlers.admissibility import Evaluation, evaluate, is_revoked, preemptible
+from fsar_ledger.runtime.handlers.attribution import on_shift
 from fsar_ledger.runtime.handlers.commands import BeginStep, CloseRequest, Command, CompleteStep, Decides, Reacts, Scheduled, TakeTurn, message
-from fsar_ledger.runtime.handlers.policy import compose, own_policy
+from fsar_ledger.runtime.handlers.execution import holds_robot
+from fsar_ledger.runtime.handlers.policy import conflict, own_policy
+from fsar_ledger.runtime.handlers.supervision import is_due_for_review
+from fsar_ledger.runtime.handlers.trust import trusts
 
 from .contention import in_order, put_in_order
 from .discovery import unanswered
@@ -47,9 +53,10 @@ class EvaluateRequest(Command):
 
 
 class AdmitReviewed(Command):
-    """H_F has approved what policy wanted reviewed."""
+    """A supervisor has approved what policy or supervision density wanted reviewed, or not."""
 
     action_id: str
+    approves: bool = True
 
 
 def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
@@ -79,47 +86,58 @@ def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
 
 
 def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
-    """The peer has passed the request on, its own policy composed."""
+    """The peer has passed the request on, its own policy composed, or denied its link of the chain. Paper: eq:nontransitive."""
     request = state.request.get(command.action_id)
     if request is None or request.relay is None:
         return ()
-    carried = stricter(request.carried, own_policy(state, request.relay, request.capability, request.task_id))
-    supervisor = on_shift(state, request.relay)
-    path = (request.requester, request.relay)
-    return (
-        RequestRelayed(
-            request.task_id,
-            request.action_id,
-            request.action_id,
-            request.relay,
-            request.requester,
-            request.candidates[0],
-            supervisor,
-            path,
-            carried,
-        ),
-    )
+    relay, about = request.relay, (request.capability, request.task_id)
+    supervisor = on_shift(state, relay)
+    ids = (request.task_id, request.action_id, request.action_id, relay, request.requester, request.candidates[0], supervisor)
+    if not trusts(state, relay, request.requester, *about):
+        return (RequestDenied(*ids, (request.requester, relay), reason="trust"),)
+    if is_revoked(state, request, relay):
+        return (RequestDenied(*ids, (request.requester, relay), reason="authority"),)
+    carried = stricter(request.carried, own_policy(state, relay, *about))
+    return (RequestRelayed(*ids, (request.requester, relay), carried),)
 
 
 def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...]:
-    """The executor has admitted or denied the request, or asked H_F for review. Paper: eq:admissible."""
+    """The executor has admitted, countered or denied the request, or asked H_F for review. Paper: eq:admissible, phase 4."""
     request = state.request.get(command.action_id)
-    if request is None:
+    if request is None or not _is_open(state, request):
         return ()
-    executor = request.candidates[0]
-    outcome = compose(state, request.carried, executor, request.capability, request.task_id)
-    if outcome == "deny":
-        context = _context(state, request, executor)
-        return (RequestDenied(*context, reason="policy"),)
-    if outcome == "review":
-        return (SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "review"),)
-    return put_in_order(state, request, executor, _context(state, request, executor)) or _admitted(state, request, executor)
+    return _judged(state, request, evaluate(state, request, request.candidates[0]), command.now_us)
 
 
 def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
-    """The executor has admitted the approved request."""
+    """The executor has admitted the approved request, if all but policy still holds, or denied the one that was not."""
     request = state.request.get(command.action_id)
-    return () if request is None else _admitted(state, request, request.candidates[0])
+    if request is None or not _is_open(state, request):
+        return ()
+    executor = request.candidates[0]
+    if not command.approves:
+        return (RequestDenied(*_context(state, request, executor), reason="review"),)
+    return _judged(state, request, evaluate(state, request, executor, is_reviewed=True), command.now_us, is_reviewed=True)
+
+
+def _is_open(state: State, request: Request) -> bool:
+    """True while the request waits for the executor's word."""
+    return not request.is_over and request.result is None and request.offered is None and request.action_id not in state.execution.actions
+
+
+def _judged(state: State, request: Request, found: Evaluation, now_us: int, is_reviewed: bool = False) -> tuple[Event, ...]:
+    executor = request.candidates[0]
+    context = _context(state, request, executor)
+    if found.verdict == "reject":
+        clash = conflict(state, request.task_id, request.action_id, request.requester, executor, request.capability) if found.conjunct == "policy" else ()
+        return (*clash, RequestDenied(*context, reason=found.conjunct or ""))
+    if found.verdict == "negotiate":
+        if request.offers >= state.fleet.structure.negotiation_rounds:
+            return (RequestDenied(*context, reason="negotiation"),)
+        return (RequestCountered(*context, round=request.offers + 1, override=found.override),)
+    if found.verdict == "review" or (not is_reviewed and is_due_for_review(state, executor)):
+        return (SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "review"),)
+    return put_in_order(state, request, executor, context) or _admitted(state, request, found, now_us)
 
 
 def _context(state: State, request: Request, executor: str) -> tuple[str, str, str, str, str, str, str | None, tuple[str, ...]]:
@@ -128,8 +146,11 @@ def _context(state: State, request: Request, executor: str) -> tuple[str, str, s
     return request.task_id, request.action_id, request.action_id, executor, request.requester, executor, supervisor, (executor,)
 
 
-def _admitted(state: State, request: Request, executor: str) -> tuple[Event, ...]:
+def _admitted(state: State, request: Request, found: Evaluation, now_us: int) -> tuple[Event, ...]:
+    """The request is admitted with its authority, and waits for the robot or takes it. Paper: eq:auth, eq:override."""
+    executor = request.candidates[0]
     context = _context(state, request, executor)
+    admitted = RequestAdmitted(*context, "allow", found.trust, found.may_request, found.may_execute, found.override, found.is_audited)
     queued = ExecutionQueued(
         request.task_id,
         request.action_id,
@@ -144,25 +165,33 @@ def _admitted(state: State, request: Request, executor: str) -> tuple[Event, ...
         True,
         True,
         True,
+        found.override,
     )
-    admitted = RequestAdmitted(*context, outcome="allow")
-    if is_idle(state, executor):
+    if found.verdict == "defer":
+        return (admitted, RequestDeferred(*context), queued)
+    interrupted = preemptible(state, executor, found.override)
+    if interrupted is None:
         return (admitted, queued)
-    return (admitted, RequestDeferred(*context), queued)
+    remaining_us = {"running": max(0, interrupted.ends_us - now_us), "paused": interrupted.remaining_us}.get(interrupted.stage)
+    preempted = ExecutionPreempted(interrupted.task_id, interrupted.action_id, executor, request.action_id, remaining_us)
+    return (admitted, preempted, queued)
 
 
 def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
-    """The executor has accepted, claims execution and override, and approaches. Paper: eq:auth."""
+    """The executor has accepted, claims execution and override, and approaches; one that was preempted comes back as accepted. Paper: eq:auth."""
     action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage != "queued":
+    if action is None or action.stage not in ("queued", "preempted") or not holds_robot(state, action):
         return ()
     robot = action.robot
+    approach = ApproachStarted(action.task_id, action.action_id, robot)
+    if any(claim.claimant == robot and claim.dimension == "execution" for claim in state.authority.claims.get(action.action_id, ())):
+        return (approach,)
     context = (action.task_id, action.action_id, action.action_id, robot, action.requested_by, robot, on_shift(state, robot), (robot,))
     return (
         RequestAccepted(*context),
         AuthorityClaimed(action.task_id, action.action_id, "execution", robot, "acceptance"),
         AuthorityClaimed(action.task_id, action.action_id, "override", robot, "acceptance"),
-        ApproachStarted(action.task_id, action.action_id, robot),
+        approach,
     )
 
 
@@ -173,7 +202,12 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
         return ()
     supervisor = on_shift(state, request.requester)
     context = (request.task_id, request.action_id, request.action_id, COORDINATION, request.requester, request.target, supervisor)
-    return (RequestClosed(*context, (COORDINATION,)),)
+    return (RequestClosed(*context, (COORDINATION,), request.result or "success"),)
+
+
+def _is_step(state: State, request: Request | None) -> bool:
+    """True for a step of an open task; what an outsider injected, or a robot asks by itself, is nobody's step."""
+    return request is not None and not request.is_adhoc and request.task_id in state.task
 
 
 def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
@@ -186,9 +220,10 @@ def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Sche
 
 
 def _on_request(state: State, event: RequestIssued, _now_us: int) -> tuple[Scheduled, ...]:
-    if event.task_id not in state.task:  # an outsider's request is nobody's step
-        return ()
     assert event.action_id is not None
+    request = state.request.get(event.action_id)
+    if request is None or not (request.is_adhoc or _is_step(state, request)):
+        return ()
     next_one: Command = RelayRequest(event.action_id) if event.relay else EvaluateRequest(event.action_id)
     return (Scheduled(next_one, 0, (message(event.action_id, 2),)),)
 
@@ -198,9 +233,22 @@ def _on_relay(_state: State, event: RequestRelayed, _now_us: int) -> tuple[Sched
 
 
 def _on_denial(state: State, event: RequestDenied, _now_us: int) -> tuple[Scheduled, ...]:
-    if event.task_id not in state.task:
+    return _again(state, event.action_id)
+
+
+def _on_offer(state: State, event: OfferAnswered, _now_us: int) -> tuple[Scheduled, ...]:
+    """The executor judges the changed request; a step whose requester let go is tried again later."""
+    assert event.action_id is not None
+    if event.override is None:
+        return _again(state, event.action_id)
+    return (Scheduled(EvaluateRequest(event.action_id), 0, (message(event.action_id, f"offer{event.round}"),)),)
+
+
+def _again(state: State, action_id: str | None) -> tuple[Scheduled, ...]:
+    request = state.request.get(action_id or "")
+    if request is None or not _is_step(state, request):
         return ()
-    return (Scheduled(BeginStep(event.task_id), state.fleet.structure.back_off_us),)
+    return (Scheduled(BeginStep(request.task_id), state.fleet.structure.back_off_us),)
 
 
 def _on_unanswered(state: State, event: RequestUnanswered | PeerSought, _now_us: int) -> tuple[Scheduled, ...]:
@@ -211,20 +259,23 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     if event.purpose == "ordering":
         waiting = in_order(state, event.action_id, event.preferred)
         return tuple(Scheduled(EvaluateRequest(name), place) for place, name in enumerate(waiting, start=1))
-    return (Scheduled(AdmitReviewed(event.action_id)),) if event.purpose == "review" else ()
+    return (Scheduled(AdmitReviewed(event.action_id, event.approves)),) if event.purpose == "review" else ()
 
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
     request = state.request.get(event.action_id)
-    if request is None or event.task_id not in state.task:
+    if request is None or not (request.is_adhoc or _is_step(state, request)):
         return ()
-    if event.robot == request.requester:
-        return (Scheduled(CompleteStep(event.action_id)),)
-    return (Scheduled(CloseRequest(event.action_id), 0, (message(event.action_id, 4),)),)
+    if event.robot != request.requester:
+        return (Scheduled(CloseRequest(event.action_id), 0, (message(event.action_id, 4),)),)
+    return (Scheduled(CompleteStep(event.action_id)),) if event.result == "success" else _again(state, event.action_id)
 
 
-def _on_close(_state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(CompleteStep(event.action_id)),)
+def _on_close(state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
+    """The step is done; one that did not succeed is tried again later."""
+    if not _is_step(state, state.request.get(event.action_id)):
+        return ()
+    return (Scheduled(CompleteStep(event.action_id)),) if event.result == "success" else _again(state, event.action_id)
 
 
 DECIDES: Decides = {
@@ -240,6 +291,7 @@ REACTS: Reacts = {
     RequestIssued: _on_request,
     RequestRelayed: _on_relay,
     RequestDenied: _on_denial,
+    OfferAnswered: _on_offer,
     RequestUnanswered: _on_unanswered,
     PeerSought: _on_unanswered,
     SupervisorResponded: _on_response,

@@ -1,0 +1,154 @@
+"""Whether a request is admissible, conjunct by conjunct, and the authority that it gives. Paper: eq:admissible, eq:auth.
+
+`evaluate` decides at arrival; `holding` decides again when the robot is about to start. Both are functions of the state.
+"""
+
+from typing import Literal
+
+import msgspec
+
+from fsar_ledger.events.authority import AuthorityGranted, AuthorityRevoked
+from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome, TrustScope
+from fsar_ledger.projections.authority import rank, right_of
+from fsar_ledger.projections.execution import INTERRUPTING, Action
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.policy import ruled
+from fsar_ledger.projections.registry import Advertisement, advertisement, possesses
+from fsar_ledger.projections.request import Request
+from fsar_ledger.projections.trust import covers, scope_of
+from fsar_ledger.projections.world import stricter
+
+from .attribution import is_idle
+from .policy import compose, fleet_policy, own_policy
+
+Conjunct = Literal["possession", "advertisement", "trust", "policy", "local-execution", "authority"]
+Verdict = Literal["accept", "defer", "negotiate", "review", "reject"]
+PREEMPTIBLE = ("queued", "approaching", "held", "polling", "running", "paused")  # recovery and assistance are not interrupted
+
+
+class Evaluation(msgspec.Struct, frozen=True, gc=False):
+    """What the executor finds: the verdict, the conjunct that failed if one did, and the authority tuple of `eq:auth`.
+
+    `override` is the level that is in effect if the request is admitted, in a negotiation the highest that is offered;
+    `trust` the scope that the request rests on (None: nobody evaluates trust).
+    """
+
+    verdict: Verdict
+    conjunct: Conjunct | None
+    trust: TrustScope | None
+    may_request: bool
+    may_execute: bool
+    override: OverrideLevel
+    is_audited: bool = True
+
+
+def evaluate(state: State, request: Request, executor: str, is_reviewed: bool = False) -> Evaluation:
+    """The five conjuncts in the paper's order, then authority; a request that was reviewed is not stopped by policy again. Paper: eq:admissible.
+
+    A request through a relay rests on the executor's trust in the relay: each link is judged by itself. A revocation of
+    the requester's own right counts all the same.
+    """
+    about = (request.capability, request.task_id)
+    outcome = "allow" if is_reviewed else compose(state, request.carried, executor, *about)
+    is_blind = state.fleet.configuration == "without-trust-evaluation"
+    trust = None if is_blind else scope_of(state.trust, executor, asker(request), *about)
+    conjunct = failing(state, request, executor, trust, outcome)
+    if conjunct is not None:
+        return Evaluation("reject", conjunct, trust, conjunct not in ("trust", "authority"), False, "none")
+    asked: OverrideLevel = "none"
+    if request.override != "none":
+        asked, allowed = override_asked(state, request, executor), override_allowed(state, request, executor)
+        if rank(asked) > rank(allowed):
+            return Evaluation("negotiate", None, trust, True, False, allowed)
+    if outcome == "review":
+        return Evaluation("review", None, trust, True, False, asked)
+    is_free = is_idle(state, executor) or preemptible(state, executor, asked) is not None
+    return Evaluation("accept" if is_free else "defer", None, trust, True, True, asked)
+
+
+def asker(request: Request) -> str:
+    """Who stands before the executor: the relay, or the requester itself. Paper: eq:nontransitive."""
+    return request.relay or request.requester
+
+
+def failing(state: State, request: Request, executor: str, trust: TrustScope | None, outcome: PolicyOutcome) -> Conjunct | None:
+    """The first conjunct that fails, or None; `trust` is the executor's in who asks, `outcome` the composed policy. Paper: eq:admissible."""
+    if not possesses(state.registry, executor, request.capability):
+        return "possession"
+    record = advertisement(state.registry, executor, request.capability)
+    if record is None or not is_visible(state, record, request) or request.version not in (None, record.version):
+        return "advertisement"
+    if trust is not None and not covers(trust, record.trust_required):
+        return "trust"
+    if outcome == "deny" or (record.policy_required and request.task_id not in record.policy_required):
+        return "policy"
+    if request.directives or record.availability in ("offline", "restricted"):
+        return "local-execution"
+    if request.task_id in state.authority.expired or is_revoked(state, request, executor):
+        return "authority"
+    return None
+
+
+def is_visible(state: State, record: Advertisement, request: Request) -> bool:
+    """True when the registry may show the record to the requester. Paper: sec:architecture:registry."""
+    if state.fleet.configuration == "without-trust-evaluation":
+        return True
+    requester = state.fleet.robots[request.requester]
+    if record.visible_to and requester.role not in record.visible_to:
+        return False
+    if record.visibility == "domain":
+        return not record.domain or requester.domain == record.domain or requester.domain.startswith(record.domain + "/")
+    if record.visibility == "trust-gated":
+        return scope_of(state.trust, record.robot, asker(request), request.capability, request.task_id) != "none"
+    return True
+
+
+def is_revoked(state: State, request: Request, executor: str) -> bool:
+    """True when the requester, or the relay that asks for it, may no longer ask this of the executor. Paper: sec:model:authority."""
+    if not state.authority.rights:
+        return False
+    about = (executor, request.capability, request.task_id)
+    return any(isinstance(right_of(state.authority, robot, *about), AuthorityRevoked) for robot in {request.requester, asker(request)})
+
+
+def override_asked(state: State, request: Request, executor: str) -> OverrideLevel:
+    """The level that the request asks for; emergency-only without a supervisor's grant of it is none. Paper: eq:override."""
+    if request.override != "emergency-only":
+        return request.override
+    right = right_of(state.authority, request.requester, executor, request.capability, request.task_id)
+    return "emergency-only" if isinstance(right, AuthorityGranted) and right.override == "emergency-only" else "none"
+
+
+def override_allowed(state: State, request: Request, executor: str) -> OverrideLevel:
+    """The highest level that the executor's advertisement allows, and a grant if there is one. Paper: eq:override, eq:adv."""
+    record = advertisement(state.registry, executor, request.capability)
+    allowed: OverrideLevel = "none" if record is None else record.override_allowed
+    right = right_of(state.authority, request.requester, executor, request.capability, request.task_id)
+    return min(allowed, right.override, key=rank) if isinstance(right, AuthorityGranted) else allowed
+
+
+def preemptible(state: State, robot: str, override: OverrideLevel) -> Action | None:
+    """The action that a request of this level takes the robot from, or None. Paper: eq:override."""
+    action = state.execution.actions.get(state.execution.current.get(robot, ""))
+    if action is None or action.stage not in PREEMPTIBLE or rank(override) < INTERRUPTING or rank(action.override) >= rank(override):
+        return None
+    return action
+
+
+def holding(state: State, action: Action) -> tuple[PolicyOutcome, PolicyOutcome]:
+    """What the executor's own policy and the fleet's rule, as last heard, say to a start now; an approval covers what was known when it was given.
+
+    Paper: eq:policy, sec:architecture:fleet (never a silent override).
+    """
+    about = (action.robot, action.capability, action.task_id)
+    later = state.authority.approvals.get(action.action_id)
+    if later is None:
+        return own_policy(state, *about), fleet_policy(state, *about)
+    rules = {rule: outcome for rule, outcome in state.policy.items() if rule in later.rules}
+    own = ruled(rules, "local", *about) or "allow"
+    for window, outcome in state.world.local.get(action.robot, ()):
+        if window in later.windows:
+            own = stricter(own, outcome)
+    if state.fleet.configuration == "without-policy-composition":
+        return own, "allow"
+    return own, stricter(later.heard.get(action.robot, "allow"), ruled(rules, "fleet", *about) or "allow")

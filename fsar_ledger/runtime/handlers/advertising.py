@@ -1,0 +1,262 @@
+"""A robot governs what it shows of itself: it advertises, withdraws, reports, deprecates, rolls out. Paper: sec:model:advertisement.
+
+Every command here but `FinishRollOut` is public; `issued_by` is who gave it (a robot, a supervisor), None when that is not stated.
+"""
+
+from collections.abc import Iterable
+from typing import get_args
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Availability, OverrideLevel, TrustScope, Visibility
+from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityDeprecated, CapabilityInstalled, CapabilityWithdrawn
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.registry import Advertisement, Contract, Module, advertisement, surface
+
+from .commands import Command, Decides, PublicCommand, Reacts, Scheduled
+from .fleet import in_use, is_degraded, not_possessed
+from .matching import contradiction, version_of, weaker
+from .rejection import rejected, unknown_robot
+
+
+class AdvertiseCapability(PublicCommand):
+    """The seven fields of an advertisement and who may see it; a part of the contract that is None is that of the installed module. Paper: eq:adv."""
+
+    robot: str
+    capability: str
+    version: str
+    preconditions: tuple[str, ...] | None = None
+    postconditions: tuple[str, ...] | None = None
+    resources: tuple[str, ...] | None = None
+    trust_required: TrustScope = "capability"
+    policy_required: tuple[str, ...] = ()
+    override_allowed: OverrideLevel = "none"
+    availability: Availability = "ready"
+    embodiment: tuple[str, ...] = ()
+    visibility: Visibility = "global"
+    visible_to: tuple[str, ...] = ()
+    issued_by: str | None = None
+
+
+class WithdrawCapability(PublicCommand):
+    """Take the capability off the surface; the robot keeps it."""
+
+    robot: str
+    capability: str
+    reason: str
+    issued_by: str | None = None
+
+
+class ReportAvailability(PublicCommand):
+    """Another availability, of one capability or (None) of everything that the robot advertises."""
+
+    robot: str
+    capability: str | None
+    availability: Availability
+    reason: str
+    issued_by: str | None = None
+
+
+class DeprecateCapability(PublicCommand):
+    """The advertised version is on its way out, for the successor if there is one."""
+
+    robot: str
+    capability: str
+    version: str
+    successor: str | None = None
+    issued_by: str | None = None
+
+
+class UpgradeCapability(PublicCommand):
+    """Roll a newer version out; parts of its contract that are None stay as they are."""
+
+    robot: str
+    capability: str
+    version: str
+    preconditions: tuple[str, ...] | None = None
+    postconditions: tuple[str, ...] | None = None
+    resources: tuple[str, ...] | None = None
+    issued_by: str | None = None
+
+
+class FinishRollOut(Command):
+    """The installed version may be shown."""
+
+    robot: str
+    capability: str
+
+
+def advertise_capability(state: State, command: AdvertiseCapability) -> tuple[Event, ...]:
+    """The robot offers what it possesses, in words that its module keeps. Paper: eq:advertise."""
+    robot, capability = command.robot, command.capability
+    wrong = unknown_robot(state, robot) or not_possessed(state, robot, capability) or _unheard_of(command)
+    if wrong is None:
+        module = state.registry.modules[robot][capability]
+        contract = _contract(command, module)
+        wrong = contradiction(contract) or weaker(contract, module.contract)
+        if command.version != module.version:
+            wrong = f"version {command.version} is not installed, expected {module.version}"
+    if wrong is not None:
+        return rejected(command, capability, wrong, command.issued_by)
+    return (
+        CapabilityAdvertised(
+            robot,
+            capability,
+            command.visible_to,
+            command.version,
+            contract.preconditions,
+            contract.postconditions,
+            contract.resources,
+            command.trust_required,
+            command.policy_required,
+            command.override_allowed,
+            command.availability,
+            command.embodiment,
+            command.visibility,
+        ),
+    )
+
+
+def withdraw_capability(state: State, command: WithdrawCapability) -> tuple[Event, ...]:
+    """The capability is off the robot's surface."""
+    wrong = unknown_robot(state, command.robot) or _not_advertised(state, command.robot, command.capability)
+    if wrong is not None:
+        return rejected(command, command.capability, wrong, command.issued_by)
+    return (CapabilityWithdrawn(command.robot, command.capability, command.reason),)
+
+
+def report_availability(state: State, command: ReportAvailability) -> tuple[Event, ...]:
+    """The registry knows how available the robot says it is. Paper: sec:architecture:registry."""
+    robot, capability = command.robot, command.capability
+    wrong = unknown_robot(state, robot) or _unknown("availability", command.availability, get_args(Availability))
+    if wrong is None and capability is not None:
+        wrong = _not_advertised(state, robot, capability)
+    elif wrong is None and not any(surface(state.registry, robot)):
+        wrong = f"{robot} advertises nothing, expected something whose availability can change"
+    if wrong is not None:
+        return rejected(command, capability or robot, wrong, command.issued_by)
+    return (AvailabilityChanged(robot, capability, command.availability, command.reason),)
+
+
+def deprecate_capability(state: State, command: DeprecateCapability) -> tuple[Event, ...]:
+    """The version is shown last, and to no query that another version satisfies. Paper: sec:discussion:continuity."""
+    robot, capability = command.robot, command.capability
+    wrong = unknown_robot(state, robot) or _not_advertised(state, robot, capability)
+    if wrong is None:
+        record = advertisement(state.registry, robot, capability)
+        assert record is not None
+        if record.version != command.version:
+            wrong = f"version {command.version} is not advertised, expected {record.version}"
+        elif record.is_deprecated:
+            wrong = f"version {command.version} is deprecated already"
+        elif command.successor is not None:
+            wrong = _not_newer(command.successor, command.version)
+    if wrong is not None:
+        return rejected(command, capability, wrong, command.issued_by)
+    return (CapabilityDeprecated(robot, capability, command.version, command.successor),)
+
+
+def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event, ...]:
+    """The newer version is installed; while it is rolled out, what is advertised is restricted. Paper: sec:architecture:registry."""
+    robot, capability = command.robot, command.capability
+    wrong = unknown_robot(state, robot) or not_possessed(state, robot, capability)
+    if wrong is None:
+        module = state.registry.modules[robot][capability]
+        contract = _contract(command, module)
+        wrong = _not_newer(command.version, module.version) or contradiction(contract) or in_use(state, robot, capability)
+    record = advertisement(state.registry, robot, capability)
+    if wrong is None and record is not None and record.availability in ("restricted", "offline"):
+        wrong = f"{capability} is {record.availability} at {robot}, expected it to be in reach and in no other roll-out"
+    if wrong is not None:
+        return rejected(command, capability, wrong, command.issued_by)
+    installed = CapabilityInstalled(robot, capability, command.version, contract.preconditions, contract.postconditions, contract.resources)
+    if record is None:
+        return (installed,)
+    return (installed, AvailabilityChanged(robot, capability, "restricted", f"roll-out of {command.version}"))
+
+
+def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
+    """The new version is advertised on the terms of the old one, unless the old one was withdrawn or replaced meanwhile."""
+    record = _rolling_out(state, command.robot, command.capability)
+    if record is None:
+        return ()
+    module = state.registry.modules[command.robot][command.capability]
+    return (
+        CapabilityAdvertised(
+            record.robot,
+            record.capability,
+            record.visible_to,
+            module.version,
+            module.contract.preconditions,
+            module.contract.postconditions,
+            module.contract.resources,
+            record.trust_required,
+            record.policy_required,
+            record.override_allowed,
+            "degraded" if is_degraded(state, record.robot) else "ready",
+            record.embodiment,
+            record.visibility,
+        ),
+    )
+
+
+def _rolling_out(state: State, robot: str, capability: str) -> Advertisement | None:
+    """The restricted record of another version than the installed one, if there is one."""
+    module, record = state.registry.modules.get(robot, {}).get(capability), advertisement(state.registry, robot, capability)
+    if module is None or record is None or record.availability != "restricted" or record.version == module.version:
+        return None
+    return record
+
+
+def _contract(command: AdvertiseCapability | UpgradeCapability, module: Module) -> Contract:
+    known = module.contract
+    return Contract(
+        known.preconditions if command.preconditions is None else command.preconditions,
+        known.postconditions if command.postconditions is None else command.postconditions,
+        known.resources if command.resources is None else command.resources,
+    )
+
+
+def _unheard_of(command: AdvertiseCapability) -> str | None:
+    """Why a value of the advertisement is none that the model knows, or None; constructors do not check types."""
+    for name, value, known in (
+        ("trust scope", command.trust_required, get_args(TrustScope)),
+        ("override level", command.override_allowed, get_args(OverrideLevel)),
+        ("availability", command.availability, get_args(Availability)),
+        ("visibility", command.visibility, get_args(Visibility)),
+    ):
+        if (wrong := _unknown(name, value, known)) is not None:
+            return wrong
+    names = (*command.policy_required, *command.embodiment, *command.visible_to)
+    return None if all(names) else "an empty name, expected contexts, embodiments and roles with names"
+
+
+def _unknown(name: str, value: str, known: Iterable[str]) -> str | None:
+    return None if value in known else f"{name} {value!r} is unknown, expected one of {', '.join(known)}"
+
+
+def _not_advertised(state: State, robot: str, capability: str) -> str | None:
+    return None if advertisement(state.registry, robot, capability) is not None else f"{robot} does not advertise {capability}"
+
+
+def _not_newer(version: str, known: str) -> str | None:
+    found, before = version_of(version), version_of(known)
+    if found is None:
+        return f"{version!r} is no version, expected one such as 1.2.0"
+    return f"version {version} is not newer than {known}" if before is not None and found <= before else None
+
+
+def _on_restriction(state: State, event: AvailabilityChanged, _now_us: int) -> tuple[Scheduled, ...]:
+    if event.capability is None or _rolling_out(state, event.robot, event.capability) is None:
+        return ()
+    return (Scheduled(FinishRollOut(event.robot, event.capability)),)
+
+
+DECIDES: Decides = {
+    AdvertiseCapability: advertise_capability,
+    WithdrawCapability: withdraw_capability,
+    ReportAvailability: report_availability,
+    DeprecateCapability: deprecate_capability,
+    UpgradeCapability: upgrade_capability,
+    FinishRollOut: finish_roll_out,
+}
+REACTS: Reacts = {AvailabilityChanged: _on_restriction}

@@ -1,0 +1,132 @@
+"""Who belongs to the fleet, what they possess, and in which state a robot is. Paper: eq:fleet, eq:runtime, eq:possess.
+
+The commands here are public; `issued_by` is who gave it, None when that is not stated.
+"""
+
+from typing import Literal
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import local_supervisor
+from fsar_ledger.events.fleet import RobotJoined
+from fsar_ledger.events.registry import CapabilityInstalled, CapabilityRemoved
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.registry import Contract, path_of, possesses, surface
+
+from .commands import Decides, PublicCommand, Reacts
+from .matching import contradiction, version_of
+from .rejection import rejected, unknown_robot
+
+ExecutionState = Literal["idle", "executing", "degraded", "failed"]
+
+
+class JoinFleet(PublicCommand):
+    """A robot registers itself in the domain's registry, under its own supervisor if it has one. Paper: sec:discussion:heterogeneity."""
+
+    robot: str
+    role: str
+    team: int
+    supervisor: str | None = None
+    domain: str = ""
+    issued_by: str | None = None
+
+
+class InstallCapability(PublicCommand):
+    """The robot is to possess a capability that it did not have. Paper: eq:possess."""
+
+    robot: str
+    capability: str
+    version: str
+    preconditions: tuple[str, ...] = ()
+    postconditions: tuple[str, ...] = ()
+    resources: tuple[str, ...] = ()
+    issued_by: str | None = None
+
+
+class RemoveCapability(PublicCommand):
+    """The robot is to possess it no longer."""
+
+    robot: str
+    capability: str
+    issued_by: str | None = None
+
+
+def execution_state(state: State, robot: str) -> ExecutionState:
+    """What the robot is in: failed before degraded before executing before idle. Paper: sec:evaluation:simulator (robot state).
+
+    Failed: what it has in hand failed and has not gone on since, or is being recovered by others. Degraded: its
+    actuator is, or it says so of something it advertises. Executing: it has anything in hand, from its turn on.
+    """
+    held = state.execution.current.get(robot, "")
+    action, recovery = state.execution.actions.get(held), state.recovery.get(held)
+    if (action is not None and action.stage == "failed") or (recovery is not None and recovery.level != "local"):
+        return "failed"
+    if is_degraded(state, robot):
+        return "degraded"
+    return "executing" if held else "idle"
+
+
+def is_degraded(state: State, robot: str) -> bool:
+    """True when the robot's actuator is degraded, or it says so of something that it advertises."""
+    return robot in state.world.degraded or any(record.availability == "degraded" for record in surface(state.registry, robot))
+
+
+def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
+    """The robot is a member; it neither possesses nor trusts anything yet."""
+    robot, wrong = command.robot, None
+    if robot in state.fleet.robots:
+        wrong = f"{robot} is a member already"
+    elif not robot.removeprefix("robot/") or robot.count("/") != 1 or not robot.startswith("robot/"):
+        wrong = f"{robot!r} is no robot's name, expected one such as robot/A1"
+    elif not command.role or command.team < 1:
+        wrong = f"role {command.role!r} of team {command.team}, expected a role and a team from 1"
+    elif command.supervisor not in (None, local_supervisor(robot)):
+        wrong = f"supervisor {command.supervisor}, expected {local_supervisor(robot)} or none"
+    elif not all(path_of(command.domain)):
+        wrong = f"domain {command.domain!r} is no path, expected one such as hall/cell, or nothing for the fleet's own"
+    if wrong is not None:
+        return rejected(command, robot, wrong, command.issued_by)
+    return (RobotJoined(robot, command.role, command.team, command.supervisor, command.domain),)
+
+
+def install_capability(state: State, command: InstallCapability) -> tuple[Event, ...]:
+    """The robot possesses it, and advertises it to nobody. Paper: sec:model:capability."""
+    robot, capability = command.robot, command.capability
+    wrong = unknown_robot(state, robot)
+    if wrong is None and possesses(state.registry, robot, capability):
+        wrong = f"{robot} possesses version {state.registry.modules[robot][capability].version} already, expected an upgrade"
+    if wrong is None and (not capability.strip() or "*" in capability):
+        wrong = f"capability {capability!r} is no name, expected one such as grasp.robust"
+    if wrong is None and version_of(command.version) is None:
+        wrong = f"{command.version!r} is no version, expected one such as 1.2.0"
+    contract = Contract(command.preconditions, command.postconditions, command.resources)
+    wrong = wrong or contradiction(contract)
+    if wrong is not None:
+        return rejected(command, capability, wrong, command.issued_by)
+    return (CapabilityInstalled(robot, capability, command.version, contract.preconditions, contract.postconditions, contract.resources),)
+
+
+def remove_capability(state: State, command: RemoveCapability) -> tuple[Event, ...]:
+    """The robot neither possesses nor advertises it."""
+    robot, capability = command.robot, command.capability
+    wrong = unknown_robot(state, robot) or not_possessed(state, robot, capability) or in_use(state, robot, capability)
+    if wrong is not None:
+        return rejected(command, capability, wrong, command.issued_by)
+    return (CapabilityRemoved(robot, capability),)
+
+
+def not_possessed(state: State, robot: str, capability: str) -> str | None:
+    """The reason to reject what needs the capability at the robot, or None while it possesses it."""
+    return None if possesses(state.registry, robot, capability) else f"{robot} does not possess {capability}"
+
+
+def in_use(state: State, robot: str, capability: str) -> str | None:
+    """The reason to leave the capability alone: an action at the robot needs it; None when there is none."""
+    for name in (state.execution.current.get(robot, ""), *state.execution.queues.get(robot, ())):
+        action = state.execution.actions.get(name)
+        if action is not None and action.capability == capability:
+            return f"{capability} is in use by {name}, expected it to be over"
+    return None
+
+
+DECIDES: Decides = {JoinFleet: join_fleet, InstallCapability: install_capability, RemoveCapability: remove_capability}
+REACTS: Reacts = {}

@@ -1,0 +1,258 @@
+"""The registry answers who offers what, to whom, and says of everyone else why not. Paper: sec:architecture:registry.
+
+It is authoritative about discoverability, never about execution: the robot that is asked judges the request by itself.
+"""
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import Literal, get_args
+
+import msgspec
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import OverrideLevel, TrustScope
+from fsar_ledger.events.registry import RegistryCached, RegistryConsulted, RegistryQueried
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.policy import ruled
+from fsar_ledger.projections.registry import Advertisement, Offers, enclosing, offers
+from fsar_ledger.projections.trust import covers, scope_of
+
+from .attribution import is_idle, nearest_first, on_shift
+from .commands import Decides, PublicCommand, Reacts
+from .matching import is_in_range, is_range, is_suitable
+from .rejection import rejected, unknown_robot
+
+Filter = Literal["visibility", "version", "contract", "trust", "policy", "authority", "availability", "embodiment"]
+FILTERS: tuple[Filter, ...] = get_args(Filter)  # in the order in which they are asked
+
+
+class Query(msgspec.Struct, frozen=True):
+    """Q = (r_A, e*, sigma, B, P): who asks for what, in which context, and what is stated about it. Paper: sec:architecture:registry.
+
+    `capability` is a name or a group (`grasp.*`); `version` a range (see `matching.is_in_range`). `provides` are the
+    preconditions that the requester establishes and `resources` what is there to be taken, None where it does not say;
+    `needs` the postconditions that it wants, `embodiment` what the body must be. `override` is the level that the
+    request will ask for; `limit` ends the search at so many admissible ready candidates.
+    """
+
+    requester: str
+    capability: str
+    context: str | None = None
+    version: str = ""
+    provides: tuple[str, ...] | None = None
+    needs: tuple[str, ...] = ()
+    resources: tuple[str, ...] | None = None
+    override: OverrideLevel = "none"
+    embodiment: tuple[str, ...] = ()
+    limit: int | None = None
+
+
+class Answer(msgspec.Struct, frozen=True):
+    """Cand(Q): the robots that may be asked, best first, each with the capability of theirs that matched (`capabilities`).
+
+    Each robot of `rejected` offers what was asked for and was left out by the filter at the same place of `rejected_by`.
+    `domain` is the registry that answered, `as_of_us` (run time) the age of the copy that it read, None for the present.
+    """
+
+    candidates: tuple[str, ...]
+    capabilities: tuple[str, ...]
+    rejected: tuple[str, ...]
+    rejected_by: tuple[Filter, ...]
+    domain: str = ""
+    as_of_us: int | None = None
+
+
+def candidates(state: State, query: Query, cache_holder: str | None = None) -> Answer:
+    """Cand(Q), answered by the nearest registry around the requester that has a candidate, or at last by the fleet's.
+
+    Every other robot that matches by name in the registries that were asked is either candidate or rejected; under a
+    `limit` only those that the search came to. A robot that matches more than once counts by its best record.
+    With a `cache_holder` the answer is that of its copy: old offers, while trust and rules are those of now.
+
+    Raises:
+        KeyError: the requester is no member of the fleet, or the holder has no copy.
+    """
+    cache = None if cache_holder is None else state.registry.caches[cache_holder]
+    read = state.registry.offers if cache is None else cache.offers
+    left_out: dict[str, Filter] = {}
+    found: dict[str, Advertisement] = {}
+    answering = ""
+    for domain, level, but in enclosing(read, state.registry.domains[query.requester]):
+        answering = domain
+        _search(state, query, level, but, cache is None, found, left_out)
+        if found:
+            break
+    ranked = _nearest(state, found, query)
+    if len(ranked) > 1:
+        ranked = tuple(sorted(ranked, key=lambda robot: (_rank(state, found[robot], cache is None), found[robot].is_deprecated))[: query.limit])
+    others = _nearest(state, left_out, query)
+    return Answer(
+        ranked,
+        tuple(found[robot].capability for robot in ranked),
+        others,
+        tuple(left_out[robot] for robot in others),
+        answering,
+        None if cache is None else cache.as_of_us,
+    )
+
+
+def _nearest(state: State, robots: Iterable[str], query: Query) -> tuple[str, ...]:
+    found = list(robots)
+    return nearest_first(state, found, query.requester) if len(found) > 1 else tuple(found)
+
+
+def _search(state: State, query: Query, level: Offers, but: str | None, is_present: bool, found: dict[str, Advertisement], left_out: dict[str, Filter]) -> None:
+    """Every match of one registry is found or left out, until there are enough that are ready."""
+    ready = 0
+    for record in _matches(level, query.capability, but):
+        robot = record.robot
+        if robot == query.requester or (robot in found and not found[robot].is_deprecated):
+            continue
+        by = rejecting_filter(state, query, record)
+        if by is not None:
+            if robot not in found and (robot not in left_out or FILTERS.index(by) > FILTERS.index(left_out[robot])):
+                left_out[robot] = by
+            continue
+        found[robot] = record
+        left_out.pop(robot, None)
+        if query.limit is not None:
+            ready += not record.is_deprecated and _rank(state, record, is_present) == 0
+            if ready == query.limit:
+                break
+    for robot in [robot for robot, record in found.items() if record.is_deprecated]:
+        if any(record.capability == found[robot].capability and not record.is_deprecated for record in found.values()):
+            del found[robot]
+            left_out[robot] = "version"
+
+
+def _matches(level: Offers, wanted: str, but: str | None) -> Iterator[Advertisement]:
+    """Match(e, e*): the records of the name or, for a group, of each name in it."""
+    names = [wanted]
+    if wanted.endswith(".*"):
+        names = sorted({name for names in (level.records, level.ways) for name in names if name.startswith(wanted[:-1])})
+    for name in names:
+        yield from offers(level, name, but)
+
+
+def _rank(state: State, record: Advertisement, is_present: bool) -> int:
+    """0 ready, 1 busy, 2 degraded; that a robot is executing just now is in no copy."""
+    if record.availability == "degraded":
+        return 2
+    return int(record.availability == "busy" or (is_present and not is_idle(state, record.robot)))
+
+
+def rejecting_filter(state: State, query: Query, record: Advertisement, but: Filter | None = None) -> Filter | None:
+    """The first filter (`but` one) that leaves the record out of the answer, or None when it is admissible. Paper: sec:architecture:registry."""
+    for name, rejects in _REJECTS:
+        if name != but and rejects(state, query, record):
+            return name
+    return None
+
+
+def _hides(state: State, query: Query, record: Advertisement) -> bool:
+    """Visible_Gamma. Without trust evaluation nobody hides. Paper: eq:advertise."""
+    if state.fleet.configuration == "without-trust-evaluation":
+        return False
+    if record.visible_to and state.fleet.robots[query.requester].role not in record.visible_to:
+        return True
+    if record.visibility == "domain":
+        asking = state.registry.domains[query.requester]
+        return record.domain != "" and asking != record.domain and not asking.startswith(record.domain + "/")
+    return record.visibility == "trust-gated" and _trust(state, query, record) == "none"
+
+
+def _trust(state: State, query: Query, record: Advertisement) -> TrustScope:
+    return scope_of(state.trust, record.robot, query.requester, record.capability, query.context)
+
+
+def _distrusts(state: State, query: Query, record: Advertisement) -> bool:
+    """Not TrustOK by the record that is read (see `trust.trusts` for the present one). Paper: eq:delegable."""
+    if state.fleet.configuration == "without-trust-evaluation":
+        return False
+    return not covers(_trust(state, query, record), record.trust_required)
+
+
+def _forbids(state: State, query: Query, record: Advertisement) -> bool:
+    """The advertisement is for other contexts, or a declared rule of the robot denies; what closes for a while is the robot's to judge."""
+    if record.policy_required and query.context not in record.policy_required:
+        return True
+    return ruled(state.policy, "local", record.robot, record.capability, query.context) == "deny"
+
+
+_REJECTS: tuple[tuple[Filter, Callable[[State, Query, Advertisement], bool]], ...] = (
+    ("visibility", _hides),
+    ("version", lambda _state, query, record: not is_in_range(record.version, query.version)),
+    ("contract", lambda _state, query, record: not is_suitable(record.contract, query.needs, query.provides, query.resources)),
+    ("trust", _distrusts),
+    ("policy", _forbids),
+    ("authority", lambda _state, query, record: query.override == "emergency-only" and record.override_allowed == "none"),
+    ("availability", lambda _state, _query, record: record.availability in ("offline", "restricted")),
+    ("embodiment", lambda _state, query, record: not set(query.embodiment) <= set(record.embodiment)),
+)
+
+
+def queried(state: State, query: Query, answer: Answer, task_id: str | None, action_id: str | None, relay: str | None = None) -> RegistryQueried:
+    """The record that the registry has answered; the executor is the robot that the answer leads to, if it leads to one."""
+    return RegistryQueried(
+        task_id,
+        action_id,
+        query.requester,
+        answer.candidates[0] if answer.candidates else None,
+        on_shift(state, query.requester),
+        query.capability,
+        answer.candidates,
+        relay,
+        answer.rejected,
+        answer.rejected_by,
+        answer.domain,
+        answer.as_of_us,
+    )
+
+
+class ConsultRegistry(PublicCommand):
+    """Public: a look into the registry outside of any request. With `cache_holder`, answered from that robot's copy."""
+
+    query: Query
+    cache_holder: str | None = None
+
+
+class CacheRegistry(PublicCommand):
+    """Public: the robot takes a copy of the registry as it is now."""
+
+    holder: str
+
+
+def consult_registry(state: State, command: ConsultRegistry) -> tuple[Event, ...]:
+    """The registry has answered; that nobody offers the capability is an answer too."""
+    query = command.query
+    wrong = unknown_robot(state, query.requester, command.cache_holder) or _malformed(query)
+    if wrong is None and command.cache_holder is not None and command.cache_holder not in state.registry.caches:
+        wrong = f"{command.cache_holder} has no copy of the registry, expected one that was taken"
+    if wrong is not None:
+        return rejected(command, query.capability, wrong, query.requester)
+    found = candidates(state, query, command.cache_holder)
+    return (RegistryConsulted(query.requester, query.capability, found.candidates, found.rejected, found.rejected_by, found.domain, found.as_of_us),)
+
+
+def _malformed(query: Query) -> str | None:
+    name = query.capability.removesuffix(".*")
+    if not name or "*" in name:
+        return f"capability {query.capability!r} is no name, expected one such as grasp.robust or a group such as grasp.*"
+    if not is_range(query.version):
+        return f"version {query.version!r} is no range, expected nothing, 1.2.0, ^1.2 or >=1.2"
+    if query.override not in get_args(OverrideLevel):
+        return f"override level {query.override!r} is unknown, expected one of {', '.join(get_args(OverrideLevel))}"
+    if query.limit is not None and query.limit < 1:
+        return f"limit {query.limit} finds nobody, expected at least 1"
+    return None
+
+
+def cache_registry(state: State, command: CacheRegistry) -> tuple[Event, ...]:
+    """The holder has a copy as of now."""
+    wrong = unknown_robot(state, command.holder)
+    if wrong is not None:
+        return rejected(command, command.holder, wrong, command.holder)
+    return (RegistryCached(command.holder, command.now_us),)
+
+
+DECIDES: Decides = {ConsultRegistry: consult_registry, CacheRegistry: cache_registry}
+REACTS: Reacts = {}

@@ -1,0 +1,191 @@
+"""Requests that a robot, or an operator for it, issues by itself; counter-offers are answered; results are reported. Paper: sec:model:request.
+
+What is asked here goes the way of every request: the executor evaluates it under its own runtime.
+"""
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import OverrideLevel, Result
+from fsar_ledger.events.execution import ExecutionFinished
+from fsar_ledger.events.request import GapDetected, OfferAnswered, RequestIssued
+from fsar_ledger.projections.authority import LEVELS
+from fsar_ledger.projections.execution import Action
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.registry import possesses
+from fsar_ledger.projections.request import Request
+
+from .attribution import on_shift, principals
+from .commands import Decides, PublicCommand, Reacts
+from .policy import own_policy
+from .rejection import rejected, unknown_robot
+
+
+class RequestCapability(PublicCommand):
+    """The requester asks the executor for the capability, in a context (a task, or a free name), under a new action name.
+
+    Fields beyond these: the override level asked for, the request in whose service it asks (`parent`), what it would
+    dictate (`directives`), and the advertised version that it was formulated against.
+    """
+
+    requester: str
+    executor: str
+    capability: str
+    context: str
+    action_id: str
+    override: OverrideLevel = "none"
+    parent: str | None = None
+    directives: tuple[str, ...] = ()
+    version: str | None = None
+
+
+class AnswerOffer(PublicCommand):
+    """The requester answers a counter-offer: it takes it, asks for this other override level, or (neither) lets go."""
+
+    requester: str
+    action_id: str
+    is_accepted: bool
+    override: OverrideLevel | None = None
+
+
+class ReportResult(PublicCommand):
+    """The executor says how the action ended; a partial result names the postconditions that hold."""
+
+    executor: str
+    action_id: str
+    result: Result
+    achieved: tuple[str, ...] = ()
+
+
+def request_capability(state: State, command: RequestCapability) -> tuple[Event, ...]:
+    """The gap and the request are on record, and the request is on its way to the executor. Paper: eq:request, phases 1 and 3."""
+    reason = _impossible(state, command)
+    if reason is not None:
+        return rejected(command, command.action_id, reason, command.requester)
+    robot, context, action_id = command.requester, command.context, command.action_id
+    supervisor = on_shift(state, robot)
+    return (
+        GapDetected(context, action_id, robot, command.executor, supervisor, command.capability),
+        RequestIssued(
+            context,
+            action_id,
+            action_id,
+            robot,
+            robot,
+            command.executor,
+            supervisor,
+            (robot,),
+            command.capability,
+            own_policy(state, robot, command.capability, context),
+            override=command.override,
+            parent=command.parent,
+            directives=command.directives,
+            version=command.version,
+        ),
+    )
+
+
+def _impossible(state: State, command: RequestCapability) -> str | None:
+    """What is unknown, over or impossible about the request, or None. Whether it is admissible is for the executor to say."""
+    unknown = unknown_robot(state, command.requester, command.executor)
+    if unknown is not None:
+        return unknown
+    if command.requester == command.executor:
+        return f"{command.requester} asks itself, expected another robot"
+    if not any(possesses(state.registry, robot, command.capability) for robot in state.fleet.robots):
+        return f"unknown capability {command.capability}, expected one that a member possesses"
+    if command.override not in LEVELS:
+        return f"unknown override level {command.override}, expected one of {', '.join(LEVELS)}"
+    if command.context in state.authority.expired:
+        return f"context {command.context} has expired, expected one that is not over"
+    if not command.context or not command.action_id:
+        return "the context or the action has no name, expected both"
+    task = command.action_id.rpartition("/")[0]
+    if command.action_id in state.request or task in state.task or task in state.authority.expired:
+        return f"the name {command.action_id} is taken, expected a new one"
+    return _broken_chain(state, command)
+
+
+def _broken_chain(state: State, command: RequestCapability) -> str | None:
+    """Why the requester does not act in the service of the parent, or None. Paper: eq:nontransitive."""
+    if command.parent is None:
+        return None
+    parent = state.request.get(command.parent)
+    if parent is None:
+        return f"unknown parent {command.parent}, expected a request under way"
+    if parent.is_over or parent.result is not None:
+        return f"the parent {command.parent} is over, expected a request under way"
+    action = state.execution.actions.get(command.parent)
+    if action is None or not action.is_delegated or action.robot != command.requester:
+        return f"{command.requester} does not execute {command.parent}, expected its executor"
+    return None
+
+
+def answer_offer(state: State, command: AnswerOffer) -> tuple[Event, ...]:
+    """The requester has taken the offer, asked for other terms, or let go. Paper: sec:model:request (negotiate)."""
+    request = state.request.get(command.action_id)
+    reason: str | None = None
+    if request is None:
+        reason = f"unknown request {command.action_id}, expected one with an open offer"
+    elif request.offered is None or request.is_over:
+        reason = "no counter-offer is open, expected one to answer"
+    elif request.requester != command.requester:
+        reason = f"the offer is to {request.requester}, expected its answer"
+    elif command.is_accepted and command.override not in (None, request.offered):
+        reason = f"{request.offered} was offered, expected no other level with a yes"
+    elif command.override not in (None, *LEVELS):
+        reason = f"unknown override level {command.override}, expected one of {', '.join(LEVELS)}"
+    if request is None or reason is not None:
+        return rejected(command, command.action_id, reason or "", command.requester)
+    robot = command.requester
+    return (
+        OfferAnswered(
+            request.task_id,
+            request.action_id,
+            request.action_id,
+            robot,
+            robot,
+            request.candidates[0],
+            on_shift(state, robot),
+            (robot,),
+            request.offers,
+            command.is_accepted,
+            request.offered if command.is_accepted else command.override,
+        ),
+    )
+
+
+def report_result(state: State, command: ReportResult) -> tuple[Event, ...]:
+    """The execution is over with this result. Paper: sec:model:request, phase 5."""
+    action = state.execution.actions.get(command.action_id)
+    if action is None:
+        return rejected(command, command.action_id, _not_executed(state.request.get(command.action_id)), command.executor)
+    reason = _not_reportable(state, action, command)
+    if reason is not None:
+        return rejected(command, command.action_id, reason, command.executor)
+    about = principals(state, action)
+    return (ExecutionFinished(action.task_id, action.action_id, **about, robot=action.robot, result=command.result, achieved=command.achieved),)
+
+
+def _not_executed(request: Request | None) -> str:
+    if request is None:
+        return "unknown request, expected one that is being executed"
+    if request.is_over or request.result is not None:
+        return "the request is over, expected one that is being executed"
+    return "the request has not been admitted, expected one that is being executed"
+
+
+def _not_reportable(state: State, action: Action, command: ReportResult) -> str | None:
+    """Why this is no result that the executor can report now, or None; a failure is first handled by its own recovery."""
+    if action.robot != command.executor:
+        return f"{action.robot} executes it, expected the report of that robot"
+    if action.stage not in ("running", "paused"):
+        return f"it is {action.stage}, expected an action that is running or paused"
+    if (command.result == "partial") != bool(command.achieved):
+        return f"a {command.result} result with {len(command.achieved)} postconditions achieved, expected some for a partial one and none else"
+    module = state.registry.modules.get(action.robot, {}).get(action.capability)
+    promised = () if module is None else module.contract.postconditions
+    unknown = [name for name in command.achieved if promised and name not in promised]
+    return f"{unknown[0]} is no postcondition of {action.capability}, expected {', '.join(promised)}" if unknown else None
+
+
+DECIDES: Decides = {RequestCapability: request_capability, AnswerOffer: answer_offer, ReportResult: report_result}
+REACTS: Reacts = {}

@@ -1,0 +1,79 @@
+-- Title: Chains of delegations, link by link: what each executor made of its own link, and whether the chain is well-formed
+-- Paper: eq:nontransitive
+-- Grain: one row per request that was asked in the service of another, or served by one, within each chain that it belongs to
+-- Units: link number of the link from 1; asked_us microseconds of run time
+-- NULL: verdict, conjunct, trust while nobody has judged the link; conjunct unless denied; end_scope when the link's executor had set no trust in
+--       the chain's first requester by then
+-- Example: fsar-ledger query audit/delegation_chains LEDGER --param run=RUN
+--   answers link 1 robot/A1 to robot/B1 (task, admitted), link 2 robot/B1 to robot/C1 (session, admitted): well-formed; robot/C1 has none for robot/A1
+-- Parameters: run = all, action = all
+WITH RECURSIVE chains AS (
+    SELECT
+        run_id,
+        seq,
+        time_us,
+        action_id AS chain,
+        action_id,
+        requested_by AS first_requester,
+        1 AS link
+    FROM request_issued
+    WHERE parent IS NULL AND action_id IS NOT NULL AND $run IN ('all', run_id) AND $action IN ('all', action_id)
+    UNION ALL
+    SELECT
+        asked.run_id,
+        asked.seq,
+        asked.time_us,
+        chains.chain,
+        asked.action_id,
+        chains.first_requester,
+        chains.link + 1 AS link
+    FROM chains
+    -- A request comes after the one that it serves; a forged record that says otherwise is no link.
+    INNER JOIN request_issued AS asked ON chains.run_id = asked.run_id AND chains.action_id = asked.parent AND chains.seq < asked.seq
+),
+
+judged AS (
+    SELECT
+        run_id,
+        asked_seq AS seq,
+        arg_max(verdict, seq) AS verdict,
+        arg_max(conjunct, seq) AS conjunct,
+        arg_max(trust, seq) AS trust
+    FROM evaluations
+    GROUP BY run_id, asked_seq
+),
+
+ends AS (
+    SELECT
+        chains.run_id,
+        chains.chain,
+        chains.seq,
+        arg_max(trust.scope, ((trust.capability IS NOT NULL)::BIGINT * 2 + (trust.context IS NOT NULL)::BIGINT) * 1000000000 + trust.seq) AS end_scope
+    FROM chains
+    INNER JOIN request_issued AS asked ON chains.run_id = asked.run_id AND chains.seq = asked.seq
+    INNER JOIN trust_set AS trust
+        ON
+            chains.run_id = trust.run_id AND asked.executed_by = trust.robot AND chains.first_requester = trust.peer AND chains.seq > trust.seq
+            AND coalesce(asked.capability = trust.capability, TRUE) AND coalesce(asked.task_id = trust.context, TRUE)
+    GROUP BY chains.run_id, chains.chain, chains.seq
+)
+
+SELECT
+    chains.run_id,
+    chains.chain,
+    chains.link,
+    chains.action_id,
+    chains.time_us AS asked_us,
+    asked.requested_by,
+    asked.executed_by,
+    asked.capability,
+    judged.trust,
+    judged.verdict,
+    judged.conjunct,
+    coalesce(bool_and(coalesce(judged.verdict = 'admitted', FALSE)) OVER (PARTITION BY chains.run_id, chains.chain), FALSE) AS is_well_formed,
+    ends.end_scope
+FROM chains
+INNER JOIN request_issued AS asked ON chains.run_id = asked.run_id AND chains.seq = asked.seq
+LEFT JOIN judged ON chains.run_id = judged.run_id AND chains.seq = judged.seq
+LEFT JOIN ends ON chains.run_id = ends.run_id AND chains.chain = ends.chain AND chains.seq = ends.seq
+QUALIFY count(*) OVER (PARTITION BY chains.run_id, chains.chain) > 1

@@ -1,0 +1,80 @@
+-- Title: The execution state of a robot at a time: idle, executing, degraded or failed
+-- Paper: sec:evaluation:simulator, sec:model:robot
+-- Grain: one row per run and robot that had joined by then
+-- Units: at_us microseconds of run time; the default time is after the end of every run
+-- NULL: action_id when the robot had nothing in hand; of several things in hand, one that failed, else the first
+-- Example: fsar-ledger query audit/robot_state_at LEDGER --param run=RUN --param robot=robot/D1 --param at_us=31000000
+--   answers robot/D1 is failed, with A1-1/5.1 in hand
+-- Parameters: run = all, robot = all, at_us = 9007199254740991
+WITH past AS (
+    SELECT *
+    FROM events
+    WHERE $run IN ('all', run_id) AND time_us <= $at_us::BIGINT
+),
+
+outward AS (
+    -- Failures that are being recovered by others than the robot.
+    SELECT
+        run_id,
+        coalesce(failed_action, action_id) AS action_id
+    FROM past
+    WHERE type IN ('RecoveryEscalated.v1', 'FailureResolved.v1')
+    GROUP BY run_id, coalesce(failed_action, action_id)
+    HAVING arg_max(type, seq) = 'RecoveryEscalated.v1'
+),
+
+in_hand AS (
+    SELECT
+        run_id,
+        coalesce(helper, robot) AS robot,
+        action_id,
+        helper IS NOT NULL AS is_help, -- beside what it does itself
+        min(seq) AS since_seq,
+        arg_max(type, seq) AS last_type
+    FROM past
+    WHERE starts_with(type, 'Execution') OR type IN ('ApproachStarted.v1', 'AssistanceAdmitted.v1', 'AssistanceEnded.v1')
+    GROUP BY run_id, coalesce(helper, robot), action_id, helper IS NOT NULL
+    HAVING last_type NOT IN ('ExecutionFinished.v1', 'ExecutionWithdrawn.v1', 'AssistanceEnded.v1')
+),
+
+held AS (
+    SELECT
+        in_hand.run_id,
+        in_hand.robot,
+        in_hand.action_id,
+        in_hand.last_type = 'ExecutionFailed.v1' OR (outward.action_id IS NOT NULL AND NOT in_hand.is_help) AS is_failed
+    FROM in_hand
+    LEFT JOIN outward ON in_hand.run_id = outward.run_id AND in_hand.action_id = outward.action_id
+    QUALIFY row_number() OVER (PARTITION BY in_hand.run_id, in_hand.robot ORDER BY is_failed DESC, in_hand.since_seq ASC) = 1
+),
+
+degraded AS (
+    SELECT
+        run_id,
+        robot
+    FROM past
+    WHERE type IN ('ActuatorDegraded.v1', 'ActuatorServiced.v1')
+    GROUP BY run_id, robot
+    HAVING arg_max(type, seq) = 'ActuatorDegraded.v1'
+    UNION
+    SELECT
+        run_id,
+        robot
+    FROM advertisements
+    WHERE availability = 'degraded' AND since_us <= $at_us::BIGINT AND (until_us IS NULL OR until_us > $at_us::BIGINT)
+)
+
+SELECT
+    members.run_id,
+    members.robot,
+    CASE
+        WHEN held.is_failed THEN 'failed'
+        WHEN degraded.robot IS NOT NULL THEN 'degraded'
+        WHEN held.robot IS NOT NULL THEN 'executing'
+        ELSE 'idle'
+    END AS state,
+    held.action_id
+FROM robot_joined AS members
+LEFT JOIN held ON members.run_id = held.run_id AND members.robot = held.robot
+LEFT JOIN degraded ON members.run_id = degraded.run_id AND members.robot = degraded.robot
+WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot) AND members.time_us <= $at_us::BIGINT

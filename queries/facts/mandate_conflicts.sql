@@ -1,0 +1,66 @@
+-- Title: Refusals of what the fleet mandates and the executor's own policy denies, and whether the conflict was escalated
+-- Paper: sec:architecture:fleet, sec:architecture:invariants (A3)
+-- Grain: one row per RequestDenied event for reasons of policy at which rules of the fleet explicitly allow, and the executor's own policy denies
+-- Units: time_us microseconds of run time; seq, mandate_seq, escalated_seq positions in the run
+-- NULL: escalated_seq when nobody was told of the conflict
+-- Example: fsar-ledger query facts/mandate_conflicts LEDGER
+WITH refusals AS (
+    SELECT
+        denied.run_id,
+        denied.seq,
+        denied.time_us,
+        denied.task_id,
+        denied.action_id,
+        denied.executed_by AS robot,
+        issued.capability
+    FROM request_denied AS denied
+    INNER JOIN request_issued AS issued ON denied.run_id = issued.run_id AND denied.action_id = issued.action_id AND denied.seq > issued.seq
+    WHERE denied.reason = 'policy'
+),
+
+mandated AS (
+    -- The fleet allows where every rule of it that applies does.
+    SELECT
+        refusals.*,
+        max(rules.seq) AS mandate_seq
+    FROM refusals
+    INNER JOIN policy_rules AS rules
+        ON
+            refusals.run_id = rules.run_id AND refusals.robot = rules.robot AND rules.scope = 'fleet'
+            AND refusals.seq > rules.seq AND refusals.seq < coalesce(rules.until_seq, refusals.seq + 1)
+            AND (rules.capability IS NULL OR refusals.capability = rules.capability)
+            AND (rules.context IS NULL OR refusals.task_id = rules.context)
+    GROUP BY ALL
+    HAVING bool_and(rules.outcome = 'allow')
+),
+
+heard AS (
+    -- What the executor was last told of the fleet's rule for its zone.
+    SELECT
+        mandated.run_id,
+        mandated.seq,
+        told.outcome
+    FROM mandated
+    ASOF JOIN fleet_rule_learned AS told ON mandated.run_id = told.run_id AND mandated.robot = told.robot AND mandated.seq > told.seq
+)
+
+SELECT
+    mandated.run_id,
+    mandated.seq,
+    mandated.time_us,
+    mandated.action_id,
+    mandated.robot,
+    mandated.mandate_seq,
+    max(escalated.seq) AS escalated_seq
+FROM mandated
+INNER JOIN policy_windows AS own
+    ON
+        mandated.run_id = own.run_id AND mandated.robot = own.robot AND own.scope = 'local' AND own.outcome = 'deny'
+        AND mandated.seq > own.seq AND mandated.seq < coalesce(own.closed_seq, mandated.seq + 1)
+        AND (own.capability IS NULL OR mandated.capability = own.capability)
+        AND (own.context IS NULL OR mandated.task_id = own.context)
+LEFT JOIN heard ON mandated.run_id = heard.run_id AND mandated.seq = heard.seq
+LEFT JOIN policy_conflict_escalated AS escalated
+    ON mandated.run_id = escalated.run_id AND mandated.action_id = escalated.action_id AND mandated.seq > escalated.seq
+WHERE coalesce(heard.outcome, 'allow') = 'allow'
+GROUP BY ALL

@@ -1,0 +1,113 @@
+"""Trust entries and the record of results: the most specific entry holds, and rows of results end each other."""
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fsar_ledger.events.execution import ExecutionFailed
+from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
+from fsar_ledger.events.trust import TrustSet, TrustThresholdsSet
+from fsar_ledger.projections.trust import INITIAL, SCOPES, Record, Trust, covers, evolve, scope_of
+
+A, B = "robot/A1", "robot/B1"
+DOOR = "door.open.secure"
+ABOUT = st.tuples(st.sampled_from([None, DOOR, "door.open.basic"]), st.sampled_from([None, "t1", "t2"]))
+SCOPE = st.sampled_from(SCOPES)
+OF_REQUESTER, OF_EXECUTOR = (B, A, DOOR), (A, B, DOOR)
+
+
+def folded(*events: object, of: Trust | None = None) -> Trust:
+    """Trust after these events, with thresholds set unless a state is given."""
+    state = evolve(INITIAL, TrustThresholdsSet(3, 3, "supervisor/fleet")) if of is None else of
+    for event in events:
+        state = evolve(state, event)  # type: ignore[arg-type]
+    return state
+
+
+def issued(action: str = "t1/1", relay: str | None = None) -> RequestIssued:
+    return RequestIssued("t1", action, action, A, A, B, None, (A,), DOOR, "allow", relay)
+
+
+def closed(action: str = "t1/1", result: str = "success", by: str | None = B) -> RequestClosed:
+    return RequestClosed("t1", action, action, "service/coordination", A, by, None, ("service/coordination",), result)  # type: ignore[arg-type]
+
+
+def denied(reason: str, action: str = "t1/1") -> RequestDenied:
+    return RequestDenied("t1", action, action, B, A, B, None, (B,), reason)
+
+
+def failed(action: str = "t1/1", robot: str = B) -> ExecutionFailed:
+    return ExecutionFailed("t1", action, robot, 1, "obstruction", 0, 0)
+
+
+@given(st.lists(st.tuples(ABOUT, SCOPE), max_size=9), ABOUT)
+def test_the_most_specific_entry_holds_and_of_one_entry_the_last_word(entries: list[tuple[tuple[str | None, str | None], str]], asked: tuple[str, str]) -> None:
+    state = folded(*[TrustSet(A, B, scope, *about) for about, scope in entries], of=INITIAL)  # type: ignore[arg-type]
+    last = dict(entries)
+    capability, context = asked
+    expected = next((last[about] for about in ((capability, context), (capability, None), (None, context), (None, None)) if about in last), "none")
+    assert scope_of(state, A, B, capability, context) == expected
+    assert scope_of(state, B, A, capability, context) == "none"
+
+
+@given(SCOPE, SCOPE)
+def test_none_covers_nothing_and_a_broader_scope_covers_a_narrower_one(scope: str, required: str) -> None:
+    expected = scope != "none" and SCOPES.index(scope) >= SCOPES.index(required)  # type: ignore[arg-type]
+    assert covers(scope, required) == expected  # type: ignore[arg-type]
+
+
+@given(st.lists(st.booleans(), max_size=12))
+def test_a_record_counts_the_last_results_that_were_alike(results: list[bool]) -> None:
+    state = folded()
+    for ordinal, is_success in enumerate(results):
+        state = folded(issued(f"t1/{ordinal}"), closed(f"t1/{ordinal}") if is_success else denied("trust", f"t1/{ordinal}"), of=state)
+    alike = next((count for count, result in enumerate(reversed(results)) if result != results[-1]), len(results))
+    expected = Record(alike, 0) if results and results[-1] else Record(0, alike)
+    assert state.records.get(OF_REQUESTER, Record()) == expected
+    assert state.asked == {}
+
+
+def test_a_success_counts_for_both_ends() -> None:
+    assert folded(issued(), closed()).records == {OF_REQUESTER: Record(1, 0), OF_EXECUTOR: Record(1, 0)}
+
+
+def test_a_violation_counts_against_the_requester_alone() -> None:
+    for reason in ("trust", "authority", "advertisement", "not visible"):
+        assert folded(issued(), denied(reason)).records == {OF_REQUESTER: Record(0, 1)}
+    assert folded(issued(), denied("policy")).records == {}
+
+
+def test_a_failed_execution_counts_against_the_robot_that_failed() -> None:
+    assert folded(issued(), failed()).records == {OF_EXECUTOR: Record(0, 1)}
+    assert folded(issued(), closed(), issued("t1/2"), failed("t1/2")).records[OF_EXECUTOR] == Record(0, 1)
+    assert folded(failed("t1/own", A)).records == {}
+
+
+def test_a_failed_result_counts_against_the_executor_and_a_partial_one_only_ends_the_row_of_successes() -> None:
+    assert folded(issued(), closed(result="failure")).records == {OF_EXECUTOR: Record(0, 1)}
+    partial = folded(issued(), closed(), issued("t1/2"), closed("t1/2", "partial")).records
+    assert partial == {OF_REQUESTER: Record(1, 0), OF_EXECUTOR: Record(0, 0)}
+
+
+def test_success_after_a_reassignment_is_that_of_the_robot_that_executed() -> None:
+    other = "robot/D1"
+    assert folded(issued(), failed(), closed(by=other)).records == {
+        OF_EXECUTOR: Record(0, 1),
+        (A, other, DOOR): Record(1, 0),
+        (other, A, DOOR): Record(1, 0),
+    }
+
+
+def test_results_through_a_relay_count_for_nobody() -> None:
+    assert folded(issued(relay="robot/C1"), closed()).records == {}
+
+
+def test_without_thresholds_nothing_is_kept_and_without_them_again_it_is_forgotten() -> None:
+    assert folded(issued(), closed(), of=INITIAL) == INITIAL
+    assert folded(issued(), closed(), TrustThresholdsSet(0, 0, None)) == INITIAL
+
+
+def test_what_is_set_begins_the_rows_that_it_is_about_again() -> None:
+    state = folded(issued(), closed())
+    assert folded(TrustSet(B, A, "task", DOOR), of=state).records == {OF_EXECUTOR: Record(1, 0)}
+    assert folded(TrustSet(B, A, "task"), of=state).records == {OF_EXECUTOR: Record(1, 0)}
+    assert folded(TrustSet(B, A, "task", "carry.heavy"), of=state).records == state.records

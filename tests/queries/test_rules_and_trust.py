@@ -1,0 +1,314 @@
+"""Policy rules, trust by capability and context, disapprovals and interventions: given rows, expected rows."""
+
+from typing import Any
+
+import pytest
+
+from fsar_ledger.events.envelope import POLICY
+from fsar_ledger.events.policy import PolicyRuleSet
+from fsar_ledger.events.supervision import SupervisionDensitySet
+from fsar_ledger.events.trust import TrustThresholdsSet
+from fsar_ledger.ledger.codec import encode
+from fsar_ledger.metrics.database import from_rows, from_table, plain_rows
+from fsar_ledger.metrics.invariants import audit_rows, chosen, invariants
+from fsar_ledger.runtime.architectures.fsar import FSAR
+from fsar_ledger.runtime.architectures.fsar.execution import start as start_as_fsar
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
+from fsar_ledger.runtime.handlers.commands import StartAction
+from fsar_ledger.runtime.handlers.execution import started as has_started
+from tests.queries.histories import Row, answer, event, measured, run
+from tests.runtime.governed import H_F, governed, record
+
+H_B = "supervisor/B1"
+DOOR = "door.open.secure"
+ROBOTS = tuple(event("RobotJoined", robot=f"robot/{name}1", role=name, team=1, supervisor=f"supervisor/{name}1") for name in "AB")
+
+
+def rule(time_us: int, outcome: str = "deny", robot: str | None = "robot/B1", scope: str = "local", **about: str) -> Row:
+    return event("PolicyRuleSet", time_us, scope=scope, robot=robot, outcome=outcome, decided_by=H_B, **about)
+
+
+def started(time_us: int, capability: str = DOOR, robot: str = "robot/B1", on_behalf_of: str = "robot/A1", **fields: Any) -> Row:
+    about = {"task_id": "t1", "action_id": "t1/1", **fields}
+    return event("ExecutionStarted", time_us, robot=robot, on_behalf_of=on_behalf_of, capability=capability, ends_us=time_us + 5, **about)
+
+
+def motion(time_us: int) -> Row:
+    return event("RoutinePerformed", time_us, robot="robot/B1", operation="motion")
+
+
+def reviewed(time_us: int, approves: bool | None) -> Row:
+    return event("SupervisorResponded", time_us, purpose="review", action_id="t1/1", decided_by=H_F, approves=approves)
+
+
+def admitted(time_us: int) -> Row:
+    return event("RequestAdmitted", time_us, task_id="t1", action_id="t1/1", outcome="allow", decided_by="robot/B1")
+
+
+def trust(time_us: int, scope: str, capability: str | None = None, context: str | None = None, by: str | None = None) -> Row:
+    return event("TrustSet", time_us, robot="robot/B1", peer="robot/A1", scope=scope, capability=capability, context=context, decided_by=by, reason="operator")
+
+
+def asked(name: str, columns: str, *events: Row, **given: Any) -> list[tuple[Any, ...]]:
+    """These columns of the answer to a question over one run of two robots with these events."""
+    with from_rows(run(*ROBOTS, *events)) as database:
+        rows = plain_rows(database.query(f"audit/{name}", {key: str(value) for key, value in given.items()}))
+    return [tuple(row[column] for column in columns.split()) for row in rows]
+
+
+def violations(*events: Row) -> int:
+    return measured("policy_violations", *ROBOTS, *events)[0]
+
+
+def broken(name: str, *events: Row) -> list[int]:
+    """The times at which the invariant is broken by one run of two robots with these events."""
+    (query,) = chosen([name])
+    with from_rows(run(*ROBOTS, *events)) as database:
+        return [row["time_us"] for row in database.rows(f"SELECT time_us FROM {query.relation} ORDER BY ALL")]
+
+
+def test_a_rule_holds_until_another_about_the_same_replaces_it() -> None:
+    rules = (rule(5), rule(7, "review", capability=DOOR), rule(9, "allow"), rule(11, "review"))
+    rows = answer("facts/policy_rules", run(*ROBOTS, *rules), columns=("set_us", "until_us", "capability", "outcome", "robot"))
+    assert rows == [
+        (5, 9, None, "deny", "robot/B1"),
+        (7, None, DOOR, "review", "robot/B1"),
+        (9, 11, None, "allow", "robot/B1"),
+        (11, None, None, "review", "robot/B1"),
+    ]
+
+
+def test_a_rule_for_every_robot_is_one_row_for_each() -> None:
+    rows = answer("facts/policy_rules", run(*ROBOTS, rule(5, robot=None, scope="fleet")), columns=("robot", "scope"))
+    assert rows == [("robot/A1", "fleet"), ("robot/B1", "fleet")]
+
+
+def test_rules_that_deny_or_ask_for_review_are_windows_and_those_that_allow_are_none() -> None:
+    rules = (rule(5, capability=DOOR), rule(6, "review", context="t1"), rule(7, "allow", scope="fleet"), rule(9, "allow", capability=DOOR))
+    rows = answer("facts/policy_windows", run(*ROBOTS, *rules), columns=("opened_us", "closed_us", "window", "capability", "context", "outcome"))
+    assert rows == [(5, 9, None, DOOR, None, "deny"), (6, None, None, None, "t1", "review")]
+
+
+@pytest.mark.parametrize(("time_us", "count"), [(4, 0), (5, 1), (8, 1), (9, 0)])
+def test_a_start_under_a_rule_that_denies_is_a_violation_from_its_setting_until_just_before_its_replacement(time_us: int, count: int) -> None:
+    assert violations(rule(5), started(time_us), rule(9, "allow")) == count
+
+
+def test_a_rule_about_another_capability_or_task_does_not_count() -> None:
+    assert violations(rule(1, capability=DOOR), started(2)) == 1
+    assert violations(rule(1, capability="carry.package"), started(2)) == 0
+    assert violations(rule(1, context="t1"), started(2)) == 1
+    assert violations(rule(1, context="t2"), started(2)) == 0
+    assert violations(rule(1, capability=DOOR, context="t2"), started(2)) == 0
+
+
+def test_a_motion_is_about_no_capability_and_no_task() -> None:
+    assert violations(rule(1), motion(2)) == 1
+    assert violations(rule(1, capability=DOOR), motion(2)) == 0
+    assert violations(rule(1, context="t1"), motion(2)) == 0
+
+
+def test_own_rules_of_executor_and_requester_and_fleet_rules_of_the_executor_count() -> None:
+    assert violations(rule(1, robot="robot/A1"), started(2)) == 1
+    assert violations(rule(1, robot="robot/A1", scope="fleet"), started(2)) == 0
+    assert violations(rule(1, scope="fleet"), started(2)) == 1
+    assert violations(rule(1, robot=None, scope="fleet"), started(2)) == 1
+
+
+def test_a_rule_that_allows_lifts_no_other() -> None:
+    assert violations(rule(1), rule(2, "allow", capability=DOOR), started(3)) == 1
+    assert violations(rule(1), rule(2, "allow", scope="fleet"), started(3)) == 1
+
+
+@pytest.mark.parametrize(("approves", "count"), [(True, 0), (None, 0), (False, 1)])
+def test_a_disapproval_is_no_approval(approves: bool | None, count: int) -> None:
+    history = (rule(1, "review"), reviewed(2, approves), started(3))
+    assert violations(*history) == len(broken("a3", *history)) == count
+    assert len(answer("facts/approvals", run(*history))) == 1 - count
+    assert len(asked("unapproved_executions", "action_id", *history)) == count
+
+
+def test_a_start_under_the_robots_own_rule_is_known_to_be_denied() -> None:
+    assert broken("i3", rule(1), started(2)) == [2]
+    assert broken("i3", rule(1, "review"), started(2)) == []
+    assert broken("a3", rule(1, "review"), started(2)) == [2]
+    assert broken("i3", rule(1, capability="carry.package"), started(2)) == []
+    assert broken("i3", rule(1), rule(2, "allow"), started(3)) == []
+
+
+def test_a_rule_of_the_fleet_counts_as_known_at_the_decision() -> None:
+    assert broken("i3", rule(1, scope="fleet"), admitted(2), started(3)) == [3]
+    assert broken("i3", admitted(1), rule(2, scope="fleet"), started(3)) == [], "set after the executor had decided"
+    assert broken("i3", rule(1, scope="fleet"), rule(2, "allow", scope="fleet"), admitted(3), started(4)) == []
+    assert broken("i3", rule(1, scope="fleet"), admitted(2), rule(3, "allow", scope="fleet"), started(4)) == [4]
+    assert broken("i3", rule(1, robot=None, scope="fleet"), started(2, robot="robot/B1", on_behalf_of="robot/B1")) == [2], "its own step"
+    assert broken("i3", rule(1, robot="robot/A1", scope="fleet"), started(2)) == []
+
+
+def test_a_hold_ends_when_a_rule_is_set_for_the_robot() -> None:
+    held = event("ExecutionHeld", 2, robot="robot/B1", action_id="t1/1", outcome="deny")
+    assert broken("a3", held, started(4)) == [4]
+    assert broken("a3", held, rule(3, "allow"), started(4)) == []
+    assert broken("a3", held, rule(3, "allow", robot=None, scope="fleet"), started(4)) == []
+    assert broken("a3", held, rule(3, "allow", robot="robot/A1"), started(4)) == [4]
+    assert broken("a3", held, reviewed(3, False), started(4)) == [4], "a disapproval ends no hold"
+
+
+ASKED = event("RequestIssued", 3, task_id="t1", action_id="t1/1", capability=DOOR, carried_policy="allow")
+REFUSED = event("RequestDenied", 6, task_id="t1", action_id="t1/1", executed_by="robot/B1", decided_by="robot/B1", reason="policy")
+ESCALATED = event("PolicyConflictEscalated", 6, task_id="t1", action_id="t1/1", decided_by=POLICY, requested_by="robot/A1", executed_by="robot/B1")
+MANDATE = rule(1, "allow", robot=None, scope="fleet")
+
+
+def test_a_conflict_of_mandate_and_own_denial_must_be_escalated() -> None:
+    assert broken("a3", MANDATE, rule(2), ASKED, REFUSED) == [6]
+    assert broken("a3", MANDATE, rule(2), ASKED, {**ESCALATED, "supervised_by": H_F}, REFUSED) == []
+
+
+@pytest.mark.parametrize(
+    "before",
+    [
+        (rule(2),),
+        (MANDATE,),
+        (MANDATE, rule(2, "review")),
+        (MANDATE, rule(2), rule(2, scope="fleet", capability=DOOR)),
+        (rule(1, "allow", scope="fleet", capability="carry.package"), rule(2)),
+        (rule(1, "allow", scope="fleet"), rule(2, "review", scope="fleet"), rule(2)),
+        (MANDATE, rule(2, context="t2")),
+        (MANDATE, rule(2), event("FleetRuleLearned", 2, robot="robot/B1", outcome="deny", as_of_us=1)),
+    ],
+    ids=["no mandate", "no denial", "own review", "fleet denies this", "mandate for another", "mandate replaced", "denies another task", "zone denies"],
+)
+def test_other_refusals_are_no_conflict(before: tuple[Row, ...]) -> None:
+    assert answer("facts/mandate_conflicts", run(*ROBOTS, *before, ASKED, REFUSED)) == []
+
+
+def test_each_entry_of_trust_holds_until_it_is_set_again() -> None:
+    events = (trust(1, "task"), trust(2, "none", DOOR, by=H_F), trust(3, "session", DOOR))
+    columns = ("capability", "since_us", "until_us", "trust_scope", "set_by")
+    rows = answer("facts/trust_in_force", run(*events), columns=columns)
+    assert rows == [(DOOR, 2, 3, "none", H_F), (DOOR, 3, None, "session", None), (None, 1, None, "task", None)]
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({}, ["task", "session", "none", "capability"]),
+        ({"capability": DOOR}, ["session"]),
+        ({"capability": "carry.package"}, ["task"]),
+        ({"context": "t1"}, ["none"]),
+        ({"context": "t2"}, ["task"]),
+        ({"capability": DOOR, "context": "t1"}, ["capability"]),
+        ({"capability": DOOR, "context": "t2"}, ["session"]),
+        ({"capability": "carry.package", "context": "t1"}, ["none"]),
+        ({"capability": DOOR, "context": "t1", "at_us": 3}, ["session"]),
+    ],
+)
+def test_of_several_entries_the_most_specific_one_holds(given: dict[str, Any], expected: list[str]) -> None:
+    events = (trust(1, "task"), trust(2, "session", DOOR), trust(3, "none", None, "t1"), trust(4, "capability", DOOR, "t1"))
+    assert sorted(row[0] for row in asked("trust_at", "trust_scope", *events, **given)) == sorted(expected)
+
+
+@pytest.mark.parametrize(
+    ("given", "outcome"),
+    [
+        ({}, "allow"),
+        ({"capability": DOOR}, "review"),
+        ({"context": "t1"}, "deny"),
+        ({"capability": DOOR, "context": "t1"}, "deny"),
+        ({"context": "t2"}, "allow"),
+    ],
+)
+def test_policy_at_a_time_is_the_strictest_of_what_is_about_the_question(given: dict[str, str], outcome: str) -> None:
+    rules = (rule(1, "review", capability=DOOR), rule(2, context="t1"))
+    assert asked("policy_at", "scope outcome", *rules, robot="robot/B1", at_us=5, **given) == [("fleet", "allow"), ("local", outcome)]
+
+
+def test_what_was_told_is_compared_with_the_windows_of_the_world() -> None:
+    told = event("FleetRuleLearned", 2, robot="robot/B1", outcome="allow", as_of_us=1)
+    assert asked("policy_known_at", "known_outcome true_outcome is_wrong", rule(1, scope="fleet"), told) == [("allow", "allow", False)]
+
+
+def test_every_intervention_of_a_supervisor_is_on_the_list() -> None:
+    interventions = (
+        trust(1, "none", DOOR, "t1", by=H_B),
+        event("TrustThresholdsSet", 2, promote_after=3, downgrade_after=1, decided_by=H_F),
+        rule(3, "review", context="t1"),
+        event("SupervisionDensitySet", 4, robot="robot/B1", review_every=2, decided_by=H_B, reason="night"),
+        event("AuthorityGranted", 5, requested_by="robot/A1", override="emergency-only", decided_by=H_F),
+        event("AuthorityRevoked", 6, requested_by="robot/A1", reason="human override", decided_by=H_F),
+        event("RecoveryBudgetSet", 7, robot="robot/B1", level="local", t_max_us=5, n_max=1, decided_by=H_B),
+        reviewed(8, False),
+        {**reviewed(9, True), "purpose": "ordering", "preferred": "t1/2"},
+    )
+    others = (trust(1, "task"), trust(1, "task", by="service/trust"), admitted(2))
+    assert [row[1:] for row in sorted(asked("supervisor_decisions", "decided_us decided_by decision", *interventions, *others))] == [
+        (H_B, "robot/A1 none in t1"),
+        (H_F, "promote after 3, downgrade after 1"),
+        (H_B, "local review in t1"),
+        (H_B, "review every 2"),
+        (H_F, "up to emergency-only"),
+        (H_F, "human override"),
+        (H_B, "local 1 in 5 us"),
+        (H_F, "disapproved"),
+        (H_F, "first t1/2"),
+    ]
+    assert len(asked("supervisor_decisions", "seq", *interventions, supervisor=H_B)) == 4
+
+
+@pytest.mark.parametrize(
+    ("supervisor", "left", "count"), [("supervisor/night", "supervisor/night", 0), ("supervisor/night", "supervisor/X1", 1), (None, "supervisor/X1", 1)]
+)
+def test_the_absence_that_excuses_is_that_of_the_robots_own_supervisor(supervisor: str | None, left: str, count: int) -> None:
+    joined = event("RobotJoined", robot="robot/X1", role="A", team=1, supervisor=supervisor)
+    alone = event("RoutinePerformed", 3, decided_by="robot/X1", requested_by="robot/X1", executed_by="robot/X1", robot="robot/X1", operation="sensing")
+    gone = event("SupervisorLeft", 2, supervisor=left)
+    assert len(broken("i5", joined, gone, alone)) == count
+    executed = started(3, robot="robot/X1", requested_by="robot/A1", executed_by="robot/X1")
+    phases = (event("RequestIssued", 2, action_id="t1/1"), event("RequestAccepted", 2, action_id="t1/1"))
+    assert len(broken("a5", joined, *phases, gone, executed)) == count
+
+
+GOVERNANCE = (
+    (2, TrustThresholdsSet(2, 1, H_F)),
+    (3, SupervisionDensitySet(None, 2, H_F, "start-up")),
+    (4, PolicyRuleSet("fleet", None, DOOR, None, "allow", H_F)),
+    (5, PolicyRuleSet("local", "robot/B1", DOOR, None, "deny", H_B)),
+    (50_000_000, PolicyRuleSet("local", "robot/B1", DOOR, None, "review", H_B)),
+    (90_000_000, PolicyRuleSet("fleet", "robot/B1", None, None, "deny", H_F)),
+    (110_000_000, PolicyRuleSet("fleet", "robot/B1", None, None, "allow", H_F)),
+)
+
+
+def audited(structure: Any = FSAR) -> dict[str, int]:
+    """How often each invariant, and policy, is broken in runs in which supervisors intervene."""
+    records = [record(governed(scenario, *GOVERNANCE, run=4, structure=structure)) for scenario in ("door-relay", "mixed-trust-inspection")]
+    with from_table(encode(records), threads=1) as database:
+        counts = {row.invariant[:2]: row.events for row in audit_rows(database, invariants())}
+        (found,) = database.rows("SELECT sum(numerator)::BIGINT AS violations FROM policy_violations")
+    return {**counts, "violations": found["violations"]}
+
+
+def unchecked_start(state: Any, command: StartAction) -> tuple[Any, ...]:
+    """FSAR's handler without its look at policy."""
+    return (has_started(state, state.execution.actions[command.action_id], command),) if start_as_fsar(state, command) else ()
+
+
+def silent_denial(state: Any, command: EvaluateRequest) -> tuple[Any, ...]:
+    """FSAR's handler, which tells nobody of a conflict."""
+    return tuple(one for one in evaluate_request(state, command) if type(one).__name__ != "PolicyConflictEscalated")
+
+
+def test_in_runs_with_interventions_the_invariants_of_policy_and_recovery_hold() -> None:
+    counts = audited()
+    assert {name: counts[name] for name in ("i1", "i2", "i3", "i4", "a1", "a2", "a3", "a4", "a5")} == dict.fromkeys(counts.keys() - {"i5", "violations"}, 0)
+
+
+def test_starts_under_a_rule_that_denies_are_caught_by_i3_and_the_violation_metric() -> None:
+    counts, mutated = audited(), audited(FSAR._replace(decides={**FSAR.decides, StartAction: unchecked_start}))
+    assert mutated["i3"] > counts["i3"] == 0
+    assert mutated["violations"] > counts["violations"]
+
+
+def test_a_conflict_that_nobody_was_told_of_is_caught_by_a3() -> None:
+    assert audited(FSAR._replace(decides={**FSAR.decides, EvaluateRequest: silent_denial}))["a3"] > 0

@@ -1,0 +1,30 @@
+"""Whole FSAR runs in which supervisors intervene: their decisions are put among the world's facts."""
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Scenario
+from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.runtime.architectures.fsar import FSAR
+from fsar_ledger.runtime.architectures.wiring import Wiring
+from fsar_ledger.runtime.kernel import Kernel
+from fsar_ledger.runtime.simulation import RunSpec, run_id, run_started
+from fsar_ledger.runtime.world.draws import Draws, run_key
+from fsar_ledger.runtime.world.scenarios import founding
+from fsar_ledger.runtime.world.schedule import schedule
+
+H_F = "supervisor/fleet"
+
+
+def governed(scenario: Scenario, *interventions: tuple[int, Event], run: int = 0, structure: Wiring = FSAR) -> Kernel:
+    """The finished run of four robots, with these events at these times (microseconds)."""
+    constants, spec = Constants(), RunSpec(42, "fsar", "full", scenario, 4, run)
+    facts = sorted([*schedule(constants.world, 42, scenario, run, 4), *interventions], key=lambda fact: fact[0])
+    one = Kernel(structure, facts, Draws(run_key(42, scenario, run), constants.world), (run_started(spec, constants), *founding(4)))
+    one.run()
+    return one
+
+
+def record(one: Kernel) -> RunRecord:
+    """The run as it is stored."""
+    started = one.events[0]
+    return RunRecord(run_id(started), one.times_us, one.caused_by, one.events)  # type: ignore[arg-type]

@@ -1,0 +1,33 @@
+"""A run that is played by public commands: nothing happens in the world but what is given."""
+
+from collections.abc import Iterable
+from heapq import heappush
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.events import Event
+from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.architectures.fsar import FSAR
+from fsar_ledger.runtime.handlers.commands import Command
+from fsar_ledger.runtime.kernel import Kernel
+from fsar_ledger.runtime.world.draws import Draws, run_key
+from tests.runtime.histories import started
+
+
+def decided(state: State, command: Command) -> tuple[Event, ...]:
+    """What FSAR makes of the command."""
+    return FSAR.decides[type(command)](state, command)
+
+
+def played(commands: Iterable[tuple[int, Command]], *before: Event, facts: Iterable[tuple[int, Event]] = ()) -> Kernel:
+    """The whole run: a fleet of four, these events at its founding, and the commands at their times (microseconds)."""
+    constants = Constants()
+    one = Kernel(FSAR, sorted(facts, key=lambda fact: fact[0]), Draws(run_key(1, "door-relay", 0), constants.world), (*started("fsar"), *before))
+    for serial, (time_us, command) in enumerate(commands):
+        heappush(one._pending, (time_us, serial - 1_000, 0, command, None))
+    one.run()
+    return one
+
+
+def of(run: Kernel, *kinds: type[Event]) -> list[tuple[int, Event]]:
+    """The events of these kinds with their times."""
+    return [(time_us, event) for time_us, event in zip(run.times_us, run.events, strict=True) if isinstance(event, kinds)]

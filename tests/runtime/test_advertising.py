@@ -1,0 +1,227 @@
+"""A robot shows of itself what it possesses, on its own terms; what it cannot show is refused and changes nothing."""
+
+from typing import Any
+
+import pytest
+from hypothesis import given as forall
+from hypothesis import settings
+from hypothesis import strategies as st
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.execution import ExecutionQueued
+from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityDeprecated, CapabilityInstalled, CapabilityWithdrawn
+from fsar_ledger.events.world import ActuatorDegraded
+from fsar_ledger.projections.fold import apply
+from fsar_ledger.projections.registry import Contract, advertisement, possesses, surface
+from fsar_ledger.runtime.handlers.advertising import (
+    DECIDES,
+    REACTS,
+    AdvertiseCapability,
+    DeprecateCapability,
+    FinishRollOut,
+    ReportAvailability,
+    UpgradeCapability,
+    WithdrawCapability,
+    advertise_capability,
+    deprecate_capability,
+    finish_roll_out,
+    report_availability,
+    upgrade_capability,
+    withdraw_capability,
+)
+from fsar_ledger.runtime.handlers.commands import Command
+from tests.runtime.histories import given, types
+
+DOOR = ("robot/B1", "door.open.secure")
+GRIP = CapabilityInstalled("robot/B1", "grasp", "1.4.0", ("object.seen",), ("object.held", "object.level"), ("arm",))
+
+
+def advertise(**fields: Any) -> AdvertiseCapability:
+    return AdvertiseCapability(**{"robot": "robot/B1", "capability": "grasp", "version": "1.4.0", **fields})
+
+
+def test_an_advertisement_has_all_seven_fields_and_who_may_see_it() -> None:
+    command = advertise(
+        trust_required="task",
+        policy_required=("delivery",),
+        override_allowed="soft-priority",
+        availability="busy",
+        embodiment=("arm",),
+        visibility="domain",
+        visible_to=("A",),
+    )
+    [event] = advertise_capability(given("fsar", GRIP), command)
+    state = given("fsar", GRIP, event)
+    record = advertisement(state.registry, "robot/B1", "grasp")
+    assert record is not None
+    assert (record.version, record.contract) == ("1.4.0", Contract(GRIP.preconditions, GRIP.postconditions, GRIP.resources))
+    assert (record.trust_required, record.policy_required, record.override_allowed) == ("task", ("delivery",), "soft-priority")
+    assert (record.availability, record.embodiment, record.visibility, record.visible_to) == ("busy", ("arm",), "domain", ("A",))
+
+
+def test_an_advertisement_may_demand_more_and_promise_less_than_the_module() -> None:
+    command = advertise(preconditions=("object.seen", "zone.clear"), postconditions=("object.held",), resources=("arm", "lamp"))
+    [event] = advertise_capability(given("fsar", GRIP), command)
+    assert types((event,)) == ["CapabilityAdvertised"]
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"),
+    [
+        (advertise(robot="robot/Z9"), "unknown robot robot/Z9"),
+        (advertise(capability="teleport"), "does not possess teleport"),
+        (advertise(version="1.5.0"), "expected 1.4.0"),
+        (advertise(postconditions=("object.held", "object.sorted")), "postcondition object.sorted"),
+        (advertise(preconditions=()), "precondition object.seen"),
+        (advertise(resources=()), "resource arm"),
+        (advertise(preconditions=("object.seen", "not object.seen")), "contradict"),
+        (advertise(postconditions=("object.held", "not object.held")), "contradict"),
+        (advertise(preconditions=("object.seen", "")), "is no name"),
+        (advertise(resources=("arm", "arm")), "named twice"),
+        (advertise(trust_required="blind"), "trust scope 'blind' is unknown"),
+        (advertise(override_allowed="total"), "override level"),
+        (advertise(availability="asleep"), "availability"),
+        (advertise(visibility="secret"), "visibility"),
+        (advertise(visible_to=("",)), "empty name"),
+    ],
+)
+def test_what_cannot_be_advertised_is_refused(command: AdvertiseCapability, reason: str) -> None:
+    [rejection] = advertise_capability(given("fsar", GRIP), command)
+    assert types((rejection,)) == ["CommandRejected"]
+    assert reason in rejection.reason  # type: ignore[attr-defined]
+
+
+def test_a_withdrawn_capability_is_off_the_surface_and_still_possessed() -> None:
+    [event] = withdraw_capability(given("fsar"), WithdrawCapability(*DOOR, "jammed"))
+    assert event == CapabilityWithdrawn(*DOOR, "jammed")
+    state = given("fsar", event)
+    assert advertisement(state.registry, *DOOR) is None
+    assert possesses(state.registry, *DOOR)
+    assert types(withdraw_capability(state, WithdrawCapability(*DOOR, "again"))) == ["CommandRejected"]
+
+
+def test_a_robot_reports_the_availability_of_one_capability_or_of_all() -> None:
+    [one] = report_availability(given("fsar"), ReportAvailability(*DOOR, "restricted", "inspection"))
+    [everything] = report_availability(given("fsar"), ReportAvailability("robot/B1", None, "offline", "charging"))
+    assert [record.availability for record in surface(given("fsar", one).registry, "robot/B1")] == ["ready", "ready", "restricted"]
+    assert {record.availability for record in surface(given("fsar", everything).registry, "robot/B1")} == {"offline"}
+
+
+def test_a_deprecated_version_names_its_successor() -> None:
+    [event] = deprecate_capability(given("fsar"), DeprecateCapability(*DOOR, "1.0.0", "2.0.0"))
+    assert event == CapabilityDeprecated(*DOOR, "1.0.0", "2.0.0")
+    record = advertisement(given("fsar", event).registry, *DOOR)
+    assert record is not None
+    assert (record.is_deprecated, record.successor) == (True, "2.0.0")
+
+
+WITHDRAWN = CapabilityWithdrawn(*DOOR, "jammed")
+EMPTY = [CapabilityWithdrawn("robot/B1", name, "jammed") for name in ("navigate.indoor", "door.open.basic", "door.open.secure")]
+
+
+@pytest.mark.parametrize(
+    ("events", "command", "reason"),
+    [
+        ((), WithdrawCapability("robot/Z9", "door.open.secure", "x"), "unknown robot"),
+        ((), WithdrawCapability("robot/B1", "teleport", "x"), "does not advertise teleport"),
+        ((), ReportAvailability("robot/Z9", None, "busy", "x"), "unknown robot"),
+        ((), ReportAvailability("robot/B1", "teleport", "busy", "x"), "does not advertise teleport"),
+        ((), ReportAvailability("robot/B1", None, "asleep", "x"), "unknown, expected one of ready"),  # type: ignore[arg-type]
+        (EMPTY, ReportAvailability("robot/B1", None, "busy", "x"), "advertises nothing"),
+        ((), DeprecateCapability("robot/Z9", "door.open.secure", "1.0.0"), "unknown robot"),
+        ((WITHDRAWN,), DeprecateCapability(*DOOR, "1.0.0"), "does not advertise"),
+        ((), DeprecateCapability(*DOOR, "2.0.0"), "expected 1.0.0"),
+        ((CapabilityDeprecated(*DOOR, "1.0.0"),), DeprecateCapability(*DOOR, "1.0.0"), "already"),
+        ((), DeprecateCapability(*DOOR, "1.0.0", "0.9.0"), "not newer"),
+        ((), DeprecateCapability(*DOOR, "1.0.0", "next"), "no version"),
+        ((), UpgradeCapability("robot/Z9", "door.open.secure", "2.0.0"), "unknown robot"),
+        ((), UpgradeCapability("robot/B1", "teleport", "2.0.0"), "does not possess"),
+        ((), UpgradeCapability(*DOOR, "1.0.0"), "not newer"),
+        ((), UpgradeCapability(*DOOR, "new"), "no version"),
+        ((), UpgradeCapability(*DOOR, "2.0.0", preconditions=("lit", "not lit")), "contradict"),
+        ((AvailabilityChanged("robot/B1", None, "offline", "x"),), UpgradeCapability(*DOOR, "2.0.0"), "is offline"),
+        ((AvailabilityChanged(*DOOR, "restricted", "roll-out of 2.0.0"),), UpgradeCapability(*DOOR, "3.0.0"), "in no other roll-out"),
+        (
+            (ExecutionQueued("t", "t/1", None, None, None, "robot/B1", "robot/A1", "door.open.secure", 1, 1, True, True, True),),
+            UpgradeCapability(*DOOR, "2.0.0"),
+            "in use by t/1",
+        ),
+    ],
+)
+def test_what_names_something_unknown_over_or_impossible_is_rejected(events: tuple[Event, ...], command: Command, reason: str) -> None:
+    [rejection] = DECIDES[type(command)](given("fsar", *events), command)
+    assert types((rejection,)) == ["CommandRejected"]
+    assert reason in rejection.reason  # type: ignore[attr-defined]
+
+
+def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on_its_terms() -> None:
+    terms = CapabilityAdvertised(*DOOR, ("A",), trust_required="task", override_allowed="soft-priority", visibility="domain", embodiment=("arm",))
+    state = given("fsar", terms)
+    events = upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0", postconditions=("door.opened",)))
+    assert types(events) == ["CapabilityInstalled", "AvailabilityChanged"]
+    for event in events:
+        apply(state, event)
+    record = advertisement(state.registry, *DOOR)
+    assert record is not None
+    assert (record.version, record.availability) == ("1.0.0", "restricted")
+    [scheduled] = REACTS[AvailabilityChanged](state, events[-1], 0)
+    assert scheduled.command == FinishRollOut(*DOOR)
+    [shown] = finish_roll_out(state, FinishRollOut(*DOOR))
+    assert shown == CapabilityAdvertised(
+        *DOOR, ("A",), "2.0.0", (), ("door.opened",), (), "task", override_allowed="soft-priority", embodiment=("arm",), visibility="domain"
+    )
+    apply(state, shown)
+    assert finish_roll_out(state, FinishRollOut(*DOOR)) == ()
+
+
+def test_a_roll_out_of_what_was_withdrawn_meanwhile_shows_nothing() -> None:
+    state = given("fsar")
+    for event in (*upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")), WITHDRAWN):
+        apply(state, event)
+    assert finish_roll_out(state, FinishRollOut(*DOOR)) == ()
+
+
+def test_an_upgrade_puts_nothing_on_the_surface_that_was_not_there() -> None:
+    assert types(upgrade_capability(given("fsar", WITHDRAWN), UpgradeCapability(*DOOR, "2.0.0"))) == ["CapabilityInstalled"]
+
+
+def test_a_degraded_robot_shows_its_new_version_as_degraded() -> None:
+    state = given("fsar", ActuatorDegraded("robot/B1"))
+    for event in upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")):
+        apply(state, event)
+    assert finish_roll_out(state, FinishRollOut(*DOOR))[0].availability == "degraded"  # type: ignore[attr-defined]
+
+
+def test_a_restriction_that_is_no_roll_out_is_not_ended() -> None:
+    held_back = AvailabilityChanged(*DOOR, "restricted", "inspection")
+    assert REACTS[AvailabilityChanged](given("fsar", held_back), held_back, 0) == ()
+
+
+VERSIONS = st.sampled_from(("1.0.0", "2.0.0", "3.0.0"))
+COMMANDS = st.one_of(
+    st.builds(
+        AdvertiseCapability, st.sampled_from(("robot/B1", "robot/Z9")), st.sampled_from(("door.open.secure", "lift")), st.sampled_from(("1.0.0", "2.0.0"))
+    ),
+    st.builds(WithdrawCapability, st.just("robot/B1"), st.just("door.open.secure"), st.just("x")),
+    st.builds(ReportAvailability, st.just("robot/B1"), st.sampled_from((None, "door.open.secure")), st.sampled_from(("ready", "offline")), st.just("x")),
+    st.builds(DeprecateCapability, st.just("robot/B1"), st.just("door.open.secure"), VERSIONS),
+    st.builds(UpgradeCapability, st.just("robot/B1"), st.just("door.open.secure"), VERSIONS),
+    st.builds(FinishRollOut, st.just("robot/B1"), st.just("door.open.secure")),
+)
+
+
+@forall(st.lists(COMMANDS, max_size=25))
+@settings(max_examples=80, deadline=None)
+def test_whatever_is_commanded_the_surface_is_part_of_what_is_possessed(commands: list[Command]) -> None:
+    state = given("fsar")
+    for command in commands:
+        before = state.registry
+        events = DECIDES[type(command)](state, command)
+        for event in events:
+            apply(state, event)
+        if types(events) == ["CommandRejected"]:
+            assert state.registry is before
+        for record in surface(state.registry, "robot/B1"):
+            assert possesses(state.registry, "robot/B1", record.capability)
+            installed = state.registry.modules["robot/B1"][record.capability].version
+            assert record.version == installed or record.availability == "restricted" or any(isinstance(one, ReportAvailability) for one in commands)

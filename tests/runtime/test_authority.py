@@ -1,0 +1,266 @@
+"""Rights by a supervisor's word, revocation at the request boundary, claims that end, and what an approval covers. Paper: sec:model:authority."""
+
+from typing import Any
+
+import msgspec
+import pytest
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted, AuthorityReleased, AuthorityRevoked
+from fsar_ledger.events.command import CommandRejected
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST
+from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
+from fsar_ledger.events.knowledge import FleetRuleLearned
+from fsar_ledger.events.policy import PolicyRuleSet
+from fsar_ledger.events.request import RequestAdmitted, RequestClosed, RequestDenied
+from fsar_ledger.events.supervision import SupervisorResponded
+from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
+from fsar_ledger.events.trust import TrustSet
+from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
+from fsar_ledger.projections.fold import State, apply, fold
+from fsar_ledger.runtime.architectures.fsar import FSAR
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
+from fsar_ledger.runtime.handlers.authority import ExpireContext, GrantAuthority, ReleaseAuthority, RevokeAuthority, RevokeDistrusted
+from fsar_ledger.runtime.handlers.commands import Command, StartAction, TakeTurn
+from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
+from tests.runtime.histories import given, types
+from tests.runtime.live import decided, of, played
+from tests.runtime.test_requests import relayed, verdict
+
+DOOR = "door.open.secure"
+H_F, H_A, H_B = FLEET_SUPERVISOR, "supervisor/A1", "supervisor/B1"
+ASK = RequestCapability("robot/A1", "robot/B1", DOOR, "visit", "q1")
+NEXT = msgspec.structs.replace(ASK, action_id="q2")
+GRANTED = AuthorityGranted("robot/A1", "robot/B1", DOOR, "visit", "soft-priority", H_F)
+REVOKED = AuthorityRevoked("robot/A1", "robot/B1", None, None, "human override", H_F)
+
+
+def play(state: State, *commands: Command) -> tuple[Any, ...]:
+    """The events of the last command, all of them applied."""
+    events: tuple[Any, ...] = ()
+    for command in commands:
+        events = decided(state, command)
+        for event in events:
+            apply(state, event)
+    return events
+
+
+def evaluated(state: State, command: RequestCapability = NEXT) -> Any:
+    """What the executor makes of another request, at once."""
+    return play(state, command, EvaluateRequest(command.action_id))[0]
+
+
+def scheduled(state: State, event: Event) -> list[Command]:
+    """What FSAR schedules after the event, which is applied."""
+    apply(state, event)
+    return [one.command for react in FSAR.reacts.get(type(event), ()) for one in react(state, event, 0)]
+
+
+def test_a_supervisor_grants_authority_and_it_is_on_record_who() -> None:
+    [granted] = decided(given("fsar"), GrantAuthority(H_F, "robot/C1", None, "emergency-only"))
+    assert granted == AuthorityGranted("robot/C1", None, None, None, "emergency-only", H_F)
+    [own] = decided(given("fsar"), GrantAuthority(H_B, "robot/A1", "robot/B1", "hard-preempt", DOOR, "visit"))
+    assert own == AuthorityGranted("robot/A1", "robot/B1", DOOR, "visit", "hard-preempt", H_B)
+
+
+@pytest.mark.parametrize(
+    ("command", "found"),
+    [
+        (GrantAuthority(H_F, "robot/Z9", None, "none"), "unknown robot robot/Z9"),
+        (GrantAuthority(H_F, "robot/A1", "robot/Z9", "none"), "unknown robot robot/Z9"),
+        (GrantAuthority("supervisor/Z9", "robot/A1", "robot/B1", "none"), "unknown supervisor supervisor/Z9"),
+        (GrantAuthority(H_A, "robot/A1", "robot/B1", "none"), "supervisor/A1 does not supervise robot/B1"),
+        (GrantAuthority(H_A, "robot/A1", None, "none"), "does not supervise every robot"),
+        (GrantAuthority(H_F, "robot/A1", "robot/A1", "none"), "to ask itself"),
+        (GrantAuthority(H_F, "robot/A1", "robot/B1", "none", "fly"), "unknown capability fly"),
+        (GrantAuthority(H_F, "robot/A1", "robot/B1", "none", DOOR, "rounds"), "context rounds has expired"),
+        (GrantAuthority(H_B, "robot/A1", "robot/B1", "none", DOOR), "supervisor/fleet has revoked it"),
+        (GrantAuthority(H_F, "robot/A1", "robot/B1", "absolute"), "unknown override level absolute"),  # type: ignore[arg-type]
+        (RevokeAuthority(H_F, "robot/Z9", None), "unknown robot robot/Z9"),
+        (RevokeAuthority("supervisor/Z9", "robot/A1", None), "unknown supervisor supervisor/Z9"),
+        (RevokeAuthority("supervisor/C1", "robot/A1", "robot/B1"), "supervises neither robot"),
+        (RevokeAuthority(H_F, "robot/A1", "robot/B1", "fly"), "unknown capability fly"),
+        (RevokeAuthority(H_F, "robot/A1", "robot/B1"), "it is revoked already"),
+        (RevokeAuthority(H_B, "robot/A1", "robot/B1", DOOR), "it is revoked already"),
+        (RevokeAuthority(H_F, "robot/A1", "robot/C1", reason="boredom"), "unknown reason boredom"),  # type: ignore[arg-type]
+    ],
+)
+def test_a_right_that_nobody_may_give_or_take_is_rejected_and_changes_nothing(command: Command, found: str) -> None:
+    state = given("fsar", TaskCompleted("rounds"), REVOKED)
+    before = state.authority
+    [rejected] = play(state, command)
+    assert isinstance(rejected, CommandRejected)
+    assert found in rejected.reason
+    assert rejected.command == type(command).__name__
+    assert state.authority == before
+
+
+@pytest.mark.parametrize("supervisor", [H_F, H_A, H_B])
+def test_either_robots_supervisor_may_revoke(supervisor: str) -> None:
+    [revoked] = decided(given("fsar"), RevokeAuthority(supervisor, "robot/A1", "robot/B1", DOOR))
+    assert revoked == AuthorityRevoked("robot/A1", "robot/B1", DOOR, None, "human override", supervisor)
+
+
+def test_a_revocation_takes_effect_at_the_next_request_and_leaves_alone_what_was_admitted() -> None:
+    state = given("fsar")
+    play(state, ASK, EvaluateRequest("q1"), RevokeAuthority(H_F, "robot/A1", "robot/B1"))
+    assert "RequestAccepted" in types(play(state, TakeTurn("q1"))), "queued, and goes on"
+    assert types(play(state, StartAction("q1", drawn=5))) == ["ExecutionStarted"]
+    denied = evaluated(state)
+    assert isinstance(denied, RequestDenied)
+    assert denied.reason == "authority"
+
+
+def test_in_a_whole_run_a_running_action_outlives_its_revocation() -> None:
+    [(began_us, _)] = of(played([(1_000_000, ASK)]), ExecutionStarted)
+    run = played([(1_000_000, ASK), (began_us + 1_000, RevokeAuthority(H_F, "robot/A1", "robot/B1")), (began_us + 2_000, NEXT)])
+    assert [event.action_id for _, event in of(run, RequestClosed)] == ["q1"]  # type: ignore[attr-defined]
+    assert [(event.action_id, event.reason) for _, event in of(run, RequestDenied)] == [("q2", "authority")]  # type: ignore[attr-defined]
+    assert run.state == fold(run.events)
+
+
+@pytest.mark.parametrize(
+    ("about", "is_denied"),
+    [
+        ((None, None, None), True),
+        (("robot/B1", None, None), True),
+        (("robot/B1", DOOR, "visit"), True),
+        (("robot/C1", None, None), False),
+        (("robot/B1", "door.open.basic", None), False),
+        (("robot/B1", None, "rounds"), False),
+    ],
+)
+def test_a_revocation_is_about_what_it_names(about: tuple[str | None, str | None, str | None], is_denied: bool) -> None:
+    state = given("fsar", AuthorityRevoked("robot/A1", *about, "human override", H_F))
+    assert isinstance(evaluated(state), RequestDenied if is_denied else RequestAdmitted)
+    assert isinstance(evaluated(state, RequestCapability("robot/C1", "robot/B1", DOOR, "visit", "q3")), RequestAdmitted), "of another requester"
+
+
+def test_a_later_grant_lifts_a_revocation() -> None:
+    state = given("fsar", REVOKED, GRANTED)
+    assert isinstance(evaluated(state), RequestAdmitted)
+    assert isinstance(evaluated(state, msgspec.structs.replace(ASK, context="rounds", action_id="q3")), RequestDenied), "for its context alone"
+
+
+def test_what_the_relay_may_ask_does_not_lift_a_revocation_of_the_requester() -> None:
+    assert verdict(relayed(), "A1-1/2.1") == ("accept", None)
+    for robot in ("robot/D1", "robot/A1"):
+        assert verdict(relayed(AuthorityRevoked(robot, "robot/B1", None, None, "human override", H_F)), "A1-1/2.1") == ("reject", "authority")
+
+
+def test_a_context_that_ends_ends_the_rights_that_were_given_for_it_and_no_others() -> None:
+    broad = AuthorityGranted("robot/A1", "robot/B1", None, None, "none", H_F)
+    for over in (TaskCompleted("visit"), TaskAbandoned("visit")):
+        state = given("fsar", broad, GRANTED)
+        [command] = scheduled(state, over)
+        assert command == ExpireContext("visit")
+        [revoked] = play(state, command)
+        assert revoked == AuthorityRevoked("robot/A1", "robot/B1", DOOR, "visit", "context expired", TRUST)
+        assert play(state, command) == ()
+
+
+def test_a_context_without_rights_ends_without_a_word() -> None:
+    assert scheduled(given("fsar"), TaskCompleted("visit")) == []
+    assert scheduled(given("fsar", GRANTED), TaskCompleted("rounds")) == []
+    assert scheduled(given("fsar", GRANTED, REVOKED, msgspec.structs.replace(REVOKED, capability=DOOR, context="visit")), TaskCompleted("visit")) == []
+
+
+def test_trust_that_falls_below_what_is_required_revokes_what_the_peer_holds_admitted() -> None:
+    state = given("fsar")
+    play(state, ASK, EvaluateRequest("q1"))
+    assert scheduled(state, TrustSet("robot/B1", "robot/A1", "capability")) == [], "enough"
+    assert scheduled(state, TrustSet("robot/B1", "robot/D1", "none")) == [], "somebody else"
+    [command] = [one for one in scheduled(state, TrustSet("robot/B1", "robot/A1", "none")) if isinstance(one, RevokeDistrusted)]
+    [revoked] = play(state, command)
+    assert revoked == AuthorityRevoked("robot/A1", "robot/B1", DOOR, "visit", "trust downgrade", TRUST)
+    assert play(state, command) == (), "once"
+    assert "RequestAccepted" in types(play(state, TakeTurn("q1"))), "what was admitted goes on"
+    apply(state, TrustSet("robot/B1", "robot/A1", "task"))
+    assert evaluated(state).reason == "authority", "trust regained does not give back what was revoked"
+
+
+def test_trust_that_falls_while_nothing_is_admitted_revokes_nothing() -> None:
+    state = given("fsar")
+    play(state, ASK)
+    assert scheduled(state, TrustSet("robot/B1", "robot/A1", "none")) == []
+
+
+def test_a_claim_is_released_by_who_holds_it_and_execution_not_before_its_end() -> None:
+    state = given("fsar")
+    play(state, ASK, EvaluateRequest("q1"), TakeTurn("q1"))
+    [held] = decided(state, ReleaseAuthority("robot/B1", "q1", "execution"))
+    assert isinstance(held, CommandRejected)
+    assert "has yet to finish it" in held.reason
+    [released] = play(state, ReleaseAuthority("robot/B1", "q1", "override"))
+    assert released == AuthorityReleased("visit", "q1", "override", "robot/B1", "acceptance")
+    for command in (
+        ReleaseAuthority("robot/B1", "q1", "override"),
+        ReleaseAuthority("robot/A1", "q1", "execution"),
+        ReleaseAuthority("robot/B1", "q9", "audit"),
+    ):
+        [rejected] = decided(state, command)
+        assert isinstance(rejected, CommandRejected)
+        assert "expected an open claim" in rejected.reason
+    apply(state, AuthorityClaimed("visit", "q1", "audit", H_F, "watch"))
+    assert types(decided(state, ReleaseAuthority(H_F, "q1", "audit"))) == ["AuthorityReleased"]
+
+
+APPROVAL = SupervisorResponded("visit", "q1", H_F, "robot/A1", "robot/B1", H_F, (H_F,), "review")
+
+
+def approved(*before: Event) -> State:
+    """A1's request is admitted at B1 after H_F approved its review; B1 is about to start."""
+    state = given("fsar", *before)
+    assert types(play(state, ASK, EvaluateRequest("q1"))) == ["SupervisorCalled"]
+    play(state, *scheduled(state, APPROVAL), TakeTurn("q1"))
+    return state
+
+
+def opened(name: str, outcome: Any) -> PolicyWindowOpened:
+    return PolicyWindowOpened("robot/B1", "local", name, outcome)
+
+
+START = StartAction("q1", drawn=5)
+
+
+def test_an_approval_covers_the_windows_that_were_open_when_it_was_given() -> None:
+    assert types(play(approved(opened("w1", "review")), START)) == ["ExecutionStarted"]
+
+
+@pytest.mark.parametrize("outcome", ["deny", "review"])
+def test_a_window_of_the_executors_own_that_opens_after_the_approval_holds_the_start(outcome: Any) -> None:
+    state = approved(opened("w1", "review"))
+    apply(state, opened("w2", outcome))
+    [held] = play(state, START)
+    assert isinstance(held, ExecutionHeld)
+    assert (held.outcome, held.reason) == (outcome, "local-policy")
+    [again] = scheduled(state, PolicyWindowClosed("robot/B1", "local", "w2"))
+    assert isinstance(again, StartAction), "although the first is open still"
+    assert types(play(state, START)) == ["ExecutionStarted"]
+
+
+def test_a_rule_that_is_set_after_the_approval_holds_the_start_and_one_set_before_does_not() -> None:
+    rule = PolicyRuleSet("local", "robot/B1", DOOR, None, "review", H_B)
+    assert types(play(approved(rule), START)) == ["ExecutionStarted"]
+    state = approved(rule)
+    apply(state, msgspec.structs.replace(rule, outcome="deny"))
+    assert types(play(state, START)) == ["ExecutionHeld"]
+    other = approved(rule)
+    apply(other, msgspec.structs.replace(rule, capability="door.open.basic", outcome="deny"))
+    assert types(play(other, START)) == ["ExecutionStarted"], "about something else"
+
+
+def test_what_was_approved_is_forgotten_when_it_is_done() -> None:
+    state = approved(opened("w1", "review"))
+    assert list(state.authority.approvals) == ["q1"]
+    play(state, START, ReportResult("robot/B1", "q1", "success"))
+    assert state.authority.approvals == {}
+
+
+def test_a_start_without_a_review_waits_for_policy_as_ever() -> None:
+    state = given("fsar")
+    play(state, ASK, EvaluateRequest("q1"), TakeTurn("q1"))
+    apply(state, opened("w1", "deny"))
+    assert types(play(state, START)) == ["ExecutionHeld"]
+    apply(state, FleetRuleLearned("robot/B1", "allow", 1))
+    assert types(play(state, START)) == ["ExecutionHeld"]

@@ -1,0 +1,68 @@
+"""FSAR: what the registry answers a robot with a gap, and whom it says it left out."""
+
+from typing import Any
+
+import msgspec
+import pytest
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.events.fleet import RobotJoined
+from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityInstalled, CapabilityWithdrawn, RegistryQueried
+from fsar_ledger.events.task import StepBegan
+from fsar_ledger.events.trust import TrustSet
+from fsar_ledger.events.world import OutsiderRequestInjected, TaskArrived
+from fsar_ledger.projections.fold import apply, fold
+from fsar_ledger.projections.registry import Offers
+from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider, answer_outsider
+from fsar_ledger.runtime.architectures.fsar.discovery import QueryRegistry, query_registry
+from fsar_ledger.runtime.handlers.registry import Query, candidates
+from fsar_ledger.runtime.simulation import RunSpec, run_started
+from fsar_ledger.runtime.world.scenarios import founding
+from tests.runtime.histories import given
+
+
+def test_the_registry_says_by_which_filter_it_left_others_out() -> None:
+    spec = RunSpec(1, "fsar", "full", "door-relay", 8, 0)
+    step = StepBegan("A2-1", "A2-1/1.1", "robot/A2", 1, 1, "door.open.secure", "B")
+    arrived = TaskArrived("A2-1", "robot/A2", 2, ("A door.open.secure B",), 1, 1)
+    distrust = TrustSet("robot/B1", "robot/A2", "none")
+    state = fold((run_started(spec, Constants()), *founding(8), arrived, step, distrust))
+    [answer] = query_registry(state, QueryRegistry("A2-1/1.1"))
+    assert isinstance(answer, RegistryQueried)
+    assert (answer.candidates, answer.relay, answer.rejected, answer.rejected_by) == (("robot/B2",), None, ("robot/B1",), ("trust",))
+
+
+def test_who_is_reached_through_a_peer_is_not_rejected_beside_it() -> None:
+    spec = RunSpec(1, "fsar", "full", "door-relay", 8, 0)
+    step = StepBegan("D2-1", "D2-1/1.1", "robot/D2", 1, 1, "door.open.secure", "B")
+    arrived = TaskArrived("D2-1", "robot/D2", 2, ("D door.open.secure B",), 1, 1)
+    state = fold((run_started(spec, Constants()), *founding(8), arrived, step))
+    [answer] = query_registry(state, QueryRegistry("D2-1/1.1"))
+    assert isinstance(answer, RegistryQueried)
+    assert (answer.candidates, answer.rejected, answer.rejected_by) == (("robot/B2",), ("robot/B1",), ("trust",))
+    apply(state, AvailabilityChanged("robot/B2", None, "offline", "charging"))
+    [answer] = query_registry(state, QueryRegistry("D2-1/1.1"))
+    assert answer.candidates == ("robot/B1",)  # type: ignore[attr-defined]
+
+
+def test_an_outsider_that_asks_for_what_nobody_shows_is_refused_by_visibility() -> None:
+    injected = OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.visual")
+    shown, _ = answer_outsider(given("fsar", injected), AnswerOutsider("injected-1-1"))
+    hidden, _ = answer_outsider(given("fsar", injected, CapabilityWithdrawn("robot/C1", "inspect.visual", "x")), AnswerOutsider("injected-1-1"))
+    assert (shown.rejected_by, hidden.rejected_by) == (("trust",), ("visibility",))  # type: ignore[attr-defined]
+
+
+def test_a_search_that_ends_in_its_own_domain_reads_no_other() -> None:
+    """What lies in the other domain here cannot be read at all."""
+    founding_of_two = (RobotJoined("robot/A9", "A", 1, None, "hall"), RobotJoined("robot/B9", "B", 1, None, "hall"), TrustSet("robot/B9", "robot/A9", "task"))
+    state = given("fsar", *founding_of_two, RobotJoined("robot/B8", "B", 1, None, "yard"), TrustSet("robot/B8", "robot/A9", "task"))
+    for robot in ("robot/B9", "robot/B8"):
+        apply(state, CapabilityInstalled(robot, "lift", "1.0.0"))
+        apply(state, CapabilityAdvertised(robot, "lift"))
+    whole = state.registry.offers
+    unreadable: Any = None
+    state.registry = msgspec.structs.replace(state.registry, offers=Offers(whole.records, {**whole.below, "yard": unreadable}, whole.ways))
+    assert candidates(state, Query("robot/A9", "lift")).candidates == ("robot/B9",)
+    apply(state, TrustSet("robot/B9", "robot/A9", "none"))
+    with pytest.raises(AttributeError):
+        candidates(state, Query("robot/A9", "lift"))

@@ -1,0 +1,168 @@
+"""Who may join, what a robot possesses, in which state it is, and how the registry hears of its actuator."""
+
+import pytest
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.events import Event
+from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionResumed, ExecutionStarted
+from fsar_ledger.events.fleet import RobotJoined
+from fsar_ledger.events.recovery import AssistanceAdmitted, RecoveryEscalated
+from fsar_ledger.events.registry import AvailabilityChanged, CapabilityInstalled, CapabilityRemoved
+from fsar_ledger.events.supervision import ActuatorServiced
+from fsar_ledger.events.world import ActuatorDegraded
+from fsar_ledger.projections.fold import apply
+from fsar_ledger.projections.registry import advertisement, possesses, surface
+from fsar_ledger.runtime.architectures.fsar import FSAR
+from fsar_ledger.runtime.architectures.fsar.availability import REACTS as REPORTS
+from fsar_ledger.runtime.architectures.fsar.availability import ReportActuator, report_actuator
+from fsar_ledger.runtime.handlers.commands import Command
+from fsar_ledger.runtime.handlers.fleet import DECIDES, InstallCapability, JoinFleet, RemoveCapability, execution_state
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from tests.runtime.histories import given, types
+
+
+def decided(command: Command, *events: Event) -> tuple[Event, ...]:
+    return FSAR.decides[type(command)](given("fsar", *events), command)
+
+
+def test_a_robot_joins_and_neither_possesses_nor_trusts_anything_yet() -> None:
+    [joined] = decided(JoinFleet("robot/E1", "E", 1, "supervisor/E1", "hall/cell"))
+    assert joined == RobotJoined("robot/E1", "E", 1, "supervisor/E1", "hall/cell")
+    state = given("fsar", joined)
+    assert state.fleet.robots["robot/E1"].domain == "hall/cell"
+    assert (list(surface(state.registry, "robot/E1")), execution_state(state, "robot/E1")) == ([], "idle")
+
+
+def test_a_robot_without_a_supervisor_of_its_own_may_join() -> None:
+    assert types(decided(JoinFleet("robot/E1", "E", 1))) == ["RobotJoined"]
+
+
+def test_an_installed_capability_is_possessed_and_advertised_to_nobody() -> None:
+    [installed] = decided(InstallCapability("robot/B1", "lift", "0.1.0", ("seen",), ("held",), ("arm",)))
+    assert installed == CapabilityInstalled("robot/B1", "lift", "0.1.0", ("seen",), ("held",), ("arm",))
+    state = given("fsar", installed)
+    assert possesses(state.registry, "robot/B1", "lift")
+    assert advertisement(state.registry, "robot/B1", "lift") is None
+
+
+def test_a_removed_capability_is_neither_possessed_nor_advertised() -> None:
+    [removed] = decided(RemoveCapability("robot/B1", "door.open.secure"))
+    assert removed == CapabilityRemoved("robot/B1", "door.open.secure")
+    state = given("fsar", removed)
+    assert not possesses(state.registry, "robot/B1", "door.open.secure")
+    assert advertisement(state.registry, "robot/B1", "door.open.secure") is None
+
+
+QUEUED = ExecutionQueued("t", "t/1", "robot/A1", "robot/B1", None, "robot/B1", "robot/A1", "door.open.secure", 1, 1, True, True, True)
+
+
+@pytest.mark.parametrize(
+    ("events", "command", "reason"),
+    [
+        ((), JoinFleet("robot/A1", "A", 1), "member already"),
+        ((), JoinFleet("A9", "A", 1), "no robot's name"),
+        ((), JoinFleet("robot/", "A", 1), "no robot's name"),
+        ((), JoinFleet("robot/E/1", "A", 1), "no robot's name"),
+        ((), JoinFleet("robot/E1", "", 1), "expected a role"),
+        ((), JoinFleet("robot/E1", "E", 0), "team from 1"),
+        ((), JoinFleet("robot/E1", "E", 1, "supervisor/A1"), "expected supervisor/E1 or none"),
+        ((), JoinFleet("robot/E1", "E", 1, None, "hall//cell"), "no path"),
+        ((), JoinFleet("robot/E1", "E", 1, None, "/hall"), "no path"),
+        ((), InstallCapability("robot/Z9", "lift", "1.0.0"), "unknown robot"),
+        ((), InstallCapability("robot/B1", "door.open.secure", "2.0.0"), "possesses version 1.0.0 already"),
+        ((), InstallCapability("robot/B1", "lift", "one"), "no version"),
+        ((), InstallCapability("robot/B1", "lift.*", "1.0.0"), "no name"),
+        ((), InstallCapability("robot/B1", " ", "1.0.0"), "no name"),
+        ((), InstallCapability("robot/B1", "lift", "1.0.0", ("lit", "not lit")), "contradict"),
+        ((), RemoveCapability("robot/Z9", "lift"), "unknown robot"),
+        ((), RemoveCapability("robot/B1", "lift"), "does not possess lift"),
+        ((QUEUED,), RemoveCapability("robot/B1", "door.open.secure"), "in use by t/1"),
+    ],
+)
+def test_what_is_unknown_doubled_or_impossible_is_rejected(events: tuple[Event, ...], command: Command, reason: str) -> None:
+    [rejection] = DECIDES[type(command)](given("fsar", *events), command)
+    assert types((rejection,)) == ["CommandRejected"]
+    assert reason in rejection.reason  # type: ignore[attr-defined]
+
+
+STARTED = ExecutionStarted("t", "t/1", "robot/A1", "robot/B1", None, "robot/B1", "robot/A1", "door.open.secure", 9)
+FAILED = ExecutionFailed("t", "t/1", "robot/B1", 1, "obstruction", 4, 5)
+WEAK = ExecutionFailed("t", "t/1", "robot/B1", 1, "degradation", 4, 5)
+OUTWARD = RecoveryEscalated("t", "t/1", None, None, None, None, (), "robot/B1", 1, "local", "peer", "t/1")
+RESUMED = ExecutionResumed("t", "t/1", "robot/B1", 12)
+
+
+@pytest.mark.parametrize(
+    ("events", "state"),
+    [
+        ((), "idle"),
+        ((QUEUED,), "executing"),
+        ((QUEUED, STARTED), "executing"),
+        ((QUEUED, STARTED, FAILED), "failed"),
+        ((QUEUED, STARTED, FAILED, OUTWARD), "failed"),
+        ((QUEUED, STARTED, FAILED, RESUMED), "executing"),
+        ((QUEUED, STARTED, FAILED, OUTWARD, RESUMED), "failed"),
+        ((ActuatorDegraded("robot/B1"),), "degraded"),
+        ((ActuatorDegraded("robot/B1"), QUEUED, STARTED), "degraded"),
+        ((ActuatorDegraded("robot/B1"), QUEUED, STARTED, WEAK), "failed"),
+        ((ActuatorDegraded("robot/B1"), ActuatorServiced("robot/B1")), "idle"),
+        ((AvailabilityChanged("robot/B1", "door.open.basic", "degraded", "worn"),), "degraded"),
+        ((AvailabilityChanged("robot/B1", None, "offline", "charging"),), "idle"),
+        ((AssistanceAdmitted("t", "t/9", None, None, None, None, (), "robot/A1", "robot/B1", 1, "peer"),), "executing"),
+    ],
+)
+def test_a_robot_is_failed_before_degraded_before_executing_before_idle(events: tuple[Event, ...], state: str) -> None:
+    assert execution_state(given("fsar", *events), "robot/B1") == state
+
+
+def test_a_failure_of_the_actuator_is_reported_and_an_obstruction_is_not() -> None:
+    state = given("fsar", ActuatorDegraded("robot/B1"), QUEUED, STARTED, WEAK)
+    [word] = REPORTS[ExecutionFailed](state, WEAK, 5)
+    assert word.command == ReportActuator("robot/B1", True)
+    assert report_actuator(state, ReportActuator("robot/B1", True)) == (AvailabilityChanged("robot/B1", None, "degraded", "actuator"),)
+    assert REPORTS[ExecutionFailed](state, FAILED, 5) == ()
+
+
+def test_what_was_reported_is_not_reported_again_and_a_serviced_robot_is_ready() -> None:
+    state = given("fsar", ActuatorDegraded("robot/B1"))
+    for event in report_actuator(state, ReportActuator("robot/B1", True)):
+        apply(state, event)
+    assert report_actuator(state, ReportActuator("robot/B1", True)) == ()
+    assert report_actuator(state, ReportActuator("robot/B1", False)) == (), "it is not in order yet"
+    serviced = ActuatorServiced("robot/B1")
+    apply(state, serviced)
+    [word] = REPORTS[ActuatorServiced](state, serviced, 5)
+    assert FSAR.decides[ReportActuator](state, word.command) == (AvailabilityChanged("robot/B1", None, "ready", "actuator"),)
+
+
+def test_word_of_the_actuator_lifts_no_restriction() -> None:
+    held_back = AvailabilityChanged("robot/B1", "door.open.secure", "restricted", "inspection")
+    state = given("fsar", held_back, ActuatorDegraded("robot/B1"))
+    words = report_actuator(state, ReportActuator("robot/B1", True))
+    assert [event.capability for event in words] == ["navigate.indoor", "door.open.basic"]  # type: ignore[attr-defined]
+
+
+def test_without_a_registry_there_is_nobody_to_tell() -> None:
+    state = given("fsar", ActuatorDegraded("robot/B1"), QUEUED, STARTED, WEAK, configuration="without-shared-registry")
+    assert REPORTS[ExecutionFailed](state, WEAK, 5) == ()
+    assert REPORTS[ActuatorServiced](state, ActuatorServiced("robot/B1"), 5) == ()
+
+
+def test_in_whole_runs_every_degradation_failure_is_reported_and_every_service_after_it_lifts_it() -> None:
+    lifted = 0
+    for run in range(30):
+        state = ""
+        for event in simulate_run(RunSpec(8, "fsar", "full", "failure-recovery-chain", 4, run), Constants()).events:
+            match event:
+                case ExecutionFailed(cause="degradation"):
+                    state = state or "to report"
+                case AvailabilityChanged(robot="robot/D1", capability=None, availability="degraded"):
+                    assert state == "to report"
+                    state = "reported"
+                case ActuatorServiced():
+                    state = "to lift" if state == "reported" else state
+                case AvailabilityChanged(robot="robot/D1", capability=None, availability="ready"):
+                    assert state == "to lift"
+                    state, lifted = "", lifted + 1
+        assert state in ("", "reported"), "a word is missing at the end of the run"
+    assert lifted

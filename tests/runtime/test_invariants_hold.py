@@ -1,0 +1,53 @@
+"""The ten invariants on whole runs: FSAR keeps them all, and each ablation breaks what it takes away."""
+
+from collections.abc import Iterable
+from typing import get_args
+
+import pytest
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.events.envelope import Configuration, Workflow
+from fsar_ledger.ledger.codec import encode
+from fsar_ledger.metrics.database import from_table
+from fsar_ledger.metrics.invariants import audit_rows, chosen
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
+
+BROKEN_WITHOUT: dict[Configuration, set[str]] = {
+    "without-trust-evaluation": {"i3", "i5", "a3", "a5"},  # what an outsider asks for runs unchecked, with no supervisor on record
+    "without-policy-composition": {"i3", "a3"},  # nobody composes the requester's policy and the fleet's rule
+    "without-layered-recovery": {"i4"},  # every failure skips to a human
+    "without-shared-registry": {"i5"},  # requests that find nobody name no executor
+}
+FOUND_BY_SEARCH = (  # runs in which an invariant once broke
+    RunSpec(7, "fsar", "full", "mixed-trust-inspection", 4, 13),
+)
+
+
+def broken(specs: Iterable[RunSpec]) -> set[tuple[str, str | None]]:
+    """The invariants that these runs break, each with the first finding."""
+    with from_table(encode([simulate_run(spec, Constants()) for spec in specs])) as database:
+        return {
+            (row.invariant.partition("_")[0], f"{row.first_run} seq {row.first_seq}: {row.first_found}")
+            for row in audit_rows(database, chosen(()))
+            if row.events
+        }
+
+
+@pytest.mark.parametrize("fleet_size", [4, 8])
+def test_all_ten_hold_on_fsar_in_every_scenario(fleet_size: int) -> None:
+    assert broken(RunSpec(42, "fsar", "full", scenario, fleet_size, run) for scenario in SCENARIOS for run in range(12)) == set()
+
+
+def test_all_ten_hold_on_runs_that_once_broke_one() -> None:
+    assert broken(FOUND_BY_SEARCH) == set()
+
+
+@pytest.mark.parametrize("seed", [42, 1, 2, 3])
+def test_all_ten_hold_on_every_workflow(seed: int) -> None:
+    assert broken(RunSpec(seed, "fsar", "full", workflow, 4, run) for workflow in get_args(Workflow) for run in range(4)) == set()
+
+
+@pytest.mark.parametrize("configuration", sorted(BROKEN_WITHOUT))
+def test_each_ablation_breaks_what_it_takes_away(configuration: Configuration) -> None:
+    found = broken(RunSpec(42, "fsar", configuration, scenario, 4, run) for scenario in SCENARIOS for run in range(12))
+    assert {name for name, _ in found} == BROKEN_WITHOUT[configuration]

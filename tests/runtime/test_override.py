@@ -1,0 +1,371 @@
+"""Override levels and a busy robot: who waits, who goes ahead, who is interrupted and goes on afterwards. Paper: eq:override."""
+
+from typing import Any
+
+import msgspec
+import pytest
+from hypothesis import given as any_of
+from hypothesis import settings
+from hypothesis import strategies as st
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted, AuthorityReleased
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, OverrideLevel
+from fsar_ledger.events.execution import (
+    ApproachStarted,
+    ExecutionFailed,
+    ExecutionFinished,
+    ExecutionPaused,
+    ExecutionPreempted,
+    ExecutionQueued,
+    ExecutionResumed,
+    ExecutionStarted,
+    ExecutionWithdrawn,
+)
+from fsar_ledger.events.policy import PolicyRuleSet
+from fsar_ledger.events.recovery import AssistanceAdmitted
+from fsar_ledger.events.registry import CapabilityAdvertised
+from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, RequestClosed, RequestDenied
+from fsar_ledger.events.task import StepBegan
+from fsar_ledger.events.world import ObstructionAppeared, TaskArrived
+from fsar_ledger.ledger.codec import RunRecord, encode
+from fsar_ledger.metrics.database import from_table, plain_rows
+from fsar_ledger.metrics.library import library
+from fsar_ledger.projections import execution
+from fsar_ledger.projections.authority import LEVELS, rank
+from fsar_ledger.projections.fold import State, apply, fold
+from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
+from fsar_ledger.runtime.handlers.commands import DetectObstruction, ResumeAction, StartAction, TakeTurn
+from fsar_ledger.runtime.handlers.request import RequestCapability
+from fsar_ledger.runtime.kernel import Kernel
+from fsar_ledger.runtime.world.schedule import schedule
+from tests.runtime.histories import given, types
+from tests.runtime.live import decided, of, played
+
+DOOR = "door.open.secure"
+OPEN = msgspec.structs.replace(CapabilityAdvertised("robot/B1", DOOR), override_allowed="emergency-only")
+ASK = RequestCapability("robot/A1", "robot/B1", DOOR, "visit", "q1")
+GRANT = AuthorityGranted("robot/C1", None, None, None, "emergency-only", FLEET_SUPERVISOR)
+
+
+def urgent(level: OverrideLevel, name: str = "q2") -> RequestCapability:
+    """C1 asks the same robot, with this override level."""
+    return RequestCapability("robot/C1", "robot/B1", DOOR, "rounds", name, level)
+
+
+def busy(*before: Any, stage: str = "running", level: OverrideLevel = "none") -> State:
+    """B1 serves q1 of A1."""
+    state = given("fsar", OPEN, *before)
+    play(state, msgspec.structs.replace(ASK, override=level), EvaluateRequest("q1"))
+    if stage != "queued":
+        play(state, TakeTurn("q1"))
+    if stage == "running":
+        play(state, StartAction("q1", now_us=1_000_000, drawn=2_000_000))
+    return state
+
+
+def play(state: State, *commands: Any) -> tuple[Any, ...]:
+    """The events of the last command, all of them applied."""
+    events: tuple[Any, ...] = ()
+    for command in commands:
+        events = decided(state, command)
+        for event in events:
+            apply(state, event)
+    return events
+
+
+@pytest.mark.parametrize("level", ["none", "soft-priority"])
+def test_a_weak_request_never_interrupts(level: OverrideLevel) -> None:
+    assert types(play(busy(), urgent(level), EvaluateRequest("q2", now_us=1_500_000))) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
+
+
+def test_soft_priority_goes_ahead_of_what_waits_without_it() -> None:
+    state = busy()
+    for level, name in (("none", "q2"), ("soft-priority", "q3"), ("soft-priority", "q4"), ("none", "q5")):
+        play(state, urgent(level, name), EvaluateRequest(name))  # type: ignore[arg-type]
+    assert (state.execution.current["robot/B1"], state.execution.queues["robot/B1"]) == ("q1", ("q3", "q4", "q2", "q5"))
+
+
+def test_hard_preempt_takes_the_robot_and_the_preempted_action_keeps_its_rest_its_claims_and_its_place() -> None:
+    state = busy()
+    play(state, urgent("none", "q0"), EvaluateRequest("q0"))
+    admitted, preempted, queued = play(state, urgent("hard-preempt"), EvaluateRequest("q2", now_us=1_500_000))
+    assert isinstance(admitted, RequestAdmitted)
+    assert preempted == ExecutionPreempted("visit", "q1", "robot/B1", "q2", 1_500_000)
+    assert isinstance(queued, ExecutionQueued)
+    assert (state.execution.current["robot/B1"], state.execution.queues["robot/B1"]) == ("q2", ("q1", "q0"))
+    kept = state.authority.claims["q1"]
+    claimed = [event for event in play(state, TakeTurn("q2")) if isinstance(event, AuthorityClaimed)]
+    assert [(claim.dimension, claim.claimant) for claim in claimed] == [("execution", "robot/B1"), ("override", "robot/B1")]
+    assert state.authority.claims["q1"] == kept != ()
+    assert play(state, ResumeAction("q1")) == (), "not before the robot is free"
+    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    [resumed] = play(state, ResumeAction("q1", now_us=4_000_000))
+    assert resumed == ExecutionResumed("visit", "q1", "robot/B1", 5_500_000)
+
+
+def test_what_was_preempted_on_its_way_is_on_its_way_again_and_is_accepted_once() -> None:
+    state = busy(stage="approaching")
+    _, preempted, _ = play(state, urgent("hard-preempt"), EvaluateRequest("q2"))
+    assert preempted.remaining_us is None
+    assert play(state, StartAction("q1", drawn=5)) == (), "it is not there"
+    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    assert play(state, StartAction("q1", drawn=5)) == (), "the way back comes first"
+    assert types(play(state, TakeTurn("q1"))) == ["ApproachStarted"]
+    assert len(state.authority.claims["q1"]) == 2
+    assert types(play(state, StartAction("q1", drawn=5))) == ["ExecutionStarted"]
+
+
+def test_what_was_preempted_before_its_turn_is_accepted_at_its_turn() -> None:
+    state = busy(stage="queued")
+    play(state, urgent("hard-preempt"), EvaluateRequest("q2"))
+    assert play(state, TakeTurn("q1")) == ()
+    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    assert types(play(state, TakeTurn("q1"))) == ["RequestAccepted", "AuthorityClaimed", "AuthorityClaimed", "ApproachStarted"]
+
+
+def test_equals_do_not_interrupt_each_other_and_emergency_interrupts_all() -> None:
+    state = busy(GRANT, level="hard-preempt")
+    assert "ExecutionPreempted" not in types(play(state, urgent("hard-preempt"), EvaluateRequest("q2")))
+    assert "ExecutionPreempted" in types(play(state, urgent("emergency-only", "q3"), EvaluateRequest("q3")))
+    assert (state.execution.current["robot/B1"], state.execution.queues["robot/B1"]) == ("q3", ("q1", "q2"))
+
+
+def test_emergency_without_a_supervisors_grant_is_no_override_at_all() -> None:
+    state = busy()
+    admitted, deferred, queued = play(state, urgent("emergency-only"), EvaluateRequest("q2"))
+    assert (admitted.override, type(deferred).__name__, queued.override) == ("none", "RequestDeferred", "none")
+    weaker = msgspec.structs.replace(GRANT, override="hard-preempt")
+    state = busy(weaker)
+    assert play(state, urgent("emergency-only"), EvaluateRequest("q2"))[0].override == "none"
+
+
+def test_a_robot_that_helps_another_is_not_interrupted() -> None:
+    help_given = AssistanceAdmitted("t", "t/1", "robot/B1", "robot/A1", "robot/A1", None, ("robot/B1",), "robot/A1", "robot/B1", 1, "peer")
+    state = given("fsar", OPEN, help_given)
+    events = play(state, urgent("hard-preempt"), EvaluateRequest("q2"))
+    assert types(events) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
+
+
+def test_what_was_replanning_keeps_its_rest_and_no_early_plan_takes_the_robot_back() -> None:
+    state = busy()
+    apply(state, ExecutionPaused("visit", "q1", "robot/B1", 700_000))
+    _, preempted, _ = play(state, urgent("hard-preempt"), EvaluateRequest("q2", now_us=1_900_000))
+    assert preempted.remaining_us == 700_000
+    assert play(state, ResumeAction("q1", now_us=2_300_000)) == ()
+    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    [resumed] = play(state, ResumeAction("q1", now_us=4_000_000))
+    assert resumed.ends_us == 4_700_000
+
+
+def test_a_failure_is_first_handled_by_the_executors_own_recovery() -> None:
+    state = busy()
+    apply(state, ObstructionAppeared("robot/B1", "o"))
+    assert types(play(state, DetectObstruction("q1", now_us=1_500_000))) == ["ExecutionFailed"]
+    assert types(play(state, urgent("hard-preempt"), EvaluateRequest("q2"))) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
+
+
+def test_an_own_step_that_was_preempted_while_policy_held_it_does_not_start_behind_the_other() -> None:
+    own = StepBegan("B1-1", "B1-1/1.1", "robot/B1", 1, 1, "navigate.indoor")
+    arrived = TaskArrived("B1-1", "robot/B1", 1, ("B navigate.indoor",), 60_000_000, 65_000_000)
+    rule = PolicyRuleSet("local", "robot/B1", "navigate.indoor", None, "deny", "supervisor/B1")
+    state = given("fsar", OPEN, rule, arrived, own)
+    assert types(play(state, DecideOwnStep("B1-1/1.1"), StartAction("B1-1/1.1", drawn=5))) == ["ExecutionHeld"]
+    assert "ExecutionPreempted" in types(play(state, urgent("hard-preempt"), EvaluateRequest("q2")))
+    apply(state, msgspec.structs.replace(rule, outcome="allow"))
+    assert play(state, StartAction("B1-1/1.1", drawn=5)) == ()
+    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    assert types(play(state, StartAction("B1-1/1.1", drawn=5))) == ["ExecutionStarted"]
+
+
+def entry(name: str, level: OverrideLevel) -> ExecutionQueued:
+    return ExecutionQueued("t", name, "robot/A1", "robot/B1", None, "robot/B1", "robot/A1", DOOR, 1, 1, True, True, True, level)
+
+
+class Model:
+    """The plain model: what the robot serves, what waits, and what of it was interrupted."""
+
+    def __init__(self) -> None:
+        self.serving: str | None = None
+        self.waiting: list[tuple[str, OverrideLevel, bool]] = []  # name, level, was interrupted
+        self.level: OverrideLevel = "none"
+
+    def arrives(self, name: str, level: OverrideLevel) -> str | None:
+        """The action that it interrupts, if it does."""
+        if self.serving is None:
+            self.serving, self.level = name, level
+            return None
+        if rank(level) >= 2 and rank(self.level) < rank(level):
+            gone, self.waiting = self.serving, [(self.serving, self.level, True), *self.waiting]
+            self.serving, self.level = name, level
+            return gone
+        ahead = [one for one in self.waiting if rank(one[1]) < rank(level) and not (one[2] and rank(level) < 2)]
+        place = self.waiting.index(ahead[0]) if ahead else len(self.waiting)
+        self.waiting.insert(place, (name, level, False))
+        return None
+
+    def ends(self) -> None:
+        self.serving = None
+        if self.waiting:
+            self.serving, self.level, _ = self.waiting.pop(0)
+
+    def leaves(self, place: int) -> str:
+        return self.waiting.pop(place)[0]
+
+
+@any_of(st.lists(st.tuples(st.integers(0, 5), st.sampled_from(LEVELS)), max_size=40))
+@settings(max_examples=200, deadline=None)
+def test_the_queue_is_that_of_a_plain_model_and_nothing_is_lost_or_doubled(moves: list[tuple[int, OverrideLevel]]) -> None:
+    state, model = execution.INITIAL, Model()
+    alive: set[str] = set()
+    for ordinal, (move, level) in enumerate(moves):
+        if move <= 3 or model.serving is None:
+            name = f"q{ordinal}"
+            gone = model.arrives(name, level)
+            if gone is not None:
+                state = execution.evolve(state, ExecutionPreempted("t", gone, "robot/B1", name, None))
+            state = execution.evolve(state, entry(name, level))
+            alive.add(name)
+        elif move == 4 or not model.waiting:
+            name = model.serving
+            model.ends()
+            state = execution.evolve(state, ExecutionFinished("t", name, None, None, None, "robot/B1"))
+            alive.discard(name)
+        else:
+            name = model.leaves(ordinal % len(model.waiting))
+            state = execution.evolve(state, ExecutionWithdrawn("t", name, "robot/B1"))
+            alive.discard(name)
+        assert state.current.get("robot/B1") == model.serving
+        assert state.queues.get("robot/B1", ()) == tuple(name for name, _, _ in model.waiting)
+        assert {model.serving, *(name for name, _, _ in model.waiting)} - {None} == alive
+
+
+def lifetimes(events: list[tuple[int, Any]], action_id: str) -> tuple[list[int], int]:
+    """When the action was planned to take how long, and how long it executed. Units: microseconds."""
+    planned, executed, since = [], 0, None
+    for time_us, event in events:
+        if event.action_id != action_id:
+            continue
+        if isinstance(event, ExecutionStarted | ExecutionResumed):
+            if isinstance(event, ExecutionStarted):
+                planned.append(event.ends_us - time_us)
+            assert since is None, "started twice"
+            since = time_us
+        elif since is not None:
+            executed, since = executed + time_us - since, None
+    return planned, executed
+
+
+STAGES = (ExecutionStarted, ExecutionResumed, ExecutionPreempted, ExecutionFinished)
+
+
+def test_in_a_whole_run_the_preempted_action_goes_on_for_exactly_its_rest() -> None:
+    alone = played([(1_000_000, ASK)], OPEN)
+    [(began_us, began)] = of(alone, ExecutionStarted)
+    assert isinstance(began, ExecutionStarted)
+    run = played([(1_000_000, ASK), (began_us, urgent("hard-preempt"))], OPEN)
+    kinds = [(type(event).__name__, event.action_id) for _, event in of(run, *STAGES)]  # type: ignore[attr-defined]
+    assert kinds == [
+        ("ExecutionStarted", "q1"),
+        ("ExecutionPreempted", "q1"),
+        ("ExecutionStarted", "q2"),
+        ("ExecutionFinished", "q2"),
+        ("ExecutionResumed", "q1"),
+        ("ExecutionFinished", "q1"),
+    ]
+    assert lifetimes(of(run, *STAGES), "q1") == ([began.ends_us - began_us], began.ends_us - began_us)
+    assert len(of(run, RequestAccepted)) == len(of(run, RequestClosed)) == 2
+    assert len(of(run, AuthorityClaimed)) == len(of(run, AuthorityReleased)) == 4
+    assert run.state == fold(run.events)
+
+
+def test_in_a_whole_run_what_was_interrupted_on_its_way_begins_once() -> None:
+    [(on_the_way_us, _)] = of(played([(1_000_000, ASK)], OPEN), ApproachStarted)
+    run = played([(1_000_000, ASK), (on_the_way_us, urgent("hard-preempt"))], OPEN)
+    assert [type(event).__name__ for _, event in of(run, *STAGES) if event.action_id == "q1"] == [  # type: ignore[attr-defined]
+        "ExecutionPreempted",
+        "ExecutionStarted",
+        "ExecutionFinished",
+    ]
+
+
+def test_an_action_that_policy_holds_and_is_preempted_is_held_again_when_it_is_back() -> None:
+    state = busy(stage="approaching")
+    apply(state, PolicyRuleSet("local", "robot/B1", DOOR, "visit", "deny", "supervisor/B1"))
+    assert types(play(state, StartAction("q1", drawn=5))) == ["ExecutionHeld"]
+    assert "ExecutionPreempted" in types(play(state, urgent("hard-preempt"), EvaluateRequest("q2")))
+    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    assert types(play(state, TakeTurn("q1"), StartAction("q1", drawn=5))) == ["ExecutionHeld"]
+
+
+@any_of(st.lists(st.tuples(st.integers(0, 40_000_000), st.sampled_from(LEVELS), st.booleans()), min_size=1, max_size=7))
+@settings(max_examples=60, deadline=None)
+def test_in_any_run_every_request_is_executed_once_one_at_a_time(wanted: list[tuple[int, OverrideLevel, bool]]) -> None:
+    commands = [
+        (1_000_000 + time_us, RequestCapability("robot/C1" if of_c else "robot/A1", "robot/B1", DOOR, "visit", f"q{number}", level))
+        for number, (time_us, level, of_c) in enumerate(wanted)
+    ]
+    run = played(commands, OPEN, GRANT)
+    history: list[tuple[int, Any]] = of(run, *STAGES)
+    for _, command in commands:
+        planned, executed = lifetimes(history, command.action_id)
+        assert [executed] == planned
+    assert sorted(event.action_id for _, event in of(run, RequestClosed)) == sorted(command.action_id for _, command in commands)  # type: ignore[attr-defined]
+    running: str | None = None
+    for _, event in history:
+        if isinstance(event, ExecutionStarted | ExecutionResumed):
+            assert running is None, "two at once"
+            running = event.action_id
+        elif event.action_id == running:
+            running = None
+    assert (run.state.execution.current, run.state.authority.claims) == ({}, {})
+    assert run.state == fold(run.events)
+
+
+OFFERS = [
+    msgspec.structs.replace(CapabilityAdvertised(robot, capability), override_allowed="emergency-only")
+    for robot, capability in (("robot/A1", "carry.package"), ("robot/B1", DOOR), ("robot/D1", "carry.heavy"))
+]
+PAIRS = (("robot/C1", "robot/B1", DOOR), ("robot/A1", "robot/B1", DOOR), ("robot/D1", "robot/A1", "carry.package"), ("robot/A1", "robot/D1", "carry.heavy"))
+
+
+def amid(seed: int) -> Kernel:
+    """A whole scenario with its obstructions, windows, context changes and recoveries, and urgent requests all through it."""
+    commands: list[tuple[int, Any]] = []
+    for number in range(24):
+        requester, executor, capability = PAIRS[(number + seed) % len(PAIRS)]
+        level = LEVELS[(number * 7 + seed) % len(LEVELS)]
+        commands.append((4_000_000 + number * 4_700_000 + seed * 137_000, RequestCapability(requester, executor, capability, "visit", f"q{number}", level)))
+    return played(commands, *OFFERS, GRANT, facts=schedule(Constants().world, seed, "fleet-contention", 0, 4))
+
+
+def test_the_ten_invariants_hold_amid_urgent_requests() -> None:
+    runs = [amid(seed) for seed in range(6)]
+    records = [RunRecord(f"amid-{seed}", run.times_us, run.caused_by, run.events) for seed, run in enumerate(runs)]
+    names = [name for name in library().queries if name.startswith("invariants/")]
+    with from_table(encode(records)) as database:
+        assert {name: plain_rows(database.query(name)) for name in names} == {name: [] for name in names}
+    assert len(names) == 10
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_amid_tasks_failures_and_changing_policy_nothing_is_lost_or_doubled(seed: int) -> None:
+    run = amid(seed)
+    preempted = [event.action_id for _, event in of(run, ExecutionPreempted)]  # type: ignore[attr-defined]
+    assert preempted
+    admitted = [event.action_id for _, event in of(run, RequestAdmitted)]  # type: ignore[attr-defined]
+    finished = [event.action_id for _, event in of(run, ExecutionFinished)]  # type: ignore[attr-defined]
+    assert len(finished) == len(set(finished))
+    assert set(admitted) | set(preempted) <= set(finished)
+    assert {f"q{number}" for number in range(24)} <= {event.action_id for _, event in of(run, RequestClosed, RequestDenied)}  # type: ignore[attr-defined]
+    assert (run.state.execution.current, run.state.execution.actions, run.state.authority.claims, run.state.task) == ({}, {}, {}, {})
+    assert run.state == fold(run.events)
+    moving: dict[str, str] = {}
+    for _, event in of(run, ExecutionStarted, ExecutionResumed, ExecutionPaused, ExecutionFailed, ExecutionPreempted, ExecutionFinished, ExecutionWithdrawn):
+        robot, action_id = event.robot, event.action_id  # type: ignore[attr-defined]
+        if isinstance(event, ExecutionStarted | ExecutionResumed):
+            assert robot not in moving, f"{robot} executes {moving.get(robot)} and {action_id}"
+            moving[robot] = action_id
+        elif moving.get(robot) == action_id:
+            del moving[robot]

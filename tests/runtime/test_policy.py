@@ -1,0 +1,182 @@
+"""Policy rules: who may set which, deny before review before allow, and a mandate never overrides a robot's own denial."""
+
+import pytest
+from hypothesis import given as for_all
+from hypothesis import settings
+from hypothesis import strategies as st
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.command import CommandRejected
+from fsar_ledger.events.envelope import POLICY
+from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
+from fsar_ledger.events.knowledge import FleetRuleLearned
+from fsar_ledger.events.policy import PolicyConflictEscalated, PolicyRuleSet
+from fsar_ledger.events.registry import RegistryQueried
+from fsar_ledger.events.request import RequestDenied
+from fsar_ledger.events.task import TaskCompleted
+from fsar_ledger.projections.fold import apply, fold
+from fsar_ledger.projections.policy import INITIAL, evolve, ruled
+from fsar_ledger.projections.world import stricter
+from fsar_ledger.runtime.architectures.fsar import FSAR
+from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, decide_own_step, start
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
+from fsar_ledger.runtime.handlers.commands import StartAction
+from fsar_ledger.runtime.handlers.policy import SetPolicyRule, compose, conflict, own_policy, set_policy_rule
+from tests.runtime.governed import H_F, governed
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, types, window
+
+A, B, C = "robot/A1", "robot/B1", "robot/C1"
+DOOR = "door.open.secure"
+H_B = "supervisor/B1"
+REQUESTED = (ARRIVED, DELEGATED_STEP, RegistryQueried("A1-1", "A1-1/2.1", A, B, None, DOOR, (B,)))
+OUTCOME = st.sampled_from(["allow", "deny", "review"])
+RULE = st.builds(
+    PolicyRuleSet,
+    st.sampled_from(["local", "fleet"]),
+    st.sampled_from([None, A, B]),
+    st.sampled_from([None, DOOR, "carry.package"]),
+    st.sampled_from([None, "A1-1", "A1-2"]),
+    OUTCOME,
+    st.just(H_F),
+)
+
+
+def rule(outcome: str, robot: str | None = B, capability: str | None = None, context: str | None = None, scope: str = "local") -> PolicyRuleSet:
+    return PolicyRuleSet(scope, robot, capability, context, outcome, H_F)  # type: ignore[arg-type]
+
+
+def refusal(events: tuple[Event, ...]) -> str:
+    [one] = events
+    assert isinstance(one, CommandRejected)
+    return one.reason
+
+
+def test_a_robots_own_policy_is_set_by_its_own_supervisor() -> None:
+    [event] = set_policy_rule(given("fsar"), SetPolicyRule(H_B, "local", B, DOOR, "A1-1", "deny"))
+    assert event == PolicyRuleSet("local", B, DOOR, "A1-1", "deny", H_B)
+
+
+@pytest.mark.parametrize("robot", [None, B])
+def test_the_fleets_rules_are_set_by_the_fleet_supervisor(robot: str | None) -> None:
+    [event] = set_policy_rule(given("fsar"), SetPolicyRule(H_F, "fleet", robot, None, None, "review"))
+    assert event == PolicyRuleSet("fleet", robot, None, None, "review", H_F)
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"),
+    [
+        (SetPolicyRule(H_F, "local", B, None, None, "allow"), "supervisor/fleet does not set robot/B1's own policy"),
+        (SetPolicyRule("supervisor/A1", "local", B, None, None, "deny"), "supervisor/A1 does not supervise robot/B1"),
+        (SetPolicyRule(H_B, "fleet", B, None, None, "deny"), "supervisor/B1 supervises one robot"),
+        (SetPolicyRule("supervisor/X9", "local", B, None, None, "deny"), "unknown supervisor supervisor/X9"),
+        (SetPolicyRule(H_B, "local", None, None, None, "deny"), "a local rule of no robot"),
+        (SetPolicyRule(H_F, "fleet", "robot/X9", None, None, "deny"), "unknown robot robot/X9"),
+        (SetPolicyRule(H_F, "fleet", None, "fly", None, "deny"), "unknown capability fly"),
+        (SetPolicyRule(H_F, "fleet", None, None, "A1-1", "deny"), "task A1-1 is over"),
+        (SetPolicyRule(H_F, "fleet", None, None, None, "maybe"), "found fleet maybe"),  # type: ignore[arg-type]
+        (SetPolicyRule(H_F, "world", None, None, None, "deny"), "found world deny"),  # type: ignore[arg-type]
+    ],
+)
+def test_a_rule_that_cannot_be_set_is_rejected(command: SetPolicyRule, reason: str) -> None:
+    assert refusal(set_policy_rule(given("fsar", ARRIVED, TaskCompleted("A1-1")), command)).startswith(reason)
+
+
+@for_all(st.lists(RULE, max_size=8), st.sampled_from([A, B, C]), st.sampled_from([DOOR, "carry.package"]), st.sampled_from(["A1-1", "A1-2"]))
+@settings(max_examples=80)
+def test_the_strictest_rule_that_applies_holds_and_of_one_rule_the_last_word(rules: list[PolicyRuleSet], robot: str, capability: str, context: str) -> None:
+    state = INITIAL
+    for one in rules:
+        state = evolve(state, one)
+    last = {(one.robot, one.capability, one.context): one.outcome for one in rules if one.scope == "local"}
+    applying = [outcome for (of, what, where), outcome in last.items() if of in (None, robot) and what in (None, capability) and where in (None, context)]
+    expected = None if not applying else "deny" if "deny" in applying else "review" if "review" in applying else "allow"
+    assert ruled(state, "local", robot, capability, context) == expected
+
+
+@for_all(OUTCOME, OUTCOME, OUTCOME, OUTCOME)
+@settings(max_examples=81)
+def test_composition_is_the_strictest_of_all_parts_so_that_allow_loosens_nothing(carried: str, local: str, fleet: str, opened: str) -> None:
+    happened = [rule(local), rule(fleet, scope="fleet")] + ([] if opened == "allow" else [window(B, opened)])
+    composed = compose(given("fsar", *happened), carried, B, DOOR, "A1-1")  # type: ignore[arg-type]
+    parts = [carried, local, fleet, opened]
+    assert composed == ("deny" if "deny" in parts else "review" if "review" in parts else "allow")
+    more = compose(given("fsar", *happened, rule("allow", capability=DOOR)), carried, B, DOOR, "A1-1")  # type: ignore[arg-type]
+    assert more == stricter(composed, more) == composed
+
+
+def test_a_rule_about_a_capability_or_a_task_leaves_others_alone() -> None:
+    state = given("fsar", rule("deny", capability=DOOR, context="A1-1"))
+    assert [own_policy(state, B, *about) for about in ((DOOR, "A1-1"), (DOOR, "A1-2"), ("door.open.basic", "A1-1"))] == ["deny", "allow", "allow"]
+
+
+def test_a_mandate_against_the_executors_own_denial_is_denied_and_escalated() -> None:
+    state = given("fsar", *REQUESTED, rule("deny"), rule("allow", robot=None, capability=DOOR, scope="fleet"))
+    escalated, denied = evaluate_request(state, EvaluateRequest("A1-1/2.1"))
+    assert escalated == PolicyConflictEscalated("A1-1", "A1-1/2.1", POLICY, A, B, H_F, (POLICY,), DOOR, "deny", "allow")
+    assert isinstance(denied, RequestDenied)
+    assert denied.reason == "policy"
+
+
+def test_a_matter_of_one_robot_alone_is_escalated_to_its_own_supervisor() -> None:
+    state = given("fsar", window(B), rule("allow", scope="fleet"))
+    [escalated] = conflict(state, None, None, B, B, DOOR)
+    assert escalated.supervised_by == H_B
+
+
+@pytest.mark.parametrize(
+    "happened",
+    [
+        (rule("deny"),),
+        (rule("review"), rule("allow", scope="fleet")),
+        (rule("deny"), rule("review", scope="fleet")),
+        (rule("deny"), rule("allow", scope="fleet"), rule("deny", robot=None, scope="fleet")),
+        (rule("deny"), rule("allow", scope="fleet"), FleetRuleLearned(B, "deny", 1)),
+        (rule("deny"), rule("allow", robot=A, scope="fleet")),
+        (rule("allow", scope="fleet"),),
+    ],
+    ids=["no mandate", "own review", "fleet reviews", "fleet also denies", "zone denies", "mandate for another", "no denial"],
+)
+def test_without_a_mandate_or_without_a_denial_there_is_no_conflict(happened: tuple[Event, ...]) -> None:
+    assert conflict(given("fsar", *happened), "A1-1", "A1-1/2.1", A, B, DOOR) == ()
+
+
+def test_without_policy_composition_nobody_sees_the_mandate() -> None:
+    state = given("fsar", rule("deny"), rule("allow", scope="fleet"), configuration="without-policy-composition")
+    assert conflict(state, "A1-1", "A1-1/2.1", A, B, DOOR) == ()
+
+
+def test_a_start_that_a_rule_held_goes_on_when_the_rule_is_replaced() -> None:
+    state = given("fsar", ARRIVED, OWN_STEP)
+    for event in decide_own_step(state, DecideOwnStep("A1-1/1.1")):
+        apply(state, event)
+    apply(state, rule("deny", robot=A))
+    [held] = start(state, StartAction("A1-1/1.1", now_us=5, drawn=7))
+    assert isinstance(held, ExecutionHeld)
+    apply(state, held)
+
+    def woken(event: PolicyRuleSet) -> list[object]:
+        apply(state, event)
+        return [one.command for react in FSAR.reacts[PolicyRuleSet] for one in react(state, event, 6)]
+
+    assert woken(rule("review", robot=A)) == []
+    assert woken(rule("allow", robot=B)) == []
+    assert woken(rule("allow", robot=A)) == [StartAction("A1-1/1.1")]
+    assert types(start(state, StartAction("A1-1/1.1", now_us=9, drawn=7))) == ["ExecutionStarted"]
+
+
+def test_in_a_run_nothing_starts_under_a_rule_that_denies_and_it_all_goes_on_when_the_rule_is_lifted() -> None:
+    denied, lifted = (1_500_000, rule("deny", capability=DOOR)), (60_000_000, rule("allow", capability=DOOR))
+    one = governed("door-relay", denied, lifted)
+    starts = [time for time, event in zip(one.times_us, one.events, strict=True) if isinstance(event, ExecutionStarted) and event.capability == DOOR]
+    assert starts
+    assert min(starts) > 60_000_000
+    assert fold(one.events) == one.state
+
+
+def test_in_a_run_a_mandate_is_escalated_with_denials_and_nothing_is_overridden() -> None:
+    one = governed("door-relay", (1_500_000, rule("deny", capability=DOOR)), (1_600_000, rule("allow", robot=None, scope="fleet")))
+    denied = {event.action_id for event in one.events if isinstance(event, RequestDenied) and event.reason == "policy"}
+    escalated = {event.action_id for event in one.events if isinstance(event, PolicyConflictEscalated)}
+    assert escalated
+    assert escalated < denied, "while the fleet denies as well there is no conflict"
+    assert not any(isinstance(event, ExecutionStarted) and event.capability == DOOR for event in one.events)

@@ -1,0 +1,200 @@
+"""Supervision: whom a matter goes to, who may answer, and how often supervisors are asked."""
+
+import pytest
+from hypothesis import given as for_all
+from hypothesis import settings
+from hypothesis import strategies as st
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.command import CommandRejected
+from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionStarted
+from fsar_ledger.events.fleet import RobotJoined
+from fsar_ledger.events.recovery import FailureResolved
+from fsar_ledger.events.registry import RegistryQueried
+from fsar_ledger.events.request import RequestAdmitted, RequestDenied
+from fsar_ledger.events.supervision import ActuatorServiced, SupervisionDensitySet, SupervisorCalled, SupervisorResponded
+from fsar_ledger.events.world import ActuatorDegraded, SupervisorLeft, SupervisorReturned
+from fsar_ledger.projections.fold import State, apply, fold
+from fsar_ledger.runtime.architectures.cfc import CFC
+from fsar_ledger.runtime.architectures.fsar import FSAR
+from fsar_ledger.runtime.architectures.fsar.request import AdmitReviewed, EvaluateRequest, admit_reviewed, evaluate_request
+from fsar_ledger.runtime.handlers.commands import Respond
+from fsar_ledger.runtime.handlers.supervision import (
+    RespondToCall,
+    SetSupervisionDensity,
+    is_due_for_review,
+    respond,
+    respond_to_call,
+    set_supervision_density,
+    supervisor_for,
+)
+from tests.runtime.governed import H_F, governed
+from tests.runtime.histories import ARRIVED, DELEGATED_STEP, given, types, window
+
+A, B = "robot/A1", "robot/B1"
+H_A, H_B = "supervisor/A1", "supervisor/B1"
+ACTION = "A1-1/2.1"
+REQUESTED = (ARRIVED, DELEGATED_STEP, RegistryQueried("A1-1", ACTION, A, B, None, "door.open.secure", (B,)))
+REVIEW = SupervisorCalled("A1-1", ACTION, H_F, "review")
+ORDERING = SupervisorCalled("A1-1", ACTION, H_F, "ordering", B, "A1-2/2.1")
+LOCAL = SupervisorCalled("A1-1", ACTION, H_B, "recovery")
+
+
+def refusal(events: tuple[Event, ...]) -> str:
+    [one] = events
+    assert isinstance(one, CommandRejected)
+    return one.reason
+
+
+def admitted(robot: str, ordinal: int = 0) -> RequestAdmitted:
+    return RequestAdmitted("t1", f"t1/{ordinal}", f"t1/{ordinal}", robot, A, robot, None, (robot,), "allow")
+
+
+def failing(*before: Event) -> State:
+    """A state in which B's execution for A has failed."""
+    queued = ExecutionQueued("A1-1", ACTION, A, B, H_B, B, A, "door.open.secure", 2, 1, True, True, True)
+    started = ExecutionStarted("A1-1", ACTION, A, B, H_B, B, A, "door.open.secure", 9)
+    return given("fsar", *REQUESTED, queued, started, ExecutionFailed("A1-1", ACTION, B, 1, "degradation", 1, 8), *before)
+
+
+def test_what_concerns_one_robot_goes_to_its_own_supervisor_and_the_rest_to_the_fleets() -> None:
+    state = given("fsar")
+    assert (supervisor_for(state, B, is_cross_robot=False), supervisor_for(state, B, is_cross_robot=True)) == (H_B, H_F)
+
+
+def test_off_shift_or_without_an_own_supervisor_it_goes_to_the_fleets() -> None:
+    state = given("fsar", SupervisorLeft(H_B), RobotJoined("robot/X1", "A", 1, None))
+    assert supervisor_for(state, B, is_cross_robot=False) == H_F
+    assert supervisor_for(state, "robot/X1", is_cross_robot=False) == H_F
+    apply(state, SupervisorReturned(H_B))
+    assert supervisor_for(state, B, is_cross_robot=False) == H_B
+
+
+@pytest.mark.parametrize("approves", [True, False])
+def test_the_supervisor_who_was_called_approves_a_review_or_not(approves: bool) -> None:
+    state = given("fsar", *REQUESTED, REVIEW)
+    [response] = respond_to_call(state, RespondToCall(H_F, ACTION, approves))
+    assert response == SupervisorResponded("A1-1", ACTION, H_F, A, None, H_F, (H_F,), "review", approves)
+    apply(state, response)
+    assert (ACTION in state.supervision.approved, state.supervision.calls) == (approves, {})
+    [scheduled] = [one for react in FSAR.reacts[SupervisorResponded] for one in react(state, response, 0)]
+    assert types(admit_reviewed(state, scheduled.command)) == (["RequestAdmitted", "ExecutionQueued"] if approves else ["RequestDenied"])  # type: ignore[arg-type]
+
+
+def test_a_disapproved_request_is_denied_by_the_executor_for_the_review() -> None:
+    [denied] = admit_reviewed(given("fsar", *REQUESTED), AdmitReviewed(ACTION, False))
+    assert isinstance(denied, RequestDenied)
+    assert (denied.decided_by, denied.reason) == (B, "review")
+
+
+def test_a_coordinator_too_does_not_command_what_was_disapproved() -> None:
+    state = given("cfc", ARRIVED, DELEGATED_STEP, SupervisorCalled("A1-1", ACTION, H_F, "review", B))
+    [response] = respond_to_call(state, RespondToCall(H_F, ACTION, False))
+    apply(state, response)
+    [scheduled] = [one for react in CFC.reacts[SupervisorResponded] for one in react(state, response, 0)]
+    [denied] = CFC.decides[type(scheduled.command)](state, scheduled.command)
+    assert (type(denied).__name__, denied.reason) == ("RequestDenied", "review")  # type: ignore[attr-defined]
+
+
+def test_the_order_of_two_commands_names_the_one_that_goes_first() -> None:
+    [response] = respond_to_call(given("fsar", *REQUESTED, ORDERING), RespondToCall(H_F, ACTION, preferred="A1-2/2.1"))
+    assert response.preferred == "A1-2/2.1"  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("is_degraded", [True, False])
+def test_a_robots_own_supervisor_resolves_its_failure_and_has_it_serviced(is_degraded: bool) -> None:
+    state = failing(LOCAL, *([ActuatorDegraded(B)] if is_degraded else []))
+    for events in (respond_to_call(state, RespondToCall(H_B, ACTION)), respond(state, Respond(ACTION, "recovery"))):
+        assert events[0] == SupervisorResponded("A1-1", ACTION, H_B, A, B, H_B, (H_B,), "recovery")
+        assert events[1:] == ((ActuatorServiced(B),) if is_degraded else ()) + (FailureResolved("A1-1", ACTION, B, 1, "human"),)
+
+
+@pytest.mark.parametrize(
+    ("call", "command", "reason"),
+    [
+        (REVIEW, RespondToCall("supervisor/X9", ACTION), "unknown supervisor supervisor/X9"),
+        (REVIEW, RespondToCall(H_B, ACTION), "the call went to supervisor/fleet"),
+        (LOCAL, RespondToCall(H_F, ACTION), "the call went to supervisor/B1"),
+        (REVIEW, RespondToCall(H_F, "A1-1/9.9"), "no open call"),
+        (REVIEW, RespondToCall(H_F, ACTION, preferred=ACTION), f"{ACTION} does not compete"),
+        (ORDERING, RespondToCall(H_F, ACTION, preferred="A1-3/1.1"), "A1-3/1.1 does not compete"),
+        (ORDERING, RespondToCall(H_F, ACTION, False), "found a disapproval of ordering"),
+        (LOCAL, RespondToCall(H_B, ACTION, False), "found a disapproval of recovery"),
+    ],
+)
+def test_an_answer_that_does_not_fit_is_rejected(call: SupervisorCalled, command: RespondToCall, reason: str) -> None:
+    assert refusal(respond_to_call(failing(call), command)).startswith(reason)
+
+
+def test_a_call_is_answered_once() -> None:
+    state = given("fsar", *REQUESTED, REVIEW)
+    for event in respond_to_call(state, RespondToCall(H_F, ACTION)):
+        apply(state, event)
+    assert refusal(respond_to_call(state, RespondToCall(H_F, ACTION))).startswith("no open call")
+    assert respond(state, Respond(ACTION, "review")) == ()
+
+
+def test_an_answer_to_one_call_leaves_another_about_the_same_action_open() -> None:
+    state = failing(REVIEW, LOCAL)
+    for event in respond_to_call(state, RespondToCall(H_F, ACTION)):
+        apply(state, event)
+    assert list(state.supervision.calls) == [(ACTION, "recovery")]
+
+
+@pytest.mark.parametrize(("issued_by", "robot"), [(H_B, B), (H_F, B), (H_F, None)])
+def test_density_is_set_by_the_robots_own_supervisor_or_the_fleets(issued_by: str, robot: str | None) -> None:
+    [event] = set_supervision_density(given("fsar"), SetSupervisionDensity(issued_by, robot, 3, "night shift"))
+    assert event == SupervisionDensitySet(robot, 3, issued_by, "night shift")
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"),
+    [
+        (SetSupervisionDensity(H_A, B, 3, ""), "supervisor/A1 does not supervise robot/B1"),
+        (SetSupervisionDensity(H_A, None, 3, ""), "supervisor/A1 supervises one robot"),
+        (SetSupervisionDensity("supervisor/X9", B, 3, ""), "unknown supervisor supervisor/X9"),
+        (SetSupervisionDensity(H_F, "robot/X9", 3, ""), "unknown robot robot/X9"),
+        (SetSupervisionDensity(H_F, B, -1, ""), "density -1"),
+    ],
+)
+def test_density_that_cannot_be_set_is_rejected(command: SetSupervisionDensity, reason: str) -> None:
+    assert refusal(set_supervision_density(given("fsar"), command)).startswith(reason)
+
+
+def test_nobody_speaks_for_a_robot_without_a_supervisor_but_the_fleets() -> None:
+    state = given("fsar", RobotJoined("robot/X1", "A", 1, None))
+    nobody: str = None  # type: ignore[assignment]
+    assert refusal(set_supervision_density(state, SetSupervisionDensity(nobody, "robot/X1", 3, ""))).startswith("unknown supervisor")
+    assert types(set_supervision_density(state, SetSupervisionDensity(H_F, "robot/X1", 3, ""))) == ["SupervisionDensitySet"]
+
+
+@for_all(st.integers(0, 5), st.integers(0, 5), st.integers(0, 14))
+@settings(max_examples=60)
+def test_exactly_every_nth_admission_is_due_and_a_robots_own_density_comes_before_every_robots(own: int, every: int, count: int) -> None:
+    state = given("fsar", SupervisionDensitySet(None, every, H_F, ""), SupervisionDensitySet(B, own, H_F, ""))
+    due = {A: [], B: []}  # type: dict[str, list[int]]
+    for ordinal in range(1, count + 1):
+        for robot in (A, B):
+            if is_due_for_review(state, robot):
+                due[robot].append(ordinal)
+            apply(state, admitted(robot, ordinal))
+    assert due == {robot: [ordinal for ordinal in range(1, count + 1) if n and ordinal % n == 0] for robot, n in ((A, every), (B, own))}
+
+
+def test_an_admission_that_is_due_goes_to_review_and_a_denial_stays_a_denial() -> None:
+    dense = SupervisionDensitySet(B, 2, H_B, "")
+    assert types(evaluate_request(given("fsar", *REQUESTED, dense, admitted(B)), EvaluateRequest(ACTION))) == ["SupervisorCalled"]
+    assert types(evaluate_request(given("fsar", *REQUESTED, dense), EvaluateRequest(ACTION))) == ["RequestAdmitted", "ExecutionQueued"]
+    assert types(evaluate_request(given("fsar", *REQUESTED, dense, admitted(B), window(B)), EvaluateRequest(ACTION))) == ["RequestDenied"]
+
+
+def test_density_changes_while_a_run_goes_on() -> None:
+    one = governed("door-relay", (2, SupervisionDensitySet(None, 1, H_F, "start-up")), (60_000_000, SupervisionDensitySet(None, 0, H_F, "settled")))
+    timed = list(zip(one.times_us, one.events, strict=True))
+    reviewed = {event.action_id for event in one.events if isinstance(event, SupervisorCalled) and event.purpose == "review"}
+    early = {event.action_id for _, event in timed if isinstance(event, RequestAdmitted) and event.action_id in reviewed}
+    unreviewed = [time for time, event in timed if isinstance(event, RequestAdmitted) and event.action_id not in reviewed]
+    assert early
+    assert unreviewed
+    assert min(unreviewed) > 60_000_000
+    assert fold(one.events) == one.state

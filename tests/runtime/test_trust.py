@@ -1,0 +1,187 @@
+"""Trust: supervisors set it, the record moves it one scope at a time, and what was for one task ends with it."""
+
+from typing import Any
+
+import pytest
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityRevoked
+from fsar_ledger.events.command import CommandRejected
+from fsar_ledger.events.envelope import TRUST
+from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued
+from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
+from fsar_ledger.events.task import TaskCompleted
+from fsar_ledger.events.trust import TrustSet, TrustThresholdsSet
+from fsar_ledger.events.world import OutsiderRequestInjected
+from fsar_ledger.projections.fold import State, apply, fold
+from fsar_ledger.projections.trust import scope_of
+from fsar_ledger.runtime.architectures.fsar import FSAR
+from fsar_ledger.runtime.handlers.commands import Command
+from fsar_ledger.runtime.handlers.trust import (
+    AssessTrust,
+    ExpireTrust,
+    SetTrust,
+    SetTrustThresholds,
+    assess_trust,
+    expire_trust,
+    set_trust,
+    set_trust_thresholds,
+    trusts,
+)
+from tests.runtime.governed import H_F, governed
+from tests.runtime.histories import ARRIVED, given
+
+A, B, C, D = "robot/A1", "robot/B1", "robot/C1", "robot/D1"
+DOOR = "door.open.secure"
+H_B = "supervisor/B1"
+
+
+def refusal(events: tuple[Event, ...]) -> str:
+    [one] = events
+    assert isinstance(one, CommandRejected)
+    return one.reason
+
+
+def results(*outcomes: str, promote: int = 0, downgrade: int = 0) -> State:
+    """A state in which A asked B for the door so many times, and each time got this."""
+    state = given("fsar", TrustThresholdsSet(promote, downgrade, H_F))
+    for ordinal, outcome in enumerate(outcomes):
+        ids = ("t1", f"t1/{ordinal}", f"t1/{ordinal}")
+        apply(state, RequestIssued(*ids, A, A, B, None, (A,), DOOR, "allow"))
+        if outcome == "failed":
+            apply(state, ExecutionQueued("t1", f"t1/{ordinal}", A, B, None, B, A, DOOR, 1, 1, True, True, True))
+            apply(state, ExecutionFailed("t1", f"t1/{ordinal}", B, 1, "degradation", 0, 0))
+        elif outcome == "success":
+            apply(state, RequestClosed(*ids, "service/coordination", A, B, None, ("service/coordination",)))
+        else:
+            apply(state, RequestDenied(*ids, B, A, B, None, (B,), outcome))
+    return state
+
+
+@pytest.mark.parametrize("supervisor", [H_B, H_F])
+def test_the_robots_own_supervisor_and_the_fleets_may_set_its_trust(supervisor: str) -> None:
+    state = given("fsar")
+    assert not trusts(state, B, D, DOOR)
+    [event] = set_trust(state, SetTrust(supervisor, B, D, "task", DOOR, "A1-1"))
+    assert event == TrustSet(B, D, "task", DOOR, "A1-1", supervisor, "operator")
+    apply(state, event)
+    assert (trusts(state, B, D, DOOR, "A1-1"), trusts(state, B, D, DOOR, "A1-2"), trusts(state, D, B, DOOR, "A1-1")) == (True, False, False)
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"),
+    [
+        (SetTrust(H_F, "robot/X9", A, "task"), "unknown robot robot/X9"),
+        (SetTrust(H_F, A, "robot/X9", "task"), "unknown robot robot/X9"),
+        (SetTrust("supervisor/X9", B, A, "task"), "unknown supervisor supervisor/X9"),
+        (SetTrust("supervisor/A1", B, A, "task"), "supervisor/A1 does not supervise robot/B1"),
+        (SetTrust(H_F, B, A, "task", "fly"), "unknown capability fly"),
+        (SetTrust(H_F, B, A, "task", None, "A1-1"), "task A1-1 is over"),
+        (SetTrust(H_F, B, A, "total"), "unknown scope total"),  # type: ignore[arg-type]
+        (SetTrust(H_F, B, B, "task"), "robot/B1 needs no trust in itself"),
+    ],
+)
+def test_trust_that_cannot_be_set_is_rejected(command: SetTrust, reason: str) -> None:
+    state = given("fsar", ARRIVED, TaskCompleted("A1-1"))
+    assert refusal(set_trust(state, command)).startswith(reason)
+
+
+def test_only_the_fleet_supervisor_has_trust_follow_the_record() -> None:
+    state = given("fsar")
+    assert set_trust_thresholds(state, SetTrustThresholds(H_F, 3, 1)) == (TrustThresholdsSet(3, 1, H_F),)
+    assert refusal(set_trust_thresholds(state, SetTrustThresholds(H_B, 3, 1))).startswith("supervisor/B1 supervises one robot")
+    assert refusal(set_trust_thresholds(state, SetTrustThresholds("supervisor/X9", 3, 1))).startswith("unknown supervisor")
+    assert refusal(set_trust_thresholds(state, SetTrustThresholds(H_F, -1, 1))).startswith("thresholds -1 and 1")
+
+
+def test_so_many_successes_in_a_row_promote_one_scope() -> None:
+    assert assess_trust(results("success", promote=2), AssessTrust(B, A, DOOR)) == ()
+    [promoted] = assess_trust(results("success", "success", promote=2), AssessTrust(B, A, DOOR))
+    assert promoted == TrustSet(B, A, "session", DOOR, None, TRUST, "record")
+    assert assess_trust(results("success", "trust", "success", promote=2), AssessTrust(B, A, DOOR)) == ()
+
+
+def test_a_promotion_begins_the_row_again_and_never_gives_persistent_trust() -> None:
+    state = results("success", "success", promote=1)
+    [promoted] = assess_trust(state, AssessTrust(B, A, DOOR))
+    apply(state, promoted)
+    assert (B, A, DOOR) not in state.trust.records
+    again = results("success", promote=1)
+    apply(again, TrustSet(B, A, "session"))
+    apply(again, RequestIssued("t1", "t1/9", "t1/9", A, A, B, None, (A,), DOOR, "allow"))
+    apply(again, RequestClosed("t1", "t1/9", "t1/9", None, A, B, None, ()))
+    assert assess_trust(again, AssessTrust(B, A, DOOR)) == ()
+
+
+def test_violations_downgrade_the_requester_and_failures_the_executor() -> None:
+    [downgraded] = assess_trust(results("trust", downgrade=1), AssessTrust(B, A, DOOR))
+    assert downgraded == TrustSet(B, A, "capability", DOOR, None, TRUST, "record")
+    [downgraded] = assess_trust(results("failed", downgrade=1), AssessTrust(A, B, DOOR))
+    assert downgraded == TrustSet(A, B, "capability", DOOR, None, TRUST, "record")
+    assert assess_trust(results("failed", downgrade=1), AssessTrust(B, A, DOOR)) == ()
+    assert assess_trust(results("policy", downgrade=1), AssessTrust(B, A, DOOR)) == ()
+
+
+def test_a_revocation_by_a_supervisor_counts_against_the_requester() -> None:
+    def revoked(reason: Any) -> State:
+        return given("fsar", TrustThresholdsSet(0, 1, H_F), AuthorityRevoked(A, B, DOOR, None, reason, H_F))
+
+    assert [type(event) for event in assess_trust(revoked("human override"), AssessTrust(B, A, DOOR))] == [TrustSet]
+    assert assess_trust(revoked("context expired"), AssessTrust(B, A, DOOR)) == ()
+
+
+def test_the_record_makes_no_trust_where_there_is_none() -> None:
+    state = given("fsar", TrustThresholdsSet(1, 1, H_F), TrustSet(B, A, "none", DOOR))
+    apply(state, RequestIssued("t1", "t1/1", "t1/1", A, A, B, None, (A,), DOOR, "allow"))
+    apply(state, RequestClosed("t1", "t1/1", "t1/1", None, A, B, None, ()))
+    assert assess_trust(state, AssessTrust(B, A, DOOR)) == ()
+
+
+def test_an_assessment_without_a_record_is_stale() -> None:
+    assert assess_trust(given("fsar"), AssessTrust(B, A, DOOR)) == ()
+
+
+def test_an_injected_request_that_is_refused_counts_against_who_made_it() -> None:
+    injected = OutsiderRequestInjected("i1", D, C, "inspect.private_zone")
+    refused = RequestDenied("i1", "i1", "i1", "service/registry", D, None, None, ("service/registry",), "not visible")
+    state = given("fsar", TrustThresholdsSet(0, 1, H_F), TrustSet(C, D, "task"), injected, refused)
+    [downgraded] = assess_trust(state, AssessTrust(C, D, "inspect.private_zone"))
+    assert downgraded.scope == "capability"  # type: ignore[attr-defined]
+
+
+def scheduled(state: State, event: Event) -> list[Command]:
+    apply(state, event)
+    return [one.command for react in FSAR.reacts[type(event)] for one in react(state, event, 0)]
+
+
+def test_trust_is_assessed_in_both_directions_after_a_success_and_only_while_thresholds_are_set() -> None:
+    def assessments(*thresholds: Event) -> set[tuple[str, str]]:
+        state = given("fsar", *thresholds, RequestIssued("t1", "t1/1", "t1/1", A, A, B, None, (A,), DOOR, "allow"))
+        commands = scheduled(state, RequestClosed("t1", "t1/1", "t1/1", None, A, B, None, ()))
+        return {(one.robot, one.peer) for one in commands if isinstance(one, AssessTrust)}
+
+    assert assessments(TrustThresholdsSet(1, 0, H_F)) == {(A, B), (B, A)}
+    assert assessments() == set()
+
+
+def test_task_trust_in_the_context_of_a_task_ends_with_the_task() -> None:
+    entries = (TrustSet(B, D, "task", None, "A1-1"), TrustSet(C, D, "session", None, "A1-1"), TrustSet(C, D, "task", None, "A1-2"))
+    state = given("fsar", ARRIVED, *entries)
+    commands = scheduled(state, TaskCompleted("A1-1"))
+    [command] = [one for one in commands if isinstance(one, ExpireTrust)]
+    assert expire_trust(state, command) == (TrustSet(B, D, "none", None, "A1-1", TRUST, "context expired"),)
+    assert not any(isinstance(one, ExpireTrust) for one in scheduled(given("fsar", ARRIVED), TaskCompleted("A1-1")))
+
+
+def test_in_a_run_trust_follows_the_record_and_the_state_is_still_the_fold_of_the_events() -> None:
+    one = governed("collaborative-delivery", (2, TrustThresholdsSet(1, 1, H_F)), run=7)
+    moved = [event for event in one.events if isinstance(event, TrustSet) and event.decided_by == TRUST]
+    assert {event.reason for event in moved} == {"record"}
+    assert {scope for event in moved for scope in [event.scope]} >= {"capability", "task"}, "one up, one down"
+    assert fold(one.events) == one.state
+    assert all(scope_of(one.state.trust, event.robot, event.peer, event.capability) != "persistent" for event in moved)
+
+
+def test_in_a_run_without_thresholds_nothing_moves() -> None:
+    one = governed("collaborative-delivery", run=7)
+    assert not any(isinstance(event, TrustSet) and event.decided_by is not None for event in one.events)
