@@ -171,9 +171,9 @@ def _levels(axes: Any, shown: Sequence[Row], heights: Sequence[float], left: flo
 
 
 def _rung(row: Row, rows: Sequence[Row]) -> str:
-    """What the step was; for a level that is left, why."""
+    """Who took which step; for a level that is left, why."""
     if row["to_level"] is None:
-        return str(row["what"])
+        return f"{row['decided_by']}: {row['what']}" if row["decided_by"] else str(row["what"])
     mates = [one for one in rows if (one["failure"], one["level"]) == (row["failure"], row["level"]) and one["budget_s"] is not None]
     budget = f" ({mates[0]['budget_s']:g} s, {len(mates)})" if mates else ""
     return "\n".join(textwrap.wrap(f"{row['result'] or row['what']}{budget}", 52))

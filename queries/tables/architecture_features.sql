@@ -16,9 +16,9 @@ WITH rules (feature, part, is_essential) AS (
     ('layered_recovery', 'failures that skip no level', FALSE),
     ('layered_recovery', 'levels of recovery in use', FALSE),
     ('policy_composition', 'decisions on the executor''s policy', TRUE),
-    ('policy_composition', 'requests that carry the requester''s policy', FALSE),
-    ('policy_composition', 'fleet rules heard', FALSE),
-    ('governed_registry', 'delegations found by asking', TRUE),
+    ('policy_composition', 'the requester''s policy heeded', FALSE),
+    ('policy_composition', 'the fleet''s rule heeded', FALSE),
+    ('governed_registry', 'delegations found beyond the peers that were met', TRUE),
     ('governed_registry', 'hidden capabilities kept from outsiders', FALSE),
     ('audit_attribution', 'records with origin, executor and supervisor', TRUE)
 ),

@@ -2,7 +2,7 @@
 -- Paper: tab:baseline_context, eq:trust, eq:policy, sec:architecture:registry
 -- Grain: one row per architecture, configuration and part
 -- Units: numerator, denominator counts
--- NULL: never; no row for a part that nothing in the ledger could show. A rule that a decider reads live leaves no record of being heard
+-- NULL: never; no row for a part that nothing in the ledger could show
 -- Example: fsar-ledger query tables/evidence_of_governance LEDGER
 WITH outsiders AS (
     SELECT
@@ -15,16 +15,18 @@ WITH outsiders AS (
 ),
 
 found AS (
-    -- The registry, or whoever matches candidates, was asked for the capability for this task before.
+    -- The registry, or whoever matches candidates, was asked for the capability for this task, and the executor was no peer remembered from a meeting.
     SELECT
         done.run_id,
         done.seq,
-        count(asked.seq) > 0 AS is_found
+        count(asked.seq) > count(met.seq) AS is_found
     FROM executions AS done
     LEFT JOIN events AS asked
         ON
             done.run_id = asked.run_id AND done.task_id = asked.task_id AND done.capability = asked.capability AND done.seq > asked.seq
             AND asked.type IN ('RegistryQueried.v1', 'CandidateMatched.v1')
+    LEFT JOIN peer_remembered AS met
+        ON asked.run_id = met.run_id AND done.on_behalf_of = met.robot AND done.robot = met.peer AND asked.seq > met.seq AND asked.time_us <= met.until_us
     WHERE done.robot <> done.on_behalf_of
     GROUP BY done.run_id, done.seq
 ),
@@ -47,11 +49,15 @@ counted AS (
     WHERE said.type IN ('RequestAdmitted.v1', 'CommandIssued.v1')
     GROUP BY said.run_id, said.seq, said.decided_by
     UNION ALL
-    SELECT { 'run_id': run_id, 'part': 'requests that carry the requester''s policy', 'holds': carried_policy IS NOT NULL } AS fact FROM request_issued
+    SELECT { 'run_id': run_id, 'part': 'the requester''s policy heeded', 'holds': is_heeded } AS fact
+    FROM policy_decisions
+    WHERE is_against_requester
     UNION ALL
-    SELECT { 'run_id': run_id, 'part': 'fleet rules heard', 'holds': is_heard } AS fact FROM heard_fleet_rules
+    SELECT { 'run_id': run_id, 'part': 'the fleet''s rule heeded', 'holds': is_heeded } AS fact
+    FROM policy_decisions
+    WHERE is_against_fleet
     UNION ALL
-    SELECT { 'run_id': run_id, 'part': 'delegations found by asking', 'holds': is_found } AS fact FROM found
+    SELECT { 'run_id': run_id, 'part': 'delegations found beyond the peers that were met', 'holds': is_found } AS fact FROM found
 )
 
 SELECT

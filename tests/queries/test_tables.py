@@ -1,10 +1,12 @@
 """The paper's two tables of marks: given rows, the grade or cell; and rows that change each."""
 
-from typing import Any
+from typing import Any, get_args
 
 import pytest
 
-from fsar_ledger.metrics.database import Value, from_rows, plain_rows
+from fsar_ledger.events.envelope import Configuration, Scenario
+from fsar_ledger.metrics.database import Value, connect, from_rows, plain_rows
+from fsar_ledger.runtime.experiment import Experiment, simulate
 from tests.queries.histories import Row, S, event, run
 
 A, B, C = "robot/A1", "robot/B1", "robot/C1"
@@ -137,24 +139,41 @@ def test_recovery_is_layered_when_the_robot_begins_and_all_four_levels_follow_in
     assert grades(*failed(tried("coordinator"), *whole))["layered_recovery"] == "none"
 
 
-RULE = event("PolicyWindowOpened", 1 * S, robot=B, scope="fleet", window="w1", outcome="deny")
-HEARD = event("FleetRuleLearned", 1 * S + 1, robot=B, outcome="deny", as_of_us=1 * S)
-SYNCED = event("CopySynced", 1 * S + 1, fleet_deny=[B], fleet_review=[], local_deny=[], local_review=[], busy=[], degraded=[])
+BEGAN = event("StepBegan", 0, task_id="t1", action_id="t1/1.1", robot=A, step=1, attempt=1, capability="lift", target_role="B")
+OWN = event("PolicyWindowOpened", 0, robot=A, scope="local", window="w1", outcome="deny")
+RULE = event("PolicyWindowOpened", 0, robot=B, scope="fleet", window="w2", outcome="review")
+DENIED = event("RequestDenied", 3 * S, **about(B), reason="policy")
+REVIEW = event("SupervisorCalled", 3 * S, task_id="t1", action_id="t1/1.1", supervisor="supervisor/fleet", purpose="review", robot=B)
+APPROVED = event("SupervisorResponded", 3 * S, **about("supervisor/fleet"), purpose="review", approves=True)
 
 
-def test_policy_is_composed_of_executor_requester_and_fleet() -> None:
-    assert grades(RULE, HEARD, asked(), admitted())["policy_composition"] == "full"
-    assert grades(RULE, asked(), admitted())["policy_composition"] == "partial"
-    assert grades(RULE, HEARD, asked(carried=None), admitted())["policy_composition"] == "partial"
-    assert grades(RULE, HEARD, asked(), admitted("coordinator"))["policy_composition"] == "none"
-    assert grades(RULE, SYNCED, asked(), admitted("coordinator"))["policy_composition"] == "full"
-    assert grades(asked(), admitted())["policy_composition"] is None
+def test_policy_is_composed_when_executor_requester_and_fleet_are_each_heeded() -> None:
+    decided = (BEGAN, OWN, RULE, DENIED)
+    assert grades(*decided, event("RequestAdmitted", 9 * S, **about(B, "t9/1"), outcome="allow"))["policy_composition"] == "full"
+    assert grades(*decided, admitted())["policy_composition"] == "partial"
+    assert grades(*decided, admitted("coordinator"))["policy_composition"] == "none"
+    synced = event("CopySynced", 1 * S, fleet_deny=[], fleet_review=[], local_deny=[], local_review=[], busy=[], degraded=[])
+    assert grades(synced, *decided, admitted("coordinator"))["policy_composition"] == "partial"
+    assert grades(BEGAN, admitted())["policy_composition"] is None
 
 
-def test_a_rule_that_is_heard_after_its_end_was_not_heard() -> None:
-    over = event("PolicyWindowClosed", 2 * S, robot=B, scope="fleet", window="w1")
-    assert "fleet rules heard 0/1" in evidence("policy_composition", RULE, over, {**HEARD, "time_us": 3 * S})
-    assert "fleet rules heard 0/1" in evidence("policy_composition", RULE, {**HEARD, "robot": C})
+@pytest.mark.parametrize(
+    ("events", "requester", "fleet"),
+    [
+        ((OWN, admitted()), "0/1", "not shown"),
+        ((RULE, admitted()), "not shown", "0/1"),
+        ((OWN, RULE, REVIEW), "1/1", "1/1"),
+        ((RULE, REVIEW, APPROVED, admitted()), "not shown", "2/2"),
+        ((RULE, REVIEW, {**APPROVED, "approves": False}, admitted()), "not shown", "1/2"),
+        (({**OWN, "time_us": 2 * S + 1}, admitted()), "not shown", "not shown"),
+        ((OWN, event("PolicyWindowClosed", 3 * S, robot=A, scope="local", window="w1"), admitted()), "not shown", "not shown"),
+        (({**OWN, "robot": C}, admitted()), "not shown", "not shown"),
+    ],
+)
+def test_a_policy_is_heeded_when_the_decision_refuses_or_is_reviewed(events: tuple[Row, ...], requester: str, fleet: str) -> None:
+    said = evidence("policy_composition", BEGAN, *events)
+    assert f"the requester's policy heeded {requester}" in said
+    assert f"the fleet's rule heeded {fleet}" in said
 
 
 def test_a_registry_governs_when_delegations_are_found_in_it_and_hidden_capabilities_stay_hidden() -> None:
@@ -164,6 +183,9 @@ def test_a_registry_governs_when_delegations_are_found_in_it_and_hidden_capabili
     assert grades(OUTSIDER, FOUND, found_both, started(), started("x1/1"))["governed_registry"] == "partial"
     assert grades(OUTSIDER, started())["governed_registry"] == "none"
     assert grades(FOUND, started())["governed_registry"] is None
+    met = event("PeerRemembered", 0, robot=A, peer=B, until_us=60 * S)
+    assert grades(OUTSIDER, met, FOUND, started())["governed_registry"] == "none"
+    assert grades(OUTSIDER, {**met, "until_us": 0}, FOUND, started())["governed_registry"] == "full"
 
 
 def test_audit_attribution_follows_the_share_of_complete_records() -> None:
@@ -180,6 +202,31 @@ def test_grades_do_not_look_at_the_architecture_and_stand_for_each_configuration
     with from_rows(runs) as database:
         rows = plain_rows(database.query("tables/architecture_features"))
     assert [row["configuration"] for row in rows].count("full") == [row["configuration"] for row in rows].count("without-shared-registry") == 8
+
+
+@pytest.fixture(scope="module")
+def marked(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], str | None]:
+    """The grades of FSAR and of FSAR without one mechanism each, on three scenarios that need all of them."""
+    path = tmp_path_factory.mktemp("ablations") / "ledger"
+    scenarios: tuple[Scenario, ...] = ("collaborative-delivery", "failure-recovery-chain", "mixed-trust-inspection")
+    simulate(path, Experiment(("fsar",), scenarios, 20, configurations=get_args(Configuration)), 1)
+    with connect(path) as database:
+        rows = plain_rows(database.query("tables/architecture_features"))
+    return {(row["configuration"], row["feature"]): row["grade"] for row in rows}
+
+
+@pytest.mark.parametrize(
+    ("mechanism", "feature", "grade"),
+    [
+        ("trust-evaluation", "trust_scoped_delegation", "none"),
+        ("policy-composition", "policy_composition", "partial"),
+        ("layered-recovery", "layered_recovery", "partial"),
+        ("shared-registry", "governed_registry", "none"),
+    ],
+)
+def test_who_loses_a_mechanism_loses_its_mark(marked: dict[tuple[str, str], str | None], mechanism: str, feature: str, grade: str) -> None:
+    assert marked["full", feature] == "full"
+    assert marked[f"without-{mechanism}", feature] == grade
 
 
 def cells(*events: Row, scenario: str = "workflow-door-relay") -> dict[str, str]:

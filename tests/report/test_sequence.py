@@ -87,7 +87,7 @@ def rung(number: int, level: str, time_s: float, what: str, result: str | None, 
 
 RECOVERY = [
     rung(1, "local", 1.0, "attempt 1", "partial", budget_s=30.0, achieved="load.gripped"),
-    rung(1, "local", 2.0, "attempt 2", "failure", budget_s=30.0),
+    rung(1, "local", 2.0, "attempt 2", "failure", budget_s=30.0, decided_by=B),
     rung(1, "local", 3.0, "leaves local for peer", "budget exhausted", "peer"),
     rung(2, "peer", 4.0, "asks the registry for grasp.*", "no peer"),
     rung(2, "peer", 4.0, "leaves peer for fleet", None, "fleet"),
@@ -98,7 +98,15 @@ RECOVERY = [
 
 def test_the_ladder_shows_levels_steps_results_and_the_exhausted_budget() -> None:
     drawn = words(sequence.ladder(RECOVERY))
-    for text in ("attempt 1", "partial: load.gripped", "attempt 2", "failure", "budget exhausted (30 s, 2)", "asks the registry for grasp.*", "no peer"):
+    for text in (
+        "attempt 1",
+        "partial: load.gripped",
+        "robot/B1: attempt 2",
+        "failure",
+        "budget exhausted (30 s, 2)",
+        "asks the registry for grasp.*",
+        "no peer",
+    ):
         assert text in drawn
     assert {"level 1: local", "level 2: peer", "level 4: human", "4.500 s", "resolved at 30.250 s", "leaves peer for fleet"} <= set(drawn)
     with sequence.drawn_ladder(RECOVERY) as figure:
