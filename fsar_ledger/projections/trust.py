@@ -32,9 +32,9 @@ class Trust(msgspec.Struct, frozen=True, gc=False):
     """Who trusts whom, and how each has fared with the other.
 
     `entries`: (robot, peer) -> what about -> scope; `promote_after`, `downgrade_after`: results in a row, 0 is never;
-    `contexts`: those that some entry is limited to; `over`: contexts (tasks) that have ended. While a threshold is set, `asked`: action -> (executor, requester,
-    capability) of each direct request that is open; `records`: what each robot has seen of its peer; `judged`: the
-    records that the last result changed.
+    `contexts`: those that some entry is limited to; `over`: contexts (tasks) that have ended. While a threshold is
+    set, `asked`: action -> (executor, requester, capability) of each direct request that is open; `records`: what
+    each robot has seen of its peer; `judged`: the records that the last result changed.
     """
 
     entries: dict[tuple[str, str], dict[About, TrustScope]] = {}

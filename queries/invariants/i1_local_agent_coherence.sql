@@ -29,7 +29,9 @@ known AS (
     UNION
     SELECT
         run_id,
-        unnest(['supervisor/fleet', 'service/registry', 'service/coordination', 'service/recovery', 'coordinator']) AS principal
+        unnest([
+            'supervisor/fleet', 'service/registry', 'service/coordination', 'service/recovery', 'service/policy', 'service/trust', 'coordinator'
+        ]) AS principal
     FROM runs
 ),
 

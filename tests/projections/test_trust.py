@@ -51,7 +51,7 @@ def test_the_most_specific_entry_holds_and_of_one_entry_the_last_word(entries: l
 
 @given(SCOPE, SCOPE)
 def test_none_covers_nothing_and_a_broader_scope_covers_a_narrower_one(scope: str, required: str) -> None:
-    expected = scope != "none" and SCOPES.index(scope) >= SCOPES.index(required)  # type: ignore[arg-type]
+    expected = scope != "none" and SCOPES.index(scope) >= SCOPES.index(required)
     assert covers(scope, required) == expected  # type: ignore[arg-type]
 
 

@@ -24,6 +24,7 @@ from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.world.draws import Draws, run_key
 
 CAPABILITIES = ("navigate.indoor", "carry.package", "door.open.secure", "grasp.robust", "carry.heavy")
+HELPER = "robot/F1"
 PUBLIC: tuple[type[Command], ...] = tuple(sorted((kind for kind in FSAR.decides if issubclass(kind, PublicCommand)), key=lambda kind: kind.__name__))
 _encoder, _decoder = msgspec.json.Encoder(), msgspec.json.Decoder(AnyEvent)
 
@@ -77,8 +78,11 @@ class Bench(Kernel):
         return fold(self.events)
 
 
-def founding(fleet: Sequence[tuple[str, int, bool, str, frozenset[str]]], trust: Sequence[tuple[int, int, Any]]) -> tuple[Event, ...]:
-    """A live fleet of these robots (role, team, has a supervisor, domain, capabilities), with this trust between them by position."""
+def founding(fleet: Sequence[tuple[str, int, bool, str, frozenset[str]]], trust: Sequence[tuple[int, int, Any]], has_helper: bool) -> tuple[Event, ...]:
+    """A live fleet of these robots (role, team, has a supervisor, domain, capabilities), with this trust between them by position.
+
+    With a helper there is one robot more that can do everything for everybody and that no command names.
+    """
     names = [f"robot/{role}{team}" for role, team, *_ in fleet]
     parameters = msgspec.json.encode(Constants(), order="deterministic").decode()
     events: list[Event] = [RunStarted("live", 0, "fsar", "full", "live", len(fleet), 0, "1", parameters)]
@@ -90,6 +94,11 @@ def founding(fleet: Sequence[tuple[str, int, bool, str, frozenset[str]]], trust:
     for one, other, scope in trust:
         if one % len(names) != other % len(names):
             events.append(TrustSet(names[one % len(names)], names[other % len(names)], scope))
+    if has_helper:
+        events.append(RobotJoined(HELPER, "F", 1, "supervisor/F1"))
+        for capability in CAPABILITIES:
+            events += [CapabilityInstalled(HELPER, capability, "1.0.0"), CapabilityAdvertised(HELPER, capability)]
+        events += [TrustSet(HELPER, name, "persistent") for name in names]
     return tuple(events)
 
 
@@ -110,8 +119,9 @@ TRUST = st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5), st.sampled_from
 
 def _names(state: State) -> dict[str, list[Any]]:
     """What a field of a command may name: mostly something that exists, sometimes something that does not."""
-    robots = [*state.fleet.robots] * 3 + ["robot/Z9"]
-    supervisors = ["supervisor/fleet", *(robot.supervisor for robot in state.fleet.robots.values() if robot.supervisor)] * 2 + ["supervisor/Z9"]
+    robots = [name for name in state.fleet.robots if name != HELPER] * 3 + ["robot/Z9"]
+    supervised = [robot.supervisor for robot in state.fleet.robots.values() if robot.supervisor and robot.name != HELPER]
+    supervisors = ["supervisor/fleet", *supervised] * 2 + ["supervisor/Z9"]
     actions = [*state.request, *state.execution.actions, "nothing/1.1"]
     tasks = [*state.task, "T1", "T2", "gone"]
     capabilities = [*CAPABILITIES] * 2 + ["fly"]

@@ -4,6 +4,7 @@ import pytest
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityRevoked
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
@@ -106,6 +107,7 @@ def test_a_peer_with_a_task_scope_clears_the_way() -> None:
     ("robot", "capability", "before", "reason"),
     [
         (D, "carry.heavy", (), "no trusted peer"),  # capability scope does not cover assistance
+        (B, "door.open.basic", (AuthorityRevoked(B, None, None, None, "human override", "supervisor/B1"),), "authority"),
         (B, "door.open.basic", (window(A),), "policy"),
         (B, "door.open.basic", (window(B),), "policy"),
     ],
@@ -209,6 +211,8 @@ def test_without_a_declared_checkpoint_nobody_takes_over() -> None:
         (D, "grasp.robust", (), "no capable robot"),
         (A, "navigate.indoor", (), "the robot's own way"),
         (A, "carry.package", (TrustSet(D, A, "none"),), "no trusted robot"),
+        (A, "carry.package", (AuthorityRevoked(A, D, None, None, "human override", "supervisor/fleet"),), "authority"),
+        (A, "carry.package", (AuthorityRevoked(D, A, None, None, "human override", "supervisor/fleet"),), ""),  # the other way round
         (A, "carry.package", (window(D),), "policy"),
         (A, "carry.package", (window(A, "review"),), "policy"),
         (A, "carry.package", (window(D, "deny", "fleet"),), ""),  # D has not heard of it

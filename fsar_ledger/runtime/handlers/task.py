@@ -5,8 +5,54 @@ from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.registry import possesses
 
-from .commands import BeginStep, CompleteStep, Decides, Reacts, Scheduled
+from .commands import BeginStep, CompleteStep, Decides, PublicCommand, Reacts, Scheduled
+from .rejection import rejected, unknown_robot
+
+
+class SubmitTask(PublicCommand):
+    """Public: the robot is given a task, with steps as in `TaskArrived`. Units: `budget_us` microseconds from now."""
+
+    robot: str
+    task_id: str
+    steps: tuple[str, ...]
+    budget_us: int
+    checkpoints: tuple[str, ...] | None = None
+    is_time_critical: bool = False
+
+
+def submit_task(state: State, command: SubmitTask) -> tuple[Event, ...]:
+    """The task is there, and its first step will begin."""
+    reason = unknown_robot(state, command.robot) or _impossible(state, command)
+    if reason is not None:
+        return rejected(command, command.task_id, reason, command.robot)
+    team, due_us = state.fleet.robots[command.robot].team, command.now_us + command.budget_us
+    about = (command.task_id, command.robot, team, command.steps, command.budget_us, due_us)
+    return (TaskArrived(*about, command.checkpoints, command.is_time_critical),)
+
+
+def _impossible(state: State, command: SubmitTask) -> str | None:
+    """Why nobody could do the task, or None."""
+    if not command.task_id or "/" in command.task_id:
+        return f"task name {command.task_id!r}, expected a name without a slash"
+    known = {request.task_id for request in state.request.values()}
+    if command.task_id in state.task or command.task_id in state.authority.expired or command.task_id in known:
+        return f"the name {command.task_id} is taken, expected a new one"
+    if command.budget_us <= 0 or not command.steps:
+        return f"{len(command.steps)} steps in {command.budget_us} microseconds, expected at least one step and some time"
+    team = state.fleet.robots[command.robot].team
+    for step in command.steps:
+        match step.split(" "):
+            case [actor, capability]:
+                able = possesses(state.registry, f"robot/{actor}{team}", capability)
+            case [actor, capability, _]:
+                able = f"robot/{actor}{team}" in state.fleet.robots and any(possesses(state.registry, name, capability) for name in state.fleet.robots)
+            case _:
+                able = False
+        if not able:
+            return f"step {step!r}, expected ACTOR CAPABILITY [TARGET] of the robot's team, with a capability that somebody possesses"
+    return None
 
 
 def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
@@ -58,5 +104,5 @@ def _begin(_state: State, event: TaskArrived | StepCompleted, _now_us: int) -> t
     return (Scheduled(BeginStep(event.task_id)),)
 
 
-DECIDES: Decides = {BeginStep: begin_step, CompleteStep: complete_step}
+DECIDES: Decides = {SubmitTask: submit_task, BeginStep: begin_step, CompleteStep: complete_step}
 REACTS: Reacts = {TaskArrived: _begin, StepCompleted: _begin}

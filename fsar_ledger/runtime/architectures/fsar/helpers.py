@@ -1,13 +1,15 @@
 """FSAR: who may help with a failure or take the step over, and if nobody may, why. Paper: sec:model:recovery, levels 2 and 3.
 
-The checks are those of any request, in its order: who can and is there, trust, policy, then whether the robot is free. What
+The checks are those of any request: who can and is there, trust, authority, policy, then whether the robot is free. What
 remains after one is judged by the next; the check after which nobody remains is the reason.
 """
 
 from collections.abc import Iterable
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityRevoked
 from fsar_ledger.events.registry import RegistryQueried
+from fsar_ledger.projections.authority import right_of
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
@@ -32,8 +34,11 @@ def peer(state: State, action: Action, recovery: Recovery) -> Found:
     trusted = [name for name in able if _may_assist(state, name, action, recovery)]
     if not trusted:
         return None, "no trusted peer"
+    entitled = [name for name in trusted if _may_ask(state, action.robot, name, action)]
+    if not entitled:
+        return None, "authority"
     asking = own_policy(state, action.robot, action.capability, action.task_id)
-    willing = [name for name in trusted if compose(state, asking, name, action.capability, action.task_id) == "allow"]
+    willing = [name for name in entitled if compose(state, asking, name, action.capability, action.task_id) == "allow"]
     return _first_idle(state, willing, "policy", "peer busy")
 
 
@@ -78,9 +83,17 @@ def reassignee(state: State, action: Action) -> Found:
     trusted = [name for name in able if scope_of(state.trust, name, action.on_behalf_of, *about) != "none"]  # recovery keeps its trust gate
     if not trusted:
         return None, "no trusted robot"
+    entitled = [name for name in trusted if _may_ask(state, action.on_behalf_of, name, action)]
+    if not entitled:
+        return None, "authority"
     asking = own_policy(state, action.on_behalf_of, *about)
-    willing = [name for name in trusted if stricter(asking, compose(state, request.carried, name, *about)) == "allow"]
+    willing = [name for name in entitled if stricter(asking, compose(state, request.carried, name, *about)) == "allow"]
     return _first_idle(state, willing, "policy", "robot busy")
+
+
+def _may_ask(state: State, robot: str, name: str, action: Action) -> bool:
+    """A revoked right stays revoked when something fails. Paper: sec:model:recovery."""
+    return not isinstance(right_of(state.authority, robot, name, action.capability, action.task_id), AuthorityRevoked)
 
 
 def _first_idle(state: State, willing: Iterable[str], nobody_willing: str, nobody_idle: str) -> Found:
