@@ -24,6 +24,7 @@ FOLDERS = {
     "facts": "Facts: what the events mean",
     "metrics": "Metrics: the judging rules",
     "statistics": "Statistics: architectures compared over paired runs",
+    "tables": "Tables: the paper's two tables of marks, and what each mark rests on",
 }
 
 

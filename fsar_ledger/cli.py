@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -18,28 +18,30 @@ from .commands.options import (
     ArchitectureOption,
     AuditedOption,
     CsvOption,
+    FailureOption,
     InvariantOption,
     JsonOption,
     LedgerArgument,
     LimitOption,
     NewLedgerArgument,
     ParameterOption,
+    PdfOption,
+    RequestOption,
+    RunOption,
     RunsOption,
     ScenarioOption,
+    SvgOption,
     WithoutOption,
     WorkersOption,
+    WorkflowLedgerOption,
     WorkflowOption,
+    examples,
     experiment_of,
     parameters_of,
     workers_of,
 )
 from .commands.progress import Progress
 from .errors import FsarLedgerError, LedgerCorrupted, UsageError
-
-if TYPE_CHECKING:
-    from msgspec import Struct
-
-    from .commands.output import HeadLike, Row
 
 INTERRUPTED = 130
 SHOWN_ROWS = 100
@@ -55,10 +57,6 @@ app = typer.Typer(
 )
 
 
-def _examples(*lines: str) -> str:
-    return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
-
-
 @app.callback(invoke_without_command=True)
 def _version(version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False) -> None:
     if version:
@@ -69,7 +67,7 @@ def _version(version: Annotated[bool, typer.Option("--version", help="Show the v
 
 
 @app.command(
-    epilog=_examples(
+    epilog=examples(
         "fsar-ledger simulate out/ledger",
         "fsar-ledger simulate out/doors --architecture fsar --scenario door-relay --runs 3 --seed 7",
         "fsar-ledger simulate out/untrusting --without trust-evaluation --runs 2",
@@ -103,7 +101,7 @@ def simulate(
     _show(json_text(head, {"ledger": str(out), "commits": head.commits}) if as_json else plain)
 
 
-@app.command(epilog=_examples("fsar-ledger info out/ledger", "fsar-ledger info out/ledger --json"))
+@app.command(epilog=examples("fsar-ledger info out/ledger", "fsar-ledger info out/ledger --json"))
 def info(ledger: LedgerArgument, as_json: JsonOption = False) -> None:
     """Show what a ledger holds, and whether it is complete.
 
@@ -122,7 +120,7 @@ def info(ledger: LedgerArgument, as_json: JsonOption = False) -> None:
         _show("\n" + table_text(found.groups, list(found.groups[0])))
 
 
-@app.command(epilog=_examples("fsar-ledger metrics out/ledger", "fsar-ledger metrics out/ledger --by scenario", "fsar-ledger metrics out/ledger --json"))
+@app.command(epilog=examples("fsar-ledger metrics out/ledger", "fsar-ledger metrics out/ledger --by scenario", "fsar-ledger metrics out/ledger --json"))
 def metrics(
     ledger: LedgerArgument,
     by: Annotated[str | None, typer.Option(metavar="scenario", help="One row for each scenario.", show_default=False)] = None,
@@ -134,32 +132,34 @@ def metrics(
     Mean, SD, 95 % interval and denominator for each architecture, configuration and fleet size. Shares are in [0,1], latency is in
     seconds; `-` in a table, null in JSON: the metric is not defined there.
     """
+    from .commands.output import answer_text, plain
     from .metrics.database import connect
     from .metrics.results import metric_rows
 
     if by not in (None, "scenario"):
         raise UsageError(f"--by {by}: expected --by scenario, or no --by")
     with connect(ledger) as database:
-        rows = _plain(metric_rows(database, by_scenario=by is not None))
+        rows = plain(metric_rows(database, by_scenario=by is not None))
         columns = [name for name in rows[0] if by or name != "scenario"] if rows else []
-        _answer(database.head, [{name: row[name] for name in columns} for row in rows], as_json=as_json, as_csv=as_csv)
+        _show(answer_text(database.head, [{name: row[name] for name in columns} for row in rows], as_json=as_json, as_csv=as_csv))
 
 
-@app.command(epilog=_examples("fsar-ledger statistics out/ledger", "fsar-ledger statistics out/ledger --csv"))
+@app.command(epilog=examples("fsar-ledger statistics out/ledger", "fsar-ledger statistics out/ledger --csv"))
 def statistics(ledger: LedgerArgument, as_json: JsonOption = False, as_csv: CsvOption = False) -> None:
     """Compare the architectures of a ledger in pairs.
 
     For each metric and pair: paired t, Wilcoxon signed-rank, effect sizes, exact McNemar for human intervention, and Holm over the 24.
     """
+    from .commands.output import answer_text, plain
     from .metrics.database import connect
     from .metrics.results import statistic_rows
 
     with connect(ledger) as database:
-        _answer(database.head, _plain(statistic_rows(database)), as_json=as_json, as_csv=as_csv)
+        _show(answer_text(database.head, plain(statistic_rows(database)), as_json=as_json, as_csv=as_csv))
 
 
 @app.command(
-    epilog=_examples(
+    epilog=examples(
         "fsar-ledger query --list",
         "fsar-ledger query metrics/policy_violations out/ledger --csv",
         "fsar-ledger query failures out/ledger --limit 20",
@@ -178,20 +178,21 @@ def query(
 
     The questions are the SQL files that come with the package; each says in its header what its rows and its NULLs mean.
     """
+    from .commands.output import answer_text, queries_text
     from .metrics.database import connect, plain_rows
 
     if list_all:
-        _list_queries(as_json=as_json, as_csv=as_csv)
+        _show(queries_text(as_json=as_json, as_csv=as_csv))
         return
     if name is None or ledger is None:
         raise UsageError("query: expected NAME and LEDGER, as in `fsar-ledger query failures out/ledger`; `fsar-ledger query --list` shows the names")
     with connect(ledger) as database:
         table = database.query(name, parameters_of(param))
-        _answer(database.head, plain_rows(table), table.column_names, as_json=as_json, as_csv=as_csv, limit=limit)
+        _show(answer_text(database.head, plain_rows(table), table.column_names, as_json=as_json, as_csv=as_csv, limit=limit))
 
 
 @app.command(
-    epilog=_examples(
+    epilog=examples(
         'fsar-ledger sql out/ledger "SELECT type, count(*) AS events FROM events GROUP BY type ORDER BY events DESC"',
         "fsar-ledger sql out/ledger \"SELECT * FROM request_denied WHERE run_id LIKE '%door-relay%'\" --csv",
     )
@@ -208,14 +209,15 @@ def sql(
     It can read `events`, one view for each event type, and the views of `query --list`; it runs in a locked-down process that can read
     this ledger and nothing else.
     """
+    from .commands.output import answer_text
     from .metrics.untrusted import run_untrusted
 
     answer = run_untrusted(ledger, select)
-    _answer(answer.head, answer.rows, answer.columns, as_json=as_json, as_csv=as_csv, limit=limit)
+    _show(answer_text(answer.head, answer.rows, answer.columns, as_json=as_json, as_csv=as_csv, limit=limit))
 
 
 @app.command(
-    epilog=_examples(
+    epilog=examples(
         "fsar-ledger export out/ledger --out out/events.parquet",
         "fsar-ledger export out/ledger --query metrics/run_metrics --out out/run_metrics.csv",
     )
@@ -236,7 +238,7 @@ def export(
     _show(f"{out}: {rows:,} rows\n")
 
 
-@app.command(epilog=_examples("fsar-ledger audit out/ledger --architecture fsar", "fsar-ledger audit out/ledger --architecture fsar --invariant i4 --json"))
+@app.command(epilog=examples("fsar-ledger audit out/ledger --architecture fsar", "fsar-ledger audit out/ledger --architecture fsar --invariant i4 --json"))
 def audit(ledger: LedgerArgument, invariant: InvariantOption = None, architecture: AuditedOption = None, as_json: JsonOption = False) -> None:
     """Check the invariants I1 to I5 and A1 to A5.
 
@@ -250,7 +252,7 @@ def audit(ledger: LedgerArgument, invariant: InvariantOption = None, architectur
         raise typer.Exit(1)
 
 
-@app.command(epilog=_examples("fsar-ledger verify out/ledger", "fsar-ledger verify out/ledger --json"))
+@app.command(epilog=examples("fsar-ledger verify out/ledger", "fsar-ledger verify out/ledger --json"))
 def verify(ledger: LedgerArgument, workers: WorkersOption = None, as_json: JsonOption = False) -> None:
     """Re-derive every hash, count and record of a ledger.
 
@@ -269,9 +271,40 @@ def verify(ledger: LedgerArgument, workers: WorkersOption = None, as_json: JsonO
         _show(verdict_text(ledger, report))
 
 
-@app.command(epilog=_examples("fsar-ledger report out/ledger --out out/report.pdf"))
+@app.command(
+    epilog=examples(
+        "fsar-ledger explain out/ledger",
+        "fsar-ledger explain out/ledger --request A1-1/2.1",
+        "fsar-ledger explain out/ledger --run cfc.full.door-relay --request A1-1/2.1 --svg out/request.svg",
+        "fsar-ledger explain out/ledger --run fsar.full.failure-recovery-chain --json",
+    )
+)
+def explain(
+    ledger: LedgerArgument,
+    run: RunOption = None,
+    request: RequestOption = None,
+    failure: FailureOption = None,
+    svg: SvgOption = None,
+    pdf: PdfOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Tell the story of a request: who asked, who allowed, who acted, who supervised.
+
+    For a request that failed also what recovery tried at each level, for how long, and why it went on. Without --request or --failure: the
+    requests of the run.
+    """
+    from .commands.explain import explain as tell
+
+    _show(tell(ledger, run, request, failure, {"svg": svg, "pdf": pdf}, as_json=as_json))
+
+
+@app.command(
+    epilog=examples("fsar-ledger report out/ledger --out out/report.pdf", "fsar-ledger report out/ledger --workflows out/workflows --out out/report.pdf")
+)
 def report(
-    ledger: LedgerArgument, out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The PDF; replaced if it exists.", show_default=False)]
+    ledger: LedgerArgument,
+    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The PDF; replaced if it exists.", show_default=False)],
+    workflows: WorkflowLedgerOption = None,
 ) -> None:
     """Typeset the evaluation as a PDF.
 
@@ -279,11 +312,11 @@ def report(
     """
     from .report import write_report
 
-    write_report(ledger, out)
+    write_report(ledger, out, workflows)
     _show(f"{out}\n")
 
 
-@app.command(epilog=_examples("fsar-ledger calibrate --out out/calibration.json"))
+@app.command(epilog=examples("fsar-ledger calibrate --out out/calibration.json"))
 def calibrate(
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The record of the fit, as JSON; replaced if it exists.", show_default=False)],
     workers: WorkersOption = None,
@@ -299,33 +332,20 @@ def calibrate(
     _show(f"{out}\n")
 
 
-@app.command(epilog=_examples("fsar-ledger reproduce", "fsar-ledger reproduce --out out/paper"))
+@app.command(epilog=examples("fsar-ledger reproduce", "fsar-ledger reproduce --out out/paper"))
 def reproduce(
     out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where the ledger, the tables and the report go.")] = Path("fsar-out"),
     workers: WorkersOption = None,
 ) -> None:
     """Do the paper's experiment, judge it, typeset the report.
 
-    5 scenarios, 20 seeds, 3 architectures. FOLDER then holds report.pdf, metrics.csv, statistics.csv and ledger/.
+    5 scenarios, 20 seeds, 3 architectures, and 3 workflows. FOLDER then holds report.pdf, metrics.csv, statistics.csv, ledger/ and workflows/.
     """
-    from .commands.files import write_text
-    from .commands.output import csv_text, table_text
-    from .metrics.database import connect
-    from .metrics.results import metric_rows, statistic_rows
-    from .report import write_report
-    from .runtime.experiment import simulate as run_experiment
+    from .commands.reproduce import reproduce as do
 
     began = time.monotonic()
-    ledger = out / "ledger"
-    with Progress("simulated", "batches") as progress:
-        head = run_experiment(ledger, experiment_of(None, None, 20, 42, 4, None), workers_of(workers), progress)
-    with connect(ledger) as database:
-        metric_table, statistic_table = _plain(metric_rows(database)), _plain(statistic_rows(database))
-    write_text(out / "metrics.csv", csv_text(metric_table, list(metric_table[0])))
-    write_text(out / "statistics.csv", csv_text(statistic_table, list(statistic_table[0])))
-    write_report(ledger, out / "report.pdf")
-    _show(table_text(metric_table, ("architecture", "metric", "mean", "sd", "n", "ci_low", "ci_high")))
-    _show(f"\n{head.size:,} events, root {head.root}, {time.monotonic() - began:.0f} s\n{out / 'report.pdf'}\n")
+    text, head = do(out, workers_of(workers))
+    _show(f"{text}\n{head.size:,} events, root {head.root}, {time.monotonic() - began:.0f} s\n{out / 'report.pdf'}\n")
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -347,42 +367,6 @@ def run(arguments: Sequence[str]) -> int:
     if code == INTERRUPTED:
         _say("interrupted; what is committed stays, and the same command continues there")
     return code if isinstance(code, int) else 0
-
-
-def _plain(rows: "Sequence[Struct]") -> "list[Row]":
-    from msgspec.structs import asdict
-
-    return [asdict(row) for row in rows]
-
-
-def _list_queries(*, as_json: bool, as_csv: bool) -> None:
-    from .commands.output import csv_text, json_text, table_text
-    from .metrics.library import library
-
-    columns = ("name", "title", "parameters")
-    rows: list[Row] = [
-        {"name": query.name, "title": query.header["Title"], "parameters": " ".join(f"{name}={value or ''}" for name, value in query.parameters.items())}
-        for query in library().queries.values()
-    ]
-    if as_json:
-        _show(json_text(None, {"queries": rows}))
-    else:
-        _show(csv_text(rows, columns) if as_csv else table_text([{**row, "title": str(row["title"]).partition(". ")[0]} for row in rows], columns))
-
-
-def _answer(head: "HeadLike | None", rows: "Sequence[Row]", columns: Sequence[str] = (), *, as_json: bool, as_csv: bool, limit: int = 0) -> None:
-    """The rows are on stdout: a table for people, or what --json or --csv asks for."""
-    from .commands.output import csv_text, json_text, table_text
-
-    if as_json and as_csv:
-        raise UsageError("found --json and --csv, expected one of them")
-    names = columns or (list(rows[0]) if rows else ())
-    if as_json:
-        _show(json_text(head, {"rows": rows}))
-    elif as_csv:
-        _show(csv_text(rows, names))
-    else:
-        _show(table_text(rows, names, limit) or "no rows\n")
 
 
 def _show(text: str) -> None:

@@ -164,9 +164,11 @@ def test_every_example_is_a_call_that_parses(name: str, example: str) -> None:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which out/ledger is a small ledger."""
+    """A folder in which out/ledger is a small ledger, and out/workflows one of the workflows."""
     path = tmp_path_factory.mktemp("examples")
     assert run(["simulate", str(path / "out" / "ledger"), *SMALL]) == 0
+    names = [part for name in ("door-relay", "layered-recovery", "human-supervision") for part in ("--workflow", name)]
+    assert run(["simulate", str(path / "out" / "workflows"), *names]) == 0
     return path
 
 

@@ -66,8 +66,27 @@ WorkflowOption = Annotated[
     ),
 ]
 RunsOption = Annotated[int | None, typer.Option(metavar="N", help="Runs per scenario (or workflow) and architecture.", show_default="20; with --workflow, 1")]
+RunOption = Annotated[
+    str | None, typer.Option("--run", metavar="RUN", help="A run, or the beginning of its name: the first such run.", show_default="the first run")
+]
+RequestOption = Annotated[
+    str | None, typer.Option("--request", metavar="ACTION", help="The request (action) to tell, as in the list.", show_default="list all")
+]
+FailureOption = Annotated[
+    str | None, typer.Option("--failure", metavar="ACTION", help="The failed action whose recovery to tell, level by level.", show_default=False)
+]
+SvgOption = Annotated[Path | None, typer.Option("--svg", metavar="FILE", help="Draw it, too, as SVG; replaced if it exists.", show_default=False)]
+PdfOption = Annotated[Path | None, typer.Option("--pdf", metavar="FILE", help="Draw it, too, as PDF; replaced if it exists.", show_default=False)]
+WorkflowLedgerOption = Annotated[
+    Path | None, typer.Option("--workflows", metavar="LEDGER", help="A ledger of the paper's three workflows.", show_default="say that there is none")
+]
 
 RUNS = 20  # per scenario and architecture, as in the paper
+
+
+def examples(*lines: str) -> str:
+    """The end of a command's help: calls that run."""
+    return "\b\nExamples:\n" + "\n".join(f"  {line}" for line in lines)
 
 
 def experiment_of(

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Protocol
 import msgspec
 from msgspec import to_builtins
 
+from fsar_ledger.errors import UsageError
+
 if TYPE_CHECKING:
     from fsar_ledger.ledger.verify import VerifyReport
 
@@ -73,6 +75,35 @@ def verdict_json(report: "VerifyReport") -> str:
     """What `verify` found, for programs: the head is the one that the rows themselves give, its root null where some cannot be read."""
     document = {"head": {"size": report.events, "root": report.root}, **to_builtins(report)}
     return _pretty(document)
+
+
+def plain(rows: Sequence[msgspec.Struct]) -> list[Row]:
+    """The typed rows as mappings."""
+    return [msgspec.structs.asdict(row) for row in rows]
+
+
+def answer_text(head: HeadLike | None, rows: Sequence[Row], columns: Sequence[str] = (), *, as_json: bool, as_csv: bool, limit: int = 0) -> str:
+    """The rows as a table for people, or as what --json or --csv asks for. Raises: UsageError when both are asked for."""
+    if as_json and as_csv:
+        raise UsageError("found --json and --csv, expected one of them")
+    names = columns or (list(rows[0]) if rows else ())
+    if as_json:
+        return json_text(head, {"rows": rows})
+    return csv_text(rows, names) if as_csv else table_text(rows, names, limit) or "no rows\n"
+
+
+def queries_text(*, as_json: bool, as_csv: bool) -> str:
+    """Every packaged query with its title and parameters."""
+    from fsar_ledger.metrics.library import library
+
+    columns = ("name", "title", "parameters")
+    rows: list[Row] = [
+        {"name": query.name, "title": query.header["Title"], "parameters": " ".join(f"{name}={value or ''}" for name, value in query.parameters.items())}
+        for query in library().queries.values()
+    ]
+    if as_json:
+        return json_text(None, {"queries": rows})
+    return csv_text(rows, columns) if as_csv else table_text([{**row, "title": str(row["title"]).partition(". ")[0]} for row in rows], columns)
 
 
 def _pretty(document: object) -> str:

@@ -9,11 +9,11 @@ from pathlib import Path
 __all__ = ["result_figure_png", "result_figure_svg", "write_report"]
 
 
-def write_report(ledger: Path, out: Path) -> None:
-    """The PDF about the ledger's present head is at `out`. Raises: as `fsar_ledger.report.build.write_report`."""
+def write_report(ledger: Path, out: Path, workflows: Path | None = None) -> None:
+    """The PDF about the ledger's present head, and about a ledger of workflows, is at `out`. Raises: as `fsar_ledger.report.build.write_report`."""
     from fsar_ledger.report import build
 
-    build.write_report(ledger, out)
+    build.write_report(ledger, out, workflows)
 
 
 def result_figure_svg(ledger: Path, out: Path) -> None:

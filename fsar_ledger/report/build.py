@@ -13,15 +13,20 @@ def _outside(ledger: Path, out: Path) -> None:
         raise WriteFailed(f"{out}: this is inside the ledger {ledger}, which holds nothing but its own files; choose an --out elsewhere")
 
 
-def write_report(ledger: Path, out: Path) -> None:
-    """The PDF about the ledger's present head is at `out`, complete or not at all. Same head and versions, same bytes.
+def write_report(ledger: Path, out: Path, workflows: Path | None = None) -> None:
+    """The PDF about the ledger's present head, and about that of a ledger of workflows, is at `out`, complete or not at all.
+
+    Same heads and versions, same bytes.
 
     Raises:
+        UsageError: The ledger of workflows holds no workflow.
         NotALedger, FormatVersionMismatch, LedgerCorrupted: The ledger cannot be read.
         WriteFailed: `out` cannot be written, or lies inside the ledger.
     """
     _outside(ledger, out)
-    findings = gather(ledger)
+    if workflows is not None:
+        _outside(workflows, out)
+    findings = gather(ledger, workflows)
     laid_out = document.encoded(document.data(findings, recorded()))
     typeset.publish(out, typeset.pdf(laid_out, document.drawings(findings)))
 

@@ -8,9 +8,9 @@ from typing import Any
 import msgspec
 
 import fsar_ledger
-from fsar_ledger.report import contradictions, figures, printing, specs
+from fsar_ledger.report import contradictions, figures, printing, sequence, specs
 from fsar_ledger.report.calibration import Record
-from fsar_ledger.report.findings import Findings, Row, answer
+from fsar_ledger.report.findings import Findings, Row, Workflows, answer
 from fsar_ledger.report.printing import Table
 
 PACKAGES = ("duckdb", "pyarrow", "numpy", "scipy", "msgspec", "matplotlib", "typst")
@@ -19,12 +19,13 @@ MISS_SE = 2  # a cell misses beyond this many standard errors at n = 100
 SHOWN_WEIGHTS = 3  # constants named for each direction of the fit
 
 
-def _source(findings: Findings, query: str | None) -> str:
-    """Where the numbers of a table come from: query file, its SHA-256, and the head, shortened to 12 hex digits."""
+def _source(findings: Findings, query: str | None, head: Findings | Workflows | None = None) -> str:
+    """Where the numbers of a table come from: query file, its SHA-256, and the head that was asked, shortened to 12 hex digits."""
+    head = head or findings
     digest = next((one.sha256 for one in findings.sources if one.name == query), None)
     if digest is None:
         return ""
-    return f"queries/{query}.sql, SHA-256 {digest[:12]}…; head {findings.size} events, root {findings.root[:12]}…"
+    return f"queries/{query}.sql, SHA-256 {digest[:12]}…; head {head.size} events, root {head.root[:12]}…"
 
 
 def _table(findings: Findings, name: str, rows: Sequence[Row]) -> Table:
@@ -54,6 +55,8 @@ def _ledger_tables(findings: Findings) -> dict[str, Table]:
         "statistical-significance": findings.tests,
         "scenario-means": findings.scenarios,
         "other-runs": findings.others,
+        "architectural-comparison": findings.features if findings.evidence else (),
+        "feature-evidence": findings.evidence,
         "runs": findings.runs,
         "models": findings.models,
         "constants": _pairs_in_two_columns(findings.parameters),
@@ -61,6 +64,32 @@ def _ledger_tables(findings: Findings) -> dict[str, Table]:
         "versions": _versions(),
     }
     return {name: _table(findings, name, filled) for name, filled in rows.items() if filled}
+
+
+def _workflow_tables(findings: Findings) -> dict[str, Table]:
+    found, name = findings.workflows, "mechanism-coverage"
+    return {} if found is None else {name: printing.table(name, found.coverage, _source(findings, specs.table(name).query, found))}
+
+
+def _workflow_figures(findings: Findings) -> dict[str, bytes]:
+    """The drawings of the workflows that the ledger of workflows holds, by name."""
+    found = findings.workflows
+    drawn: dict[str, bytes] = {}
+    if found is not None and found.story:
+        drawn["workflow-door-relay"] = sequence.sequence(found.story)
+    if found is not None and found.recovery:
+        drawn["workflow-layered-recovery"] = sequence.ladder(found.recovery)
+    return drawn
+
+
+def _workflows(findings: Findings) -> dict[str, Any] | None:
+    """The head of the ledger of workflows and why cells differ, for the sentences; None without such a ledger."""
+    found = findings.workflows
+    if found is None:
+        return None
+    reasons = [reason for row in found.coverage for reason in row["reasons"]]
+    head = {"size": printing.integer(found.size), "root": found.root, "runs": printing.integer(found.run_count), "commits": found.commits}
+    return head | {"reasons": reasons}
 
 
 def _fit_tables(findings: Findings, record: Record | None) -> dict[str, Table]:
@@ -84,7 +113,7 @@ def _weights(weights: Mapping[str, float]) -> str:
     return ", ".join(f"{name} {printing.number(weight, 2)}" for name, weight in largest)
 
 
-def _figure(findings: Findings, name: str) -> dict[str, Any]:
+def _figure(findings: Findings, name: str, head: Findings | Workflows | None = None) -> dict[str, Any]:
     spec = specs.figure(name)
     return {
         "file": f"{name}.svg",
@@ -92,7 +121,7 @@ def _figure(findings: Findings, name: str) -> dict[str, Any]:
         "caption": spec.caption,
         "alt": spec.alt,
         "width_in": spec.width_in,
-        "source": _source(findings, spec.query),
+        "source": _source(findings, spec.query, head),
     }
 
 
@@ -145,13 +174,15 @@ def _misses(findings: Findings) -> list[dict[str, Any]]:
 
 def data(findings: Findings, record: Record | None) -> dict[str, Any]:
     """All that the template prints; tables keep each value beside its print."""
-    tables = _ledger_tables(findings) | _fit_tables(findings, record)
+    tables = _ledger_tables(findings) | _fit_tables(findings, record) | _workflow_tables(findings)
     tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()}
     return {
         "head": {"commits": findings.commits, "size": printing.integer(findings.size), "root": findings.root, "runs": printing.integer(findings.run_count)},
         "answer": _sayable(answer(findings)),
         "tables": tables,
-        "figures": {name: _figure(findings, name) for name in ("evaluation-results", "distances")},
+        "figures": {name: _figure(findings, name) for name in ("evaluation-results", "distances")}
+        | {name: _figure(findings, name, findings.workflows) for name in _workflow_figures(findings)},
+        "workflows": _workflows(findings),
         "mechanisms": specs.passages("mechanisms"),
         "readings": specs.passages("readings"),
         "contradictions": _contradictions(),
@@ -169,7 +200,8 @@ def _sayable(numbers: Row) -> Row:
 
 def drawings(findings: Findings) -> dict[str, bytes]:
     """The figures as SVG, by file name."""
-    return {"evaluation-results.svg": figures.evaluation_results(findings.cells), "distances.svg": figures.distances(findings.cells)}
+    drawn = {"evaluation-results": figures.evaluation_results(findings.cells), "distances": figures.distances(findings.cells)}
+    return {f"{name}.svg": svg for name, svg in (drawn | _workflow_figures(findings)).items()}
 
 
 def encoded(document: Mapping[str, Any]) -> bytes:

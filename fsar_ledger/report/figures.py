@@ -1,4 +1,4 @@
-"""The figures, as SVG and PNG, with the same bytes for the same rows: no date, fixed ids, glyphs as paths."""
+"""The figures, as SVG, PNG and PDF, with the same bytes for the same rows: no date, fixed ids, glyphs as paths."""
 
 import io
 from collections.abc import Iterator, Mapping, Sequence
@@ -41,9 +41,30 @@ def _canvas(spec: specs.FigureSpec, rows: int, columns: int) -> Iterator[tuple[A
         yield figure, figure.subplots(rows, columns, squeeze=False)
 
 
-def _rendered(figure: Any, kind: str) -> bytes:
+@contextmanager
+def plain_canvas(width_in: float, height_in: float) -> Iterator[tuple[Any, Any]]:
+    """A figure and its one panel: no axes, one unit is an inch, the origin is at the upper left. Only Agg draws, with these settings and no others."""
+    import matplotlib as mpl
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    settings: dict[Any, Any] = {**mpl.rcParamsDefault, **STYLE, "backend": "agg"}
+    with mpl.rc_context(settings):
+        figure = Figure(figsize=(width_in, height_in))
+        FigureCanvasAgg(figure)
+        axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        axes.set_xlim(0, width_in)
+        axes.set_ylim(height_in, 0)
+        axes.axis("off")
+        yield figure, axes
+
+
+def rendered(figure: Any, kind: str) -> bytes:
+    """The figure as a file of this kind (svg, png, pdf), without date or maker. To be called while its canvas is open."""
     buffer = io.BytesIO()
-    if kind == "svg":
+    if kind == "pdf":
+        figure.savefig(buffer, format="pdf", metadata={"CreationDate": None, "Creator": None, "Producer": None})
+    elif kind == "svg":
         figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     else:
         figure.savefig(buffer, format="png", dpi=160, metadata={"Software": None})
@@ -89,7 +110,7 @@ def evaluation_results(rows: Sequence[Row], kind: str = "svg") -> bytes:
         handles.append(Line2D([], [], color="black", marker="|", markersize=9, linestyle="none", label="95 % interval"))
         handles.append(Line2D([], [], label="printed in the paper", **DIAMOND))
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, handletextpad=0.5, columnspacing=1.6)
-        return _rendered(figure, kind)
+        return rendered(figure, kind)
 
 
 def distances(rows: Sequence[Row], kind: str = "svg") -> bytes:
@@ -115,4 +136,4 @@ def distances(rows: Sequence[Row], kind: str = "svg") -> bytes:
         panel.tick_params(axis="y", length=0)
         panel.set_xlabel("(this ledger − paper) / standard error at n = 100")
         panel.legend(loc="upper right", frameon=False, bbox_to_anchor=(1.22, 1.0))
-        return _rendered(figure, kind)
+        return rendered(figure, kind)

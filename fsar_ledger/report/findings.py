@@ -22,6 +22,22 @@ class Source(msgspec.Struct, frozen=True):
     sha256: str
 
 
+class Workflows(msgspec.Struct, frozen=True):
+    """What one head of a ledger of the paper's workflows has to say.
+
+    coverage: one row per mechanism: its cell in the paper and ours for each workflow, and the verdict; None where nothing exercises it.
+    story: the steps of the first request of the door relay; recovery: those of the first failure of the layered recovery; empty without such a run.
+    """
+
+    commits: int
+    size: int
+    root: str
+    run_count: int
+    coverage: tuple[Row, ...]
+    story: tuple[Row, ...]
+    recovery: tuple[Row, ...]
+
+
 class Findings(msgspec.Struct, frozen=True):
     """All that one head of a ledger has to say.
 
@@ -33,6 +49,9 @@ class Findings(msgspec.Struct, frozen=True):
     others: means of the other configurations and fleet sizes that the ledger holds, one column per metric.
     runs: one row per architecture, configuration and fleet size: runs, scenarios, seeds, run_low, run_high.
     parameters: the constants of the runs by dotted name (of the first run; `models` counts the different sets).
+    features: one row per architectural feature: the paper's grade and ours for each architecture, its grades of the systems that were not run, the verdict.
+    evidence: one row per feature and architecture: grade and what it rests on.
+    workflows: what another ledger says of the paper's workflows; None without one.
     """
 
     commits: int
@@ -48,6 +67,9 @@ class Findings(msgspec.Struct, frozen=True):
     models: tuple[Row, ...]
     parameters: dict[str, str]
     sources: tuple[Source, ...]
+    features: tuple[Row, ...] = ()
+    evidence: tuple[Row, ...] = ()
+    workflows: Workflows | None = None
 
 
 LEVELS = ((0.001, "p<.001"), (0.01, "p<.01"), (0.05, "p<.05"))

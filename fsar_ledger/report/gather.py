@@ -15,10 +15,15 @@ import msgspec
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
-from fsar_ledger.report import printing, specs
+from fsar_ledger.report import marks, printing, specs
 from fsar_ledger.report.findings import ARCHITECTURES, COMPARISONS, MAIN_CONFIGURATION, MAIN_FLEET_SIZE, SCENARIOS, Findings, Row, Source, with_agreement
 
-QUERIES = ("metrics/metric_summary", "statistics/pairwise_tests", "staging/runs")  # what the report reads; the rest is what these read
+QUERIES = (
+    "metrics/metric_summary",
+    "statistics/pairwise_tests",
+    "staging/runs",
+    "tables/architecture_features",
+)  # what the report reads; the rest is what these read
 
 RUNS_SQL = """
     SELECT
@@ -191,8 +196,8 @@ def _is_file(query: str) -> bool:
     return files("fsar_ledger.queries").joinpath(f"{query}.sql").is_file()
 
 
-def gather(ledger: Path) -> Findings:
-    """All that the ledger's present head has to say.
+def gather(ledger: Path, workflows: Path | None = None) -> Findings:
+    """All that the ledger's present head has to say, and that of a ledger of workflows, if there is one.
 
     Raises:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `fsar_ledger.metrics.database.connect`.
@@ -202,7 +207,9 @@ def gather(ledger: Path) -> Findings:
         head = database.head
         overall, by_scenario = metric_rows(database), metric_rows(database, by_scenario=True)
         models, parameters = _models(database)
-        needed = database.library.needs(database.library.find(name).relation for name in QUERIES)
+        names = (*QUERIES, *(marks.QUERIES if workflows is not None else ()))
+        needed = database.library.needs(database.library.find(name).relation for name in names)
+        graded = marks.graded(database)
         runs = _runs(database)
         return Findings(
             commits=head.commits if head else 0,
@@ -218,4 +225,7 @@ def gather(ledger: Path) -> Findings:
             models=models,
             parameters=parameters,
             sources=tuple(Source(name=query.name, sha256=query.sha256) for query in sorted(needed, key=lambda query: query.name) if _is_file(query.name)),
+            features=marks.features(graded),
+            evidence=tuple(graded),
+            workflows=None if workflows is None else marks.workflows(workflows),
         )

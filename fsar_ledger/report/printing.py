@@ -14,6 +14,7 @@ from fsar_ledger.report import specs
 NOTHING = "–"
 MINUS = "\u2212"
 THIN_SPACE = "\u2009"
+GRADES = {"full": "\u25cf", "partial": "\u25cb", "none": "\u2014"}  # as in the paper: present, partial, absent
 SMALLEST_P = 0.0001  # smaller p are printed as "<.0001", as the paper does
 
 Row = Mapping[str, Any]
@@ -102,6 +103,9 @@ FORMATS: Mapping[str, Formatter] = {
     "interval": lambda value, _column, row: _interval(value, row["metric"]),
     "span": lambda value, column, _row: f"{number(value[0], column.digits)} to {number(value[1], column.digits)}",
     "counted": lambda value, _column, row: _counted(value, row["metric"]),
+    "grade": lambda value, _column, _row: GRADES[value],
+    "feature": lambda value, _column, _row: specs.labels("feature")[value],
+    "mechanism": lambda value, _column, _row: specs.labels("mechanism")[value],
     "agreement": lambda value, _column, _row: "yes" if value else "no",
     "verdict": lambda value, _column, _row: str(value),
 }
@@ -110,7 +114,7 @@ FORMATS: Mapping[str, Formatter] = {
 def _tone(column: specs.Column, value: Any) -> str:
     if column.format == "code":
         return "code"
-    if value in ("differs", "no") or (column.format == "agreement" and value is False):
+    if value in ("differs", "no") or str(value).startswith("differs: ") or (column.format == "agreement" and value is False):
         return "strong"
     return "quiet" if value in ("undecided", None) else "plain"
 

@@ -133,6 +133,12 @@ def passages(name: str) -> tuple[Passage, ...]:
     return tuple(_toml(dict[str, list[Passage]], f"{name}.toml")["passage"])
 
 
+@cache
+def labels(kind: str) -> dict[str, str]:
+    """How features, mechanisms and workflows are called in the report, and why some cells differ, by the names of the queries."""
+    return _toml(dict[str, dict[str, str]], "labels.toml")[kind]
+
+
 def contradictions() -> tuple[Contradiction, ...]:
     """The contradictions in the paper, in the order in which the report prints them."""
     return tuple(_toml(dict[str, list[Contradiction]], "contradictions.toml")["contradiction"])

@@ -170,7 +170,7 @@ def test_the_ledger_is_the_same_whatever_the_surroundings(ledger: Path, tmp_path
 def test_reproduce_does_the_whole_experiment_and_can_be_repeated(call: Call, tmp_path: Path) -> None:
     said = call("reproduce", "--out", tmp_path / "out", "--workers", "2")
     assert said.code == 0, said.err
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"ledger", "metrics.csv", "statistics.csv", "report.pdf"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"ledger", "workflows", "metrics.csv", "statistics.csv", "report.pdf"}
     info = json.loads(call("info", tmp_path / "out" / "ledger", "--json").out)
     assert (info["runs"], info["is_complete"]) == (300, True)
     assert len(said.out.splitlines()) == 2 + 24 + 3

@@ -1,0 +1,32 @@
+"""The paper's experiment, all of it: simulated, judged, typeset into one folder. Nothing here prints."""
+
+from pathlib import Path
+
+from fsar_ledger.ledger.read import Head
+from fsar_ledger.metrics.database import connect
+from fsar_ledger.metrics.results import metric_rows, statistic_rows
+from fsar_ledger.report import write_report
+from fsar_ledger.runtime.experiment import simulate, workflow_experiment
+
+from .files import write_text
+from .options import experiment_of
+from .output import csv_text, plain, table_text
+from .progress import Progress
+
+SEED = 42
+SHOWN = ("architecture", "metric", "mean", "sd", "n", "ci_low", "ci_high")
+
+
+def reproduce(out: Path, workers: int) -> tuple[str, Head]:
+    """The folder holds the ledgers, the tables and the report; returns the table of metrics as text and the head of the ledger."""
+    ledger = out / "ledger"
+    with Progress("simulated", "batches") as progress:
+        head = simulate(ledger, experiment_of(None, None, None, SEED, 4, None), workers, progress)
+    with connect(ledger) as database:
+        metrics, statistics = plain(metric_rows(database)), plain(statistic_rows(database))
+    write_text(out / "metrics.csv", csv_text(metrics, list(metrics[0])))
+    write_text(out / "statistics.csv", csv_text(statistics, list(statistics[0])))
+    workflows = out / "workflows"
+    simulate(workflows, workflow_experiment(SEED), 1)
+    write_report(ledger, out / "report.pdf", workflows)
+    return table_text(metrics, SHOWN), head

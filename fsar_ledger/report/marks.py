@@ -1,0 +1,105 @@
+"""The paper's two tables of marks, beside what the ledgers show: features of architectures, mechanisms of workflows.
+
+Grades and cells come from `queries/tables/`; here they are only laid beside the printed ones.
+"""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from fsar_ledger.errors import UsageError
+from fsar_ledger.metrics.database import Database, connect, plain_rows
+from fsar_ledger.report import specs
+from fsar_ledger.report.findings import ARCHITECTURES, MAIN_CONFIGURATION, Row, Workflows
+
+QUERIES = ("tables/mechanism_coverage", "audit/requests", "audit/request_story", "audit/failure_story")  # what is read of a ledger of workflows
+NOT_RUN = ("RoboOS", "JADE", "ALLIANCE")  # systems of the paper's table that no ledger holds
+WORKFLOWS = {
+    "workflow-door-relay": "workflow_1_door_relay",
+    "workflow-layered-recovery": "workflow_2_layered_recovery",
+    "workflow-human-supervision": "workflow_3_human_supervision",
+}
+AGREES, DIFFERS = "agrees", "differs"
+
+
+def graded(database: Database) -> list[Row]:
+    """Feature, architecture, grade and evidence in the order of the paper's table; grade None where the ledger shows too little."""
+    rows = plain_rows(database.query("tables/architecture_features"))
+    found = {(row["feature"], row["architecture"]): row for row in rows if row["configuration"] == MAIN_CONFIGURATION}
+    return [
+        {"feature": printed["feature"], "architecture": architecture, "grade": row["grade"], "evidence": row["evidence"]}
+        for printed in specs.paper_table("architecture_features")
+        for architecture in ARCHITECTURES
+        if (row := found.get((printed["feature"], architecture))) is not None
+    ]
+
+
+def features(grades: Sequence[Row]) -> tuple[Row, ...]:
+    """The table "Architectural comparison" with our grades beside the paper's. Paper: tab:baseline_context."""
+    ours = {(row["feature"], row["architecture"]): row["grade"] for row in grades}
+    rows = []
+    for printed in specs.paper_table("architecture_features"):
+        pairs = {name: (printed[name.upper()], ours.get((printed["feature"], name))) for name in ARCHITECTURES}
+        row: Row = {"feature": printed["feature"], "verdict": verdict({name.upper(): pair for name, pair in pairs.items()})}
+        for name, (paper, grade) in pairs.items():
+            row |= {f"{name}_paper": paper, f"{name}_ours": grade}
+        rows.append(row | {name.lower(): printed[name] for name in NOT_RUN})
+    return tuple(rows)
+
+
+def verdict(pairs: Mapping[str, tuple[str | None, str | None]]) -> str | None:
+    """Whether ours agrees with the paper wherever there is one, and where not; None when there is none at all."""
+    compared = {name: pair for name, pair in pairs.items() if pair[1] is not None}
+    if not compared:
+        return None
+    differing = [name for name, (paper, ours) in compared.items() if paper != ours]
+    return f"{DIFFERS}: {', '.join(differing)}" if differing else AGREES
+
+
+def workflows(ledger: Path) -> Workflows:
+    """What the head of a ledger of workflows says: coverage, the story of the door relay, the recovery of the layered recovery.
+
+    Raises:
+        UsageError: it holds no run of a workflow.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: as `connect`.
+    """
+    with connect(ledger) as database:
+        runs = {row["scenario"]: row["run_id"] for row in database.rows("SELECT scenario, min(run_id) AS run_id FROM runs GROUP BY scenario")}
+        if not runs.keys() & WORKFLOWS.keys():
+            raise UsageError(f"--workflows {ledger}: found no run of {', '.join(WORKFLOWS)}; make one with `fsar-ledger simulate`")
+        head = database.head
+        return Workflows(
+            commits=head.commits if head else 0,
+            size=head.size if head else 0,
+            root=head.root if head else "",
+            run_count=sum(row["runs"] for row in database.rows("SELECT count(*) AS runs FROM runs")),
+            coverage=_coverage(database),
+            story=_first(database, "request_story", runs.get("workflow-door-relay"), "RequestIssued.v1"),
+            recovery=_first(database, "failure_story", runs.get("workflow-layered-recovery"), "ExecutionFailed.v1"),
+        )
+
+
+def _coverage(database: Database) -> tuple[Row, ...]:
+    """The table "FSAR mechanisms exercised by each workflow" with our cells beside the paper's. Paper: tab:coverage."""
+    ours = {(row["mechanism"], row["workflow"]): row["cell"] for row in plain_rows(database.query("tables/mechanism_coverage"))}
+    rows = []
+    for printed in specs.paper_table("mechanism_coverage"):
+        name = printed["mechanism"]
+        pairs = {workflow: (printed[column] or None, ours.get((name, workflow))) for workflow, column in WORKFLOWS.items()}
+        held = {workflow for _, workflow in ours}
+        differing = [workflow for workflow, (paper, cell) in pairs.items() if workflow in held and paper != cell]
+        titles = [specs.labels("workflow")[workflow] for workflow in differing]
+        row: Row = {"mechanism": name, "verdict": f"{DIFFERS}: {', '.join(titles)}" if differing else AGREES}
+        row["reasons"] = [reason for workflow in differing if (reason := specs.labels("difference").get(f"{workflow}/{name}/{pairs[workflow][1]}"))]
+        for workflow, (paper, cell) in pairs.items():
+            row |= {f"{workflow}_paper": paper, f"{workflow}_ours": cell}
+        rows.append(row)
+    return tuple(rows)
+
+
+def _first(database: Database, query: str, run: str | None, kind: str) -> tuple[Row, ...]:
+    """The story of the first action of the run that has an event of this type; empty without a run or such an event."""
+    if run is None:
+        return ()
+    found = database.rows("SELECT arg_min(action_id, seq) AS action_id FROM events WHERE run_id = $run AND type = $kind", {"run": run, "kind": kind})
+    action = found[0]["action_id"]
+    return () if action is None else tuple(plain_rows(database.query(f"audit/{query}", {"run": run, "action": action})))

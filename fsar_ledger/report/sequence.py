@@ -1,0 +1,185 @@
+"""The story of a request and the recovery of a failure, drawn from the rows of their queries. Same rows, same bytes.
+
+`sequence` draws life lines and messages (`queries/audit/request_story.sql`), `ladder` the levels of recovery
+(`queries/audit/failure_story.sql`). Lengths are in inches; the figure grows with what it has to show.
+"""
+
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from itertools import groupby
+from typing import Any
+
+from fsar_ledger.report import figures
+
+Row = Mapping[str, Any]
+
+FONT = 7.5  # points
+LETTER = 0.056  # width of a letter of that size, inches, a little more than the mean
+LINE = 0.135  # height of a line of text
+TIME = 0.75  # left column, for the times
+LANE = 1.55  # between two life lines
+AGENT_LANE = 1.15  # the same where a figure has many
+DEED = 2.4  # the widest that a deed is written
+HEAD = 0.45
+TEXT: dict[str, Any] = {"fontsize": FONT, "parse_math": False}
+FILLS = {"robot": "#e3f1e3", "agent": "#f3e6f0", "service": "#e1ebf7", "coordinator": "#e1ebf7", "supervisor": "#fbe7d3"}
+NOBODY = "not on record"
+LEVEL_FILLS = {"local": "#dff0df", "peer": "#fbf6cf", "fleet": "#fbe7c9", "human": "#f7d9d6"}
+GOOD, BAD, QUIET = "#2e7d32", "#b23b3b", "#666666"
+GOOD_RESULTS = ("success", "resolved", "helped")
+
+
+def lanes(rows: Sequence[Row]) -> list[str]:
+    """The principals of the story in order of appearance; one lane for what the record leaves open."""
+    named = [row[side] or NOBODY for row in rows for side in (("sender", "receiver") if row["kind"] == "message" else ("sender",))]
+    return list(dict.fromkeys(named))
+
+
+def sequence(rows: Sequence[Row], kind: str = "svg") -> bytes:
+    """The story as a sequence diagram: a life line for each principal, an arrow for each message, a box for each evaluation. Paper: fig:wf1.
+
+    Each row holds sender, receiver, kind, message, note, time_s, is_tied; at least one row.
+    """
+    with drawn_sequence(rows) as figure:
+        return figures.rendered(figure, kind)
+
+
+@contextmanager
+def drawn_sequence(rows: Sequence[Row]) -> Iterator[Any]:
+    """The figure of `sequence`, with its settings in force, so that it can be rendered or measured."""
+    names = lanes(rows)
+    step = LANE if len(names) <= 5 else AGENT_LANE
+    at = {name: TIME + 0.55 + step * position for position, name in enumerate(names)}
+    width = max(at.values()) + step / 2
+    width = max([width, *(at[row["sender"] or NOBODY] + 0.2 + min(LETTER * len(_words(row)), DEED) for row in rows if row["kind"] == "deed")])
+    texts = [_lines(row, at) for row in rows]
+    heights = [_height(row, lines) for row, lines in zip(rows, texts, strict=True)]
+    tops = [HEAD + 0.08 + sum(heights[:position]) for position in range(len(rows))]
+    height = HEAD + 0.2 + sum(heights)
+    with figures.plain_canvas(width, height) as (figure, axes):
+        for name, x in at.items():
+            axes.plot([x, x], [HEAD, height - 0.05], color="#bbbbbb", linewidth=0.8, zorder=1)
+            _box(axes, x, HEAD - 0.2, step - 0.1, 0.34, FILLS.get(name.partition("/")[0], "white"), name.replace("/", "\n", 1), weight="bold")
+        before = None
+        for row, lines, top, room in zip(rows, texts, tops, heights, strict=True):
+            time = f"{row['time_s']:.3f} s"
+            if time != before:
+                level = top + room - 0.06 if row["kind"] == "message" else top + room / 2
+                axes.text(0.08, level, time, ha="left", va="center", color=QUIET, **TEXT)
+            before = time
+            _step(axes, row, lines, at, top, room)
+        yield figure
+
+
+def _words(row: Row) -> str:
+    return str(row["message"]) if row["note"] is None else f"{row['message']} ({row['note']})"
+
+
+def _lines(row: Row, at: Mapping[str, float]) -> list[str]:
+    """What the row says, wrapped to the room that it has."""
+    if row["kind"] == "evaluation":
+        return [row["message"], *(row["note"].split("; ") if row["note"] else ())]
+    between = abs(at[row["receiver"] or NOBODY] - at[row["sender"] or NOBODY]) - 0.15 if row["kind"] == "message" else DEED
+    return textwrap.wrap(_words(row), max(int(between / LETTER), 12))
+
+
+def _height(row: Row, lines: Sequence[str]) -> float:
+    return LINE * len(lines) + (0.2 if row["kind"] == "evaluation" else 0.13)
+
+
+def _step(axes: Any, row: Row, lines: Sequence[str], at: Mapping[str, float], top: float, room: float) -> None:
+    """One message, evaluation or deed."""
+    here = at[row["sender"] or NOBODY]
+    words = "\n".join(lines)
+    style = "--" if not row["is_tied"] else "-"
+    paper = {"boxstyle": "square,pad=0.08", "facecolor": "white", "edgecolor": "none"}
+    if row["kind"] == "evaluation":
+        box = max(map(len, lines)) * LETTER + 0.2
+        _box(axes, here, top + room / 2, box, room - 0.08, "#efefef", words)
+    elif row["kind"] == "message":
+        there = at[row["receiver"] or NOBODY]
+        below = top + room - 0.06
+        arrow = {"arrowstyle": "-|>", "color": "#1f4e79", "linewidth": 1.0, "linestyle": style, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8}
+        axes.annotate("", (there, below), (here, below), arrowprops=arrow, zorder=3)
+        axes.text((here + there) / 2, below - 0.035, words, ha="center", va="bottom", bbox=paper, zorder=2, linespacing=1.05, **TEXT)
+    else:
+        axes.plot([here], [top + room / 2], marker="o", markersize=3, color="#444444", zorder=3)
+        axes.text(here + 0.08, top + room / 2, words, ha="left", va="center", bbox=paper, zorder=2, color="#333333", style="italic", **TEXT)
+
+
+def _box(axes: Any, x: float, y: float, width: float, height: float, fill: str, words: str, *, weight: str = "normal", style: str = "-") -> None:
+    from matplotlib.patches import FancyBboxPatch
+
+    shape = "round,pad=0,rounding_size=0.05"
+    edge = "#444444"
+    axes.add_patch(
+        FancyBboxPatch((x - width / 2, y - height / 2), width, height, boxstyle=shape, facecolor=fill, edgecolor=edge, linewidth=0.8, linestyle=style, zorder=4)
+    )
+    axes.text(x, y, words, ha="center", va="center", zorder=5, weight=weight, linespacing=1.1, **TEXT)
+
+
+def rungs(rows: Sequence[Row]) -> list[Row]:
+    """The rows that a ladder shows: without a resolution that only repeats the result of the step before it."""
+    return [
+        row for before, row in zip([None, *rows], rows, strict=False) if row["what"] != "resolved" or before is None or before["result"] not in GOOD_RESULTS
+    ]
+
+
+def ladder(rows: Sequence[Row], kind: str = "svg") -> bytes:
+    """The recovery of the failures of one action, level below level: steps, results, times, why each level was left. Paper: fig:wf3.
+
+    Each row holds failure, level_number, level, to_level, spent_s, time_s, until_s, what, result, achieved, budget_s, decided_by; at least one row.
+    """
+    with drawn_ladder(rows) as figure:
+        return figures.rendered(figure, kind)
+
+
+@contextmanager
+def drawn_ladder(rows: Sequence[Row]) -> Iterator[Any]:
+    """The figure of `ladder`, with its settings in force, so that it can be rendered or measured."""
+    shown = rungs(rows)
+    box, tall, left, middle = 2.9, 0.3, 1.35, 1.35 + 0.95 + 1.45
+    width, height = middle + box / 2 + 2.1, 0.15 + (tall + 0.14) * len(shown)
+    with figures.plain_canvas(width, height) as (figure, axes):
+        heights = [0.12 + tall / 2 + (tall + 0.14) * position for position in range(len(shown))]
+        for row, y, below in zip(shown, heights, [*heights[1:], None], strict=True):
+            is_way = row["to_level"] is not None
+            fill = "white" if is_way else LEVEL_FILLS[row["level"]]
+            _box(axes, middle, y, box, tall, fill, _rung(row, rows), style="--" if is_way else "-")
+            axes.text(left + 0.3, y, f"{row['time_s']:.3f} s", ha="left", va="center", color=QUIET, **TEXT)
+            if row["result"] and not is_way:
+                colour = GOOD if row["result"] in GOOD_RESULTS or row["result"].startswith("to ") else BAD
+                axes.text(middle + box / 2 + 0.12, y, _outcome(row), ha="left", va="center", color=colour, weight="bold", **TEXT)
+            if below is not None:
+                arrow = {"arrowstyle": "-|>", "color": "#888888", "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}
+                axes.annotate("", (middle, below - tall / 2), (middle, y + tall / 2), arrowprops=arrow, zorder=3)
+        _levels(axes, shown, heights, left, tall)
+        yield figure
+
+
+def _levels(axes: Any, shown: Sequence[Row], heights: Sequence[float], left: float, tall: float) -> None:
+    """The name of each level beside its steps, and how long recovery stayed there."""
+    placed = list(zip(shown, heights, strict=True))
+    for (failure, number, level), group in groupby(placed, key=lambda one: (one[0]["failure"], one[0]["level_number"], one[0]["level"])):
+        rows = list(group)
+        first, last = rows[0][1] - tall / 2, rows[-1][1] + tall / 2
+        axes.plot([left + 0.15, left + 0.15], [first, last], color=figures.COLOURS["cfc"], linewidth=1.4, zorder=2)
+        spent = "" if rows[0][0]["spent_s"] is None else f"\n{rows[0][0]['spent_s']:.3f} s"
+        which = "" if failure == 1 else f"failure {failure}, "
+        axes.text(left + 0.05, (first + last) / 2, f"{which}level {number}: {level}{spent}", ha="right", va="center", **TEXT)
+
+
+def _rung(row: Row, rows: Sequence[Row]) -> str:
+    """Who took which step; for a level that is left, why."""
+    if row["to_level"] is None:
+        return f"{row['decided_by']}: {row['what']}" if row["decided_by"] else str(row["what"])
+    mates = [one for one in rows if (one["failure"], one["level"]) == (row["failure"], row["level"]) and one["budget_s"] is not None]
+    budget = f" ({mates[0]['budget_s']:g} s, {len(mates)})" if mates else ""
+    return "\n".join(textwrap.wrap(f"{row['result'] or row['what']}{budget}", 52))
+
+
+def _outcome(row: Row) -> str:
+    until = f" at {row['until_s']:.3f} s" if row["result"] in GOOD_RESULTS and row["until_s"] is not None else ""
+    achieved = f": {row['achieved']}" if row["achieved"] else ""
+    return "\n".join(textwrap.wrap(f"{row['result']}{achieved}{until}", 34))

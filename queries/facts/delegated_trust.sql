@@ -1,0 +1,61 @@
+-- Title: Executions for another robot, and whether trust reached from the executor to that robot
+-- Paper: eq:trust, eq:nontransitive
+-- Grain: one row per ExecutionStarted event of a robot on behalf of another
+-- Units: none
+-- NULL: never; is_direct: the executor trusted the other robot by itself; is_chained: each link through the relay that passed the request on was trusted
+-- Example: fsar-ledger query facts/delegated_trust LEDGER
+WITH delegated AS (
+    SELECT
+        run_id,
+        seq,
+        task_id,
+        action_id,
+        capability,
+        robot AS executor,
+        on_behalf_of AS requester
+    FROM executions
+    WHERE robot <> on_behalf_of
+),
+
+links AS (
+    SELECT
+        delegated.*,
+        relayed.decided_by AS relay,
+        unnest(
+            CASE
+                WHEN relayed.decided_by IS NULL THEN [{ 'trusting': executor, 'trusted': requester, 'is_direct': TRUE }]
+                ELSE [
+                    { 'trusting': executor, 'trusted': requester, 'is_direct': TRUE },
+                    { 'trusting': executor, 'trusted': relayed.decided_by, 'is_direct': FALSE },
+                    { 'trusting': relayed.decided_by, 'trusted': requester, 'is_direct': FALSE }
+                ]
+            END
+        ) AS link
+    FROM delegated
+    LEFT JOIN request_relayed AS relayed ON delegated.run_id = relayed.run_id AND delegated.action_id = relayed.action_id
+),
+
+scopes AS (
+    -- The most specific entry holds, of equally specific ones the last.
+    SELECT
+        links.run_id,
+        links.seq,
+        links.link.is_direct,
+        coalesce(
+            arg_max(trust.scope, ((trust.capability IS NOT NULL)::INT + (trust.context IS NOT NULL)::INT) * 1000000000 + trust.seq), 'none'
+        ) <> 'none' AS is_trusted
+    FROM links
+    LEFT JOIN trust_set AS trust
+        ON
+            links.run_id = trust.run_id AND links.link.trusting = trust.robot AND links.link.trusted = trust.peer AND links.seq > trust.seq
+            AND links.capability = coalesce(trust.capability, links.capability) AND links.task_id = coalesce(trust.context, links.task_id)
+    GROUP BY links.run_id, links.seq, links.action_id, links.link
+)
+
+SELECT
+    run_id,
+    seq,
+    coalesce(bool_or(is_trusted) FILTER (is_direct), FALSE) AS is_direct,
+    coalesce(bool_and(is_trusted) FILTER (NOT is_direct), FALSE) AS is_chained
+FROM scopes
+GROUP BY run_id, seq

@@ -1,0 +1,55 @@
+-- Title: Decisions on delegated requests, and whose policy did not allow them at that moment
+-- Paper: eq:policy
+-- Grain: one row per admission, command, refusal for policy and call for review of a step that one robot delegates to another
+-- Units: time_us microseconds of run time
+-- NULL: never; is_against_*: that policy had not allowed for a second (two messages) or longer; is_heeded: refused, put to review or approved in one
+-- Example: fsar-ledger query facts/policy_decisions LEDGER
+WITH approvals AS (
+    SELECT
+        run_id,
+        action_id,
+        min(seq) AS seq
+    FROM supervisor_responded
+    WHERE purpose = 'review' AND approves
+    GROUP BY run_id, action_id
+),
+
+decided AS (
+    SELECT
+        events.run_id,
+        events.seq,
+        events.time_us,
+        events.task_id,
+        events.type NOT IN ('RequestAdmitted.v1', 'CommandIssued.v1') OR coalesce(approvals.seq < events.seq, FALSE) AS is_heeded,
+        coalesce(events.executed_by, events.robot, 'robot/' || nullif(split_part(events.decided_by, '/', 2), '')) AS executor
+    FROM events
+    LEFT JOIN approvals ON events.run_id = approvals.run_id AND events.action_id = approvals.action_id
+    WHERE
+        events.type IN ('RequestAdmitted.v1', 'CommandIssued.v1', 'RequestDenied.v1')
+        OR (events.type = 'SupervisorCalled.v1' AND events.purpose = 'review')
+),
+
+asked AS (
+    SELECT
+        decided.*,
+        steps.robot AS requester
+    FROM decided
+    ASOF JOIN step_began AS steps ON decided.run_id = steps.run_id AND decided.task_id = steps.task_id AND decided.seq > steps.seq
+    WHERE steps.target_role IS NOT NULL
+)
+
+SELECT
+    asked.run_id,
+    asked.seq,
+    asked.time_us,
+    asked.requester,
+    asked.executor,
+    asked.is_heeded,
+    coalesce(bool_or(windows.scope = 'local' AND windows.robot = asked.requester), FALSE) AS is_against_requester,
+    coalesce(bool_or(windows.scope = 'fleet' AND windows.robot = asked.executor), FALSE) AS is_against_fleet
+FROM asked
+LEFT JOIN policy_windows AS windows
+    ON
+        asked.run_id = windows.run_id AND windows.robot IN (asked.requester, asked.executor) AND windows.outcome <> 'allow'
+        AND windows.opened_us + 1000000 <= asked.time_us AND asked.time_us < coalesce(windows.closed_us, asked.time_us + 1)
+GROUP BY asked.run_id, asked.seq, asked.time_us, asked.requester, asked.executor, asked.is_heeded

@@ -1,0 +1,65 @@
+-- Title: What shows layered recovery: who begins it, which levels it comes to, and whether one is skipped
+-- Paper: tab:baseline_context, eq:recovery
+-- Grain: one row per architecture, configuration and part
+-- Units: numerator, denominator counts; of the levels, those that any failure came to and all four
+-- NULL: never; no row for runs without failures
+-- Example: fsar-ledger query tables/evidence_of_recovery LEDGER
+WITH first_steps AS (
+    SELECT
+        run_id,
+        action_id,
+        failure,
+        arg_min(decided_by, seq) AS decided_by
+    FROM recovery_steps
+    GROUP BY run_id, action_id, failure
+),
+
+moves AS (
+    SELECT
+        run_id,
+        action_id,
+        failure,
+        bool_and(rank <= coalesce(from_rank, 0) + 1) AS is_outward
+    FROM recovery_moves
+    GROUP BY run_id, action_id, failure
+),
+
+judged AS (
+    SELECT
+        runs.architecture,
+        runs.configuration,
+        -- By the robot that failed, or an agent in it: agent/A1/execution is a part of robot/A1.
+        coalesce(
+            first_steps.decided_by = failures.robot OR starts_with(first_steps.decided_by, 'agent/' || failures.robot[7:] || '/'), FALSE
+        ) AS is_own,
+        coalesce(moves.is_outward, FALSE) AS is_outward
+    FROM failures
+    INNER JOIN runs ON failures.run_id = runs.run_id
+    LEFT JOIN first_steps
+        ON failures.run_id = first_steps.run_id AND failures.action_id = first_steps.action_id AND failures.failure = first_steps.failure
+    LEFT JOIN moves ON failures.run_id = moves.run_id AND failures.action_id = moves.action_id AND failures.failure = moves.failure
+),
+
+counted AS (
+    SELECT
+        architecture,
+        configuration,
+        unnest(['failures that the robot itself begins to recover', 'failures that skip no level']) AS part,
+        unnest([count(*) FILTER (is_own), count(*) FILTER (is_outward)]) AS numerator,
+        count(*) AS denominator
+    FROM judged
+    GROUP BY architecture, configuration
+)
+
+SELECT *
+FROM counted
+UNION ALL
+SELECT
+    runs.architecture,
+    runs.configuration,
+    'levels of recovery in use' AS part,
+    count(DISTINCT recovery_moves.level) AS numerator,
+    4 AS denominator
+FROM recovery_moves
+INNER JOIN runs ON recovery_moves.run_id = runs.run_id
+GROUP BY runs.architecture, runs.configuration

@@ -1,0 +1,147 @@
+"""`explain` lists requests, tells one of them, draws it, and answers a wrong name with the nearest."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import Call, one_message
+
+
+@pytest.fixture(scope="session")
+def workflows(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ledger of the paper's three workflows."""
+    from fsar_ledger.runtime.experiment import simulate, workflow_experiment
+
+    path = tmp_path_factory.mktemp("workflows") / "ledger"
+    simulate(path, workflow_experiment(42), 1)
+    return path
+
+
+DOOR, RECOVERY, SUPERVISION = (f"fsar.full.workflow-{name}" for name in ("door-relay", "layered-recovery", "human-supervision"))
+
+
+def test_without_a_request_the_requests_of_the_first_run_are_listed(call: Call, ledger: Path) -> None:
+    said = call("explain", ledger)
+    listed = json.loads(call("explain", ledger, "--json").out)
+    first = json.loads(call("query", "runs", ledger, "--json").out)["rows"]
+    assert (said.code, said.err) == (0, "")
+    assert said.out.startswith(f"run {listed['run']}\n")
+    assert listed["run"] in {row["run_id"] for row in first}
+    assert listed["requests"]
+    for row in listed["requests"]:
+        assert f"{row['action_id']} " in said.out
+
+
+def test_the_call_that_the_list_suggests_runs(call: Call, ledger: Path) -> None:
+    hint = call("explain", ledger).out.splitlines()[-1].partition("`")[2].partition("`")[0]
+    said = call(*hint.split()[1:])
+    assert said.code == 0
+    assert "asked by" in said.out
+
+
+def test_the_door_relay_is_told_from_gap_to_result(call: Call, workflows: Path) -> None:
+    said = call("explain", workflows, "--run", DOOR, "--request", "A1-1/2.1")
+    lines = [line[15:] for line in said.out.splitlines() if line.startswith("    ")]
+    assert [line.split("  ")[0] for line in lines] == [
+        "robot/A1",
+        "robot/A1 -> service/registry",
+        "service/registry -> robot/A1",
+        "robot/A1 -> robot/B1",
+        "robot/B1",
+        "robot/B1 -> robot/A1",
+        "robot/B1",
+        "robot/B1",
+        "robot/B1 -> robot/A1",
+        "service/coordination -> robot/A1",
+    ]
+    for party in ("asked by       robot/A1", "allowed by     robot/B1", "executed by    robot/B1", "supervised by  supervisor/B1", "result         success"):
+        assert party in said.out
+
+
+def test_a_failure_is_told_level_by_level_with_the_time_at_each(call: Call, workflows: Path) -> None:
+    said = call("explain", workflows, "--run", RECOVERY, "--failure", "A1-1/2.1")
+    rows = json.loads(call("explain", workflows, "--run", RECOVERY, "--failure", "A1-1/2.1", "--json").out)["recovery"]
+    assert list(dict.fromkeys(row["level"] for row in rows)) == ["local", "peer", "fleet", "human"]
+    for row in rows:
+        assert f"{row['level_number']} {row['level']:<6}{row['spent_s']:>9.3f} s" in said.out
+        assert f"{row['time_s']:>10.3f} s    {row['what']}" in said.out
+    assert "budget exhausted (2 attempts within 30 s)" in said.out
+
+
+def test_the_supervisor_who_ordered_two_requests_is_named_in_both(call: Call, workflows: Path) -> None:
+    for action in ("B1-1/1.1", "D1-2/1.1"):
+        assert "supervisor/fleet -> robot/A1" in call("explain", workflows, "--run", SUPERVISION, "--request", action).out
+
+
+@pytest.mark.parametrize("architecture", ["fsar", "cfc", "dhma"])
+def test_requests_of_every_architecture_can_be_told(call: Call, ledger: Path, architecture: str) -> None:
+    listed = json.loads(call("explain", ledger, "--run", architecture, "--json").out)
+    assert listed["run"].startswith(architecture)
+    failed = [row for row in listed["requests"] if row["failures"]]
+    for row in listed["requests"][:2] + failed[:1]:
+        told = json.loads(call("explain", ledger, "--run", listed["run"], "--request", row["action_id"], "--json").out)
+        assert told["parties"] == row
+        assert [step["step"] for step in told["story"]] == list(range(1, len(told["story"]) + 1))
+        assert (row["failures"] > 0) == bool(told["recovery"])
+
+
+def test_records_that_only_a_cause_ties_are_marked_and_unknown_parties_said(call: Call, ledger: Path) -> None:
+    listed = json.loads(call("explain", ledger, "--run", "cfc", "--json").out)
+    request = next(row["action_id"] for row in listed["requests"] if row["allowed_by"])
+    said = call("explain", ledger, "--run", "cfc", "--request", request).out
+    assert " * " in said
+    assert "* the record names no action; its cause does" in said
+
+
+def test_a_request_is_drawn_beside_the_text(call: Call, workflows: Path, tmp_path: Path) -> None:
+    svg, pdf = tmp_path / "new" / "door.svg", tmp_path / "door.pdf"
+    said = call("explain", workflows, "--run", DOOR, "--request", "A1-1/2.1", "--svg", svg, "--pdf", pdf)
+    assert said.out.endswith(f"{svg}\n{pdf}\n")
+    assert b"<svg" in svg.read_bytes()
+    assert b"query: door.open.secure" in svg.read_bytes()
+    assert pdf.read_bytes().startswith(b"%PDF")
+    ladder = tmp_path / "ladder.svg"
+    assert call("explain", workflows, "--run", RECOVERY, "--failure", "A1-1/2.1", "--svg", ladder).code == 0
+    assert b"level 4: human" in ladder.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        (("--run", "fsra"), ("no such run", "did you mean fsar.full.")),
+        (("--run", ""), ("no such run",)),
+        (("--request", "A1-1/2"), ("no such request", "did you mean A1-1/2.1?")),
+        (("--request", "zzz"), ("no such request", "lists them")),
+        (("--failure", "A1-1/1.1"), ("no failure", "--request A1-1/1.1")),
+        (("--request", "A1-1/2.1", "--failure", "A1-1/2.1"), ("expected one of them",)),
+        (("--svg", "x.svg"), ("found no request to draw", "--request")),
+    ],
+)
+def test_a_wrong_call_is_one_message(call: Call, ledger: Path, arguments: tuple[str, ...], parts: tuple[str, ...]) -> None:
+    one_message(call("explain", ledger, *arguments), 2, *parts)
+
+
+def test_a_drawing_inside_the_ledger_is_refused_and_none_is_written_for_a_wrong_name(call: Call, ledger: Path, tmp_path: Path) -> None:
+    one_message(call("explain", ledger, "--request", "A1-1/2.1", "--svg", ledger / "x.svg"), 2, "inside the ledger")
+    one_message(call("explain", ledger, "--request", "zzz", "--svg", tmp_path / "x.svg"), 2, "zzz")
+    assert not (tmp_path / "x.svg").exists()
+    assert not (ledger / "x.svg").exists()
+
+
+def test_a_place_without_ledger_and_a_ledger_without_runs_are_named(call: Call, tmp_path: Path) -> None:
+    from fsar_ledger.ledger.append import Writer
+
+    one_message(call("explain", tmp_path / "nowhere"), 2, str(tmp_path / "nowhere"))
+    with Writer(tmp_path / "empty", "test"):
+        pass
+    one_message(call("explain", tmp_path / "empty"), 2, "found no run")
+
+
+def test_the_report_takes_a_ledger_of_workflows_and_refuses_another(call: Call, ledger: Path, workflows: Path, tmp_path: Path) -> None:
+    out = tmp_path / "report.pdf"
+    one_message(call("report", ledger, "--workflows", ledger, "--out", out), 2, "found no run of workflow-door-relay")
+    one_message(call("report", ledger, "--workflows", workflows, "--out", workflows / "x.pdf"), 1, "inside the ledger")
+    assert not out.exists()
+    assert call("report", ledger, "--workflows", workflows, "--out", out).out == f"{out}\n"
+    assert out.read_bytes().startswith(b"%PDF")

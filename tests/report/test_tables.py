@@ -1,0 +1,149 @@
+"""The paper's two tables of marks in the report: ours beside the paper's, and what a difference is called."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from fsar_ledger.errors import UsageError
+from fsar_ledger.metrics.database import connect, plain_rows
+from fsar_ledger.report import document, marks, specs, write_report
+from fsar_ledger.report.findings import Findings
+from fsar_ledger.report.gather import gather
+from fsar_ledger.runtime.experiment import simulate, workflow_experiment
+
+Make = Callable[..., Path]
+
+
+@pytest.fixture(scope="module")
+def workflows(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ledger of the paper's three workflows."""
+    path = tmp_path_factory.mktemp("workflows") / "ledger"
+    simulate(path, workflow_experiment(7), 1)
+    return path
+
+
+@pytest.fixture(scope="module")
+def findings(ledger: Path, workflows: Path) -> Findings:
+    return gather(ledger, workflows)
+
+
+def printed(findings: Findings) -> dict[str, Any]:
+    decoded: dict[str, Any] = msgspec.json.decode(document.encoded(document.data(findings, None)))
+    return decoded
+
+
+def column(table: dict[str, Any], name: str, key: str, what: str = "value") -> list[Any]:
+    position = [one.key for one in specs.table(name).column].index(key)
+    return [row[position][what] for row in table["rows"]]
+
+
+def test_the_papers_marks_are_printed_as_they_are() -> None:
+    rows = {row["feature"]: row for row in marks.features([])}
+    assert [row["feature"] for row in rows.values()] == [row["feature"] for row in specs.paper_table("architecture_features")]
+    assert (rows["policy_composition"]["fsar_paper"], rows["policy_composition"]["cfc_paper"], rows["policy_composition"]["jade"]) == (
+        "full",
+        "partial",
+        "partial",
+    )
+    assert {row["verdict"] for row in rows.values()} == {None}
+
+
+@pytest.mark.parametrize(
+    ("ours", "verdict"),
+    [
+        (("full", "full", "none"), "agrees"),
+        (("full", "none", "none"), "differs: CFC"),
+        (("none", None, "full"), "differs: FSAR, DHMA"),
+        ((None, "full", None), "agrees"),
+    ],
+)
+def test_a_feature_agrees_or_differs_where_the_ledger_shows_it(ours: tuple[str | None, ...], verdict: str) -> None:
+    graded = [{"feature": "single_agent_robot", "architecture": name, "grade": grade} for name, grade in zip(("fsar", "cfc", "dhma"), ours, strict=True)]
+    assert marks.features(graded)[0]["verdict"] == verdict
+
+
+def test_the_tables_hold_the_answers_of_their_queries(ledger: Path, findings: Findings) -> None:
+    tables = printed(findings)["tables"]
+    with connect(ledger) as database:
+        rows = {(row["feature"], row["architecture"]): row for row in plain_rows(database.query("tables/architecture_features"))}
+    evidence = tables["feature-evidence"]
+    keys = list(zip(column(evidence, "feature-evidence", "feature"), column(evidence, "feature-evidence", "architecture"), strict=True))
+    assert len(keys) == len(set(keys)) == 24
+    assert column(evidence, "feature-evidence", "grade") == [rows[key]["grade"] for key in keys]
+    assert column(evidence, "feature-evidence", "evidence") == [rows[key]["evidence"] for key in keys]
+    for architecture in ("fsar", "cfc", "dhma"):
+        ours = column(tables["architectural-comparison"], "architectural-comparison", f"{architecture}_ours")
+        assert ours == [rows[feature, architecture]["grade"] for feature in specs.labels("feature")]
+
+
+def test_marks_are_the_papers_signs_and_a_mark_that_is_not_shown_is_a_dash(findings: Findings) -> None:
+    table = printed(findings)["tables"]["architectural-comparison"]
+    assert column(table, "architectural-comparison", "fsar_paper", "printed") == ["●", "—", "—", "●", "●", "●", "●", "●"]
+    trust = list(specs.labels("feature")).index("trust_scoped_delegation")
+    assert column(table, "architectural-comparison", "fsar_ours", "printed")[trust] == "–"
+    assert {"RoboOS*", "JADE*", "ALLIANCE*"} <= set(table["heads"])
+
+
+def test_every_feature_mechanism_and_difference_of_the_paper_has_its_words() -> None:
+    assert list(specs.labels("feature")) == [row["feature"] for row in specs.paper_table("architecture_features")]
+    assert list(specs.labels("mechanism")) == [row["mechanism"] for row in specs.paper_table("mechanism_coverage")]
+    assert set(specs.labels("workflow")) == set(marks.WORKFLOWS)
+    for name in specs.labels("difference"):
+        workflow, mechanism, cell = name.split("/")
+        assert workflow in marks.WORKFLOWS
+        assert mechanism in specs.labels("mechanism")
+        assert cell
+
+
+def test_every_cell_of_the_coverage_stands_beside_the_papers_and_agrees_or_has_its_reason(findings: Findings) -> None:
+    assert findings.workflows is not None
+    for row in findings.workflows.coverage:
+        differing = [name for name in marks.WORKFLOWS if row[f"{name}_paper"] != row[f"{name}_ours"]]
+        assert row["verdict"] == (f"differs: {', '.join(specs.labels('workflow')[name] for name in differing)}" if differing else "agrees")
+    cells = {row["mechanism"]: row["workflow-layered-recovery_ours"] for row in findings.workflows.coverage}
+    assert {name: cell for name, cell in cells.items() if cell is not None} == {
+        row["mechanism"]: row["workflow_2_layered_recovery"] for row in specs.paper_table("mechanism_coverage") if row["workflow_2_layered_recovery"]
+    }
+
+
+def test_both_figures_are_drawn_from_the_ledger_of_workflows(findings: Findings, ledger: Path) -> None:
+    drawn = document.drawings(findings)
+    assert set(drawn) == {f"{name}.svg" for name in printed(findings)["figures"]}
+    assert b"query: door.open.secure" in drawn["workflow-door-relay.svg"]
+    assert b"budget exhausted" in drawn["workflow-layered-recovery.svg"]
+    assert set(document.drawings(gather(ledger))) == {"evaluation-results.svg", "distances.svg"}
+
+
+def test_the_tables_of_the_workflows_name_the_head_that_they_were_asked_of(findings: Findings) -> None:
+    assert findings.workflows is not None
+    data = printed(findings)
+    assert f"root {findings.workflows.root[:12]}" in data["tables"]["mechanism-coverage"]["source"]
+    assert f"root {findings.workflows.root[:12]}" in data["figures"]["workflow-door-relay"]["source"]
+    assert f"root {findings.root[:12]}" in data["tables"]["architectural-comparison"]["source"]
+    assert {"tables/mechanism_coverage", "audit/request_story", "facts/messages"} <= {source.name for source in findings.sources}
+
+
+def test_without_workflows_the_report_says_so_and_a_ledger_without_them_is_refused(ledger: Path, make_ledger: Make) -> None:
+    alone = printed(gather(ledger))
+    assert alone["workflows"] is None
+    assert "mechanism-coverage" not in alone["tables"]
+    with pytest.raises(UsageError, match="found no run of workflow-door-relay"):
+        gather(ledger, make_ledger(runs=1, architectures=("cfc",)))
+
+
+def test_a_ledger_with_one_workflow_shows_what_it_has(ledger: Path, tmp_path: Path) -> None:
+    simulate(tmp_path / "one", workflow_experiment(7, 1, ("workflow-layered-recovery",)), 1)
+    found = gather(ledger, tmp_path / "one")
+    assert found.workflows is not None
+    assert (found.workflows.story, bool(found.workflows.recovery)) == ((), True)
+    assert {row["verdict"] for row in found.workflows.coverage} == {"agrees"}
+    assert set(printed(found)["figures"]) == {"evaluation-results", "distances", "workflow-layered-recovery"}
+
+
+def test_the_report_with_workflows_is_the_same_bytes_twice(ledger: Path, workflows: Path, tmp_path: Path) -> None:
+    for name in ("one.pdf", "other.pdf"):
+        write_report(ledger, tmp_path / name, workflows)
+    assert (tmp_path / "one.pdf").read_bytes() == (tmp_path / "other.pdf").read_bytes()
