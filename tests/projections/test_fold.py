@@ -9,32 +9,36 @@ from hypothesis import strategies as st
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import EVENT_TYPES, Event
-from fsar_ledger.events.envelope import Architecture, Configuration
+from fsar_ledger.events.envelope import Architecture, Configuration, Workflow
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionWithdrawn
 from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections import execution, world
 from fsar_ledger.projections.fold import ROUTES, STATELESS, State, apply, fold
 from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
+from tests.runtime.commanded import commanded
 
 RECORDS_ONLY = {
-    "PeerSought",
-    "GapDetected",
-    "CandidateMatched",
+    "AssistanceDeclined",
     "BidSubmitted",
+    "CandidateMatched",
+    "CommandRejected",
+    "ContextChanged",
+    "GapDetected",
     "InternalHandoff",
     "OwnStepDecided",
-    "ReplanOrdered",
-    "RoutinePerformed",
-    "RoutineWithheld",
-    "RoutineReported",
-    "ReassignmentDecided",
-    "TaskStateTransferred",
-    "SnapshotPhaseSet",
-    "AssistanceDeclined",
-    "ContextChanged",
-    "RoutineDue",
+    "PeerSought",
     "PeersMet",
+    "PolicyConflictEscalated",
+    "ReassignmentDecided",
+    "RegistryConsulted",
+    "ReplanOrdered",
+    "RoutineDue",
+    "RoutinePerformed",
+    "RoutineReported",
+    "RoutineWithheld",
+    "SnapshotPhaseSet",
+    "TaskStateTransferred",
 }
 
 
@@ -47,7 +51,9 @@ def test_every_event_type_has_a_projection_or_is_listed_as_a_record() -> None:
 def emitted() -> set[type[Event]]:
     specs = [RunSpec(8, architecture, "full", scenario, 4, run) for architecture in get_args(Architecture) for scenario in SCENARIOS for run in range(12)]
     specs += [RunSpec(8, "fsar", configuration, scenario, 4, 0) for configuration in get_args(Configuration)[1:] for scenario in SCENARIOS]
-    return {type(event) for spec in specs for event in simulate_run(spec, Constants()).events}
+    specs += [RunSpec(8, "fsar", "full", workflow, 4, 0) for workflow in get_args(Workflow)]
+    specs.append(RunSpec(42, "fsar", "full", "fleet-contention", 4, 8))  # one of the few in which a task changes hands
+    return {type(event) for events in (*(simulate_run(spec, Constants()).events for spec in specs), commanded().events) for event in events}
 
 
 def test_every_event_type_is_emitted_by_some_run(emitted: set[type[Event]]) -> None:
