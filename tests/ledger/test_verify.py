@@ -326,22 +326,29 @@ def test_more_problems_than_anyone_reads_are_cut(path: Path) -> None:
 # --- every byte ---
 
 
-def test_a_flip_in_every_byte_of_every_json_file_is_found_and_placed(tmp_path: Path) -> None:
+@pytest.mark.parametrize("name", ["ledger.json", "commits/000000000000.json", "commits/000000000001.json"])
+def test_a_flip_in_every_byte_of_every_json_file_is_found_and_placed(tmp_path: Path, name: str) -> None:
     path = tmp_path / "ledger"
     append_all(path, made_up_batches(2, runs=1, size=3))
-    bits = random.Random(5)
-    for name, data in contents(path).items():
-        if not name.endswith(".json"):
-            continue
-        for at in range(len(data)):
-            flipped = bytearray(data)
-            flipped[at] ^= 1 << bits.randrange(8)
-            (path / name).write_bytes(flipped)
-            report = verify(path)
-            assert not report.ok, (name, at)
-            assert name in str(report.problems[0]), (name, at, report.problems)
-        (path / name).write_bytes(data)
+    bits, data = random.Random(5), contents(path)[name]
+    for at in range(len(data)):
+        flipped = bytearray(data)
+        flipped[at] ^= 1 << bits.randrange(8)
+        (path / name).write_bytes(flipped)
+        report = verify(path)
+        assert not report.ok, (name, at)
+        assert name in str(report.problems[0]), (name, at, report.problems)
+    (path / name).write_bytes(data)
     assert verify(path).ok
+
+
+def test_there_is_no_other_json_file(tmp_path: Path) -> None:
+    append_all(tmp_path / "ledger", made_up_batches(2, runs=1, size=3))
+    assert sorted(name for name in contents(tmp_path / "ledger") if name.endswith(".json")) == [
+        "commits/000000000000.json",
+        "commits/000000000001.json",
+        "ledger.json",
+    ]
 
 
 def test_two_thousand_flips_in_segments_are_found_and_placed(tmp_path: Path) -> None:
