@@ -2,24 +2,27 @@
 #
 # PYTHON=python3.12 make test   takes another interpreter; the first of these that is new enough is the default.
 # JOBS=4 make test              runs the tests on more processes.
+# STEPS=1000000 make soak       plays longer.
 
 PYTHON ?= $(shell for python in python3 python3.11 python3.12 python3.13 python3.14 python; do \
 	if $$python -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then echo $$python; break; fi; done)
 JOBS ?= 2
 OUT ?= fsar-out
+STEPS ?= 100000
 
 BIN := .venv/bin
 READY := .venv/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test check bench docs clean
+.PHONY: help setup reproduce test check soak bench docs clean
 
 help:
 	@echo "make setup      a .venv with the command fsar-ledger in it"
 	@echo "make reproduce  simulate the paper's experiment, measure it, typeset the report into $(OUT)/"
 	@echo "make test       every check and every test"
 	@echo "make check      the checks without the tests: style, types, imports, SQL"
-	@echo "make bench      the two benchmarks, as ratios"
+	@echo "make soak       100,000 random steps of random fleets: ten invariants, live state = rebuilt state (minutes)"
+	@echo "make bench      the three benchmarks, as ratios"
 	@echo "make docs       write the pages that hold real output again"
 	@echo "make clean      remove what the other targets made"
 
@@ -46,9 +49,13 @@ check: setup
 test: check
 	$(BIN)/pytest -n $(JOBS)
 
+soak: setup
+	$(BIN)/python -m tests.runtime.test_federation_model $(STEPS)
+
 bench: setup
 	$(BIN)/python benchmarks/simulate_and_append.py
 	$(BIN)/python benchmarks/metrics.py
+	$(BIN)/python benchmarks/registry_lookup.py
 
 docs: reproduce
 	$(BIN)/python docs/write.py

@@ -10,7 +10,6 @@ from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyRuleSet
 from fsar_ledger.events.supervision import SupervisorResponded
-from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import PolicyWindowOpened
 
 from .policy import Rule
@@ -20,8 +19,6 @@ HANDLES = (
     | AuthorityReleased
     | AuthorityGranted
     | AuthorityRevoked
-    | TaskCompleted
-    | TaskAbandoned
     | SupervisorResponded
     | PolicyWindowOpened
     | PolicyRuleSet
@@ -42,11 +39,10 @@ class Later(msgspec.Struct, frozen=True, gc=False):
 
 
 class Authority(msgspec.Struct, frozen=True, gc=False):
-    """`claims`: action -> open claims; `rights`: grants and revocations in order; `expired`: contexts that are over; `approvals`: action -> what came later."""
+    """`claims`: action -> open claims; `rights`: grants and revocations in order; `approvals`: action -> what came later."""
 
     claims: dict[str, tuple[AuthorityClaimed, ...]] = {}
     rights: tuple[Right, ...] = ()
-    expired: frozenset[str] = frozenset()
     approvals: dict[str, Later] = {}
 
 
@@ -76,31 +72,29 @@ def evolve(state: Authority, event: HANDLES) -> Authority:
     match event:
         case AuthorityClaimed():
             claims = {**state.claims, event.action_id: (*state.claims.get(event.action_id, ()), event)}
-            return Authority(claims, state.rights, state.expired, state.approvals)
+            return Authority(claims, state.rights, state.approvals)
         case AuthorityReleased():
             left = tuple(claim for claim in state.claims.get(event.action_id, ()) if _key(claim) != _key(event))
             claims = {**state.claims, event.action_id: left}
             if not left:
                 del claims[event.action_id]
-            return Authority(claims, state.rights, state.expired, state.approvals)
+            return Authority(claims, state.rights, state.approvals)
         case PolicyWindowOpened() | PolicyRuleSet() | FleetRuleLearned():
             if not state.approvals:
                 return state
             approvals = {action: _with(later, event) for action, later in state.approvals.items()}
-            return Authority(state.claims, state.rights, state.expired, approvals)
+            return Authority(state.claims, state.rights, approvals)
         case ExecutionFinished():
             if event.action_id not in state.approvals:
                 return state
             approvals = {action: later for action, later in state.approvals.items() if action != event.action_id}
-            return Authority(state.claims, state.rights, state.expired, approvals)
+            return Authority(state.claims, state.rights, approvals)
         case AuthorityGranted() | AuthorityRevoked():
-            return Authority(state.claims, (*state.rights, event), state.expired, state.approvals)
-        case TaskCompleted() | TaskAbandoned():
-            return Authority(state.claims, state.rights, state.expired | {event.task_id}, state.approvals)
+            return Authority(state.claims, (*state.rights, event), state.approvals)
         case SupervisorResponded():
             if event.purpose != "review" or not event.approves:
                 return state
-            return Authority(state.claims, state.rights, state.expired, {**state.approvals, event.action_id: Later()})
+            return Authority(state.claims, state.rights, {**state.approvals, event.action_id: Later()})
         case _:
             assert_never(event)
 

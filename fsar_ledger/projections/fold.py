@@ -10,7 +10,7 @@ from typing import Any, get_args
 
 from fsar_ledger.events import EVENT_TYPES, Event
 
-from . import authority, budget, contention, execution, fleet, knowledge, policy, recovery, registry, request, supervision, task, trust, world
+from . import authority, budget, contention, context, execution, fleet, knowledge, policy, recovery, registry, request, supervision, task, trust, world
 
 
 class State:
@@ -20,6 +20,7 @@ class State:
         "authority",
         "budget",
         "contention",
+        "context",
         "execution",
         "fleet",
         "knowledge",
@@ -37,6 +38,7 @@ class State:
         self.authority = authority.INITIAL
         self.budget = budget.INITIAL
         self.contention = contention.INITIAL
+        self.context = context.INITIAL
         self.execution = execution.INITIAL
         self.fleet = fleet.INITIAL
         self.knowledge = knowledge.INITIAL
@@ -55,7 +57,7 @@ class State:
     __hash__ = None  # type: ignore[assignment]
 
 
-_PROJECTIONS = (authority, budget, contention, execution, fleet, knowledge, policy, recovery, registry, request, supervision, task, trust, world)
+_PROJECTIONS = (authority, budget, contention, context, execution, fleet, knowledge, policy, recovery, registry, request, supervision, task, trust, world)
 _Evolve = Callable[[Any, Any], Any]
 
 

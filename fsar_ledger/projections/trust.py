@@ -8,15 +8,14 @@ from fsar_ledger.events.authority import AuthorityRevoked
 from fsar_ledger.events.envelope import TrustScope
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
-from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.trust import TrustSet, TrustThresholdsSet
 from fsar_ledger.events.world import OutsiderRequestInjected
 
 Result = RequestIssued | OutsiderRequestInjected | RequestDenied | RequestClosed | ExecutionFailed | AuthorityRevoked
-HANDLES = TrustSet | TrustThresholdsSet | TaskCompleted | TaskAbandoned | Result
+HANDLES = TrustSet | TrustThresholdsSet | Result
 
 SCOPES: tuple[TrustScope, ...] = ("none", "capability", "task", "session", "persistent")  # from narrow to broad
-VIOLATIONS = ("trust", "authority", "advertisement", "not visible")  # refusals that are the requester's own doing
+VIOLATIONS = ("trust", "authority", "advertisement")  # refusals that are the requester's own doing
 About = tuple[str | None, str | None]  # capability, context; None: all of them
 Key = tuple[str, str, str]  # robot, peer, capability
 
@@ -32,7 +31,7 @@ class Trust(msgspec.Struct, frozen=True, gc=False):
     """Who trusts whom, and how each has fared with the other.
 
     `entries`: (robot, peer) -> what about -> scope; `promote_after`, `downgrade_after`: results in a row, 0 is never;
-    `contexts`: those that some entry is limited to; `over`: contexts (tasks) that have ended. While a threshold is
+    `contexts`: those that some entry is limited to. While a threshold is
     set, `asked`: action -> (executor, requester, capability) of each direct request that is open; `records`: what
     each robot has seen of its peer; `judged`: the records that the last result changed.
     """
@@ -41,7 +40,6 @@ class Trust(msgspec.Struct, frozen=True, gc=False):
     promote_after: int = 0
     downgrade_after: int = 0
     contexts: frozenset[str] = frozenset()
-    over: frozenset[str] = frozenset()
     asked: dict[str, Key] = {}
     records: dict[Key, Record] = {}
     judged: tuple[Key, ...] = ()
@@ -79,10 +77,8 @@ def evolve(state: Trust, event: HANDLES) -> Trust:
         case TrustThresholdsSet():
             thresholds = (event.promote_after, event.downgrade_after)
             if not any(thresholds):
-                return Trust(state.entries, contexts=state.contexts, over=state.over)
-            return Trust(state.entries, *thresholds, state.contexts, state.over, state.asked, state.records)
-        case TaskCompleted() | TaskAbandoned():
-            return msgspec.structs.replace(state, over=state.over | {event.task_id})
+                return Trust(state.entries, contexts=state.contexts)
+            return Trust(state.entries, *thresholds, state.contexts, state.asked, state.records)
         case _:
             return _noted(state, event) if follows_record(state) else state
 

@@ -11,7 +11,6 @@ WITH conjuncts (reason, conjunct) AS (
     VALUES
     ('possession', 'possession'),
     ('advertisement', 'advertisement'),
-    ('not visible', 'advertisement'),
     ('trust', 'trust'),
     ('no trust', 'trust'),
     ('policy', 'policy'),

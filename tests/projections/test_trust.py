@@ -71,7 +71,7 @@ def test_a_success_counts_for_both_ends() -> None:
 
 
 def test_a_violation_counts_against_the_requester_alone() -> None:
-    for reason in ("trust", "authority", "advertisement", "not visible"):
+    for reason in ("trust", "authority", "advertisement"):
         assert folded(issued(), denied(reason)).records == {OF_REQUESTER: Record(0, 1)}
     assert folded(issued(), denied("policy")).records == {}
 

@@ -57,7 +57,6 @@ def test_an_evaluation_stands_beside_the_last_request_of_its_action() -> None:
     [
         ("possession", "possession"),
         ("advertisement", "advertisement"),
-        ("not visible", "advertisement"),
         ("trust", "trust"),
         ("policy", "policy"),
         ("review", "policy"),

@@ -73,7 +73,7 @@ def test_a_supervisor_grants_authority_and_it_is_on_record_who() -> None:
         (GrantAuthority(H_A, "robot/A1", None, "none"), "does not supervise every robot"),
         (GrantAuthority(H_F, "robot/A1", "robot/A1", "none"), "to ask itself"),
         (GrantAuthority(H_F, "robot/A1", "robot/B1", "none", "fly"), "unknown capability fly"),
-        (GrantAuthority(H_F, "robot/A1", "robot/B1", "none", DOOR, "rounds"), "context rounds has expired"),
+        (GrantAuthority(H_F, "robot/A1", "robot/B1", "none", DOOR, "rounds"), "rounds is over"),
         (GrantAuthority(H_B, "robot/A1", "robot/B1", "none", DOOR), "supervisor/fleet has revoked it"),
         (GrantAuthority(H_F, "robot/A1", "robot/B1", "absolute"), "unknown override level absolute"),  # type: ignore[arg-type]
         (RevokeAuthority(H_F, "robot/Z9", None), "unknown robot robot/Z9"),

@@ -211,7 +211,7 @@ def test_rights_along_a_chain_never_add_up_to_a_right_of_its_first_at_its_last()
         ({"executor": "robot/Z9"}, "unknown robot robot/Z9"),
         ({"capability": "fly"}, "unknown capability fly"),
         ({"executor": "robot/A1"}, "asks itself"),
-        ({"context": "A1-9"}, "has expired"),
+        ({"context": "A1-9"}, "is over"),
         ({"context": ""}, "no name"),
         ({"action_id": "old"}, "is taken"),
         ({"action_id": "A1-1/7.1"}, "is taken"),

@@ -143,7 +143,7 @@ def test_an_assessment_without_a_record_is_stale() -> None:
 
 def test_an_injected_request_that_is_refused_counts_against_who_made_it() -> None:
     injected = OutsiderRequestInjected("i1", D, C, "inspect.private_zone")
-    refused = RequestDenied("i1", "i1", "i1", "service/registry", D, None, None, ("service/registry",), "not visible")
+    refused = RequestDenied("i1", "i1", "i1", "service/registry", D, None, None, ("service/registry",), "advertisement")
     state = given("fsar", TrustThresholdsSet(0, 1, H_F), TrustSet(C, D, "task"), injected, refused)
     [downgraded] = assess_trust(state, AssessTrust(C, D, "inspect.private_zone"))
     assert downgraded.scope == "capability"  # type: ignore[attr-defined]

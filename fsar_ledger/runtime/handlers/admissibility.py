@@ -84,7 +84,7 @@ def failing(state: State, request: Request, executor: str, trust: TrustScope | N
         return "policy"
     if request.directives or record.availability in ("offline", "restricted"):
         return "local-execution"
-    if request.task_id in state.authority.expired or is_revoked(state, request, executor):
+    if request.task_id in state.context or is_revoked(state, request, executor):
         return "authority"
     return None
 

@@ -18,7 +18,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import possesses
 
 from .commands import Command, Decides, PublicCommand, Reacts, Scheduled
-from .rejection import rejected, unknown_robot, unknown_supervisor
+from .rejection import expired_context, rejected, unknown_robot, unknown_supervisor
 from .trust import trusts
 
 
@@ -78,8 +78,7 @@ def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
         reason = f"{command.supervisor} does not supervise {command.executor or 'every robot'}, expected {FLEET_SUPERVISOR} or the executor's own"
     if reason is None and command.override not in LEVELS:
         reason = f"unknown override level {command.override}, expected one of {', '.join(LEVELS)}"
-    if reason is None and command.context in state.authority.expired:
-        reason = f"context {command.context} has expired, expected one that is not over"
+    reason = reason or expired_context(state, command.context)
     if reason is None and command.supervisor != FLEET_SUPERVISOR and _is_revoked_by_fleet(state, command):
         reason = f"{FLEET_SUPERVISOR} has revoked it, expected {FLEET_SUPERVISOR} to lift that"
     if reason is not None:

@@ -52,4 +52,4 @@ def unknown_capability(state: State, capability: str | None) -> str | None:
 
 def expired_context(state: State, context: str | None) -> str | None:
     """The reason to reject a command in the context of a task that is over, or None (None is no context)."""
-    return f"task {context} is over, expected a context that is not" if context in state.trust.over else None
+    return f"task {context} is over, expected a context that is not" if context in state.context else None

@@ -16,7 +16,7 @@ from fsar_ledger.projections.request import Request
 from .attribution import on_shift, principals
 from .commands import Decides, PublicCommand, Reacts
 from .policy import own_policy
-from .rejection import rejected, unknown_robot
+from .rejection import expired_context, rejected, unknown_robot
 
 
 class RequestCapability(PublicCommand):
@@ -94,12 +94,13 @@ def _impossible(state: State, command: RequestCapability) -> str | None:
         return f"unknown capability {command.capability}, expected one that a member possesses"
     if command.override not in LEVELS:
         return f"unknown override level {command.override}, expected one of {', '.join(LEVELS)}"
-    if command.context in state.authority.expired:
-        return f"context {command.context} has expired, expected one that is not over"
+    expired = expired_context(state, command.context)
+    if expired is not None:
+        return expired
     if not command.context or not command.action_id:
         return "the context or the action has no name, expected both"
     task = command.action_id.rpartition("/")[0]
-    if command.action_id in state.request or task in state.task or task in state.authority.expired:
+    if command.action_id in state.request or task in state.task or task in state.context:
         return f"the name {command.action_id} is taken, expected a new one"
     return _broken_chain(state, command)
 

@@ -37,7 +37,7 @@ def _impossible(state: State, command: SubmitTask) -> str | None:
     if not command.task_id or "/" in command.task_id:
         return f"task name {command.task_id!r}, expected a name without a slash"
     known = {request.task_id for request in state.request.values()}
-    if command.task_id in state.task or command.task_id in state.authority.expired or command.task_id in known:
+    if command.task_id in state.task or command.task_id in state.context or command.task_id in known:
         return f"the name {command.task_id} is taken, expected a new one"
     if command.budget_us <= 0 or not command.steps:
         return f"{len(command.steps)} steps in {command.budget_us} microseconds, expected at least one step and some time"

@@ -69,7 +69,7 @@ def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
         supervisor = on_shift(state, robot)
         return (
             _refused(state, task_id, robot, peer, request.capability),
-            RequestDenied(task_id, task_id, task_id, REGISTRY, robot, None, supervisor, (REGISTRY,), "not visible"),
+            RequestDenied(task_id, task_id, task_id, REGISTRY, robot, None, supervisor, (REGISTRY,), "advertisement"),
         )
     ids = (task_id, task_id, task_id)
     requester: dict[str, Any] = {"decided_by": robot, "requested_by": robot, "executed_by": peer, "supervised_by": None, "path": (robot,)}

@@ -1,0 +1,14 @@
+"""Which contexts (tasks) are over: nothing may be asked, granted or trusted in them any more. Paper: sec:model:authority (context expiration)."""
+
+from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
+
+HANDLES = TaskCompleted | TaskAbandoned
+
+Over = frozenset[str]
+
+INITIAL: Over = frozenset()
+
+
+def evolve(state: Over, event: HANDLES) -> Over:
+    """The contexts that are over after the event."""
+    return state | {event.task_id}
