@@ -1,4 +1,4 @@
-"""Federated single-agent robotics: every robot stays one accountable principal; the federation only coordinates."""
+"""Federated single-agent robotics: every robot stays one accountable principal; the federation only coordinates. Paper: eq:federation, eq:fleet-model."""
 
 from fsar_ledger.runtime.architectures.wiring import Wiring, wire
 from fsar_ledger.runtime.handlers import advertising, fleet, policy, registry, supervision, task, trust
