@@ -1,5 +1,6 @@
 """Who is in the fleet, and what run this is. Paper: eq:fleet, eq:runtime."""
 
+from functools import lru_cache
 from typing import assert_never
 
 import msgspec
@@ -37,10 +38,15 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
     """The fleet after the event."""
     match event:
         case RunStarted():
-            structure = msgspec.json.decode(event.parameters, type=Constants).structure
-            return Fleet(event.architecture, event.configuration, event.fleet_size, structure)
+            return Fleet(event.architecture, event.configuration, event.fleet_size, _structure(event.parameters), state.robots)
         case RobotJoined():
             robot = Robot(event.robot, event.role, event.team, event.supervisor, event.domain)
             return msgspec.structs.replace(state, robots={**state.robots, event.robot: robot})
         case _:
             assert_never(event)
+
+
+@lru_cache(maxsize=4)
+def _structure(parameters: str) -> Structure:
+    """The structural constants of a run; all runs of an experiment have the same."""
+    return msgspec.json.decode(parameters, type=Constants).structure

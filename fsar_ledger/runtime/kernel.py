@@ -6,36 +6,59 @@ event of a batch names the command that made it, and a run can be resumed from i
 events of a batch are caused by its first.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import lru_cache
 from heapq import heappop, heappush
+from typing import Any
 
 from fsar_ledger.events import EVENT_TYPES, Event
-from fsar_ledger.projections.fold import ROUTES, State
+from fsar_ledger.projections.fold import ROUTES, State, apply
 
 from .architectures.wiring import Wiring
-from .handlers.commands import Command, Draw
+from .handlers.commands import Command, Draw, React
 from .world.draws import Draws
 from .world.schedule import Fact
 
+_Plan = dict[type[Event], tuple[tuple[tuple[str, Callable[[Any, Any], Any]], ...], tuple[React, ...]]]
+
 LATEST_US = 3_600_000_000  # no run of the model takes an hour of run time; one that does is a bug
+
+
+@lru_cache(maxsize=32)
+def _plan(wiring: Wiring) -> _Plan:
+    """What happens to an event of each type: the projections that handle it, and the reactions that follow it."""
+    return {kind: (ROUTES.get(kind, ()), wiring.reacts.get(kind, ())) for kind in EVENT_TYPES}
 
 
 class Kernel:
     """One run in progress: what was recorded, the state it makes, and the commands that are pending."""
 
-    def __init__(self, wiring: Wiring, facts: Sequence[Fact], draws: Draws, founding: Sequence[Event]) -> None:
+    def __init__(self, wiring: Wiring, facts: Sequence[Fact], draws: Draws, founding: Sequence[Event], founded: State | None = None) -> None:
+        """The run begins with `founding`; `founded` is the state that all of it but its first event makes, where that is known already."""
         self.times_us: list[int] = []
         self.caused_by: list[int | None] = []
         self.events: list[Event] = []
         self.state = State()
         self._decides = wiring.decides
-        self._plan = {kind: (ROUTES.get(kind, ()), wiring.reacts.get(kind, ())) for kind in EVENT_TYPES}
+        self._plan = _plan(wiring)
         self._facts = facts
         self._next_fact = 0
         self._draws = draws
         self._pending: list[tuple[int, int, int, Command, Draw | None]] = []
         self._serial = 0
-        self._batch(founding, 0, None)
+        if founded is None:
+            self._batch(founding, 0, None)
+        else:
+            self._begin(founding, founded)
+
+    def _begin(self, founding: Sequence[Event], founded: State) -> None:
+        """The founding is recorded. Nothing is pending after it: reactions are to what a fleet does."""
+        self.times_us += [0] * len(founding)
+        self.caused_by += [None, *[0] * (len(founding) - 1)]
+        self.events += founding
+        for slot in State.__slots__:
+            setattr(self.state, slot, getattr(founded, slot))
+        apply(self.state, founding[0])
 
     def run(self) -> None:
         """Nothing is left to happen."""
@@ -105,6 +128,8 @@ class Kernel:
         routes, reacts = self._plan[type(event)]
         for slot, evolve in routes:
             setattr(state, slot, evolve(getattr(state, slot), event))
+        if not reacts:
+            return
         taken: tuple[int, ...] = ()
         for react in reacts:
             for scheduled in react(state, event, time_us):

@@ -11,6 +11,7 @@ from fsar_ledger.constants import Constants
 from fsar_ledger.events.envelope import Architecture, Configuration, Scenario, Workflow
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.projections.fold import State, fold
 
 from .architectures.wiring import Wiring
 from .kernel import Kernel
@@ -74,10 +75,17 @@ def kernel(spec: RunSpec, constants: Constants, structure: Wiring | None = None)
     """The run at its founding, before the world has done anything; `structure` replaces the architecture's own wiring."""
     facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size)
     draws = Draws(run_key(spec.seed, spec.scenario, spec.run), constants.world)
-    return Kernel(structure or wiring(spec.architecture), facts, draws, (run_started(spec, constants), *_founding(spec.fleet_size)))
+    events = (run_started(spec, constants), *_founding(spec.fleet_size))
+    return Kernel(structure or wiring(spec.architecture), facts, draws, events, _founded(spec.fleet_size))
 
 
 _founding = lru_cache(maxsize=4)(founding)
+
+
+@lru_cache(maxsize=4)
+def _founded(fleet_size: int) -> State:
+    """The state of a fleet of which only the run is not known yet."""
+    return fold(_founding(fleet_size))
 
 
 def simulate_run(spec: RunSpec, constants: Constants, structure: Wiring | None = None) -> RunRecord:

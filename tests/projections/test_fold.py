@@ -52,7 +52,7 @@ def emitted() -> set[type[Event]]:
     specs = [RunSpec(8, architecture, "full", scenario, 4, run) for architecture in get_args(Architecture) for scenario in SCENARIOS for run in range(12)]
     specs += [RunSpec(8, "fsar", configuration, scenario, 4, 0) for configuration in get_args(Configuration)[1:] for scenario in SCENARIOS]
     specs += [RunSpec(8, "fsar", "full", workflow, 4, 0) for workflow in get_args(Workflow)]
-    specs.append(RunSpec(42, "fsar", "full", "fleet-contention", 4, 8))  # one of the few in which a task changes hands
+    specs.append(RunSpec(42, "fsar", "full", "mixed-trust-inspection", 4, 82))  # one of the few in which a task changes hands
     return {type(event) for events in (*(simulate_run(spec, Constants()).events for spec in specs), commanded().events) for event in events}
 
 

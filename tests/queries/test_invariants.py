@@ -27,7 +27,12 @@ Row = dict[str, Any]
 Seeds = Callable[[list[Row]], list[int]]
 """Puts a defect into the rows and says at which positions it shows."""
 
-RUNS: tuple[tuple[Scenario, int], ...] = (("failure-recovery-chain", 12), ("failure-recovery-chain", 17), ("collaborative-delivery", 7))
+RUNS: tuple[tuple[Scenario, int], ...] = (
+    ("failure-recovery-chain", 12),
+    ("failure-recovery-chain", 17),
+    ("collaborative-delivery", 7),
+    ("collaborative-delivery", 15),
+)
 """Between them: relays, holds, reviews, an absent supervisor at an execution, and recovery at all four levels."""
 
 
@@ -287,9 +292,9 @@ MUTATED: tuple[tuple[str, Wiring], ...] = (
     ("i4", changed(RecoveryEscalated, level="fleet")),
     ("a5", changed(ExecutionStarted, supervised_by=None)),
     ("a2", changed(ExecutionStarted, executed_by="service/recovery")),
-    ("i3", FSAR._replace(decides={**FSAR.decides, StartAction: unchecked_start})),
-    ("a3", FSAR._replace(decides={**FSAR.decides, StartAction: unchecked_start})),
-    ("i3", FSAR._replace(decides={**FSAR.decides, DecideRoutine: unchecked_routine})),
+    ("i3", Wiring({**FSAR.decides, StartAction: unchecked_start}, FSAR.reacts)),
+    ("a3", Wiring({**FSAR.decides, StartAction: unchecked_start}, FSAR.reacts)),
+    ("i3", Wiring({**FSAR.decides, DecideRoutine: unchecked_routine}, FSAR.reacts)),
 )
 
 

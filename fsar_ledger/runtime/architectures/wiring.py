@@ -1,13 +1,14 @@
 """An architecture is a wiring: which handler decides a command, which reactions follow an event. It holds no state."""
 
 from types import ModuleType
-from typing import NamedTuple
+
+import msgspec
 
 from fsar_ledger.events import Event
 from fsar_ledger.runtime.handlers.commands import Command, Decide, React
 
 
-class Wiring(NamedTuple):
+class Wiring(msgspec.Struct, frozen=True, eq=False):
     """Handlers by command type (exactly one each) and reactions by event type (in order)."""
 
     decides: dict[type[Command], Decide]

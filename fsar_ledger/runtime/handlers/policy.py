@@ -28,7 +28,8 @@ class SetPolicyRule(PublicCommand):
 
 def own_policy(state: State, robot: str, capability: str | None, context: str | None) -> PolicyOutcome:
     """P_i(e, sigma): the strictest of the robot's open windows and of its rules. Paper: app:foundations."""
-    return stricter(in_force(state.world.local, robot), ruled(state.policy, "local", robot, capability, context) or "allow")
+    window = in_force(state.world.local, robot)
+    return stricter(window, ruled(state.policy, "local", robot, capability, context) or "allow") if state.policy else window
 
 
 def fleet_policy(state: State, robot: str, capability: str | None, context: str | None) -> PolicyOutcome:
@@ -36,7 +37,7 @@ def fleet_policy(state: State, robot: str, capability: str | None, context: str 
     if state.fleet.configuration == "without-policy-composition":
         return "allow"
     heard = state.knowledge.fleet_rule.get(robot, "allow")
-    return stricter(heard, ruled(state.policy, "fleet", robot, capability, context) or "allow")
+    return stricter(heard, ruled(state.policy, "fleet", robot, capability, context) or "allow") if state.policy else heard
 
 
 def compose(state: State, carried: PolicyOutcome, executor: str, capability: str, context: str | None) -> PolicyOutcome:
