@@ -174,7 +174,7 @@ def test_task_trust_in_the_context_of_a_task_ends_with_the_task() -> None:
 
 
 def test_in_a_run_trust_follows_the_record_and_the_state_is_still_the_fold_of_the_events() -> None:
-    one = governed("collaborative-delivery", (2, TrustThresholdsSet(1, 1, H_F)), run=7)
+    one = governed("collaborative-delivery", (2, TrustThresholdsSet(1, 1, H_F)), run=2)
     moved = [event for event in one.events if isinstance(event, TrustSet) and event.decided_by == TRUST]
     assert {event.reason for event in moved} == {"record"}
     assert {scope for event in moved for scope in [event.scope]} >= {"capability", "task"}, "one up, one down"
@@ -183,5 +183,5 @@ def test_in_a_run_trust_follows_the_record_and_the_state_is_still_the_fold_of_th
 
 
 def test_in_a_run_without_thresholds_nothing_moves() -> None:
-    one = governed("collaborative-delivery", run=7)
+    one = governed("collaborative-delivery", run=2)
     assert not any(isinstance(event, TrustSet) and event.decided_by is not None for event in one.events)
