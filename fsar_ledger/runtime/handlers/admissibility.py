@@ -46,8 +46,8 @@ def evaluate(state: State, request: Request, executor: str, is_reviewed: bool = 
     """The five conjuncts in the paper's order, then authority. Paper: eq:admissible.
 
     The approval of a request that was reviewed lifts reviews and no denial: a rule that denies by then stands, and an
-    open window of the executor's own that denies holds the start. A request through a relay rests on the executor's trust in the relay: each link is judged by itself. A revocation of
-    the requester's own right counts all the same.
+    open window of the executor's own that denies holds the start. A request through a relay rests on the executor's
+    trust in the relay: each link is judged by itself. A revocation of the requester's own right counts all the same.
     """
     about = (request.capability, request.task_id)
     if is_reviewed:
