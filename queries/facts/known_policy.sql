@@ -69,6 +69,7 @@ SELECT
     CASE WHEN bool_or(outcomes.outcome = 'deny') THEN 'deny' WHEN bool_or(outcomes.outcome = 'review') THEN 'review' ELSE 'allow' END AS outcome,
     CASE WHEN starts.denied_seq > greatest(starts.approved_seq, starts.admitted_seq) THEN starts.denied_seq END AS denied_seq
 FROM starts
--- What a supervisor approves is what was known by then.
-LEFT JOIN outcomes ON starts.run_id = outcomes.run_id AND starts.seq = outcomes.seq AND starts.approved_seq < outcomes.known_seq
+-- What a supervisor approves are the reviews that were known by then; a denial stands whatever was approved.
+LEFT JOIN outcomes
+    ON starts.run_id = outcomes.run_id AND starts.seq = outcomes.seq AND (outcomes.outcome = 'deny' OR starts.approved_seq < outcomes.known_seq)
 GROUP BY ALL

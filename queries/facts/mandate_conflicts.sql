@@ -1,35 +1,22 @@
--- Title: Refusals of what the fleet mandates and the executor's own policy denies, and whether the conflict was escalated
+-- Title: Refusals and holds of what the fleet mandates and the executor's own policy denies, and whether each conflict was escalated
 -- Paper: sec:architecture:fleet, sec:architecture:invariants (A3)
--- Grain: one row per RequestDenied event for reasons of policy at which rules of the fleet explicitly allow, and the executor's own policy denies
+-- Grain: one row per RequestDenied event for reasons of policy, and per ExecutionHeld event under the executor's own denial, at which rules of the
+--        fleet explicitly allow and the executor's own policy denies
 -- Units: time_us microseconds of run time; seq, mandate_seq, escalated_seq positions in the run
 -- NULL: escalated_seq when nobody was told of the conflict
 -- Example: fsar-ledger query facts/mandate_conflicts LEDGER
-WITH refusals AS (
-    SELECT
-        denied.run_id,
-        denied.seq,
-        denied.time_us,
-        denied.task_id,
-        denied.action_id,
-        denied.executed_by AS robot,
-        issued.capability
-    FROM request_denied AS denied
-    INNER JOIN request_issued AS issued ON denied.run_id = issued.run_id AND denied.action_id = issued.action_id AND denied.seq > issued.seq
-    WHERE denied.reason = 'policy'
-),
-
-mandated AS (
+WITH mandated AS (
     -- The fleet allows where every rule of it that applies does.
     SELECT
-        refusals.*,
+        stops.*,
         max(rules.seq) AS mandate_seq
-    FROM refusals
+    FROM policy_stops AS stops
     INNER JOIN policy_rules AS rules
         ON
-            refusals.run_id = rules.run_id AND refusals.robot = rules.robot AND rules.scope = 'fleet'
-            AND refusals.seq > rules.seq AND refusals.seq < coalesce(rules.until_seq, refusals.seq + 1)
-            AND (rules.capability IS NULL OR refusals.capability = rules.capability)
-            AND (rules.context IS NULL OR refusals.task_id = rules.context)
+            stops.run_id = rules.run_id AND stops.robot = rules.robot AND rules.scope = 'fleet'
+            AND stops.seq > rules.seq AND stops.seq < coalesce(rules.until_seq, stops.seq + 1)
+            AND (rules.capability IS NULL OR stops.capability = rules.capability)
+            AND (rules.context IS NULL OR stops.task_id = rules.context)
     GROUP BY ALL
     HAVING bool_and(rules.outcome = 'allow')
 ),
@@ -61,6 +48,8 @@ INNER JOIN policy_windows AS own
         AND (own.context IS NULL OR mandated.task_id = own.context)
 LEFT JOIN heard ON mandated.run_id = heard.run_id AND mandated.seq = heard.seq
 LEFT JOIN policy_conflict_escalated AS escalated
-    ON mandated.run_id = escalated.run_id AND mandated.action_id = escalated.action_id AND mandated.seq > escalated.seq
+    ON
+        mandated.run_id = escalated.run_id AND mandated.action_id = escalated.action_id
+        AND mandated.seq > escalated.seq AND mandated.previous_seq < escalated.seq
 WHERE coalesce(heard.outcome, 'allow') = 'allow'
 GROUP BY ALL

@@ -1,7 +1,7 @@
 -- Title: A3 broken: a known conflict of policies is passed over instead of escalated
 -- Paper: sec:architecture:invariants (A3), eq:policy
--- Grain: one row per start under a known review or deny that no supervisor had approved, after a refusal that nothing lifted, or after a hold that
---        nothing ended; per admission that is milder than what the request carried; and per refusal against a mandate that was not escalated
+-- Grain: one row per start under a known deny, or review that no supervisor had approved, after a refusal that nothing lifted, or after a hold that
+--        nothing ended; per admission that is milder than what the request carried; and per stop against a mandate that was not escalated
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a motion
 -- Example: fsar-ledger query invariants/a3_no_silent_policy_override LEDGER
@@ -38,7 +38,7 @@ findings AS (
         seq,
         CASE
             WHEN denied_seq IS NOT NULL THEN 'starts after the refusal at seq ' || denied_seq || ', which nothing lifted'
-            ELSE 'starts under a known ' || outcome || ' that no supervisor had approved'
+            ELSE 'starts under a known ' || CASE outcome WHEN 'deny' THEN 'deny' ELSE 'review that no supervisor had approved' END
         END AS found
     FROM known_policy
     WHERE denied_seq IS NOT NULL OR outcome <> 'allow'
@@ -64,7 +64,7 @@ findings AS (
     SELECT
         run_id,
         seq,
-        'refuses what the rule at seq ' || mandate_seq || ' mandates, and nobody was told of the conflict' AS found
+        'stops what the rule at seq ' || mandate_seq || ' mandates, and nobody was told of the conflict' AS found
     FROM mandate_conflicts
     WHERE escalated_seq IS NULL
 )

@@ -137,6 +137,16 @@ def test_a_start_under_the_robots_own_rule_is_known_to_be_denied() -> None:
     assert broken("i3", rule(1), rule(2, "allow"), started(3)) == []
 
 
+def test_an_approval_lifts_no_denial_that_is_known() -> None:
+    for robots in ("local", "fleet"):
+        history = (rule(1, scope=robots), reviewed(2, True), admitted(3), started(4))
+        assert broken("i3", *history) == broken("a3", *history) == [4]
+    carried = event("RequestIssued", 1, task_id="t1", action_id="t1/1", carried_policy="deny")
+    assert broken("i3", carried, reviewed(2, True), admitted(3), started(4)) == [4]
+    assert broken("a3", rule(1, "review"), reviewed(2, True), admitted(3), started(4)) == []
+    assert broken("a3", reviewed(1, True), admitted(2), rule(3, "review"), started(4)) == [4]
+
+
 def test_a_rule_of_the_fleet_counts_as_known_at_the_decision() -> None:
     assert broken("i3", rule(1, scope="fleet"), admitted(2), started(3)) == [3]
     assert broken("i3", admitted(1), rule(2, scope="fleet"), started(3)) == [], "set after the executor had decided"
@@ -164,6 +174,25 @@ MANDATE = rule(1, "allow", robot=None, scope="fleet")
 def test_a_conflict_of_mandate_and_own_denial_must_be_escalated() -> None:
     assert broken("a3", MANDATE, rule(2), ASKED, REFUSED) == [6]
     assert broken("a3", MANDATE, rule(2), ASKED, {**ESCALATED, "supervised_by": H_F}, REFUSED) == []
+
+
+def test_a_conflict_of_mandate_and_own_denial_at_the_start_must_be_escalated() -> None:
+    queued = event("ExecutionQueued", 4, task_id="t1", action_id="t1/1", robot="robot/B1", capability=DOOR)
+    held = event("ExecutionHeld", 6, task_id="t1", action_id="t1/1", robot="robot/B1", outcome="deny", reason="local-policy")
+    told = {**ESCALATED, "supervised_by": H_F}
+    assert broken("a3", MANDATE, queued, rule(5), held) == [6]
+    assert broken("a3", MANDATE, queued, rule(5), told, held) == []
+    assert broken("a3", queued, rule(5), held) == []
+    assert broken("a3", MANDATE, queued, rule(5, "review"), {**held, "outcome": "review"}) == []
+
+
+def test_every_refusal_is_told_of_by_itself() -> None:
+    told = {**ESCALATED, "supervised_by": H_F}
+    again, held = {**REFUSED, "time_us": 8}, event("ExecutionHeld", 9, task_id="t1", action_id="t1/1", robot="robot/B1", outcome="deny", reason="local-policy")
+    queued = event("ExecutionQueued", 8, task_id="t1", action_id="t1/1", robot="robot/B1", capability=DOOR)
+    assert broken("a3", MANDATE, rule(2), ASKED, told, REFUSED, again) == [8]
+    assert broken("a3", MANDATE, rule(2), ASKED, told, REFUSED, {**told, "time_us": 8}, again) == []
+    assert broken("a3", MANDATE, rule(2), ASKED, told, REFUSED, queued, held) == [9]
 
 
 @pytest.mark.parametrize(

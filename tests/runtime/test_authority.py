@@ -13,7 +13,7 @@ from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyRuleSet
 from fsar_ledger.events.request import RequestAdmitted, RequestClosed, RequestDenied
-from fsar_ledger.events.supervision import SupervisorResponded
+from fsar_ledger.events.supervision import SupervisionDensitySet, SupervisorResponded
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
@@ -221,6 +221,53 @@ def opened(name: str, outcome: Any) -> PolicyWindowOpened:
 
 
 START = StartAction("q1", drawn=5)
+
+
+def test_an_approval_lifts_no_rule_that_denies_by_then() -> None:
+    """Whether the review was wanted by policy or by density alone, the executor does not act against a rule; a mandate against it is escalated."""
+    mandate = PolicyRuleSet("fleet", None, DOOR, None, "allow", H_F)
+    own = PolicyRuleSet("local", "robot/B1", DOOR, None, "deny", H_B)
+    fleets = PolicyRuleSet("fleet", None, DOOR, None, "deny", H_F)
+    heard = FleetRuleLearned("robot/B1", "deny", 1)
+    dense = SupervisionDensitySet("robot/B1", 1, H_B, "")
+    cases: list[tuple[Event, tuple[Event, ...], list[str]]] = [
+        (opened("w1", "review"), (own,), ["RequestDenied"]),
+        (opened("w1", "review"), (fleets,), ["RequestDenied"]),
+        (opened("w1", "review"), (heard,), ["RequestDenied"]),
+        (dense, (own,), ["RequestDenied"]),
+        (dense, (mandate, own), ["PolicyConflictEscalated", "RequestDenied"]),
+    ]
+    for before, meanwhile, expected in cases:
+        state = given("fsar", before)
+        assert types(play(state, ASK, EvaluateRequest("q1"))) == ["SupervisorCalled"]
+        for event in meanwhile:
+            apply(state, event)
+        answer = play(state, *scheduled(state, APPROVAL))
+        assert types(answer) == expected
+        assert answer[-1].reason == "policy"
+
+
+def test_an_approval_stands_while_a_window_denies_and_the_start_waits_for_it_to_close() -> None:
+    state = given("fsar", opened("w1", "review"))
+    play(state, ASK, EvaluateRequest("q1"))
+    apply(state, opened("w2", "deny"))
+    assert types(play(state, *scheduled(state, APPROVAL))) == ["RequestAdmitted", "ExecutionQueued"]
+    assert types(play(state, TakeTurn("q1"), START)) == ["ExecutionHeld"]
+    [again] = scheduled(state, PolicyWindowClosed("robot/B1", "local", "w2"))
+    assert isinstance(again, StartAction)
+    assert types(play(state, START)) == ["ExecutionStarted"]
+
+
+def test_what_was_approved_and_then_held_by_a_rule_starts_when_the_rule_is_lifted_although_the_approved_one_stands() -> None:
+    rule = PolicyRuleSet("local", "robot/B1", DOOR, None, "review", H_B)
+    state = approved(rule)
+    broad = PolicyRuleSet("local", "robot/B1", None, None, "deny", H_B)
+    apply(state, broad)
+    assert types(play(state, START)) == ["ExecutionHeld"]
+    assert scheduled(state, msgspec.structs.replace(broad, outcome="review")) == []
+    [again] = scheduled(state, msgspec.structs.replace(broad, outcome="allow"))
+    assert isinstance(again, StartAction)
+    assert types(play(state, START)) == ["ExecutionStarted"]
 
 
 def test_an_approval_covers_the_windows_that_were_open_when_it_was_given() -> None:

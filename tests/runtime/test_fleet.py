@@ -15,6 +15,7 @@ from fsar_ledger.projections.registry import advertisement, possesses, surface
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.availability import REACTS as REPORTS
 from fsar_ledger.runtime.architectures.fsar.availability import ReportActuator, report_actuator
+from fsar_ledger.runtime.handlers.attribution import nearest_first
 from fsar_ledger.runtime.handlers.commands import Command
 from fsar_ledger.runtime.handlers.fleet import DECIDES, InstallCapability, JoinFleet, RemoveCapability, execution_state
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
@@ -31,6 +32,12 @@ def test_a_robot_joins_and_neither_possesses_nor_trusts_anything_yet() -> None:
     state = given("fsar", joined)
     assert state.fleet.robots["robot/E1"].domain == "hall/cell"
     assert (list(surface(state.registry, "robot/E1")), execution_state(state, "robot/E1")) == ([], "idle")
+
+
+def test_the_teams_of_robots_that_join_later_are_as_far_away_as_their_numbers_say() -> None:
+    state = given("fsar", *(RobotJoined(f"robot/E{team}", "E", team, None) for team in (2, 3, 4)))
+    near = ["robot/B1", "robot/E2", "robot/E3", "robot/E4"]
+    assert nearest_first(state, near, "robot/E3") == ("robot/E3", "robot/E4", "robot/B1", "robot/E2")
 
 
 def test_a_robot_without_a_supervisor_of_its_own_may_join() -> None:
@@ -63,6 +70,8 @@ QUEUED = ExecutionQueued("t", "t/1", "robot/A1", "robot/B1", None, "robot/B1", "
         ((), JoinFleet("A9", "A", 1), "no robot's name"),
         ((), JoinFleet("robot/", "A", 1), "no robot's name"),
         ((), JoinFleet("robot/E/1", "A", 1), "no robot's name"),
+        ((), JoinFleet("robot/ E", "A", 1), "no robot's name"),
+        ((), JoinFleet("robot/E 1", "A", 1), "no robot's name"),
         ((), JoinFleet("robot/E1", "", 1), "expected a role"),
         ((), JoinFleet("robot/E1", "E", 0), "team from 1"),
         ((), JoinFleet("robot/E1", "E", 1, "supervisor/A1"), "expected supervisor/E1 or none"),

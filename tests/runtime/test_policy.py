@@ -19,8 +19,8 @@ from fsar_ledger.projections.policy import INITIAL, evolve, ruled
 from fsar_ledger.projections.world import stricter
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, decide_own_step, start
-from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request
-from fsar_ledger.runtime.handlers.commands import StartAction
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request, take_turn
+from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.policy import SetPolicyRule, compose, conflict, own_policy, set_policy_rule
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, types, window
@@ -121,6 +121,23 @@ def test_a_matter_of_one_robot_alone_is_escalated_to_its_own_supervisor() -> Non
     state = given("fsar", window(B), rule("allow", scope="fleet"))
     [escalated] = conflict(state, None, None, B, B, DOOR)
     assert escalated.supervised_by == H_B
+
+
+def test_a_mandate_against_a_denial_that_holds_the_start_is_escalated_at_every_hold() -> None:
+    state = given("fsar", *REQUESTED, rule("allow", robot=None, capability=DOOR, scope="fleet"))
+    for event in (*evaluate_request(state, EvaluateRequest("A1-1/2.1")), rule("deny")):
+        apply(state, event)
+    for event in take_turn(state, TakeTurn("A1-1/2.1")):
+        apply(state, event)
+    escalated, held = start(state, StartAction("A1-1/2.1", now_us=5, drawn=7))
+    assert escalated == PolicyConflictEscalated("A1-1", "A1-1/2.1", POLICY, A, B, H_F, (POLICY,), DOOR, "deny", "allow")
+    assert isinstance(held, ExecutionHeld)
+    assert held.outcome == "deny"
+    for event in (escalated, held):
+        apply(state, event)
+    assert types(start(state, StartAction("A1-1/2.1", now_us=9, drawn=7))) == ["PolicyConflictEscalated", "ExecutionHeld"]
+    apply(state, rule("review"))
+    assert types(start(state, StartAction("A1-1/2.1", now_us=9, drawn=7))) == ["ExecutionHeld"]
 
 
 @pytest.mark.parametrize(

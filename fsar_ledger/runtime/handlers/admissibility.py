@@ -9,7 +9,7 @@ import msgspec
 
 from fsar_ledger.events.authority import AuthorityGranted, AuthorityRevoked
 from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome, TrustScope
-from fsar_ledger.projections.authority import rank, right_of
+from fsar_ledger.projections.authority import Later, rank, right_of
 from fsar_ledger.projections.execution import INTERRUPTING, Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import ruled
@@ -19,7 +19,7 @@ from fsar_ledger.projections.trust import covers, scope_of
 from fsar_ledger.projections.world import stricter
 
 from .attribution import is_idle
-from .policy import compose, fleet_policy, own_policy
+from .policy import compose, fleet_policy, is_ruled_out, own_policy
 
 Conjunct = Literal["possession", "advertisement", "trust", "policy", "local-execution", "authority"]
 Verdict = Literal["accept", "defer", "negotiate", "review", "reject"]
@@ -43,13 +43,17 @@ class Evaluation(msgspec.Struct, frozen=True, gc=False):
 
 
 def evaluate(state: State, request: Request, executor: str, is_reviewed: bool = False) -> Evaluation:
-    """The five conjuncts in the paper's order, then authority; a request that was reviewed is not stopped by policy again. Paper: eq:admissible.
+    """The five conjuncts in the paper's order, then authority. Paper: eq:admissible.
 
-    A request through a relay rests on the executor's trust in the relay: each link is judged by itself. A revocation of
-    the requester's own right counts all the same.
+    The approval of a request that was reviewed lifts reviews and no denial: a rule that denies by then stands, and an
+    open window of the executor's own that denies holds the start. A request through a relay rests on the executor's
+    trust in the relay: each link is judged by itself. A revocation of the requester's own right counts all the same.
     """
     about = (request.capability, request.task_id)
-    outcome = "allow" if is_reviewed else compose(state, request.carried, executor, *about)
+    if is_reviewed:
+        outcome: PolicyOutcome = "deny" if is_ruled_out(state, request.carried, executor, *about) else "allow"
+    else:
+        outcome = compose(state, request.carried, executor, *about)
     is_blind = state.fleet.configuration == "without-trust-evaluation"
     trust = None if is_blind else scope_of(state.trust, executor, asker(request), *about)
     conjunct = failing(state, request, executor, trust, outcome)
@@ -136,14 +140,22 @@ def preemptible(state: State, robot: str, override: OverrideLevel) -> Action | N
 
 
 def holding(state: State, action: Action) -> tuple[PolicyOutcome, PolicyOutcome]:
-    """What the executor's own policy and the fleet's rule, as last heard, say to a start now; an approval covers what was known when it was given.
+    """What the executor's own policy and the fleet's rule, as last heard, say to a start now; an approval lifts the reviews known when it was given.
 
     Paper: eq:policy, sec:architecture:fleet (never a silent override).
     """
     about = (action.robot, action.capability, action.task_id)
+    own, fleet = own_policy(state, *about), fleet_policy(state, *about)
     later = state.authority.approvals.get(action.action_id)
     if later is None:
-        return own_policy(state, *about), fleet_policy(state, *about)
+        return own, fleet
+    own_later, fleet_later = _came_later(state, action, later)
+    return own if own == "deny" else own_later, fleet if fleet == "deny" else fleet_later
+
+
+def _came_later(state: State, action: Action, later: Later) -> tuple[PolicyOutcome, PolicyOutcome]:
+    """The executor's own policy and the fleet's rule as they would be had only that been said which came after the approval."""
+    about = (action.robot, action.capability, action.task_id)
     rules = {rule: outcome for rule, outcome in state.policy.items() if rule in later.rules}
     own = ruled(rules, "local", *about) or "allow"
     for window, outcome in state.world.local.get(action.robot, ()):

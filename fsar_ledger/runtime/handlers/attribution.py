@@ -43,7 +43,7 @@ def is_idle(state: State, robot: str) -> bool:
 
 def nearest_first(state: State, robots: list[str], near: str) -> tuple[str, ...]:
     """The robots in order of team distance: the same team first, then cyclic."""
-    teams = max(1, state.fleet.size // 4)
+    teams = state.fleet.teams
     home = state.fleet.robots[near].team
     return tuple(sorted(robots, key=lambda name: ((state.fleet.robots[name].team - home) % teams, name)))
 

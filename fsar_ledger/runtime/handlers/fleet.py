@@ -75,7 +75,7 @@ def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
     robot, wrong = command.robot, None
     if robot in state.fleet.robots:
         wrong = f"{robot} is a member already"
-    elif not robot.removeprefix("robot/") or robot.count("/") != 1 or not robot.startswith("robot/"):
+    elif not _is_robots_name(robot):
         wrong = f"{robot!r} is no robot's name, expected one such as robot/A1"
     elif not command.role or command.team < 1:
         wrong = f"role {command.role!r} of team {command.team}, expected a role and a team from 1"
@@ -86,6 +86,12 @@ def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
     if wrong is not None:
         return rejected(command, robot, wrong, command.issued_by)
     return (RobotJoined(robot, command.role, command.team, command.supervisor, command.domain),)
+
+
+def _is_robots_name(name: str) -> bool:
+    """True for `robot/` and one word."""
+    word = name.removeprefix("robot/")
+    return word != name and "/" not in word and word.split() == [word]
 
 
 def install_capability(state: State, command: InstallCapability) -> tuple[Event, ...]:

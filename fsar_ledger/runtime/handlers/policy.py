@@ -9,8 +9,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import ruled
 from fsar_ledger.projections.world import in_force, stricter
 
-from .commands import Decides, PublicCommand, Reacts, Scheduled
-from .execution import start_action
+from .commands import Decides, PublicCommand, Reacts
 from .rejection import expired_context, not_in_charge, rejected, unknown_capability, unknown_robot
 from .supervision import supervisor_for
 
@@ -46,6 +45,14 @@ def compose(state: State, carried: PolicyOutcome, executor: str, capability: str
     if state.fleet.configuration == "without-policy-composition":
         return own
     return stricter(carried, stricter(own, fleet_policy(state, executor, capability, context)))
+
+
+def is_ruled_out(state: State, carried: PolicyOutcome, executor: str, capability: str, context: str | None) -> bool:
+    """True when a rule of the executor's own or of the fleet, or the requester's policy, denies; an open window of the executor's own is no rule."""
+    own = ruled(state.policy, "local", executor, capability, context)
+    if state.fleet.configuration == "without-policy-composition":
+        return own == "deny"
+    return "deny" in (own, carried, fleet_policy(state, executor, capability, context))
 
 
 def conflict(
@@ -85,17 +92,5 @@ def _unfit(state: State, command: SetPolicyRule) -> str | None:
     return refused
 
 
-def _on_rule(state: State, event: PolicyRuleSet, _now_us: int) -> tuple[Scheduled, ...]:
-    """What waits for a robot's own policy tries again when that may have changed; what polls the fleet's does so by itself."""
-    if event.scope == "fleet":
-        return ()
-    actions = (state.execution.actions.get(held) for robot, held in state.execution.current.items() if event.robot in (None, robot))
-    return tuple(
-        start_action(action.action_id, action.capability)
-        for action in actions
-        if action is not None and action.stage == "held" and own_policy(state, action.robot, action.capability, action.task_id) == "allow"
-    )
-
-
 DECIDES: Decides = {SetPolicyRule: set_policy_rule}
-REACTS: Reacts = {PolicyRuleSet: _on_rule}
+REACTS: Reacts = {}

@@ -3,6 +3,8 @@
 What is asked here goes the way of every request: the executor evaluates it under its own runtime.
 """
 
+from typing import get_args
+
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import OverrideLevel, Result
 from fsar_ledger.events.execution import ExecutionFinished
@@ -99,6 +101,8 @@ def _impossible(state: State, command: RequestCapability) -> str | None:
         return expired
     if not command.context or not command.action_id:
         return "the context or the action has no name, expected both"
+    if ":" in command.action_id:
+        return f"action name {command.action_id!r}, expected a name without a colon"
     task = command.action_id.rpartition("/")[0]
     if command.action_id in state.request or task in state.task or task in state.context:
         return f"the name {command.action_id} is taken, expected a new one"
@@ -176,6 +180,8 @@ def _not_executed(request: Request | None) -> str:
 
 def _not_reportable(state: State, action: Action, command: ReportResult) -> str | None:
     """Why this is no result that the executor can report now, or None; a failure is first handled by its own recovery."""
+    if command.result not in get_args(Result):
+        return f"unknown result {command.result}, expected one of {', '.join(get_args(Result))}"
     if action.robot != command.executor:
         return f"{action.robot} executes it, expected the report of that robot"
     if action.stage not in ("running", "paused"):

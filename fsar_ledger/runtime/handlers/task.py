@@ -34,25 +34,33 @@ def submit_task(state: State, command: SubmitTask) -> tuple[Event, ...]:
 
 def _impossible(state: State, command: SubmitTask) -> str | None:
     """Why nobody could do the task, or None."""
-    if not command.task_id or "/" in command.task_id:
-        return f"task name {command.task_id!r}, expected a name without a slash"
-    known = {request.task_id for request in state.request.values()}
-    if command.task_id in state.task or command.task_id in state.context or command.task_id in known:
+    if not command.task_id or "/" in command.task_id or ":" in command.task_id:
+        return f"task name {command.task_id!r}, expected a name without a slash or a colon"
+    if command.task_id in state.task or command.task_id in state.context or _is_named(state, command.task_id):
         return f"the name {command.task_id} is taken, expected a new one"
     if command.budget_us <= 0 or not command.steps:
         return f"{len(command.steps)} steps in {command.budget_us} microseconds, expected at least one step and some time"
+    places = [str(number) for number in range(1, len(command.steps) + 1)]
+    unknown = [place for place in command.checkpoints or () if place not in places]
+    if unknown:
+        return f"checkpoint {unknown[0]!r}, expected the numbers of steps, 1 to {len(places)}"
     team = state.fleet.robots[command.robot].team
     for step in command.steps:
         match step.split(" "):
             case [actor, capability]:
                 able = possesses(state.registry, f"robot/{actor}{team}", capability)
-            case [actor, capability, _]:
+            case [actor, capability, target] if target:
                 able = f"robot/{actor}{team}" in state.fleet.robots and any(possesses(state.registry, name, capability) for name in state.fleet.robots)
             case _:
                 able = False
         if not able:
             return f"step {step!r}, expected ACTOR CAPABILITY [TARGET] of the robot's team, with a capability that somebody possesses"
     return None
+
+
+def _is_named(state: State, task_id: str) -> bool:
+    """True when a request is in the context of that name, or has the name that a step of such a task would have."""
+    return any(request.task_id == task_id or name.startswith(task_id + "/") for name, request in state.request.items())
 
 
 def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:

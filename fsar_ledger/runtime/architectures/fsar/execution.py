@@ -3,6 +3,7 @@
 from fsar_ledger.events import Event
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionPaused, ExecutionQueued, OwnStepDecided, RoutinePerformed, RoutineWithheld
 from fsar_ledger.events.knowledge import FleetRuleLearned
+from fsar_ledger.events.policy import PolicyRuleSet
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections.execution import Action
@@ -12,7 +13,7 @@ from fsar_ledger.runtime.handlers.admissibility import holding
 from fsar_ledger.runtime.handlers.attribution import on_shift, principals
 from fsar_ledger.runtime.handlers.commands import Command, DecideRoutine, Decides, Reacts, ResumeAction, Scheduled, StartAction, message
 from fsar_ledger.runtime.handlers.execution import holds_robot, pause_running, start_action, started
-from fsar_ledger.runtime.handlers.policy import fleet_policy, own_policy
+from fsar_ledger.runtime.handlers.policy import conflict, fleet_policy, own_policy
 
 
 class DecideOwnStep(Command):
@@ -46,7 +47,8 @@ def decide_own_step(state: State, command: DecideOwnStep) -> tuple[Event, ...]:
 def start(state: State, command: StartAction) -> tuple[Event, ...]:
     """The action runs, unless the robot's own policy (or, for an own step, the fleet's rule as last heard) holds it.
 
-    What a supervisor approved lifts only what was known then. Paper: sec:architecture:fleet (never a silent override).
+    What a supervisor approved lifts only the reviews known then; that the fleet mandates what is held here is escalated.
+    Paper: sec:architecture:fleet (never a silent override).
     """
     action = state.execution.actions.get(command.action_id)
     if action is None or action.stage not in ("queued", "approaching", "held", "polling", "preempted") or not holds_robot(state, action):
@@ -56,7 +58,8 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     local, rule = holding(state, action)
     if local != "allow":
         decided_by = None if action.is_delegated or action.was_denied else action.robot
-        return (_held(state, action, local, "local-policy", decided_by),)
+        clash = conflict(state, action.task_id, action.action_id, action.on_behalf_of, action.robot, action.capability)
+        return (*clash, _held(state, action, local, "local-policy", decided_by))
     if rule != "allow" and not action.is_delegated:
         return (_held(state, action, rule, "fleet-rule", None),)
     return (started(state, action, command),)
@@ -104,9 +107,20 @@ def _on_hold(state: State, event: ExecutionHeld, _now_us: int) -> tuple[Schedule
 
 
 def _on_window_closed(state: State, event: PolicyWindowClosed, now_us: int) -> tuple[Scheduled, ...]:
+    return _on_fleet_rule(state, event, now_us) if event.scope == "fleet" else _let_go(state, event.robot)
+
+
+def _on_rule(state: State, event: PolicyRuleSet, _now_us: int) -> tuple[Scheduled, ...]:
+    """What waits for a robot's own policy tries again when that may have changed; what polls the fleet's does so by itself."""
     if event.scope == "fleet":
-        return _on_fleet_rule(state, event, now_us)
-    action = state.execution.actions.get(state.execution.current.get(event.robot, ""))
+        return ()
+    robots = tuple(state.execution.current) if event.robot is None else (event.robot,)
+    return tuple(start for robot in robots for start in _let_go(state, robot))
+
+
+def _let_go(state: State, robot: str) -> tuple[Scheduled, ...]:
+    """The robot starts what its own policy held, if nothing holds it any more."""
+    action = state.execution.actions.get(state.execution.current.get(robot, ""))
     if action is None or action.stage != "held" or holding(state, action)[0] != "allow":
         return ()
     return (start_action(action.action_id, action.capability),)
@@ -135,6 +149,7 @@ REACTS: Reacts = {
     ExecutionHeld: _on_hold,
     PolicyWindowOpened: _on_fleet_rule,
     PolicyWindowClosed: _on_window_closed,
+    PolicyRuleSet: _on_rule,
     ExecutionPaused: _on_pause,
     ContextChanged: pause_running,
 }

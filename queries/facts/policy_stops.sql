@@ -1,0 +1,36 @@
+-- Title: What policy stops: refusals of requests, and holds of admitted actions under the executor's own denial
+-- Paper: eq:policy, sec:architecture:fleet
+-- Grain: one row per RequestDenied event for reasons of policy, and per ExecutionHeld event whose outcome is the executor's own denial
+-- Units: time_us microseconds of run time; seq, previous_seq positions in the run, previous_seq of the action's stop before this one (-1: none)
+-- NULL: task_id where the record names no task
+-- Example: fsar-ledger query facts/policy_stops LEDGER
+WITH stops AS (
+    SELECT
+        denied.run_id,
+        denied.seq,
+        denied.time_us,
+        denied.task_id,
+        denied.action_id,
+        denied.executed_by AS robot,
+        issued.capability
+    FROM request_denied AS denied
+    INNER JOIN request_issued AS issued ON denied.run_id = issued.run_id AND denied.action_id = issued.action_id AND denied.seq > issued.seq
+    WHERE denied.reason = 'policy'
+    UNION ALL
+    SELECT
+        held.run_id,
+        held.seq,
+        held.time_us,
+        held.task_id,
+        held.action_id,
+        held.robot,
+        queued.capability
+    FROM execution_held AS held
+    ASOF JOIN execution_queued AS queued ON held.run_id = queued.run_id AND held.action_id = queued.action_id AND held.seq > queued.seq
+    WHERE held.reason = 'local-policy' AND held.outcome = 'deny'
+)
+
+SELECT
+    *,
+    coalesce(lag(seq) OVER (PARTITION BY run_id, action_id ORDER BY seq), -1) AS previous_seq
+FROM stops
