@@ -4,25 +4,26 @@ from typing import assert_never
 
 import msgspec
 
+from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.request import RequestAdmitted
-from fsar_ledger.events.supervision import Purpose, SupervisionDensitySet, SupervisorCalled, SupervisorResponded
+from fsar_ledger.events.supervision import SupervisionDensitySet, SupervisorCalled, SupervisorResponded
 
-HANDLES = SupervisorCalled | SupervisorResponded | SupervisionDensitySet | RequestAdmitted
-
-Call = tuple[str, Purpose]  # action, what is asked about it
+HANDLES = SupervisorCalled | SupervisorResponded | SupervisionDensitySet | RequestAdmitted | FailureResolved
 
 
 class Supervision(msgspec.Struct, frozen=True, gc=False):
     """What stands between robots and their supervisors.
 
-    `approved`: actions whose review was approved; `calls`: the calls that are open, in order;
-    `review_every`: robot (None: every one) -> density; `admissions`: executor -> requests it has admitted.
+    `approved`: actions whose review was approved; `calls`: number of the call (from 1, within the run) -> the call,
+    while it is open; `review_every`: robot (None: every one) -> density; `admissions`: executor -> requests it has
+    admitted; `called`: how many calls there were.
     """
 
     approved: frozenset[str] = frozenset()
-    calls: dict[Call, SupervisorCalled] = {}
+    calls: dict[int, SupervisorCalled] = {}
     review_every: dict[str | None, int] = {}
     admissions: dict[str, int] = {}
+    called: int = 0
 
 
 INITIAL = Supervision()
@@ -40,16 +41,22 @@ def evolve(state: Supervision, event: HANDLES) -> Supervision:
             if event.executed_by is None:
                 return state
             count = state.admissions.get(event.executed_by, 0) + 1
-            return Supervision(state.approved, state.calls, state.review_every, {**state.admissions, event.executed_by: count})
+            return Supervision(state.approved, state.calls, state.review_every, {**state.admissions, event.executed_by: count}, state.called)
         case SupervisorCalled():
-            calls = {**state.calls, (event.action_id, event.purpose): event}
-            return Supervision(state.approved, calls, state.review_every, state.admissions)
+            called = state.called + 1
+            return Supervision(state.approved, {**state.calls, called: event}, state.review_every, state.admissions, called)
         case SupervisorResponded():
-            answered = (event.action_id, event.purpose)
             approved = state.approved | {event.action_id} if event.purpose == "review" and event.approves else state.approved
-            calls = {name: call for name, call in state.calls.items() if name != answered}
-            return Supervision(approved, calls, state.review_every, state.admissions)
+            return Supervision(approved, _without(state.calls, event.action_id, event.purpose), state.review_every, state.admissions, state.called)
+        case FailureResolved():
+            calls = _without(state.calls, event.action_id, "recovery")
+            return Supervision(state.approved, calls, state.review_every, state.admissions, state.called)
         case SupervisionDensitySet():
-            return Supervision(state.approved, state.calls, {**state.review_every, event.robot: event.review_every}, state.admissions)
+            return msgspec.structs.replace(state, review_every={**state.review_every, event.robot: event.review_every})
         case _:
             assert_never(event)
+
+
+def _without(calls: dict[int, SupervisorCalled], action_id: str, purpose: str) -> dict[int, SupervisorCalled]:
+    """The calls that are open once this is settled: whoever answers first, answers for all who were asked the same."""
+    return {number: call for number, call in calls.items() if (call.action_id, call.purpose) != (action_id, purpose)}

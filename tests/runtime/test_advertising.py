@@ -11,7 +11,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityDeprecated, CapabilityInstalled, CapabilityWithdrawn
 from fsar_ledger.events.world import ActuatorDegraded
-from fsar_ledger.projections.fold import apply
+from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.registry import Contract, advertisement, possesses, surface
 from fsar_ledger.runtime.handlers.advertising import (
     DECIDES,
@@ -154,19 +154,28 @@ def test_what_names_something_unknown_over_or_impossible_is_rejected(events: tup
     assert reason in rejection.reason  # type: ignore[attr-defined]
 
 
+def rolling_out(state: State, events: tuple[Event, ...]) -> FinishRollOut:
+    """The command that will end the roll-out which these events, that the state takes in, have begun."""
+    commands = []
+    for event in events:
+        apply(state, event)
+        commands += [scheduled.command for scheduled in REACTS[CapabilityInstalled](state, event, 0)] if isinstance(event, CapabilityInstalled) else []
+    [command] = commands
+    assert isinstance(command, FinishRollOut)
+    return command
+
+
 def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on_its_terms() -> None:
     terms = CapabilityAdvertised(*DOOR, ("A",), trust_required="task", override_allowed="soft-priority", visibility="domain", embodiment=("arm",))
     state = given("fsar", terms)
     events = upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0", postconditions=("door.opened",)))
     assert types(events) == ["CapabilityInstalled", "AvailabilityChanged"]
-    for event in events:
-        apply(state, event)
+    begun = rolling_out(state, events)
     record = advertisement(state.registry, *DOOR)
     assert record is not None
     assert (record.version, record.availability) == ("1.0.0", "restricted")
-    [scheduled] = REACTS[AvailabilityChanged](state, events[-1], 0)
-    assert scheduled.command == FinishRollOut(*DOOR)
-    [shown] = finish_roll_out(state, FinishRollOut(*DOOR))
+    assert begun == FinishRollOut(*DOOR)
+    [shown] = finish_roll_out(state, begun)
     assert shown == CapabilityAdvertised(
         *DOOR, ("A",), "2.0.0", (), ("door.opened",), (), "task", override_allowed="soft-priority", embodiment=("arm",), visibility="domain"
     )
@@ -185,16 +194,41 @@ def test_an_upgrade_puts_nothing_on_the_surface_that_was_not_there() -> None:
     assert types(upgrade_capability(given("fsar", WITHDRAWN), UpgradeCapability(*DOOR, "2.0.0"))) == ["CapabilityInstalled"]
 
 
-def test_a_degraded_robot_shows_its_new_version_as_degraded() -> None:
-    state = given("fsar", ActuatorDegraded("robot/B1"))
-    for event in upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")):
+@pytest.mark.parametrize(
+    ("before", "meanwhile", "shown"),
+    [
+        (None, None, "ready"),
+        (AvailabilityChanged(*DOOR, "degraded", "actuator"), None, "degraded"),
+        (AvailabilityChanged(*DOOR, "busy", "tour"), None, "busy"),
+        (AvailabilityChanged("robot/B1", "door.open.basic", "degraded", "actuator"), None, "ready"),  # that is another capability
+        (ActuatorDegraded("robot/B1"), None, "ready"),  # nobody has noticed yet
+        (None, AvailabilityChanged("robot/B1", None, "ready", "all well"), "ready"),
+        (None, AvailabilityChanged("robot/B1", None, "offline", "charging"), "offline"),
+    ],
+)
+def test_a_new_version_is_as_available_as_the_robot_has_said(before: Event | None, meanwhile: Event | None, shown: str) -> None:
+    state = given("fsar", *([before] if before else []))
+    command = rolling_out(state, upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")))
+    for event in [meanwhile] if meanwhile else []:
         apply(state, event)
-    assert finish_roll_out(state, FinishRollOut(*DOOR))[0].availability == "degraded"  # type: ignore[attr-defined]
+    [advertised] = finish_roll_out(state, command)
+    assert isinstance(advertised, CapabilityAdvertised)
+    assert (advertised.version, advertised.availability) == ("2.0.0", shown)
 
 
-def test_a_restriction_that_is_no_roll_out_is_not_ended() -> None:
-    held_back = AvailabilityChanged(*DOOR, "restricted", "inspection")
-    assert REACTS[AvailabilityChanged](given("fsar", held_back), held_back, 0) == ()
+def test_an_upgrade_during_a_roll_out_is_shown_once() -> None:
+    state = given("fsar")
+    first = rolling_out(state, upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")))
+    apply(state, AvailabilityChanged(*DOOR, "ready", "in haste"))
+    second = rolling_out(state, upgrade_capability(state, UpgradeCapability(*DOOR, "3.0.0")))
+    [advertised] = finish_roll_out(state, first)
+    apply(state, advertised)
+    assert advertised.version == "3.0.0"  # type: ignore[attr-defined]
+    assert finish_roll_out(state, second) == ()
+
+
+def test_what_is_installed_and_not_advertised_is_not_rolled_out() -> None:
+    assert REACTS[CapabilityInstalled](given("fsar", GRIP), GRIP, 0) == ()
 
 
 VERSIONS = st.sampled_from(("1.0.0", "2.0.0", "3.0.0"))

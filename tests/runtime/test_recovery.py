@@ -6,6 +6,7 @@ from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityRevoked
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued
+from fsar_ledger.events.policy import PolicyRuleSet
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
     AssistanceRequested,
@@ -17,7 +18,7 @@ from fsar_ledger.events.recovery import (
     RecoveryEscalated,
     TaskStateTransferred,
 )
-from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityInstalled, RegistryQueried
+from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityInstalled, CapabilityWithdrawn, RegistryQueried
 from fsar_ledger.events.supervision import ActuatorServiced, SupervisorCalled
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import ActuatorDegraded, Grade, ObstructionAppeared, SupervisorLeft, SupervisorReturned
@@ -236,6 +237,57 @@ def test_a_spent_fleet_budget_ends_the_fleet_level() -> None:
     assert types(events) == ["RecoveryEscalated", "SupervisorCalled"]
     assert escalation(events) == ("fleet", "human", "budget exhausted")
     assert escalation(considered(failed(executing(), "fleet"), now_us=40_000_000))[2] == "budget exhausted"
+
+
+HEAVY = (D, "carry.heavy")
+
+
+@pytest.mark.parametrize(
+    ("before", "reason", "left_out_by"),
+    [
+        (CapabilityAdvertised(*HEAVY, trust_required="persistent"), "no trusted", "trust"),
+        (CapabilityAdvertised(*HEAVY, visible_to=("Z",)), "no capable", "visibility"),
+        (CapabilityAdvertised(*HEAVY, visibility="trust-gated"), "", None),
+        (CapabilityAdvertised(*HEAVY, policy_required=("other",)), "policy", "policy"),
+        (CapabilityAdvertised(*HEAVY, policy_required=("A1-1",)), "", None),
+        (CapabilityWithdrawn(*HEAVY, "jammed"), "no capable", None),
+        (AvailabilityChanged(*HEAVY, "restricted", "inspection"), "no capable", "availability"),
+        (TrustSet(D, A, "none", "carry.heavy"), "no trusted", "trust"),
+        (TrustSet(D, A, "none", "carry.package"), "no trusted", "trust"),
+        (PolicyRuleSet("local", D, "carry.heavy", None, "deny", "supervisor/D1"), "policy", "policy"),
+        (PolicyRuleSet("local", A, "carry.heavy", None, "review", "supervisor/A1"), "policy", None),
+        (PolicyRuleSet("fleet", None, "carry.heavy", None, "deny", "supervisor/fleet"), "policy", None),
+        (AuthorityRevoked(A, D, "carry.heavy", None, "human override", "supervisor/fleet"), "authority", None),
+    ],
+)
+def test_a_substitute_is_asked_for_its_own_capability_on_its_own_terms(before: Event, reason: str, left_out_by: str | None) -> None:
+    query, *helped = asked(failed(executing(A, "carry.package", before), "peer", "degradation"))
+    assert isinstance(query, RegistryQueried)
+    assert dict(zip(query.rejected, query.rejected_by, strict=True)).get(D) == left_out_by
+    found = escalation(tuple(helped))[2] if reason else ""
+    assert (found or "").removesuffix(" peer") == reason
+    assert ("AssistanceAdmitted" in types(tuple(helped))) is not bool(reason)
+    decided, *_ = considered(failed(executing(A, "carry.package", before), "fleet"))
+    assert isinstance(decided, ReassignmentDecided)
+    assert (decided.reason or "").removesuffix(" robot") == reason
+
+
+def test_a_robot_with_the_same_capability_is_asked_on_the_terms_of_its_advertisement() -> None:
+    for terms, reason in (
+        ({"trust_required": "persistent"}, "no trusted peer"),
+        ({"visible_to": ("Z",)}, "no capable peer"),
+        ({"policy_required": ("other",)}, "policy"),
+    ):
+        owned = (CapabilityInstalled(B, "carry.heavy", "1.0.0"), CapabilityAdvertised(B, "carry.heavy", **terms), TrustSet(B, D, "session"))
+        assert escalation(asked(failed(executing(D, "carry.heavy", *owned), "peer", "degradation")))[2] == reason
+
+
+def test_where_one_capability_does_not_suit_another_of_the_same_robot_may() -> None:
+    owned = (CapabilityInstalled(D, "carry.package", "1.0.0"), CapabilityAdvertised(D, "carry.package", trust_required="persistent"))
+    query, *helped = asked(failed(executing(A, "carry.package", *owned), "peer", "degradation"))
+    assert isinstance(query, RegistryQueried)
+    assert (query.candidates, query.rejected) == ((D,), ())
+    assert types(tuple(helped)) == ["AssistanceRequested", "AssistanceAdmitted"]
 
 
 # Level 4: people

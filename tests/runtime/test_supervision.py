@@ -38,6 +38,7 @@ REQUESTED = (ARRIVED, DELEGATED_STEP, RegistryQueried("A1-1", ACTION, A, B, None
 REVIEW = SupervisorCalled("A1-1", ACTION, H_F, "review")
 ORDERING = SupervisorCalled("A1-1", ACTION, H_F, "ordering", B, "A1-2/2.1")
 LOCAL = SupervisorCalled("A1-1", ACTION, H_B, "recovery")
+FLEETS = SupervisorCalled("A1-1", ACTION, H_F, "recovery")
 
 
 def refusal(events: tuple[Event, ...]) -> str:
@@ -97,14 +98,14 @@ def test_a_coordinator_too_does_not_command_what_was_disapproved() -> None:
 
 
 def test_the_order_of_two_commands_names_the_one_that_goes_first() -> None:
-    [response] = respond_to_call(given("fsar", *REQUESTED, ORDERING), RespondToCall(H_F, ACTION, preferred="A1-2/2.1"))
+    [response] = respond_to_call(given("fsar", *REQUESTED, ORDERING), RespondToCall(H_F, ACTION, True, preferred="A1-2/2.1"))
     assert response.preferred == "A1-2/2.1"  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize("is_degraded", [True, False])
 def test_a_robots_own_supervisor_resolves_its_failure_and_has_it_serviced(is_degraded: bool) -> None:
     state = failing(LOCAL, *([ActuatorDegraded(B)] if is_degraded else []))
-    for events in (respond_to_call(state, RespondToCall(H_B, ACTION)), respond(state, Respond(ACTION, "recovery"))):
+    for events in (respond_to_call(state, RespondToCall(H_B, ACTION, True)), respond(state, Respond(1))):
         assert events[0] == SupervisorResponded("A1-1", ACTION, H_B, A, B, H_B, (H_B,), "recovery")
         assert events[1:] == ((ActuatorServiced(B),) if is_degraded else ()) + (FailureResolved("A1-1", ACTION, B, 1, "human"),)
 
@@ -112,12 +113,12 @@ def test_a_robots_own_supervisor_resolves_its_failure_and_has_it_serviced(is_deg
 @pytest.mark.parametrize(
     ("call", "command", "reason"),
     [
-        (REVIEW, RespondToCall("supervisor/X9", ACTION), "unknown supervisor supervisor/X9"),
-        (REVIEW, RespondToCall(H_B, ACTION), "the call went to supervisor/fleet"),
-        (LOCAL, RespondToCall(H_F, ACTION), "the call went to supervisor/B1"),
-        (REVIEW, RespondToCall(H_F, "A1-1/9.9"), "no open call"),
-        (REVIEW, RespondToCall(H_F, ACTION, preferred=ACTION), f"{ACTION} does not compete"),
-        (ORDERING, RespondToCall(H_F, ACTION, preferred="A1-3/1.1"), "A1-3/1.1 does not compete"),
+        (REVIEW, RespondToCall("supervisor/X9", ACTION, True), "unknown supervisor supervisor/X9"),
+        (REVIEW, RespondToCall(H_B, ACTION, True), "the call went to supervisor/fleet"),
+        (LOCAL, RespondToCall(H_F, ACTION, True), "the call went to supervisor/B1"),
+        (REVIEW, RespondToCall(H_F, "A1-1/9.9", True), "no open call"),
+        (REVIEW, RespondToCall(H_F, ACTION, True, preferred=ACTION), f"{ACTION} does not compete"),
+        (ORDERING, RespondToCall(H_F, ACTION, True, preferred="A1-3/1.1"), "A1-3/1.1 does not compete"),
         (ORDERING, RespondToCall(H_F, ACTION, False), "found a disapproval of ordering"),
         (LOCAL, RespondToCall(H_B, ACTION, False), "found a disapproval of recovery"),
     ],
@@ -128,17 +129,47 @@ def test_an_answer_that_does_not_fit_is_rejected(call: SupervisorCalled, command
 
 def test_a_call_is_answered_once() -> None:
     state = given("fsar", *REQUESTED, REVIEW)
-    for event in respond_to_call(state, RespondToCall(H_F, ACTION)):
+    for event in respond_to_call(state, RespondToCall(H_F, ACTION, True)):
         apply(state, event)
-    assert refusal(respond_to_call(state, RespondToCall(H_F, ACTION))).startswith("no open call")
-    assert respond(state, Respond(ACTION, "review")) == ()
+    assert refusal(respond_to_call(state, RespondToCall(H_F, ACTION, True))).startswith("no open call")
+    assert respond(state, Respond(1)) == ()
 
 
 def test_an_answer_to_one_call_leaves_another_about_the_same_action_open() -> None:
     state = failing(REVIEW, LOCAL)
-    for event in respond_to_call(state, RespondToCall(H_F, ACTION)):
+    for event in respond_to_call(state, RespondToCall(H_F, ACTION, True)):
         apply(state, event)
-    assert list(state.supervision.calls) == [(ACTION, "recovery")]
+    assert list(state.supervision.calls.values()) == [LOCAL]
+
+
+def test_an_answer_is_that_of_the_supervisor_who_gave_it_even_when_another_was_called_meanwhile() -> None:
+    state = failing(LOCAL, FLEETS)
+    first, *_ = respond(state, Respond(1))
+    second, *_ = respond(state, Respond(2))
+    assert [(event.decided_by, event.supervised_by) for event in (first, second)] == [(H_B, H_B), (H_F, H_F)]  # type: ignore[attr-defined]
+    for event in respond(state, Respond(1)):
+        apply(state, event)
+    assert respond(state, Respond(2)) == ()
+
+
+def test_a_late_answer_about_one_failure_does_not_resolve_the_next() -> None:
+    state = failing(LOCAL)
+    for event in respond_to_call(state, RespondToCall(H_B, ACTION, True)):
+        apply(state, event)
+    apply(state, ExecutionFailed("A1-1", ACTION, B, 2, "degradation", 1, 9))
+    apply(state, LOCAL)
+    assert respond(state, Respond(1)) == ()
+    assert types(respond(state, Respond(2))) == ["SupervisorResponded", "FailureResolved"]
+
+
+def test_a_failure_that_is_over_leaves_no_call_about_it() -> None:
+    state = failing(REVIEW, LOCAL, FailureResolved("A1-1", ACTION, B, 1, "human"))
+    assert list(state.supervision.calls.values()) == [REVIEW]
+
+
+def test_a_supervisor_who_answers_says_whether_they_approve() -> None:
+    with pytest.raises(TypeError):
+        RespondToCall(H_F, ACTION)  # type: ignore[call-arg]
 
 
 @pytest.mark.parametrize(("issued_by", "robot"), [(H_B, B), (H_F, B), (H_F, None)])

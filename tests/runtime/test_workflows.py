@@ -179,7 +179,8 @@ def evaluated(state: State, action_id: str) -> tuple[Event, ...]:
 
 def answered(state: State, action_id: str) -> list[str]:
     """The requests that are evaluated again after H_F's answer, in this order."""
-    [answer] = respond(state, Respond(action_id, "ordering"))
+    [number] = [number for number, call in state.supervision.calls.items() if (call.action_id, call.purpose) == (action_id, "ordering")]
+    [answer] = respond(state, Respond(number))
     apply(state, answer)
     again = [one for react in wiring("fsar").reacts[SupervisorResponded] for one in react(state, answer, 0)]
     return [one.command.action_id for one in sorted(again, key=lambda one: one.after_us) if isinstance(one.command, EvaluateRequest)]

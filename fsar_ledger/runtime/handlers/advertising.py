@@ -13,7 +13,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Advertisement, Contract, Module, advertisement, surface
 
 from .commands import Command, Decides, PublicCommand, Reacts, Scheduled
-from .fleet import in_use, is_degraded, not_possessed
+from .fleet import in_use, not_possessed
 from .matching import contradiction, version_of, weaker
 from .rejection import rejected, unknown_robot
 
@@ -79,10 +79,11 @@ class UpgradeCapability(PublicCommand):
 
 
 class FinishRollOut(Command):
-    """The installed version may be shown."""
+    """The installed version may be shown, as available as the old one was said to be."""
 
     robot: str
     capability: str
+    availability: Availability = "ready"
 
 
 def advertise_capability(state: State, command: AdvertiseCapability) -> tuple[Event, ...]:
@@ -175,7 +176,10 @@ def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event,
 
 
 def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
-    """The new version is advertised on the terms of the old one, unless the old one was withdrawn or replaced meanwhile."""
+    """The new version is advertised on the terms of the old one, unless the old one was withdrawn or replaced meanwhile.
+
+    What the robot has reported of its availability meanwhile holds.
+    """
     record = _rolling_out(state, command.robot, command.capability)
     if record is None:
         return ()
@@ -192,7 +196,7 @@ def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
             record.trust_required,
             record.policy_required,
             record.override_allowed,
-            "degraded" if is_degraded(state, record.robot) else "ready",
+            command.availability if record.availability == "restricted" else record.availability,
             record.embodiment,
             record.visibility,
         ),
@@ -200,11 +204,9 @@ def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
 
 
 def _rolling_out(state: State, robot: str, capability: str) -> Advertisement | None:
-    """The restricted record of another version than the installed one, if there is one."""
+    """The record of another version than the installed one, if there is one."""
     module, record = state.registry.modules.get(robot, {}).get(capability), advertisement(state.registry, robot, capability)
-    if module is None or record is None or record.availability != "restricted" or record.version == module.version:
-        return None
-    return record
+    return None if module is None or record is None or record.version == module.version else record
 
 
 def _contract(command: AdvertiseCapability | UpgradeCapability, module: Module) -> Contract:
@@ -245,10 +247,10 @@ def _not_newer(version: str, known: str) -> str | None:
     return f"version {version} is not newer than {known}" if before is not None and found <= before else None
 
 
-def _on_restriction(state: State, event: AvailabilityChanged, _now_us: int) -> tuple[Scheduled, ...]:
-    if event.capability is None or _rolling_out(state, event.robot, event.capability) is None:
-        return ()
-    return (Scheduled(FinishRollOut(event.robot, event.capability)),)
+def _on_installation(state: State, event: CapabilityInstalled, _now_us: int) -> tuple[Scheduled, ...]:
+    """What is advertised in another version is rolled out; the record still says what it said before it was restricted."""
+    record = _rolling_out(state, event.robot, event.capability)
+    return () if record is None else (Scheduled(FinishRollOut(event.robot, event.capability, record.availability)),)
 
 
 DECIDES: Decides = {
@@ -259,4 +261,4 @@ DECIDES: Decides = {
     UpgradeCapability: upgrade_capability,
     FinishRollOut: finish_roll_out,
 }
-REACTS: Reacts = {AvailabilityChanged: _on_restriction}
+REACTS: Reacts = {CapabilityInstalled: _on_installation}

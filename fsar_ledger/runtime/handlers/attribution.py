@@ -8,7 +8,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import offers, surface
 
 BODIES = ("A", "B", "D")  # roles whose bodies can clear an obstruction
-SUBSTITUTES = {"carry.package": "D", "handover.dropoff": "D"}  # capability -> role that can stand in
+SUBSTITUTES = {"carry.package": "carry.heavy", "handover.dropoff": "carry.heavy"}  # capability -> one that can take its place
 
 
 def on_shift(state: State, robot: str) -> str | None:
@@ -62,11 +62,14 @@ def helpers(state: State, action: Action, cause: str) -> tuple[str, ...]:
 
 
 def stand_ins(state: State, action: Action) -> tuple[str, ...]:
-    """Every other robot that has the capability or can substitute for it, nearest team first."""
-    able = [offer.robot for offer in offers(state.registry.offers, action.capability) if offer.robot != action.robot]
-    role = SUBSTITUTES.get(action.capability)
-    able += [name for name, robot in state.fleet.robots.items() if robot.role == role and name != action.robot]
-    return nearest_first(state, able, action.robot)
+    """Every other robot that offers the capability or a substitute for it, nearest team first."""
+    able = {offer.robot for capability in means(action.capability) for offer in offers(state.registry.offers, capability)}
+    return nearest_first(state, [name for name in able if name != action.robot], action.robot)
+
+
+def means(capability: str) -> tuple[str, ...]:
+    """With which capabilities the step can be done: itself, and its substitute if there is one."""
+    return (capability, SUBSTITUTES[capability]) if capability in SUBSTITUTES else (capability,)
 
 
 def family(capability: str) -> str:

@@ -125,10 +125,9 @@ class CloseRequest(Command):
 
 
 class Respond(Command):
-    """The supervisor has made up their mind."""
+    """The supervisor who was called has made up their mind; `call` is its number within the run."""
 
-    action_id: str
-    purpose: str
+    call: int
 
 
 class EndAttempt(Command):

@@ -17,7 +17,7 @@ class RespondToCall(PublicCommand):
 
     supervisor: str
     action_id: str
-    approves: bool = True
+    approves: bool
     preferred: str | None = None
 
 
@@ -46,8 +46,8 @@ def is_due_for_review(state: State, executor: str) -> bool:
 
 def respond(state: State, command: Respond) -> tuple[Event, ...]:
     """The supervisor who was called has approved the review, ordered the commands, or resolved the failure; nothing if that is settled."""
-    call = state.supervision.calls.get((command.action_id, command.purpose))  # type: ignore[arg-type]
-    if call is None or (command.action_id not in state.request and command.action_id not in state.execution.actions):
+    call = state.supervision.calls.get(command.call)
+    if call is None or (call.action_id not in state.request and call.action_id not in state.execution.actions):
         return ()
     return _responded(state, call, True, first_in_order(state, call))
 
@@ -57,7 +57,7 @@ def respond_to_call(state: State, command: RespondToCall) -> tuple[Event, ...]:
     unknown = not_in_charge(state, command.supervisor, None)
     if unknown is not None:
         return rejected(command, command.action_id, unknown, command.supervisor)
-    calls = [call for (action_id, _), call in state.supervision.calls.items() if action_id == command.action_id]
+    calls = [call for call in state.supervision.calls.values() if call.action_id == command.action_id]
     call = next((call for call in calls if call.supervisor == command.supervisor), None)
     if call is None:
         found = f"the call went to {calls[0].supervisor}" if calls else "no open call"
@@ -114,7 +114,7 @@ def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Sched
     ordinal = action.failures if action is not None else 0
     share = state.fleet.structure.ordering_response_ppm if event.purpose == "ordering" else 1_000_000
     response = Draw("response", f"{event.action_id}/{event.purpose}/{ordinal}", share)
-    return (Scheduled(Respond(event.action_id, event.purpose), 0, (response,)),)
+    return (Scheduled(Respond(state.supervision.called), 0, (response,)),)
 
 
 DECIDES: Decides = {Respond: respond, RespondToCall: respond_to_call, SetSupervisionDensity: set_supervision_density}

@@ -1,56 +1,64 @@
 """FSAR: who may help with a failure or take the step over, and if nobody may, why. Paper: sec:model:recovery, levels 2 and 3.
 
-The checks are those of any request: who can and is there, trust, authority, policy, then whether the robot is free. What
-remains after one is judged by the next; the check after which nobody remains is the reason.
+The checks are those of any request: who can, shows it and is there, trust, authority, policy, then whether the robot
+is free. What remains after one is judged by the next; the check after which nobody remains is the reason. Reading: a
+substitute is asked for its own capability, so that its advertisement's terms are what counts, and what holds of the step's
+capability holds for it as well.
 """
 
 from collections.abc import Iterable
+from typing import NamedTuple
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityRevoked
+from fsar_ledger.events.envelope import PolicyOutcome
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.projections.authority import right_of
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
-from fsar_ledger.projections.trust import scope_of
+from fsar_ledger.projections.registry import Advertisement, advertisement
+from fsar_ledger.projections.trust import covers, scope_of
 from fsar_ledger.projections.world import stricter
-from fsar_ledger.runtime.handlers.attribution import family, helpers, is_idle, is_reachable, kin, on_shift, stand_ins
+from fsar_ledger.runtime.handlers.attribution import family, helpers, is_idle, is_reachable, kin, means, on_shift, stand_ins
 from fsar_ledger.runtime.handlers.execution import NAVIGATION
 from fsar_ledger.runtime.handlers.policy import compose, own_policy
+from fsar_ledger.runtime.handlers.registry import Filter, Query, rejecting_filter
 
 ASSISTING_SCOPES = ("task", "session", "persistent")  # capability scope does not cover assistance
 
 Found = tuple[str | None, str]  # who, or why nobody
 
 
+class Candidate(NamedTuple):
+    """A robot that could help, the capability of its own that it would use (the step's where its body is enough), and what leaves it out."""
+
+    robot: str
+    capability: str
+    left_out_by: Filter | None
+
+
 def peer(state: State, action: Action, recovery: Recovery) -> Found:
     """The nearest peer that can help, is trusted to, whose policy and the asking robot's allow it, and that is idle."""
     if state.fleet.configuration == "without-shared-registry":
         return None, "no shared registry"
-    able = [name for name in helpers(state, action, recovery.cause) if is_reachable(state, name)]
-    if not able:
-        return None, "no capable peer"
-    trusted = [name for name in able if _may_assist(state, name, action, recovery)]
-    if not trusted:
-        return None, "no trusted peer"
-    entitled = [name for name in trusted if _may_ask(state, action.robot, name, action)]
-    if not entitled:
-        return None, "authority"
-    asking = own_policy(state, action.robot, action.capability, action.task_id)
-    willing = [name for name in entitled if compose(state, asking, name, action.capability, action.task_id) == "allow"]
-    return _first_idle(state, willing, "policy", "peer busy")
+    found = _bodies(state, action) if recovery.cause == "obstruction" else _stand_ins(state, action, action.robot)
+    return _first(state, action, action.robot, found, "peer")
 
 
 def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event, ...]:
-    """The registry has answered which peers have a capability of this kind; an obstruction needs none, and is not asked about."""
+    """The registry has answered which peers have a capability of this kind; an obstruction needs none, and is not asked about.
+
+    Whoever offers something of the kind that does not do what has failed is left out by its contract.
+    """
     if recovery.cause == "obstruction" or state.fleet.configuration == "without-shared-registry":
         return ()
-    able = [name for name in stand_ins(state, action) if is_reachable(state, name)]
-    trusted = tuple(name for name in able if _may_assist(state, name, action, recovery))
-    unfit = tuple(name for name in kin(state, action.robot, action.capability) if name not in able)
-    distrusting = tuple(name for name in able if name not in trusted)
-    away = [name for name in unfit if not is_reachable(state, name)]
+    found = _stand_ins(state, action, action.robot)
+    fit = tuple(dict.fromkeys(one.robot for one in found if one.left_out_by is None))
+    left_out: dict[str, Filter] = {name: "contract" for name in kin(state, action.robot, action.capability) if name not in stand_ins(state, action)}
+    for one in found:
+        if one.left_out_by is not None and one.robot not in fit:
+            left_out.setdefault(one.robot, one.left_out_by)
     return (
         RegistryQueried(
             action.task_id,
@@ -59,16 +67,11 @@ def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event,
             action.executed_by,
             on_shift(state, action.robot),
             family(action.capability),
-            trusted,
-            rejected=unfit + distrusting,
-            rejected_by=tuple("availability" if name in away else "contract" for name in unfit) + ("trust",) * len(distrusting),
+            fit,
+            rejected=tuple(left_out),
+            rejected_by=tuple(left_out.values()),
         ),
     )
-
-
-def _may_assist(state: State, name: str, action: Action, recovery: Recovery) -> bool:
-    scope = scope_of(state.trust, name, action.robot, action.capability, action.task_id)
-    return scope in ASSISTING_SCOPES if recovery.cause == "obstruction" else scope != "none"
 
 
 def reassignee(state: State, action: Action) -> Found:
@@ -76,24 +79,72 @@ def reassignee(state: State, action: Action) -> Found:
     request = state.request.get(action.action_id)
     if action.capability == NAVIGATION or request is None:
         return None, "the robot's own way"
-    able = [name for name in stand_ins(state, action) if name != action.on_behalf_of and is_reachable(state, name)]
-    if not able:
-        return None, "no capable robot"
+    found = [one for one in _stand_ins(state, action, action.on_behalf_of) if one.robot != action.on_behalf_of]
+    return _first(state, action, action.on_behalf_of, found, "robot", request.carried)
+
+
+def _bodies(state: State, action: Action) -> list[Candidate]:
+    """Every other robot whose body could clear the way; that takes no capability, but a broader trust."""
     about = (action.capability, action.task_id)
-    trusted = [name for name in able if scope_of(state.trust, name, action.on_behalf_of, *about) != "none"]  # recovery keeps its trust gate
+    found: list[Candidate] = []
+    for name in helpers(state, action, "obstruction"):
+        is_trusted = scope_of(state.trust, name, action.robot, *about) in ASSISTING_SCOPES
+        found.append(Candidate(name, action.capability, "availability" if not is_reachable(state, name) else None if is_trusted else "trust"))
+    return found
+
+
+def _stand_ins(state: State, action: Action, asking: str) -> list[Candidate]:
+    """Every other robot with each capability that it could do the step with, as the registry would answer the robot that asks."""
+    found: list[Candidate] = []
+    for name in stand_ins(state, action):
+        for capability in means(action.capability):
+            record = advertisement(state.registry, name, capability)
+            if record is not None:
+                found.append(Candidate(name, capability, _left_out_by(state, action, asking, record)))
+    return found
+
+
+def _left_out_by(state: State, action: Action, asking: str, record: Advertisement) -> Filter | None:
+    """The filter that leaves the record out: who is not there before who does not trust. Recovery keeps its trust gate in every configuration."""
+    by = rejecting_filter(state, Query(asking, record.capability, action.task_id), record)
+    if by == "visibility":
+        return by
+    if record.availability in ("offline", "restricted"):
+        return "availability"
+    scopes = (scope_of(state.trust, record.robot, asking, capability, action.task_id) for capability in (record.capability, action.capability))
+    return by if all(covers(scope, record.trust_required) for scope in scopes) else "trust"
+
+
+def _first(state: State, action: Action, asking: str, found: list[Candidate], kind: str, carried: PolicyOutcome | None = None) -> Found:
+    """The nearest idle candidate that passes every check, or the check after which nobody remained."""
+    able = [one for one in found if one.left_out_by not in ("visibility", "availability")]
+    if not able:
+        return None, f"no capable {kind}"
+    trusted = [one for one in able if one.left_out_by != "trust"]
     if not trusted:
-        return None, "no trusted robot"
-    entitled = [name for name in trusted if _may_ask(state, action.on_behalf_of, name, action)]
+        return None, f"no trusted {kind}"
+    entitled = [one for one in trusted if _may_ask(state, asking, one, action)]
     if not entitled:
         return None, "authority"
-    asking = own_policy(state, action.on_behalf_of, *about)
-    willing = [name for name in entitled if stricter(asking, compose(state, request.carried, name, *about)) == "allow"]
-    return _first_idle(state, willing, "policy", "robot busy")
+    willing = [one.robot for one in entitled if one.left_out_by is None and _is_allowed(state, asking, one, action, carried)]
+    return _first_idle(state, willing, "policy", f"{kind} busy")
 
 
-def _may_ask(state: State, robot: str, name: str, action: Action) -> bool:
+def _is_allowed(state: State, asking: str, one: Candidate, action: Action, carried: PolicyOutcome | None) -> bool:
+    """True when the policies compose to allow: what the request carried, if there was one, and the asking robot's own beside it."""
+    for capability in {one.capability, action.capability}:
+        about = (capability, action.task_id)
+        own = own_policy(state, asking, *about)
+        outcome = compose(state, own, one.robot, *about) if carried is None else stricter(own, compose(state, carried, one.robot, *about))
+        if outcome != "allow":
+            return False
+    return True
+
+
+def _may_ask(state: State, asking: str, one: Candidate, action: Action) -> bool:
     """A revoked right stays revoked when something fails. Paper: sec:model:recovery."""
-    return not isinstance(right_of(state.authority, robot, name, action.capability, action.task_id), AuthorityRevoked)
+    rights = (right_of(state.authority, asking, one.robot, capability, action.task_id) for capability in {one.capability, action.capability})
+    return not any(isinstance(right, AuthorityRevoked) for right in rights)
 
 
 def _first_idle(state: State, willing: Iterable[str], nobody_willing: str, nobody_idle: str) -> Found:
