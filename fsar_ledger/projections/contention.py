@@ -11,19 +11,24 @@ HANDLES = SupervisorCalled | SupervisorResponded | RequestDeferred | RequestDeni
 
 
 class Order(msgspec.Struct, frozen=True, gc=False):
-    """Two actions were put before H_F; `has_joined`: the other one waits for the answer as well."""
+    """Two actions were put before H_F by the first of them; `preferred` is the one that goes first, once that is answered."""
 
     action_id: str
     other: str
-    has_joined: bool = False
     is_answered: bool = False
+    preferred: str | None = None
 
 
 class Contention(msgspec.Struct, frozen=True, gc=False):
-    """`orders`: action -> the order it was put in; `refused`: actions that were denied or had nobody to ask, and compete no more."""
+    """What competes, and in which order it goes.
 
-    orders: dict[str, Order] = {}
+    `orders`: the two actions -> their order; `arrived`: actions that wait at the executor for an order;
+    `refused`: actions that were denied or had nobody to ask, and compete no more.
+    """
+
+    orders: dict[tuple[str, str], Order] = {}
     refused: frozenset[str] = frozenset()
+    arrived: frozenset[str] = frozenset()
 
 
 INITIAL = Contention()
@@ -35,22 +40,21 @@ def evolve(state: Contention, event: HANDLES) -> Contention:
         case SupervisorCalled():
             if event.competing is None:
                 return state
-            return Contention({**state.orders, event.action_id: Order(event.action_id, event.competing)}, state.refused)
+            orders = {**state.orders, (event.action_id, event.competing): Order(event.action_id, event.competing)}
+            return Contention(orders, state.refused, state.arrived | {event.action_id})
         case SupervisorResponded():
-            known = state.orders.get(event.action_id)
-            if known is None or event.purpose != "ordering":
+            if event.purpose != "ordering":
                 return state
-            return _with(state, msgspec.structs.replace(known, is_answered=True))
+            answered = {
+                pair: msgspec.structs.replace(order, is_answered=True, preferred=event.preferred)
+                for pair, order in state.orders.items()
+                if order.action_id == event.action_id and not order.is_answered
+            }
+            return Contention({**state.orders, **answered}, state.refused, state.arrived)
         case RequestDeferred():
-            for order in state.orders.values():
-                if order.other == event.action_id and not order.is_answered:
-                    return _with(state, msgspec.structs.replace(order, has_joined=True))
-            return state
+            joins = any(order.other == event.action_id and not order.is_answered for order in state.orders.values())
+            return Contention(state.orders, state.refused, state.arrived | {event.action_id}) if joins else state
         case RequestDenied() | RequestUnanswered():
-            return state if event.action_id is None else Contention(state.orders, state.refused | {event.action_id})
+            return state if event.action_id is None else Contention(state.orders, state.refused | {event.action_id}, state.arrived)
         case _:
             assert_never(event)
-
-
-def _with(state: Contention, order: Order) -> Contention:
-    return Contention({**state.orders, order.action_id: order}, state.refused)

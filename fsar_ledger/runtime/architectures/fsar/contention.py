@@ -1,8 +1,8 @@
 """FSAR: two requests for one robot, one of them time-critical, are put in order by H_F. Paper: sec:prototype:workflows (Workflow 3).
 
 The policy resolver's outcome is then `review`: the request that was evaluated first calls H_F, the other joins the
-call, and both are evaluated again in the order that H_F has given. A request that has not reached the executor
-by then holds nobody up. Without a time-critical task requests wait in order of arrival.
+call, and both are evaluated again in the order that H_F has given: the second waits until the first is admitted or
+refused. A request that has not reached the executor by then holds nobody up. Without a time-critical task requests wait in order of arrival.
 """
 
 from fsar_ledger.events import Event
@@ -18,43 +18,54 @@ Context = tuple[str, str, str, str, str, str, str | None, tuple[str, ...]]  # th
 
 
 def put_in_order(state: State, request: Request, executor: str, context: Context) -> tuple[Event, ...]:
-    """H_F is called to order this admissible request and its rival, or it waits for the answer; nothing without a rival.
+    """H_F is called to order this admissible request and its rival, or it waits for an answer, or for whom H_F lets go first; nothing without a rival.
 
     Reading: a request competes from the detection of its gap until the executor has admitted it.
     """
-    rival = _rival(state, request, executor)
-    if rival is None:
+    rivals = _rivals(state, request, executor)
+    if not rivals:
         return ()
-    order = _order(state, request.action_id, rival.action_id)
-    if order is None:
-        return (SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "ordering", executor, rival.action_id),)
-    return () if order.is_answered else (RequestDeferred(*context),)
+    orders = [(order, rival) for rival in rivals if (order := _order(state, request.action_id, rival.action_id)) is not None]
+    if any(not order.is_answered or _goes_first(state, order, rival) for order, rival in orders):
+        return (RequestDeferred(*context),)
+    return () if orders else (SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "ordering", executor, rivals[0].action_id),)
 
 
 def in_order(state: State, action_id: str, preferred: str | None) -> tuple[str, ...]:
     """The requests that waited for H_F's answer about this action, in the order in which they go."""
-    order = state.contention.orders.get(action_id)
-    if order is None:
+    called = [pair for pair in state.contention.orders if pair[0] == action_id]
+    if not called:
         return ()
-    waiting = (order.action_id, order.other) if order.has_joined else (order.action_id,)
+    waiting = [name for name in called[-1] if name in state.contention.arrived]
     return tuple(sorted(waiting, key=lambda name: name != preferred))
 
 
-def _rival(state: State, request: Request, executor: str) -> Request | None:
-    """The first request of another task that is not yet admitted, for the same robot, where one of both is time-critical."""
+def held_up(state: State, action_id: str | None) -> tuple[str, ...]:
+    """The requests that waited for this one because H_F lets it go first."""
+    orders = state.contention.orders.values()
+    pairs = [(order.action_id, order.other) for order in orders if order.is_answered and order.preferred == action_id]
+    return tuple(name for pair in pairs for name in pair if name != action_id and name in state.contention.arrived)
+
+
+def _goes_first(state: State, order: Order, rival: Request) -> bool:
+    """True while the rival that H_F lets go first waits for the executor's word itself."""
+    return order.preferred == rival.action_id and rival.action_id in state.contention.arrived and rival.offered is None
+
+
+def _rivals(state: State, request: Request, executor: str) -> list[Request]:
+    """The requests of other tasks that are not yet admitted, for the same robot, where one of both is time-critical."""
     if not any(task.is_time_critical for task in state.task.values()):
-        return None
+        return []
+    found = []
     for other in state.request.values():
-        is_open = other.is_delegated and other.action_id not in state.execution.actions and other.action_id not in state.contention.refused
+        is_settled = other.is_accepted or other.is_over or other.action_id in state.execution.actions or other.action_id in state.contention.refused
         is_same_robot = other.candidates[0] == executor if other.candidates else other.capability == request.capability
         is_urgent = is_critical(state, request.task_id) or is_critical(state, other.task_id)
-        if other.task_id != request.task_id and other.task_id in state.task and is_open and is_same_robot and is_urgent:
-            return other
-    return None
+        if other.task_id != request.task_id and other.task_id in state.task and other.is_delegated and not is_settled and is_same_robot and is_urgent:
+            found.append(other)
+    return found
 
 
 def _order(state: State, one: str, other: str) -> Order | None:
-    for order in state.contention.orders.values():
-        if {order.action_id, order.other} == {one, other}:
-            return order
-    return None
+    orders = state.contention.orders
+    return orders.get((one, other)) or orders.get((other, one))

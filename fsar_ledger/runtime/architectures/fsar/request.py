@@ -30,7 +30,7 @@ from fsar_ledger.runtime.handlers.policy import conflict, own_policy
 from fsar_ledger.runtime.handlers.supervision import is_due_for_review
 from fsar_ledger.runtime.handlers.trust import trusts
 
-from .contention import in_order, put_in_order
+from .contention import held_up, in_order, put_in_order
 from .discovery import unanswered
 
 
@@ -104,7 +104,7 @@ def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
 def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...]:
     """The executor has admitted, countered or denied the request, or asked H_F for review. Paper: eq:admissible, phase 4."""
     request = state.request.get(command.action_id)
-    if request is None or not _is_open(state, request):
+    if request is None or not _is_open(state, request) or (request.action_id, "review") in state.supervision.calls:
         return ()
     return _judged(state, request, evaluate(state, request, request.candidates[0]), command.now_us)
 
@@ -232,8 +232,15 @@ def _on_relay(_state: State, event: RequestRelayed, _now_us: int) -> tuple[Sched
     return (Scheduled(EvaluateRequest(event.action_id), 0, (message(event.action_id, 3),)),)
 
 
-def _on_denial(state: State, event: RequestDenied, _now_us: int) -> tuple[Scheduled, ...]:
-    return _again(state, event.action_id)
+def _on_denial(state: State, event: RequestDenied, now_us: int) -> tuple[Scheduled, ...]:
+    return (*_again(state, event.action_id), *_let_pass(state, event, now_us))
+
+
+def _let_pass(state: State, event: RequestAdmitted | RequestCountered | RequestDenied, _now_us: int) -> tuple[Scheduled, ...]:
+    """Whom H_F has let go first is admitted, or waits for the executor no more: those that waited for it are judged again."""
+    if not state.contention.orders:
+        return ()
+    return tuple(Scheduled(EvaluateRequest(name), place) for place, name in enumerate(held_up(state, event.action_id), start=1))
 
 
 def _on_offer(state: State, event: OfferAnswered, _now_us: int) -> tuple[Scheduled, ...]:
@@ -290,6 +297,8 @@ REACTS: Reacts = {
     RegistryQueried: _on_answer,
     RequestIssued: _on_request,
     RequestRelayed: _on_relay,
+    RequestAdmitted: _let_pass,
+    RequestCountered: _let_pass,
     RequestDenied: _on_denial,
     OfferAnswered: _on_offer,
     RequestUnanswered: _on_unanswered,
