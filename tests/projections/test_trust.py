@@ -12,7 +12,7 @@ A, B = "robot/A1", "robot/B1"
 DOOR = "door.open.secure"
 ABOUT = st.tuples(st.sampled_from([None, DOOR, "door.open.basic"]), st.sampled_from([None, "t1", "t2"]))
 SCOPE = st.sampled_from(SCOPES)
-OF_REQUESTER, OF_EXECUTOR = (B, A, DOOR), (A, B, DOOR)
+OF_REQUESTER, OF_EXECUTOR = (B, A, DOOR, None), (A, B, DOOR, None)
 
 
 def folded(*events: object, of: Trust | None = None) -> Trust:
@@ -92,8 +92,8 @@ def test_success_after_a_reassignment_is_that_of_the_robot_that_executed() -> No
     other = "robot/D1"
     assert folded(issued(), failed(), closed(by=other)).records == {
         OF_EXECUTOR: Record(0, 1),
-        (A, other, DOOR): Record(1, 0),
-        (other, A, DOOR): Record(1, 0),
+        (A, other, DOOR, None): Record(1, 0),
+        (other, A, DOOR, None): Record(1, 0),
     }
 
 
@@ -111,3 +111,17 @@ def test_what_is_set_begins_the_rows_that_it_is_about_again() -> None:
     assert folded(TrustSet(B, A, "task", DOOR), of=state).records == {OF_EXECUTOR: Record(1, 0)}
     assert folded(TrustSet(B, A, "task"), of=state).records == {OF_EXECUTOR: Record(1, 0)}
     assert folded(TrustSet(B, A, "task", "carry.heavy"), of=state).records == state.records
+
+
+def test_results_count_for_the_trust_that_holds_in_their_context() -> None:
+    of_context = (B, A, DOOR, "t1")
+    assert folded(TrustSet(B, A, "task", DOOR, "t1"), issued(), denied("trust")).records == {of_context: Record(0, 1)}
+    assert folded(TrustSet(B, A, "task", None, "t1"), issued(), denied("trust")).records == {of_context: Record(0, 1)}
+    assert folded(TrustSet(B, A, "task", None, "t1"), TrustSet(B, A, "task", DOOR), issued(), denied("trust")).records == {OF_REQUESTER: Record(0, 1)}
+    assert folded(TrustSet(B, A, "task", DOOR, "t2"), issued(), denied("trust")).records == {OF_REQUESTER: Record(0, 1)}
+
+
+def test_what_is_set_for_one_context_leaves_the_rows_of_the_others() -> None:
+    state = folded(TrustSet(B, A, "task", DOOR, "t1"), issued(), closed())
+    assert folded(TrustSet(B, A, "task", DOOR), TrustSet(B, A, "task", DOOR, "t2"), of=state).records == state.records
+    assert folded(TrustSet(B, A, "session", None, "t1"), of=state).records == {OF_EXECUTOR: Record(1, 0)}

@@ -105,7 +105,7 @@ def test_a_promotion_begins_the_row_again_and_never_gives_persistent_trust() -> 
     state = results("success", "success", promote=1)
     [promoted] = assess_trust(state, AssessTrust(B, A, DOOR))
     apply(state, promoted)
-    assert (B, A, DOOR) not in state.trust.records
+    assert (B, A, DOOR, None) not in state.trust.records
     again = results("success", promote=1)
     apply(again, TrustSet(B, A, "session"))
     apply(again, RequestIssued("t1", "t1/9", "t1/9", A, A, B, None, (A,), DOOR, "allow"))
@@ -135,6 +135,19 @@ def test_the_record_makes_no_trust_where_there_is_none() -> None:
     apply(state, RequestIssued("t1", "t1/1", "t1/1", A, A, B, None, (A,), DOOR, "allow"))
     apply(state, RequestClosed("t1", "t1/1", "t1/1", None, A, B, None, ()))
     assert assess_trust(state, AssessTrust(B, A, DOOR)) == ()
+
+
+def test_what_happens_in_a_context_moves_the_trust_that_was_set_for_it() -> None:
+    """Trust in all else stays, be it broader or none."""
+    for general in ("none", "session"):
+        state = given("fsar", TrustThresholdsSet(2, 1, H_F), TrustSet(B, A, general), TrustSet(B, A, "task", DOOR, "t1"))
+        apply(state, RequestIssued("t1", "t1/1", "t1/1", A, A, B, None, (A,), DOOR, "allow"))
+        commands = scheduled(state, RequestDenied("t1", "t1/1", "t1/1", B, A, B, None, (B,), "authority"))
+        [command] = [one for one in commands if isinstance(one, AssessTrust)]
+        [moved] = assess_trust(state, command)
+        assert moved == TrustSet(B, A, "capability", DOOR, "t1", TRUST, "record")
+        apply(state, moved)
+        assert (scope_of(state.trust, B, A, DOOR, "t1"), scope_of(state.trust, B, A, DOOR, "t2")) == ("capability", general)
 
 
 def test_an_assessment_without_a_record_is_stale() -> None:

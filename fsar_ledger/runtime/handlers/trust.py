@@ -38,11 +38,12 @@ class SetTrustThresholds(PublicCommand):
 
 
 class AssessTrust(Command):
-    """The robot's record of the peer has changed."""
+    """The robot's record of the peer has changed, in the context (None: in those that no trust is set for)."""
 
     robot: str
     peer: str
     capability: str
+    context: str | None = None
 
 
 class ExpireTrust(Command):
@@ -85,9 +86,8 @@ def set_trust_thresholds(state: State, command: SetTrustThresholds) -> tuple[Eve
 
 def assess_trust(state: State, command: AssessTrust) -> tuple[Event, ...]:
     """Trust in the peer is one scope narrower or broader when the record has reached a threshold; what is none stays none. Paper: sec:model:trust."""
-    trust = state.trust
-    record = trust.records.get((command.robot, command.peer, command.capability))
-    scope = scope_of(trust, command.robot, command.peer, command.capability)
+    trust, key = state.trust, (command.robot, command.peer, command.capability, command.context)
+    record, scope = trust.records.get(key), scope_of(trust, *key)
     if record is None or scope == "none":
         return ()
     if 0 < trust.downgrade_after <= record.failures:
@@ -96,7 +96,7 @@ def assess_trust(state: State, command: AssessTrust) -> tuple[Event, ...]:
         moved = SCOPES[SCOPES.index(scope) + 1]
     else:
         return ()
-    return (TrustSet(command.robot, command.peer, moved, command.capability, None, TRUST, "record"),)
+    return (TrustSet(command.robot, command.peer, moved, command.capability, command.context, TRUST, "record"),)
 
 
 def expire_trust(state: State, command: ExpireTrust) -> tuple[Event, ...]:
