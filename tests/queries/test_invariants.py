@@ -27,7 +27,12 @@ Row = dict[str, Any]
 Seeds = Callable[[list[Row]], list[int]]
 """Puts a defect into the rows and says at which positions it shows."""
 
-RUNS: tuple[tuple[Scenario, int], ...] = (("failure-recovery-chain", 12), ("failure-recovery-chain", 17), ("collaborative-delivery", 7))
+RUNS: tuple[tuple[Scenario, int], ...] = (
+    ("failure-recovery-chain", 12),
+    ("failure-recovery-chain", 17),
+    ("collaborative-delivery", 7),
+    ("collaborative-delivery", 15),
+)
 """Between them: relays, holds, reviews, an absent supervisor at an execution, and recovery at all four levels."""
 
 
@@ -165,6 +170,64 @@ def at_its_start(seed: Seeds) -> Seeds:
     return seed_and_follow
 
 
+def in_place_before(name: str, inserted: str, change: dict[str, Any], kept: tuple[str, ...], **fields: Any) -> Seeds:
+    """An event that never was stands before one of this type, in place of another's that no invariant judges; it shows at itself."""
+
+    def seed(rows: list[Row]) -> list[int]:
+        for at in where(rows, name, **fields):
+            free = next((place for place in range(at - 1, max(at - 12, 0), -1) if is_free(rows[place]) and rows[place]["run_id"] == rows[at]["run_id"]), None)
+            if free is not None:
+                place = {column: rows[free][column] for column in ("run_id", "seq", "time_us", "caused_by")}
+                same = {column: rows[at][column] for column in kept}
+                rows[free] = {**dict.fromkeys(rows[free]), **place, **same, "type": f"{inserted}.v1", **change}
+                return [free]
+        raise AssertionError(f"no place before {name}")
+
+    return seed
+
+
+def without(name: str, shows_at: str, **fields: Any) -> Seeds:
+    """The last event of this type about an action is lost; it shows at the next one of the other type."""
+
+    def seed(rows: list[Row]) -> list[int]:
+        shown = where(rows, shows_at, **fields)[0]
+        about = {rows[shown]["action_id"], rows[shown]["failed_action"]} - {None}
+        key = rows[shown]["run_id"]
+        lost = [at for at in where(rows, name) if at < shown and rows[at]["run_id"] == key and about & {rows[at]["action_id"], rows[at]["failed_action"]}]
+        assert lost, f"no {name} before {shows_at}"
+        rows[lost[-1]] = {**rows[lost[-1]], "type": "PeersMet.v1", "action_id": None, "failed_action": None}
+        return [shown]
+
+    return seed
+
+
+def an_hour_later(name: str, **fields: Any) -> Seeds:
+    """This event and all that follows in its run come an hour later."""
+
+    def seed(rows: list[Row]) -> list[int]:
+        at = where(rows, name, **fields)[0]
+        for row in rows[at:]:
+            if row["run_id"] == rows[at]["run_id"]:
+                row["time_us"] += 3_600_000_000
+        return [at]
+
+    return seed
+
+
+def beyond(name: str, change: dict[str, int]) -> Seeds:
+    """The fleet was founded with another budget, which what was done overran."""
+
+    def seed(rows: list[Row]) -> list[int]:
+        at = where(rows, name)[0]
+        founded = next(place for place in where(rows, "RunStarted") if rows[place]["run_id"] == rows[at]["run_id"])
+        parameters = msgspec.json.decode(rows[founded]["parameters"])
+        parameters["structure"] |= change
+        rows[founded] = {**rows[founded], "parameters": msgspec.json.encode(parameters).decode()}
+        return [at]
+
+    return seed
+
+
 def joined_again(rows: list[Row]) -> list[int]:
     first, second = where(rows, "RobotJoined")[:2]
     rows[second] = {**rows[second], "robot": rows[first]["robot"]}
@@ -201,6 +264,17 @@ DEFECTS = (
     Defect("i4", "resolved below the level reached", forged("FailureResolved", {"level": "local"}, level="human")),
     Defect("i4", "the level is not recorded", forged("RecoveryEscalated", {"to_level": None})),
     Defect("i4", "recovery comes before the failure", swapped("ExecutionFailed", "RecoveryAttempted")),
+    Defect("i4", "a human is called before anything else", in_place_before("RecoveryAttempted", "SupervisorCalled", {"purpose": "recovery"}, ("action_id",))),
+    Defect("i4", "more attempts than the level has", beyond("RecoveryAttempted", {"local_attempts": 0})),
+    Defect("i4", "more helpers than the level has", beyond("AssistanceRequested", {"peer_helpers": 0})),
+    Defect("i4", "an attempt takes an hour for itself", forged("RecoveryAttempted", {"deadline_us": 3_600_000_000})),
+    Defect("i4", "an attempt after the time of its level", an_hour_later("RecoveryAttempted")),
+    Defect("i4", "help is asked after the time of its level", an_hour_later("AssistanceRequested")),
+    Defect("i4", "a reassignment after the time of its level", an_hour_later("ReassignmentDecided")),
+    Defect("i4", "an hour at the level of the fleet", an_hour_later("RecoveryEscalated", to_level="human")),
+    Defect("i4", "help that was never asked for", without("AssistanceRequested", "AssistanceAdmitted")),
+    Defect("i4", "resolved by a peer who did not help", without("AssistanceAdmitted", "FailureResolved", level="peer")),
+    Defect("i4", "resolved by a human who never answered", without("SupervisorResponded", "FailureResolved", level="human")),
     Defect("i5", "a routine without executor", forged("RoutinePerformed", {"executed_by": None})),
     Defect("i5", "a routine without requester", forged("RoutinePerformed", {"requested_by": None})),
     Defect("i5", "a routine without supervisor on shift", forged("RoutinePerformed", {"supervised_by": None}, supervised_by=lambda found: found is not None)),
