@@ -50,7 +50,7 @@ judged AS (
             WHEN type = 'FailureResolved.v1' AND coalesce(remedy_rank, 0) <> rank THEN 'resolved at level ' || level || ', where nothing was done'
             WHEN type = 'RecoveryEscalated.v1' AND coalesce(to_rank, 0) <> rank + 1
                 THEN 'recovery goes from ' || level || ' to ' || coalesce(to_level, 'an unknown level') || ', not one level outward'
-            WHEN type = 'RecoveryEscalated.v1' AND level <> 'local' AND reason IS DISTINCT FROM 'budget exhausted' AND time_us > ends_us
+            WHEN type = 'RecoveryEscalated.v1' AND level <> 'local' AND coalesce(reason, '') <> 'budget exhausted' AND time_us > ends_us
                 THEN 'recovery stays at level ' || level || ' after the time budget of its level'
         END AS found
     FROM timed
