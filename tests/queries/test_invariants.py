@@ -186,6 +186,18 @@ def in_place_before(name: str, inserted: str, change: dict[str, Any], kept: tupl
     return seed
 
 
+def revoked_before_admission(rows: list[Row]) -> list[int]:
+    """The right to ask was revoked before a request was admitted; it shows at the admission."""
+    for at in where(rows, "RequestAdmitted"):
+        free = next((place for place in range(at - 1, max(at - 12, 0), -1) if is_free(rows[place]) and rows[place]["run_id"] == rows[at]["run_id"]), None)
+        if free is not None:
+            place = {column: rows[free][column] for column in ("run_id", "seq", "time_us", "caused_by")}
+            said = {"type": "AuthorityRevoked.v1", "requested_by": rows[at]["requested_by"], "reason": "human override", "decided_by": "supervisor/fleet"}
+            rows[free] = {**dict.fromkeys(rows[free]), **place, **said}
+            return [at]
+    raise AssertionError("no place before an admission")
+
+
 def without(name: str, shows_at: str, **fields: Any) -> Seeds:
     """The last event of this type about an action is lost; it shows at the next one of the other type."""
 
@@ -254,6 +266,7 @@ DEFECTS = (
     Defect("i2", "the acceptance is lost", lost("RequestAccepted")),
     Defect("i2", "the execution comes before the acceptance", swapped("RequestAccepted", "ExecutionStarted")),
     Defect("i2", "the execution names another executor", of_delegated_start({"executed_by": "robot/Z1"})),
+    Defect("i2", "admitted against a revocation", revoked_before_admission),
     Defect("i3", "a refusal before the start", before_start("RequestDenied", {"reason": "policy"})),
     Defect("i3", "the request carried a deny", at_its_start(carried("deny"))),
     Defect("i3", "the robot's own policy denies the execution", under_its_own_deny("ExecutionStarted")),
