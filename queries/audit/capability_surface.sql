@@ -19,21 +19,27 @@ scopes (scope, breadth) AS (
 ),
 
 trusted AS (
-    -- What a robot has said of this capability goes before what it has said of all.
+    -- Visible_Gamma: the role, the domain around the requester, and, where it is trust-gated, some trust, which asking needs at any rate.
     SELECT
         surfaces.run_id,
         surfaces.robot,
         surfaces.capability,
         surfaces.trust_required,
         trust.peer,
-        arg_max(trust.scope, [(trust.capability IS NOT NULL)::BIGINT, trust.seq]) AS scope
+        arg_max(trust.scope, trust.precedence) AS scope
     FROM surfaces
-    INNER JOIN trust_set AS trust
+    INNER JOIN trust_precedence AS trust
         ON
             surfaces.run_id = trust.run_id AND surfaces.robot = trust.robot AND trust.context IS NULL AND trust.time_us <= $at_us::BIGINT
             AND (trust.capability IS NULL OR surfaces.capability = trust.capability)
     INNER JOIN robot_joined AS peers ON trust.run_id = peers.run_id AND trust.peer = peers.robot AND peers.time_us <= $at_us::BIGINT
-    WHERE len(surfaces.visible_to) = 0 OR list_contains(surfaces.visible_to, peers.role)
+    INNER JOIN robot_joined AS owners ON surfaces.run_id = owners.run_id AND surfaces.robot = owners.robot
+    WHERE
+        (len(surfaces.visible_to) = 0 OR list_contains(surfaces.visible_to, peers.role))
+        AND (
+            coalesce(surfaces.visibility, '') <> 'domain' OR coalesce(owners.domain, '') IN ('', peers.domain)
+            OR starts_with(peers.domain, owners.domain || '/')
+        )
     GROUP BY surfaces.run_id, surfaces.robot, surfaces.capability, surfaces.trust_required, trust.peer
 ),
 

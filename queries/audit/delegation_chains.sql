@@ -48,13 +48,13 @@ ends AS (
         chains.run_id,
         chains.chain,
         chains.seq,
-        arg_max(trust.scope, ((trust.capability IS NOT NULL)::BIGINT * 2 + (trust.context IS NOT NULL)::BIGINT) * 1000000000 + trust.seq) AS end_scope
+        arg_max(trust.scope, trust.precedence) AS end_scope
     FROM chains
     INNER JOIN request_issued AS asked ON chains.run_id = asked.run_id AND chains.seq = asked.seq
-    INNER JOIN trust_set AS trust
+    INNER JOIN trust_precedence AS trust
         ON
             chains.run_id = trust.run_id AND asked.executed_by = trust.robot AND chains.first_requester = trust.peer AND chains.seq > trust.seq
-            AND coalesce(asked.capability = trust.capability, TRUE) AND coalesce(asked.task_id = trust.context, TRUE)
+            AND coalesce(asked.capability = trust.capability, trust.capability IS NULL) AND coalesce(asked.task_id = trust.context, trust.context IS NULL)
     GROUP BY chains.run_id, chains.chain, chains.seq
 )
 

@@ -26,29 +26,14 @@ WITH stays AS (
     WINDOW by_failure AS (PARTITION BY moves.run_id, moves.action_id, moves.failure ORDER BY moves.seq)
 ),
 
-uses AS (
-    SELECT
-        run_id,
-        seq,
-        coalesce(failed_action, action_id) AS action_id,
-        CASE type
-            WHEN 'RecoveryAttempted.v1' THEN 'local' WHEN 'AssistanceRequested.v1' THEN 'peer' WHEN 'ReassignmentDecided.v1' THEN 'fleet' ELSE 'human'
-        END AS level
-    FROM events
-    WHERE
-        type IN ('RecoveryAttempted.v1', 'AssistanceRequested.v1')
-        OR (type = 'ReassignmentDecided.v1' AND helper IS NOT NULL)
-        OR (type = 'SupervisorCalled.v1' AND purpose = 'recovery')
-),
-
 used AS (
     SELECT
         stays.*,
         count(uses.seq) AS used
     FROM stays
-    LEFT JOIN uses
+    LEFT JOIN recovery_acts AS uses
         ON
-            stays.run_id = uses.run_id AND stays.action_id = uses.action_id AND stays.level = uses.level
+            uses.is_use AND stays.run_id = uses.run_id AND stays.action_id = uses.action_id AND stays.level = uses.level
             AND stays.seq <= uses.seq AND uses.seq < coalesce(stays.next_seq, uses.seq + 1)
     GROUP BY ALL
 )
@@ -61,12 +46,10 @@ SELECT
     used.level,
     used.robot,
     used.spent_us,
-    coalesce(own.t_max_us, json_extract(runs.parameters, '$.structure.' || used.level || '_budget_us')::BIGINT) AS t_max_us,
+    allowed.t_max_us,
     used.used,
-    coalesce(own.n_max, json_extract(runs.parameters, '$.structure.' || CASE used.level
-        WHEN 'local' THEN 'local_attempts' WHEN 'peer' THEN 'peer_helpers' WHEN 'fleet' THEN 'fleet_reassignments' ELSE 'human_calls'
-    END)::BIGINT) AS n_max,
-    own.decided_by AS set_by
+    allowed.n_max,
+    allowed.set_by
 FROM used
-INNER JOIN run_started AS runs ON used.run_id = runs.run_id
-ASOF LEFT JOIN recovery_budget_set AS own ON used.run_id = own.run_id AND used.robot = own.robot AND used.level = own.level AND used.seq >= own.seq
+ASOF LEFT JOIN recovery_allowances AS allowed
+    ON used.run_id = allowed.run_id AND used.robot = allowed.robot AND used.level = allowed.level AND used.seq >= allowed.since_seq

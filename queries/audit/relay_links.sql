@@ -39,21 +39,13 @@ links AS (
     CROSS JOIN (VALUES (1), (2)) AS numbers (link)
 ),
 
-scopes AS (
-    -- What is set for the capability and the context holds before what is set for one of them or for all; of equals the last.
-    SELECT
-        *,
-        ((capability IS NOT NULL)::BIGINT * 2 + (context IS NOT NULL)::BIGINT) * 1000000000 + seq AS weight
-    FROM trust_set
-),
-
 judged AS (
     SELECT
         links.*,
-        arg_max(scopes.scope, scopes.weight) FILTER (WHERE links.receiver = scopes.robot AND links.sender = scopes.peer) AS link_scope,
-        arg_max(scopes.scope, scopes.weight) FILTER (WHERE links.executed_by = scopes.robot AND links.requested_by = scopes.peer) AS direct_scope
+        arg_max(scopes.scope, scopes.precedence) FILTER (WHERE links.receiver = scopes.robot AND links.sender = scopes.peer) AS link_scope,
+        arg_max(scopes.scope, scopes.precedence) FILTER (WHERE links.executed_by = scopes.robot AND links.requested_by = scopes.peer) AS direct_scope
     FROM links
-    LEFT JOIN scopes
+    LEFT JOIN trust_precedence AS scopes
         ON
             links.run_id = scopes.run_id AND coalesce(links.seq, links.asked_seq) > scopes.seq
             AND coalesce(links.capability = scopes.capability, scopes.capability IS NULL)

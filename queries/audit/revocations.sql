@@ -44,26 +44,22 @@ ended AS (
 ),
 
 withdrawn AS (
-    -- A right is withdrawn at the next evaluation of a request that it is about.
+    -- A right is withdrawn at the first request that is denied for it, while it is the last word on that right.
     SELECT
         revoked.run_id,
         revoked.seq,
-        arg_min(evaluations.action_id, evaluations.seq) AS action_id,
+        arg_min(denials.action_id, denials.seq) AS action_id,
         revoked.decided_by AS revoked_by,
         revoked.requested_by AS revoked_from,
         revoked.reason,
         revoked.capability,
         revoked.context,
         revoked.time_us AS revoked_us,
-        min(evaluations.time_us) AS effective_us,
-        arg_min(evaluations.type, evaluations.seq) AS boundary
+        min(denials.time_us) AS effective_us,
+        arg_min(denials.type, denials.seq) AS boundary
     FROM authority_revoked AS revoked
-    LEFT JOIN evaluations
-        ON
-            revoked.run_id = evaluations.run_id AND revoked.seq < evaluations.seq AND revoked.requested_by = evaluations.requested_by
-            AND coalesce(revoked.executed_by = evaluations.executed_by, TRUE)
-            AND coalesce(revoked.capability = evaluations.capability, TRUE)
-            AND coalesce(revoked.context = evaluations.context, TRUE)
+    LEFT JOIN rights_at_evaluations AS denials
+        ON revoked.run_id = denials.run_id AND revoked.seq = denials.right_seq AND denials.conjunct = 'authority'
     GROUP BY ALL
 ),
 

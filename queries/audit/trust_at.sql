@@ -8,11 +8,9 @@
 --   answers robot/B1 trusts robot/A1 with scope task since 0, for every capability and context
 -- Parameters: run = all, robot = all, peer = all, capability = all, context = all, at_us = 9007199254740991
 WITH entries AS (
-    -- The most specific entry holds: that of capability and context, of the capability, of the context, of neither.
     SELECT
         *,
-        $capability = 'all' AND $context = 'all' AS is_listed,
-        CASE WHEN capability IS NULL THEN 0 ELSE 2 END + CASE WHEN context IS NULL THEN 0 ELSE 1 END AS specificity
+        $capability = 'all' AND $context = 'all' AS is_listed
     FROM trust_in_force
     WHERE
         $run IN ('all', run_id)
@@ -35,4 +33,4 @@ SELECT
     reason
 FROM entries
 WHERE is_listed OR ((capability IS NULL OR capability = $capability) AND (context IS NULL OR context = $context))
-QUALIFY is_listed OR row_number() OVER (PARTITION BY run_id, robot, peer ORDER BY specificity DESC) = 1
+QUALIFY is_listed OR row_number() OVER (PARTITION BY run_id, robot, peer ORDER BY precedence DESC) = 1

@@ -36,16 +36,13 @@ links AS (
 ),
 
 scopes AS (
-    -- The most specific entry holds, of equally specific ones the last.
     SELECT
         links.run_id,
         links.seq,
         links.link.is_direct,
-        coalesce(
-            arg_max(trust.scope, ((trust.capability IS NOT NULL)::INT + (trust.context IS NOT NULL)::INT) * 1000000000 + trust.seq), 'none'
-        ) <> 'none' AS is_trusted
+        coalesce(arg_max(trust.scope, trust.precedence), 'none') <> 'none' AS is_trusted
     FROM links
-    LEFT JOIN trust_set AS trust
+    LEFT JOIN trust_precedence AS trust
         ON
             links.run_id = trust.run_id AND links.link.trusting = trust.robot AND links.link.trusted = trust.peer AND links.seq > trust.seq
             AND links.capability = coalesce(trust.capability, links.capability) AND links.task_id = coalesce(trust.context, links.task_id)

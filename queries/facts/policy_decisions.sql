@@ -32,7 +32,8 @@ decided AS (
 asked AS (
     SELECT
         decided.*,
-        steps.robot AS requester
+        steps.robot AS requester,
+        steps.capability
     FROM decided
     ASOF JOIN step_began AS steps ON decided.run_id = steps.run_id AND decided.task_id = steps.task_id AND decided.seq > steps.seq
     WHERE steps.target_role IS NOT NULL
@@ -51,5 +52,7 @@ FROM asked
 LEFT JOIN policy_windows AS windows
     ON
         asked.run_id = windows.run_id AND windows.robot IN (asked.requester, asked.executor) AND windows.outcome <> 'allow'
+        AND (windows.capability IS NULL OR asked.capability = windows.capability)
+        AND (windows.context IS NULL OR asked.task_id = windows.context)
         AND windows.opened_us + 1000000 <= asked.time_us AND asked.time_us < coalesce(windows.closed_us, asked.time_us + 1)
 GROUP BY asked.run_id, asked.seq, asked.time_us, asked.requester, asked.executor, asked.is_heeded

@@ -5,8 +5,7 @@
 -- NULL: capability, context when the entry is about all of them; until_us for the last row of an entry; set_by for what the fleet was founded with
 -- Example: fsar-ledger query facts/trust_in_force LEDGER
 WITH moments AS (
-    -- Of the entries that hold at a moment the most specific one counts: capability and context, capability, context, neither (audit/trust_at).
-    -- Of several at one moment the last one holds.
+    -- Of several about the same at one moment the last one holds; which of those about different things holds, precedence says.
     SELECT
         run_id,
         robot,
@@ -15,9 +14,10 @@ WITH moments AS (
         context,
         time_us AS since_us,
         arg_max(scope, seq) AS trust_scope,
-        arg_max_null(decided_by, seq) AS set_by,
-        arg_max(reason, seq) AS reason
-    FROM trust_set
+        arg_max_null(set_by, seq) AS set_by,
+        arg_max(reason, seq) AS reason,
+        max(precedence) AS precedence
+    FROM trust_precedence
     GROUP BY run_id, robot, peer, capability, context, time_us
 )
 
@@ -31,5 +31,6 @@ SELECT
     lead(since_us) OVER (PARTITION BY run_id, robot, peer, capability, context ORDER BY since_us) AS until_us,
     trust_scope,
     set_by,
-    reason
+    reason,
+    precedence
 FROM moments

@@ -1,6 +1,7 @@
--- Title: I2 broken: a delegated action is executed that its executor had not accepted itself
+-- Title: I2 broken: a delegated action is executed that its executor had not accepted itself, or admitted against a revocation
 -- Paper: sec:model:invariants (I2), eq:request
--- Grain: one row per ExecutionStarted event for another robot without an earlier acceptance, by the executing robot, of that action
+-- Grain: one row per ExecutionStarted event for another robot without an earlier acceptance, by the executing robot, of that action, and per admission of
+--        a request that the asking robot had no right to any more
 -- Units: time_us microseconds of run time
 -- NULL: never
 -- Example: fsar-ledger query invariants/i2_local_execution_ownership LEDGER
@@ -32,3 +33,13 @@ SELECT
 FROM execution_started AS starts
 INNER JOIN acceptances ON starts.run_id = acceptances.run_id AND starts.seq = acceptances.seq
 WHERE NOT acceptances.is_own OR starts.executed_by IS DISTINCT FROM starts.robot
+UNION ALL
+SELECT
+    run_id,
+    seq,
+    time_us,
+    type,
+    action_id,
+    executed_by || ' admits what ' || asker || ' may not ask since seq ' || right_seq AS found
+FROM rights_at_evaluations
+WHERE verdict = 'admitted' AND is_revoked

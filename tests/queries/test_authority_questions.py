@@ -107,8 +107,28 @@ def test_a_right_is_revoked_at_the_next_evaluation_that_it_is_about() -> None:
     [({}, 5), ({"capability": "lift"}, 5), ({"context": "visit"}, 5), ({"capability": "grasp"}, None), ({"context": "rounds"}, None)],
 )
 def test_a_right_for_another_capability_or_context_is_another_right(about: dict[str, str], effective_us: int | None) -> None:
-    events = (right(1, "Revoked", "A1", reason="context expired", **about), request(4, "q1", "A1", "B1"), judged(5, "q1", "Denied", "B1"))
+    events = (right(1, "Revoked", "A1", reason="context expired", **about), request(4, "q1", "A1", "B1"), judged(5, "q1", "Denied", "B1", reason="authority"))
     assert asked("revocations", "effective_us capability context", *events) == [(effective_us, about.get("capability"), about.get("context"))]
+
+
+def i2_found(*events: Row) -> list[tuple[Any, ...]]:
+    return answer("invariants/i2_local_execution_ownership", run(*events), columns=("time_us", "found"))
+
+
+def test_a_revocation_that_a_grant_lifted_or_that_nobody_was_denied_for_never_took_effect() -> None:
+    revoked, granted = right(1, "Revoked", "A1", "B1", reason="human override"), right(2, "Granted", "A1", "B1", override="none")
+    asking, admitted = request(4, "q1", "A1", "B1"), judged(5, "q1", "Admitted", "B1", **ADMITTED)
+    assert asked("revocations", "effective_us boundary", revoked, granted, asking, admitted) == [(None, None)]
+    assert asked("revocations", "effective_us boundary", revoked, asking, judged(5, "q1", "Denied", "B1", reason="trust")) == [(None, None)]
+    assert i2_found(revoked, granted, asking, admitted) == []
+    assert i2_found(revoked, asking, admitted) == [(5, "robot/B1 admits what robot/A1 may not ask since seq 1")]
+
+
+def test_a_request_through_a_relay_rests_on_the_right_of_the_relay_as_well() -> None:
+    asking, admitted = request(4, "q1", "A1", "B1", relay="robot/D1"), judged(5, "q1", "Admitted", "B1", **ADMITTED)
+    of_relay = right(1, "Revoked", "D1", reason="human override")
+    assert len(i2_found(of_relay, asking, admitted)) == 1
+    assert i2_found(right(1, "Revoked", "C1", reason="human override"), asking, admitted) == []
 
 
 def test_the_authority_chain_starts_with_the_rights_that_the_request_rested_on() -> None:

@@ -170,6 +170,76 @@ def at_its_start(seed: Seeds) -> Seeds:
     return seed_and_follow
 
 
+def in_place_before(name: str, inserted: str, change: dict[str, Any], kept: tuple[str, ...], **fields: Any) -> Seeds:
+    """An event that never was stands before one of this type, in place of another's that no invariant judges; it shows at itself."""
+
+    def seed(rows: list[Row]) -> list[int]:
+        for at in where(rows, name, **fields):
+            free = next((place for place in range(at - 1, max(at - 12, 0), -1) if is_free(rows[place]) and rows[place]["run_id"] == rows[at]["run_id"]), None)
+            if free is not None:
+                place = {column: rows[free][column] for column in ("run_id", "seq", "time_us", "caused_by")}
+                same = {column: rows[at][column] for column in kept}
+                rows[free] = {**dict.fromkeys(rows[free]), **place, **same, "type": f"{inserted}.v1", **change}
+                return [free]
+        raise AssertionError(f"no place before {name}")
+
+    return seed
+
+
+def revoked_before_admission(rows: list[Row]) -> list[int]:
+    """The right to ask was revoked before a request was admitted; it shows at the admission."""
+    for at in where(rows, "RequestAdmitted"):
+        free = next((place for place in range(at - 1, max(at - 12, 0), -1) if is_free(rows[place]) and rows[place]["run_id"] == rows[at]["run_id"]), None)
+        if free is not None:
+            place = {column: rows[free][column] for column in ("run_id", "seq", "time_us", "caused_by")}
+            said = {"type": "AuthorityRevoked.v1", "requested_by": rows[at]["requested_by"], "reason": "human override", "decided_by": "supervisor/fleet"}
+            rows[free] = {**dict.fromkeys(rows[free]), **place, **said}
+            return [at]
+    raise AssertionError("no place before an admission")
+
+
+def without(name: str, shows_at: str, **fields: Any) -> Seeds:
+    """The last event of this type about an action is lost; it shows at the next one of the other type."""
+
+    def seed(rows: list[Row]) -> list[int]:
+        shown = where(rows, shows_at, **fields)[0]
+        about = {rows[shown]["action_id"], rows[shown]["failed_action"]} - {None}
+        key = rows[shown]["run_id"]
+        lost = [at for at in where(rows, name) if at < shown and rows[at]["run_id"] == key and about & {rows[at]["action_id"], rows[at]["failed_action"]}]
+        assert lost, f"no {name} before {shows_at}"
+        rows[lost[-1]] = {**rows[lost[-1]], "type": "PeersMet.v1", "action_id": None, "failed_action": None}
+        return [shown]
+
+    return seed
+
+
+def an_hour_later(name: str, **fields: Any) -> Seeds:
+    """This event and all that follows in its run come an hour later."""
+
+    def seed(rows: list[Row]) -> list[int]:
+        at = where(rows, name, **fields)[0]
+        for row in rows[at:]:
+            if row["run_id"] == rows[at]["run_id"]:
+                row["time_us"] += 3_600_000_000
+        return [at]
+
+    return seed
+
+
+def beyond(name: str, change: dict[str, int]) -> Seeds:
+    """The fleet was founded with another budget, which what was done overran."""
+
+    def seed(rows: list[Row]) -> list[int]:
+        at = where(rows, name)[0]
+        founded = next(place for place in where(rows, "RunStarted") if rows[place]["run_id"] == rows[at]["run_id"])
+        parameters = msgspec.json.decode(rows[founded]["parameters"])
+        parameters["structure"] |= change
+        rows[founded] = {**rows[founded], "parameters": msgspec.json.encode(parameters).decode()}
+        return [at]
+
+    return seed
+
+
 def joined_again(rows: list[Row]) -> list[int]:
     first, second = where(rows, "RobotJoined")[:2]
     rows[second] = {**rows[second], "robot": rows[first]["robot"]}
@@ -196,6 +266,7 @@ DEFECTS = (
     Defect("i2", "the acceptance is lost", lost("RequestAccepted")),
     Defect("i2", "the execution comes before the acceptance", swapped("RequestAccepted", "ExecutionStarted")),
     Defect("i2", "the execution names another executor", of_delegated_start({"executed_by": "robot/Z1"})),
+    Defect("i2", "admitted against a revocation", revoked_before_admission),
     Defect("i3", "a refusal before the start", before_start("RequestDenied", {"reason": "policy"})),
     Defect("i3", "the request carried a deny", at_its_start(carried("deny"))),
     Defect("i3", "the robot's own policy denies the execution", under_its_own_deny("ExecutionStarted")),
@@ -206,6 +277,17 @@ DEFECTS = (
     Defect("i4", "resolved below the level reached", forged("FailureResolved", {"level": "local"}, level="human")),
     Defect("i4", "the level is not recorded", forged("RecoveryEscalated", {"to_level": None})),
     Defect("i4", "recovery comes before the failure", swapped("ExecutionFailed", "RecoveryAttempted")),
+    Defect("i4", "a human is called before anything else", in_place_before("RecoveryAttempted", "SupervisorCalled", {"purpose": "recovery"}, ("action_id",))),
+    Defect("i4", "more attempts than the level has", beyond("RecoveryAttempted", {"local_attempts": 0})),
+    Defect("i4", "more helpers than the level has", beyond("AssistanceRequested", {"peer_helpers": 0})),
+    Defect("i4", "an attempt takes an hour for itself", forged("RecoveryAttempted", {"deadline_us": 3_600_000_000})),
+    Defect("i4", "an attempt after the time of its level", an_hour_later("RecoveryAttempted")),
+    Defect("i4", "help is asked after the time of its level", an_hour_later("AssistanceRequested")),
+    Defect("i4", "a reassignment after the time of its level", an_hour_later("ReassignmentDecided")),
+    Defect("i4", "an hour at the level of the fleet", an_hour_later("RecoveryEscalated", to_level="human")),
+    Defect("i4", "help that was never asked for", without("AssistanceRequested", "AssistanceAdmitted")),
+    Defect("i4", "resolved by a peer who did not help", without("AssistanceAdmitted", "FailureResolved", level="peer")),
+    Defect("i4", "resolved by a human who never answered", without("SupervisorResponded", "FailureResolved", level="human")),
     Defect("i5", "a routine without executor", forged("RoutinePerformed", {"executed_by": None})),
     Defect("i5", "a routine without requester", forged("RoutinePerformed", {"requested_by": None})),
     Defect("i5", "a routine without supervisor on shift", forged("RoutinePerformed", {"supervised_by": None}, supervised_by=lambda found: found is not None)),

@@ -27,6 +27,7 @@ LADDER = (
     failure("ReassignmentDecided", 23, reason="no checkpoint"),
     failure("RecoveryEscalated", 23, level="fleet", to_level="human", reason="no feasible reassignment: no checkpoint"),
     event("SupervisorCalled", 23, action_id="t1/1", purpose="recovery", supervisor="supervisor/D1"),
+    event("SupervisorResponded", 63, action_id="t1/1", purpose="recovery", decided_by="supervisor/D1"),
     failure("FailureResolved", 63, level="human"),
 )
 AT_ONCE = (FAILED, failure("RecoveryEscalated", 11, level="local", to_level="peer", reason="budget exhausted"))
@@ -90,6 +91,14 @@ def test_a_budget_counts_from_the_moment_in_which_it_was_set() -> None:
         ((*LADDER[:2], failure("RecoveryAttempted", 41, level="local", number=2, deadline_us=40)), ["an attempt begins after the time budget of its level"]),
         ((*LADDER[:5], failure("ReassignmentDecided", 22, helper="robot/A1")), ["recovery acts at level fleet while it is at peer"]),
         ((*LADDER, failure("ReassignmentDecided", 64)), ["recovery goes on after the failure is resolved"]),
+        ((*LADDER[:9], *LADDER[8:]), []),
+        ((*LADDER[:9], LADDER[8], *LADDER[8:]), ["use 3 of level human, which has a budget of 2"]),
+        (LADDER[:9] + LADDER[10:], ["resolved at level human, where nothing was done"]),
+        ((*LADDER[:5], failure("AssistanceRequested", 40, level="peer", helper="robot/A1")), []),
+        ((*LADDER[:5], failure("AssistanceRequested", 41, level="peer", helper="robot/A1")), ["recovery acts after the time budget of its level"]),
+        ((*LADDER[:5], failure("AssistanceAdmitted", 22, level="peer", helper="robot/A1")), ["help by robot/A1, who had not been asked"]),
+        ((*LADDER[:5], failure("RecoveryEscalated", 41, level="peer", to_level="fleet")), ["recovery stays at level peer after the time budget of its level"]),
+        ((*LADDER[:5], failure("RecoveryEscalated", 41, level="peer", to_level="fleet", reason="budget exhausted")), []),
     ],
 )
 def test_recovery_that_overruns_or_forestalls_a_level_breaks_i4(events: tuple[Row, ...], found: list[str]) -> None:

@@ -97,6 +97,23 @@ def test_what_a_robot_says_of_one_capability_goes_before_what_it_says_of_all() -
     assert surface_at(9, "may_ask", {**general, "context": "t1"}, offered) == [([],)]
 
 
+@pytest.mark.parametrize(
+    ("visibility", "own", "asking", "may_ask"),
+    [
+        ("domain", "hall", "hall", ["robot/A1"]),
+        ("domain", "hall", "hall/cell", ["robot/A1"]),
+        ("domain", "hall", "hallway", []),
+        ("domain", "hall", "", []),
+        ("domain", "", "yard", ["robot/A1"]),
+        ("global", "hall", "", ["robot/A1"]),
+    ],
+)
+def test_only_those_in_its_domain_may_ask_for_what_is_shown_there(visibility: str, own: str, asking: str, may_ask: list[str]) -> None:
+    robots = (event("RobotJoined", robot="robot/A1", role="A", domain=asking), event("RobotJoined", robot="robot/B1", role="B", domain=own))
+    advertised = change("CapabilityAdvertised", 5, visible_to=[], visibility=visibility, trust_required="task")
+    assert asked("capability_surface", "may_ask", *robots, trust(1, "B1", "A1", "task"), advertised, robot="robot/B1") == [(may_ask,)]
+
+
 def query(time_us: int, *rejected_by: str, **fields: Any) -> Row:
     """A1 asks; B1 is rejected by this filter."""
     rejected = ["robot/B1"] * len(rejected_by)

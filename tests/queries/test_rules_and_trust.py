@@ -342,3 +342,23 @@ def test_starts_under_a_rule_that_denies_are_caught_by_i3_and_the_violation_metr
 
 def test_a_conflict_that_nobody_was_told_of_is_caught_by_a3() -> None:
     assert audited(Wiring({**FSAR.decides, EvaluateRequest: silent_denial}, FSAR.reacts))["a3"] > 0
+
+
+def test_the_entry_of_the_capability_goes_before_that_of_the_context_for_an_execution_too() -> None:
+    events = (trust(1, "session", DOOR), trust(2, "none", None, "t1"))
+    pair = {key: events[0][key] for key in ("robot", "peer")}
+    began = event("ExecutionStarted", 3, task_id="t1", action_id="t1/1", robot=pair["robot"], on_behalf_of=pair["peer"], capability=DOOR, ends_us=9)
+    assert answer("facts/delegated_trust", run(*events, began), columns=("is_direct",)) == [(True,)]
+    assert answer("facts/delegated_trust", run(*events, {**began, "capability": "carry.package"}), columns=("is_direct",)) == [(False,)]
+
+
+@pytest.mark.parametrize(
+    ("about", "is_against"),
+    [({}, True), ({"capability": DOOR}, True), ({"context": "t1"}, True), ({"capability": "carry.package"}, False), ({"context": "t2"}, False)],
+)
+def test_a_decision_is_against_a_rule_only_where_the_rule_is_about_it(about: dict[str, str], is_against: bool) -> None:
+    joined = event("RobotJoined", robot="robot/A1", role="A")
+    rule = event("PolicyRuleSet", 1, scope="local", robot="robot/A1", outcome="deny", **about)
+    step = event("StepBegan", 5_000_000, task_id="t1", action_id="t1/1", robot="robot/A1", capability=DOOR, target_role="B")
+    admitted = event("RequestAdmitted", 5_000_001, task_id="t1", action_id="t1/1", decided_by="robot/B1", executed_by="robot/B1")
+    assert answer("facts/policy_decisions", run(joined, rule, step, admitted), columns=("is_against_requester",)) == [(is_against,)]

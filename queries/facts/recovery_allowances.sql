@@ -1,0 +1,51 @@
+-- Title: The budget of each level of a robot's recovery, from each moment at which it was set
+-- Paper: eq:recovery, app:foundations (Paper 3)
+-- Grain: one row per run, robot and level for what the fleet was founded with, and per RecoveryBudgetSet event
+-- Units: t_max_us microseconds; n_max attempts (local), helpers asked (peer), reassignments (fleet), calls (human); since_seq position in the run
+-- NULL: t_max_us, n_max where the run records neither; set_by where the budget is the fleet's own
+-- Example: fsar-ledger query facts/recovery_allowances LEDGER
+WITH founding AS (
+    SELECT
+        runs.run_id,
+        runs.seq AS since_seq,
+        counts.level,
+        json_extract(runs.parameters, '$.structure.' || counts.level || '_budget_us')::BIGINT AS t_max_us,
+        json_extract(runs.parameters, '$.structure.' || counts.name)::BIGINT AS n_max
+    FROM run_started AS runs
+    CROSS JOIN (
+        VALUES ('local', 'local_attempts'), ('peer', 'peer_helpers'), ('fleet', 'fleet_reassignments'), ('human', 'human_calls')
+    ) AS counts (level, name)
+),
+
+robots AS (
+    SELECT
+        run_id,
+        robot
+    FROM robot_joined
+    UNION
+    SELECT
+        run_id,
+        robot
+    FROM execution_failed
+)
+
+SELECT
+    founding.run_id,
+    robots.robot,
+    founding.level,
+    founding.since_seq,
+    founding.t_max_us,
+    founding.n_max,
+    NULL::VARCHAR AS set_by
+FROM founding
+INNER JOIN robots ON founding.run_id = robots.run_id
+UNION ALL
+SELECT
+    run_id,
+    robot,
+    level,
+    seq AS since_seq,
+    t_max_us,
+    n_max,
+    decided_by AS set_by
+FROM recovery_budget_set

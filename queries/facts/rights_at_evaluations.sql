@@ -1,0 +1,48 @@
+-- Title: The last word on who may ask, for each judgement of a request and each robot that stands behind the request
+-- Paper: eq:auth, sec:model:authority
+-- Grain: one row per evaluation and robot that asks: the requester and, where the request came through one, the relay
+-- Units: time_us microseconds of run time; asked_seq, right_seq positions in the run
+-- NULL: action_id; conjunct unless denied; no row where nobody has granted or revoked anything that the request is about
+-- Example: fsar-ledger query facts/rights_at_evaluations LEDGER
+WITH askers AS (
+    -- A relay judges its own link of the chain by itself.
+    SELECT
+        * EXCLUDE (executed_by),
+        CASE WHEN decided_by = relay THEN relay ELSE executed_by END AS executed_by,
+        unnest(list_distinct([requested_by, coalesce(relay, requested_by)])) AS asker
+    FROM evaluations
+),
+
+rights AS (
+    SELECT
+        run_id,
+        seq,
+        type,
+        requested_by,
+        executed_by,
+        capability,
+        context
+    FROM events
+    WHERE type IN ('AuthorityGranted.v1', 'AuthorityRevoked.v1')
+)
+
+SELECT
+    askers.run_id,
+    askers.seq,
+    askers.time_us,
+    askers.action_id,
+    askers.type,
+    askers.verdict,
+    askers.conjunct,
+    askers.executed_by,
+    askers.asker,
+    max(rights.seq) AS right_seq,
+    arg_max(rights.type, rights.seq) = 'AuthorityRevoked.v1' AS is_revoked
+FROM askers
+INNER JOIN rights
+    ON
+        askers.run_id = rights.run_id AND askers.seq > rights.seq AND askers.asker = rights.requested_by
+        AND coalesce(askers.executed_by = rights.executed_by, rights.executed_by IS NULL)
+        AND coalesce(askers.capability = rights.capability, rights.capability IS NULL)
+        AND coalesce(askers.context = rights.context, rights.context IS NULL)
+GROUP BY ALL
