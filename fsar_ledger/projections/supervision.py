@@ -6,7 +6,7 @@ import msgspec
 
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.request import RequestAdmitted
-from fsar_ledger.events.supervision import SupervisionDensitySet, SupervisorCalled, SupervisorResponded
+from fsar_ledger.events.supervision import Purpose, SupervisionDensitySet, SupervisorCalled, SupervisorResponded
 
 HANDLES = SupervisorCalled | SupervisorResponded | SupervisionDensitySet | RequestAdmitted | FailureResolved
 
@@ -32,6 +32,11 @@ INITIAL = Supervision()
 def density(state: Supervision, robot: str) -> int:
     """One in so many admissions of the robot is put before a supervisor; its own density before every robot's; 0 is none."""
     return state.review_every.get(robot, state.review_every.get(None, 0))
+
+
+def is_asked(state: Supervision, action_id: str, purpose: Purpose) -> bool:
+    """True while a supervisor is asked this about the action."""
+    return any((call.action_id, call.purpose) == (action_id, purpose) for call in state.calls.values())
 
 
 def evolve(state: Supervision, event: HANDLES) -> Supervision:

@@ -56,7 +56,8 @@ def again(state: State, *events: Event) -> list[str]:
 
 
 def answered(state: State, action_id: str) -> list[str]:
-    return again(state, *decided(state, Respond(action_id, "ordering")))
+    [number] = [number for number, call in state.supervision.calls.items() if call.action_id == action_id]
+    return again(state, *decided(state, Respond(number)))
 
 
 def test_whoever_is_to_wait_for_the_urgent_one_waits_until_it_is_admitted_whichever_call_is_answered_first() -> None:

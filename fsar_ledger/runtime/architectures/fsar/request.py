@@ -21,6 +21,7 @@ from fsar_ledger.events.request import (
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
+from fsar_ledger.projections.supervision import is_asked
 from fsar_ledger.projections.world import stricter
 from fsar_ledger.runtime.handlers.admissibility import Evaluation, evaluate, is_revoked, preemptible
 from fsar_ledger.runtime.handlers.attribution import on_shift
@@ -104,7 +105,7 @@ def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
 def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...]:
     """The executor has admitted, countered or denied the request, or asked H_F for review. Paper: eq:admissible, phase 4."""
     request = state.request.get(command.action_id)
-    if request is None or not _is_open(state, request) or (request.action_id, "review") in state.supervision.calls:
+    if request is None or not _is_open(state, request) or is_asked(state.supervision, request.action_id, "review"):
         return ()
     return _judged(state, request, evaluate(state, request, request.candidates[0]), command.now_us)
 
