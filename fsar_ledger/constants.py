@@ -34,17 +34,17 @@ DURATIONS: tuple[tuple[str, Range], ...] = (  # uniform, seconds; doors and carr
 class WorldConstants(msgspec.Struct, frozen=True):
     """Laws of the world. Rates are per robot and second of run time."""
 
-    context_rate_per_s: float = 0.0231  # context changes, Poisson [calibrated]
-    context_window_share: float = 0.345  # share of them that closes the robot's own policy for a while [calibrated]
-    window_mean_s: float = 11.6  # length of policy windows, exponential [calibrated]
-    review_share: float = 0.062  # share of windows that ask for review instead of denying [calibrated]
-    fleet_rule_rate_per_s: float = 0.00644  # fleet rules on the robot's zone, Poisson [calibrated]
-    obstruction_rate_per_s: float = 0.0144  # obstructions in the robot's way, Poisson [calibrated]
-    obstruction_mean_s: float = 2.53  # length of obstructions, exponential [calibrated]
-    routine_rate_per_s: float = 0.221  # routine operations, Poisson [calibrated]
+    context_rate_per_s: float = 0.0229  # context changes, Poisson [calibrated]
+    context_window_share: float = 0.349  # share of them that closes the robot's own policy for a while [calibrated]
+    window_mean_s: float = 11.3  # length of policy windows, exponential [calibrated]
+    review_share: float = 0.0623  # share of windows that ask for review instead of denying [calibrated]
+    fleet_rule_rate_per_s: float = 0.00674  # fleet rules on the robot's zone, Poisson [calibrated]
+    obstruction_rate_per_s: float = 0.0145  # obstructions in the robot's way, Poisson [calibrated]
+    obstruction_mean_s: float = 2.55  # length of obstructions, exponential [calibrated]
+    routine_rate_per_s: float = 0.22  # routine operations, Poisson [calibrated]
     routine_until_s: float = 100.0  # routine operations fall due until then [chosen]
     motion_share: float = 0.247  # share of routine operations that move the robot; the rest is sensing [calibrated]
-    absence_s: float = 5.14  # length of the local supervisor's one absence [calibrated]
+    absence_s: float = 5.12  # length of the local supervisor's one absence [calibrated]
     absence_from_s: float = -50.0  # its start, uniform [chosen]
     absence_to_s: float = 150.0
     degradation_probability: float = 0.3  # per run, in scenarios with failure injection [paper]
@@ -59,7 +59,7 @@ class WorldConstants(msgspec.Struct, frozen=True):
     start: Range = Range(0.0, 20.0)  # start of the scenario within the run [chosen]
     jitter: Range = Range(0.0, 3.0)  # arrival of a task around its offset [chosen]
     injection: Range = Range(5.0, 45.0)  # time of an injected out-of-trust request [chosen]
-    budget_base_s: float = 41.7  # task budget: base, per delegated step, per own step; the base is [calibrated]
+    budget_base_s: float = 41.2  # task budget: base, per delegated step, per own step; the base is [calibrated]
     budget_delegated_s: float = 14.0
     budget_own_s: float = 6.0
     horizon_s: float = 240.0  # the schedule ends here [chosen]
@@ -89,16 +89,16 @@ class Structure(msgspec.Struct, frozen=True):
     human_calls: int = 2  # and calls: an H_i who does not answer, then H_F [chosen]
     encounter_memory_us: int = 60_000_000  # without a registry, a met peer is known this long
     # CFC
-    sync_period_us: int = 5_860_000  # the coordinator's copies are refreshed this often [calibrated]
-    service_us: int = 111_000  # the coordinator's time per item of work, for four robots [calibrated]
+    sync_period_us: int = 5_850_000  # the coordinator's copies are refreshed this often [calibrated]
+    service_us: int = 109_000  # the coordinator's time per item of work, for four robots [calibrated]
     candidate_cost_ppm: int = 170_000  # and this share of it more for each candidate
     ordering_response_ppm: int = 400_000  # ordering two commands takes H_F this share of a response
     # DHMA
-    hop_ppm: int = 683_000  # an internal hop takes this share of a message latency [calibrated]
+    hop_ppm: int = 688_000  # an internal hop takes this share of a message latency [calibrated]
     snapshot_period_us: int = 12_900_000  # planners refresh their snapshot of policy this often [calibrated]
     engagement_us: int = 2_770_000  # the planner attends this long to a motion or a context change [calibrated]
     dispute_timeout_us: int = 12_300_000  # a disputed recovery that failed gives up after this [calibrated]
-    renegotiation_us: int = 4_510_000  # replanning a delegated action takes this much more [calibrated]
+    renegotiation_us: int = 4_530_000  # replanning a delegated action takes this much more [calibrated]
 
 
 class Constants(msgspec.Struct, frozen=True):
