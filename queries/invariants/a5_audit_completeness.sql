@@ -1,48 +1,26 @@
 -- Title: A5 broken: an execution for another robot is not fully on record
 -- Paper: sec:architecture:invariants (A5), eq:request
--- Grain: one row per start or end of an execution for another robot whose own record lacks or misstates a principal, and per such start without an
---        earlier request (or reassignment) and acceptance of its action
+-- Grain: one row per start or end of an execution for another robot whose own record lacks or misstates a principal, without an earlier request and
+--        admission (or reassignment) and acceptance of its action in this order, ended by who had not begun it, or not closed before its task goes
+--        on; and per help that was admitted without a principal
 -- Units: time_us microseconds of run time
--- NULL: never
+-- NULL: action_id where the record names none
 -- Example: fsar-ledger query invariants/a5_audit_completeness LEDGER
 -- The robots are physical facts, the principals what was recorded. No supervisor is needed while that of the executing robot is recorded as absent;
 -- a robot without one of its own is supervised by H_F, who is always there.
-WITH executions AS (
-    SELECT
-        starts.run_id,
-        starts.action_id,
-        starts.robot,
-        arg_min(starts.on_behalf_of, starts.seq) AS on_behalf_of
-    FROM execution_started AS starts
-    WHERE starts.robot <> starts.on_behalf_of
-    GROUP BY starts.run_id, starts.action_id, starts.robot
-),
-
-records AS (
-    SELECT
-        events.run_id,
-        events.seq,
-        events.time_us,
-        events.type,
-        events.action_id,
-        events.requested_by,
-        events.executed_by,
-        events.supervised_by,
-        executions.robot,
-        executions.on_behalf_of
-    FROM executions
-    INNER JOIN events ON executions.run_id = events.run_id AND executions.action_id = events.action_id AND executions.robot = events.robot
-    WHERE events.type IN ('ExecutionStarted.v1', 'ExecutionFinished.v1')
-),
-
-phases AS (
+WITH phases AS (
     SELECT
         records.run_id,
         records.seq,
-        count_if(events.type = 'RequestIssued.v1' OR (events.type = 'ReassignmentDecided.v1' AND events.helper = records.robot)) AS requests,
-        count_if(events.type = 'RequestAccepted.v1') AS acceptances
-    FROM records
-    INNER JOIN events ON records.run_id = events.run_id AND records.action_id = events.action_id AND records.seq > events.seq
+        max(events.seq) FILTER (events.type IN ('RequestIssued.v1', 'ReassignmentDecided.v1') AND records.seq > events.seq) AS asked_seq,
+        max(events.seq) FILTER (events.type IN ('RequestAdmitted.v1', 'ReassignmentDecided.v1') AND records.seq > events.seq) AS admitted_seq,
+        max(events.seq) FILTER (events.type = 'RequestAccepted.v1' AND records.seq > events.seq) AS accepted_seq,
+        min(events.seq) FILTER (events.type = 'RequestClosed.v1' AND records.seq < events.seq) AS closed_seq
+    FROM cross_robot_records AS records
+    INNER JOIN events ON records.run_id = events.run_id AND records.action_id = events.action_id
+    WHERE
+        events.type IN ('RequestIssued.v1', 'RequestAdmitted.v1', 'RequestAccepted.v1', 'RequestClosed.v1')
+        OR (events.type = 'ReassignmentDecided.v1' AND records.robot = events.helper)
     GROUP BY records.run_id, records.seq
 ),
 
@@ -54,10 +32,13 @@ judged AS (
             CASE WHEN records.requested_by IS DISTINCT FROM records.on_behalf_of THEN 'requester ' || coalesce(records.requested_by, 'missing') END,
             CASE WHEN records.executed_by IS DISTINCT FROM records.robot THEN 'executor ' || coalesce(records.executed_by, 'missing') END,
             CASE WHEN records.supervised_by IS NULL AND absences.supervisor IS NULL THEN 'supervisor missing' END,
-            CASE WHEN coalesce(phases.requests, 0) = 0 THEN 'no earlier request' END,
-            CASE WHEN coalesce(phases.acceptances, 0) = 0 THEN 'no earlier acceptance' END
+            CASE WHEN phases.asked_seq IS NULL THEN 'no earlier request' END,
+            CASE WHEN coalesce(phases.admitted_seq, -1) < coalesce(phases.asked_seq, 0) THEN 'no admission of the request' END,
+            CASE WHEN coalesce(phases.accepted_seq, -1) < coalesce(phases.admitted_seq, 0) THEN 'no acceptance after it was admitted' END,
+            CASE WHEN coalesce(records.robot <> records.began_by, TRUE) THEN 'begun by ' || coalesce(records.began_by, 'nobody') END,
+            CASE WHEN records.next_seq < coalesce(phases.closed_seq, records.next_seq + 1) THEN 'the task goes on before the request is closed' END
         ) AS lacks
-    FROM records
+    FROM cross_robot_records AS records
     LEFT JOIN phases ON records.run_id = phases.run_id AND records.seq = phases.seq
     LEFT JOIN robot_joined AS members ON records.run_id = members.run_id AND records.robot = members.robot
     LEFT JOIN supervisor_absences AS absences
@@ -72,6 +53,23 @@ SELECT
     time_us,
     type,
     action_id,
-    robot || ' for ' || on_behalf_of || ': ' || lacks AS found
+    robot || ' for ' || coalesce(on_behalf_of, 'nobody') || ': ' || lacks AS found
 FROM judged
 WHERE lacks <> ''
+UNION ALL
+SELECT
+    admitted.run_id,
+    admitted.seq,
+    admitted.time_us,
+    'AssistanceAdmitted.v1' AS type,
+    admitted.action_id,
+    admitted.helper || ' helps ' || admitted.robot || ': a principal is missing' AS found
+FROM assistance_admitted AS admitted
+LEFT JOIN robot_joined AS members ON admitted.run_id = members.run_id AND admitted.helper = members.robot
+LEFT JOIN supervisor_absences AS absences
+    ON
+        admitted.run_id = absences.run_id AND members.supervisor = absences.supervisor
+        AND admitted.seq > absences.left_seq AND admitted.seq < coalesce(absences.returned_seq, admitted.seq + 1)
+WHERE
+    admitted.requested_by IS NULL OR admitted.executed_by IS NULL
+    OR (admitted.supervised_by IS NULL AND absences.supervisor IS NULL)

@@ -198,6 +198,24 @@ def revoked_before_admission(rows: list[Row]) -> list[int]:
     raise AssertionError("no place before an admission")
 
 
+def delegated_end(rows: list[Row]) -> int:
+    start = delegated_start(rows)
+    return next(at for at in where(rows, "ExecutionFinished", run_id=rows[start]["run_id"], action_id=rows[start]["action_id"]) if at > start)
+
+
+def finished_by_another(rows: list[Row]) -> list[int]:
+    at = delegated_end(rows)
+    rows[at] = {**rows[at], "robot": "robot/Z1", "executed_by": "robot/Z1"}
+    return [at]
+
+
+def never_closed(rows: list[Row]) -> list[int]:
+    end = delegated_end(rows)
+    (closed,) = where(rows, "RequestClosed", run_id=rows[end]["run_id"], action_id=rows[end]["action_id"])
+    rows[closed] = {**rows[closed], "action_id": None}
+    return [end]
+
+
 def without(name: str, shows_at: str, **fields: Any) -> Seeds:
     """The last event of this type about an action is lost; it shows at the next one of the other type."""
 
@@ -316,6 +334,11 @@ DEFECTS = (
     Defect("a5", "another requester", of_delegated_start({"requested_by": "robot/Z1"})),
     Defect("a5", "the request is lost", lost("RequestIssued")),
     Defect("a5", "the acceptance is lost", lost("RequestAccepted")),
+    Defect("a5", "the admission is lost", lost("RequestAdmitted")),
+    Defect("a5", "accepted before it is admitted", at_its_start(swapped("RequestAdmitted", "RequestAccepted"))),
+    Defect("a5", "ended by another robot than began it", finished_by_another),
+    Defect("a5", "the task goes on and the request is never closed", never_closed),
+    Defect("a5", "help without any principal", forged("AssistanceAdmitted", {"requested_by": None, "executed_by": None, "supervised_by": None})),
 )
 
 

@@ -295,7 +295,7 @@ def test_the_absence_that_excuses_is_that_of_the_robots_own_supervisor(superviso
     gone = event("SupervisorLeft", 2, supervisor=left)
     assert len(broken("i5", joined, gone, alone)) == count
     executed = started(3, robot="robot/X1", requested_by="robot/A1", executed_by="robot/X1")
-    phases = (event("RequestIssued", 2, action_id="t1/1"), event("RequestAccepted", 2, action_id="t1/1"))
+    phases = tuple(event(name, 2, action_id="t1/1") for name in ("RequestIssued", "RequestAdmitted", "RequestAccepted"))
     assert len(broken("a5", joined, *phases, gone, executed)) == count
 
 
