@@ -1,0 +1,78 @@
+"""Handlers that break a rule are caught by the invariants, and baselines and ablations break what they give up."""
+
+from typing import Any
+
+import msgspec
+import pytest
+
+from fsar_ledger.events import AnyEvent
+from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
+from fsar_ledger.events.execution import ExecutionStarted, RoutinePerformed
+from fsar_ledger.events.recovery import RecoveryEscalated
+from fsar_ledger.events.request import RequestAccepted
+from fsar_ledger.ledger.codec import encode
+from fsar_ledger.metrics.database import from_table
+from fsar_ledger.metrics.invariants import audit_rows, chosen, invariants
+from fsar_ledger.runtime.architectures.fsar import FSAR
+from fsar_ledger.runtime.architectures.fsar.execution import start as start_as_fsar
+from fsar_ledger.runtime.architectures.wiring import Wiring
+from fsar_ledger.runtime.handlers.commands import DecideRoutine, StartAction
+from fsar_ledger.runtime.handlers.execution import started
+from tests.queries.test_invariants import RUNS, record
+
+
+def changed(event: type[AnyEvent], **fields: Any) -> Wiring:
+    """FSAR, with every handler that emits this event saying something else in it."""
+
+    def mutated(decide: Any) -> Any:
+        return lambda state, command: tuple(msgspec.structs.replace(one, **fields) if isinstance(one, event) else one for one in decide(state, command))
+
+    return Wiring({command: mutated(decide) for command, decide in FSAR.decides.items()}, FSAR.reacts)
+
+
+def unchecked_start(state: Any, command: StartAction) -> tuple[Any, ...]:
+    """FSAR's handler without its look at policy."""
+    would_be = start_as_fsar(state, command)
+    return (started(state, state.execution.actions[command.action_id], command),) if would_be else ()
+
+
+def unchecked_routine(state: Any, command: DecideRoutine) -> tuple[Any, ...]:
+    """FSAR's handler, which moves whatever it is told."""
+    return tuple(RoutinePerformed(**msgspec.structs.asdict(one)) for one in FSAR.decides[DecideRoutine](state, command))
+
+
+MUTATED: tuple[tuple[str, Wiring], ...] = (
+    ("i2", changed(RequestAccepted, decided_by="service/coordination")),
+    ("a4", changed(RequestAccepted, decided_by="service/coordination")),
+    ("i4", changed(RecoveryEscalated, level="fleet")),
+    ("a5", changed(ExecutionStarted, supervised_by=None)),
+    ("a2", changed(ExecutionStarted, executed_by="service/recovery")),
+    ("i3", Wiring({**FSAR.decides, StartAction: unchecked_start}, FSAR.reacts)),
+    ("a3", Wiring({**FSAR.decides, StartAction: unchecked_start}, FSAR.reacts)),
+    ("i3", Wiring({**FSAR.decides, DecideRoutine: unchecked_routine}, FSAR.reacts)),
+)
+
+
+@pytest.mark.parametrize(("name", "structure"), MUTATED, ids=[f"{name}-{at}" for at, (name, _) in enumerate(MUTATED)])
+def test_a_mutated_handler_is_caught(name: str, structure: Wiring) -> None:
+    (query,) = chosen([name])
+    with from_table(encode([record(*run, structure=structure) for run in RUNS]), threads=1) as database:
+        assert audit_rows(database, [query])[0].events > 0
+
+
+BROKEN_BY_DESIGN = {
+    ("cfc", "full"): {"i2", "i3", "i4", "i5", "a1", "a3", "a4", "a5"},
+    ("dhma", "full"): {"i1", "i2", "i3", "i4", "i5", "a1", "a3", "a4"},
+    ("fsar", "without-layered-recovery"): {"i4"},
+    ("fsar", "without-policy-composition"): {"i3", "a3"},
+    ("fsar", "without-shared-registry"): {"i5"},
+}
+
+
+@pytest.mark.parametrize(("architecture", "configuration"), list(BROKEN_BY_DESIGN))
+def test_what_a_baseline_or_an_ablation_gives_up_is_reported_and_nothing_else(architecture: Architecture, configuration: Configuration) -> None:
+    scenarios: tuple[Scenario, ...] = ("door-relay", "collaborative-delivery", "failure-recovery-chain", "fleet-contention")
+    records = [record(scenario, run, architecture, configuration) for scenario in scenarios for run in range(8)]
+    with from_table(encode(records), threads=1) as database:
+        broken = {row.invariant[:2] for row in audit_rows(database, invariants()) if row.events}
+    assert broken == BROKEN_BY_DESIGN[architecture, configuration]
