@@ -11,7 +11,7 @@ from typing import Any, Literal, get_args, get_origin, get_type_hints
 import msgspec
 from hypothesis import strategies as st
 
-from fsar_ledger.constants import Constants, WorldConstants
+from fsar_ledger.constants import DURATIONS, Constants, Range, WorldConstants
 from fsar_ledger.events import AnyEvent, Event
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled
@@ -25,6 +25,7 @@ from fsar_ledger.runtime.world.draws import Draws, run_key
 
 CAPABILITIES = ("navigate.indoor", "carry.package", "door.open.secure", "grasp.robust", "carry.heavy")
 HELPER = "robot/F1"
+WORLD = WorldConstants(durations=(*DURATIONS, ("fly", Range(1.0, 2.0))))  # a robot may be given what no scenario knows
 PUBLIC: tuple[type[Command], ...] = tuple(sorted((kind for kind in FSAR.decides if issubclass(kind, PublicCommand)), key=lambda kind: kind.__name__))
 _encoder, _decoder = msgspec.json.Encoder(), msgspec.json.Decoder(AnyEvent)
 
@@ -35,7 +36,7 @@ class Bench(Kernel):
     def __init__(self, founding: Sequence[Event]) -> None:
         self.now_us = 0
         self.rebuilt = State()
-        super().__init__(FSAR, (), Draws(run_key(0, "live", 0), WorldConstants()), founding)
+        super().__init__(FSAR, (), Draws(run_key(0, "live", 0), WORLD), founding)
 
     def issue(self, command: Command) -> tuple[Event, ...]:
         """Somebody outside gives the command now; its events."""
