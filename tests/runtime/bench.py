@@ -97,7 +97,7 @@ def founding(fleet: Sequence[tuple[str, int, bool, str, frozenset[str]]], trust:
             events.append(TrustSet(names[one % len(names)], names[other % len(names)], scope))
     if has_helper:
         events.append(RobotJoined(HELPER, "F", 1, "supervisor/F1"))
-        for capability in CAPABILITIES:
+        for capability in (*CAPABILITIES, "fly"):
             events += [CapabilityInstalled(HELPER, capability, "1.0.0"), CapabilityAdvertised(HELPER, capability)]
         events += [TrustSet(HELPER, name, "persistent") for name in names]
     return tuple(events)
