@@ -123,8 +123,7 @@ def test_a_requester_outside_the_executors_domain_sees_no_advertisement_of_it() 
     apply(state, offered("none", visibility="domain"))
     assert verdict(state) == ("reject", "advertisement")
     for domain, expected in (("hall", "accept"), ("hall/cell", "accept"), ("hallway", "reject")):
-        requester = msgspec.structs.replace(state.fleet.robots["robot/A1"], domain=domain)
-        state.fleet = msgspec.structs.replace(state.fleet, robots={**state.fleet.robots, "robot/A1": requester})
+        state.registry = msgspec.structs.replace(state.registry, domains={**state.registry.domains, "robot/A1": domain})
         assert verdict(state)[0] == expected
 
 

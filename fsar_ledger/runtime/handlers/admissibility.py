@@ -13,13 +13,14 @@ from fsar_ledger.projections.authority import Later, rank, right_of
 from fsar_ledger.projections.execution import INTERRUPTING, Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import ruled
-from fsar_ledger.projections.registry import Advertisement, advertisement, possesses
+from fsar_ledger.projections.registry import advertisement, possesses
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.trust import covers, scope_of
 from fsar_ledger.projections.world import stricter
 
 from .attribution import is_idle
 from .policy import compose, fleet_policy, is_ruled_out, own_policy
+from .registry import hides
 
 Conjunct = Literal["possession", "advertisement", "trust", "policy", "local-execution", "authority"]
 Verdict = Literal["accept", "defer", "negotiate", "review", "reject"]
@@ -80,7 +81,7 @@ def failing(state: State, request: Request, executor: str, trust: TrustScope | N
     if not possesses(state.registry, executor, request.capability):
         return "possession"
     record = advertisement(state.registry, executor, request.capability)
-    if record is None or not is_visible(state, record, request) or request.version not in (None, record.version):
+    if record is None or hides(state, record, request.requester, asker(request), request.task_id) or request.version not in (None, record.version):
         return "advertisement"
     if trust is not None and not covers(trust, record.trust_required):
         return "trust"
@@ -91,20 +92,6 @@ def failing(state: State, request: Request, executor: str, trust: TrustScope | N
     if request.task_id in state.context or is_revoked(state, request, executor):
         return "authority"
     return None
-
-
-def is_visible(state: State, record: Advertisement, request: Request) -> bool:
-    """True when the registry may show the record to the requester. Paper: sec:architecture:registry."""
-    if state.fleet.configuration == "without-trust-evaluation":
-        return True
-    requester = state.fleet.robots[request.requester]
-    if record.visible_to and requester.role not in record.visible_to:
-        return False
-    if record.visibility == "domain":
-        return not record.domain or requester.domain == record.domain or requester.domain.startswith(record.domain + "/")
-    if record.visibility == "trust-gated":
-        return scope_of(state.trust, record.robot, asker(request), request.capability, request.task_id) != "none"
-    return True
 
 
 def is_revoked(state: State, request: Request, executor: str) -> bool:

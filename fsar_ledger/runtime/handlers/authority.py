@@ -15,10 +15,9 @@ from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.projections.authority import LEVELS, Right
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.registry import possesses
 
 from .commands import Command, Decides, PublicCommand, Reacts, Scheduled
-from .rejection import expired_context, rejected, unknown_robot, unknown_supervisor
+from .rejection import expired_context, rejected, unknown_capability, unknown_robot, unknown_supervisor, unknown_word
 from .trust import trusts
 
 
@@ -76,9 +75,7 @@ def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
     robot = state.fleet.robots.get(command.executor or "")
     if reason is None and command.supervisor != FLEET_SUPERVISOR and (robot is None or robot.supervisor != command.supervisor):
         reason = f"{command.supervisor} does not supervise {command.executor or 'every robot'}, expected {FLEET_SUPERVISOR} or the executor's own"
-    if reason is None and command.override not in LEVELS:
-        reason = f"unknown override level {command.override}, expected one of {', '.join(LEVELS)}"
-    reason = reason or expired_context(state, command.context)
+    reason = reason or unknown_word("override level", command.override, LEVELS) or expired_context(state, command.context)
     if reason is None and command.supervisor != FLEET_SUPERVISOR and _is_revoked_by_fleet(state, command):
         reason = f"{FLEET_SUPERVISOR} has revoked it, expected {FLEET_SUPERVISOR} to lift that"
     if reason is not None:
@@ -94,8 +91,7 @@ def revoke_authority(state: State, command: RevokeAuthority) -> tuple[Event, ...
         parties = [state.fleet.robots[name] for name in (command.requester, command.executor) if name is not None]
         if all(robot.supervisor != command.supervisor for robot in parties):
             reason = f"{command.supervisor} supervises neither robot, expected {FLEET_SUPERVISOR} or one's own"
-    if reason is None and command.reason not in get_args(RevocationReason):
-        reason = f"unknown reason {command.reason}, expected one of {', '.join(get_args(RevocationReason))}"
+    reason = reason or unknown_word("reason", command.reason, get_args(RevocationReason))
     if reason is None and isinstance(_standing(state, command), AuthorityRevoked):
         reason = "it is revoked already, expected a right that stands"
     if reason is not None:
@@ -137,9 +133,7 @@ def _unknown(state: State, command: GrantAuthority | RevokeAuthority) -> str | N
     reason = unknown_supervisor(state, command.supervisor) or unknown_robot(state, command.requester, command.executor)
     if reason is None and command.requester == command.executor:
         reason = f"{command.requester} needs nobody's authority to ask itself, expected two robots"
-    if reason is None and command.capability is not None and not any(possesses(state.registry, name, command.capability) for name in state.fleet.robots):
-        reason = f"unknown capability {command.capability}, expected one that a member possesses"
-    return reason
+    return reason or unknown_capability(state, command.capability)
 
 
 def _latest(state: State, about: AuthorityRevoked) -> Right | None:

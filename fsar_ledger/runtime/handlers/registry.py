@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import OverrideLevel, TrustScope
+from fsar_ledger.events.envelope import OverrideLevel
 from fsar_ledger.events.registry import RegistryCached, RegistryConsulted, RegistryQueried
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import ruled
@@ -148,27 +148,26 @@ def rejecting_filter(state: State, query: Query, record: Advertisement, but: Fil
     return None
 
 
-def _hides(state: State, query: Query, record: Advertisement) -> bool:
-    """Visible_Gamma. Without trust evaluation nobody hides. Paper: eq:advertise."""
+def hides(state: State, record: Advertisement, requester: str, asker: str, context: str | None) -> bool:
+    """Not Visible_Gamma: to the requester, for whom the asker (itself, or a relay) stands before the robot. Paper: eq:advertise.
+
+    Without trust evaluation nobody hides.
+    """
     if state.fleet.configuration == "without-trust-evaluation":
         return False
-    if record.visible_to and state.fleet.robots[query.requester].role not in record.visible_to:
+    if record.visible_to and state.fleet.robots[requester].role not in record.visible_to:
         return True
     if record.visibility == "domain":
-        asking = state.registry.domains[query.requester]
+        asking = state.registry.domains[requester]
         return record.domain != "" and asking != record.domain and not asking.startswith(record.domain + "/")
-    return record.visibility == "trust-gated" and _trust(state, query, record) == "none"
-
-
-def _trust(state: State, query: Query, record: Advertisement) -> TrustScope:
-    return scope_of(state.trust, record.robot, query.requester, record.capability, query.context)
+    return record.visibility == "trust-gated" and scope_of(state.trust, record.robot, asker, record.capability, context) == "none"
 
 
 def _distrusts(state: State, query: Query, record: Advertisement) -> bool:
     """Not TrustOK by the record that is read (see `trust.trusts` for the present one). Paper: eq:delegable."""
     if state.fleet.configuration == "without-trust-evaluation":
         return False
-    return not covers(_trust(state, query, record), record.trust_required)
+    return not covers(scope_of(state.trust, record.robot, query.requester, record.capability, query.context), record.trust_required)
 
 
 def _forbids(state: State, query: Query, record: Advertisement) -> bool:
@@ -183,7 +182,7 @@ def _forbids(state: State, query: Query, record: Advertisement) -> bool:
 
 
 _REJECTS: tuple[tuple[Filter, Callable[[State, Query, Advertisement], bool]], ...] = (
-    ("visibility", _hides),
+    ("visibility", lambda state, query, record: hides(state, record, query.requester, query.requester, query.context)),
     ("version", lambda _state, query, record: not is_in_range(record.version, query.version)),
     ("contract", lambda _state, query, record: not is_suitable(record.contract, query.needs, query.provides, query.resources)),
     ("trust", _distrusts),

@@ -1,5 +1,7 @@
 """A command that cannot be carried out is a fact, and changes nothing. Paper: sec:architecture:overview."""
 
+from collections.abc import Iterable
+
 from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR
 from fsar_ledger.projections.fold import State
@@ -47,7 +49,13 @@ def unknown_capability(state: State, capability: str | None) -> str | None:
     """The reason to reject a command about a capability that no robot of the fleet possesses, or None (None names none)."""
     if capability is None or any(capability in modules for modules in state.registry.modules.values()):
         return None
-    return f"unknown capability {capability}, expected one that some robot possesses"
+    return f"unknown capability {capability}, expected one that a member possesses"
+
+
+def unknown_word(what: str, found: str | None, known: Iterable[str]) -> str | None:
+    """The reason to reject a command with a word that is none of those, or None when it is one."""
+    known = tuple(known)
+    return None if found in known else f"unknown {what} {found}, expected one of {', '.join(known)}"
 
 
 def expired_context(state: State, context: str | None) -> str | None:

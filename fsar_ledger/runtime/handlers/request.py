@@ -12,13 +12,12 @@ from fsar_ledger.events.request import GapDetected, OfferAnswered, RequestIssued
 from fsar_ledger.projections.authority import LEVELS
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.registry import possesses
 from fsar_ledger.projections.request import Request
 
 from .attribution import on_shift, principals
 from .commands import Decides, PublicCommand, Reacts
 from .policy import own_policy
-from .rejection import expired_context, rejected, unknown_robot
+from .rejection import expired_context, rejected, unknown_capability, unknown_robot, unknown_word
 
 
 class RequestCapability(PublicCommand):
@@ -92,13 +91,10 @@ def _impossible(state: State, command: RequestCapability) -> str | None:
         return unknown
     if command.requester == command.executor:
         return f"{command.requester} asks itself, expected another robot"
-    if not any(possesses(state.registry, robot, command.capability) for robot in state.fleet.robots):
-        return f"unknown capability {command.capability}, expected one that a member possesses"
-    if command.override not in LEVELS:
-        return f"unknown override level {command.override}, expected one of {', '.join(LEVELS)}"
-    expired = expired_context(state, command.context)
-    if expired is not None:
-        return expired
+    unknown = unknown_capability(state, command.capability) or unknown_word("override level", command.override, LEVELS)
+    unknown = unknown or expired_context(state, command.context)
+    if unknown is not None:
+        return unknown
     if not command.context or not command.action_id:
         return "the context or the action has no name, expected both"
     if ":" in command.action_id:
@@ -136,8 +132,8 @@ def answer_offer(state: State, command: AnswerOffer) -> tuple[Event, ...]:
         reason = f"the offer is to {request.requester}, expected its answer"
     elif command.is_accepted and command.override not in (None, request.offered):
         reason = f"{request.offered} was offered, expected no other level with a yes"
-    elif command.override not in (None, *LEVELS):
-        reason = f"unknown override level {command.override}, expected one of {', '.join(LEVELS)}"
+    elif command.override is not None:
+        reason = unknown_word("override level", command.override, LEVELS)
     if request is None or reason is not None:
         return rejected(command, command.action_id, reason or "", command.requester)
     robot = command.requester
@@ -180,8 +176,9 @@ def _not_executed(request: Request | None) -> str:
 
 def _not_reportable(state: State, action: Action, command: ReportResult) -> str | None:
     """Why this is no result that the executor can report now, or None; a failure is first handled by its own recovery."""
-    if command.result not in get_args(Result):
-        return f"unknown result {command.result}, expected one of {', '.join(get_args(Result))}"
+    unreadable = unknown_word("result", command.result, get_args(Result))
+    if unreadable is not None:
+        return unreadable
     if action.robot != command.executor:
         return f"{action.robot} executes it, expected the report of that robot"
     if action.stage not in ("running", "paused"):

@@ -8,7 +8,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import possesses
 
 from .commands import BeginStep, CompleteStep, Decides, PublicCommand, Reacts, Scheduled
-from .rejection import rejected, unknown_robot
+from .rejection import rejected, unknown_capability, unknown_robot
 
 
 class SubmitTask(PublicCommand):
@@ -50,7 +50,7 @@ def _impossible(state: State, command: SubmitTask) -> str | None:
             case [actor, capability]:
                 able = possesses(state.registry, f"robot/{actor}{team}", capability)
             case [actor, capability, target] if target:
-                able = f"robot/{actor}{team}" in state.fleet.robots and any(possesses(state.registry, name, capability) for name in state.fleet.robots)
+                able = f"robot/{actor}{team}" in state.fleet.robots and unknown_capability(state, capability) is None
             case _:
                 able = False
         if not able:

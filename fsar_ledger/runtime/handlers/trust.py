@@ -12,7 +12,7 @@ from fsar_ledger.projections.registry import advertisement
 from fsar_ledger.projections.trust import SCOPES, covers, follows_record, scope_of
 
 from .commands import Command, Decides, PublicCommand, Reacts, Scheduled
-from .rejection import expired_context, not_in_charge, rejected, unknown_capability, unknown_robot
+from .rejection import expired_context, not_in_charge, rejected, unknown_capability, unknown_robot, unknown_word
 
 BROADEST_BY_RECORD: TrustScope = "session"  # persistent trust is for an operator to give
 
@@ -65,8 +65,7 @@ def set_trust(state: State, command: SetTrust) -> tuple[Event, ...]:
     """The robot trusts the peer so far from now on, by word of its own supervisor or of H_F. Paper: eq:trust."""
     refused = unknown_robot(state, command.robot, command.peer) or not_in_charge(state, command.issued_by, command.robot)
     refused = refused or unknown_capability(state, command.capability) or expired_context(state, command.context)
-    if refused is None and command.scope not in SCOPES:
-        refused = f"unknown scope {command.scope}, expected one of {', '.join(SCOPES)}"
+    refused = refused or unknown_word("scope", command.scope, SCOPES)
     if refused is None and command.robot == command.peer:
         refused = f"{command.robot} needs no trust in itself, expected another robot"
     if refused is not None:
