@@ -4,24 +4,27 @@ Order of steps, each durable before the next; a reader or a crash between any tw
 1. `stage` (any number of workers): the segment is in `staging/` under its SHA-256.
 2. `append` (one parent): the record is written in `staging/` and linked to its number in `commits/`. This is the commit.
 3. The segment moves to `segments/`. A crash before this is mended by the next Writer; readers look in staging meanwhile.
+4. The tiles and the checkpoint follow (see `derived.py`); the next Writer mends these as well.
 
-A Writer holds a shared lock on the ledger. Leftovers in `staging/` that no record names are harmless; a Writer
-that finds itself alone removes them when it opens.
+Writers take turns: 2 to 4 happen under an exclusive lock on `commits/`. A Writer also holds a shared lock on the ledger. Leftovers in
+`staging/` that no record names are harmless; a Writer that finds itself alone removes them when it opens.
 """
 
 import fcntl
 import os
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import TracebackType
 
 import msgspec
 
-from fsar_ledger.errors import NotALedger, SequenceConflict, WriteFailed
+from fsar_ledger.errors import NotALedger, SequenceConflict, UsageError, WriteFailed
 from fsar_ledger.ledger import canonical, disk, segment
 from fsar_ledger.ledger.codec import RunRecord, encode_hashed
+from fsar_ledger.ledger.derived import catch_up, write_derived
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.note import Note, Signer, checkpoint_of, is_name
 from fsar_ledger.ledger.read import Head, LedgerView, open_ledger, read_manifest
 from fsar_ledger.ledger.record import (
     COMMITS,
@@ -32,15 +35,14 @@ from fsar_ledger.ledger.record import (
     VERSION,
     CommitRecord,
     Manifest,
-    checkpoint_note,
     commit_path,
-    is_origin,
     parse_manifest,
     segment_path,
     sha256_hex,
     staged_path,
 )
 from fsar_ledger.ledger.schema import FINGERPRINT
+from fsar_ledger.ledger.tiles import Tile
 
 
 class Staged(msgspec.Struct, frozen=True):
@@ -80,15 +82,23 @@ def stage(ledger: Path, runs: Sequence[RunRecord]) -> Staged:
 class Writer:
     """Appends to one ledger, which it creates if there is none. Use as a context manager.
 
+    Args:
+        signer: The key that signs the notes of new commits, whose name must be the origin; without one they are unsigned.
+
     Raises:
         NotALedger: The path is a file, a folder with other things in it, or a ledger of another origin; it is left as it was.
         FormatVersionMismatch: The ledger was written in another format.
         LedgerCorrupted: Its records contradict each other, or a segment is missing.
+        UsageError: The key is that of another origin.
         WriteFailed: The disk refused.
     """
 
-    def __init__(self, ledger: Path, origin: str):
-        if not is_origin(origin):
+    def __init__(self, ledger: Path, origin: str, signer: Signer | None = None):
+        if signer is not None and signer.verifier.name != origin:
+            raise UsageError(
+                f"found a key named {signer.verifier.name}, expected {origin}, the ledger's origin; make one with fsar-ledger key new FILE --name {origin}"
+            )
+        if not is_name(origin):
             raise ValueError(f"found origin {origin!r}, expected a printable name without spaces and plus signs")
         if not os.path.lexists(ledger / MANIFEST):
             _create(ledger, origin)
@@ -97,18 +107,19 @@ class Writer:
             raise NotALedger(f"{ledger / MANIFEST}: found a ledger of origin {manifest.origin!r}, expected {origin!r}; give another path")
         self._lock, is_alone = _lock(ledger)
         try:
-            view = open_ledger(ledger)
             if is_alone:
-                _clean(view)
+                _clean(open_ledger(ledger))
             with suppress(OSError):  # the file system has no locks
                 fcntl.flock(self._lock, fcntl.LOCK_SH)
-            _roll_forward(view)
+            with disk.turn(ledger / COMMITS):
+                view = open_ledger(ledger)
+                _roll_forward(view)
+                self._edge = catch_up(view)
         except BaseException:
             self.close()
             raise
-        self._path, self._origin, self._head = ledger, origin, view.head
+        self._path, self._origin, self._signer, self._head = ledger, origin, signer, view.head
         self._last = view.records[-1] if view.records else None
-        self._tree = self._last.tree() if self._last else Frontier()
         self._previous = sha256_hex(canonical.document(self._last)) if self._last else view.manifest_sha256
         self._is_broken = False
 
@@ -142,18 +153,21 @@ class Writer:
             disk.remove(staged_path(self._path, staged.segment_sha256))
             return self._head
         number = self._head.commits
-        tree = self._tree.extend(staged.leaves)
-        record = self._record(staged, number, tree)
+        edge, tiles = self._edge.extend(staged.leaves)
+        record = self._record(staged, number, edge.frontier())
         data = canonical.document(record)
         self._is_broken = True  # unless everything below succeeds
-        self._publish(staged, number, data)
-        self._settle(staged, number)
+        with disk.turn(self._path / COMMITS):
+            self._publish(staged, number, data)
+            self._settle(staged, number)
+            self._derive(number, tiles, record.note)
         self._is_broken = False
-        self._last, self._tree, self._previous = record, tree, sha256_hex(data)
-        self._head = Head(number + 1, tree.size, record.tree_root, record.last_run)
+        self._last, self._edge, self._previous = record, edge, sha256_hex(data)
+        self._head = Head(number + 1, edge.size, record.tree_root, record.last_run)
         return self._head
 
     def _record(self, staged: Staged, number: int, tree: Frontier) -> CommitRecord:
+        checkpoint = checkpoint_of(self._origin, tree)
         return CommitRecord(
             number=number,
             previous_sha256=self._previous,
@@ -164,9 +178,9 @@ class Writer:
             first_run=staged.first_run,
             last_run=staged.last_run,
             tree_size=tree.size,
-            tree_root=tree.root().hex(),
+            tree_root=checkpoint.root.hex(),
             frontier=tuple(subtree.hex() for subtree in tree.subtrees),
-            note=checkpoint_note(self._origin, tree),
+            note=str(Note(checkpoint, (self._signer.sign(checkpoint),) if self._signer else ())),
         )
 
     def _publish(self, staged: Staged, number: int, data: bytes) -> None:
@@ -189,14 +203,26 @@ class Writer:
 
     def _settle(self, staged: Staged, number: int) -> None:
         """The record and its segment are in place, durably. Raises: WriteFailed if the disk refuses; the commit may stand."""
-        try:
+        with _unfinished(self._path, number):
             disk.sync_folder(self._path / COMMITS)
             disk.move(staged_path(self._path, staged.segment_sha256), segment_path(self._path, number))
-        except OSError as error:
-            raise WriteFailed(
-                f"{self._path}: commit {number} was made, but the disk refused before it was safe ({error.strerror}); "
-                "the next writer finishes it or finds it gone: run the same command again"
-            ) from error
+
+    def _derive(self, number: int, tiles: Mapping[Tile, bytes], note: str) -> None:
+        """What is derived from the commit is there too, durably. Raises: as `_settle`."""
+        with _unfinished(self._path, number):
+            write_derived(self._path, self._edge, tiles, note)
+
+
+@contextmanager
+def _unfinished(ledger: Path, number: int) -> Iterator[None]:
+    """What the disk refuses inside, after the record had its number, becomes WriteFailed."""
+    try:
+        yield
+    except OSError as error:
+        raise WriteFailed(
+            f"{ledger}: commit {number} was made, but the disk refused before it was safe ({error.strerror}); "
+            "the next writer finishes it or finds it gone: run the same command again"
+        ) from error
 
 
 def _lock(ledger: Path) -> tuple[int, bool]:

@@ -1,8 +1,9 @@
 """Files that are there whole or not at all, and stay there after a power failure."""
 
+import fcntl
 import os
 import stat
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -96,3 +97,62 @@ def remove(path: Path) -> None:
     """The file is not there, if the disk lets us."""
     with suppress(OSError):
         path.unlink()
+
+
+def remove_folder(path: Path) -> None:
+    """The folder and the files in it are not there, if the disk lets us."""
+    with suppress(OSError):
+        for name in os.listdir(path):
+            os.unlink(path / name)
+        os.rmdir(path)
+
+
+def write_files(files: Mapping[Path, bytes], staging: Path) -> None:
+    """Each file holds its bytes, whole and on the disk, and so do the folders made for it. Each folder is made durable once.
+
+    Args:
+        files: What each path shall hold.
+        staging: A folder on the same disk, for files on their way.
+    """
+    folders: set[Path] = set()
+    temporary = temporary_name(staging / "file")
+    for path, data in files.items():
+        if path.parent not in folders:
+            folders.update(_make_folder(path.parent))
+        write_temporary(temporary, data)
+        os.replace(temporary, path)
+    for folder in folders:
+        sync_folder(folder)
+
+
+def _make_folder(path: Path) -> list[Path]:
+    """The folder is there; it and every folder whose names changed for it."""
+    changed = [path]
+    while not os.path.isdir(changed[-1]):
+        changed.append(changed[-1].parent)
+    for folder in reversed(changed[:-1]):
+        with suppress(FileExistsError):
+            os.mkdir(folder)
+    return changed
+
+
+def write_secret(path: Path, data: bytes) -> None:
+    """The new file holds these bytes, and only its owner may read it. Raises: FileExistsError if the name is taken."""
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
+    with open(handle, "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(handle)
+    sync_folder(path.parent)
+
+
+@contextmanager
+def turn(folder: Path) -> Iterator[None]:
+    """Nobody else is in a turn on this folder, where the file system has locks. A process that dies ends its turn."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        with suppress(OSError):
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)

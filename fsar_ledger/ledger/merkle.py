@@ -1,8 +1,11 @@
-"""The Merkle tree of RFC 6962 (section 2.1) as pure functions over packed hashes, 32 bytes each."""
+"""The Merkle tree of RFC 6962 (section 2.1) as pure functions over packed hashes, 32 bytes each.
+
+Proofs are made from any source of complete subtrees (`Node`) and checked as RFC 9162, sections 2.1.3.2 and 2.1.4.2, says.
+"""
 
 import hashlib
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, TypeAlias
 
 import msgspec
 import numpy as np
@@ -11,6 +14,9 @@ HASH_BYTES = 32
 _HASHED = np.dtype((np.void, 1 + 2 * HASH_BYTES))
 _PAIRS_AT_ONCE = 512  # so that they stay in the processor's caches
 EMPTY_ROOT = hashlib.sha256(b"").digest()
+
+Node: TypeAlias = Callable[[int, int], bytes]
+"""The root of the complete subtree of 2**height leaves, by height and by its place among those of its height."""
 
 
 def leaf_hash(data: bytes) -> bytes:
@@ -23,7 +29,7 @@ def node_hash(left: bytes, right: bytes) -> bytes:
     return hashlib.sha256(b"\x01" + left + right).digest()
 
 
-def _parents(nodes: bytes) -> bytes:
+def parents(nodes: bytes) -> bytes:
     """The hash of each pair of packed hashes, packed. What is hashed is cut out of one buffer: joining each costs a fifth more."""
     sha256 = hashlib.sha256
     pairs = np.frombuffer(nodes, np.uint8).reshape(-1, 2 * HASH_BYTES)
@@ -57,7 +63,7 @@ class Frontier(msgspec.Struct, frozen=True):
             pairs = len(nodes) // (2 * HASH_BYTES) * 2 * HASH_BYTES
             if pairs < len(nodes):
                 found.append(nodes[pairs:])
-            nodes = _parents(nodes[:pairs])
+            nodes = parents(nodes[:pairs])
             size >>= 1
         return Frontier(self.size + len(leaves) // HASH_BYTES, (*kept, *reversed(found)))
 
@@ -74,3 +80,115 @@ class Frontier(msgspec.Struct, frozen=True):
 def root(leaves: Sequence[bytes]) -> bytes:
     """The root hash of the tree over these leaf hashes."""
     return Frontier().extend(b"".join(leaves)).root()
+
+
+# --- proofs ---
+
+
+def _split(size: int) -> int:
+    """The largest power of two below the size, where RFC 6962 divides a tree."""
+    return 1 << (size - 1).bit_length() - 1
+
+
+def range_root(node: Node, start: int, end: int) -> bytes:
+    """The root over leaves `start` to `end`, which is a subtree that RFC 6962 knows: `start` is a multiple of a power of two not below its size."""
+    size = end - start
+    if size & (size - 1) == 0:
+        return node(size.bit_length() - 1, start // size)
+    middle = start + _split(size)
+    return node_hash(range_root(node, start, middle), range_root(node, middle, end))
+
+
+def tree_root(node: Node, size: int) -> bytes:
+    """The root of the tree over the first so many leaves."""
+    return range_root(node, 0, size) if size else EMPTY_ROOT
+
+
+def inclusion_proof(node: Node, index: int, size: int) -> tuple[bytes, ...]:
+    """PATH(index, D[size]), RFC 6962 section 2.1.1: the hashes from the leaf's sibling to the root's child.
+
+    Raises:
+        ValueError: The tree has no such leaf.
+    """
+    if not 0 <= index < size:
+        raise ValueError(f"found index {index}, expected one of {size} leaves")
+    path: list[bytes] = []
+    start, end = 0, size
+    while end - start > 1:
+        middle = start + _split(end - start)
+        if index < middle:
+            path.append(range_root(node, middle, end))
+            end = middle
+        else:
+            path.append(range_root(node, start, middle))
+            start = middle
+    return tuple(reversed(path))
+
+
+def consistency_proof(node: Node, old: int, new: int) -> tuple[bytes, ...]:
+    """PROOF(old, D[new]), RFC 6962 section 2.1.2: nothing where one of the trees is empty or both are the same.
+
+    Raises:
+        ValueError: The old tree is the larger one.
+    """
+    if not 0 <= old <= new:
+        raise ValueError(f"found sizes {old} and {new}, expected an older tree that is not larger")
+    if old in (0, new):
+        return ()
+    path: list[bytes] = []
+    start, end = 0, new
+    while end != old:
+        middle = start + _split(end - start)
+        if old <= middle:
+            path.append(range_root(node, middle, end))
+            end = middle
+        else:
+            path.append(range_root(node, start, middle))
+            start = middle
+    if start:  # else the verifier knows this root, for it is the old one
+        path.append(range_root(node, start, end))
+    return tuple(reversed(path))
+
+
+def root_of_inclusion(leaf: bytes, index: int, size: int, proof: Sequence[bytes]) -> bytes | None:
+    """The root that this proof leads to from the leaf hash; None if it has another length than such a proof has. RFC 9162 section 2.1.3.2."""
+    if not 0 <= index < size:
+        return None
+    place, last, found = index, size - 1, leaf
+    for sibling in proof:
+        if last == 0:
+            return None
+        if place & 1 or place == last:
+            found = node_hash(sibling, found)
+            while not place & 1 and place:
+                place, last = place >> 1, last >> 1
+        else:
+            found = node_hash(found, sibling)
+        place, last = place >> 1, last >> 1
+    return found if last == 0 else None
+
+
+def is_consistent(old: int, old_root: bytes, new: int, new_root: bytes, proof: Sequence[bytes]) -> bool:
+    """True when the proof shows that the new tree begins with the old one. RFC 9162 section 2.1.4.2."""
+    if not 0 <= old <= new:
+        return False
+    if old == 0:
+        return not proof and old_root == EMPTY_ROOT
+    if old == new:
+        return not proof and old_root == new_root
+    first, *rest = (old_root, *proof) if old & (old - 1) == 0 else proof or (b"",)
+    place, last = old - 1, new - 1
+    while place & 1:
+        place, last = place >> 1, last >> 1
+    found_old = found_new = first
+    for sibling in rest:
+        if last == 0:
+            return False
+        if place & 1 or place == last:
+            found_old, found_new = node_hash(sibling, found_old), node_hash(sibling, found_new)
+            while not place & 1 and place:
+                place, last = place >> 1, last >> 1
+        else:
+            found_new = node_hash(found_new, sibling)
+        place, last = place >> 1, last >> 1
+    return last == 0 and found_old == old_root and found_new == new_root

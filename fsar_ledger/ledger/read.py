@@ -8,7 +8,7 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger.errors import LedgerCorrupted, NotALedger
-from fsar_ledger.ledger import codec, disk, merkle, segment
+from fsar_ledger.ledger import canonical, codec, disk, merkle, segment
 from fsar_ledger.ledger.merkle import Frontier
 from fsar_ledger.ledger.record import (
     COMMITS,
@@ -89,6 +89,10 @@ class LedgerView(msgspec.Struct, frozen=True):
             if path.exists():
                 raise
             return segment.read_table(self.segment(number), columns)  # a writer moved it into place in between
+
+    def leaves(self, number: int) -> bytes:
+        """The packed RFC 6962 leaf hashes of the rows of this commit. Raises: LedgerCorrupted for a segment that cannot be read."""
+        return b"".join(canonical.hashes(canonical.from_table(self._table(number))))
 
     def runs(self) -> Iterator[codec.RunRecord]:
         """Every run, in order. Raises: LedgerCorrupted or UnknownEventTag where a segment does not hold valid events."""

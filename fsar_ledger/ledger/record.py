@@ -4,7 +4,6 @@ Each file is the RFC 8785 JSON of one struct, to the byte. Each record holds the
 before it (the first: of ledger.json), so the last record vouches for all.
 """
 
-import base64
 import hashlib
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +14,7 @@ import msgspec
 from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger
 from fsar_ledger.ledger import canonical
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.note import Checkpoint, Note, checkpoint_of, is_name, parse_note
 from fsar_ledger.ledger.schema import FINGERPRINT, MAX_INTEGER
 
 FORMAT = "fsar-ledger"
@@ -39,7 +39,7 @@ class CommitRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """What one commit added and what the ledger was after it.
 
     Units: `segment_bytes` bytes, `rows` and `tree_size` events. `tree_root` and `frontier` (the roots of the
-    complete subtrees, largest first, which determine it) are hex; `note` is a C2SP checkpoint, as yet without signatures.
+    complete subtrees, largest first, which determine it) are hex; `note` is the C2SP checkpoint of that tree, with one signature or none.
     """
 
     number: Count
@@ -59,6 +59,10 @@ class CommitRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """The tree after this commit. Raises: ValueError where a hash is not hex."""
         return Frontier(self.tree_size, tuple(map(bytes.fromhex, self.frontier)))
 
+    def signed_note(self, where: str = "note") -> Note:
+        """The note in parts. Raises: LedgerCorrupted where it is not written as C2SP says."""
+        return parse_note(where, self.note)
+
 
 def commit_path(ledger: Path, number: int) -> Path:
     """Where the record of this commit is."""
@@ -73,11 +77,6 @@ def segment_path(ledger: Path, number: int) -> Path:
 def staged_path(ledger: Path, sha256: str) -> Path:
     """Where the segment with this SHA-256 waits until it is committed and moved."""
     return ledger / STAGING / f"{sha256}.parquet"
-
-
-def checkpoint_note(origin: str, tree: Frontier) -> str:
-    """The C2SP checkpoint of this tree without signatures: origin, size and base64 root, one a line, then an empty line."""
-    return f"{origin}\n{tree.size}\n{base64.b64encode(tree.root()).decode()}\n\n"
 
 
 def sha256_hex(data: bytes) -> str:
@@ -102,14 +101,9 @@ def parse_manifest(path: Path, data: bytes) -> Manifest:
     if header.get("version") != VERSION:
         raise FormatVersionMismatch(f"{path}: found format version {header.get('version')!r}, expected {VERSION}; read it with the version that wrote it")
     manifest = _parse(path, data, Manifest)
-    if not is_origin(manifest.origin):
+    if not is_name(manifest.origin):
         raise LedgerCorrupted(f"{path}: field origin: found {manifest.origin!r}, expected a printable name without spaces; restore it")
     return manifest
-
-
-def is_origin(origin: str) -> bool:
-    """Whether a checkpoint can carry this origin: printable, not empty, without spaces or plus signs (C2SP signed-note key names)."""
-    return origin.isprintable() and origin != "" and not set(origin) & {" ", "+"}
 
 
 def parse_record(path: Path, data: bytes) -> CommitRecord:
@@ -133,11 +127,22 @@ def contradictions(record: CommitRecord, number: int, previous: str, origin: str
         "schema_sha256": (record.schema_sha256, FINGERPRINT),
         "rows": (record.rows, max(1, record.tree_size - before.size)),
         "tree_root": (record.tree_root, tree.root().hex()),
-        "note": (record.note, checkpoint_note(origin, tree)),
     }
     for name, (found, expected) in pairs.items():
         if found != expected:
             yield name, found, expected
+    checkpoint = checkpoint_of(origin, tree)
+    if not _is_note_of(record, checkpoint):
+        yield "note", record.note, f"{checkpoint.text()}\n, with one signature or none"
+
+
+def _is_note_of(record: CommitRecord, checkpoint: Checkpoint) -> bool:
+    """Whether the record's note is that of this checkpoint, by the ledger's own key or unsigned."""
+    try:
+        note = record.signed_note()
+    except LedgerCorrupted:
+        return False
+    return note.checkpoint == checkpoint and len(note.signatures) <= 1
 
 
 def _require_hash(path: Path, name: str, value: str) -> None:

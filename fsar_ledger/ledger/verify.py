@@ -1,48 +1,54 @@
 """Everything a ledger says about itself, derived again from its rows and compared.
 
 What this proves without a signature or an anchor: nothing was altered, removed or added *inside* the ledger
-that its last commit record vouches for. Who rewrites every record, or removes the newest ones, is not caught;
-that needs the signature or an earlier checkpoint kept elsewhere.
+that its last commit record vouches for. Who rewrites every record, or removes the newest ones, is caught by a
+trusted key (nobody else can sign what he wrote) and by an anchor, an earlier checkpoint kept elsewhere.
 """
 
 import os
-import stat
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from itertools import repeat
 from pathlib import Path
-from typing import Literal
 
 import msgspec
 
-from fsar_ledger.errors import FsarLedgerError, NotALedger
-from fsar_ledger.ledger import disk, merkle
-from fsar_ledger.ledger.merkle import Frontier
-from fsar_ledger.ledger.record import (
-    COMMITS,
-    MANIFEST,
-    SEGMENTS,
-    STAGING,
-    CommitRecord,
-    commit_path,
-    contradictions,
-    parse_manifest,
-    parse_record,
-    segment_path,
-    sha256_hex,
-    staged_path,
-)
-from fsar_ledger.ledger.verify_segment import Problem, SegmentFacts, examine, unexpected
+from fsar_ledger.errors import LedgerCorrupted, NotALedger
+from fsar_ledger.ledger import merkle
+from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.note import VerifierKey
+from fsar_ledger.ledger.problem import Problem, unexpected
+from fsar_ledger.ledger.record import COMMITS, MANIFEST, SEGMENTS, CommitRecord, sha256_hex
+from fsar_ledger.ledger.tiles import Edge, node_of, tile_reader
+from fsar_ledger.ledger.verify_commits import Commit, check_folder, check_manifest, check_record, check_strays, read_commits, segment_file
+from fsar_ledger.ledger.verify_derived import TileCheck, check_checkpoint
+from fsar_ledger.ledger.verify_notes import Anchor, Signed, check_anchor, check_signatures
+from fsar_ledger.ledger.verify_segment import SegmentFacts, examine, examine_file
 from fsar_ledger.workers import WorkerPool
 
 MAX_PROBLEMS = 100
 """A report names the first so many; a ledger with more is lost anyway."""
 
+Progress = Callable[[int, int], None]
+
+
+class Asked(msgspec.Struct, frozen=True):
+    """What `verify` shall look at beyond the ledger itself.
+
+    With `is_quick` the rows are not read: the chain of records, the files' hashes and the notes must do.
+    """
+
+    is_quick: bool = False
+    trusted: VerifierKey | None = None
+    anchor: Anchor | None = None
+
 
 class VerifyReport(msgspec.Struct, frozen=True):
-    """What `verify` found. Units: `commits`, `events` and `runs` are counts of what was read without doubt.
+    """What `verify` found. Units: `commits`, `events` and `runs` are counts of what was read without doubt; `signed` counts signed commits.
 
-    `root` is the Merkle root in hex over the rows themselves, None if some could not be read.
+    `root` is the Merkle root in hex over the rows themselves (as recorded, where rows were not read), None if there is any doubt.
+    `remarks` are no doubts: what a crash may leave behind.
     """
 
     ok: bool
@@ -51,207 +57,188 @@ class VerifyReport(msgspec.Struct, frozen=True):
     events: int
     runs: int
     root: str | None
-    signature: Literal["unsigned"] = "unsigned"
+    signature: Signed = "unsigned"
+    signed: int = 0
+    is_quick: bool = False
+    anchored: int | None = None
+    remarks: tuple[str, ...] = ()
 
 
-class _Commit(msgspec.Struct, frozen=True):
-    """One commit as its file says; None where it could not be read."""
-
-    number: int
-    data: bytes | None
-    record: CommitRecord | None
-
-
-def verify(path: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None) -> VerifyReport:
+def verify(path: Path, workers: int = 1, progress: Progress | None = None, asked: Asked | None = None) -> VerifyReport:
     """Every field of every record was derived again, and every difference is a problem of the report.
 
     Damage never raises, whatever the files hold. Symbolic links are refused as damage.
 
     Args:
         path: The directory of the ledger.
-        workers: Processes that read segments.
+        workers: Processes that read segments, or threads where rows are not read.
         progress: Called with (segments done, segments in all).
+        asked: A quick look, a key that must have signed, an earlier checkpoint.
 
     Raises:
         NotALedger: There is no directory at the path, or nothing of a ledger is in it.
     """
     if not os.path.isdir(path) or not any(os.path.lexists(path / name) for name in (MANIFEST, COMMITS, SEGMENTS)):
         raise NotALedger(f"{path}: found no ledger there, expected its directory; give the path that `fsar-ledger simulate` wrote to")
-    problems: list[Problem] = []
+    verification = _Verification(path, asked or Asked())
     try:
-        return _verify(path, max(1, workers), progress, problems)
+        return verification.run(max(1, workers), progress)
     except (Exception, RecursionError) as error:  # a check that fails in a way nobody thought of is still a finding
-        problems.append(unexpected(str(path), None, error))
-        return VerifyReport(False, tuple(problems), 0, 0, 0, None)
+        problems = (*verification.problems[: MAX_PROBLEMS - 1], unexpected(str(path), None, error))
+        return VerifyReport(False, problems, 0, 0, 0, None, is_quick=verification.asked.is_quick)
 
 
-def _verify(path: Path, workers: int, progress: Callable[[int, int], None] | None, problems: list[Problem]) -> VerifyReport:
-    problems += _check_folder(path)
-    origin, previous = _check_manifest(path, problems)
-    commits = _read_commits(path, problems)
-    tree: Frontier | None = Frontier()  # None: not known, because a record or segment before could not be read
-    runs: set[str] = set()
-    verified = events = 0
-    for commit, facts in zip(commits, _examine_all(path, commits, workers), strict=True):
-        before = len(problems)
+class _Verification:
+    """One look at a ledger, commit by commit."""
+
+    def __init__(self, path: Path, asked: Asked) -> None:
+        self.path, self.asked = path, asked
+        self.problems: list[Problem] = []
+        self.runs: set[str] = set()
+        self.commits = self.events = 0
+        self.edge: Edge | None = None if asked.is_quick else Edge()  # None: not known, because some rows were not read
+        self.tree: Frontier | None = Frontier()  # None: not known, because a record or segment before could not be read
+        self.tiles = TileCheck(path)
+        self.root_then: bytes | None = None  # that of the anchor's events
+
+    def run(self, workers: int, progress: Progress | None) -> VerifyReport:
+        """The whole look."""
+        self.problems += check_folder(self.path)
+        origin, previous = check_manifest(self.path, self.problems)
+        commits = read_commits(self.path, self.problems)
+        for commit, facts in zip(commits, _examine_all(self.path, commits, workers, is_quick=self.asked.is_quick), strict=True):
+            before = len(self.problems)
+            self._add(commits, commit, facts, previous, origin)
+            previous = sha256_hex(commit.data) if commit.data is not None else None
+            if len(self.problems) == before:
+                self.commits, self.events = self.commits + 1, self.events + facts.rows
+            if progress is not None:
+                progress(commit.number + 1, len(commits))
+        self.problems += check_strays(self.path, len(commits))
+        return self._report(origin, [commit.record for commit in commits if commit.record is not None])
+
+    def _report(self, origin: str | None, records: list[CommitRecord]) -> VerifyReport:
+        remarks = self._check_derived(records)
+        signature: Signed = "signer not checked"
+        signed = 0
+        if not self.problems:
+            doubts, signature = check_signatures(records, self.asked.trusted)
+            self.problems += doubts
+            signed = sum(1 for record in records if record.signed_note().signatures)
+        anchored = self._check_anchor(origin, records)
+        ok = not self.problems
+        root = (self.tree.root() if self.tree is not None else merkle.EMPTY_ROOT).hex() if ok else None
+        counts = (self.commits, self.events, len(self.runs))
+        return VerifyReport(ok, tuple(self.problems[:MAX_PROBLEMS]), *counts, root, signature, signed, self.asked.is_quick, anchored if ok else None, remarks)
+
+    def _add(self, commits: list[Commit], commit: Commit, facts: SegmentFacts, previous: str | None, origin: str | None) -> None:
+        """One commit more, compared with those before it."""
         if commit.record is None:
-            tree = None
+            self.tree = self.edge = None
+            return
+        known = self.tree if self.tree is not None else _claimed_before(commits, commit.number)
+        self.problems += check_record(commit.number, commit.record, previous, origin, known)
+        self.problems += facts.problems
+        self._grow(commit.number, commit.record, known, facts)
+        self._check_runs(commit.number, commit.record, facts)
+
+    def _grow(self, number: int, record: CommitRecord, before: Frontier | None, facts: SegmentFacts) -> None:
+        """The tree has the commit's leaves: those of its rows if they could be read and agree, else as claimed, so that each error shows once."""
+        claimed = record.tree()
+        self.tree = claimed
+        if facts.leaves is None or before is None:
+            self.edge = None
+            return
+        if self.edge is not None and self.edge.size == before.size:
+            self._look_back(facts.leaves)
+            self.edge, made = self.edge.extend(facts.leaves)
+            self.tiles.add(number, made)
+            tree = self.edge.frontier()
         else:
-            known = tree if tree is not None else _claimed_before(commits, commit.number)
-            problems += _check_record(commit.number, commit.record, previous, origin, known)
-            problems += facts.problems
-            tree = _check_tree(commit.number, commit.record, known, facts, problems)
-            problems += _check_runs(commit, facts, runs)
-        previous = sha256_hex(commit.data) if commit.data is not None else None
-        if len(problems) == before:
-            verified, events = verified + 1, events + facts.rows
-        if progress is not None:
-            progress(commit.number + 1, len(commits))
-    problems += _check_strays(path, len(commits))
-    root = (tree.root() if commits and tree is not None else merkle.EMPTY_ROOT).hex() if not problems else None
-    return VerifyReport(not problems, tuple(problems[:MAX_PROBLEMS]), verified, events, len(runs), root)
+            tree = before.extend(facts.leaves)
+        if tree.size != claimed.size:
+            self.problems.append(Problem(f"{COMMITS}/{number:012d}.json", f"{claimed.size}", f"{tree.size} leaves", commit=number, field="tree_size"))
+        elif tree != claimed:
+            found = f"Merkle root {tree.root().hex()}"
+            self.problems.append(Problem(facts.file, found, f"{record.tree_root} as committed: a row was altered", commit=number, field="tree_root"))
+        if tree != claimed:
+            self.edge = None
+
+    def _look_back(self, leaves: bytes) -> None:
+        """The root over the anchor's events is known if they end within these leaves, or before them."""
+        note = self.asked.anchor.note if self.asked.anchor else None
+        if note is None or self.edge is None:
+            return
+        wanted = note.checkpoint.size - self.edge.size
+        if 0 <= wanted * HASH_BYTES <= len(leaves):
+            self.root_then = self.edge.extend(leaves[: wanted * HASH_BYTES])[0].frontier().root()
+
+    def _check_runs(self, number: int, record: CommitRecord, facts: SegmentFacts) -> None:
+        """The runs are those of the record, and in no other commit."""
+        if facts.runs is None:
+            return
+        where = f"{COMMITS}/{number:012d}.json"
+        for name, found, expected in (("first_run", record.first_run, facts.runs[0]), ("last_run", record.last_run, facts.runs[-1])):
+            if found != expected:
+                self.problems.append(Problem(where, repr(found), repr(expected), commit=number, field=name))
+        again = next((run for run in facts.runs if run in self.runs), None)
+        if again is not None:
+            self.problems.append(Problem(facts.file, f"run {again} once more", "each run in one commit", commit=number, run=again, seq=0, field="run_id"))
+        self.runs.update(facts.runs)
+
+    def _check_derived(self, records: list[CommitRecord]) -> tuple[str, ...]:
+        """What is derived is compared only where all it is derived from is beyond doubt; the remarks on it."""
+        if self.problems:
+            return ()
+        found, is_behind = check_checkpoint(self.path, records)
+        self.problems += found
+        if self.asked.is_quick:
+            return ()
+        found, remarks = self.tiles.finish(is_behind=is_behind)
+        self.problems += found
+        return remarks
+
+    def _check_anchor(self, origin: str | None, records: list[CommitRecord]) -> int | None:
+        """The events that the anchor vouches for, if the ledger begins with them."""
+        anchor = self.asked.anchor
+        if anchor is None:
+            return None
+        size = records[-1].tree_size if records else 0
+        root_then = self._root_of_tiles(anchor, records) if self.asked.is_quick else self.root_then
+        if anchor.note is not None and anchor.note.checkpoint.size == 0:
+            root_then = merkle.EMPTY_ROOT
+        self.problems += check_anchor(anchor, origin, size, root_then, self.asked.trusted)
+        return anchor.note.checkpoint.size if anchor.note is not None else None
+
+    def _root_of_tiles(self, anchor: Anchor, records: list[CommitRecord]) -> bytes | None:
+        """The root over the anchor's events out of the tiles, which must give the recorded root too."""
+        size = records[-1].tree_size if records else 0
+        if anchor.note is None or not 0 < anchor.note.checkpoint.size <= size:
+            return None
+        node = node_of(tile_reader(self.path), size)
+        try:
+            is_right = merkle.tree_root(node, size).hex() == records[-1].tree_root
+            return merkle.tree_root(node, anchor.note.checkpoint.size) if is_right else None
+        except LedgerCorrupted:
+            return None
 
 
-def _check_folder(path: Path) -> Iterator[Problem]:
-    """The ledger holds its folders and ledger.json, and nothing else."""
-    folders = {COMMITS, SEGMENTS, STAGING}
-    found = set()
-    for entry in sorted(os.scandir(path), key=lambda entry: entry.name):
-        found.add(entry.name)
-        if entry.name not in folders | {MANIFEST}:
-            yield Problem(entry.name, "an unknown file", f"only {MANIFEST}, {COMMITS}, {SEGMENTS} and {STAGING}; take it away")
-        elif not (entry.is_dir(follow_symlinks=False) if entry.name in folders else entry.is_file(follow_symlinks=False)):
-            yield Problem(entry.name, "something else, or a link", "a folder" if entry.name in folders else "a file")
-    for name in sorted((folders | {MANIFEST}) - found - {STAGING}):
-        yield Problem(name, "nothing", "a file" if name == MANIFEST else "a folder")
-
-
-def _check_manifest(path: Path, problems: list[Problem]) -> tuple[str | None, str | None]:
-    """The origin and the SHA-256 of ledger.json; None where it cannot be read."""
-    try:
-        data = disk.read_document(path / MANIFEST)
-    except OSError as error:
-        if os.path.lexists(path / MANIFEST):
-            problems.append(Problem(MANIFEST, f"an unreadable file ({error.strerror})", "the description of the ledger"))
-        return None, None
-    try:
-        return parse_manifest(Path(MANIFEST), data).origin, sha256_hex(data)
-    except FsarLedgerError as error:
-        problems.append(Problem(MANIFEST, str(error), "the description of the ledger"))
-    except Exception as error:
-        problems.append(unexpected(MANIFEST, None, error))
-    return None, sha256_hex(data)
-
-
-def _read_commits(path: Path, problems: list[Problem]) -> list[_Commit]:
-    """Every commit from 0 to the last whose record exists; gaps and strays are problems."""
-    numbers = set()
-    for entry in _entries(path / COMMITS):
-        stem, _, suffix = entry.name.partition(".")
-        if suffix == "json" and len(stem) == 12 and stem.isascii() and stem.isdecimal():
-            numbers.add(int(stem))
-        else:
-            problems.append(Problem(f"{COMMITS}/{entry.name}", "a stray file", "only records NNNNNNNNNNNN.json"))
-    count = len(numbers)
-    gaps = sorted(numbers - set(range(count)))
-    problems += [Problem(f"{COMMITS}/{number:012d}.json", f"number {number}", f"numbers below {count}, without gaps", commit=number) for number in gaps]
-    return [_read_commit(path, number, problems) for number in range(count)]
-
-
-def _read_commit(path: Path, number: int, problems: list[Problem]) -> _Commit:
-    """The commit as its file says, as far as that can be read."""
-    where = f"{COMMITS}/{number:012d}.json"
-    data: bytes | None = None
-    try:
-        data = disk.read_document(commit_path(path, number))
-        return _Commit(number, data, parse_record(Path(where), data))
-    except OSError as error:
-        problems.append(Problem(where, f"an unreadable file ({error.strerror})", "a commit record", commit=number))
-    except FsarLedgerError as error:
-        problems.append(Problem(where, str(error), "the canonical JSON of a commit record", commit=number))
-    except Exception as error:
-        problems.append(unexpected(where, number, error))
-    return _Commit(number, data, None)
-
-
-def _entries(folder: Path) -> list["os.DirEntry[str]"]:
-    """What is in the folder, by name; nothing if it is not one."""
-    if folder.is_symlink() or not folder.is_dir():
-        return []
-    return sorted(os.scandir(folder), key=lambda entry: entry.name)
-
-
-def _examine_all(path: Path, commits: list[_Commit], workers: int) -> Iterator[SegmentFacts]:
+def _examine_all(path: Path, commits: list[Commit], workers: int, *, is_quick: bool) -> Iterator[SegmentFacts]:
     """What each segment holds, in order; nothing of those whose record is unreadable."""
-    files = [_segment_file(path, commit) for commit in commits]
+    files = [segment_file(path, commit) for commit in commits]
     records = [commit.record for commit in commits]
-    numbers = range(len(commits))
+    arguments = (files, repeat(str(path)), range(len(commits)), records)
+    workers = min(workers, len(commits))
     with ExitStack() as stack:
-        if workers > 1 and len(commits) > 1:
-            pool = stack.enter_context(WorkerPool(min(workers, len(commits))))
-            yield from pool.map(examine, files, repeat(str(path)), numbers, records)
+        if workers > 1 and is_quick:  # hashing lets other threads run
+            yield from stack.enter_context(ThreadPoolExecutor(workers)).map(examine_file, *arguments)
+        elif workers > 1:
+            yield from stack.enter_context(WorkerPool(workers)).map(examine, *arguments)
         else:
-            yield from map(examine, files, repeat(str(path)), numbers, records)
+            yield from map(examine_file if is_quick else examine, *arguments)
 
 
-def _segment_file(path: Path, commit: _Commit) -> str:
-    """Where the segment is, within the ledger: in place, or in staging where its writer was interrupted."""
-    place = segment_path(path, commit.number)
-    if commit.record is not None and not os.path.lexists(place):
-        staged = staged_path(path, commit.record.segment_sha256)
-        if staged.exists() and stat.S_ISREG(staged.lstat().st_mode):
-            return str(staged.relative_to(path))
-    return str(place.relative_to(path))
-
-
-def _claimed_before(commits: list[_Commit], number: int) -> Frontier | None:
+def _claimed_before(commits: list[Commit], number: int) -> Frontier | None:
     """The tree that the record before this one claims, where the rows before it could not be read."""
     record = commits[number - 1].record if number else None
     return record.tree() if record is not None else None
-
-
-def _check_record(number: int, record: CommitRecord, previous: str | None, origin: str | None, before: Frontier | None) -> Iterator[Problem]:
-    """The record agrees with its place, the file before it and the tree before it, as far as those are known."""
-    unknown = {name for name, is_unknown in (("previous_sha256", previous is None), ("note", origin is None), ("rows", before is None)) if is_unknown}
-    for name, found, expected in contradictions(record, number, previous or "", origin or "", before or Frontier()):
-        if name not in unknown:
-            because = f", the SHA-256 of {COMMITS}/{number - 1:012d}.json" if number else f", the SHA-256 of {MANIFEST}"
-            because = because if name == "previous_sha256" else f", with the origin of {MANIFEST}" if name == "note" else ""
-            yield Problem(f"{COMMITS}/{number:012d}.json", f"{found!r}", f"{expected!r}{because}", commit=number, field=name)
-
-
-def _check_tree(number: int, record: CommitRecord, before: Frontier | None, facts: SegmentFacts, problems: list[Problem]) -> Frontier | None:
-    """The tree after this commit: that of the rows if they could be read and agree, else the claimed one, so that each error shows once."""
-    claimed = record.tree()
-    if before is None or facts.leaves is None:
-        return claimed
-    tree = before.extend(facts.leaves)
-    if tree.size != claimed.size:
-        problems.append(Problem(f"{COMMITS}/{number:012d}.json", f"{claimed.size}", f"{tree.size} leaves", commit=number, field="tree_size"))
-    elif tree != claimed:
-        problems.append(
-            Problem(facts.file, f"Merkle root {tree.root().hex()}", f"{record.tree_root} as committed: a row was altered", commit=number, field="tree_root")
-        )
-    return claimed
-
-
-def _check_runs(commit: _Commit, facts: SegmentFacts, runs: set[str]) -> Iterator[Problem]:
-    """The runs are those of the record, and in no other commit."""
-    if facts.runs is None or commit.record is None:
-        return
-    where = f"{COMMITS}/{commit.number:012d}.json"
-    for name, found, expected in (("first_run", commit.record.first_run, facts.runs[0]), ("last_run", commit.record.last_run, facts.runs[-1])):
-        if found != expected:
-            yield Problem(where, repr(found), repr(expected), commit=commit.number, field=name)
-    again = next((run for run in facts.runs if run in runs), None)
-    if again is not None:
-        yield Problem(facts.file, f"run {again} once more", "each run in one commit", commit=commit.number, run=again, seq=0, field="run_id")
-    runs.update(facts.runs)
-
-
-def _check_strays(path: Path, count: int) -> Iterator[Problem]:
-    """No segment is there without its commit."""
-    expected = {segment_path(path, number).name for number in range(count)}
-    for entry in _entries(path / SEGMENTS):
-        if entry.name not in expected:
-            yield Problem(f"{SEGMENTS}/{entry.name}", "a file of no commit", f"segments of {count} commits; restore the record or take it away")

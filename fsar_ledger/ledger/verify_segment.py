@@ -3,6 +3,7 @@
 import hashlib
 import os
 import stat
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
@@ -12,27 +13,10 @@ import pyarrow.parquet as pq
 
 from fsar_ledger.ledger import canonical
 from fsar_ledger.ledger.check import first_flaw, run_starts
+from fsar_ledger.ledger.problem import Problem, unexpected
 from fsar_ledger.ledger.record import COMMITS, CommitRecord
 from fsar_ledger.ledger.schema import fingerprint
 from fsar_ledger.ledger.segment import read_table, to_parquet
-
-
-class Problem(msgspec.Struct, frozen=True):
-    """One doubt: where (a file within the ledger, and as much of commit, run, seq and field as is known), found, expected."""
-
-    where: str
-    found: str
-    expected: str
-    commit: int | None = None
-    run: str | None = None
-    seq: int | None = None
-    field: str | None = None
-
-    def __str__(self) -> str:
-        place = [
-            f"{name} {value}" for name, value in (("commit", self.commit), ("run", self.run), ("seq", self.seq), ("field", self.field)) if value is not None
-        ]
-        return f"{': '.join([self.where, ', '.join(place)] if place else [self.where])}: found {self.found}, expected {self.expected}"
 
 
 class SegmentFacts(msgspec.Struct, frozen=True):
@@ -45,40 +29,56 @@ class SegmentFacts(msgspec.Struct, frozen=True):
     leaves: bytes | None = None
 
 
-def unexpected(where: str, commit: int | None, error: BaseException) -> Problem:
-    """A check stopped with an exception: that is a finding, not an accident."""
-    return Problem(where, f"{type(error).__name__}: {error!s:.300}", "data that can be checked", commit=commit)
-
-
 def examine(file: str, ledger: str, number: int, record: CommitRecord | None) -> SegmentFacts:
     """What this segment holds, compared with its commit record. Never raises."""
+    return _guarded(_examine, file, ledger, number, record)
+
+
+def examine_file(file: str, ledger: str, number: int, record: CommitRecord | None) -> SegmentFacts:
+    """Whether this segment is the file that its commit record names, without a look at its rows. Never raises."""
+    return _guarded(_examine_file, file, ledger, number, record)
+
+
+def _guarded(check: Callable[[str, Path, int, CommitRecord], SegmentFacts], file: str, ledger: str, number: int, record: CommitRecord | None) -> SegmentFacts:
     if record is None:
         return SegmentFacts(file)
     try:
-        return _examine(file, Path(ledger) / file, number, record)
+        return check(file, Path(ledger) / file, number, record)
     except (Exception, RecursionError) as error:
         return SegmentFacts(file, (unexpected(file, number, error),))
 
 
+def _examine_file(file: str, path: Path, number: int, record: CommitRecord) -> SegmentFacts:
+    says = f"as {COMMITS}/{number:012d}.json says"
+
+    def fail(found: object, expected: str, field: str) -> SegmentFacts:
+        return SegmentFacts(file, (Problem(file, str(found), f"{expected}, {says}", commit=number, field=field),))
+
+    try:
+        handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+    except OSError as error:
+        return fail(error.strerror, f"a segment of {record.rows} events", "segment_sha256")
+    with open(handle, "rb") as opened:
+        status = os.fstat(handle)
+        if not stat.S_ISREG(status.st_mode):
+            return fail("no regular file", f"a segment of {record.rows} events", "segment_sha256")
+        if status.st_size != record.segment_bytes:
+            return fail(status.st_size, f"{record.segment_bytes}", "segment_bytes")
+        digest = hashlib.file_digest(opened, "sha256").hexdigest()
+    if digest != record.segment_sha256:
+        return fail(digest, record.segment_sha256, "segment_sha256")
+    return SegmentFacts(file, rows=record.rows)
+
+
 def _examine(file: str, path: Path, number: int, record: CommitRecord) -> SegmentFacts:
+    as_a_file = _examine_file(file, path, number, record)
+    if as_a_file.problems:
+        return as_a_file
     says = f"as {COMMITS}/{number:012d}.json says"
 
     def fail(found: object, expected: object, field: str) -> SegmentFacts:
         return SegmentFacts(file, (Problem(file, str(found), str(expected), commit=number, field=field),))
 
-    try:
-        handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    except OSError as error:
-        return fail(error.strerror, f"a segment of {record.rows} events, {says}", "segment_sha256")
-    with open(handle, "rb") as opened:
-        status = os.fstat(handle)
-        if not stat.S_ISREG(status.st_mode):
-            return fail("no regular file", f"a segment of {record.rows} events, {says}", "segment_sha256")
-        if status.st_size != record.segment_bytes:
-            return fail(status.st_size, f"{record.segment_bytes}, {says}", "segment_bytes")
-        digest = hashlib.file_digest(opened, "sha256").hexdigest()
-    if digest != record.segment_sha256:
-        return fail(digest, f"{record.segment_sha256}, {says}", "segment_sha256")
     metadata = pq.read_metadata(path)
     if metadata.num_rows != record.rows:
         return fail(metadata.num_rows, f"{record.rows}, {says}", "rows")

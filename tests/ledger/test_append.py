@@ -11,8 +11,9 @@ from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedge
 from fsar_ledger.ledger import canonical, merkle, segment
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.codec import encode_hashed
+from fsar_ledger.ledger.note import Note, checkpoint_of
 from fsar_ledger.ledger.read import EMPTY_HEAD, open_ledger
-from fsar_ledger.ledger.record import Manifest, checkpoint_note, commit_path, sha256_hex
+from fsar_ledger.ledger.record import Manifest, commit_path, sha256_hex
 from fsar_ledger.ledger.verify import verify
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run
 
@@ -58,7 +59,7 @@ def test_a_record_says_what_was_committed(path: Path) -> None:
     assert files["commits/000000000002.json"] == canonical.document(record)
     origin, size, root, empty, rest = record.note.split("\n")
     assert (origin, size, empty, rest) == (ORIGIN, "72", "", "")
-    assert record.note == checkpoint_note(ORIGIN, record.tree())
+    assert record.note == str(Note(checkpoint_of(ORIGIN, record.tree())))
     assert len(root) == 44
 
 

@@ -14,11 +14,12 @@ from hypothesis import strategies as st
 
 from fsar_ledger.errors import NotALedger
 from fsar_ledger.ledger import canonical, codec, merkle, segment
+from fsar_ledger.ledger.note import Note, checkpoint_of
+from fsar_ledger.ledger.problem import Problem
 from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.record import CommitRecord, Manifest, checkpoint_note, commit_path, segment_path, sha256_hex
+from fsar_ledger.ledger.record import CommitRecord, Manifest, commit_path, segment_path, sha256_hex
 from fsar_ledger.ledger.schema import SCHEMA
 from fsar_ledger.ledger.verify import MAX_PROBLEMS, verify
-from fsar_ledger.ledger.verify_segment import Problem
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run
 
 BATCHES = made_up_batches(3)
@@ -198,7 +199,7 @@ def test_a_tree_of_another_size_is_found(path: Path, number: int) -> None:
     leaves = b"".join(codec.encode_hashed(batch)[1] for batch in BATCHES[: number + 1])
     tree = merkle.Frontier().extend(leaves + merkle.leaf_hash(b"one more"))
     hashes = tuple(subtree.hex() for subtree in tree.subtrees)
-    forge(path, number, tree_size=tree.size, frontier=hashes, tree_root=tree.root().hex(), note=checkpoint_note(ORIGIN, tree), rows=record.rows + 1)
+    forge(path, number, tree_size=tree.size, frontier=hashes, tree_root=tree.root().hex(), note=str(Note(checkpoint_of(ORIGIN, tree))), rows=record.rows + 1)
     assert first_problem(path).commit == number
     forge(path, number, rows=record.rows)
     assert (first_problem(path).commit, first_problem(path).field) == (number, "rows")
@@ -209,7 +210,7 @@ def test_a_tree_of_other_rows_is_found(path: Path, number: int) -> None:
     record = open_ledger_record(path, number)
     tree = merkle.Frontier().extend(merkle.leaf_hash(b"other") * record.tree_size)
     hashes = tuple(subtree.hex() for subtree in tree.subtrees)
-    forge(path, number, frontier=hashes, tree_root=tree.root().hex(), note=checkpoint_note(ORIGIN, tree))
+    forge(path, number, frontier=hashes, tree_root=tree.root().hex(), note=str(Note(checkpoint_of(ORIGIN, tree))))
     assert (first_problem(path).commit, first_problem(path).field) == (number, "tree_root")
 
 

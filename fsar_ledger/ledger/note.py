@@ -1,0 +1,215 @@
+"""Signed notes and the keys that sign them, as C2SP signed-note says; the text of ours is a C2SP tlog-checkpoint.
+
+```
+fsar-ledger/simulated                              the origin
+167003                                             events
+GOniXQYJeSjvAPLjEaJ...UJtQ=                        their Merkle root
+
+— fsar-ledger/simulated GQu2...                    one line a signature, none if the note is unsigned
+```
+"""
+
+import base64
+import binascii
+import hashlib
+import os
+from pathlib import Path
+
+import msgspec
+
+from fsar_ledger.errors import LedgerCorrupted, UsageError
+from fsar_ledger.ledger import disk
+from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
+
+_ED25519 = b"\x01"
+_ID_BYTES = 4
+_SIGNATURE_BYTES = 64
+_SECRET = "PRIVATE+KEY"
+_DASH = "\N{EM DASH} "
+MAX_SIGNATURES = 16
+"""So many a note may carry: the log's own, and witnesses'."""
+
+
+def is_name(name: str) -> bool:
+    """Whether a key or an origin can have this name: printable, not empty, without spaces and plus signs."""
+    return name.isprintable() and name != "" and not set(name) & {" ", "+"}
+
+
+class Checkpoint(msgspec.Struct, frozen=True):
+    """A tree head as it is published: whose log, how many events, and their Merkle root."""
+
+    origin: str
+    size: int
+    root: bytes
+
+    def text(self) -> str:
+        """The text that is signed: origin, size and base64 root, one a line."""
+        return f"{self.origin}\n{self.size}\n{base64.b64encode(self.root).decode()}\n"
+
+
+class Signature(msgspec.Struct, frozen=True):
+    """One signature of a note: by which key (name and id), and its bytes."""
+
+    name: str
+    key_id: bytes
+    data: bytes
+
+    def line(self) -> str:
+        """The line that it is in the note."""
+        return f"{_DASH}{self.name} {base64.b64encode(self.key_id + self.data).decode()}\n"
+
+
+class Note(msgspec.Struct, frozen=True):
+    """A checkpoint with its signatures."""
+
+    checkpoint: Checkpoint
+    signatures: tuple[Signature, ...] = ()
+
+    def __str__(self) -> str:
+        return f"{self.checkpoint.text()}\n{''.join(signature.line() for signature in self.signatures)}"
+
+
+class VerifierKey(msgspec.Struct, frozen=True):
+    """The public half of a key: it tells whether a note was signed by the other half."""
+
+    name: str
+    public: bytes
+
+    @property
+    def key_id(self) -> bytes:
+        """The first four bytes of SHA-256(name, line feed, 0x01, public key)."""
+        return hashlib.sha256(self.name.encode() + b"\n" + _ED25519 + self.public).digest()[:_ID_BYTES]
+
+    def __str__(self) -> str:
+        return f"{self.name}+{self.key_id.hex()}+{base64.b64encode(_ED25519 + self.public).decode()}"
+
+    def has_signed(self, note: Note) -> bool:
+        """Whether the note carries a signature of this key, and every one that it carries is right."""
+        from cryptography.exceptions import InvalidSignature
+        from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
+
+        found = [signature.data for signature in note.signatures if (signature.name, signature.key_id) == (self.name, self.key_id)]
+        try:
+            for data in found:
+                Ed25519PublicKey.from_public_bytes(self.public).verify(data, note.checkpoint.text().encode())
+        except (InvalidSignature, ValueError):
+            return False
+        return bool(found)
+
+
+class Signer:
+    """The secret half of a key: it signs the notes of the ledger whose origin is its name."""
+
+    def __init__(self, name: str, secret: bytes):
+        from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+        self._key = Ed25519PrivateKey.from_private_bytes(secret)
+        self.verifier = VerifierKey(name, self._key.public_key().public_bytes_raw())
+
+    def sign(self, checkpoint: Checkpoint) -> Signature:
+        """The signature of this key under the checkpoint; the same each time (RFC 8032)."""
+        return Signature(self.verifier.name, self.verifier.key_id, self._key.sign(checkpoint.text().encode()))
+
+
+def checkpoint_of(origin: str, tree: Frontier) -> Checkpoint:
+    """The checkpoint of this tree."""
+    return Checkpoint(origin, tree.size, tree.root())
+
+
+def parse_note(where: str, text: str) -> Note:
+    """The note in this text, which it gives back to the byte; an error calls it `where`.
+
+    Raises:
+        LedgerCorrupted: It is not a checkpoint, is not written as C2SP says, or has signatures that no Ed25519 key makes.
+    """
+    body, divider, lines = text.rpartition("\n\n")
+    origin, size, root, *more = [*body.split("\n"), "", ""]
+    number = int(size) if size.isascii() and size.isdecimal() and len(size) <= 16 else -1
+    try:
+        note = Note(Checkpoint(origin, number, base64.b64decode(root, validate=True)), tuple(map(_parse_signature, lines.splitlines())))
+    except (binascii.Error, ValueError) as error:
+        raise LedgerCorrupted(f"{where}: found a note with a part that is not base64 ({error}), expected a C2SP checkpoint; restore it") from error
+    if not divider or str(note) != text or more[2:] or not is_name(origin) or len(note.checkpoint.root) != HASH_BYTES or len(note.signatures) > MAX_SIGNATURES:
+        raise LedgerCorrupted(f"{where}: found {text!r:.120}, expected a C2SP checkpoint (origin, size, root, an empty line, signatures); restore it")
+    return note
+
+
+def _parse_signature(line: str) -> Signature:
+    """The signature on this line. Raises: ValueError if there is none."""
+    name, _, data = line.removeprefix(_DASH).partition(" ")
+    signed = base64.b64decode(data, validate=True)
+    if not is_name(name) or len(signed) <= _ID_BYTES:
+        raise ValueError(f"signature line {line!r:.80}")
+    return Signature(name, signed[:_ID_BYTES], signed[_ID_BYTES:])
+
+
+def new_key(path: Path, name: str) -> VerifierKey:
+    """There is a new key: its secret half in the file, which only its owner may read, its public half in the same name with `.pub`.
+
+    Raises:
+        UsageError: The name cannot be that of a key, or one of the files exists; it is left as it is.
+        WriteFailed: The disk refused.
+    """
+    if not is_name(name):
+        raise UsageError(f"--name {name!r}: expected a printable name without spaces and plus signs")
+    public = path.with_name(path.name + ".pub")
+    for file in (path, public):
+        if os.path.lexists(file):
+            raise UsageError(f"{file}: found a file, expected a free name; a key is never overwritten")
+    secret = os.urandom(HASH_BYTES)
+    verifier = Signer(name, secret).verifier
+    text = f"{_SECRET}+{name}+{verifier.key_id.hex()}+{base64.b64encode(_ED25519 + secret).decode()}\n"
+    with disk.refusals(path, "writing a key"):
+        disk.write_secret(path, text.encode())
+        disk.write_durably(public, f"{verifier}\n".encode())
+    return verifier
+
+
+def read_signer(path: Path) -> Signer:
+    """The key in this file. Raises: UsageError if it cannot be read or is none."""
+    text = _read_key(path)
+    parts = text.removeprefix(_SECRET + "+").split("+", 2)
+    expected = f"{path}: found no secret key, expected the file that `fsar-ledger key new` wrote"
+    if not text.startswith(_SECRET + "+") or len(parts) != 3:
+        raise UsageError(expected)
+    name, key_id, data = parts
+    secret = _key_bytes(data)
+    if secret is None or not is_name(name):
+        raise UsageError(expected)
+    signer = Signer(name, secret)
+    if signer.verifier.key_id.hex() != key_id:
+        raise UsageError(f"{path}: found key id {key_id}, expected {signer.verifier.key_id.hex()} for this key; it was altered, restore it")
+    return signer
+
+
+def read_verifier(key: str) -> VerifierKey:
+    """The public key that this is, or that is in the file of this name. Raises: UsageError if it is none."""
+    text = key if key.count("+") >= 2 and not os.path.lexists(key) else _read_key(Path(key))
+    name, _, rest = text.partition("+")
+    key_id, _, data = rest.partition("+")
+    public = _key_bytes(data)
+    if name == "PRIVATE" or public is None or not is_name(name):
+        raise UsageError(
+            f"--trusted-key {key if text != key else text!r:.80}: found no public key, expected one as `fsar-ledger key new` prints, or its .pub file"
+        )
+    verifier = VerifierKey(name, public)
+    if verifier.key_id.hex() != key_id:
+        raise UsageError(f"--trusted-key: found key id {key_id}, expected {verifier.key_id.hex()} for this key; it was altered, get it again")
+    return verifier
+
+
+def _read_key(path: Path) -> str:
+    try:
+        return disk.read_document(path).decode().removesuffix("\n")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not text"
+        raise UsageError(f"{path}: the key cannot be read ({reason}); give the file that `fsar-ledger key new` wrote") from error
+
+
+def _key_bytes(data: str) -> bytes | None:
+    """The 32 bytes of an Ed25519 key; None if it is none."""
+    try:
+        key = base64.b64decode(data, validate=True)
+    except (binascii.Error, ValueError):
+        return None
+    return key[1:] if key[:1] == _ED25519 and len(key) == 1 + HASH_BYTES else None
