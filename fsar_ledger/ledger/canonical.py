@@ -6,20 +6,23 @@ columns when a ledger is verified. Tests hold them equal.
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import islice
-from typing import Any, Literal
+from itertools import islice, repeat
+from typing import Any, TypeAlias
 
 import msgspec
+import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
+from fsar_ledger.ledger.arrow import coded, numbers, places, validity, whole
 from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, LAYOUTS, Layout
 
 _ENCODER = msgspec.json.Encoder()
 _SORTING_ENCODER = msgspec.json.Encoder(order="sorted")
-_TEXT = pa.large_string()
 _ROWS_AT_ONCE = 256
 _PIVOT = "run_id"  # a column that is never NULL, so the commas can lean on it
+
+
+Rows: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 
 
 def document(value: object) -> bytes:
@@ -52,43 +55,71 @@ def lines(tag: str, columns: Mapping[str, Sequence[object]]) -> Iterator[list[by
         yield (b"\x00" + encoded[:-1].replace(b"\n", b"\n\x00")).split(b"\n")  # JSON holds no raw line feed
 
 
-def _joined(*pieces: pa.Array | str, nulls: Literal["emit_null", "skip"] = "emit_null") -> pa.Array:
-    """The pieces of each row behind each other; where one of them is NULL, NULL or without it (`skip`)."""
-    texts = [pa.scalar(piece, _TEXT) if isinstance(piece, str) else piece for piece in pieces]
-    return pc.binary_join_element_wise(*texts, pa.scalar("", _TEXT), null_handling=nulls)
+class _Members:
+    """One column as members of JSON objects, `"name":value` with a comma; nothing where it is NULL.
 
+    A row leans on `run_id`, which is never NULL: members before it end with a comma, those behind it begin with one.
+    """
 
-def _quoted(strings: pa.Array, before: str = "", after: str = "") -> pa.Array:
-    """The JSON of these strings between two texts; NULL stays NULL. Strings repeat, so each is written once."""
-    coded = strings.dictionary_encode()
-    texts = [f"{before}{_ENCODER.encode(value).decode()}{after}" for value in coded.dictionary.to_pylist()]
-    return pa.array(texts, _TEXT).take(coded.indices)
+    def __init__(self, name: str, column: pa.Array) -> None:
+        self._before = f'"{name}":'.encode() if name <= _PIVOT else f',"{name}":'.encode()
+        self._after = b"," if name < _PIVOT else b""
+        self._column, self._kind = column, COLUMNS[name]
+        self.is_valid = validity(column)
+        if self._kind == "string":  # strings repeat, so each is written once
+            texts = coded(column)
+            self._texts = self._members([*map(_ENCODER.encode, texts.dictionary.to_pylist())])
+            self._places = places(texts)
+        elif self._kind == "boolean":
+            self._texts = self._members([b"false", b"true"])
+            self._places = column.cast(pa.int8()).fill_null(2).to_numpy()
+        elif self._kind == "integer":
+            self._numbers = np.where(self.is_valid, numbers(column), 0)
+            least, most = int(self._numbers.min()), int(self._numbers.max())
+            if most - least < len(column):  # so do these
+                self._kind = "string"
+                self._texts = self._members([b"%d" % number for number in range(least, most + 1)])
+                self._places = np.where(self.is_valid, self._numbers - least, most - least + 1)
 
+    def _members(self, values: Sequence[bytes]) -> "np.ndarray[tuple[int], np.dtype[np.object_]]":
+        """The member for each value, and behind them the nothing of NULL."""
+        texts = np.empty(len(values) + 1, object)
+        texts[:] = [*(self._before + value + self._after for value in values), b""]
+        return texts
 
-def _members(name: str, column: pa.Array, before: str, after: str) -> pa.Array:
-    """The JSON of the values of a column between two texts; NULL stays NULL."""
-    match COLUMNS[name]:
-        case "string":
-            return _quoted(column, before, after)
-        case "integer":
-            return _joined(before, column.cast(_TEXT), after)
-        case "boolean":
-            return pc.if_else(column, pa.scalar(f"{before}true{after}", _TEXT), pa.scalar(f"{before}false{after}", _TEXT))
-        case "strings":
-            lists = pa.LargeListArray.from_arrays(column.offsets.cast(pa.int64()), _quoted(column.values), mask=column.is_null())
-            return _joined(f"{before}[", pc.binary_join(lists, pa.scalar(",", _TEXT)), f"]{after}")
+    def of(self, rows: Rows) -> list[bytes]:
+        """The members of these rows."""
+        match self._kind:
+            case "string" | "boolean":
+                texts: list[bytes] = self._texts[self._places[rows]].tolist()
+                return texts
+            case "integer":
+                pattern = self._before + b"%d" + self._after
+                found = [pattern % number for number in self._numbers[rows].tolist()]
+            case "strings":
+                values = self._column.take(pa.array(rows)).to_pylist()
+                found = [self._before + _ENCODER.encode(value) + self._after for value in values]
+        is_valid = self.is_valid[rows]
+        return found if is_valid.all() else [member if valid else b"" for member, valid in zip(found, is_valid.tolist(), strict=True)]
 
 
 def from_table(table: pa.Table) -> list[bytes]:
-    """The canonical bytes of every row, each after the 0x00 that RFC 6962 puts before a leaf."""
-    pieces: list[pa.Array | str] = ["\x00{"]
-    for name in sorted(table.column_names):
-        column = table.column(name).combine_chunks()
-        if column.null_count == len(column) > 0:
-            continue
-        pieces.append(_members(name, column, f'"{name}":' if name <= _PIVOT else f',"{name}":', "," if name < _PIVOT else ""))
-    found: list[bytes] = _joined(*pieces, "}", nulls="skip").cast(pa.large_binary()).to_pylist()
-    return found
+    """The canonical bytes of every row, each after the 0x00 that RFC 6962 puts before a leaf.
+
+    Rows are taken by type, for a type has a tenth of the columns. Columns of strings may be dictionaries.
+    """
+    columns = {name: whole(table.column(name)) for name in sorted(table.column_names)}
+    members = [_Members(name, column) for name, column in columns.items() if column.null_count < len(column)]
+    codes = places(coded(columns["type"]))
+    order = np.argsort(codes, kind="stable")
+    starts = np.flatnonzero(np.diff(codes[order], prepend=-1))
+    is_there = [np.logical_or.reduceat(column.is_valid[order], starts).tolist() for column in members]  # by column, whether rows of each type have it
+    found = np.empty(len(table), object)
+    for type_, rows in enumerate(np.split(order, starts[1:])):
+        pieces = [column.of(rows) for column, is_in in zip(members, is_there, strict=True) if is_in[type_]]
+        found[rows] = list(map(b"".join, zip(repeat(b"\x00{", len(rows)), *pieces, repeat(b"}", len(rows)), strict=True)))
+    lines: list[bytes] = found.tolist()
+    return lines
 
 
 def hashes(rows: Sequence[bytes]) -> list[bytes]:

@@ -1,15 +1,15 @@
 """What every stored row must be: checked by column, the first flaw named with run, seq and field."""
 
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, LAYOUTS, MAX_INTEGER, PAYLOAD, SCHEMA, Field
+from fsar_ledger.ledger.arrow import Mask, coded, places, validity, whole
+from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, ENVELOPE, LAYOUTS, MAX_INTEGER, PAYLOAD, SCHEMA, Field
 
-Mask: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.bool_]]"
 Integers: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 
 _TAGS = tuple(LAYOUTS)
@@ -48,8 +48,8 @@ _LITERALS: dict[str, list[tuple[int, Field]]] = {
 
 
 def first_flaw(table: pa.Table) -> Flaw | None:
-    """The flaw in the earliest row, or None if every row is as an event of its type is stored."""
-    if not table.schema.equals(SCHEMA):
+    """The flaw in the earliest row, or None if every row is as an event of its type is stored. Columns of strings may be dictionaries."""
+    if not table.schema.equals(SCHEMA) and not table.schema.equals(CODED_SCHEMA):
         return Flaw(-1, None, None, None, f"columns {table.schema.names!r:.300}", "the columns of the ledger; the rows come from another version")
     try:
         table.validate(full=True)
@@ -57,8 +57,8 @@ def first_flaw(table: pa.Table) -> Flaw | None:
         return Flaw(-1, None, None, None, f"{error!s:.300}", "valid Arrow data")
     if not table.num_rows:
         return None
-    columns = {name: table.column(name).combine_chunks() for name in COLUMNS}
-    valid = {name: np.asarray(column.is_valid()) for name, column in columns.items()}
+    columns = {name: whole(table.column(name)) for name in COLUMNS}
+    valid = {name: validity(column) for name, column in columns.items()}
     suspects = [*_envelope(columns, valid), *_payload(columns, valid)]
     first = min(suspects, key=lambda suspect: suspect[0], default=None)
     if first is None:
@@ -70,7 +70,7 @@ def first_flaw(table: pa.Table) -> Flaw | None:
 
 def run_starts(run_ids: pa.Array) -> Integers:
     """The rows at which another run begins than in the row before."""
-    codes = run_ids.dictionary_encode().indices.to_numpy(zero_copy_only=False)
+    codes = places(coded(run_ids))
     return np.flatnonzero(np.concatenate([np.ones(min(1, len(codes)), bool), codes[1:] != codes[:-1]]))
 
 
@@ -108,13 +108,19 @@ def _envelope(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tupl
 
 
 def _payload(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tuple[int, str, str]]:
-    codes: Integers = pc.index_in(columns["type"], pa.array(_TAGS, pa.string())).fill_null(_UNKNOWN).to_numpy().astype(np.int64)
+    types = coded(columns["type"])
+    known: Integers = pc.index_in(types.dictionary, pa.array(_TAGS, pa.string())).fill_null(_UNKNOWN).to_numpy().astype(np.int64)
+    codes = np.append(known, _UNKNOWN)[places(types)]
     suspects = _first(codes == _UNKNOWN, "type", "an event type that this version knows; read it with the version that wrote it")
     is_known = codes != _UNKNOWN
+    rows = np.bincount(codes, minlength=_UNKNOWN + 1)
     for name in PAYLOAD:
-        suspects += _first(_REQUIRED[name][codes] & ~valid[name], name, "a value")
-        suspects += _first(valid[name] & ~_ALLOWED[name][codes] & is_known, name, "NULL, as its type has no such field")
-        if valid[name].any():
+        filled = np.bincount(codes[valid[name]], minlength=_UNKNOWN + 1) if columns[name].null_count < len(codes) else np.zeros_like(rows)
+        if (filled < rows)[_REQUIRED[name]].any():
+            suspects += _first(_REQUIRED[name][codes] & ~valid[name], name, "a value")
+        if filled[:_UNKNOWN][~_ALLOWED[name][:_UNKNOWN]].any():
+            suspects += _first(valid[name] & ~_ALLOWED[name][codes] & is_known, name, "NULL, as its type has no such field")
+        if filled.any():
             suspects += _literals(name, columns[name], codes)
     return suspects
 
@@ -124,13 +130,11 @@ def _literals(name: str, column: pa.Array, codes: Integers) -> list[tuple[int, s
     suspects: list[tuple[int, str, str]] = []
     if not _LITERALS[name]:
         return suspects
-    coded = column.dictionary_encode()
-    values: Any = coded.dictionary
-    indices = coded.indices.fill_null(len(values)).to_numpy()
+    texts = coded(column)
+    values = texts.dictionary.to_pylist()
     for code, field in _LITERALS[name]:
         assert field.values is not None
-        allowed = pc.is_in(values, pa.array(sorted(field.values), pa.string())).to_numpy(zero_copy_only=False)
-        if not allowed.all():
-            is_wrong = (codes == code) & ~np.append(allowed, True)[indices]
-            suspects += _first(is_wrong, name, f"one of {sorted(field.values)}")
+        is_other = np.array([value not in field.values for value in values] + [False])
+        if is_other.any():
+            suspects += _first((codes == code) & is_other[places(texts)], name, f"one of {sorted(field.values)}")
     return suspects

@@ -4,19 +4,22 @@ import hashlib
 import os
 import stat
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from fsar_ledger.ledger import canonical
+from fsar_ledger.ledger.arrow import places, whole
 from fsar_ledger.ledger.check import first_flaw, run_starts
 from fsar_ledger.ledger.problem import Problem, unexpected
 from fsar_ledger.ledger.record import COMMITS, CommitRecord
-from fsar_ledger.ledger.schema import fingerprint
-from fsar_ledger.ledger.segment import read_table, to_parquet
+from fsar_ledger.ledger.schema import FINGERPRINT, SCHEMA
+from fsar_ledger.ledger.segment import read_coded, to_parquet
 
 
 class SegmentFacts(msgspec.Struct, frozen=True):
@@ -84,12 +87,12 @@ def _examine(file: str, path: Path, number: int, record: CommitRecord) -> Segmen
         return fail(metadata.num_rows, f"{record.rows}, {says}", "rows")
     if metadata.num_row_groups != 1:
         return fail(f"{metadata.num_row_groups} row groups", "1", "segment_sha256")
-    table = read_table(path)
-    if fingerprint(table.schema) != record.schema_sha256:
-        return fail(fingerprint(table.schema), f"{record.schema_sha256}, {says}", "schema_sha256")
+    table = read_coded(path)
+    if record.schema_sha256 != FINGERPRINT:
+        return fail(FINGERPRINT, f"{record.schema_sha256}, {says}", "schema_sha256")
     flaw = first_flaw(table)
     problems = () if flaw is None else (Problem(file, flaw.found, flaw.expected, number, flaw.run, flaw.seq, flaw.field),)
-    run_ids = table.column("run_id").combine_chunks()
+    run_ids = whole(table.column("run_id"))
     runs = tuple(run_ids.take(run_starts(run_ids)).to_pylist())
     misleading = _misleading(path, metadata, table)
     if misleading is not None:
@@ -104,6 +107,9 @@ def _misleading(path: Path, metadata: pq.FileMetaData, table: pa.Table) -> tuple
     A query engine skips rows by the statistics in the footer, and no leaf covers those. The same version of pyarrow
     must write the same bytes; of a file by another version the statistics are compared.
     """
+    unsorted = next((name for name in table.column_names if not _is_sorted(whole(table.column(name)))), None)
+    if unsorted is not None:
+        return f"an unsorted dictionary of column {unsorted}", "each string once, in order, and used"
     again = to_parquet(table)
     if again.equals(pa.py_buffer(path.read_bytes())):
         return None
@@ -113,9 +119,19 @@ def _misleading(path: Path, metadata: pq.FileMetaData, table: pa.Table) -> tuple
         stored = metadata.row_group(0).column(at)
         if stored.is_stats_set:
             name = stored.path_in_schema
-            values = table.column(name) if name in table.column_names else None
+            values = table.column(name).cast(SCHEMA.field(name).type) if name in table.column_names else None
             span = pc.min_max(values).as_py() if values is not None else {}
             said = {"min": stored.statistics.min, "max": stored.statistics.max} if stored.statistics.has_min_max else span
             if said != span or stored.statistics.null_count not in (None, values.null_count if values is not None else None):
                 return f"statistics {said} of column {name}", f"{span}, as its rows are"
     return None
+
+
+def _is_sorted(column: pa.Array) -> bool:
+    """Whether a column is no dictionary, or one as we write it."""
+    if not isinstance(column, pa.DictionaryArray):
+        return True
+    texts = column.dictionary.to_pylist()
+    is_used = np.zeros(len(texts) + 1, bool)
+    is_used[places(column)] = True
+    return bool(is_used[:-1].all()) and all(one < other for one, other in pairwise(texts))
