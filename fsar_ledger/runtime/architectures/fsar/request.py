@@ -256,11 +256,11 @@ def _again(state: State, action_id: str | None) -> tuple[Scheduled, ...]:
     request = state.request.get(action_id or "")
     if request is None or not _is_step(state, request):
         return ()
-    return (Scheduled(BeginStep(request.task_id), state.fleet.structure.back_off_us),)
+    return (Scheduled(BeginStep(request.task_id, request.action_id), state.fleet.structure.back_off_us),)
 
 
 def _on_unanswered(state: State, event: RequestUnanswered | PeerSought, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(BeginStep(event.task_id), state.fleet.structure.back_off_us),)
+    return (Scheduled(BeginStep(event.task_id, event.action_id), state.fleet.structure.back_off_us),)
 
 
 def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
