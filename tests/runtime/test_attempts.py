@@ -15,8 +15,8 @@ from fsar_ledger.runtime.architectures.dhma import DHMA
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.request import AdmitReviewed, EvaluateRequest
 from fsar_ledger.runtime.architectures.wiring import Wiring
-from fsar_ledger.runtime.handlers.commands import BeginStep, Command
-from fsar_ledger.runtime.handlers.request import RequestCapability
+from fsar_ledger.runtime.handlers.commands import BeginStep, Command, StartAction, TakeTurn
+from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
 from fsar_ledger.runtime.handlers.task import begin_step
 from tests.runtime.histories import given, types, window
@@ -94,6 +94,17 @@ def test_an_approval_that_comes_after_the_refusal_admits_nothing() -> None:
     assert given_to(state, EvaluateRequest(FIRST)) == ["RequestDenied"]
     apply(state, PolicyWindowClosed(B, "local", denial.window))
     assert given_to(state, AdmitReviewed(FIRST, True)) == []
+
+
+@pytest.mark.parametrize("command", [EvaluateRequest(FIRST), AdmitReviewed(FIRST)])
+def test_a_request_that_was_executed_is_not_admitted_again_before_it_is_closed(command: Command) -> None:
+    """Word of H_F's order comes when the execution is over and its result is still on the way back."""
+    state = asked()
+    assert given_to(state, EvaluateRequest(FIRST)) == ["RequestAdmitted", "ExecutionQueued"]
+    given_to(state, TakeTurn(FIRST))
+    assert given_to(state, StartAction(FIRST, drawn=5)) == ["ExecutionStarted"]
+    assert given_to(state, ReportResult(B, FIRST, "success")) == ["ExecutionFinished"]
+    assert given_to(state, command) == []
 
 
 def test_nobody_asks_in_the_service_of_a_request_that_was_refused() -> None:

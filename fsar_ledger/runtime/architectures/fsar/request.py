@@ -123,7 +123,8 @@ def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
 
 def _is_open(state: State, request: Request) -> bool:
     """True while the request waits for the executor's word."""
-    return not request.is_over and request.result is None and request.offered is None and request.action_id not in state.execution.actions
+    has_word = request.is_over or request.is_accepted or request.offered is not None
+    return not has_word and request.action_id not in state.execution.actions
 
 
 def _judged(state: State, request: Request, found: Evaluation, now_us: int, is_reviewed: bool = False) -> tuple[Event, ...]:
