@@ -52,7 +52,8 @@ class Request(msgspec.Struct, frozen=True, gc=False):
 
     `is_adhoc`: it was issued by itself and is no step of a task, whatever its context; it is kept when it is over, so
     that its name is not used again. `offered` is the override level of the counter-offer that waits for an answer,
-    `offers` counts them; `result` is known once the execution is over.
+    `offers` counts them; `result` is known once the execution is over; `is_over`: it was refused, closed or let go, and
+    nothing is decided about it any more.
     """
 
     task_id: str
@@ -147,13 +148,13 @@ def _issued(state: Requests, event: RequestIssued) -> Requests:
 
 
 def _ended(state: Requests, event: ExecutionFinished | RequestClosed | RequestDenied) -> Requests:
-    """A request by itself is over, or has its result; of a step only a result other than success is news before the step ends."""
+    """The request is over, or has its result; of a step only a result other than success is news before the step ends."""
     known = state.get(event.action_id or "")
     if known is None:
         return state
     if isinstance(event, ExecutionFinished):
         return _changed(state, known.action_id, result=event.result) if known.is_adhoc or event.result != "success" else state
-    return _changed(state, known.action_id, is_over=True) if known.is_adhoc else state
+    return _changed(state, known.action_id, is_over=True)
 
 
 def _answered(state: Requests, event: OfferAnswered) -> Requests:

@@ -11,7 +11,10 @@ HANDLES = TaskArrived | StepBegan | StepCompleted | TaskCompleted | TaskAbandone
 
 
 class Task(msgspec.Struct, frozen=True, gc=False):
-    """An open task. `step` counts the steps done; `attempt` the attempts of the present one, from 1; `checkpoints` as in `TaskArrived`."""
+    """An open task. `step` counts the steps done; `attempt` the attempts of the present one, from 1; `checkpoints` as in `TaskArrived`.
+
+    `action_id` is the last attempt, empty while none was made.
+    """
 
     task_id: str
     robot: str

@@ -64,9 +64,10 @@ def hops(state: State, key: str, name: str, count: int) -> tuple[Draw, ...]:
 
 
 class BeginStep(Command):
-    """Turn to the task's next step, or to the same one again after a denial."""
+    """Turn to the task's next step, or to the same one again after the attempt `after` has come to nothing ("": no attempt of this step was made)."""
 
     task_id: str
+    after: str = ""
 
 
 class CompleteStep(Command):

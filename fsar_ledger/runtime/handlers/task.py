@@ -64,9 +64,9 @@ def _is_named(state: State, task_id: str) -> bool:
 
 
 def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
-    """The task has begun its next step, is completed, or has been given up after twice its budget."""
+    """The task has begun its next step, is completed, or has been given up after twice its budget; nothing if it has moved on by another way."""
     task = state.task.get(command.task_id)
-    if task is None:
+    if task is None or task.action_id != command.after:
         return ()
     if task.step == len(task.steps):
         return (TaskCompleted(task.task_id),)

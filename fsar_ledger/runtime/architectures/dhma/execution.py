@@ -125,9 +125,9 @@ def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, 
 
 
 def _on_denial(state: State, event: RequestDenied, _now_us: int) -> tuple[Scheduled, ...]:
-    if event.reason != "own step" or event.task_id is None:
+    if event.reason != "own step" or event.task_id is None or event.action_id is None:
         return ()
-    return (Scheduled(BeginStep(event.task_id), state.fleet.structure.back_off_us),)
+    return (Scheduled(BeginStep(event.task_id, event.action_id), state.fleet.structure.back_off_us),)
 
 
 def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:

@@ -233,7 +233,7 @@ def _on_bid_received(state: State, event: BidReceived, _now_us: int) -> tuple[Sc
     if len(request.bids) < len(request.candidates):
         return ()
     if best_bid(request) is None:
-        return (Scheduled(BeginStep(event.task_id), state.fleet.structure.back_off_us),)
+        return (Scheduled(BeginStep(event.task_id, event.action_id), state.fleet.structure.back_off_us),)
     return (Scheduled(Award(event.action_id)),)
 
 

@@ -123,7 +123,8 @@ def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
 
 def _is_open(state: State, request: Request) -> bool:
     """True while the request waits for the executor's word."""
-    return not request.is_over and request.result is None and request.offered is None and request.action_id not in state.execution.actions
+    has_word = request.is_over or request.is_accepted or request.offered is not None
+    return not has_word and request.action_id not in state.execution.actions
 
 
 def _judged(state: State, request: Request, found: Evaluation, now_us: int, is_reviewed: bool = False) -> tuple[Event, ...]:
@@ -256,11 +257,11 @@ def _again(state: State, action_id: str | None) -> tuple[Scheduled, ...]:
     request = state.request.get(action_id or "")
     if request is None or not _is_step(state, request):
         return ()
-    return (Scheduled(BeginStep(request.task_id), state.fleet.structure.back_off_us),)
+    return (Scheduled(BeginStep(request.task_id, request.action_id), state.fleet.structure.back_off_us),)
 
 
 def _on_unanswered(state: State, event: RequestUnanswered | PeerSought, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(BeginStep(event.task_id), state.fleet.structure.back_off_us),)
+    return (Scheduled(BeginStep(event.task_id, event.action_id), state.fleet.structure.back_off_us),)
 
 
 def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
