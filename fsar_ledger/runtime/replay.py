@@ -169,7 +169,7 @@ class _Replay(Kernel):
     """A run in progress that stops at the first event that is not as recorded."""
 
     def __init__(self, record: RunRecord, spec: RunSpec, constants: Constants) -> None:
-        """The founding is as recorded."""
+        """The run stands after its founding. Raises: _Differs if the record has another one."""
         events, founded = founding_of(spec, constants)
         self._stored, self._count = record, len(record.events)
         self._deciding: Callable[..., tuple[Event, ...]] | None = founding
@@ -231,7 +231,7 @@ class _Replay(Kernel):
             return "type", self.handler(), _at(event, time_us) + because, self._actual(seq)
         pairs: list[tuple[str, object, object]] = [("time_us", time_us, actual_us), ("caused_by", cause, self._stored.caused_by[seq])]
         pairs += [(name, getattr(event, name), getattr(stored, name)) for name in event.__struct_fields__]
-        return next((name, self.handler(), f"{expected!r:.80}", f"{actual!r:.80}") for name, expected, actual in pairs if expected != actual)
+        return next((name, self.handler(), f"{expected!r:.300}", f"{actual!r:.300}") for name, expected, actual in pairs if expected != actual)
 
     def _actual(self, seq: int) -> str:
         return _at(self._stored.events[seq], self._stored.times_us[seq])
@@ -281,7 +281,7 @@ def _parameters(run: str, started: RunStarted) -> tuple[RunSpec, Constants]:
     except msgspec.MsgspecError as error:
         raise refused("parameters", "the constants of the model", str(error)) from error
     if run_started(spec, constants) != started:
-        raise refused("parameters", "all constants of the model, in the form in which it writes them", f"{started.parameters!r:.80}")
+        raise refused("parameters", "all constants of the model, in the form in which it writes them", f"{started.parameters!r:.300}")
     return spec, constants
 
 
