@@ -26,6 +26,7 @@ from .commands.options import (
     NewLedgerArgument,
     ParameterOption,
     PdfOption,
+    ReplayOption,
     RequestOption,
     RunOption,
     RunsOption,
@@ -41,7 +42,7 @@ from .commands.options import (
     workers_of,
 )
 from .commands.progress import Progress
-from .errors import FsarLedgerError, LedgerCorrupted, UsageError
+from .errors import FsarLedgerError, LedgerCorrupted, ReplayMismatch, UsageError
 
 INTERRUPTED = 130
 SHOWN_ROWS = 100
@@ -252,23 +253,26 @@ def audit(ledger: LedgerArgument, invariant: InvariantOption = None, architectur
         raise typer.Exit(1)
 
 
-@app.command(epilog=examples("fsar-ledger verify out/ledger", "fsar-ledger verify out/ledger --json"))
-def verify(ledger: LedgerArgument, workers: WorkersOption = None, as_json: JsonOption = False) -> None:
+@app.command(epilog=examples("fsar-ledger verify out/ledger", "fsar-ledger verify out/ledger --json", "fsar-ledger verify out/ledger --replay"))
+def verify(ledger: LedgerArgument, replay: ReplayOption = False, workers: WorkersOption = None, as_json: JsonOption = False) -> None:
     """Re-derive every hash, count and record of a ledger.
 
     Where anything does not hold, each place is named and the exit code is 3.
     """
-    from .commands.output import verdict_json, verdict_text
+    from .commands.replay import replayed, verdict_json, verdict_text
     from .ledger.verify import verify as check
 
     with Progress("verified", "segments") as progress:
         report = check(ledger, workers_of(workers), progress)
+    again = replayed(ledger, report, workers_of(workers)) if replay else None
     if as_json:
-        _show(verdict_json(report))
+        _show(verdict_json(report, again))
     if not report.ok:
-        raise LedgerCorrupted(verdict_text(ledger, report))
+        raise LedgerCorrupted(verdict_text(ledger, report, again))
+    if again is not None and not again.ok:
+        raise ReplayMismatch(verdict_text(ledger, report, again))
     if not as_json:
-        _show(verdict_text(ledger, report))
+        _show(verdict_text(ledger, report, again))
 
 
 @app.command(

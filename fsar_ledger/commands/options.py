@@ -77,6 +77,9 @@ FailureOption = Annotated[
 ]
 SvgOption = Annotated[Path | None, typer.Option("--svg", metavar="FILE", help="Draw it, too, as SVG; replaced if it exists.", show_default=False)]
 PdfOption = Annotated[Path | None, typer.Option("--pdf", metavar="FILE", help="Draw it, too, as PDF; replaced if it exists.", show_default=False)]
+ReplayOption = Annotated[
+    bool, typer.Option("--replay", help="Play every run again, too: each recorded decision must be what the handlers decide from the recorded world.")
+]
 WorkflowLedgerOption = Annotated[
     Path | None, typer.Option("--workflows", metavar="LEDGER", help="A ledger of the paper's three workflows.", show_default="say that there is none")
 ]

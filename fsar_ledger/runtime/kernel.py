@@ -136,7 +136,9 @@ class Kernel:
                 due_us = time_us + scheduled.after_us
                 for draw in scheduled.draws:
                     due_us += self._draws.value(draw.stream, draw.key, draw.share_ppm)
-                while due_us in taken or due_us <= time_us:
+                if due_us <= time_us:
+                    due_us = time_us + 1
+                while due_us in taken:
                     due_us += 1
                 taken = (*taken, due_us)
                 self._serial += 1

@@ -8,6 +8,7 @@ from typing import get_args
 import msgspec
 
 from fsar_ledger.constants import Constants
+from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Architecture, Configuration, Scenario, Workflow
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.codec import RunRecord
@@ -75,8 +76,12 @@ def kernel(spec: RunSpec, constants: Constants, structure: Wiring | None = None)
     """The run at its founding, before the world has done anything; `structure` replaces the architecture's own wiring."""
     facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size)
     draws = Draws(run_key(spec.seed, spec.scenario, spec.run), constants.world)
-    events = (run_started(spec, constants), *_founding(spec.fleet_size))
-    return Kernel(structure or wiring(spec.architecture), facts, draws, events, _founded(spec.fleet_size))
+    return Kernel(structure or wiring(spec.architecture), facts, draws, *founding_of(spec, constants))
+
+
+def founding_of(spec: RunSpec, constants: Constants) -> tuple[tuple[Event, ...], State]:
+    """The events that the run begins with, and the state that all of them but the first make."""
+    return (run_started(spec, constants), *_founding(spec.fleet_size)), _founded(spec.fleet_size)
 
 
 _founding = lru_cache(maxsize=4)(founding)

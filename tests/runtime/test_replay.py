@@ -1,0 +1,330 @@
+"""Replay finds what no hash can: a decision that was forged before it was committed.
+
+Every forged run here is appended by the real writer, so that `verify` finds nothing wrong with it.
+"""
+
+import json
+import shutil
+from functools import wraps
+from pathlib import Path
+from typing import Any, get_args
+
+import msgspec
+import pytest
+
+from fsar_ledger.constants import Constants, Range, Structure, WorldConstants
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Architecture, Configuration
+from fsar_ledger.events.trust import TrustSet
+from fsar_ledger.events.world import ContextChanged, RoutineDue, TaskArrived, WorldEvent
+from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.verify import verify
+from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.architectures.fsar import FSAR
+from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
+from fsar_ledger.runtime.architectures.wiring import Wiring
+from fsar_ledger.runtime.experiment import ORIGIN, Experiment, simulate, workflow_experiment
+from fsar_ledger.runtime.handlers.commands import Command, Decide
+from fsar_ledger.runtime.replay import NOT_REPLAYED, ReplayReport, replay, replay_commit, replay_run
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run, wiring
+from fsar_ledger.runtime.switches import SWITCHES, Switch
+from tests.cli.conftest import Call, call, one_message  # noqa: F401
+from tests.runtime import governed
+from tests.runtime.commanded import commanded
+from tests.runtime.forgeries import FORGERIES, HONEST, LATE, added, changed, dropped, renamed, seq_of
+
+CONSTANTS = Constants()
+ARCHITECTURES: tuple[Architecture, ...] = get_args(Architecture)
+ABLATIONS: tuple[Configuration, ...] = get_args(Configuration)[1:]
+DECIDED = [seq for seq, event in enumerate(HONEST.events) if HONEST.times_us[seq] and not isinstance(event, WorldEvent)]
+
+
+def committed(path: Path, *runs: RunRecord) -> Path:
+    """A ledger of one commit with these runs, which verifies."""
+    with Writer(path, ORIGIN) as writer:
+        writer.append(stage(path, runs))
+    assert verify(path).ok
+    return path
+
+
+# --- honest ledgers ---
+
+EXPERIMENTS = {
+    "every architecture": Experiment(ARCHITECTURES, SCENARIOS, runs=3, seed=11),
+    "every ablation": Experiment(("fsar",), SCENARIOS, runs=2, seed=12, configurations=ABLATIONS),
+    "the workflows": workflow_experiment(seed=13, runs=2),
+    "a larger fleet": Experiment(ARCHITECTURES, ("fleet-contention",), runs=1, seed=14, fleet_size=8),
+    "another world": Experiment(
+        ARCHITECTURES, ("door-relay",), 1, 15, constants=Constants(WorldConstants(message=Range(0.1, 0.2)), Structure(local_attempts=3))
+    ),
+}
+
+
+@pytest.mark.parametrize("name", list(EXPERIMENTS))
+def test_an_honest_ledger_is_as_the_handlers_decide(tmp_path: Path, name: str) -> None:
+    experiment = EXPERIMENTS[name]
+    head = simulate(tmp_path / "ledger", experiment, workers=1)
+    expected = ReplayReport(True, (), head.commits, len(list(experiment.specs())), head.size)
+    assert replay(tmp_path / "ledger") == expected
+
+
+def test_workers_find_the_same_in_the_same_order_and_progress_is_told(tmp_path: Path) -> None:
+    forged = [renamed(dropped(simulate_run(RunSpec(5, "cfc", "full", "door-relay", 4, run), CONSTANTS), 100 + run)) for run in range(3)]
+    with Writer(tmp_path / "ledger", ORIGIN) as writer:
+        for run in (HONEST, *forged):
+            writer.append(stage(tmp_path / "ledger", [run]))
+    told: list[tuple[int, int]] = []
+    report = replay(tmp_path / "ledger", workers=2, progress=lambda done, total: told.append((done, total)))
+    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    assert report == replay(tmp_path / "ledger")
+    assert [(one.commit, one.segment, one.run) for one in report.differences] == [
+        (at, f"segments/{at:012d}.parquet", run.run_id) for at, run in enumerate(forged, start=1)
+    ]
+    assert (report.commits, report.runs, report.events) == (1, 1, len(HONEST.events))
+    assert replay(tmp_path / "ledger", commits=1).ok
+
+
+# --- forged decisions ---
+
+
+@pytest.mark.parametrize("name", list(FORGERIES))
+def test_a_forged_run_that_verifies_is_found_by_replay(tmp_path: Path, name: str) -> None:
+    forgery = FORGERIES[name]
+    [difference] = replay(committed(tmp_path / "ledger", forgery.run)).differences
+    found = (difference.commit, difference.segment, difference.run, difference.seq, difference.field)
+    assert found == (0, "segments/000000000000.parquet", HONEST.run_id, forgery.seq, forgery.field), difference
+    assert (difference.handler or "none").endswith(forgery.handler or "none"), difference
+
+
+def test_every_decision_that_is_left_out_is_missed_at_its_place() -> None:
+    for seq in DECIDED[::5]:
+        difference = replay_run(dropped(HONEST, seq))
+        assert difference is not None
+        assert difference.seq == seq
+        assert difference.handler
+
+
+def test_every_decision_that_comes_a_microsecond_later_is_named() -> None:
+    for seq in DECIDED[::5]:
+        difference = replay_run(changed(HONEST, seq, time_us=HONEST.times_us[seq] + 1))
+        assert difference is not None
+        assert (difference.seq, difference.field, difference.expected) == (seq, "time_us", str(HONEST.times_us[seq]))
+
+
+def test_every_field_of_every_decision_counts() -> None:
+    others: dict[type, Any] = {str: "another", int: 7_777_777, bool: None, tuple: ("another",), type(None): "another"}
+    tried = set()
+    for seq in DECIDED:
+        event = HONEST.events[seq]
+        for name in event.__struct_fields__:
+            if (type(event), name) not in tried:
+                tried.add((type(event), name))
+                other = msgspec.structs.replace(event, **{name: others[type(getattr(event, name))]})
+                difference = replay_run(changed(HONEST, seq, other))
+                assert difference is not None
+                assert (difference.seq, difference.field) == (seq, name)
+    assert len(tried) > 150
+
+
+# --- what replay does not find ---
+
+
+def test_a_fact_of_the_world_that_is_left_out_with_all_that_follows_from_it_is_not_missed() -> None:
+    assert isinstance(HONEST.events[-1], ContextChanged)
+    assert replay_run(dropped(HONEST, len(HONEST.events) - 1)) is None
+
+
+# --- other handlers ---
+
+
+def nothing(_state: State, _command: Command) -> tuple[Event, ...]:
+    return ()
+
+
+def nothing_of(kind: type[Command]) -> Decide:
+    """A handler of such commands that never makes anything."""
+
+    def decide(_state: State, command: Command) -> tuple[Event, ...]:
+        assert isinstance(command, kind)
+        return ()
+
+    return decide
+
+
+def name_of(structure: Wiring, command: type[Command]) -> str:
+    decide = structure.decides[command]
+    return f"{decide.__module__}.{decide.__qualname__}".removeprefix("fsar_ledger.runtime.")
+
+
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+def test_whichever_handler_is_silenced_replay_names_that_handler(monkeypatch: pytest.MonkeyPatch, architecture: Architecture) -> None:
+    decides: dict[Any, Any] = wiring(architecture).decides
+    silenced = set()
+    for scenario in ("failure-recovery-chain", "mixed-trust-inspection"):
+        honest = simulate_run(RunSpec(5, architecture, "full", scenario, 4, 0), CONSTANTS)
+        for command, decide in list(decides.items()):
+            with monkeypatch.context() as patch:
+                patch.setitem(decides, command, wraps(decide)(nothing_of(command)))
+                difference = replay_run(honest)
+            if difference is not None:
+                assert (difference.expected, difference.handler) == ("nothing", name_of(wiring(architecture), command))
+                silenced.add(command)
+    assert len(silenced) >= 18
+
+
+@pytest.mark.parametrize("switch", [switch for switch in SWITCHES if switch.decides], ids=lambda switch: switch.mechanism)
+def test_a_fleet_without_one_mechanism_is_not_taken_for_a_whole_one(switch: Switch) -> None:
+    [command] = switch.decides
+    specs = [RunSpec(5, switch.architecture, "full", scenario, 4, run) for scenario in SCENARIOS for run in range(3)]
+    found = [replay_run(simulate_run(spec, CONSTANTS, switch.structure())) for spec in specs]
+    assert {difference.handler for difference in found if difference is not None} == {name_of(wiring(switch.architecture), command)}
+
+
+def test_a_handler_that_was_changed_since_decides_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert replay_run(HONEST) is None
+    decides: dict[Any, Any] = FSAR.decides
+    monkeypatch.setitem(decides, EvaluateRequest, nothing)
+    difference = replay_run(HONEST)
+    assert difference is not None
+    assert (difference.seq, difference.handler) == (FORGERIES["an execution without admission"].seq, "tests.runtime.test_replay.nothing")
+
+
+def test_a_decision_from_outside_is_not_a_fact_of_the_world() -> None:
+    one = governed.governed("door-relay", (30_000_000, TrustSet("robot/A1", "robot/C1", "task")))
+    difference = replay_run(governed.record(one))
+    assert difference is not None
+    assert (difference.seq, difference.field, difference.actual) == (seq_of(TrustSet, 50, governed.record(one)), "type", "TrustSet.v1 at 30000000 microseconds")
+
+
+# --- runs that cannot be checked, and content that nobody thought of ---
+
+
+def restarted(record: RunRecord = HONEST, /, **fields: Any) -> RunRecord:
+    """The run, with other parameters in its first event and the name that they give it."""
+    return renamed(changed(record, 0, msgspec.structs.replace(record.events[0], **fields)))
+
+
+def parameters(constants: Constants) -> str:
+    return msgspec.json.encode(constants, order="deterministic").decode()
+
+
+UNCHECKED = {
+    "a live run": (restarted(kind="live", scenario="live"), "kind", "commands are not stored"),
+    "a simulated run of no scenario": (restarted(scenario="live"), "kind", "cannot be replayed"),
+    "another model": (restarted(model_version="0"), "model_version", "'0', so the run cannot be replayed"),
+    "an impossible fleet": (restarted(fleet_size=10**12), None, "fleet size: found 1000000000000"),
+    "a baseline without a mechanism": (restarted(architecture="cfc", configuration="without-trust-evaluation"), None, "cfc"),
+    "no constants": (restarted(parameters="no JSON"), "parameters", "malformed"),
+    "not all constants": (restarted(parameters="{}"), "parameters", "'{}'"),
+    "constants in nests": (restarted(parameters="[" * 100_000), "parameters", "Expected `object`"),
+    "another name": (RunRecord("run", HONEST.times_us, HONEST.caused_by, HONEST.events), "run_id", "'run'"),
+    "no beginning": (RunRecord("run", HONEST.times_us[:1], [None], HONEST.events[1:2]), "type", "RobotJoined.v1"),
+}
+
+
+@pytest.mark.parametrize("name", list(UNCHECKED))
+def test_a_run_that_cannot_be_replayed_is_a_doubt_and_says_why(tmp_path: Path, name: str) -> None:
+    record, field, found = UNCHECKED[name]
+    report = replay(committed(tmp_path / "ledger", record))
+    assert not report.ok
+    [difference] = report.differences
+    assert (difference.commit, difference.run, difference.seq, difference.field) == (0, record.run_id, 0, field)
+    assert found in difference.actual
+
+
+ODD_FACTS: dict[str, Event] = {
+    "an unknown robot": RoutineDue("robot/Z9", "sensing"),
+    "a step that is none": TaskArrived("odd", "robot/A1", 1, ("nonsense",), 10, 10),
+    "a step of an unknown robot": TaskArrived("odd", "robot/A1", 1, ("Z navigate.indoor",), 10, 10),
+    "a capability without a duration": TaskArrived("odd", "robot/A1", 1, ("A fly",), 10**9, LATE + 10**9),
+}
+
+
+@pytest.mark.parametrize("name", list(ODD_FACTS))
+def test_facts_that_no_handler_can_decide_on_are_a_finding_with_its_place(tmp_path: Path, name: str) -> None:
+    forged = added(HONEST, len(HONEST.events), ODD_FACTS[name], LATE, 0)
+    [difference] = replay(committed(tmp_path / "ledger", forged)).differences
+    assert (difference.commit, difference.run) == (0, HONEST.run_id)
+    assert difference.seq is not None
+    assert difference.seq >= len(HONEST.events)
+
+
+def test_facts_of_the_world_out_of_their_order_in_time_are_found() -> None:
+    forged = added(HONEST, len(HONEST.events), ContextChanged("robot/A1"), 5, 0)
+    difference = replay_run(forged)
+    assert difference is not None
+    assert (difference.seq, difference.field, difference.actual) == (len(HONEST.events), "time_us", "5")
+
+
+@pytest.mark.parametrize(
+    ("architecture", "constants"),
+    [
+        *((architecture, Constants(WorldConstants(message=Range(-1e12, -1e11)))) for architecture in ARCHITECTURES),
+        *((architecture, Constants(WorldConstants(message=Range(1e300, 1e308)))) for architecture in ARCHITECTURES),
+        ("fsar", Constants(WorldConstants(durations=()))),
+        ("cfc", Constants(structure=Structure(sync_period_us=0))),
+        ("cfc", Constants(structure=Structure(sync_period_us=1))),
+        ("dhma", Constants(structure=Structure(snapshot_period_us=1, back_off_us=-5))),
+    ],
+)
+def test_odd_constants_end_in_a_finding_and_not_in_a_hang(architecture: Architecture, constants: Constants) -> None:
+    record = simulate_run(RunSpec(5, architecture, "full", "failure-recovery-chain", 4, 0), CONSTANTS)
+    difference = replay_run(restarted(record, parameters=parameters(constants)))
+    assert difference is not None
+    assert difference.seq is not None
+    assert 0 <= difference.seq < len(record.events)
+
+
+def test_a_segment_that_cannot_be_read_is_a_finding(tmp_path: Path) -> None:
+    report = replay_commit(str(committed(tmp_path / "ledger", HONEST)), 0, "segments/000000000001.parquet")
+    assert [(one.commit, one.segment, one.run) for one in report.differences] == [(0, "segments/000000000001.parquet", None)]
+    assert not report.ok
+
+
+# --- the command ---
+
+
+def test_verify_with_replay_says_what_was_replayed(call: Call, tmp_path: Path) -> None:  # noqa: F811
+    path = committed(tmp_path / "ledger", HONEST)
+    called = call("verify", path, "--replay")
+    assert called.code == 0
+    assert called.out.endswith(f"replayed: all {len(HONEST.events)} events of 1 runs are as the handlers decide them\n")
+    answer = json.loads(call("verify", path, "--replay", "--json").out)
+    assert (answer["ok"], answer["replay"]["ok"], answer["replay"]["events"]) == (True, True, len(HONEST.events))
+    assert "replay" not in json.loads(call("verify", path, "--json").out)
+
+
+def test_a_forged_decision_ends_the_command_with_3(call: Call, tmp_path: Path) -> None:  # noqa: F811
+    forgery = FORGERIES["no supervisor is named"]
+    path = committed(tmp_path / "ledger", forgery.run)
+    assert call("verify", path).code == 0
+    called = call("verify", path, "--replay")
+    assert (called.code, called.out) == (3, "")
+    for part in ("segments/000000000000.parquet", "commit 0", HONEST.run_id, f"seq {forgery.seq}", "field supervised_by", "found None", "fsar.execution.start"):
+        assert part in called.err
+    assert "Traceback" not in called.err
+    called = call("verify", path, "--replay", "--json")
+    answer = json.loads(called.out)
+    assert (called.code, answer["ok"], answer["problems"], answer["replay"]["ok"]) == (3, False, [], False)
+    assert answer["replay"]["differences"][0]["handler"] == "architectures.fsar.execution.start"
+
+
+def test_commands_given_from_outside_cannot_be_replayed_and_end_with_3(call: Call, tmp_path: Path) -> None:  # noqa: F811
+    live = commanded()
+    started = msgspec.structs.replace(live.events[0], kind="live", scenario="live")
+    record = renamed(RunRecord("", live.times_us, live.caused_by, [started, *live.events[1:]]))
+    called = call("verify", committed(tmp_path / "ledger", record), "--replay")
+    assert called.code == 3
+    assert "a live run, whose commands are not stored, so the run cannot be replayed" in called.err
+
+
+def test_a_ledger_that_does_not_verify_is_not_replayed(call: Call, tmp_path: Path) -> None:  # noqa: F811
+    path = committed(tmp_path / "ledger", HONEST)
+    shutil.copy(path / "ledger.json", path / "stray.json")
+    called = call("verify", path, "--replay")
+    assert called.code == 3
+    assert "stray.json" in called.err
+    assert "not replayed" in called.err
+    answer = json.loads(call("verify", path, "--replay", "--json").out)
+    assert (answer["ok"], msgspec.convert(answer["replay"], ReplayReport)) == (False, NOT_REPLAYED)
