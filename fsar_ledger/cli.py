@@ -19,10 +19,12 @@ from .commands.options import (
     AuditedOption,
     CsvOption,
     FailureOption,
+    FileOption,
     InvariantOption,
     JsonOption,
     LedgerArgument,
     LimitOption,
+    MemoryOption,
     NewLedgerArgument,
     ParameterOption,
     PdfOption,
@@ -31,6 +33,7 @@ from .commands.options import (
     RunOption,
     RunsOption,
     ScenarioOption,
+    SecondsOption,
     SvgOption,
     WithoutOption,
     WorkersOption,
@@ -164,32 +167,34 @@ def statistics(ledger: LedgerArgument, as_json: JsonOption = False, as_csv: CsvO
         "fsar-ledger query --list",
         "fsar-ledger query metrics/policy_violations out/ledger --csv",
         "fsar-ledger query failures out/ledger --limit 20",
+        "fsar-ledger query --file question.sql out/ledger --seconds 10",
     )
 )
 def query(
     name: Annotated[str | None, typer.Argument(metavar="NAME", help="A name of `query --list`; its last part is enough.", show_default=False)] = None,
     ledger: Annotated[Path | None, typer.Argument(metavar="LEDGER", help="The folder of a ledger.", show_default=False)] = None,
     param: ParameterOption = None,
+    file: FileOption = None,
     list_all: Annotated[bool, typer.Option("--list", help="List every query with its title and parameters.")] = False,
     as_json: JsonOption = False,
     as_csv: CsvOption = False,
     limit: LimitOption = SHOWN_ROWS,
+    seconds: SecondsOption = None,
+    memory: MemoryOption = None,
 ) -> None:
-    """Answer a question that has a name.
+    """Answer a question that has a name, or that stands in a file.
 
-    The questions are the SQL files that come with the package; each says in its header what its rows and its NULLs mean.
+    The questions are the SQL files that come with the package; each says in its header what its rows and its NULLs mean. A file of
+    your own is answered as `sql` answers, locked down; a name is not, and takes as long as it takes.
     """
-    from .commands.output import answer_text, queries_text
-    from .metrics.database import connect, plain_rows
+    from .commands.output import queries_text
+    from .commands.questions import answer_query
 
     if list_all:
         _show(queries_text(as_json=as_json, as_csv=as_csv))
         return
-    if name is None or ledger is None:
-        raise UsageError("query: expected NAME and LEDGER, as in `fsar-ledger query failures out/ledger`; `fsar-ledger query --list` shows the names")
-    with connect(ledger) as database:
-        table = database.query(name, parameters_of(param))
-        _show(answer_text(database.head, plain_rows(table), table.column_names, as_json=as_json, as_csv=as_csv, limit=limit))
+    own = {"--seconds": seconds, "--memory": memory}
+    _show(answer_query((name, ledger), file, parameters_of(param), own, as_json=as_json, as_csv=as_csv, limit=limit))
 
 
 @app.command(
@@ -204,17 +209,17 @@ def sql(
     as_json: JsonOption = False,
     as_csv: CsvOption = False,
     limit: LimitOption = SHOWN_ROWS,
+    seconds: SecondsOption = None,
+    memory: MemoryOption = None,
 ) -> None:
     """Answer a SELECT of your own.
 
     It can read `events`, one view for each event type, and the views of `query --list`; it runs in a locked-down process that can read
     this ledger and nothing else.
     """
-    from .commands.output import answer_text
-    from .metrics.untrusted import run_untrusted
+    from .commands.questions import answer_select, limits_of
 
-    answer = run_untrusted(ledger, select)
-    _show(answer_text(answer.head, answer.rows, answer.columns, as_json=as_json, as_csv=as_csv, limit=limit))
+    _show(answer_select(ledger, select, limits_of({"--seconds": seconds, "--memory": memory}), as_json=as_json, as_csv=as_csv, limit=limit))
 
 
 @app.command(

@@ -22,6 +22,14 @@ NewLedgerArgument = Annotated[
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer as JSON, with the head (size, root) of the ledger.")]
 CsvOption = Annotated[bool, typer.Option("--csv", help="Answer as comma-separated values.")]
 LimitOption = Annotated[int, typer.Option("--limit", metavar="N", help="Rows of the table that are shown; 0 shows all.")]
+FileOption = Annotated[
+    Path | None,
+    typer.Option("--file", metavar="FILE", help="Answer the SELECT in this file instead of a NAME; `-` reads standard input.", show_default=False),
+]
+SecondsOption = Annotated[int | None, typer.Option("--seconds", metavar="N", help="Give a SELECT of your own up after so long.", show_default="60")]
+MemoryOption = Annotated[
+    int | None, typer.Option("--memory", metavar="MIB", help="The most memory that a SELECT of your own may take; at least 1024.", show_default="4096")
+]
 ParameterOption = Annotated[
     list[str] | None, typer.Option("--param", metavar="NAME=VALUE", help="A parameter of the query; may be repeated.", show_default=False)
 ]

@@ -4,6 +4,7 @@ Queries become views when something first reads them, each after what it reads; 
 `Stored` become tables, so that the eight metrics are computed once per connection.
 """
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -22,8 +23,10 @@ from .library import Library, library, values
 
 LOCK = (
     "threads = 1",
-    "memory_limit = '1GB'",
+    "temp_directory = ''",  # wherever DuckDB may spill, SQL may read and write, too: by default in `.tmp` of the working folder
     "max_temp_directory_size = '0KB'",
+    "home_directory = ''",
+    "secret_directory = ''",
     "python_enable_replacements = false",
     "autoinstall_known_extensions = false",
     "autoload_known_extensions = false",
@@ -31,7 +34,24 @@ LOCK = (
     "enable_external_access = false",
 )
 BATCH_ROWS = 10_000
-FAULTS_OF_SQL = (duckdb.ParserException, duckdb.BinderException, duckdb.CatalogException, duckdb.ConversionException, duckdb.PermissionException)
+SHOWN = 200
+"""Characters of a name, or of a line, that a message repeats."""
+OUT_OF_MEMORY = (duckdb.OutOfMemoryException, pa.ArrowMemoryError)
+FAULTS_OF_SQL = (
+    duckdb.ParserException,
+    duckdb.BinderException,
+    duckdb.CatalogException,
+    duckdb.ConversionException,
+    duckdb.OutOfRangeException,
+    duckdb.PermissionException,
+    duckdb.TransactionException,
+    *OUT_OF_MEMORY,
+)
+"""What DuckDB says of the SQL, or of this machine, and never because a segment is damaged."""
+
+_NAME = re.compile(r"\"(?:[^\"]|\"\")*\"|'(?:[^']|'')*'")
+_UNSHOWABLE = re.compile(r"\b(?:BIGNUM|BIT|GEOMETRY|TIME WITH TIME ZONE|UHUGEINT|UNION|VARIANT)\b")
+"""Types whose values Arrow or Python would change without a word, or cannot hold."""
 
 Value = str | int | float | bool | None | list[str]
 
@@ -107,15 +127,20 @@ class Database:
         self.prepare(query.sql)
         return self._execute(f"SELECT * FROM (\n{query.sql}\n) ORDER BY ALL", bound)
 
-    def lock(self, seconds: int) -> None:
-        """From now on the connection reaches nothing but what it already holds, and a statement ends after so many seconds.
+    def lock(self, seconds: int, memory_bytes: int) -> None:
+        """From now on the connection reaches nothing but what it already holds, and a statement ends after so many seconds or bytes of memory.
 
         There is no allow-list: in DuckDB one grants writing too. What DuckDB does not stop (one huge string) is for the operating system to stop.
         """
         for setting in LOCK:
             self._connection.execute(f"SET {setting}")
         self._connection.execute(f"SET max_execution_time = {seconds * 1000}")
+        self._connection.execute(f"SET memory_limit = '{memory_bytes} bytes'")
         self._connection.execute("SET lock_configuration = true")
+
+    def only_read(self) -> None:
+        """From now on not even the relations of this connection change: not by a step of a SELECT that inserts or deletes, either."""
+        self._connection.execute("BEGIN TRANSACTION READ ONLY")
 
     def check_one_select(self, sql: str) -> None:
         """The text is exactly one statement that only reads, as far as its type says.
@@ -128,13 +153,23 @@ class Database:
         except duckdb.Error as error:
             raise QueryFailed(f"SQL: {_first_lines(str(error))}") from error
         kinds = [statement.type.name for statement in statements]
+        if kinds == ["MULTI"]:
+            raise QueryFailed(
+                "SQL: found a PIVOT that lists no values, which DuckDB does in two statements; name the values, as in PIVOT ... ON x IN ('a', 'b')"
+            )
         if len(kinds) != 1 or kinds[0] not in ("SELECT", "EXPLAIN"):
-            raise QueryFailed(f"SQL: found {', '.join(kinds) or 'no statement'}, expected exactly one SELECT or EXPLAIN; a ledger can only be read")
+            raise QueryFailed(f"SQL: found {', '.join(kinds[:5]) or 'no statement'}, expected exactly one SELECT or EXPLAIN; a ledger can only be read")
 
     def batches(self, sql: str) -> Iterator[pa.RecordBatch]:
-        """The answer to one SELECT, a batch at a time, the first one perhaps empty; what it mentions must have been prepared. Raises: as `table`."""
+        """The answer to one SELECT, a batch at a time, the first one perhaps empty; what it mentions must have been prepared.
+
+        Raises:
+            QueryFailed, LedgerCorrupted: As `table`; QueryFailed also for two columns of one name, or a type whose values cannot be handed on as they are.
+        """
         try:
-            reader = self._connection.sql(sql).to_arrow_reader(BATCH_ROWS)
+            relation = self._connection.sql(sql)
+            _check_columns(relation.columns, [str(kind) for kind in relation.types])
+            reader = relation.to_arrow_reader(BATCH_ROWS)
             yield pa.RecordBatch.from_pylist([], schema=reader.schema)
             yield from reader
         except (duckdb.Error, pa.ArrowException, OSError) as error:
@@ -150,13 +185,29 @@ class Database:
 
     def _failure(self, error: Exception) -> FsarLedgerError:
         """What failed, for a user: the SQL, or, where the error may come from the data, the first segment that cannot be read."""
-        if not isinstance(error, FAULTS_OF_SQL):
-            for path in self._segments:
-                try:
-                    read_table(path)
-                except LedgerCorrupted as damage:
-                    return damage
-        return QueryFailed(f"SQL: {_first_lines(str(error))}")
+        damage = None if isinstance(error, FAULTS_OF_SQL) else first_damage(self._segments)
+        return damage or QueryFailed(f"SQL: {_first_lines(str(error))}")
+
+
+def first_damage(segments: Sequence[Path]) -> LedgerCorrupted | None:
+    """What is wrong with the first segment that cannot be read; None when all can."""
+    for path in segments:
+        try:
+            read_table(path)
+        except LedgerCorrupted as damage:
+            return damage
+    return None
+
+
+def _check_columns(names: Sequence[str], kinds: Sequence[str]) -> None:
+    """Every column of the answer can be told from the others and holds values that arrive as they are. Raises: QueryFailed."""
+    seen: set[str] = set()
+    for name, kind in zip(names, kinds, strict=True):
+        if name in seen:
+            raise QueryFailed(f"SQL: found two columns named {name[:SHOWN]!r}; give one of them another name with AS")
+        if found := _UNSHOWABLE.search(_NAME.sub(" ", kind)):
+            raise QueryFailed(f"SQL: column {name[:SHOWN]!r} holds {found[0]}, which an answer cannot show as it is; make it text, as in CAST(... AS VARCHAR)")
+        seen.add(name)
 
 
 def plain_rows(table: pa.Table) -> list[dict[str, Any]]:
@@ -169,8 +220,8 @@ def plain_rows(table: pa.Table) -> list[dict[str, Any]]:
 
 
 def _first_lines(text: str, count: int = 6) -> str:
-    """The beginning of DuckDB's message, blank lines left out."""
-    lines = [line for line in text.splitlines() if line.strip()]
+    """The beginning of DuckDB's message, blank lines left out and long ones cut."""
+    lines = [line if len(line) <= SHOWN else f"{line[:SHOWN]}..." for line in text.splitlines() if line.strip()]
     return "\n".join(lines[:count])
 
 
