@@ -164,8 +164,9 @@ def test_every_example_is_a_call_that_parses(name: str, example: str) -> None:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which out/ledger is a small ledger, and out/workflows one of the workflows."""
+    """A folder in which out/ledger is a small ledger, out/workflows one of the workflows, and question.sql a SELECT."""
     path = tmp_path_factory.mktemp("examples")
+    (path / "question.sql").write_text("SELECT count(*) AS events FROM events\n")
     assert run(["simulate", str(path / "out" / "ledger"), *SMALL]) == 0
     names = [part for name in ("door-relay", "layered-recovery", "human-supervision") for part in ("--workflow", name)]
     assert run(["simulate", str(path / "out" / "workflows"), *names]) == 0

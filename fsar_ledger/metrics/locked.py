@@ -1,14 +1,13 @@
 """The process that untrusted SQL runs in: it holds one ledger's events, locks everything else, answers one SELECT and ends.
 
 It is started without the caller's environment. Before it sees the SQL it gives up, for good, what an answer does not
-need: writing to files, starting processes, a working folder, and more memory, time and open files than it was allowed.
+need: writing to files, starting processes, the caller's working folder, and more memory, time and open files than it was allowed.
 DuckDB's own locks come on top (`Database.lock`).
 """
 
 import os
 import resource
 import signal
-import tempfile
 from multiprocessing.connection import Connection
 
 import msgspec
@@ -80,10 +79,8 @@ def _refusal(error: Exception, limits: Limits) -> Refusal:
 
 
 def give_up(limits: Limits) -> None:
-    """Nothing this process does can write to a file, resolve a relative path or take more than the limits from now on; nothing undoes it."""
-    place = tempfile.mkdtemp()
-    os.chdir(place)
-    os.rmdir(place)
+    """Nothing this process does can write to a file, meet one by a relative path or take more than the limits from now on; nothing undoes it."""
+    os.chdir("/")
     most = {
         resource.RLIMIT_CORE: 0,
         resource.RLIMIT_FSIZE: 0,
