@@ -255,6 +255,22 @@ def test_variables_of_python_are_no_tables_once_it_is_locked() -> None:
             database._connection.sql("SELECT * FROM secret")
 
 
+def test_duckdbs_locks_hold_by_themselves_where_the_caller_works(surrounded: Path) -> None:
+    escaped = []
+    for name, (sql, reason) in REACHES_OUT.items():
+        with from_rows([]) as database:
+            database.lock(10, MEMORY_BYTES)
+            database.prepare(sql)
+            database.only_read()
+            try:
+                database.rows(filled(sql, surrounded))
+            except QueryFailed as refusal:
+                if reason in str(refusal):
+                    continue
+            escaped.append(name)
+    assert escaped == []
+
+
 def test_without_the_locks_these_escape(surrounded: Path) -> None:
     escaped = set()
     for name, (sql, _) in REACHES_OUT.items():
