@@ -104,7 +104,7 @@ def _select(question: Question) -> pa.Table:
     pa.set_io_thread_count(1)
     with Database(None, (), threads=1) as database:
         database.hold("events", ds.dataset(segments, schema=SCHEMA, format=_checked()) if segments else SCHEMA.empty_table())
-        database.lock(limits.seconds + GRACE_S, limits.memory_bytes // 4)
+        database.lock(limits.seconds + GRACE_S, limits.memory_bytes // 2)
         for _ in database.batches("SELECT seq FROM events LIMIT 1"):
             pass  # the threads that reading takes exist from now on, and no other can be started
         resource.setrlimit(resource.RLIMIT_NPROC, (0, 0))
