@@ -13,6 +13,7 @@ import base64
 import binascii
 import hashlib
 import os
+import stat
 from pathlib import Path
 
 import msgspec
@@ -54,6 +55,11 @@ class Signature(msgspec.Struct, frozen=True):
     key_id: bytes
     data: bytes
 
+    @property
+    def key(self) -> str:
+        """The key that it names: `name+id`."""
+        return f"{self.name}+{self.key_id.hex()}"
+
     def line(self) -> str:
         """The line that it is in the note."""
         return f"{_DASH}{self.name} {base64.b64encode(self.key_id + self.data).decode()}\n"
@@ -80,21 +86,30 @@ class VerifierKey(msgspec.Struct, frozen=True):
         """The first four bytes of SHA-256(name, line feed, 0x01, public key)."""
         return hashlib.sha256(self.name.encode() + b"\n" + _ED25519 + self.public).digest()[:_ID_BYTES]
 
-    def __str__(self) -> str:
-        return f"{self.name}+{self.key_id.hex()}+{base64.b64encode(_ED25519 + self.public).decode()}"
+    @property
+    def key(self) -> str:
+        """How a signature names it: `name+id`."""
+        return f"{self.name}+{self.key_id.hex()}"
 
-    def has_signed(self, note: Note) -> bool:
-        """Whether the note carries a signature of this key, and every one that it carries is right."""
+    def __str__(self) -> str:
+        return f"{self.key}+{base64.b64encode(_ED25519 + self.public).decode()}"
+
+    def made(self, signature: bytes, text: bytes) -> bool:
+        """Whether this is the signature of this key under the text (RFC 8032)."""
         from cryptography.exceptions import InvalidSignature
         from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
-        found = [signature.data for signature in note.signatures if (signature.name, signature.key_id) == (self.name, self.key_id)]
         try:
-            for data in found:
-                Ed25519PublicKey.from_public_bytes(self.public).verify(data, note.checkpoint.text().encode())
+            Ed25519PublicKey.from_public_bytes(self.public).verify(signature, text)
         except (InvalidSignature, ValueError):
             return False
-        return bool(found)
+        return True
+
+    def has_signed(self, note: Note) -> bool:
+        """Whether the note is of the log with this key's name and carries a signature of this key, and every one that it carries is right."""
+        found = [signature.data for signature in note.signatures if signature.key == self.key]
+        text = note.checkpoint.text().encode()
+        return note.checkpoint.origin == self.name and bool(found) and all(self.made(data, text) for data in found)
 
 
 class Signer:
@@ -108,7 +123,11 @@ class Signer:
 
     def sign(self, checkpoint: Checkpoint) -> Signature:
         """The signature of this key under the checkpoint; the same each time (RFC 8032)."""
-        return Signature(self.verifier.name, self.verifier.key_id, self._key.sign(checkpoint.text().encode()))
+        return Signature(self.verifier.name, self.verifier.key_id, self.signature_of(checkpoint.text().encode()))
+
+    def signature_of(self, text: bytes) -> bytes:
+        """The 64 bytes of the signature under this text."""
+        return self._key.sign(text)
 
 
 def checkpoint_of(origin: str, tree: Frontier) -> Checkpoint:
@@ -148,25 +167,32 @@ def new_key(path: Path, name: str) -> VerifierKey:
 
     Raises:
         UsageError: The name cannot be that of a key, or one of the files exists; it is left as it is.
-        WriteFailed: The disk refused.
+        WriteFailed: The disk refused; there is no key.
     """
     if not is_name(name):
         raise UsageError(f"--name {name!r}: expected a printable name without spaces and plus signs")
-    public = path.with_name(path.name + ".pub")
+    public = path.parent / (path.name + ".pub")
     for file in (path, public):
         if os.path.lexists(file):
             raise UsageError(f"{file}: found a file, expected a free name; a key is never overwritten")
     secret = os.urandom(HASH_BYTES)
     verifier = Signer(name, secret).verifier
-    text = f"{_SECRET}+{name}+{verifier.key_id.hex()}+{base64.b64encode(_ED25519 + secret).decode()}\n"
+    text = f"{_SECRET}+{verifier.key}+{base64.b64encode(_ED25519 + secret).decode()}\n"
     with disk.refusals(path, "writing a key"):
-        disk.write_secret(path, text.encode())
-        disk.write_durably(public, f"{verifier}\n".encode())
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            disk.write_secret(path, text.encode())
+            disk.write_durably(public, f"{verifier}\n".encode())
+        except FileExistsError:  # another was quicker; it is that one's
+            raise
+        except BaseException:
+            disk.remove(path)
+            raise
     return verifier
 
 
 def read_signer(path: Path) -> Signer:
-    """The key in this file. Raises: UsageError if it cannot be read or is none."""
+    """The key in this file. Raises: UsageError if it cannot be read, is none, or is open to others."""
     text = _read_key(path)
     parts = text.removeprefix(_SECRET + "+").split("+", 2)
     expected = f"{path}: found no secret key, expected the file that `fsar-ledger key new` wrote"
@@ -176,6 +202,9 @@ def read_signer(path: Path) -> Signer:
     secret = _key_bytes(data)
     if secret is None or not is_name(name):
         raise UsageError(expected)
+    mode = stat.S_IMODE(path.stat().st_mode)
+    if mode & 0o077:
+        raise UsageError(f"{path}: found a secret key with mode {mode:o}, which others may read, expected 600; run chmod 600 on it, or make a new key")
     signer = Signer(name, secret)
     if signer.verifier.key_id.hex() != key_id:
         raise UsageError(f"{path}: found key id {key_id}, expected {signer.verifier.key_id.hex()} for this key; it was altered, restore it")
@@ -184,24 +213,24 @@ def read_signer(path: Path) -> Signer:
 
 def read_verifier(key: str) -> VerifierKey:
     """The public key that this is, or that is in the file of this name. Raises: UsageError if it is none."""
-    text = key if key.count("+") >= 2 and not os.path.lexists(key) else _read_key(Path(key))
+    is_text = key.count("+") >= 2 and not os.path.lexists(key)
+    text = key if is_text else _read_key(Path(key))
     name, _, rest = text.partition("+")
     key_id, _, data = rest.partition("+")
     public = _key_bytes(data)
-    if name == "PRIVATE" or public is None or not is_name(name):
-        raise UsageError(
-            f"--trusted-key {key if text != key else text!r:.80}: found no public key, expected one as `fsar-ledger key new` prints, or its .pub file"
-        )
+    if name == "PRIVATE" or public is None or not is_name(name):  # the text is not shown: it may be the secret half
+        where = "--trusted-key" if is_text else f"--trusted-key {key}"
+        raise UsageError(f"{where}: found no public key, expected one as `fsar-ledger key new` prints, or its .pub file")
     verifier = VerifierKey(name, public)
     if verifier.key_id.hex() != key_id:
-        raise UsageError(f"--trusted-key: found key id {key_id}, expected {verifier.key_id.hex()} for this key; it was altered, get it again")
+        raise UsageError(f"--trusted-key: found key id {key_id:.40}, expected {verifier.key_id.hex()} for this key; it was altered, get it again")
     return verifier
 
 
 def _read_key(path: Path) -> str:
     try:
-        return disk.read_document(path).decode().removesuffix("\n")
-    except (OSError, UnicodeDecodeError) as error:
+        return disk.read_document(Path(os.path.realpath(path))).decode().removesuffix("\n")
+    except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not text"
         raise UsageError(f"{path}: the key cannot be read ({reason}); give the file that `fsar-ledger key new` wrote") from error
 
@@ -212,4 +241,5 @@ def _key_bytes(data: str) -> bytes | None:
         key = base64.b64decode(data, validate=True)
     except (binascii.Error, ValueError):
         return None
-    return key[1:] if key[:1] == _ED25519 and len(key) == 1 + HASH_BYTES else None
+    is_right = key[:1] == _ED25519 and len(key) == 1 + HASH_BYTES and base64.b64encode(key).decode() == data
+    return key[1:] if is_right else None

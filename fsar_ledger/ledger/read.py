@@ -90,6 +90,15 @@ class LedgerView(msgspec.Struct, frozen=True):
                 raise
             return segment.read_table(self.segment(number), columns)  # a writer moved it into place in between
 
+    def row(self, number: int, at: int) -> bytes:
+        """The canonical bytes of one row of this commit. Raises: LedgerCorrupted for a segment that cannot be read or has no such row."""
+        table = self._table(number)
+        if not 0 <= at < table.num_rows:
+            raise LedgerCorrupted(
+                f"{self.segment(number)}: commit {number}: found {table.num_rows} rows, expected {self.records[number].rows}; restore the file"
+            )
+        return canonical.from_table(table.take([at]))[0].removeprefix(b"\x00")
+
     def leaves(self, number: int) -> bytes:
         """The packed RFC 6962 leaf hashes of the rows of this commit. Raises: LedgerCorrupted for a segment that cannot be read."""
         return b"".join(canonical.hashes(canonical.from_table(self._table(number))))

@@ -14,16 +14,16 @@ from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.errors import LedgerCorrupted, NotALedger
+from fsar_ledger.errors import NotALedger
 from fsar_ledger.ledger import merkle
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.note import VerifierKey
 from fsar_ledger.ledger.problem import Problem, unexpected
 from fsar_ledger.ledger.record import COMMITS, MANIFEST, SEGMENTS, CommitRecord, sha256_hex
-from fsar_ledger.ledger.tiles import Edge, node_of, tile_reader
+from fsar_ledger.ledger.tiles import Edge
 from fsar_ledger.ledger.verify_commits import Commit, check_folder, check_manifest, check_record, check_strays, read_commits, segment_file
 from fsar_ledger.ledger.verify_derived import TileCheck, check_checkpoint
-from fsar_ledger.ledger.verify_notes import Anchor, Signed, check_anchor, check_signatures
+from fsar_ledger.ledger.verify_notes import Anchor, Signatures, Signed, check_anchor, check_signatures, root_by_tiles
 from fsar_ledger.ledger.verify_segment import SegmentFacts, examine, examine_file
 from fsar_ledger.workers import WorkerPool
 
@@ -48,6 +48,7 @@ class VerifyReport(msgspec.Struct, frozen=True):
     """What `verify` found. Units: `commits`, `events` and `runs` are counts of what was read without doubt; `signed` counts signed commits.
 
     `root` is the Merkle root in hex over the rows themselves (as recorded, where rows were not read), None if there is any doubt.
+    `signer` is the trusted key (`name+id`) if one was given, else whom the newest note names; `anchored` counts the events of the anchor.
     `remarks` are no doubts: what a crash may leave behind.
     """
 
@@ -58,6 +59,7 @@ class VerifyReport(msgspec.Struct, frozen=True):
     runs: int
     root: str | None
     signature: Signed = "unsigned"
+    signer: str | None = None
     signed: int = 0
     is_quick: bool = False
     anchored: int | None = None
@@ -119,17 +121,27 @@ class _Verification:
 
     def _report(self, origin: str | None, records: list[CommitRecord]) -> VerifyReport:
         remarks = self._check_derived(records)
-        signature: Signed = "signer not checked"
-        signed = 0
+        signed = Signatures("signer not checked")
         if not self.problems:
-            doubts, signature = check_signatures(records, self.asked.trusted)
+            doubts, signed = check_signatures(records, self.asked.trusted)
             self.problems += doubts
-            signed = sum(1 for record in records if record.signed_note().signatures)
         anchored = self._check_anchor(origin, records)
         ok = not self.problems
         root = (self.tree.root() if self.tree is not None else merkle.EMPTY_ROOT).hex() if ok else None
-        counts = (self.commits, self.events, len(self.runs))
-        return VerifyReport(ok, tuple(self.problems[:MAX_PROBLEMS]), *counts, root, signature, signed, self.asked.is_quick, anchored if ok else None, remarks)
+        return VerifyReport(
+            ok,
+            tuple(self.problems[:MAX_PROBLEMS]),
+            self.commits,
+            self.events,
+            len(self.runs),
+            root,
+            signature=signed.state,
+            signer=signed.signer,
+            signed=signed.commits,
+            is_quick=self.asked.is_quick,
+            anchored=anchored if ok else None,
+            remarks=remarks,
+        )
 
     def _add(self, commits: list[Commit], commit: Commit, facts: SegmentFacts, previous: str | None, origin: str | None) -> None:
         """One commit more, compared with those before it."""
@@ -203,24 +215,14 @@ class _Verification:
         anchor = self.asked.anchor
         if anchor is None:
             return None
-        size = records[-1].tree_size if records else 0
-        root_then = self._root_of_tiles(anchor, records) if self.asked.is_quick else self.root_then
-        if anchor.note is not None and anchor.note.checkpoint.size == 0:
+        then = anchor.note.checkpoint if anchor.note is not None else None
+        root_then = self.root_then
+        if then is not None and records and self.asked.is_quick:
+            root_then = root_by_tiles(self.path, then, records[-1])
+        if then is not None and then.size == 0:
             root_then = merkle.EMPTY_ROOT
-        self.problems += check_anchor(anchor, origin, size, root_then, self.asked.trusted)
-        return anchor.note.checkpoint.size if anchor.note is not None else None
-
-    def _root_of_tiles(self, anchor: Anchor, records: list[CommitRecord]) -> bytes | None:
-        """The root over the anchor's events out of the tiles, which must give the recorded root too."""
-        size = records[-1].tree_size if records else 0
-        if anchor.note is None or not 0 < anchor.note.checkpoint.size <= size:
-            return None
-        node = node_of(tile_reader(self.path), size)
-        try:
-            is_right = merkle.tree_root(node, size).hex() == records[-1].tree_root
-            return merkle.tree_root(node, anchor.note.checkpoint.size) if is_right else None
-        except LedgerCorrupted:
-            return None
+        self.problems += check_anchor(anchor, origin, records[-1].tree_size if records else 0, root_then, self.asked.trusted)
+        return then.size if then is not None else None
 
 
 def _examine_all(path: Path, commits: list[Commit], workers: int, *, is_quick: bool) -> Iterator[SegmentFacts]:

@@ -1,5 +1,6 @@
 """Who signed a ledger, and whether it only grew since an earlier checkpoint: a part of `verify`."""
 
+import os
 from pathlib import Path
 from typing import Literal
 
@@ -7,11 +8,21 @@ import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.note import Note, VerifierKey, parse_note
+from fsar_ledger.ledger.merkle import consistency_proof, is_consistent
+from fsar_ledger.ledger.note import Checkpoint, Note, VerifierKey, parse_note
 from fsar_ledger.ledger.problem import Problem
 from fsar_ledger.ledger.record import COMMITS, MANIFEST, CommitRecord
+from fsar_ledger.ledger.tiles import node_of, tile_reader
 
 Signed = Literal["unsigned", "signer not checked", "signed"]
+
+
+class Signatures(msgspec.Struct, frozen=True):
+    """Who signed: the state of the newest note, the key (`name+id`) that it names, and how many commits that key signed, or any if none is trusted."""
+
+    state: Signed
+    signer: str | None = None
+    commits: int = 0
 
 
 class Anchor(msgspec.Struct, frozen=True):
@@ -25,36 +36,64 @@ class Anchor(msgspec.Struct, frozen=True):
 def read_anchor(path: Path) -> Anchor:
     """The checkpoint in this file. Raises: UsageError if there is no such file."""
     try:
-        return Anchor(str(path), parse_note("anchor", disk.read_document(path).decode()))
+        return Anchor(str(path), parse_note("anchor", disk.read_document(Path(os.path.realpath(path))).decode()))
     except FileNotFoundError as error:
         raise UsageError(f"--anchor {path}: found no file, expected a checkpoint of this ledger that was kept elsewhere") from error
     except (OSError, UnicodeDecodeError, LedgerCorrupted) as error:
         return Anchor(str(path), None, (error.strerror or str(error)) if isinstance(error, OSError) else str(error))
 
 
-def check_signatures(records: list[CommitRecord], trusted: VerifierKey | None) -> tuple[list[Problem], Signed]:
+def check_signatures(records: list[CommitRecord], trusted: VerifierKey | None) -> tuple[list[Problem], Signatures]:
     """The newest note is signed by the trusted key, and no note pretends to be; without a key, whether the newest is signed at all."""
-    newest = records[-1].signed_note() if records else None
+    notes = [record.signed_note() for record in records]
+    signers = signers_of(notes[-1]) if notes else None
     if trusted is None:
-        return [], "signer not checked" if newest is not None and newest.signatures else "unsigned"
-    if newest is None:
-        return [Problem(MANIFEST, "no commit, so no note", f"one signed by {trusted.name}+{trusted.key_id.hex()}")], "unsigned"
+        return [], Signatures("signer not checked" if signers else "unsigned", signers, sum(1 for note in notes if note.signatures))
+    if not notes:
+        return [Problem(MANIFEST, "no commit, so no note", f"one signed by {trusted.key}")], Signatures("unsigned")
     problems = [
-        Problem(
-            f"{COMMITS}/{record.number:012d}.json", found, f"one of {trusted.name}+{trusted.key_id.hex()}, the trusted key", commit=record.number, field="note"
-        )
-        for record in records
-        if (found := _doubt(record.signed_note(), trusted, is_newest=record is records[-1])) is not None
+        Problem(f"{COMMITS}/{record.number:012d}.json", found, f"one of {trusted.key}, the trusted key", commit=record.number, field="note")
+        for record, note in zip(records, notes, strict=True)
+        if (found := doubt(note, trusted)) is not None and (note is notes[-1] or names(note, trusted))
     ]
-    return problems, "signer not checked" if problems else "signed"
+    if problems:
+        return problems, Signatures("signer not checked" if signers else "unsigned", signers)
+    return [], Signatures("signed", trusted.key, sum(1 for note in notes if names(note, trusted)))
 
 
-def _doubt(note: Note, trusted: VerifierKey, *, is_newest: bool) -> str | None:
-    """What is wrong with the signatures of a note; only the newest must have one, for it vouches for all before it."""
-    names = [f"{signature.name}+{signature.key_id.hex()}" for signature in note.signatures]
-    if f"{trusted.name}+{trusted.key_id.hex()}" in names:
-        return None if trusted.has_signed(note) else "a signature that this key did not make"
-    return (f"a signature of {names[0]}" if names else "no signature") if is_newest else None
+def names(note: Note, key: VerifierKey) -> bool:
+    """Whether the note has a signature that says to be of this key."""
+    return any(signature.key == key.key for signature in note.signatures)
+
+
+def signers_of(note: Note) -> str | None:
+    """The keys that the note names; None if it is unsigned. Nobody has checked that they signed it."""
+    return ", ".join(signature.key for signature in note.signatures) or None
+
+
+def doubt(note: Note, trusted: VerifierKey) -> str | None:
+    """Why this note is not one that the trusted key signed; None if it is."""
+    if trusted.has_signed(note):
+        return None
+    if names(note, trusted):
+        return "a signature that this key did not make" if note.checkpoint.origin == trusted.name else f"a checkpoint of {note.checkpoint.origin}"
+    signers = signers_of(note)
+    return f"a signature of {signers}" if signers else "no signature"
+
+
+def root_by_tiles(ledger: Path, then: Checkpoint, record: CommitRecord) -> bytes | None:
+    """The root of an earlier checkpoint, where the tiles prove that the tree of this record begins with its events; else None.
+
+    The proof counts, not the tiles: whoever rewrote history may have left old tiles in place.
+    """
+    size, root = record.tree_size, bytes.fromhex(record.tree_root)
+    if not 0 < then.size <= size:
+        return None
+    try:
+        proof = consistency_proof(node_of(tile_reader(ledger), size), then.size, size)
+    except LedgerCorrupted:
+        return None
+    return then.root if is_consistent(then.size, then.root, size, root, proof) else None
 
 
 def check_anchor(anchor: Anchor, origin: str | None, size: int, root_then: bytes | None, trusted: VerifierKey | None) -> list[Problem]:
@@ -73,11 +112,12 @@ def check_anchor(anchor: Anchor, origin: str | None, size: int, root_then: bytes
     if then.origin != origin:
         return [Problem(anchor.file, f"a checkpoint of {then.origin}", f"one of {origin}, this ledger's origin")]
     if trusted is not None and not trusted.has_signed(anchor.note):
-        return [Problem(anchor.file, "a checkpoint that the trusted key did not sign", f"one signed by {trusted.name}+{trusted.key_id.hex()}")]
+        return [Problem(anchor.file, f"a checkpoint with {doubt(anchor.note, trusted)}", f"one signed by {trusted.key}, the trusted key")]
     if then.size > size:
         return [Problem(COMMITS, f"{size} events", f"at least {then.size}, as {anchor.file} says: the newest were removed")]
     if root_then is None:
-        return [Problem(anchor.file, "rows or tiles that cannot be relied on", "a ledger whose first events can be compared with the anchor")]
+        found = f"no way from its {then.size} events to the ledger's {size}"
+        return [Problem(anchor.file, found, "a ledger that begins with them: history was rewritten, or rows or tiles were damaged")]
     if root_then != then.root:
         return [
             Problem(COMMITS, f"root {root_then.hex()} over the first {then.size} events", f"{then.root.hex()}, as {anchor.file} says: history was rewritten")
