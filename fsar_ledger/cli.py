@@ -1,12 +1,10 @@
-"""The command line: the only place that prints, exits or reads a clock, with `commands/progress.py` for the line on terminals.
+"""The command line: with `commands/trust.py` the only place that prints (`commands/terminal.py`) or exits, and with `commands/progress.py` that reads a clock.
 
 Every command body imports what it needs, so that `--help` stays quick. A command that fails raises one of
 the errors of `errors.py`; `run` turns it into one message on stderr and its exit code:
 0 fine, 1 a write failed or an audit found something, 2 the call was wrong, 3 the ledger is damaged, 130 interrupted.
 """
 
-import os
-import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,6 +12,7 @@ from typing import Annotated
 
 import typer
 
+from .commands import trust
 from .commands.options import (
     ArchitectureOption,
     AuditedOption,
@@ -22,13 +21,13 @@ from .commands.options import (
     FileOption,
     InvariantOption,
     JsonOption,
+    KeyOption,
     LedgerArgument,
     LimitOption,
     MemoryOption,
     NewLedgerArgument,
     ParameterOption,
     PdfOption,
-    ReplayOption,
     RequestOption,
     RunOption,
     RunsOption,
@@ -45,7 +44,9 @@ from .commands.options import (
     workers_of,
 )
 from .commands.progress import Progress
-from .errors import FsarLedgerError, LedgerCorrupted, ReplayMismatch, UsageError
+from .commands.terminal import say as _say
+from .commands.terminal import show as _show
+from .errors import FsarLedgerError, UsageError
 
 INTERRUPTED = 130
 SHOWN_ROWS = 100
@@ -76,6 +77,7 @@ def _version(version: Annotated[bool, typer.Option("--version", help="Show the v
         "fsar-ledger simulate out/doors --architecture fsar --scenario door-relay --runs 3 --seed 7",
         "fsar-ledger simulate out/untrusting --without trust-evaluation --runs 2",
         "fsar-ledger simulate out/workflows --workflow door-relay --workflow layered-recovery --workflow human-supervision",
+        "fsar-ledger simulate out/signed --scenario door-relay --runs 1 --key out/fleet.key",
         "fsar-ledger simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 --runs 2",
     )
 )
@@ -88,6 +90,7 @@ def simulate(
     seed: Annotated[int, typer.Option(metavar="N", help="Decides every draw of the world.")] = 42,
     fleet_size: Annotated[int, typer.Option(metavar="N", help="Robots; a multiple of 4.")] = 4,
     without: WithoutOption = None,
+    key: KeyOption = None,
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -98,10 +101,10 @@ def simulate(
     from .commands.output import json_text
     from .runtime.experiment import simulate as run_experiment
 
-    experiment = experiment_of(architecture, scenario, runs, seed, fleet_size, without, workflow)
+    experiment, signer = experiment_of(architecture, scenario, runs, seed, fleet_size, without, workflow), trust.signer_of(key)
     with Progress("simulated", "batches") as progress:
-        head = run_experiment(out, experiment, workers_of(workers), progress)
-    plain = f"{out}: {head.size:,} events in {head.commits:,} commits\nroot {head.root}\n"
+        head = run_experiment(out, experiment, workers_of(workers), progress, signer)
+    plain = f"{out}: {head.size:,} events in {head.commits:,} commits\nroot {head.root}\n{trust.signed_text(out, signer)}"
     _show(json_text(head, {"ledger": str(out), "commits": head.commits}) if as_json else plain)
 
 
@@ -258,26 +261,10 @@ def audit(ledger: LedgerArgument, invariant: InvariantOption = None, architectur
         raise typer.Exit(1)
 
 
-@app.command(epilog=examples("fsar-ledger verify out/ledger", "fsar-ledger verify out/ledger --json", "fsar-ledger verify out/ledger --replay"))
-def verify(ledger: LedgerArgument, replay: ReplayOption = False, workers: WorkersOption = None, as_json: JsonOption = False) -> None:
-    """Re-derive every hash, count and record of a ledger.
-
-    Where anything does not hold, each place is named and the exit code is 3.
-    """
-    from .commands.replay import replayed, verdict_json, verdict_text
-    from .ledger.verify import verify as check
-
-    with Progress("verified", "segments") as progress:
-        report = check(ledger, workers_of(workers), progress)
-    again = replayed(ledger, report, workers_of(workers)) if replay else None
-    if as_json:
-        _show(verdict_json(report, again))
-    if not report.ok:
-        raise LedgerCorrupted(verdict_text(ledger, report, again))
-    if again is not None and not again.ok:
-        raise ReplayMismatch(verdict_text(ledger, report, again))
-    if not as_json:
-        _show(verdict_text(ledger, report, again))
+app.command(epilog=trust.VERIFY)(trust.verify)
+app.command(epilog=trust.PROVE)(trust.prove)
+app.command("verify-proof", epilog=trust.VERIFY_PROOF)(trust.verify_proof)
+app.add_typer(trust.keys)
 
 
 @app.command(
@@ -344,6 +331,7 @@ def calibrate(
 @app.command(epilog=examples("fsar-ledger reproduce", "fsar-ledger reproduce --out out/paper"))
 def reproduce(
     out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where the ledger, the tables and the report go.")] = Path("fsar-out"),
+    key: KeyOption = None,
     workers: WorkersOption = None,
 ) -> None:
     """Do the paper's experiment, judge it, typeset the report.
@@ -353,7 +341,7 @@ def reproduce(
     from .commands.reproduce import reproduce as do
 
     began = time.monotonic()
-    text, head = do(out, workers_of(workers))
+    text, head = do(out, workers_of(workers), trust.signer_of(key))
     _show(f"{text}\n{head.size:,} events, root {head.root}, {time.monotonic() - began:.0f} s\n{out / 'report.pdf'}\n")
 
 
@@ -376,17 +364,3 @@ def run(arguments: Sequence[str]) -> int:
     if code == INTERRUPTED:
         _say("interrupted; what is committed stays, and the same command continues there")
     return code if isinstance(code, int) else 0
-
-
-def _show(text: str) -> None:
-    """The text is on stdout; a reader that has had enough (`| head`) ends the command quietly."""
-    try:
-        sys.stdout.write(text)
-        sys.stdout.flush()
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise typer.Exit(0) from None
-
-
-def _say(text: str) -> None:
-    sys.stderr.write("".join(f"fsar-ledger: {line}\n" for line in text.splitlines()))

@@ -4,7 +4,6 @@ The story is what `queries/audit/request_story.sql`, `requests.sql` and `failure
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from difflib import get_close_matches
 from itertools import groupby
 from pathlib import Path
 from typing import Any
@@ -12,6 +11,7 @@ from typing import Any
 from fsar_ledger.errors import UsageError
 from fsar_ledger.metrics.database import Database, connect, plain_rows
 
+from .options import did_you_mean
 from .output import json_text, table_text
 
 Story = list[dict[str, Any]]
@@ -72,22 +72,14 @@ def _run(database: Database, ledger: Path, asked: str | None) -> str:
     beginning = sorted(name for name in names if name.startswith(asked)) if asked else []
     if beginning:
         return str(beginning[0])
-    raise UsageError(f"--run {asked}: there is no such run in {ledger}; {_did_you_mean(asked, names)}`fsar-ledger query runs {ledger}` lists them")
+    raise UsageError(f"--run {asked}: there is no such run in {ledger}; {did_you_mean(asked, names)}`fsar-ledger query runs {ledger}` lists them")
 
 
 def _no_action(database: Database, ledger: Path, run: str, asked: str) -> str:
     known = [
         row["action_id"] for row in database.rows("SELECT DISTINCT action_id FROM keyed_events WHERE run_id = $run AND action_id IS NOT NULL", {"run": run})
     ]
-    return f"{asked}: there is no such request in run {run}; {_did_you_mean(asked, known)}`fsar-ledger explain {ledger} --run {run}` lists them"
-
-
-def _did_you_mean(asked: str, names: Sequence[str]) -> str:
-    """A question about the nearest name: one that begins so, else one whose beginning is like it."""
-    ordered = sorted(names)
-    near = [name for name in ordered if name.startswith(asked)] or get_close_matches(asked, [name[: len(asked)] for name in ordered], 1, 0.3)
-    found = next((name for name in ordered if near and name.startswith(near[0])), None)
-    return "" if found is None else f"did you mean {found}? "
+    return f"{asked}: there is no such request in run {run}; {did_you_mean(asked, known)}`fsar-ledger explain {ledger} --run {run}` lists them"
 
 
 def _listed(database: Database, ledger: Path, run: str, *, as_json: bool) -> str:

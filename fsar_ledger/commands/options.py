@@ -88,6 +88,16 @@ PdfOption = Annotated[Path | None, typer.Option("--pdf", metavar="FILE", help="D
 ReplayOption = Annotated[
     bool, typer.Option("--replay", help="Play every run again, too: each recorded decision must be what the handlers decide from the recorded world.")
 ]
+KeyOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--key", metavar="FILE", envvar="FSAR_LEDGER_KEY", help="Sign with this key, of `fsar-ledger key new`.", show_default="leave the ledger unsigned"
+    ),
+]
+TrustedKeyOption = Annotated[
+    str | None,
+    typer.Option("--trusted-key", metavar="KEY", help="Require the signature of this public key: a .pub file, or the key itself.", show_default=False),
+]
 WorkflowLedgerOption = Annotated[
     Path | None, typer.Option("--workflows", metavar="LEDGER", help="A ledger of the paper's three workflows.", show_default="say that there is none")
 ]
@@ -169,6 +179,14 @@ def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> t
             hint = f"; did you mean {nearest[0]!r}?" if nearest else ";"
             raise InvalidExperiment(f"unknown {what} {name!r}{hint} expected one of {', '.join(names)}")
     return tuple(name for name in names if name in (asked or ()))
+
+
+def did_you_mean(asked: str, names: Sequence[str]) -> str:
+    """A question about the nearest name: one that begins so, else one whose beginning is like it."""
+    ordered = sorted(names)
+    near = [name for name in ordered if name.startswith(asked)] or get_close_matches(asked, [name[: len(asked)] for name in ordered], 1, 0.3)
+    found = next((name for name in ordered if near and name.startswith(near[0])), None)
+    return "" if found is None else f"did you mean {found}? "
 
 
 def workers_of(asked: int | None) -> int:

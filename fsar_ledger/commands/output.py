@@ -65,10 +65,22 @@ def csv_text(rows: Sequence[Row], columns: Sequence[str]) -> str:
 
 def verdict_text(ledger: Path, report: "VerifyReport") -> str:
     """What `verify` found, for people: one line for each problem, or that there is none and what that covers."""
-    if report.ok:
-        return f"{ledger}: consistent, {report.signature}: {report.events:,} events of {report.runs:,} runs in {report.commits:,} commits\nroot {report.root}\n"
-    count = f"{len(report.problems)} problem{'' if len(report.problems) == 1 else 's'}"
-    return "\n".join([*map(str, report.problems), f"{ledger}: {count}; do not rely on this ledger, restore it from a copy that verifies"])
+    if not report.ok:
+        count = f"{len(report.problems)} problem{'' if len(report.problems) == 1 else 's'}{' at a quick look' if report.is_quick else ''}"
+        return "\n".join([*map(str, report.problems), f"{ledger}: {count}; do not rely on this ledger, restore it from a copy that verifies"])
+    counts = f"{report.events:,} events{'' if report.is_quick else f' of {report.runs:,} runs'} in {report.commits:,} commits"
+    looked = "consistent at a quick look, which reads no rows" if report.is_quick else "consistent"
+    lines = [f"{ledger}: {looked}, {signature_text(report.signature, report.signer)}: {counts}", f"root {report.root}"]
+    lines += [f"signed commits: {report.signed:,} of {report.commits:,}"] if report.signed else []
+    lines += [f"only grew since the anchor's {report.anchored:,} events"] if report.anchored is not None else []
+    return "\n".join([*lines, *report.remarks, ""])
+
+
+def signature_text(state: str, signer: str | None) -> str:
+    """What the signature of a note is worth, for people: `signer` is the trusted key that made it, or whom the note names."""
+    if state == "signed":
+        return f"signed by {signer}"
+    return "unsigned" if signer is None else f"signed, signer not checked (it names {signer})"
 
 
 def verdict_json(report: "VerifyReport") -> str:

@@ -14,6 +14,7 @@ from fsar_ledger.constants import Constants
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events.envelope import Architecture, Configuration, Scenario, Workflow
 from fsar_ledger.ledger.append import Staged, Writer, stage
+from fsar_ledger.ledger.note import Signer
 from fsar_ledger.ledger.read import Head, LedgerView, open_ledger
 from fsar_ledger.runtime.simulation import RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.workers import WorkerPool
@@ -95,17 +96,18 @@ def workflow_experiment(seed: int = 42, runs: int = 1, workflows: tuple[Workflow
     return Experiment(("fsar",), workflows, runs, seed, FLEET_SIZE)
 
 
-def simulate(out: Path, experiment: Experiment, workers: int, progress: Progress | None = None) -> Head:
+def simulate(out: Path, experiment: Experiment, workers: int, progress: Progress | None = None, signer: Signer | None = None) -> Head:
     """Every run of the experiment is in the ledger; batches that were there already are not made again.
 
-    The bytes of the ledger do not depend on `workers`. `progress` is told batches done and batches in all.
+    The bytes of the ledger do not depend on `workers`. `progress` is told batches done and batches in all. What is committed now carries a signature
+    of `signer`, whose key stays in this process.
 
     Raises:
         InvalidExperiment: the ledger holds some of these runs in batches of another experiment.
         NotALedger, FormatVersionMismatch, LedgerCorrupted, WriteFailed: see `Writer`.
     """
     batches = experiment.batches()
-    with Writer(out, ORIGIN) as writer:
+    with Writer(out, ORIGIN, signer) as writer:
         missing = _missing(open_ledger(out), batches, experiment.constants)
         done = len(batches) - len(missing)
         if progress is not None:

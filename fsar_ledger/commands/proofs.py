@@ -1,0 +1,90 @@
+"""Which event a user means, and what a proof shows, as text and JSON. Nothing here prints."""
+
+import os
+from pathlib import Path
+
+from fsar_ledger.errors import UsageError
+from fsar_ledger.ledger.canonical import document
+from fsar_ledger.ledger.proof import Proof, Proven, blocks, prove
+from fsar_ledger.ledger.read import LedgerView, open_ledger
+
+from .options import did_you_mean
+from .output import json_text, signature_text
+
+PRINCIPALS = ("decided_by", "requested_by", "executed_by", "supervised_by")
+UNKNOWN = "not on record"
+
+
+def proof_of(ledger: Path, event: str) -> Proof:
+    """The proof of the event of this name: `RUN:SEQ`, where the beginning of the run's name is enough if no other begins so, or its number.
+
+    Raises:
+        UsageError: There is no such event, or more than one such run.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_ledger` and `prove`.
+    """
+    view = open_ledger(ledger)
+    return prove(view, _index_of(view, event))
+
+
+def write_proof(ledger: Path, event: str, out: Path) -> str:
+    """The new file holds the proof of this event; a line that says so.
+
+    Raises:
+        UsageError: As `proof_of`; or the file exists, which is left as it is, or would lie inside the ledger.
+        WriteFailed: The file cannot be written.
+    """
+    from .files import write_text
+
+    if os.path.lexists(out):
+        raise UsageError(f"--out {out}: found a file, expected a free name; a proof is never overwritten")
+    if out.resolve().is_relative_to(ledger.resolve()):
+        raise UsageError(f"--out {out}: found a place inside the ledger {ledger}, which holds nothing but its own files; choose one outside")
+    proof = proof_of(ledger, event)
+    write_text(out, str(proof))
+    tree = proof.note.checkpoint
+    return f"{out}: event {proof.index:,} of {tree.size:,}\nroot {tree.root.hex()}\n"
+
+
+def _index_of(view: LedgerView, event: str) -> int:
+    """The number of this event in the ledger, from 0."""
+    size = view.head.size
+    if event.isascii() and event.isdecimal():
+        if len(event) > 16 or int(event) >= size:
+            raise UsageError(f"EVENT {event}: found {size:,} events in {view.path}, expected a number below that, or RUN:SEQ")
+        return int(event)
+    asked, _, seq = event.rpartition(":")
+    if not asked or not (seq.isascii() and seq.isdecimal()):
+        raise UsageError(f"EVENT {event}: found no number, expected RUN:SEQ, as a run and the seq of an event in it, or the event's number in the ledger")
+    found = {block.run: block for block in blocks(view)}
+    names = [asked] if asked in found else sorted(name for name in found if name.startswith(asked))
+    if len(names) != 1:
+        raise UsageError(_no_run(view, asked, names, sorted(found)))
+    block = found[names[0]]
+    if len(seq) > 16 or int(seq) >= block.events:
+        raise UsageError(f"EVENT {event}: found {block.events:,} events in run {block.run}, expected a seq from 0 to {block.events - 1}")
+    return block.first + int(seq)
+
+
+def _no_run(view: LedgerView, asked: str, names: list[str], known: list[str]) -> str:
+    if names:
+        return f"EVENT {asked}: found {len(names)} runs that begin so, {names[0]} and {names[1]} among them, expected one; give more of its name"
+    return f"EVENT {asked}: there is no such run in {view.path}; {did_you_mean(asked, known)}`fsar-ledger query runs {view.path}` lists them"
+
+
+def proven_text(file: Path, proven: Proven) -> str:
+    """What the proof shows, for people: the event and its principals, its place, and what the signature is worth."""
+    event = proven.event
+    width = max(map(len, PRINCIPALS))
+    principals = "".join(f"{name.replace('_', ' '):<{width}}  {event.get(name, UNKNOWN)}\n" for name in PRINCIPALS)
+    return (
+        f"{file}: proven: event {proven.index:,} of {proven.size:,} in the ledger of {proven.origin}, {signature_text(proven.signature, proven.signer)}\n"
+        f"root {proven.root}{'' if proven.signature == 'signed' else ' (no signature was checked: compare it with one that you trust)'}\n\nrun {event['run_id']}, seq {event['seq']}: {event['type']}\n{principals}{document(event).decode()}\n"
+    )
+
+
+def proven_json(file: Path, proven: Proven) -> str:
+    """What the proof shows, for programs; `head` is that of the proof's checkpoint."""
+    event = proven.event
+    about = {name: event[name] for name in ("run_id", "seq", "type")} | {name: event.get(name) for name in PRINCIPALS}
+    place = {"index": proven.index, "origin": proven.origin, "signature": proven.signature, "signer": proven.signer}
+    return json_text(proven, {"ok": True, "file": str(file), **place, **about, "event": event})

@@ -1,0 +1,169 @@
+"""The commands for who does not take a ledger on trust: `verify`, `prove`, `verify-proof` and `key new`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fsar_ledger.errors import LedgerCorrupted, ReplayMismatch, UsageError
+
+from .options import JsonOption, LedgerArgument, ReplayOption, TrustedKeyOption, WorkersOption, examples, workers_of
+from .progress import Progress
+from .terminal import show
+
+if TYPE_CHECKING:
+    from fsar_ledger.ledger.note import Signer
+
+VERIFY = examples(
+    "fsar-ledger verify out/ledger",
+    "fsar-ledger verify out/ledger --quick --json",
+    "fsar-ledger verify out/ledger --replay",
+    "cp out/ledger/checkpoint monday    # keep it elsewhere; later:",
+    "fsar-ledger verify out/ledger --anchor monday --trusted-key out/fleet.key.pub",
+)
+PROVE = examples(
+    "fsar-ledger prove out/ledger 1234 --out out/event-1234.tlog-proof",
+    "fsar-ledger prove out/ledger fsar.full.door-relay.n4.s42.r0000:12",
+)
+VERIFY_PROOF = examples(
+    "fsar-ledger verify-proof out/event.tlog-proof",
+    "fsar-ledger verify-proof out/event.tlog-proof --trusted-key out/fleet.key.pub --json",
+)
+
+keys = typer.Typer(name="key", help="Make keys that sign ledgers.", no_args_is_help=True)
+
+
+@keys.callback()
+def _keys() -> None:
+    """Make keys that sign ledgers."""
+
+
+@keys.command("new", epilog=examples("fsar-ledger key new fleet.key", "fsar-ledger key new arm.key --name example.org/arm"))
+def key_new(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Where the secret key goes; the public one goes to FILE.pub.", show_default=False)],
+    name: Annotated[str | None, typer.Option(metavar="NAME", help="The origin of the ledgers it signs.", show_default="fsar-ledger/simulated")] = None,
+) -> None:
+    """Make a key that signs ledgers; prints the public half.
+
+    FILE is for the one who signs and nobody else: who has it can rewrite every ledger that it signed. The public half is for all who verify.
+    """
+    from fsar_ledger.ledger.note import new_key
+    from fsar_ledger.runtime.experiment import ORIGIN
+
+    show(f"{new_key(file, ORIGIN if name is None else name)}\n")
+
+
+def signer_of(key: Path | None) -> "Signer | None":
+    """The key in this file, if one was given. Raises: UsageError if there is none in it."""
+    if key is None:
+        return None
+    from fsar_ledger.ledger.note import read_signer
+
+    return read_signer(key)
+
+
+def signed_text(ledger: Path, signer: "Signer | None") -> str:
+    """A line that says whether the newest commit of the ledger carries a signature of this key; nothing without a key."""
+    from fsar_ledger.ledger.read import open_ledger
+    from fsar_ledger.ledger.verify_notes import signers_of
+
+    if signer is None:
+        return ""
+    records = open_ledger(ledger).records
+    signers = signers_of(records[-1].signed_note()) if records else None
+    if signers == signer.verifier.key:
+        return f"signed by {signers}\n"
+    return f"nothing was appended, so nothing was signed; the newest commit is {f'signed by {signers}' if signers else 'unsigned'}\n"
+
+
+def verify(
+    ledger: LedgerArgument,
+    quick: Annotated[bool, typer.Option("--quick", help="Read no rows: only the chain of records, the files' hashes and the notes.")] = False,
+    anchor: Annotated[
+        Path | None,
+        typer.Option("--anchor", metavar="FILE", help="Prove that the ledger only grew since this copy of LEDGER/checkpoint.", show_default=False),
+    ] = None,
+    trusted_key: TrustedKeyOption = None,
+    replay: ReplayOption = False,
+    workers: WorkersOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Re-derive every hash, count and record of a ledger.
+
+    Where anything does not hold, each place is named and the exit code is 3. What no ledger can show about itself, that all of it was
+    rewritten or its newest commits taken away, shows with a trusted key and an anchor: a copy of LEDGER/checkpoint, kept elsewhere.
+    """
+    from fsar_ledger.ledger.note import read_verifier
+    from fsar_ledger.ledger.verify import Asked
+    from fsar_ledger.ledger.verify import verify as check
+    from fsar_ledger.ledger.verify_notes import read_anchor
+
+    from .replay import replayed, verdict_json, verdict_text
+
+    if quick and replay:
+        raise UsageError("--quick and --replay: expected one of them; a quick look reads no rows, a replay all of them")
+    asked = Asked(quick, None if trusted_key is None else read_verifier(trusted_key), None if anchor is None else read_anchor(anchor))
+    with Progress("verified", "segments") as progress:
+        report = check(ledger, workers_of(workers), progress, asked)
+    again = replayed(ledger, report, workers_of(workers)) if replay else None
+    if as_json:
+        show(verdict_json(report, again))
+    if not report.ok:
+        raise LedgerCorrupted(verdict_text(ledger, report, again))
+    if again is not None and not again.ok:
+        raise ReplayMismatch(verdict_text(ledger, report, again))
+    if not as_json:
+        show(verdict_text(ledger, report, again))
+
+
+def prove(
+    ledger: LedgerArgument,
+    event: Annotated[
+        str,
+        typer.Argument(
+            metavar="EVENT",
+            help="RUN:SEQ, a run (the beginning of its name, if no other begins so) and a seq in it; or the event's number in the ledger, from 0.",
+            show_default=False,
+        ),
+    ],
+    out: Annotated[
+        Path | None, typer.Option("--out", metavar="FILE", help="A new file, by custom .tlog-proof; never replaced.", show_default="print it")
+    ] = None,
+) -> None:
+    """Prove that one event is in a ledger.
+
+    The proof is one small text, a C2SP tlog-proof: the event, the hashes from it to the root, and the newest checkpoint. Whoever has it
+    needs no ledger to check it with `verify-proof`.
+    """
+    from .proofs import proof_of, write_proof
+
+    if out is None:
+        show(str(proof_of(ledger, event)))
+    else:
+        show(write_proof(ledger, event, out))
+
+
+def verify_proof(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="What `fsar-ledger prove` wrote.", show_default=False)],
+    trusted_key: TrustedKeyOption = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Answer as JSON, with the head (size, root) of the proof's checkpoint.")] = False,
+) -> None:
+    """Check a proof, without the ledger; shows the event.
+
+    Exit code 3 if it proves nothing, or if the trusted key did not sign it. Without a trusted key it shows only that the event is in the
+    tree whose root the proof itself names: compare that root, or give the key.
+    """
+    from fsar_ledger.ledger.note import read_verifier
+    from fsar_ledger.ledger.proof import check_proof, read_proof
+
+    from .output import json_text
+    from .proofs import proven_json, proven_text
+
+    trusted = None if trusted_key is None else read_verifier(trusted_key)
+    try:
+        proven = check_proof(str(file), read_proof(file), trusted)
+    except LedgerCorrupted as error:
+        if as_json:
+            show(json_text(None, {"ok": False, "file": str(file), "problem": str(error)}))
+        raise
+    show(proven_json(file, proven) if as_json else proven_text(file, proven))
