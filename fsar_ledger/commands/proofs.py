@@ -76,9 +76,11 @@ def proven_text(file: Path, proven: Proven) -> str:
     event = proven.event
     width = max(map(len, PRINCIPALS))
     principals = "".join(f"{name.replace('_', ' '):<{width}}  {event.get(name, UNKNOWN)}\n" for name in PRINCIPALS)
+    signature = signature_text(proven.signature, proven.signer)
+    hint = "" if proven.signature == "signed" else "no signature was checked: compare the root with one that you trust\n"
     return (
-        f"{file}: proven: event {proven.index:,} of {proven.size:,} in the ledger of {proven.origin}, {signature_text(proven.signature, proven.signer)}\n"
-        f"root {proven.root}{'' if proven.signature == 'signed' else ' (no signature was checked: compare it with one that you trust)'}\n\nrun {event['run_id']}, seq {event['seq']}: {event['type']}\n{principals}{document(event).decode()}\n"
+        f"{file}: proven: event {proven.index:,} of {proven.size:,} in the ledger of {proven.origin}, {signature}\nroot {proven.root}\n{hint}\n"
+        f"run {event['run_id']}, seq {event['seq']}: {event['type']}\n{principals}{document(event).decode()}\n"
     )
 
 
