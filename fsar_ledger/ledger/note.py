@@ -148,7 +148,8 @@ def parse_note(where: str, text: str) -> Note:
         note = Note(Checkpoint(origin, number, base64.b64decode(root, validate=True)), tuple(map(_parse_signature, lines.splitlines())))
     except (binascii.Error, ValueError) as error:
         raise LedgerCorrupted(f"{where}: found a note with a part that is not base64 ({error}), expected a C2SP checkpoint; restore it") from error
-    if not divider or str(note) != text or more[2:] or not is_name(origin) or len(note.checkpoint.root) != HASH_BYTES or len(note.signatures) > MAX_SIGNATURES:
+    is_checkpoint = number >= 0 and not more[2:] and is_name(origin) and len(note.checkpoint.root) == HASH_BYTES
+    if not divider or str(note) != text or not is_checkpoint or len(note.signatures) > MAX_SIGNATURES:
         raise LedgerCorrupted(f"{where}: found {text!r:.120}, expected a C2SP checkpoint (origin, size, root, an empty line, signatures); restore it")
     return note
 
