@@ -22,7 +22,7 @@ help:
 	@echo "make test       every check and every test"
 	@echo "make check      the checks without the tests: style, types, imports, SQL"
 	@echo "make soak       100,000 random steps of random fleets: ten invariants, live state = rebuilt state (minutes)"
-	@echo "make bench      the three benchmarks, as ratios"
+	@echo "make bench      the four benchmarks, as ratios"
 	@echo "make docs       write the pages that hold real output again"
 	@echo "make clean      remove what the other targets made"
 
@@ -56,6 +56,7 @@ bench: setup
 	$(BIN)/python benchmarks/simulate_and_append.py
 	$(BIN)/python benchmarks/metrics.py
 	$(BIN)/python benchmarks/registry_lookup.py
+	$(BIN)/python benchmarks/inclusion_proof.py
 
 docs: reproduce
 	$(BIN)/python docs/write.py

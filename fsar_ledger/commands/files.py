@@ -6,7 +6,7 @@ Ctrl-C nor a full disk leaves half of one.
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import msgspec
@@ -111,4 +111,5 @@ def _whole_file(out: Path) -> Iterator[Path]:
             f"{out}: cannot be written ({problem.strerror or problem}); the file is as it was before: make room or choose another place"
         ) from problem
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # where it could not be made, it cannot be taken away either
+            temporary.unlink(missing_ok=True)

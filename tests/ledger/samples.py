@@ -10,6 +10,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.ledger import canonical
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.note import Signer
 from fsar_ledger.ledger.read import Head
 from fsar_ledger.ledger.schema import LAYOUTS, MAX_INTEGER, Field, Layout
 
@@ -48,9 +49,9 @@ def made_up_batches(commits: int, runs: int = 2, size: int = 12) -> list[list[Ru
     return [[made_up_run(f"run-{number:04d}", size, seed=number) for number in batch] for batch in numbers]
 
 
-def append_all(path: Path, batches: Sequence[Sequence[RunRecord]], origin: str = ORIGIN) -> Head:
-    """The ledger at the path holds these batches, one a commit, after what it held."""
-    with Writer(path, origin) as writer:
+def append_all(path: Path, batches: Sequence[Sequence[RunRecord]], origin: str = ORIGIN, signer: Signer | None = None) -> Head:
+    """The ledger at the path holds these batches, one a commit, after what it held; the new commits are signed if there is a signer."""
+    with Writer(path, origin, signer) as writer:
         for batch in batches:
             writer.append(stage(path, batch))
         return writer.head

@@ -1,0 +1,102 @@
+"""One inclusion proof out of a ledger of 10 million events, beside hashing the tree anew; prints milliseconds and ratios.
+
+    python benchmarks/inclusion_proof.py                     10 million events, 200 proofs
+    python benchmarks/inclusion_proof.py --events 100000     a small run
+
+The ledger holds tiles and a checkpoint only: a proof reads tiles and nothing else, so events need not be there, and their
+leaf hashes are those of a counter. It takes 33 bytes an event in the folder for temporary files, and is removed at the end.
+Each proof starts cold: a reader of its own that knows no tile yet (the system may have the files in memory).
+
+The alternative is what a ledger without tiles must do: hash the whole tree from its leaf hashes, which are in memory here, with
+`hashlib` and nothing else, once. Both must come to the same root, and the proof must lead to it.
+"""
+
+import argparse
+import hashlib
+import random
+import shutil
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from fsar_ledger.ledger.derived import read_checkpoint
+from fsar_ledger.ledger.merkle import HASH_BYTES, leaf_hash, root_of_inclusion
+from fsar_ledger.ledger.note import Checkpoint, checkpoint_of, parse_note
+from fsar_ledger.ledger.proof import prove_inclusion
+from fsar_ledger.ledger.tiles import Edge
+
+BATCH = 1 << 16
+LIMIT_MS = 50
+
+
+def leaf(number: int) -> bytes:
+    return leaf_hash(b"%d" % number)
+
+
+def build(ledger: Path, events: int) -> Checkpoint:
+    """The tiles and the checkpoint are there; partial tiles of older sizes, which nobody asks for, are not."""
+    edge = Edge()
+    for first in range(0, events, BATCH):
+        edge, made = edge.extend(b"".join([leaf(number) for number in range(first, min(events, first + BATCH))]))
+        for tile, data in made.items():
+            if tile.width == 256 or edge.size == events:
+                (ledger / tile.name).parent.mkdir(parents=True, exist_ok=True)
+                (ledger / tile.name).write_bytes(data)
+    tree = checkpoint_of("example.org/benchmark", edge.frontier())
+    (ledger / "checkpoint").write_text(f"{tree.text()}\n")
+    return tree
+
+
+def proof_ms(ledger: Path, index: int) -> float:
+    """How long one proof takes, from reading the checkpoint on."""
+    began = time.perf_counter_ns()
+    tree = parse_note("checkpoint", read_checkpoint(ledger) or "").checkpoint
+    found, hashes = prove_inclusion(ledger, tree, index)
+    spent = time.perf_counter_ns() - began
+    if found != leaf(index) or root_of_inclusion(found, index, tree.size, hashes) != tree.root:
+        raise SystemExit(f"differs: event {index} has leaf hash {found.hex()}, expected {leaf(index).hex()} and a proof that leads to the root")
+    return spent / 1e6
+
+
+def hash_all_ms(events: int) -> tuple[float, bytes]:
+    """The alternative: the time to hash the tree from its leaf hashes, and its root."""
+    row = [leaf(number) for number in range(events)]
+    sha256 = hashlib.sha256
+    began = time.perf_counter_ns()
+    while len(row) > 1:
+        above = [sha256(b"\x01" + left + right).digest() for left, right in zip(row[::2], row[1::2], strict=False)]
+        row = above + row[len(above) * 2 :]  # a last one without a partner goes up as it is
+    return (time.perf_counter_ns() - began) / 1e6, row[0]
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--events", type=int, default=10_000_000)
+    parser.add_argument("--proofs", type=int, default=200)
+    options = parser.parse_args()
+    ledger = Path(tempfile.mkdtemp(prefix="fsar-inclusion-"))
+    try:
+        tree = build(ledger, options.events)
+        size = sum(file.stat().st_size for file in (ledger / "tile").rglob("*") if file.is_file())
+        draw = random.Random(1)
+        spent = [proof_ms(ledger, draw.randrange(options.events)) for _ in range(options.proofs)]
+    finally:
+        shutil.rmtree(ledger)
+    alternative, root = hash_all_ms(options.events)
+    if root != tree.root:
+        print(f"differs: the tiles give the root {tree.root.hex()}, hashing anew {root.hex()}", file=sys.stderr)
+        return 1
+    median, worst = statistics.median(spent), max(spent)
+    print(f"{options.events:,} events, {size / options.events:.1f} bytes of tiles an event ({HASH_BYTES} are the leaf hash), {options.proofs} proofs")
+    print(f"one proof, fastest / median / slowest, ms   {min(spent):>8.2f} {median:>8.2f} {worst:>8.2f}   (goal: under {LIMIT_MS})")
+    print(f"hashing the tree anew, ms                   {alternative:>8.0f}            ({alternative * 1e6 / options.events:.0f} ns an event)")
+    print(f"one proof / hashing the tree anew           {median / alternative:>8.6f}            (1 : {alternative / median:,.0f})")
+    return 0 if median < LIMIT_MS else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,242 @@
+import json
+import os
+import shutil
+import stat
+from pathlib import Path
+
+import pytest
+
+from fsar_ledger.ledger.note import read_verifier
+from fsar_ledger.ledger.record import segment_path
+from tests.cli.conftest import SMALL, Call, in_a_process, one_message
+
+RUN = "fsar.full.door-relay.n4.s7.r0000"
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a key, a ledger that it signed, and a proof."""
+    path = tmp_path_factory.mktemp("trust")
+    assert in_a_process("key", "new", path / "fleet.key").code == 0
+    assert in_a_process("simulate", path / "ledger", *SMALL, "--key", path / "fleet.key").code == 0
+    assert in_a_process("prove", path / "ledger", f"{RUN}:12", "--out", path / "event.tlog-proof").code == 0
+    return path
+
+
+@pytest.fixture
+def copy(folder: Path, tmp_path: Path) -> Path:
+    """A ledger that a test may damage."""
+    return Path(shutil.copytree(folder / "ledger", tmp_path / "ledger"))
+
+
+def key_of(folder: Path) -> str:
+    return read_verifier(str(folder / "fleet.key.pub")).key
+
+
+# --- keys ---
+
+
+def test_a_new_key_prints_its_public_half(call: Call, tmp_path: Path) -> None:
+    called = call("key", "new", tmp_path / "new" / "a.key")
+    assert (called.code, called.err) == (0, "")
+    assert called.out == (tmp_path / "new" / "a.key.pub").read_text()
+    assert called.out.startswith("fsar-ledger/simulated+")
+    assert stat.S_IMODE((tmp_path / "new" / "a.key").stat().st_mode) == 0o600
+    assert call("key", "new", tmp_path / "b.key", "--name", "example.org/arm").out.startswith("example.org/arm+")
+
+
+def test_a_key_is_made_once(call: Call, folder: Path) -> None:
+    one_message(call("key", "new", folder / "fleet.key"), 2, "fleet.key", "never overwritten")
+    one_message(call("key", "new", folder / "x.key", "--name", "two words"), 2, "--name 'two words'")
+
+
+def test_a_key_in_the_environment_signs_as_well(folder: Path, tmp_path: Path) -> None:
+    called = in_a_process("simulate", tmp_path / "ledger", *SMALL[:2], "--runs", "1", surroundings={"FSAR_LEDGER_KEY": str(folder / "fleet.key")})
+    assert (called.code, called.err) == (0, "")
+    assert f"signed by {key_of(folder)}\n" in called.out
+    assert (tmp_path / "ledger" / "checkpoint").read_text().count("\N{EM DASH} fsar-ledger/simulated ") == 1
+
+
+def test_a_key_that_cannot_sign_is_refused_before_anything_is_written(call: Call, folder: Path, tmp_path: Path) -> None:
+    assert call("key", "new", tmp_path / "arm.key", "--name", "example.org/arm").code == 0
+    shutil.copy(folder / "fleet.key", tmp_path / "open.key")
+    (tmp_path / "open.key").chmod(0o644)
+    for key, part in (
+        (tmp_path / "arm.key", "found a key named example.org/arm, expected fsar-ledger/simulated"),
+        (tmp_path / "none.key", "none.key"),
+        (folder / "fleet.key.pub", "no secret key"),
+        (tmp_path / "open.key", "mode 644"),
+    ):
+        one_message(call("simulate", tmp_path / "ledger", *SMALL, "--key", key), 2, part)
+        one_message(call("reproduce", "--out", tmp_path / "out", "--key", key), 2, part)
+    assert not (tmp_path / "ledger").exists()
+    assert not (tmp_path / "out" / "ledger" / "ledger.json").exists()
+
+
+def test_who_signs_changes_the_notes_and_nothing_else(folder: Path, ledger: Path) -> None:
+    def rest(path: Path) -> dict[str, bytes]:
+        files = {str(file.relative_to(path)): file.read_bytes() for file in path.rglob("*") if file.is_file()}
+        return {name: data for name, data in files.items() if name.startswith(("segments", "tile", "ledger.json"))}
+
+    assert rest(folder / "ledger") == rest(ledger)
+
+
+def test_a_ledger_that_is_complete_is_not_signed_afterwards_and_that_is_said(call: Call, folder: Path, tmp_path: Path) -> None:
+    small = ("simulate", tmp_path / "ledger", *SMALL[:2], "--runs", "1")
+    assert "signed" not in call(*small).out
+    assert "nothing was signed; the newest commit is unsigned" in call(*small, "--key", folder / "fleet.key").out
+    assert "consistent, unsigned" in call("verify", tmp_path / "ledger").out
+
+
+def test_the_secret_is_in_no_output_and_in_no_file_of_the_ledger(call: Call, folder: Path) -> None:
+    secret = (folder / "fleet.key").read_text().strip().rpartition("+")[2][-40:]
+    for arguments in (("verify", "--trusted-key"), ("verify-proof", "--trusted-key")):
+        target = folder / ("ledger" if arguments[0] == "verify" else "event.tlog-proof")
+        for key in (str(folder / "fleet.key"), (folder / "fleet.key").read_text().strip()):
+            called = call(arguments[0], target, arguments[1], key)
+            assert called.code == 2
+            assert secret not in called.out + called.err
+    assert not [file for file in (folder / "ledger").rglob("*") if file.is_file() and secret.encode() in file.read_bytes()]
+
+
+# --- verify ---
+
+
+def test_verify_says_how_it_looked_who_signed_and_since_when_it_only_grew(call: Call, folder: Path) -> None:
+    key, ledger, anchor = key_of(folder), folder / "ledger", ("--anchor", folder / "ledger" / "checkpoint")
+    assert f"consistent, signed, signer not checked (it names {key}): " in call("verify", ledger).out
+    for trusted in (folder / "fleet.key.pub", (folder / "fleet.key.pub").read_text().strip()):
+        out = call("verify", ledger, "--trusted-key", trusted, *anchor).out
+        assert f"consistent, signed by {key}: " in out
+        assert "signed commits: 1 of 1\n" in out
+        assert "only grew since the anchor's 7,141 events\n" in out
+    quick = call("verify", ledger, "--quick").out
+    assert "consistent at a quick look, which reads no rows, signed" in quick
+    assert "runs" not in quick
+
+
+def test_verify_says_the_same_as_json(call: Call, folder: Path) -> None:
+    answer = json.loads(
+        call("verify", folder / "ledger", "--quick", "--json", "--trusted-key", folder / "fleet.key.pub", "--anchor", folder / "ledger" / "checkpoint").out
+    )
+    assert (answer["ok"], answer["is_quick"], answer["signature"], answer["signer"]) == (True, True, "signed", key_of(folder))
+    assert (answer["signed"], answer["commits"], answer["anchored"], answer["head"]["size"]) == (1, 1, 7141, 7141)
+
+
+def test_verify_ends_with_3_where_the_key_or_the_anchor_does_not_agree(call: Call, folder: Path, ledger: Path, tmp_path: Path) -> None:
+    assert call("key", "new", tmp_path / "other.key").code == 0
+    for arguments, part in (
+        ((ledger, "--trusted-key", folder / "fleet.key.pub"), "found no signature"),
+        ((folder / "ledger", "--trusted-key", tmp_path / "other.key.pub"), f"found a signature of {key_of(folder)}"),
+        ((folder / "ledger", "--anchor", folder / "event.tlog-proof"), "expected a checkpoint of this ledger"),
+    ):
+        for quick in ((), ("--quick",)):
+            called = call("verify", *arguments, *quick)
+            assert (called.code, called.out, "Traceback" in called.err) == (3, "", False)
+            assert part in called.err
+    one_message(call("verify", ledger, "--anchor", tmp_path / "none"), 2, "none", "found no file")
+    one_message(call("verify", ledger, "--trusted-key", "nonsense"), 2, "nonsense")
+
+
+def test_a_quick_look_finds_a_flipped_byte_and_says_that_it_was_quick(call: Call, copy: Path) -> None:
+    data = bytearray(segment_path(copy, 0).read_bytes())
+    data[5000] ^= 1
+    segment_path(copy, 0).write_bytes(data)
+    called = call("verify", copy, "--quick")
+    assert called.code == 3
+    assert "1 problem at a quick look" in called.err
+    answer = json.loads(call("verify", copy, "--quick", "--json").out)
+    assert (answer["ok"], answer["is_quick"]) == (False, True)
+
+
+# --- prove and verify-proof ---
+
+
+def test_a_proof_says_which_event_who_and_what_the_signature_is_worth(call: Call, folder: Path, ledger: Path, tmp_path: Path) -> None:
+    file = folder / "event.tlog-proof"
+    called = call("verify-proof", file, "--trusted-key", folder / "fleet.key.pub")
+    assert (called.code, called.err) == (0, "")
+    assert f"of 7,141 in the ledger of fsar-ledger/simulated, signed by {key_of(folder)}\n" in called.out
+    assert f"run {RUN}-" in called.out
+    assert ", seq 12: " in called.out
+    assert "decided by " in called.out
+    assert '"seq":12,' in called.out
+    assert "compare the root" in call("verify-proof", file).out
+    (tmp_path / "unsigned").write_text(call("prove", ledger, f"{RUN}:12").out)
+    assert "fsar-ledger/simulated, unsigned\n" in call("verify-proof", tmp_path / "unsigned").out
+    one_message(call("verify-proof", tmp_path / "unsigned", "--trusted-key", folder / "fleet.key.pub"), 3, "found no signature")
+
+
+def test_a_proof_says_the_same_as_json(call: Call, folder: Path, tmp_path: Path) -> None:
+    answer = json.loads(call("verify-proof", folder / "event.tlog-proof", "--json").out)
+    assert (answer["ok"], answer["seq"], answer["signature"], answer["signer"]) == (True, 12, "signer not checked", key_of(folder))
+    assert answer["event"]["run_id"] == answer["run_id"]
+    assert answer["head"]["root"] == json.loads(call("info", folder / "ledger", "--json").out)["head"]["root"]
+    (tmp_path / "cut").write_bytes((folder / "event.tlog-proof").read_bytes()[:-1])
+    called = call("verify-proof", tmp_path / "cut", "--json")
+    assert (called.code, json.loads(called.out)["ok"]) == (3, False)
+    assert json.loads(called.out)["problem"] in called.err
+
+
+def test_a_proof_needs_no_ledger(folder: Path, tmp_path: Path) -> None:
+    shutil.copy(folder / "event.tlog-proof", tmp_path)
+    called = in_a_process("verify-proof", "event.tlog-proof", "--trusted-key", (folder / "fleet.key.pub").read_text().strip(), cwd=tmp_path)
+    assert (called.code, called.err) == (0, "")
+    assert os.listdir(tmp_path) == ["event.tlog-proof"]
+
+
+def test_every_name_of_an_event_gives_the_same_proof(call: Call, folder: Path) -> None:
+    proof = (folder / "event.tlog-proof").read_text()
+    index = proof.split("index ")[1].split("\n")[0]
+    answer = json.loads(call("verify-proof", folder / "event.tlog-proof", "--json").out)
+    for name in (index, f"{RUN}:12", f"{answer['run_id']}:12", f"{RUN}-:12"):
+        assert call("prove", folder / "ledger", name).out == proof
+
+
+@pytest.mark.parametrize(
+    ("event", "parts"),
+    [
+        ("7141", ("7141", "found 7,141 events", "RUN:SEQ")),
+        ("9" * 40, ("found 7,141 events",)),
+        ("nonsense", ("nonsense", "expected RUN:SEQ")),
+        (":12", ("expected RUN:SEQ",)),
+        ("fsar:", ("expected RUN:SEQ",)),
+        ("fsar:x", ("expected RUN:SEQ",)),
+        ("fsar:٣", ("expected RUN:SEQ",)),
+        ("", ("expected RUN:SEQ",)),
+        ("fsar.full:12", ("found 4 runs that begin so", "give more of its name")),
+        ("fsra.full.door:12", ("no such run", "did you mean fsar.full.door-relay", "fsar-ledger query runs")),
+        (f"{RUN}:470", ("found 470 events in run fsar.full.door-relay", "a seq from 0 to 469")),
+        (f"{RUN}:{'9' * 40}", ("found 470 events",)),
+    ],
+)
+def test_an_event_that_is_not_there_is_explained(call: Call, ledger: Path, event: str, parts: tuple[str, ...]) -> None:
+    one_message(call("prove", ledger, event), 2, *parts)
+
+
+def test_a_proof_goes_to_a_new_file_outside_the_ledger(call: Call, copy: Path, tmp_path: Path) -> None:
+    called = call("prove", copy, "7", "--out", tmp_path / "new" / "7.tlog-proof")
+    assert (called.code, called.err) == (0, "")
+    assert called.out.startswith(f"{tmp_path / 'new' / '7.tlog-proof'}: event 7 of 7,141\nroot ")
+    before = (tmp_path / "new" / "7.tlog-proof").read_text()
+    one_message(call("prove", copy, "8", "--out", tmp_path / "new" / "7.tlog-proof"), 2, "never overwritten")
+    one_message(call("prove", copy, "8", "--out", copy / "8.tlog-proof"), 2, "inside the ledger")
+    one_message(call("prove", copy, "8", "--out", tmp_path / "new" / "7.tlog-proof" / "x"), 1, "cannot be written")
+    assert (tmp_path / "new" / "7.tlog-proof").read_text() == before
+    assert sorted(os.listdir(tmp_path)) == ["ledger", "new"]
+    assert sorted(os.listdir(tmp_path / "new")) == ["7.tlog-proof"]
+
+
+def test_a_damaged_ledger_gives_no_proof(call: Call, copy: Path, tmp_path: Path) -> None:
+    tile = copy / "tile" / "0" / "003"
+    data = tile.read_bytes()
+    tile.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
+    one_message(call("prove", copy, "1000", "--out", tmp_path / "x.tlog-proof"), 3, "fsar-ledger verify", "fsar-ledger recover")
+    assert not (tmp_path / "x.tlog-proof").exists()
+
+
+@pytest.mark.parametrize("data", [b"", b"\xff", b"monday\n", b"c2sp.org/tlog-proof@v1\nextra e30=\nindex 0\n\nx\n1\n" + b"A" * 43 + b"=\n\n"])
+def test_a_file_that_proves_nothing_ends_with_3(call: Call, tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "file").write_bytes(data)
+    one_message(call("verify-proof", tmp_path / "file"), 3, str(tmp_path / "file"))
+    one_message(call("verify-proof", tmp_path / "none"), 2, str(tmp_path / "none"))
