@@ -27,7 +27,7 @@ from fsar_ledger.ledger.derived import read_checkpoint
 from fsar_ledger.ledger.merkle import HASH_BYTES, leaf_hash, root_of_inclusion
 from fsar_ledger.ledger.note import Checkpoint, checkpoint_of, parse_note
 from fsar_ledger.ledger.proof import prove_inclusion
-from fsar_ledger.ledger.tiles import Edge
+from fsar_ledger.ledger.tiles import WIDTH, Edge, Tile, partial_tiles
 
 BATCH = 1 << 16
 LIMIT_MS = 50
@@ -42,13 +42,17 @@ def build(ledger: Path, events: int) -> Checkpoint:
     edge = Edge()
     for first in range(0, events, BATCH):
         edge, made = edge.extend(b"".join([leaf(number) for number in range(first, min(events, first + BATCH))]))
-        for tile, data in made.items():
-            if tile.width == 256 or edge.size == events:
-                (ledger / tile.name).parent.mkdir(parents=True, exist_ok=True)
-                (ledger / tile.name).write_bytes(data)
+        write(ledger, {tile: data for tile, data in made.items() if tile.width == WIDTH})
+    write(ledger, {tile: edge.partial[tile.level] for tile in partial_tiles(events)})
     tree = checkpoint_of("example.org/benchmark", edge.frontier())
     (ledger / "checkpoint").write_text(f"{tree.text()}\n")
     return tree
+
+
+def write(ledger: Path, files: dict[Tile, bytes]) -> None:
+    for tile, data in files.items():
+        (ledger / tile.name).parent.mkdir(parents=True, exist_ok=True)
+        (ledger / tile.name).write_bytes(data)
 
 
 def proof_ms(ledger: Path, index: int) -> float:
