@@ -264,7 +264,7 @@ def audit(ledger: LedgerArgument, invariant: InvariantOption = None, architectur
 app.command(epilog=trust.VERIFY)(trust.verify)
 app.command(epilog=trust.PROVE)(trust.prove)
 app.command("verify-proof", epilog=trust.VERIFY_PROOF)(trust.verify_proof)
-app.add_typer(trust.keys)
+app.add_typer(trust.keys, name="key")
 
 
 @app.command(

@@ -2,6 +2,7 @@
 
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -20,7 +21,9 @@ ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text("utf-8")
 LABEL = re.compile(r"\b(?:eq|sec|tab|fig|app):[a-z0-9_:-]*[a-z0-9]")
 LABELS = set((ROOT / "tests" / "paper_labels.txt").read_text().split())
-COMMANDS = {command.name or command.callback.__name__: command for command in app.registered_commands if command.callback}
+COMMANDS = {command.name or command.callback.__name__: command for command in app.registered_commands if command.callback} | {
+    f"{group.name} {command.name}": command for group in app.registered_groups if group.typer_instance for command in group.typer_instance.registered_commands
+}
 LONG = {"reproduce", "calibrate"}
 
 
@@ -155,19 +158,26 @@ def test_a_row_of_the_model_without_code_or_with_a_wrong_name_is_found() -> None
 
 @pytest.mark.parametrize(("name", "example"), list(examples()))
 def test_every_example_is_a_call_that_parses(name: str, example: str) -> None:
-    program, verb, *arguments = shlex.split(example)
-    assert (program, verb) == ("fsar-ledger", name)
-    group = typer.main.get_command(app)
-    assert isinstance(group, typer.core.TyperGroup)
-    group.commands[verb].make_context(verb, arguments)
+    words = name.split()
+    program, *arguments = shlex.split(example, comments=True)
+    assert (program, arguments[: len(words)]) == ("fsar-ledger", words)
+    command = typer.main.get_command(app)
+    for word in words:
+        assert isinstance(command, typer.core.TyperGroup)
+        command = command.commands[word]
+    command.make_context(name, arguments[len(words) :])
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which out/ledger is a small ledger, out/workflows one of the workflows, and question.sql a SELECT."""
+    """A folder in which out/ledger is a small ledger, signed, out/workflows one of the workflows, question.sql a SELECT, and what was kept before."""
     path = tmp_path_factory.mktemp("examples")
     (path / "question.sql").write_text("SELECT count(*) AS events FROM events\n")
-    assert run(["simulate", str(path / "out" / "ledger"), *SMALL]) == 0
+    key, ledger = str(path / "out" / "fleet.key"), path / "out" / "ledger"
+    assert run(["key", "new", key]) == 0
+    assert run(["simulate", str(ledger), *SMALL, "--seed", "42", "--key", key]) == 0
+    assert run(["prove", str(ledger), "1234", "--out", str(path / "out" / "event.tlog-proof")]) == 0
+    shutil.copy(ledger / "checkpoint", path / "monday")
     names = [part for name in ("door-relay", "layered-recovery", "human-supervision") for part in ("--workflow", name)]
     assert run(["simulate", str(path / "out" / "workflows"), *names]) == 0
     return path
@@ -176,7 +186,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.mark.parametrize("example", [example for name, example in examples() if name not in LONG and example != "fsar-ledger simulate out/ledger"])
 def test_every_quick_example_runs(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], example: str) -> None:
     monkeypatch.chdir(folder)
-    assert run(shlex.split(example)[1:]) == 0
+    assert run(shlex.split(example, comments=True)[1:]) == 0
     assert capsys.readouterr().err == ""
 
 

@@ -30,7 +30,7 @@ VERIFY_PROOF = examples(
     "fsar-ledger verify-proof out/event.tlog-proof --trusted-key out/fleet.key.pub --json",
 )
 
-keys = typer.Typer(name="key", help="Make keys that sign ledgers.", no_args_is_help=True)
+keys = typer.Typer()
 
 
 @keys.callback()

@@ -50,6 +50,12 @@ def test_a_key_is_made_once(call: Call, folder: Path) -> None:
     one_message(call("key", "new", folder / "x.key", "--name", "two words"), 2, "--name 'two words'")
 
 
+def test_key_alone_says_what_is_missing(call: Call) -> None:
+    one_message(call("key"), 2, "Missing command", "fsar-ledger key --help")
+    one_message(call("key", "new"), 2, "FILE", "fsar-ledger key new --help")
+    one_message(call("key", "old"), 2, "'old'")
+
+
 def test_a_key_in_the_environment_signs_as_well(folder: Path, tmp_path: Path) -> None:
     called = in_a_process("simulate", tmp_path / "ledger", *SMALL[:2], "--runs", "1", surroundings={"FSAR_LEDGER_KEY": str(folder / "fleet.key")})
     assert (called.code, called.err) == (0, "")
