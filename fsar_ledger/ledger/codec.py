@@ -19,7 +19,7 @@ from fsar_ledger.events import EVENT_TYPES, UPCASTS, Event
 from fsar_ledger.ledger import canonical
 from fsar_ledger.ledger.check import first_flaw, run_starts
 from fsar_ledger.ledger.merkle import HASH_BYTES
-from fsar_ledger.ledger.schema import ARROW_TYPES, CODED_SCHEMA, COLUMNS, LAYOUTS, MAX_INTEGER, PAYLOAD, RETIRED, SCHEMA, STORED, Field, Layout
+from fsar_ledger.ledger.schema import ARROW_TYPES, CODED_SCHEMA, COLUMNS, ENVELOPE, LAYOUTS, MAX_INTEGER, PAYLOAD, RETIRED, SCHEMA, STORED, Field, Layout
 
 __all__ = ["SCHEMA", "RunRecord", "decode", "encode", "encode_hashed", "upcast_rows"]
 
@@ -30,6 +30,7 @@ Values: TypeAlias = "np.ndarray[tuple[int], np.dtype[Any]]"
 _LAYOUTS = tuple(LAYOUTS.values())
 _CODES = {cls: code for code, cls in enumerate(EVENT_TYPES)}
 _TAGS = tuple(LAYOUTS)
+_PLACE = frozenset(field.name for field in ENVELOPE if field.name != "type")  # where an event stands, whatever its version
 
 
 class RunRecord(msgspec.Struct, frozen=True):
@@ -254,11 +255,7 @@ def decode(table: pa.Table) -> Iterator[RunRecord]:
         LedgerCorrupted: The columns are not those of `SCHEMA`; a row lacks a value that its type must have, has one
             that it cannot have, or a seq that does not follow the one before it.
     """
-    flaw = first_flaw(table)
-    if flaw is not None:
-        if flaw.field == "type":
-            raise UnknownEventTag(f"{flaw}; read it with the version that wrote it, or restore the segment")
-        raise LedgerCorrupted(f"{flaw}; restore the segment")
+    _require_valid(table)
     events = _events(table)
     run_ids = table.column("run_id").combine_chunks()
     times_us = table.column("time_us").to_pylist()
@@ -269,8 +266,22 @@ def decode(table: pa.Table) -> Iterator[RunRecord]:
 
 def upcast_rows(table: pa.Table) -> pa.Table | None:
     """Only the rows of retired types, as their newest version would be stored; None if there are none. Raises: as `decode`."""
-    is_retired = pc.is_in(table.column("type"), pa.array(list(RETIRED), pa.string()))
-    return encode(list(decode(table))).filter(is_retired) if pc.any(is_retired).as_py() else None
+    stored = table.filter(pc.is_in(table.column("type"), pa.array(list(RETIRED), pa.string())))
+    if not stored.num_rows:
+        return None
+    _require_valid(table)
+    times_us, causes = range(stored.num_rows), [None, *range(stored.num_rows - 1)]  # a place for each row, until it has its own again
+    rows = encode([RunRecord("", times_us, causes, _events(stored).tolist())])
+    return pa.Table.from_arrays([(stored if name in _PLACE else rows).column(name) for name in SCHEMA.names], schema=SCHEMA)
+
+
+def _require_valid(table: pa.Table) -> None:
+    """Raises: as `decode`."""
+    flaw = first_flaw(table)
+    if flaw is not None:
+        if flaw.field == "type":
+            raise UnknownEventTag(f"{flaw}; read it with the version that wrote it, or restore the segment")
+        raise LedgerCorrupted(f"{flaw}; restore the segment")
 
 
 def _events(table: pa.Table) -> "np.ndarray[tuple[int], np.dtype[np.object_]]":

@@ -80,7 +80,7 @@ def _refusal(error: Exception, limits: Limits) -> Refusal:
     cause = error.__cause__ if isinstance(error, QueryFailed) else error
     if isinstance(cause, (MemoryError, *OUT_OF_MEMORY)):
         return Refusal(f"SQL: ran out of memory, the limit is {limits.memory_bytes >> 20:,} MiB; ask for less")
-    message = str(error) if isinstance(error, QueryFailed) else f"SQL: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
+    message = str(error) if isinstance(error, (QueryFailed, LedgerCorrupted)) else f"SQL: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
     return Refusal(message, may_be_damage=cause is not None and not isinstance(cause, FAULTS_OF_SQL))
 
 
