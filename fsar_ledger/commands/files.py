@@ -21,7 +21,7 @@ from fsar_ledger.metrics.database import connect
 
 
 def export_events(ledger: Path, out: Path) -> int:
-    """Every event of the ledger is in the file, in commit order; returns how many.
+    """Every event of the ledger is in the file as it is stored, retired types too, in commit order; returns how many.
 
     Raises:
         UsageError: the name of the file ends in neither .csv nor .parquet, or it lies inside the ledger.

@@ -1,4 +1,4 @@
-"""Typed events: the facts a ledger holds. One file per concept; imports msgspec only."""
+"""Typed events: the facts a ledger holds. One file per concept, versions of the past in `retired.py`; imports msgspec only."""
 
 from typing import get_args
 
@@ -12,9 +12,11 @@ from .policy import PolicyEvent
 from .recovery import RecoveryEvent
 from .registry import RegistryEvent
 from .request import RequestEvent
+from .retired import RETIRED_TYPES, UPCASTERS
 from .supervision import SupervisionEvent
 from .task import TaskEvent
 from .trust import TrustEvent
+from .upcasting import Chains, chains
 from .world import WorldEvent
 
 AnyEvent = (
@@ -35,4 +37,7 @@ AnyEvent = (
 
 EVENT_TYPES: tuple[type[Event], ...] = get_args(AnyEvent)
 
-__all__ = ["EVENT_TYPES", "AnyEvent", "Event"]
+UPCASTS: Chains = chains(EVENT_TYPES, RETIRED_TYPES, UPCASTERS)
+"""How an event of each retired type becomes one of today; made, and thereby checked, when the package starts."""
+
+__all__ = ["EVENT_TYPES", "RETIRED_TYPES", "UPCASTS", "AnyEvent", "Event"]

@@ -2,6 +2,7 @@
 
 ```
 schema     which columns there are, derived from the event types
+releases   which columns the rows of earlier releases have
 codec      runs of events <-> one Arrow table
 canonical  the bytes of one row that are hashed, from structs and again from columns
 merkle     RFC 6962 hashes of the rows

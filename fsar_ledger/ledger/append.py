@@ -41,6 +41,7 @@ from fsar_ledger.ledger.record import (
     sha256_hex,
     staged_path,
 )
+from fsar_ledger.ledger.releases import RELEASE
 from fsar_ledger.ledger.schema import FINGERPRINT
 from fsar_ledger.ledger.tiles import Tile
 
@@ -171,6 +172,7 @@ class Writer:
         return CommitRecord(
             number=number,
             previous_sha256=self._previous,
+            release=RELEASE,
             schema_sha256=FINGERPRINT,
             segment_sha256=staged.segment_sha256,
             segment_bytes=staged.segment_bytes,

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 
 from fsar_ledger.ledger.arrow import coded, numbers, places, validity, whole
-from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, LAYOUTS, Layout
+from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, STORED, Layout
 
 _ENCODER = msgspec.json.Encoder()
 _SORTING_ENCODER = msgspec.json.Encoder(order="sorted")
@@ -37,7 +37,7 @@ def _row_type(layout: Layout) -> tuple[type[msgspec.Struct], tuple[str, ...]]:
     return row, names
 
 
-_ROW_TYPES = {tag: _row_type(layout) for tag, layout in LAYOUTS.items()}
+_ROW_TYPES = {tag: _row_type(layout) for tag, layout in STORED.items()}
 
 
 def lines(tag: str, columns: Mapping[str, Sequence[object]]) -> Iterator[list[bytes]]:

@@ -8,12 +8,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from fsar_ledger.ledger.arrow import Mask, coded, places, validity, whole
-from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, ENVELOPE, LAYOUTS, MAX_INTEGER, PAYLOAD, SCHEMA, Field
+from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, ENVELOPE, MAX_INTEGER, PAYLOAD, SCHEMA, STORED, Field
 
 Integers: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 
-_TAGS = tuple(LAYOUTS)
-_UNKNOWN = len(_TAGS)  # the code of every type that is not in LAYOUTS
+_TAGS = tuple(STORED)
+_UNKNOWN = len(_TAGS)  # the code of every type that is not in STORED
 
 
 class Flaw(msgspec.Struct, frozen=True):
@@ -34,7 +34,7 @@ class Flaw(msgspec.Struct, frozen=True):
 
 def _holders(name: str, *, required: bool) -> Mask:
     """For each type code, whether events of this type have the column, or (`required`) must have a value in it."""
-    fields = ({field.name: field for field in layout.fields} for layout in LAYOUTS.values())
+    fields = ({field.name: field for field in layout.fields} for layout in STORED.values())
     holds = [name in own and not (required and own[name].is_nullable) for own in fields]
     return np.array([*holds, False])
 
@@ -42,13 +42,13 @@ def _holders(name: str, *, required: bool) -> Mask:
 _ALLOWED = {name: _holders(name, required=False) for name in PAYLOAD}
 _REQUIRED = {name: _holders(name, required=True) for name in PAYLOAD}
 _LITERALS: dict[str, list[tuple[int, Field]]] = {
-    name: [(code, field) for code, layout in enumerate(LAYOUTS.values()) for field in layout.fields if field.name == name and field.values is not None]
+    name: [(code, field) for code, layout in enumerate(STORED.values()) for field in layout.fields if field.name == name and field.values is not None]
     for name in PAYLOAD
 }
 
 
 def first_flaw(table: pa.Table) -> Flaw | None:
-    """The flaw in the earliest row, or None if every row is as an event of its type is stored. Columns of strings may be dictionaries."""
+    """The flaw in the earliest row, or None if every row is as an event of its type, retired or not, is stored. Columns of strings may be dictionaries."""
     if not table.schema.equals(SCHEMA) and not table.schema.equals(CODED_SCHEMA):
         return Flaw(-1, None, None, None, f"columns {table.schema.names!r:.300}", "the columns of the ledger; the rows come from another version")
     try:
@@ -111,7 +111,7 @@ def _payload(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tuple
     types = coded(columns["type"])
     known: Integers = pc.index_in(types.dictionary, pa.array(_TAGS, pa.string())).fill_null(_UNKNOWN).to_numpy().astype(np.int64)
     codes = np.append(known, _UNKNOWN)[places(types)]
-    suspects = _first(codes == _UNKNOWN, "type", "an event type that this version knows; read it with the version that wrote it")
+    suspects = _first(codes == _UNKNOWN, "type", "an event type that this version of fsar-ledger knows")
     is_known = codes != _UNKNOWN
     rows = np.bincount(codes, minlength=_UNKNOWN + 1)
     for name in PAYLOAD:

@@ -1,5 +1,6 @@
 """Runs of events to one Arrow table and back; the inverse pair is `encode` and `decode`.
 
+Only current types are encoded; decoded events of retired types are upcast, so nobody else meets them.
 Events are taken by type and by column, never row by row: that is what makes it fast.
 """
 
@@ -11,15 +12,16 @@ from typing import Any, NamedTuple, TypeAlias
 import msgspec
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from fsar_ledger.errors import LedgerCorrupted, UnknownEventTag
-from fsar_ledger.events import EVENT_TYPES, Event
+from fsar_ledger.events import EVENT_TYPES, UPCASTS, Event
 from fsar_ledger.ledger import canonical
 from fsar_ledger.ledger.check import first_flaw, run_starts
 from fsar_ledger.ledger.merkle import HASH_BYTES
-from fsar_ledger.ledger.schema import ARROW_TYPES, CODED_SCHEMA, COLUMNS, LAYOUTS, MAX_INTEGER, PAYLOAD, SCHEMA, Field, Layout
+from fsar_ledger.ledger.schema import ARROW_TYPES, CODED_SCHEMA, COLUMNS, ENVELOPE, LAYOUTS, MAX_INTEGER, PAYLOAD, RETIRED, SCHEMA, STORED, Field, Layout
 
-__all__ = ["SCHEMA", "RunRecord", "decode", "encode", "encode_hashed"]
+__all__ = ["SCHEMA", "RunRecord", "decode", "encode", "encode_hashed", "upcast_rows"]
 
 Positions: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 Codes: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int32]]"
@@ -28,6 +30,7 @@ Values: TypeAlias = "np.ndarray[tuple[int], np.dtype[Any]]"
 _LAYOUTS = tuple(LAYOUTS.values())
 _CODES = {cls: code for code, cls in enumerate(EVENT_TYPES)}
 _TAGS = tuple(LAYOUTS)
+_PLACE = frozenset(field.name for field in ENVELOPE if field.name != "type")  # where an event stands, whatever its version
 
 
 class RunRecord(msgspec.Struct, frozen=True):
@@ -245,16 +248,14 @@ def encode_hashed(runs: Sequence[RunRecord]) -> tuple[pa.Table, bytes]:
 
 
 def decode(table: pa.Table) -> Iterator[RunRecord]:
-    """Every run of the table, in order; the inverse of `encode`.
+    """Every run of the table, in order, events of retired types upcast; the inverse of `encode`.
 
     Raises:
         UnknownEventTag: A row has a type that this version does not know.
         LedgerCorrupted: The columns are not those of `SCHEMA`; a row lacks a value that its type must have, has one
             that it cannot have, or a seq that does not follow the one before it.
     """
-    flaw = first_flaw(table)
-    if flaw is not None:
-        raise (UnknownEventTag if flaw.field == "type" else LedgerCorrupted)(f"{flaw}; restore the segment")
+    _require_valid(table)
     events = _events(table)
     run_ids = table.column("run_id").combine_chunks()
     times_us = table.column("time_us").to_pylist()
@@ -263,19 +264,41 @@ def decode(table: pa.Table) -> Iterator[RunRecord]:
         yield RunRecord(run_ids[start].as_py(), times_us[start:end], causes[start:end], events[start:end].tolist())
 
 
+def upcast_rows(table: pa.Table) -> pa.Table | None:
+    """Only the rows of retired types, as their newest version would be stored; None if there are none. Raises: as `decode`."""
+    stored = table.filter(pc.is_in(table.column("type"), pa.array(list(RETIRED), pa.string())))
+    if not stored.num_rows:
+        return None
+    _require_valid(table)
+    times_us, causes = range(stored.num_rows), [None, *range(stored.num_rows - 1)]  # a place for each row, until it has its own again
+    rows = encode([RunRecord("", times_us, causes, _events(stored).tolist())])
+    return pa.Table.from_arrays([(stored if name in _PLACE else rows).column(name) for name in SCHEMA.names], schema=SCHEMA)
+
+
+def _require_valid(table: pa.Table) -> None:
+    """Raises: as `decode`."""
+    flaw = first_flaw(table)
+    if flaw is not None:
+        if flaw.field == "type":
+            raise UnknownEventTag(f"{flaw}; read it with the version that wrote it, or restore the segment")
+        raise LedgerCorrupted(f"{flaw}; restore the segment")
+
+
 def _events(table: pa.Table) -> "np.ndarray[tuple[int], np.dtype[np.object_]]":
-    """The events of all rows, which were checked."""
+    """The events of all rows, which were checked, as their newest versions."""
     events = np.empty(table.num_rows, object)
     tags = table.column("type").combine_chunks().dictionary_encode()
     codes = tags.indices.to_numpy()
     for code, tag in enumerate(tags.dictionary.to_pylist()):
         at = np.flatnonzero(codes == code)
-        layout = LAYOUTS[tag]
+        layout = STORED[tag]
         columns = []
         for field in layout.fields:
             values = table.column(field.name).take(pa.array(at)).to_pylist()
             columns.append([None if value is None else tuple(value) for value in values] if field.kind == "strings" else values)
         made = list(map(layout.cls, *columns)) if columns else [layout.cls() for _ in at]
+        for change in UPCASTS.get(layout.cls, ()):
+            made = list(map(change, made))
         for position, event in zip(at.tolist(), made, strict=True):
             events[position] = event
     return events

@@ -7,7 +7,7 @@ from pathlib import Path
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger.errors import LedgerCorrupted, NotALedger
+from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger
 from fsar_ledger.ledger import canonical, codec, disk, merkle, segment
 from fsar_ledger.ledger.merkle import Frontier
 from fsar_ledger.ledger.record import (
@@ -23,6 +23,7 @@ from fsar_ledger.ledger.record import (
     sha256_hex,
     staged_path,
 )
+from fsar_ledger.ledger.releases import is_later
 
 
 class Head(msgspec.Struct, frozen=True):
@@ -77,7 +78,7 @@ class LedgerView(msgspec.Struct, frozen=True):
         return [self.segment(number) for number in range(len(self.records))]
 
     def tables(self, columns: list[str] | None = None) -> Iterator[pa.Table]:
-        """The rows of each commit, in order, with these columns (all: None). Raises: LedgerCorrupted for a segment that cannot be read."""
+        """The rows of each commit as they are stored, in order, with these columns (all: None). Raises: LedgerCorrupted for a segment that cannot be read."""
         for number in range(len(self.records)):
             yield self._table(number, columns)
 
@@ -104,7 +105,7 @@ class LedgerView(msgspec.Struct, frozen=True):
         return b"".join(canonical.hashes(canonical.from_table(self._table(number))))
 
     def runs(self) -> Iterator[codec.RunRecord]:
-        """Every run, in order. Raises: LedgerCorrupted or UnknownEventTag where a segment does not hold valid events."""
+        """Every run, in order, its events as their newest versions. Raises: LedgerCorrupted or UnknownEventTag where a segment does not hold valid events."""
         for number in range(len(self.records)):
             table = self._table(number)
             try:
@@ -119,7 +120,7 @@ def open_ledger(path: Path) -> LedgerView:
 
     Raises:
         NotALedger: There is no ledger.
-        FormatVersionMismatch: It was written in another format.
+        FormatVersionMismatch: It was written in another format, or holds events of a later release.
         LedgerCorrupted: A record is missing, is not canonical, or contradicts the one before it.
     """
     data = read_manifest(path)
@@ -132,6 +133,8 @@ def open_ledger(path: Path) -> LedgerView:
         data = _read(file)
         record = parse_record(file, data)
         for name, found, expected in contradictions(record, number, previous, manifest.origin, tree):
+            if is_later(record.release):
+                raise FormatVersionMismatch(f"{file}: field {name}: found {found}, expected {expected}")
             raise LedgerCorrupted(f"{file}: field {name}: found {found!r}, expected {expected!r}; restore the file, or run fsar-ledger verify")
         tree = record.tree()
         previous = sha256_hex(data)

@@ -15,7 +15,8 @@ from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedge
 from fsar_ledger.ledger import canonical
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.note import Checkpoint, Note, checkpoint_of, is_name, parse_note
-from fsar_ledger.ledger.schema import FINGERPRINT, MAX_INTEGER
+from fsar_ledger.ledger.releases import FINGERPRINTS, RELEASE, is_later
+from fsar_ledger.ledger.schema import MAX_INTEGER
 
 FORMAT = "fsar-ledger"
 VERSION = 1
@@ -36,7 +37,7 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CommitRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What one commit added and what the ledger was after it.
+    """What one commit added and what the ledger was after it. `release` is the first one with the event types and columns of these rows.
 
     Units: `segment_bytes` bytes, `rows` and `tree_size` events. `tree_root` and `frontier` (the roots of the
     complete subtrees, largest first, which determine it) are hex; `note` is the C2SP checkpoint of that tree, with one signature or none.
@@ -44,6 +45,7 @@ class CommitRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     number: Count
     previous_sha256: str
+    release: str
     schema_sha256: str
     segment_sha256: str
     segment_bytes: Count
@@ -119,12 +121,14 @@ def parse_record(path: Path, data: bytes) -> CommitRecord:
 
 
 def contradictions(record: CommitRecord, number: int, previous: str, origin: str, before: Frontier) -> Iterator[tuple[str, object, object]]:
-    """Each field (name, found, expected) in which a record contradicts itself, its place or the tree before it."""
+    """Each field (name, found, expected) in which a record contradicts itself, its place, the tree before it or what this version knows."""
     tree = record.tree()
+    if record.release not in FINGERPRINTS:
+        yield "release", record.release, _readable_releases(record.release)
     pairs: dict[str, tuple[object, object]] = {
         "number": (record.number, number),
         "previous_sha256": (record.previous_sha256, previous),
-        "schema_sha256": (record.schema_sha256, FINGERPRINT),
+        "schema_sha256": (record.schema_sha256, FINGERPRINTS.get(record.release, record.schema_sha256)),
         "rows": (record.rows, max(1, record.tree_size - before.size)),
         "tree_root": (record.tree_root, tree.root().hex()),
     }
@@ -134,6 +138,11 @@ def contradictions(record: CommitRecord, number: int, previous: str, origin: str
     checkpoint = checkpoint_of(origin, tree)
     if not _is_note_of(record, checkpoint):
         yield "note", record.note, f"{checkpoint.text()}\n, with one signature or none"
+
+
+def _readable_releases(found: str) -> str:
+    """What a record's release should be instead."""
+    return f"at most {RELEASE}; read it with fsar-ledger {found} or later" if is_later(found) else f"one of {', '.join(sorted(FINGERPRINTS))}"
 
 
 def _is_note_of(record: CommitRecord, checkpoint: Checkpoint) -> bool:

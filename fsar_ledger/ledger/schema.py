@@ -7,7 +7,7 @@
 | `time_us` | int64, microseconds of run time | never |
 | `caused_by` | int64, seq of the event that led to this one | for seq 0 |
 | `type` | string, name and version of the event type | never |
-| every field name of any event type, in alphabetical order | string, int64, bool or list of string | the type has no such field, or the field is None |
+| every field name of any event type, retired or not, A to Z | string, int64, bool or list of string | the type has no such field, or it is None |
 """
 
 import hashlib
@@ -17,7 +17,7 @@ import msgspec
 import pyarrow as pa
 from msgspec import inspect
 
-from fsar_ledger.events import EVENT_TYPES, Event
+from fsar_ledger.events import EVENT_TYPES, RETIRED_TYPES, Event
 
 Kind = Literal["string", "integer", "boolean", "strings"]
 
@@ -107,8 +107,14 @@ def columns(layouts: tuple[Layout, ...]) -> dict[str, Kind]:
 LAYOUTS: dict[str, Layout] = {one.tag: one for one in map(layout, EVENT_TYPES)}
 """How each event type is stored, by its tag, in the order of `EVENT_TYPES`."""
 
-COLUMNS: dict[str, Kind] = columns(tuple(LAYOUTS.values()))
-"""The kind of every column, in stored order."""
+RETIRED: dict[str, Layout] = {one.tag: one for one in map(layout, RETIRED_TYPES)}
+"""How events of earlier versions are stored, by tag; none is written any more."""
+
+STORED: dict[str, Layout] = LAYOUTS | RETIRED
+"""How each event type that a ledger may hold is stored, by its tag."""
+
+COLUMNS: dict[str, Kind] = columns(tuple(STORED.values()))
+"""The kind of every column, in stored order. One that only retired types have stays."""
 
 PAYLOAD: tuple[str, ...] = tuple(COLUMNS)[len(ENVELOPE) :]
 """The columns that come from fields of event types."""
@@ -116,16 +122,20 @@ PAYLOAD: tuple[str, ...] = tuple(COLUMNS)[len(ENVELOPE) :]
 _REQUIRED = frozenset(field.name for field in ENVELOPE if not field.is_nullable)
 
 SCHEMA: pa.Schema = pa.schema([pa.field(name, ARROW_TYPES[kind], nullable=name not in _REQUIRED) for name, kind in COLUMNS.items()])
-"""The Arrow schema of every segment."""
+"""The Arrow schema of every segment that is written, and of every table that is read; segments of earlier releases may lack columns."""
 
 CODED_SCHEMA: pa.Schema = pa.schema([field.with_type(pa.dictionary(pa.int32(), field.type)) if field.type == pa.string() else field for field in SCHEMA])
 """`SCHEMA` in memory before it is written: each column of strings as codes into a sorted dictionary of what is in it."""
 
 
+def described(schema: pa.Schema) -> str:
+    """The columns as text: `name type` or `name type not null` of each, one a line."""
+    return "".join(f"{field.name} {field.type}{'' if field.nullable else ' not null'}\n" for field in schema)
+
+
 def fingerprint(schema: pa.Schema) -> str:
-    """The SHA-256, in hex, of `name type` or `name type not null` of each column, one a line."""
-    lines = [f"{field.name} {field.type}{'' if field.nullable else ' not null'}\n" for field in schema]
-    return hashlib.sha256("".join(lines).encode()).hexdigest()
+    """The SHA-256, in hex, of the columns as text."""
+    return hashlib.sha256(described(schema).encode()).hexdigest()
 
 
 FINGERPRINT: str = fingerprint(SCHEMA)

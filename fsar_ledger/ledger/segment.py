@@ -8,9 +8,9 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, SCHEMA
+from fsar_ledger.ledger.releases import FINGERPRINTS, widened
+from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, SCHEMA, fingerprint
 
-_INTEGERS = tuple(name for name in COLUMNS if COLUMNS[name] == "integer")
 _PRUNED_BY = ("run_id", "seq", "time_us")  # statistics of the other columns spare no reader any work
 
 
@@ -18,7 +18,7 @@ def to_parquet(table: pa.Table) -> pa.Buffer:
     """The bytes of a segment: one row group, zstd-3, a dictionary for each column of strings, a checksum on each page.
 
     Args:
-        table: Rows with the columns of `SCHEMA` or, ready to be written, of `CODED_SCHEMA`. Both give the same bytes.
+        table: Rows with the columns of one release, plain or, ready to be written, as `CODED_SCHEMA` has them. Both give the same bytes.
     """
     sink = pa.BufferOutputStream()
     pq.write_table(
@@ -27,8 +27,10 @@ def to_parquet(table: pa.Table) -> pa.Buffer:
         row_group_size=max(1, table.num_rows),
         compression="zstd",
         compression_level=3,
-        use_dictionary=[_leaf(name) for name in COLUMNS if COLUMNS[name] in ("string", "strings")],
-        column_encoding=dict.fromkeys(_INTEGERS, "DELTA_BINARY_PACKED"),  # most grow row by row, so differences are small
+        use_dictionary=[_leaf(name) for name in table.column_names if COLUMNS[name] in ("string", "strings")],
+        column_encoding={
+            name: "DELTA_BINARY_PACKED" for name in table.column_names if COLUMNS[name] == "integer"
+        },  # most grow row by row, so differences are small
         write_statistics=list(_PRUNED_BY),
         write_page_checksum=True,
         store_schema=False,
@@ -40,10 +42,11 @@ def to_parquet(table: pa.Table) -> pa.Buffer:
 
 def coded(table: pa.Table) -> pa.Table:
     """The table with its columns of strings as `CODED_SCHEMA` has them."""
-    if table.schema.equals(CODED_SCHEMA):
+    schema = pa.schema([CODED_SCHEMA.field(name) for name in table.column_names])
+    if table.schema.equals(schema):
         return table
     arrays = [_coded(column.combine_chunks()) if column.type == pa.string() else column for column in table.columns]
-    return pa.Table.from_arrays(arrays, schema=CODED_SCHEMA)
+    return pa.Table.from_arrays(arrays, schema=schema)
 
 
 def _coded(strings: pa.Array) -> pa.DictionaryArray:
@@ -61,10 +64,10 @@ def _leaf(name: str) -> str:
 
 
 def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
-    """The rows of a segment, after its page checksums were verified.
+    """The rows of a segment, after its page checksums were verified, with these columns of `SCHEMA` (all: None); NULL in those that came later.
 
     Raises:
-        LedgerCorrupted: The file cannot be read, a checksum is wrong, or its columns are not those of `SCHEMA`.
+        LedgerCorrupted: The file cannot be read, a checksum is wrong, or its columns are those of no release.
     """
     return _read(path, columns, is_coded=False)
 
@@ -78,17 +81,18 @@ def _read(path: Path, columns: list[str] | None, *, is_coded: bool) -> pa.Table:
     try:
         with pq.ParquetFile(path) as file:
             schema, metadata = file.schema_arrow, file.metadata
-        if not schema.equals(SCHEMA):
+        if not schema.equals(SCHEMA) and fingerprint(schema) not in FINGERPRINTS.values():
             raise LedgerCorrupted(f"{path}: {_difference(schema)}; restore the file, or read it with the version that wrote it")
-        strings = [name for name in COLUMNS if COLUMNS[name] == "string"] if is_coded else None
+        strings = [name for name in schema.names if COLUMNS[name] == "string"] if is_coded else None
         with pq.ParquetFile(path, metadata=metadata, page_checksum_verification=True, read_dictionary=strings) as file:
-            return file.read(columns=columns, use_threads=False)
+            found = file.read(columns=columns, use_threads=False)
+        return widened(found, columns or SCHEMA.names, CODED_SCHEMA if is_coded else SCHEMA)
     except (OSError, pa.ArrowException) as error:
         raise LedgerCorrupted(f"{path}: the segment cannot be read ({error}); expected a Parquet file with valid page checksums; restore it") from error
 
 
 def _difference(schema: pa.Schema) -> str:
-    """The first column in which this schema is not the one expected."""
+    """The first column in which this schema, which is of no release, is not that of today."""
     for at, expected in enumerate(SCHEMA):
         if at >= len(schema) or not schema.field(at).equals(expected):
             return f"column {at} is {schema.field(at) if at < len(schema) else 'missing'}, expected {expected}"

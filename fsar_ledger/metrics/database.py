@@ -18,6 +18,7 @@ from fsar_ledger.ledger.read import Head, open_ledger
 from fsar_ledger.ledger.schema import SCHEMA
 from fsar_ledger.ledger.segment import read_table
 
+from . import relation
 from .functions import register
 from .library import Library, library, values
 
@@ -87,6 +88,11 @@ class Database:
     def hold(self, name: str, table: Any) -> None:
         """An Arrow table or dataset is the relation of this name, whatever packaged query has it."""
         self._connection.register(name, table)
+        self._made.add(name)
+
+    def define(self, name: str, sql: str) -> None:
+        """The SELECT is the relation of this name, whatever packaged query has it. Raises: as `table`."""
+        self._execute(f"CREATE VIEW {name} AS\n{sql}", None)
         self._made.add(name)
 
     def prepare(self, sql: str) -> None:
@@ -236,9 +242,8 @@ def connect(ledger: Path, threads: int | None = None) -> Database:
     database = Database(view.head, segments, threads)
     try:
         if segments:
-            names = ", ".join("'" + str(segment).replace("'", "''") + "'" for segment in segments)
-            columns = ", ".join(f'"{name}"' for name in SCHEMA.names)
-            database._execute(f"CREATE VIEW events AS SELECT {columns} FROM read_parquet([{names}], hive_partitioning = false)", None)
+            parts = relation.native_parts(segments, [record.release for record in view.records])
+            relation.hold_events(database, parts, relation.upcast(segments))
         else:
             database.hold("events", SCHEMA.empty_table())
     except BaseException:

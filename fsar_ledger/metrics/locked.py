@@ -9,15 +9,17 @@ import os
 import resource
 import signal
 from multiprocessing.connection import Connection
+from pathlib import Path
 
 import msgspec
 import pyarrow as pa
 import pyarrow.dataset as ds
 
-from fsar_ledger.errors import QueryFailed
+from fsar_ledger.errors import LedgerCorrupted, QueryFailed
 from fsar_ledger.ledger.schema import SCHEMA
 
 from .database import FAULTS_OF_SQL, OUT_OF_MEMORY, Database
+from .relation import hold_dataset, upcast
 
 GRACE_S = 5
 """Seconds by which the limits inside this process come later than the caller's, so that it is the caller who says what happened."""
@@ -66,7 +68,7 @@ def answer(descriptor: int) -> None:
         give_up(question.limits)
         try:
             stream = _stream(_select(question), question.limits)
-        except (QueryFailed, MemoryError, pa.ArrowException, OSError) as error:
+        except (QueryFailed, LedgerCorrupted, MemoryError, pa.ArrowException, OSError) as error:
             pipe.send_bytes(msgspec.json.encode(_refusal(error, question.limits)))
         else:
             pipe.send_bytes(b"null")
@@ -78,7 +80,7 @@ def _refusal(error: Exception, limits: Limits) -> Refusal:
     cause = error.__cause__ if isinstance(error, QueryFailed) else error
     if isinstance(cause, (MemoryError, *OUT_OF_MEMORY)):
         return Refusal(f"SQL: ran out of memory, the limit is {limits.memory_bytes >> 20:,} MiB; ask for less")
-    message = str(error) if isinstance(error, QueryFailed) else f"SQL: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
+    message = str(error) if isinstance(error, (QueryFailed, LedgerCorrupted)) else f"SQL: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
     return Refusal(message, may_be_damage=cause is not None and not isinstance(cause, FAULTS_OF_SQL))
 
 
@@ -107,7 +109,8 @@ def _select(question: Question) -> pa.Table:
     pa.set_cpu_count(1)  # threads reserve address space, which is limited
     pa.set_io_thread_count(1)
     with Database(None, (), threads=1) as database:
-        database.hold("events", ds.dataset(segments, schema=SCHEMA, format=_checked()) if segments else SCHEMA.empty_table())
+        stored = ds.dataset(segments, schema=SCHEMA, format=_checked()) if segments else SCHEMA.empty_table()
+        hold_dataset(database, stored, upcast([Path(segment) for segment in segments]))
         database.lock(limits.seconds + GRACE_S, (limits.memory_bytes - OWN_BYTES) // 2)
         for _ in database.batches("SELECT seq FROM events LIMIT 1"):
             pass  # the threads that reading takes exist from now on, and no other can be started

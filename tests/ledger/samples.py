@@ -43,6 +43,15 @@ def made_up_run(run_id: str, size: int, seed: int) -> RunRecord:
     return RunRecord(run_id, times, [None, *(max(0, seq - draw.randrange(1, 5)) for seq in range(1, size))], events)
 
 
+def run_of_every_type(run_id: str, seed: int) -> RunRecord:
+    """A run with one start and two events of every other type."""
+    draw = random.Random(seed)
+    first, *others = LAYOUTS.values()
+    layouts = [first, *(layout for layout in others for _ in range(2))]
+    events = [layout.cls(*[_value(field, draw) for field in layout.fields]) for layout in layouts]
+    return RunRecord(run_id, list(range(0, 1000 * len(events), 1000)), [None, *range(len(events) - 1)], events)
+
+
 def made_up_batches(commits: int, runs: int = 2, size: int = 12) -> list[list[RunRecord]]:
     """So many batches of runs; the same call gives the same batches."""
     numbers = [range(commit * runs, (commit + 1) * runs) for commit in range(commits)]

@@ -176,6 +176,8 @@ def test_the_newest_commits_removed_without_their_segments_are_noticed(path: Pat
     [
         ("number", 5),
         ("previous_sha256", "0" * 64),
+        ("release", "0.0.9"),
+        ("release", "99.0.0"),
         ("schema_sha256", "0" * 64),
         ("segment_sha256", "0" * 64),
         ("segment_bytes", 1),

@@ -1,0 +1,96 @@
+"""How events of retired types become events of today: one pure function a version, checked when the package starts."""
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, Generic, TypeAlias, TypeVar
+
+import msgspec
+
+from .envelope import Event
+
+_Before = TypeVar("_Before", bound=Event)
+_After = TypeVar("_After", bound=Event)
+
+Change: TypeAlias = Callable[[Any], Event]
+
+
+class Upcaster(msgspec.Struct, Generic[_Before, _After], frozen=True):
+    """One step: `change` takes an event of the retired type `before` and gives the same fact as the next version, `after`."""
+
+    before: type[_Before]
+    after: type[_After]
+    change: Callable[[_Before], _After]
+
+
+Chains: TypeAlias = Mapping[type[Event], tuple[Change, ...]]
+"""For each retired type the changes, in order, that end at a current type."""
+
+
+def chains(current: Iterable[type[Event]], retired: Iterable[type[Event]], upcasters: Iterable[Upcaster[Any, Any]]) -> Chains:
+    """The way of each retired type to a current one, every step of which leads to the next version of the same name.
+
+    Raises:
+        TypeError: A tag has no version or is there twice; a name's versions do not go from 1 to the current one without
+            gaps; a retired type has no upcaster or several; an upcaster is for other types, forms a cycle or leaves out a version.
+    """
+    current, retired, upcasters = tuple(current), tuple(retired), tuple(upcasters)
+    _check_versions(current, retired)
+    for step in upcasters:
+        if step.before not in retired:
+            raise TypeError(f"upcaster of {_tag(step.before)}: found a type that is not retired; list it in RETIRED_TYPES or take the upcaster away")
+        if step.after not in (*current, *retired):
+            raise TypeError(f"upcaster of {_tag(step.before)}: found that it leads to {_tag(step.after)}, expected a type that is listed; list it")
+    steps: dict[type[Event], Upcaster[Any, Any]] = {}
+    for cls in retired:
+        own = [step for step in upcasters if step.before is cls]
+        if len(own) != 1:
+            raise TypeError(f"{_tag(cls)}: found {len(own)} upcasters, expected exactly one for each retired type; see UPCASTERS")
+        steps[cls] = own[0]
+    ways = {cls: _way(cls, steps) for cls in retired}
+    for step in upcasters:
+        name, number = _version(step.before)
+        if _version(step.after) != (name, number + 1):
+            raise TypeError(
+                f"upcaster of {_tag(step.before)}: found that it leads to {_tag(step.after)}, expected {name}.v{number + 1}; change one version a step"
+            )
+    return ways
+
+
+def _way(cls: type[Event], steps: Mapping[type[Event], Upcaster[Any, Any]]) -> tuple[Change, ...]:
+    """The changes from this type on. Raises: TypeError for a cycle."""
+    passed, changes = [cls], []
+    while (step := steps.get(passed[-1])) is not None:
+        changes.append(step.change)
+        if step.after in passed:
+            raise TypeError(f"upcasters: found the cycle {' -> '.join(map(_tag, [*passed, step.after]))}, expected a way to a current type; take one step away")
+        passed.append(step.after)
+    return tuple(changes)
+
+
+def _check_versions(current: tuple[type[Event], ...], retired: tuple[type[Event], ...]) -> None:
+    """Raises: TypeError unless each name has its versions from 1 on, the last of them current and the others retired."""
+    found: dict[str, dict[int, type[Event]]] = {}
+    for cls in (*current, *retired):
+        name, number = _version(cls)
+        if number in found.setdefault(name, {}):
+            raise TypeError(f"{_tag(cls)}: found two event types with this tag, expected one; give one of them the next version")
+        found[name][number] = cls
+    for name, versions in found.items():
+        newest = max(versions)
+        if missing := sorted(set(range(1, newest)) - versions.keys()):
+            raise TypeError(f"{name}: found version {newest} without version {missing[0]}, expected all from 1; keep the old struct in RETIRED_TYPES")
+        for number, cls in versions.items():
+            if (cls in current) != (number == newest):
+                raise TypeError(f"{_tag(cls)}: found it {'current' if cls in current else 'retired'}, expected only version {newest} of {name} to be current")
+
+
+def _tag(cls: type[Event]) -> str:
+    """The stored type of this class."""
+    return str(cls.__struct_config__.tag)
+
+
+def _version(cls: type[Event]) -> tuple[str, int]:
+    """Name and version number of an event type. Raises: TypeError for a tag that has none."""
+    name, _, number = _tag(cls).rpartition(".v")
+    if not name or not number.isdecimal() or number != str(int(number)) or number == "0":
+        raise TypeError(f'{_tag(cls)}: found a tag without version, expected NAME.vN with N from 1; write tag="{cls.__name__}.v1"')
+    return name, int(number)

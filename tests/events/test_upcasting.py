@@ -1,0 +1,112 @@
+"""Upcasters are checked when the package starts: gaps, cycles and wrong versions never reach a ledger."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+
+from fsar_ledger.events import EVENT_TYPES, RETIRED_TYPES, UPCASTS, Event
+from fsar_ledger.events.upcasting import Chains, Upcaster, chains
+
+
+class MovedV1(Event, frozen=True, tag="Moved.v1"):
+    metres: int
+
+
+class MovedV2(Event, frozen=True, tag="Moved.v2"):
+    millimetres: int
+
+
+class MovedV3(Event, frozen=True, tag="Moved.v3"):
+    millimetres: int
+    is_fast: bool
+
+
+class MovedV4(Event, frozen=True, tag="Moved.v4"):
+    millimetres: int
+
+
+class Stopped(Event, frozen=True):
+    pass
+
+
+class Untagged(Event, frozen=True, tag="Untagged"):
+    pass
+
+
+class Zeroth(Event, frozen=True, tag="Zeroth.v0"):
+    pass
+
+
+def in_millimetres(event: MovedV1) -> MovedV2:
+    return MovedV2(event.metres * 1000)
+
+
+def with_pace(event: MovedV2) -> MovedV3:
+    return MovedV3(event.millimetres, event.millimetres > 5000)
+
+
+FIRST = Upcaster(MovedV1, MovedV2, in_millimetres)
+SECOND = Upcaster(MovedV2, MovedV3, with_pace)
+BACK: Upcaster[Any, Any] = Upcaster(MovedV2, MovedV1, lambda event: MovedV1(event.millimetres // 1000))
+LEAP: Upcaster[Any, Any] = Upcaster(MovedV1, MovedV3, lambda event: MovedV3(event.metres * 1000, False))
+
+Table = tuple[Sequence[type[Event]], Sequence[type[Event]], Sequence[Upcaster[Any, Any]]]
+GOOD: Table = ((MovedV3, Stopped), (MovedV1, MovedV2), (SECOND, FIRST))
+
+
+def upcast(event: Event, ways: Chains) -> Event:
+    for change in ways[type(event)]:
+        event = change(event)
+    return event
+
+
+def test_an_event_of_any_retired_version_becomes_one_of_the_current_version() -> None:
+    ways = chains(*GOOD)
+    assert upcast(MovedV1(7), ways) == upcast(MovedV2(7000), ways) == MovedV3(7000, True)
+    assert set(ways) == {MovedV1, MovedV2}
+
+
+def test_what_is_retired_today_has_its_way_to_a_current_type() -> None:
+    assert set(UPCASTS) == set(RETIRED_TYPES)
+    assert not set(RETIRED_TYPES) & set(EVENT_TYPES)
+
+
+@pytest.mark.parametrize(
+    ("table", "message"),
+    [
+        (((MovedV3,), (MovedV1, MovedV2), (FIRST,)), r"Moved\.v2: found 0 upcasters, expected exactly one"),
+        (((MovedV3,), (MovedV1, MovedV2), (FIRST, SECOND, SECOND)), r"Moved\.v2: found 2 upcasters, expected exactly one"),
+        (((MovedV3,), (MovedV1, MovedV2), (FIRST, BACK)), r"found the cycle Moved\.v1 -> Moved\.v2 -> Moved\.v1"),
+        (((MovedV3,), (MovedV1, MovedV2), (LEAP, SECOND)), r"upcaster of Moved\.v1: found that it leads to Moved\.v3, expected Moved\.v2"),
+        (((MovedV3,), (MovedV2,), (SECOND,)), r"Moved: found version 3 without version 1"),
+        (((MovedV4,), (MovedV1, MovedV2), (FIRST, SECOND)), r"Moved: found version 4 without version 3"),
+        (((MovedV3,), (), ()), r"Moved: found version 3 without version 1"),
+        (((Stopped,), (MovedV1, MovedV2), (FIRST, BACK)), r"Moved\.v2: found it retired, expected only version 2 of Moved to be current"),
+        (((MovedV1, MovedV2), (), ()), r"Moved\.v1: found it current, expected only version 2"),
+        (((MovedV2,), (MovedV1,), (FIRST, SECOND)), r"upcaster of Moved\.v2: found a type that is not retired"),
+        (((MovedV2,), (MovedV1,), (LEAP,)), r"upcaster of Moved\.v1: found that it leads to Moved\.v3, expected a type that is listed"),
+        (((MovedV1, MovedV1), (), ()), r"Moved\.v1: found two event types with this tag"),
+        (((Untagged,), (), ()), r"Untagged: found a tag without version, expected NAME\.vN"),
+        (((Zeroth,), (), ()), r"Zeroth\.v0: found a tag without version"),
+    ],
+    ids=[
+        "gap",
+        "two ways",
+        "cycle",
+        "leap",
+        "first version lost",
+        "last version lost",
+        "nothing kept",
+        "no current version",
+        "two current versions",
+        "current type upcast",
+        "leads nowhere",
+        "same tag twice",
+        "no version",
+        "version 0",
+    ],
+)
+def test_each_fault_of_a_table_is_named(table: Table, message: str) -> None:
+    with pytest.raises(TypeError, match=message):
+        chains(*table)

@@ -1,0 +1,81 @@
+"""Keeps a ledger of a release for ever: `python -m tests.ledger.keep_release 0.1.0`, once, when the release is made.
+
+It adds `tests/ledgers/VERSION/`: `ledger/`, which later versions must open; `events.jsonl`, the event types as they are;
+`kept.json`, what the ledger is known to hold. Where event types changed since the release before, it also adds the
+columns to the package. It never writes over anything.
+"""
+
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+
+import msgspec
+
+import fsar_ledger
+from fsar_ledger.constants import Constants
+from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.note import Signer
+from fsar_ledger.ledger.releases import RELEASE
+from fsar_ledger.ledger.schema import LAYOUTS, SCHEMA, Field, Layout, described
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from tests.ledger.samples import run_of_every_type
+
+ROOT = Path(__file__).resolve().parents[2]
+LEDGERS = ROOT / "tests" / "ledgers"
+COLUMNS = ROOT / "fsar_ledger" / "ledger" / "columns"
+
+ORIGIN = "example.org/kept"
+SECRET = bytes(range(32))  # known to everyone: these signatures show that old ones are still understood, and protect nothing
+
+
+class Kept(msgspec.Struct, frozen=True):
+    """What a kept ledger holds: counts, the Merkle root in hex, and the key that signed it."""
+
+    commits: int
+    events: int
+    runs: tuple[str, ...]
+    root: str
+    key: str
+
+
+def stored_types(layouts: Iterable[Layout]) -> dict[str, dict[str, str]]:
+    """How these event types are stored: by tag and field the kind, the allowed values and whether NULL is allowed, as text."""
+    return {layout.tag: {field.name: _stored(field) for field in sorted(layout.fields, key=lambda field: field.name)} for layout in layouts}
+
+
+def _stored(field: Field) -> str:
+    values = f" of {'|'.join(sorted(field.values))}" if field.values is not None else ""
+    return f"{field.kind}{values}{' or NULL' if field.is_nullable else ''}"
+
+
+def write_ledger(path: Path) -> Kept:
+    """A small ledger is at the path: made-up events of every type, then runs as they are simulated; its notes are signed."""
+    signer = Signer(ORIGIN, SECRET)
+    specs = (RunSpec(7, "fsar", "full", "failure-recovery-chain", 4, 0), RunSpec(7, "cfc", "full", "door-relay", 4, 0))
+    batches = [[run_of_every_type("made-up", seed=1)], *([simulate_run(spec, Constants())] for spec in specs)]
+    with Writer(path, ORIGIN, signer) as writer:
+        for batch in batches:
+            writer.append(stage(path, batch))
+        head = writer.head
+    return Kept(head.commits, head.size, tuple(run.run_id for batch in batches for run in batch), head.root, str(signer.verifier))
+
+
+def keep(version: str, ledgers: Path = LEDGERS, columns: Path = COLUMNS) -> None:
+    """The ledger, the event types and, where they are new, the columns of this release are kept. Raises: SystemExit where one would be written over."""
+    folder = ledgers / version
+    if version != fsar_ledger.__version__:
+        raise SystemExit(f"found version {fsar_ledger.__version__} in fsar_ledger/__init__.py, expected {version}; set it first")
+    if folder.exists():
+        raise SystemExit(f"{folder}: found what was kept of {version}; a release is kept once, choose the next number")
+    text = columns / f"{RELEASE}.txt"
+    if text.exists() and text.read_text("utf-8") != described(SCHEMA):
+        raise SystemExit(f"{text}: found other columns than today's, expected them unchanged since release {RELEASE}; set RELEASE to {version}")
+    kept = write_ledger(folder / "ledger")
+    lines = [msgspec.json.encode({tag: fields}) + b"\n" for tag, fields in stored_types(LAYOUTS.values()).items()]
+    (folder / "events.jsonl").write_bytes(b"".join(lines))
+    (folder / "kept.json").write_bytes(msgspec.json.format(msgspec.json.encode(kept)) + b"\n")
+    text.write_text(described(SCHEMA), "utf-8")
+
+
+if __name__ == "__main__":
+    keep(sys.argv[1])

@@ -1,0 +1,196 @@
+"""Ledgers of every released version open for ever, and event types change only as stored events allow. See `keep_release.py`."""
+
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+import pytest
+
+import fsar_ledger
+from fsar_ledger.events import EVENT_TYPES
+from fsar_ledger.ledger.codec import encode_hashed
+from fsar_ledger.ledger.note import read_verifier
+from fsar_ledger.ledger.read import open_ledger
+from fsar_ledger.ledger.releases import RELEASE, parse_columns
+from fsar_ledger.ledger.schema import LAYOUTS, RETIRED, SCHEMA, described
+from fsar_ledger.ledger.verify import Asked, verify
+from fsar_ledger.metrics.database import connect
+from fsar_ledger.metrics.untrusted import run_untrusted
+from tests.ledger.keep_release import COLUMNS, LEDGERS, Kept, keep, stored_types
+from tests.ledger.samples import append_all, made_up_batches
+
+Types = Mapping[str, Mapping[str, str]]
+
+QUESTIONS = ("staging/runs", "metrics/run_metrics", "facts/decisions", "facts/executions", "audit/requests")
+OR_NULL = " or NULL"
+
+
+def number(release: str) -> tuple[int, ...]:
+    return tuple(map(int, release.split(".")))
+
+
+VERSIONS = sorted((folder.name for folder in LEDGERS.iterdir() if folder.is_dir()), key=number)
+
+
+def kept_types(version: str) -> dict[str, dict[str, str]]:
+    lines = (LEDGERS / version / "events.jsonl").read_bytes().splitlines()
+    return {tag: fields for line in lines for tag, fields in msgspec.json.decode(line, type=dict[str, dict[str, str]]).items()}
+
+
+@pytest.fixture(params=VERSIONS)
+def version(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture
+def path(version: str) -> Path:
+    return LEDGERS / version / "ledger"
+
+
+@pytest.fixture
+def kept(version: str) -> Kept:
+    return msgspec.json.decode((LEDGERS / version / "kept.json").read_bytes(), type=Kept)
+
+
+# --- ledgers of released versions ---
+
+
+def test_a_ledger_of_each_release_is_kept() -> None:
+    assert "0.1.0" in VERSIONS
+    assert {path.stem for path in COLUMNS.iterdir()} <= set(VERSIONS)
+
+
+def test_a_kept_ledger_verifies_to_the_root_and_the_signatures_that_it_had(path: Path, kept: Kept) -> None:
+    report = verify(path, asked=Asked(trusted=read_verifier(kept.key)))
+    assert report.problems == ()
+    assert (report.root, report.events, report.commits, report.runs) == (kept.root, kept.events, kept.commits, len(kept.runs))
+    assert report.signed == kept.commits
+
+
+def test_every_event_of_a_kept_ledger_becomes_one_of_today(path: Path, kept: Kept) -> None:
+    runs = list(open_ledger(path).runs())
+    assert tuple(run.run_id for run in runs) == kept.runs
+    assert sum(len(run.events) for run in runs) == kept.events
+    assert {type(event) for run in runs for event in run.events} <= set(EVENT_TYPES)
+
+
+def test_a_kept_ledger_holds_every_event_type_of_its_release(version: str, path: Path) -> None:
+    stored = {tag for table in open_ledger(path).tables(["type"]) for tag in table.column("type").to_pylist()}
+    assert stored == set(kept_types(version))
+
+
+def test_the_runs_of_a_kept_ledger_have_the_leaves_that_they_had(path: Path) -> None:
+    view = open_ledger(path)
+    runs = iter(view.runs())
+    for at, table in enumerate(view.tables()):
+        batch = [next(runs) for _ in range(len(table.column("run_id").unique()))]
+        if not set(table.column("type").to_pylist()) & set(RETIRED):  # what is upcast has leaves as stored only
+            assert encode_hashed(batch)[1] == view.leaves(at)
+
+
+def test_sql_answers_about_a_kept_ledger(path: Path, kept: Kept) -> None:
+    with connect(path) as database:
+        answers = [database.query(name) for name in QUESTIONS]
+        [counted] = database.rows("SELECT count(*) AS events, count(DISTINCT run_id) AS runs FROM events")
+    assert counted == {"events": kept.events, "runs": len(kept.runs)}
+    for answer in answers:
+        assert answer.num_rows > 0
+    assert set(answers[0].column("run_id").to_pylist()) == set(answers[1].column("run_id").to_pylist()) == set(kept.runs)
+    assert run_untrusted(path, "SELECT count(*) AS events FROM events").rows == [{"events": kept.events}]
+
+
+def test_a_writer_of_today_continues_a_kept_ledger(path: Path, kept: Kept, tmp_path: Path) -> None:
+    copy = shutil.copytree(path, tmp_path / "ledger")
+    head = append_all(copy, made_up_batches(1), origin=open_ledger(path).manifest.origin)
+    assert (head.size, verify(copy).root) == (kept.events + 24, head.root)
+
+
+def test_a_kept_release_is_never_written_again(tmp_path: Path) -> None:
+    version = fsar_ledger.__version__
+    (tmp_path / version).mkdir()
+    with pytest.raises(SystemExit, match="a release is kept once"):
+        keep(version, ledgers=tmp_path)
+    with pytest.raises(SystemExit, match="set it first"):
+        keep("0.0.9", ledgers=tmp_path)
+    (tmp_path / f"{RELEASE}.txt").write_text("run_id string not null\n")
+    with pytest.raises(SystemExit, match="found other columns than today's"):
+        keep(version, ledgers=tmp_path / "none", columns=tmp_path)
+
+
+# --- what may change ---
+
+
+def broken_rules(then: Types, now: Types, retired: Types) -> list[str]:
+    """Each change since a release that stored events do not allow, with what to do instead."""
+    found = []
+    for tag, fields in then.items():
+        name, _, version = tag.rpartition(".v")
+        if tag in retired:
+            if retired[tag] != fields:
+                found.append(f"{tag}: it is retired and not as it was stored; give it the fields {fields}")
+        elif tag not in now:
+            found.append(f"{tag}: it is gone; keep it in fsar_ledger/events/retired.py, with an upcaster")
+        else:
+            own = now[tag]
+            changed = [field for field in fields if own.get(field) != fields[field]]
+            changed += [field for field in own if field not in fields and not own[field].endswith(OR_NULL)]
+            if changed:
+                found.append(f"{tag}: {', '.join(sorted(changed))} changed; make it {name}.v{int(version) + 1} and keep {tag} in fsar_ledger/events/retired.py")
+    return found
+
+
+def test_event_types_change_only_as_stored_events_allow(version: str) -> None:
+    assert broken_rules(kept_types(version), stored_types(LAYOUTS.values()), stored_types(RETIRED.values())) == []
+
+
+def test_other_event_types_have_another_release() -> None:
+    newest = max((release for release in VERSIONS if number(release) <= number(RELEASE)), key=number)
+    is_kept = RELEASE in VERSIONS
+    is_same = kept_types(newest) == stored_types(LAYOUTS.values())
+    assert is_same == is_kept, f"event types differ from release {newest}: set RELEASE in fsar_ledger/ledger/releases.py to the release to come"
+
+
+def test_the_columns_of_a_release_are_pinned() -> None:
+    assert RELEASE not in VERSIONS or (COLUMNS / f"{RELEASE}.txt").read_text("utf-8") == described(SCHEMA)
+
+
+THEN = {"Moved.v1": {"robot": "string", "speed": "integer or NULL"}}
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {"robot": "string"},
+        {"robot": "string", "velocity": "integer or NULL"},
+        {"robot": "integer", "speed": "integer or NULL"},
+        {"robot": "string", "speed": "integer"},
+        {"robot": "string or NULL", "speed": "integer or NULL"},
+        {"robot": "string of A|B", "speed": "integer or NULL"},
+        {"robot": "string", "speed": "integer or NULL", "place": "string"},
+    ],
+    ids=["gone", "renamed", "another kind", "no longer optional", "now optional", "fewer values", "a new field that is not optional"],
+)
+def test_any_other_change_of_an_event_type_is_found(fields: dict[str, str]) -> None:
+    [rule] = broken_rules(THEN, {"Moved.v1": fields}, {})
+    assert rule.endswith("make it Moved.v2 and keep Moved.v1 in fsar_ledger/events/retired.py")
+
+
+def test_a_new_optional_field_and_a_new_type_are_allowed() -> None:
+    assert broken_rules(THEN, {"Moved.v1": {**THEN["Moved.v1"], "place": "string or NULL"}, "Stopped.v1": {"robot": "string"}}, {}) == []
+
+
+def test_a_retired_type_stays_exactly_as_it_was_stored() -> None:
+    assert broken_rules(THEN, {"Moved.v2": {"robot": "string"}}, THEN) == []
+    assert broken_rules(THEN, {"Moved.v2": {"robot": "string"}}, {}) == ["Moved.v1: it is gone; keep it in fsar_ledger/events/retired.py, with an upcaster"]
+    [rule] = broken_rules(THEN, {}, {"Moved.v1": {"robot": "string"}})
+    assert rule.startswith("Moved.v1: it is retired and not as it was stored")
+
+
+def test_columns_of_a_release_that_changed_or_went_are_refused() -> None:
+    text = described(SCHEMA)
+    assert parse_columns("x.txt", text).equals(SCHEMA)
+    assert parse_columns("x.txt", text.replace("robot string\n", "")).names == [name for name in SCHEMA.names if name != "robot"]
+    for other in (text.replace("robot string\n", "robot int64\n"), text + "zebra string\n", text.replace("seq int64 not null\n", "") + "seq int64 not null\n"):
+        with pytest.raises(TypeError, match=r"x\.txt: found .*keep each column as it was"):
+            parse_columns("x.txt", other)
