@@ -137,7 +137,7 @@ class Writer:
     def close(self) -> None:
         """The lock is released. What was appended stays."""
         if self._lock >= 0:
-            os.close(self._lock)
+            disk.close(self._lock)
             self._lock = -1
 
     def append(self, staged: Staged) -> Head:
@@ -240,7 +240,7 @@ def _clean(view: LedgerView) -> None:
     """Staging holds only segments that a record names. Only for a writer that is alone: others may be staging."""
     kept = {staged_path(view.path, record.segment_sha256).name for record in view.records}
     with disk.refusals(view.path / STAGING, "cleaning up"):
-        (view.path / STAGING).mkdir(exist_ok=True)
+        disk.make_folder(view.path / STAGING)
         leftovers = [entry.path for entry in list(os.scandir(view.path / STAGING)) if entry.name not in kept and entry.is_file(follow_symlinks=False)]
     for leftover in leftovers:
         disk.remove(Path(leftover))
@@ -265,8 +265,7 @@ def _create(ledger: Path, origin: str) -> None:
         if os.path.isdir(ledger) and not _is_unfinished(ledger):
             raise NotALedger(f"{ledger}: found a folder with other things in it, expected a ledger or a free path; give another path")
         for folder in (ledger, ledger / COMMITS, ledger / SEGMENTS, ledger / STAGING):
-            folder.mkdir(parents=folder == ledger, exist_ok=True)
-        disk.sync_folder(ledger.absolute().parent)
+            disk.make_folder(folder)
         disk.write_temporary(temporary, canonical.document(manifest))
         with suppress(FileExistsError):  # another writer was quicker
             disk.link_new(temporary, ledger / MANIFEST)
