@@ -113,6 +113,7 @@ class Writer:
                 fcntl.flock(self._lock, fcntl.LOCK_SH)
             with disk.turn(ledger / COMMITS):
                 view = open_ledger(ledger)
+                _confirm(view)
                 _roll_forward(view)
                 self._edge = catch_up(view)
         except BaseException:
@@ -236,9 +237,16 @@ def _lock(ledger: Path) -> tuple[int, bool]:
     return handle, True
 
 
+def _confirm(view: LedgerView) -> None:
+    """Every commit that the view shows is on the disk: whoever made it may have been killed before it was."""
+    for folder in (view.path, view.path / COMMITS):
+        with disk.refusals(folder, "syncing a folder"):
+            disk.sync_folder(folder)
+
+
 def _clean(view: LedgerView) -> None:
-    """Staging holds only segments that a record names. Only for a writer that is alone: others may be staging."""
-    kept = {staged_path(view.path, record.segment_sha256).name for record in view.records}
+    """Staging holds only committed segments that are not yet in place. Only for a writer that is alone: others may be staging."""
+    kept = {path.name for path in view.segments() if path.parent.name == STAGING}
     with disk.refusals(view.path / STAGING, "cleaning up"):
         disk.make_folder(view.path / STAGING)
         leftovers = [entry.path for entry in list(os.scandir(view.path / STAGING)) if entry.name not in kept and entry.is_file(follow_symlinks=False)]
@@ -263,6 +271,8 @@ def _create(ledger: Path, origin: str) -> None:
     temporary = disk.temporary_name(ledger / STAGING / MANIFEST)
     with disk.refusals(ledger, "creating a ledger"):
         if os.path.isdir(ledger) and not _is_unfinished(ledger):
+            if os.path.lexists(ledger / MANIFEST):  # another writer was quicker
+                return
             raise NotALedger(f"{ledger}: found a folder with other things in it, expected a ledger or a free path; give another path")
         for folder in (ledger, ledger / COMMITS, ledger / SEGMENTS, ledger / STAGING):
             disk.make_folder(folder)

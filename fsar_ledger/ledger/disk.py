@@ -217,8 +217,12 @@ def write_secret(path: Path, data: bytes) -> None:
 
 @contextmanager
 def turn(folder: Path) -> Iterator[None]:
-    """Nobody else is in a turn on this folder, where the file system has locks. A process that dies ends its turn."""
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    """Nobody else is in a turn on this folder, where the file system has locks. A process that dies ends its turn.
+
+    Raises: WriteFailed if the folder cannot be opened.
+    """
+    with refusals(folder, "locking"):
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         with suppress(OSError):
             fcntl.flock(handle, fcntl.LOCK_EX)

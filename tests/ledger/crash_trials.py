@@ -1,12 +1,22 @@
 """One trial: appends that a fault interrupts, perhaps a recovery that another interrupts, perhaps a power failure; then the judgement."""
 
+import hashlib
+import re
 import shutil
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
+
+import pyarrow as pa
+import pytest
 
 from fsar_ledger.errors import FsarLedgerError
+from fsar_ledger.ledger import append, segment
 from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.codec import encode_hashed
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.record import MANIFEST, commit_path
 from fsar_ledger.ledger.verify import verify
@@ -19,6 +29,7 @@ BATCHES = made_up_batches(COMMITS, size=70)
 """140 events a commit, so that the tree passes 256 leaves, a full tile, within the appends that are interrupted."""
 INTERRUPTED = 2
 """So many commits are appended while things fail; one more shows that the ledger goes on."""
+TOKEN = re.compile(r"[0-9a-f]{16}(?=\.tmp$)")
 
 
 @dataclass
@@ -44,6 +55,36 @@ class Tally:
         self.complaints.append(f"{where}: {what}")
 
 
+def _state(path: Path) -> str:
+    """One name for each state of the files, whatever their temporary names are."""
+    files = sorted((TOKEN.sub("", name), data) for name, data in contents(path).items())
+    folders = sorted(str(folder.relative_to(path)) for folder in path.rglob("*") if folder.is_dir())
+    return hashlib.sha256(repr((path.exists(), folders, files)).encode()).hexdigest()
+
+
+@cache
+def _encoded(first_run: str) -> tuple[pa.Table, bytes]:
+    return encode_hashed(next(batch for batch in BATCHES if batch[0].run_id == first_run))
+
+
+@cache
+def _parquet(first_run: str) -> pa.Buffer:
+    return segment.to_parquet(_encoded(first_run)[0])
+
+
+def _written(table: pa.Table) -> pa.Buffer:
+    return _parquet(table.column("run_id")[0].as_py())
+
+
+@contextmanager
+def encoded_once() -> Iterator[None]:
+    """Each batch is encoded once and for all: that touches no disk, and would take most of the time of a trial."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(append, "encode_hashed", lambda runs: _encoded(runs[0].run_id))
+        patch.setattr(append, "segment", SimpleNamespace(to_parquet=_written))
+        yield
+
+
 @dataclass
 class Session:
     """How far one process came. `acknowledged` is the number of commits that the ledger has told it were safe."""
@@ -57,7 +98,7 @@ def append_with(faulty: FaultyOs, path: Path, commits: int = INTERRUPTED) -> Ses
     """A process opens the ledger and appends what it lacks, and the newest batch once more: it may not have been acknowledged."""
     session = Session()
     try:
-        with in_place_of_os(faulty), Writer(path, ORIGIN) as writer:
+        with encoded_once(), in_place_of_os(faulty), Writer(path, ORIGIN) as writer:
             session.acknowledged = writer.head.commits
             for batch in BATCHES[max(0, session.acknowledged - 1) : commits]:
                 session.acknowledged = writer.append(stage(path, batch)).commits
@@ -77,6 +118,8 @@ class Laboratory:
         append_all(folder / "reference", BATCHES)
         self.reference = contents(folder / "reference")
         self._number = 0
+        self._judged: dict[str, tuple[int, list[str]]] = {}
+        self._finished: dict[str, str | None] = {}
 
     def _fresh(self) -> Path:
         """A path where nothing is, two folders deep in an empty root."""
@@ -85,38 +128,51 @@ class Laboratory:
         root.mkdir()
         return root / "out" / "ledger"
 
-    def judge(self, path: Path, acknowledged: int, where: object) -> None:
-        """Readers find every acknowledged commit, whole, and no half of another."""
+    def judge(self, path: Path, acknowledged: int, where: object) -> str:
+        """Readers find every acknowledged commit, whole, and no half of another. Returns the name of the state the ledger is in."""
+        state = _state(path)
+        commits, complaints = self._judged.get(state) or self._judged.setdefault(state, self._read(path))
+        if commits < acknowledged:
+            self.tally.note(f"lost: {commits} of {acknowledged} acknowledged commits are there", where)
+        for complaint in complaints:
+            self.tally.note(complaint, where)
+        return state
+
+    def _read(self, path: Path) -> tuple[int, list[str]]:
+        """How many commits readers see, and what is wrong with them. The same files give the same answer."""
         if not (path / MANIFEST).exists():
-            if acknowledged:
-                self.tally.note(f"lost: {acknowledged} acknowledged commits, the ledger is gone", where)
-            return
+            return 0, []
+        complaints = []
         try:
             view = open_ledger(path)
-            if view.head.commits < acknowledged:
-                self.tally.note(f"lost: {view.head.commits} of {acknowledged} acknowledged commits are there", where)
             for number in range(view.head.commits):
                 names = commit_path(path, number), view.segment(number)
                 expected = self.reference[f"commits/{number:012d}.json"], self.reference[f"segments/{number:012d}.parquet"]
                 if tuple(name.read_bytes() for name in names) != expected:
-                    self.tally.note(f"torn: commit {number} has other bytes", where)
+                    complaints.append(f"torn: commit {number} has other bytes")
             if list(view.runs()) != [run for batch in BATCHES[: view.head.commits] for run in batch]:
-                self.tally.note("torn: other runs are read than were committed", where)
+                complaints.append("torn: other runs are read than were committed")
             report = verify(path)
-            if not report.ok:
-                self.tally.note(f"torn: verify found {'; '.join(map(str, report.problems))}", where)
         except FsarLedgerError as error:
-            self.tally.note(f"torn: a reader is told {error}", where)
+            return 0, [f"torn: a reader is told {error}"]
+        if not report.ok:
+            complaints.append(f"torn: verify found {'; '.join(map(str, report.problems))}")
+        return view.head.commits, complaints
 
-    def finish(self, path: Path, where: object) -> None:
-        """Without faults a writer goes on, and the ledger ends up as if nothing had happened."""
+    def finish(self, path: Path, state: str, where: object) -> None:
+        """Without faults a writer goes on, and the ledger ends up as if nothing had happened. From each state this is tried once."""
+        if state not in self._finished:
+            self._finished[state] = self._go_on(path)
+        if self._finished[state] is not None:
+            self.tally.note(f"torn: {self._finished[state]}", where)
+
+    def _go_on(self, path: Path) -> str | None:
         session = append_with(FaultyOs(path.parent.parent), path, COMMITS)
         if session.error is not None:
-            self.tally.note(f"torn: a writer is told {session.error}", where)
-        elif contents(path) != self.reference:
-            found = contents(path)
-            names = sorted(name for name in found.keys() | self.reference.keys() if found.get(name) != self.reference.get(name))
-            self.tally.note(f"torn: after going on other bytes are in {', '.join(names)}", where)
+            return f"the next writer is told {session.error}"
+        found = contents(path)
+        names = sorted(name for name in found.keys() | self.reference.keys() if found.get(name) != self.reference.get(name))
+        return f"after going on other bytes are in {', '.join(names)}" if names else None
 
     def trial(self, faults: Sequence[Fault], choices: Sequence[Choice] = ()) -> list[Session]:
         """Each fault interrupts one process, each process recovering from the one before; then the power fails in each of these ways."""
@@ -132,11 +188,13 @@ class Laboratory:
             acknowledged = max(acknowledged, session.acknowledged)
             self.tally.faults += faulty.was_hit and not number
             self.tally.faults_in_recovery += faulty.was_hit and number > 0
-            self.judge(path, acknowledged, (*faults[: number + 1],))
+            self.judge(path, acknowledged, faults[: number + 1])
         self._fail_power(disk, acknowledged, choices, (*faults, "power failure"))
         recovered = append_with(FaultyOs(root, disk=disk), path)
+        if recovered.error is not None:
+            self.tally.note(f"torn: the next writer is told {recovered.error}", faults)
         self._fail_power(disk, recovered.acknowledged, choices[:3], (*faults, "recovery", "power failure"))
-        self.finish(path, (*faults,))
+        self.finish(path, self.judge(path, recovered.acknowledged, faults), faults)
         shutil.rmtree(root)
         return sessions
 
@@ -144,8 +202,8 @@ class Laboratory:
         for choice in choices:
             path = self._after_power_failure(disk, choice)
             self.tally.power_failures += 1
-            self.judge(path, acknowledged, (where, choice.names, choice.contents))
-            self.finish(path, (where, choice.names, choice.contents))
+            state = self.judge(path, acknowledged, (where, choice.names, choice.contents))
+            self.finish(path, state, (where, choice.names, choice.contents))
             shutil.rmtree(path.parent.parent)
 
     def _after_power_failure(self, disk: Disk, choice: Choice) -> Path:
@@ -167,8 +225,8 @@ class Laboratory:
         again = append_with(faulty, restarted)
         self.tally.faults_in_recovery += faulty.was_hit
         where = (first, choice.names, choice.contents, second)
-        self.judge(restarted, max(session.acknowledged, again.acknowledged), where)
+        state = self.judge(restarted, max(session.acknowledged, again.acknowledged), where)
         self._fail_power(faulty.disk, max(session.acknowledged, again.acknowledged), [choice], where)
-        self.finish(restarted, where)
+        self.finish(restarted, state, where)
         shutil.rmtree(root)
         shutil.rmtree(path.parent.parent)
