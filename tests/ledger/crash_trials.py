@@ -3,7 +3,7 @@
 import hashlib
 import re
 import shutil
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
@@ -94,14 +94,20 @@ class Session:
     was_killed: bool = False
 
 
-def append_with(faulty: FaultyOs, path: Path, commits: int = INTERRUPTED) -> Session:
+def append_with(faulty: FaultyOs, path: Path, commits: int = INTERRUPTED, acknowledge: Callable[[int], None] | None = None) -> Session:
     """A process opens the ledger and appends what it lacks, and the newest batch once more: it may not have been acknowledged."""
     session = Session()
+
+    def acknowledged(count: int) -> None:
+        session.acknowledged = count
+        if acknowledge is not None:
+            acknowledge(count)
+
     try:
         with encoded_once(), in_place_of_os(faulty), Writer(path, ORIGIN) as writer:
-            session.acknowledged = writer.head.commits
+            acknowledged(writer.head.commits)
             for batch in BATCHES[max(0, session.acknowledged - 1) : commits]:
-                session.acknowledged = writer.append(stage(path, batch)).commits
+                acknowledged(writer.append(stage(path, batch)).commits)
     except Killed:
         session.was_killed = True
     except FsarLedgerError as error:

@@ -122,6 +122,7 @@ class FaultyOs:
         result = None if name == "fsync" else getattr(os, name)(*arguments, **options)
         match name:
             case "open":
+                assert result is not None
                 self._handles[result] = self.disk.opened(Path(arguments[0]), bool(arguments[1] & os.O_CREAT), bool(arguments[1] & os.O_TRUNC))
             case "write":
                 self.disk.written(self._handles.get(arguments[0]), bytes(arguments[1])[:result])

@@ -98,6 +98,7 @@ class Disk:
     def synced(self, node: Node | None) -> None:
         """What the file holds, or the folder names, is durable."""
         if isinstance(node, File):
+            assert not node.is_doomed, "a file was synced again after that had failed; it must be given up"
             node.durable = node.cached
         for change in self._changes:
             change.is_durable = change.is_durable or any(folder is node for folder, _, _ in change.names)
