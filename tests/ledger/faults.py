@@ -57,12 +57,17 @@ class Fault:
 
 
 class FaultyOs:
-    """Stands for the module `os`. `calls` are the names of the counted calls so far, `disk` is the model of what is durable."""
+    """Stands for the module `os`.
+
+    `calls` are the names of the counted calls so far, `disk` is the model of what is durable, `was_hit` whether the
+    fault came, `left_open` how many handles the process had open at its end.
+    """
 
     def __init__(self, root: Path, fault: Fault | None = None, disk: Disk | None = None, really_kills: bool = False):
         self.calls: list[str] = []
         self.disk = disk or Disk(root)
         self.was_hit = False
+        self.left_open = 0
         self._fault = fault
         self._really_kills = really_kills
         self._is_dead = False
@@ -143,6 +148,7 @@ class FaultyOs:
     def end(self) -> None:
         """The process is over: what it had open is closed, and with it go its locks."""
         self._is_dead = True
+        self.left_open = len(self._handles)
         for handle in list(self._handles):
             self._do("close", (handle,), {})
 
