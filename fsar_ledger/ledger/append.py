@@ -161,7 +161,7 @@ class Writer:
         with disk.turn(self._path / COMMITS):
             self._publish(staged, number, data)
             self._settle(staged, number)
-            self._derive(number, tiles, record.note)
+            self._derive(record, tiles)
         self._is_broken = False
         self._last, self._edge, self._previous = record, edge, sha256_hex(data)
         self._head = Head(number + 1, edge.size, record.tree_root, record.last_run)
@@ -208,10 +208,10 @@ class Writer:
             disk.sync_folder(self._path / COMMITS)
             disk.move(staged_path(self._path, staged.segment_sha256), segment_path(self._path, number))
 
-    def _derive(self, number: int, tiles: Mapping[Tile, bytes], note: str) -> None:
+    def _derive(self, record: CommitRecord, tiles: Mapping[Tile, bytes]) -> None:
         """What is derived from the commit is there too, durably. Raises: as `_settle`."""
-        with _unfinished(self._path, number):
-            write_derived(self._path, self._edge, tiles, note)
+        with _unfinished(self._path, record.number):
+            write_derived(self._path, self._edge, tiles, record)
 
 
 @contextmanager

@@ -169,11 +169,12 @@ def remove(path: Path) -> None:
 
 
 def remove_folder(path: Path) -> None:
-    """The folder and the files in it are not there, if the disk lets us."""
-    with suppress(OSError):
+    """The folder and the files in it are gone, durably, even where a process was killed after it had removed them. Raises: OSError."""
+    with suppress(FileNotFoundError):
         for name in os.listdir(path):
             os.unlink(path / name)
         os.rmdir(path)
+    sync_folder(path.parent)
 
 
 def write_files(files: Mapping[Path, bytes], staging: Path) -> None:
@@ -187,7 +188,7 @@ def write_files(files: Mapping[Path, bytes], staging: Path) -> None:
     temporary = temporary_name(staging / "file")
     for path, data in files.items():
         if path.parent not in folders:
-            folders.update(_make_folder(path.parent))
+            folders.update(_make_folder(path.parent, staging.parent))
         write_temporary(temporary, data)
         try:
             os.replace(temporary, path)
@@ -198,15 +199,15 @@ def write_files(files: Mapping[Path, bytes], staging: Path) -> None:
         sync_folder(folder)
 
 
-def _make_folder(path: Path) -> list[Path]:
-    """The folder is there; it and every folder whose names changed for it."""
+def _make_folder(path: Path, top: Path) -> list[Path]:
+    """The folder is there; it and every folder below `top` whose names changed for it, perhaps by a process that was killed before it synced them."""
     changed = [path]
     while not os.path.isdir(changed[-1]):
         changed.append(changed[-1].parent)
     for folder in reversed(changed[:-1]):
         with suppress(FileExistsError):
             os.mkdir(folder)
-    return changed
+    return changed if changed[-1] == top else [*changed, changed[-1].parent]
 
 
 def write_secret(path: Path, data: bytes) -> None:

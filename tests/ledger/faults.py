@@ -19,7 +19,7 @@ import pytest
 
 from tests.ledger.power import Disk, Node
 
-COUNTED = ("open", "read", "write", "fsync", "link", "rename", "replace", "unlink", "mkdir", "close")
+COUNTED = ("open", "read", "write", "fsync", "link", "rename", "replace", "unlink", "mkdir", "rmdir", "close")
 HARMLESS = frozenset(("path", "listdir", "scandir", "stat", "lstat", "fstat", "fspath", "strerror", "getpid", "DirEntry", "PathLike", "SEEK_SET", "error"))
 NEED_ROOM = ("write", "link", "rename", "replace", "mkdir", "fsync")
 """What a full disk refuses, beside creating a file."""
@@ -141,7 +141,7 @@ class FaultyOs:
                 self.disk.linked(Path(arguments[0]), Path(arguments[1]))
             case "rename" | "replace":
                 self.disk.renamed(Path(arguments[0]), Path(arguments[1]))
-            case "unlink":
+            case "unlink" | "rmdir":
                 self.disk.unlinked(Path(arguments[0]))
         return result
 
