@@ -182,7 +182,7 @@ def write_files(files: Mapping[Path, bytes], staging: Path) -> None:
 
     Args:
         files: What each path shall hold.
-        staging: A folder on the same disk, for files on their way.
+        staging: A folder on the same disk, for files on their way. The files' folders are made below the one that it is in.
     """
     folders: set[Path] = set()
     temporary = temporary_name(staging / "file")
@@ -200,14 +200,14 @@ def write_files(files: Mapping[Path, bytes], staging: Path) -> None:
 
 
 def _make_folder(path: Path, top: Path) -> list[Path]:
-    """The folder is there; it and every folder below `top` whose names changed for it, perhaps by a process that was killed before it synced them."""
-    changed = [path]
-    while not os.path.isdir(changed[-1]):
-        changed.append(changed[-1].parent)
-    for folder in reversed(changed[:-1]):
-        with suppress(FileExistsError):
-            os.mkdir(folder)
-    return changed if changed[-1] == top else [*changed, changed[-1].parent]
+    """The folder is there; all folders from `top` down to it, for a process may have been killed before it had synced those it made."""
+    chain = [path, *path.parents]
+    chain = chain[: chain.index(top) + 1][::-1]
+    for folder in chain:
+        if not os.path.isdir(folder):
+            with suppress(FileExistsError):
+                os.mkdir(folder)
+    return chain
 
 
 def write_secret(path: Path, data: bytes) -> None:
@@ -217,8 +217,10 @@ def write_secret(path: Path, data: bytes) -> None:
 
 
 @contextmanager
-def turn(folder: Path) -> Iterator[None]:
-    """Nobody else is in a turn on this folder, where the file system has locks. A process that dies ends its turn.
+def turn(folder: Path, is_shared: bool = False) -> Iterator[None]:
+    """Nobody else is in a turn on this folder, where the file system has locks; with `is_shared` only others who share it.
+
+    A process that dies ends its turn.
 
     Raises: WriteFailed if the folder cannot be opened.
     """
@@ -226,7 +228,7 @@ def turn(folder: Path) -> Iterator[None]:
         handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         with suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_EX)
+            fcntl.flock(handle, fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX)
         yield
     finally:
         close(handle)

@@ -60,6 +60,9 @@ def watch(path: Path, stop: int, say: Callable[[str, object], None]) -> None:
                 say("wrong", f"a reader of {view.head.commits} commits no longer saw the {before.head.commits} that it had seen")
             if before is None or view.head != before.head:
                 say("head", view.head.commits)
+                report = verify(path)
+                if not report.ok:
+                    say("wrong", f"verify, while others append: {'; '.join(map(str, report.problems))}")
             before = view
         if is_last:
             return
