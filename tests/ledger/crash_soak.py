@@ -86,8 +86,9 @@ def soak(folder: Path, kills: int, pairs: int) -> Tally:
     """All of it, with a line on each part."""
     laboratory = Laboratory(folder)
     tally = laboratory.tally
-    (folder / "calls").mkdir()
-    calls = calls_of(folder / "calls", lambda: append_with(FaultyOs(folder / "calls"), folder / "calls" / "ledger"))
+    root = folder / "calls"
+    root.mkdir()
+    calls = calls_of(root, lambda: append_with(FaultyOs(root), root / "out" / "ledger"))
     start = time.monotonic()
 
     def say(text: str) -> None:

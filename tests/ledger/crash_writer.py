@@ -19,7 +19,7 @@ from types import TracebackType
 
 import msgspec
 
-from tests.ledger.crash_trials import INTERRUPTED, append_with
+from tests.ledger.crash_trials import INTERRUPTED, append_with, encode_all
 from tests.ledger.crowd import watch, write
 from tests.ledger.faults import Fault, FaultyOs
 
@@ -162,6 +162,7 @@ class Nursery:
 
 
 if __name__ == "__main__":
+    encode_all()  # once here, not again in each child
     for line in sys.stdin.buffer:
         sys.stdout.buffer.write(msgspec.json.encode(obey(msgspec.json.decode(line, type=Order))) + b"\n")
         sys.stdout.buffer.flush()
