@@ -62,7 +62,8 @@ class Staged(msgspec.Struct, frozen=True):
 def stage(ledger: Path, runs: Sequence[RunRecord]) -> Staged:
     """The rows of these runs are in the ledger's staging folder, durably, and not yet part of the ledger.
 
-    Needs no lock and no order: workers may stage at the same time. The same runs give the same file.
+    Needs no lock and no order: workers may stage at the same time, while a Writer is open; one that is alone when it opens
+    removes what is staged and not committed. The same runs give the same file.
 
     Raises:
         ValueError: There are no runs, or one of them cannot be encoded (see `codec.encode`).
