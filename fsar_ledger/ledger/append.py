@@ -63,7 +63,8 @@ class Staged(msgspec.Struct, frozen=True):
 def stage(ledger: Path, runs: Sequence[RunRecord]) -> Staged:
     """The rows of these runs are in the ledger's staging folder, durably, and not yet part of the ledger.
 
-    Needs no lock and no order: workers may stage at the same time. The same runs give the same file.
+    Needs no lock and no order: workers may stage at the same time, while a Writer is open; one that is alone when it opens
+    removes what is staged and not committed. The same runs give the same file.
 
     Raises:
         ValueError: There are no runs, or one of them cannot be encoded (see `codec.encode`).
@@ -114,6 +115,7 @@ class Writer:
                 fcntl.flock(self._lock, fcntl.LOCK_SH)
             with disk.turn(ledger / COMMITS):
                 view = open_ledger(ledger)
+                _confirm(view)
                 _roll_forward(view)
                 self._edge = catch_up(view)
         except BaseException:
@@ -138,7 +140,7 @@ class Writer:
     def close(self) -> None:
         """The lock is released. What was appended stays."""
         if self._lock >= 0:
-            os.close(self._lock)
+            disk.close(self._lock)
             self._lock = -1
 
     def append(self, staged: Staged) -> Head:
@@ -161,7 +163,7 @@ class Writer:
         with disk.turn(self._path / COMMITS):
             self._publish(staged, number, data)
             self._settle(staged, number)
-            self._derive(number, tiles, record.note)
+            self._derive(record, tiles)
         self._is_broken = False
         self._last, self._edge, self._previous = record, edge, sha256_hex(data)
         self._head = Head(number + 1, edge.size, record.tree_root, record.last_run)
@@ -209,10 +211,10 @@ class Writer:
             disk.sync_folder(self._path / COMMITS)
             disk.move(staged_path(self._path, staged.segment_sha256), segment_path(self._path, number))
 
-    def _derive(self, number: int, tiles: Mapping[Tile, bytes], note: str) -> None:
+    def _derive(self, record: CommitRecord, tiles: Mapping[Tile, bytes]) -> None:
         """What is derived from the commit is there too, durably. Raises: as `_settle`."""
-        with _unfinished(self._path, number):
-            write_derived(self._path, self._edge, tiles, note)
+        with _unfinished(self._path, record.number):
+            write_derived(self._path, self._edge, tiles, record)
 
 
 @contextmanager
@@ -238,11 +240,18 @@ def _lock(ledger: Path) -> tuple[int, bool]:
     return handle, True
 
 
+def _confirm(view: LedgerView) -> None:
+    """Every commit that the view shows is on the disk: whoever made it may have been killed before it was."""
+    for folder in (view.path, view.path / COMMITS):
+        with disk.refusals(folder, "syncing a folder"):
+            disk.sync_folder(folder)
+
+
 def _clean(view: LedgerView) -> None:
-    """Staging holds only segments that a record names. Only for a writer that is alone: others may be staging."""
-    kept = {staged_path(view.path, record.segment_sha256).name for record in view.records}
+    """Staging holds only committed segments that are not yet in place. Only for a writer that is alone: others may be staging."""
+    kept = {path.name for path in view.segments() if path.parent.name == STAGING}
     with disk.refusals(view.path / STAGING, "cleaning up"):
-        (view.path / STAGING).mkdir(exist_ok=True)
+        disk.make_folder(view.path / STAGING)
         leftovers = [entry.path for entry in list(os.scandir(view.path / STAGING)) if entry.name not in kept and entry.is_file(follow_symlinks=False)]
     for leftover in leftovers:
         disk.remove(Path(leftover))
@@ -265,10 +274,11 @@ def _create(ledger: Path, origin: str) -> None:
     temporary = disk.temporary_name(ledger / STAGING / MANIFEST)
     with disk.refusals(ledger, "creating a ledger"):
         if os.path.isdir(ledger) and not _is_unfinished(ledger):
+            if os.path.lexists(ledger / MANIFEST):  # another writer was quicker
+                return
             raise NotALedger(f"{ledger}: found a folder with other things in it, expected a ledger or a free path; give another path")
         for folder in (ledger, ledger / COMMITS, ledger / SEGMENTS, ledger / STAGING):
-            folder.mkdir(parents=folder == ledger, exist_ok=True)
-        disk.sync_folder(ledger.absolute().parent)
+            disk.make_folder(folder)
         disk.write_temporary(temporary, canonical.document(manifest))
         with suppress(FileExistsError):  # another writer was quicker
             disk.link_new(temporary, ledger / MANIFEST)

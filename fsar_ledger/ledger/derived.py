@@ -11,24 +11,28 @@ from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger import disk
 from fsar_ledger.ledger.merkle import Frontier
 from fsar_ledger.ledger.read import LedgerView
-from fsar_ledger.ledger.record import STAGING
-from fsar_ledger.ledger.tiles import HEIGHT, TILE, WIDTH, Edge, Tile, edge_at
+from fsar_ledger.ledger.record import STAGING, CommitRecord
+from fsar_ledger.ledger.tiles import HEIGHT, TILE, WIDTH, Edge, Tile, edge_at, partial_tiles
 
 CHECKPOINT = "checkpoint"
 
 
-def write_derived(ledger: Path, before: Edge, made: Mapping[Tile, bytes], note: str) -> None:
-    """The tiles that `before.extend` made and the checkpoint are there, durably. Doing it twice is as good.
+def write_derived(ledger: Path, before: Edge, made: Mapping[Tile, bytes], record: CommitRecord) -> None:
+    """The tiles that `before.extend` made for this commit and its checkpoint are there, durably. Doing it twice is as good.
 
     Raises:
         OSError: The disk refused; what is missing can be written again.
     """
     disk.write_files({ledger / tile.name: data for tile, data in made.items()}, ledger / STAGING)
-    disk.write_files({ledger / CHECKPOINT: note.encode()}, ledger / STAGING)
-    for level, hashes in enumerate(before.partial):
-        full = Tile(level, (before.size >> HEIGHT * level) // WIDTH)
-        if hashes and full in made:
-            disk.remove_folder(ledger / f"{full.name}.p")
+    disk.write_files({ledger / CHECKPOINT: record.note.encode()}, ledger / STAGING)
+    _remove_outgrown(ledger, before.size, record)
+
+
+def _remove_outgrown(ledger: Path, before: int, record: CommitRecord) -> None:
+    """No partial tile of the tree of `before` events is there, durably, whose full tile came with this commit. Raises: OSError."""
+    for tile in partial_tiles(before):
+        if (tile.number + 1) * WIDTH <= record.tree_size >> HEIGHT * tile.level:
+            disk.remove_folder(ledger / f"{Tile(tile.level, tile.number).name}.p")
 
 
 def catch_up(view: LedgerView) -> Edge:
@@ -42,9 +46,11 @@ def catch_up(view: LedgerView) -> Edge:
         return Edge()
     *earlier, last = view.records
     found = read_checkpoint(view.path)
-    if found == last.note:
-        return edge_at(view.path, last.tree())
     before = earlier[-1] if earlier else None
+    if found == last.note:
+        with disk.refusals(view.path / TILE, "removing outgrown tiles"):
+            _remove_outgrown(view.path, before.tree_size if before else 0, last)
+        return edge_at(view.path, last.tree())
     if found != (before.note if before else None):
         raise LedgerCorrupted(
             f"{view.path / CHECKPOINT}: found {'no file' if found is None else 'another note'}, expected that of the newest commit; run fsar-ledger verify, "
@@ -53,7 +59,7 @@ def catch_up(view: LedgerView) -> Edge:
     edge = edge_at(view.path, before.tree() if before else Frontier())
     with disk.refusals(view.path / TILE, "writing tiles"):
         after, made = edge.extend(view.leaves(len(view.records) - 1))
-        write_derived(view.path, edge, made, last.note)
+        write_derived(view.path, edge, made, last)
     return after
 
 

@@ -1,7 +1,16 @@
-"""Files that are there whole or not at all, and stay there after a power failure."""
+"""Files that are there whole or not at all, and stay there after a power failure.
 
+Every change goes through a plain call of `os`, so that tests can make each one fail, or stop the process there.
+A call that a signal interrupts is repeated by Python itself. A file whose `fsync` failed is given up, never synced
+again: the kernel may have dropped what it could not write, and would call the second attempt a success.
+
+Assumed of the file system: `link` and `rename` happen whole or not at all, also across two folders.
+"""
+
+import errno
 import fcntl
 import os
+import secrets
 import stat
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -17,10 +26,14 @@ MAX_DOCUMENT_BYTES = 1 << 20
 def read_document(path: Path) -> bytes:
     """The bytes of a small regular file. Raises: OSError if it is missing, not a regular file (a link is not), too large or unreadable."""
     handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    with open(handle, "rb") as file:
+    try:
         if not stat.S_ISREG(os.fstat(handle).st_mode):
             raise OSError(0, "it is not a regular file")
-        data = file.read(MAX_DOCUMENT_BYTES + 1)
+        data = b""
+        while part := os.read(handle, MAX_DOCUMENT_BYTES + 1 - len(data)):
+            data += part
+    finally:
+        close(handle)
     if len(data) > MAX_DOCUMENT_BYTES:
         raise OSError(0, f"it is larger than {MAX_DOCUMENT_BYTES} bytes")
     return data
@@ -42,7 +55,34 @@ def sync_folder(folder: Path) -> None:
     try:
         os.fsync(handle)
     finally:
+        close(handle)
+
+
+def close(handle: int) -> None:
+    """The handle, through which nothing was written, is closed; what the disk says to that does not matter."""
+    with suppress(OSError):
         os.close(handle)
+
+
+def make_folder(folder: Path) -> None:
+    """The folder is there, durably, with those above it. A process may have been killed right after it made the lowest that is there.
+
+    Raises: OSError if one of them cannot be made.
+    """
+    folder = folder.absolute()
+    missing: list[Path] = []
+    while not folder.is_dir():
+        missing.append(folder)
+        folder = folder.parent
+    with suppress(PermissionError):  # whoever made this one could open the folder above
+        sync_folder(folder.parent)
+    for one in reversed(missing):
+        try:
+            os.mkdir(one)
+        except FileExistsError:  # another process was quicker
+            if not one.is_dir():
+                raise
+        sync_folder(one.parent)
 
 
 def write_durably(path: Path, data: bytes | memoryview) -> None:
@@ -57,34 +97,63 @@ def write_durably(path: Path, data: bytes | memoryview) -> None:
 
 
 def temporary_name(path: Path) -> Path:
-    """A name beside this one that no other process uses."""
-    return path.with_name(f"{path.name}.{os.getpid()}{TEMPORARY}")
+    """A name beside this one that nobody uses: process numbers would be the same in two containers on one volume."""
+    return path.with_name(f"{path.name}.{secrets.token_hex(8)}{TEMPORARY}")
 
 
 def write_temporary(path: Path, data: bytes | memoryview) -> None:
-    """The file holds these bytes and they are on the disk, its name not yet. Left out again when that fails."""
+    """The new file holds these bytes and they are on the disk, its name not yet. It is left out again when that fails."""
+    _write_new(path, data, 0o666)
+
+
+def _write_new(path: Path, data: bytes | memoryview, mode: int) -> None:
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, mode)
     try:
-        with path.open("wb") as file:
-            file.write(data)
-            file.flush()
-            os.fsync(file.fileno())
+        try:
+            _write_all(handle, data)
+            os.fsync(handle)
+        finally:
+            os.close(handle)
     except BaseException:
         remove(path)
         raise
 
 
+def _write_all(handle: int, data: bytes | memoryview) -> None:
+    rest = memoryview(data).cast("B")
+    while rest:
+        written = os.write(handle, rest)  # the disk may take only a part
+        if written == 0:
+            raise OSError(errno.EIO, "the disk took no more bytes")
+        rest = rest[written:]
+
+
 def link_new(temporary: Path, path: Path) -> None:
-    """The file has its name; the temporary one is gone in any case. Raises: FileExistsError if the name was taken."""
+    """The file has its name; the temporary one is gone in any case. Raises: FileExistsError if another file has the name."""
     try:
         os.link(temporary, path)
+    except OSError as error:
+        if _is_same(temporary, path):  # a network file system may link and yet report a failure
+            return
+        if isinstance(error, FileNotFoundError) and os.path.lexists(path):  # who was quicker has cleaned up already
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path)) from error
+        raise
     finally:
         remove(temporary)
+
+
+def _is_same(one: Path, other: Path) -> bool:
+    """Whether both names are there and of one file."""
+    try:
+        return os.path.samestat(one.lstat(), other.lstat())
+    except OSError:
+        return False
 
 
 def move(source: Path, path: Path) -> None:
     """The file has changed its name, durably. That somebody else has moved it already is as good."""
     try:
-        source.rename(path)
+        os.rename(source, path)
     except FileNotFoundError:
         if not path.exists():
             raise
@@ -96,15 +165,16 @@ def move(source: Path, path: Path) -> None:
 def remove(path: Path) -> None:
     """The file is not there, if the disk lets us."""
     with suppress(OSError):
-        path.unlink()
+        os.unlink(path)
 
 
 def remove_folder(path: Path) -> None:
-    """The folder and the files in it are not there, if the disk lets us."""
-    with suppress(OSError):
+    """The folder and the files in it are gone, durably, even where a process was killed after it had removed them. Raises: OSError."""
+    with suppress(FileNotFoundError):
         for name in os.listdir(path):
             os.unlink(path / name)
         os.rmdir(path)
+    sync_folder(path.parent)
 
 
 def write_files(files: Mapping[Path, bytes], staging: Path) -> None:
@@ -112,47 +182,53 @@ def write_files(files: Mapping[Path, bytes], staging: Path) -> None:
 
     Args:
         files: What each path shall hold.
-        staging: A folder on the same disk, for files on their way.
+        staging: A folder on the same disk, for files on their way. The files' folders are made below the one that it is in.
     """
     folders: set[Path] = set()
     temporary = temporary_name(staging / "file")
     for path, data in files.items():
         if path.parent not in folders:
-            folders.update(_make_folder(path.parent))
+            folders.update(_make_folder(path.parent, staging.parent))
         write_temporary(temporary, data)
-        os.replace(temporary, path)
+        try:
+            os.replace(temporary, path)
+        except BaseException:
+            remove(temporary)
+            raise
     for folder in folders:
         sync_folder(folder)
 
 
-def _make_folder(path: Path) -> list[Path]:
-    """The folder is there; it and every folder whose names changed for it."""
-    changed = [path]
-    while not os.path.isdir(changed[-1]):
-        changed.append(changed[-1].parent)
-    for folder in reversed(changed[:-1]):
-        with suppress(FileExistsError):
-            os.mkdir(folder)
-    return changed
+def _make_folder(path: Path, top: Path) -> list[Path]:
+    """The folder is there; all folders from `top` down to it, for a process may have been killed before it had synced those it made."""
+    chain = [path, *path.parents]
+    chain = chain[: chain.index(top) + 1][::-1]
+    for folder in chain:
+        if not os.path.isdir(folder):
+            with suppress(FileExistsError):
+                os.mkdir(folder)
+    return chain
 
 
 def write_secret(path: Path, data: bytes) -> None:
-    """The new file holds these bytes, and only its owner may read it. Raises: FileExistsError if the name is taken."""
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600)
-    with open(handle, "wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(handle)
+    """The new file holds these bytes, durably, and only its owner may read it. Raises: FileExistsError if the name is taken."""
+    _write_new(path, data, 0o600)
     sync_folder(path.parent)
 
 
 @contextmanager
-def turn(folder: Path) -> Iterator[None]:
-    """Nobody else is in a turn on this folder, where the file system has locks. A process that dies ends its turn."""
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+def turn(folder: Path, is_shared: bool = False) -> Iterator[None]:
+    """Nobody else is in a turn on this folder, where the file system has locks; with `is_shared` only others who share it.
+
+    A process that dies ends its turn.
+
+    Raises: WriteFailed if the folder cannot be opened.
+    """
+    with refusals(folder, "locking"):
+        handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     try:
         with suppress(OSError):
-            fcntl.flock(handle, fcntl.LOCK_EX)
+            fcntl.flock(handle, fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX)
         yield
     finally:
-        os.close(handle)
+        close(handle)

@@ -15,6 +15,7 @@ from fsar_ledger.ledger.record import (
     MANIFEST,
     CommitRecord,
     Manifest,
+    commit_name,
     commit_path,
     contradictions,
     parse_manifest,
@@ -163,10 +164,22 @@ def _read(file: Path) -> bytes:
 def _count(path: Path) -> int:
     """How many commits there are. Raises: LedgerCorrupted if their numbers have gaps or other files are among them."""
     try:
-        names = sorted(os.listdir(path / COMMITS))
+        names = commit_names(path)
     except OSError as error:
         raise LedgerCorrupted(f"{path / COMMITS}: the folder cannot be read ({error.strerror}), expected one record a commit; restore it") from error
     for number, name in enumerate(names):
-        if name != f"{number:012d}.json":
-            raise LedgerCorrupted(f"{path / COMMITS}: found {name}, expected {number:012d}.json; restore the missing record or take the stray file away")
+        if name != commit_name(number):
+            raise LedgerCorrupted(f"{path / COMMITS}: found {name}, expected {commit_name(number)}; restore the missing record or take the stray file away")
     return len(names)
+
+
+def commit_names(path: Path) -> list[str]:
+    """What is in the folder of the commit records, sorted. Raises: OSError if it cannot be listed.
+
+    A listing may lack a commit that is made meanwhile, and yet hold a later one: then the folder is listed again.
+    """
+    while True:
+        names = sorted(os.listdir(path / COMMITS))
+        lacking = set(map(commit_name, range(len(names)))).difference(names)
+        if not any(os.path.lexists(path / COMMITS / name) for name in lacking):
+            return names

@@ -66,9 +66,14 @@ class CommitRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return parse_note(where, self.note)
 
 
+def commit_name(number: int) -> str:
+    """The name of the record of this commit within its folder."""
+    return f"{number:012d}.json"
+
+
 def commit_path(ledger: Path, number: int) -> Path:
     """Where the record of this commit is."""
-    return ledger / COMMITS / f"{number:012d}.json"
+    return ledger / COMMITS / commit_name(number)
 
 
 def segment_path(ledger: Path, number: int) -> Path:

@@ -14,12 +14,13 @@ from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.errors import NotALedger
-from fsar_ledger.ledger import merkle
+from fsar_ledger.errors import FsarLedgerError, NotALedger
+from fsar_ledger.ledger import disk, merkle
+from fsar_ledger.ledger.derived import read_checkpoint
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.note import VerifierKey
 from fsar_ledger.ledger.problem import Problem, unexpected
-from fsar_ledger.ledger.record import COMMITS, MANIFEST, SEGMENTS, CommitRecord, sha256_hex
+from fsar_ledger.ledger.record import COMMITS, MANIFEST, SEGMENTS, STAGING, CommitRecord, sha256_hex
 from fsar_ledger.ledger.tiles import Edge
 from fsar_ledger.ledger.verify_commits import Commit, check_folder, check_manifest, check_record, check_strays, read_commits, segment_file
 from fsar_ledger.ledger.verify_derived import TileCheck, check_checkpoint
@@ -69,7 +70,8 @@ class VerifyReport(msgspec.Struct, frozen=True):
 def verify(path: Path, workers: int = 1, progress: Progress | None = None, asked: Asked | None = None) -> VerifyReport:
     """Every field of every record was derived again, and every difference is a problem of the report.
 
-    Damage never raises, whatever the files hold. Symbolic links are refused as damage.
+    Damage never raises, whatever the files hold. Symbolic links are refused as damage. Where a writer is at work and what
+    was read does not fit together, the writer waits while all is read once more.
 
     Args:
         path: The directory of the ledger.
@@ -82,7 +84,25 @@ def verify(path: Path, workers: int = 1, progress: Progress | None = None, asked
     """
     if not os.path.isdir(path) or not any(os.path.lexists(path / name) for name in (MANIFEST, COMMITS, SEGMENTS)):
         raise NotALedger(f"{path}: found no ledger there, expected its directory; give the path that `fsar-ledger simulate` wrote to")
-    verification = _Verification(path, asked or Asked())
+    before = _moment(path)
+    report = _look(path, workers, progress, asked or Asked())
+    if not report.ok and _moment(path) != before:  # a writer was at work: what was read late need not fit what was read early
+        with disk.turn(path / COMMITS, is_shared=True):
+            report = _look(path, workers, progress, asked or Asked())
+    return report
+
+
+def _moment(path: Path) -> tuple[list[str], list[str], str | None] | None:
+    """What changes while a writer is at work; None where it cannot be read."""
+    try:
+        return sorted(os.listdir(path / COMMITS)), sorted(os.listdir(path / STAGING)), read_checkpoint(path)
+    except (OSError, FsarLedgerError):
+        return None
+
+
+def _look(path: Path, workers: int, progress: Progress | None, asked: Asked) -> VerifyReport:
+    """One look at the whole ledger. Never raises."""
+    verification = _Verification(path, asked)
     try:
         return verification.run(max(1, workers), progress)
     except (Exception, RecursionError) as error:  # a check that fails in a way nobody thought of is still a finding

@@ -12,6 +12,7 @@ from fsar_ledger.ledger import disk
 from fsar_ledger.ledger.derived import CHECKPOINT
 from fsar_ledger.ledger.merkle import Frontier
 from fsar_ledger.ledger.problem import Problem, unexpected
+from fsar_ledger.ledger.read import commit_names
 from fsar_ledger.ledger.record import (
     COMMITS,
     MANIFEST,
@@ -76,12 +77,12 @@ def check_manifest(path: Path, problems: list[Problem]) -> tuple[str | None, str
 def read_commits(path: Path, problems: list[Problem]) -> list[Commit]:
     """Every commit from 0 to the last whose record exists; gaps and strays are problems."""
     numbers = set()
-    for entry in entries(path / COMMITS):
-        stem, _, suffix = entry.name.partition(".")
+    for name in commit_names(path) if entries(path / COMMITS) else ():
+        stem, _, suffix = name.partition(".")
         if suffix == "json" and len(stem) == 12 and stem.isascii() and stem.isdecimal():
             numbers.add(int(stem))
         else:
-            problems.append(Problem(f"{COMMITS}/{entry.name}", "a stray file", "only records NNNNNNNNNNNN.json"))
+            problems.append(Problem(f"{COMMITS}/{name}", "a stray file", "only records NNNNNNNNNNNN.json"))
     count = len(numbers)
     gaps = sorted(numbers - set(range(count)))
     problems += [Problem(f"{COMMITS}/{number:012d}.json", f"number {number}", f"numbers below {count}, without gaps", commit=number) for number in gaps]

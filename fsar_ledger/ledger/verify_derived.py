@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted
@@ -109,8 +110,9 @@ class TileCheck:
         """Every file under `tile/`, links and other things among them."""
         folders = [self._ledger / TILE] if (self._ledger / TILE).is_dir() else []
         while folders:
-            for entry in os.scandir(folders.pop()):
-                if entry.is_dir(follow_symlinks=False):
-                    folders.append(Path(entry.path))
-                else:
-                    yield str(Path(entry.path).relative_to(self._ledger))
+            with suppress(FileNotFoundError):  # a writer has removed outgrown tiles in between
+                for entry in os.scandir(folders.pop()):
+                    if entry.is_dir(follow_symlinks=False):
+                        folders.append(Path(entry.path))
+                    else:
+                        yield str(Path(entry.path).relative_to(self._ledger))

@@ -1,16 +1,168 @@
-"""A process that appends batches one by one, says so, and is killed by test_crash.py in the middle."""
+"""A nursery of processes that append to ledgers and are killed: `python -m tests.ledger.crash_writer` answers each line it is sent with one.
 
+It forks its children, so that one costs milliseconds; it has imported everything and started no threads.
+"""
+
+import json
+import os
+import select
+import signal
+import subprocess
 import sys
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from types import TracebackType
 
-from fsar_ledger.ledger.append import Writer, stage
-from tests.ledger.samples import ORIGIN, made_up_batches
+import msgspec
+
+from tests.ledger.crash_trials import INTERRUPTED, append_with, encode_all
+from tests.ledger.crowd import watch, write
+from tests.ledger.faults import Fault, FaultyOs
+
+STUCK_AFTER_S = 120
+
+
+class Order(msgspec.Struct, frozen=True):
+    """What the nursery is to do at a path: these writers append so many batches of their own each, while so many readers watch.
+
+    `kill_after_us` has a moment for each writer that is killed, counted from its start. With a fault, one process
+    appends the batches of the trials and is killed at that call.
+    """
+
+    path: str
+    writers: tuple[str, ...] = ()
+    batches: int = 0
+    readers: int = 0
+    kill_after_us: tuple[int, ...] = ()
+    fault_at: int | None = None
+    fault_kind: str = "killed"
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """What became of it: batches acknowledged by writer, processes killed, heads that readers saw, conflicts met, and all that was wrong."""
+
+    acknowledged: dict[str, int]
+    killed: int
+    heads: int
+    conflicts: tuple[str, ...]
+    wrong: tuple[str, ...]
+
+
+def _child(work: Callable[[Callable[[str, object], None]], None], name: str, pipe: int) -> int:
+    """A forked process does the work, says what happens through the pipe, and ends. Returns its process number."""
+    number = os.fork()
+    if number:
+        return number
+    signal.alarm(STUCK_AFTER_S)
+
+    def say(what: str, value: object) -> None:
+        short = value if isinstance(value, int) else str(value)[-1500:]
+        os.write(pipe, json.dumps([name, what, short]).encode() + b"\n")
+
+    try:
+        work(say)
+    except BaseException:
+        say("wrong", traceback.format_exc())
+    finally:
+        os._exit(0)
+
+
+def obey(order: Order) -> Outcome:
+    """The order was carried out; no child is left."""
+    path = Path(order.path)
+    listen, pipe = os.pipe()
+    stop, stopper = os.pipe()
+    readers = [_child(partial(_watch_until, stopper, path, stop), f"reader {number}", pipe) for number in range(order.readers)]
+    start = time.monotonic_ns()
+    if order.fault_at is not None:
+        fault = Fault(order.fault_at, order.fault_kind)
+        writers = [_child(partial(_fail, path, fault), "trial", pipe)]
+    else:
+        writers = [_child(partial(write, path, name, order.batches), name, pipe) for name in order.writers]
+    os.close(pipe)
+    os.close(stop)
+    for moment, number in sorted(zip(order.kill_after_us, writers, strict=False)):
+        time.sleep(max(0, start + moment * 1000 - time.monotonic_ns()) / 1e9)
+        os.kill(number, signal.SIGKILL)
+    lines, ends = _gather(listen, writers, stopper, readers)
+    said = [json.loads(line) for line in lines.splitlines()]
+    acknowledged = Counter[str]()
+    for name, what, value in said:
+        if what == "acknowledged":
+            acknowledged[name] = max(acknowledged[name], value)
+    wrong = [f"{name}: {value}" for name, what, value in said if what == "wrong"]
+    wrong += [f"a process ended by signal {end}" for end in ends if end not in (0, signal.SIGKILL)]
+    conflicts = tuple(value for _, what, value in said if what == "conflict")
+    return Outcome(dict(acknowledged), ends.count(signal.SIGKILL), sum(what == "head" for _, what, _ in said), conflicts, tuple(wrong))
+
+
+def _watch_until(stopper: int, path: Path, stop: int, say: Callable[[str, object], None]) -> None:
+    os.close(stopper)
+    watch(path, stop, say)
+
+
+def _fail(path: Path, fault: Fault, say: Callable[[str, object], None]) -> None:
+    append_with(FaultyOs(path.parent.parent, fault, really_kills=True), path, INTERRUPTED, lambda commits: say("acknowledged", commits))
+
+
+def _gather(listen: int, writers: list[int], stopper: int, readers: list[int]) -> tuple[bytes, list[int]]:
+    """All that the children said, and the signal that ended each (0: none); readers are told to stop when the writers have ended."""
+    said = b""
+    waiting = list(writers)
+    ends = []
+    while True:
+        if select.select([listen], [], [], 0.002)[0]:
+            part = os.read(listen, 1 << 16)
+            if not part:
+                break
+            said += part
+        for number in list(waiting):
+            done, status = os.waitpid(number, os.WNOHANG)
+            if done:
+                waiting.remove(number)
+                ends.append(os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0)
+        if not waiting and stopper >= 0:
+            os.close(stopper)
+            stopper = -1
+    for number in [*waiting, *readers]:
+        status = os.waitpid(number, 0)[1]
+        ends.append(os.WTERMSIG(status) if os.WIFSIGNALED(status) else 0)
+    if stopper >= 0:
+        os.close(stopper)
+    os.close(listen)
+    return said, ends
+
+
+class Nursery:
+    """A nursery of its own process, for tests that have threads and may not fork. Use as a context manager."""
+
+    def __enter__(self) -> "Nursery":
+        command = [sys.executable, "-m", "tests.ledger.crash_writer"]
+        self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.close()
+        self._process.stdout.close()
+        self._process.wait()
+
+    def __call__(self, order: Order) -> Outcome:
+        """What became of the order."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(msgspec.json.encode(order) + b"\n")
+        self._process.stdin.flush()
+        return msgspec.json.decode(self._process.stdout.readline(), type=Outcome)
+
 
 if __name__ == "__main__":
-    path, commits = Path(sys.argv[1]), int(sys.argv[2])
-    batches = made_up_batches(commits)
-    print("ready", flush=True)
-    with Writer(path, ORIGIN) as writer:
-        for batch in batches[writer.head.commits :]:
-            head = writer.append(stage(path, batch))
-            print(head.commits, flush=True)
+    encode_all()  # once here, not again in each child
+    for line in sys.stdin.buffer:
+        sys.stdout.buffer.write(msgspec.json.encode(obey(msgspec.json.decode(line, type=Order))) + b"\n")
+        sys.stdout.buffer.flush()

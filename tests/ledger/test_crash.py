@@ -1,133 +1,147 @@
+"""An append that is interrupted at any call, in any way, and the recovery from it; `python -m tests.ledger.crash_soak` tries all."""
+
+import errno
 import os
 import random
 import resource
-import shutil
 import signal
-import subprocess
-import sys
-import time
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
-from fsar_ledger.errors import WriteFailed
-from fsar_ledger.ledger import append, disk
+from fsar_ledger.errors import FsarLedgerError, WriteFailed
+from fsar_ledger.ledger import append
 from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.verify import verify
-from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
-
-COMMITS = 5
-BATCHES = made_up_batches(COMMITS)
-
-
-@pytest.fixture(scope="module")
-def uninterrupted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    path = tmp_path_factory.mktemp("reference") / "ledger"
-    append_all(path, BATCHES)
-    return contents(path)
+from tests.ledger.crash_trials import BATCHES, COMMITS, INTERRUPTED, Laboratory, Session, append_with
+from tests.ledger.crash_writer import Nursery, Order
+from tests.ledger.crowd import NAMES, judge
+from tests.ledger.faults import KINDS, OF_WRITES, REFUSED, Fault, FaultyOs, calls_of, faults_at
+from tests.ledger.power import choices
+from tests.ledger.samples import ORIGIN, append_all, contents
 
 
-def finish_and_compare(path: Path, acknowledged: int, expected: dict[str, bytes]) -> None:
-    """After any interruption: what was acknowledged is there, readers see a whole ledger, and going on gives the same bytes."""
-    if (path / "ledger.json").exists():
-        view = open_ledger(path)
-        assert view.head.commits >= acknowledged
-        assert list(view.runs()) == [run for batch in BATCHES[: view.head.commits] for run in batch]
-        report = verify(path)
-        assert report.ok, report.problems
-    else:
-        assert acknowledged == 0
-    with Writer(path, ORIGIN) as writer:
-        done = writer.head.commits
-    append_all(path, BATCHES[max(0, done - 1) :])  # the last one once more: it may have been committed without being acknowledged
-    assert contents(path) == expected
+@pytest.fixture
+def laboratory(tmp_path: Path) -> Laboratory:
+    return Laboratory(tmp_path)
 
 
-def test_killed_at_any_moment_a_writer_loses_nothing_acknowledged(tmp_path: Path, uninterrupted: dict[str, bytes]) -> None:
+@pytest.fixture
+def calls(tmp_path: Path) -> list[str]:
+    """The calls of two appends to a new ledger."""
+    root = tmp_path / "calls"
+    root.mkdir()
+    return calls_of(root, lambda: append_with(FaultyOs(root), root / "out" / "ledger"))
+
+
+def one_fault_a_call(calls: list[str]) -> Iterator[Fault]:
+    """At each call a kill or another kind of fault, taken in turn."""
+    for at, name in enumerate(calls):
+        kinds = [kind for kind in KINDS if name == "write" or kind not in OF_WRITES]
+        yield Fault(at, kinds[at // 2 % len(kinds)] if at % 2 else "killed")
+
+
+def says_what_to_do(error: FsarLedgerError, fault: Fault, path: Path) -> bool:
+    """Whether the message names a path, the reason that the disk gave, and a way out."""
+    code = REFUSED.get(fault.kind) or (errno.ENOSPC if fault.kind in ("disk-full", "short-write-no-space") else errno.EIO)
+    message = str(error)
+    way_out = ("run it again", "run the same command again", "restore it")
+    return message.startswith(str(path)) and os.strerror(code) in message and message.endswith(way_out)
+
+
+def test_a_fault_at_any_call_loses_nothing_acknowledged_and_the_power_may_fail_after_it(laboratory: Laboratory, calls: list[str]) -> None:
+    for number, fault in enumerate(one_fault_a_call(calls)):
+        (session,) = laboratory.trial([fault], choices(number, 1)[number % 3 :: 3])
+        assert session.was_killed == fault.ends_the_process
+    assert laboratory.tally.complaints == []
+    assert laboratory.tally.faults == len(calls)
+    assert laboratory.tally.power_failures > 2 * len(calls)
+
+
+def test_a_fault_during_the_recovery_loses_nothing_either(laboratory: Laboratory, calls: list[str]) -> None:
+    draw = random.Random(5)
+    faults = list(faults_at(calls))
+    for number in range(40):
+        first, second = draw.choice(faults), Fault(draw.randrange(50), draw.choice(("killed", "io-error", "disk-full", "io-error-after")))
+        laboratory.trial([first, second], choices(number, 1)[-1:])
+        laboratory.trial_after_power_failure(first, draw.choice(choices(number, 2)), second)
+    assert laboratory.tally.complaints == []
+    assert laboratory.tally.faults_in_recovery > 50
+
+
+def test_every_kind_of_refusal_is_one_clear_error(tmp_path: Path, calls: list[str]) -> None:
+    met = Counter[str]()
+    for number, fault in enumerate(fault for fault in faults_at(calls) if not fault.ends_the_process):
+        if number % 3:
+            continue
+        root = tmp_path / str(number)
+        root.mkdir()
+        session: Session = append_with(FaultyOs(root, fault), root / "out" / "ledger")  # anything but our own errors escapes from it
+        if session.error is not None:
+            met[fault.kind] += 1
+            assert says_what_to_do(session.error, fault, root), (fault, session.error)
+        else:
+            assert session.acknowledged == INTERRUPTED
+    assert met.keys() == set(KINDS) - {"short-write", "killed", "killed-in-write"}
+    assert min(met.values()) >= 1
+
+
+def test_a_write_that_the_disk_takes_in_parts_is_continued(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write = os.write
+    monkeypatch.setattr(os, "write", lambda handle, data: write(handle, bytes(data)[:1000]))
+    append_all(tmp_path / "parts", BATCHES[:1])
+    monkeypatch.undo()
+    append_all(tmp_path / "whole", BATCHES[:1])
+    assert contents(tmp_path / "parts") == contents(tmp_path / "whole")
+
+
+def test_a_disk_that_takes_nothing_and_says_nothing_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "write", lambda handle, data: 0)
+    with pytest.raises(WriteFailed, match="the disk took no more bytes"):
+        Writer(tmp_path / "ledger", ORIGIN)
+
+
+def test_signals_interrupt_no_append(tmp_path: Path) -> None:
+    rings = Counter[int]()
+    before = signal.signal(signal.SIGALRM, lambda number, frame: rings.update([number]))
+    signal.setitimer(signal.ITIMER_REAL, 0.0005, 0.0005)
+    try:
+        append_all(tmp_path / "interrupted", BATCHES)
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
+    append_all(tmp_path / "calm", BATCHES)
+    assert rings[signal.SIGALRM] > 10
+    assert contents(tmp_path / "interrupted") == contents(tmp_path / "calm")
+
+
+def test_a_process_really_killed_at_a_call_loses_nothing(laboratory: Laboratory, calls: list[str], tmp_path: Path) -> None:
+    with Nursery() as nursery:
+        for at in range(0, len(calls), 7):
+            path = tmp_path / f"killed-{at}" / "out" / "ledger"
+            path.parent.parent.mkdir()
+            outcome = nursery(Order(str(path), fault_at=at))
+            assert (outcome.killed, outcome.wrong) == (1, ())
+            state = laboratory.judge(path, outcome.acknowledged.get("trial", 0), at)
+            laboratory.finish(path, state, at)
+    assert laboratory.tally.complaints == []
+
+
+def test_processes_killed_at_random_moments_lose_nothing(tmp_path: Path) -> None:
     moments = random.Random(7)
-    seen = set()
-    for trial in range(20):
-        path = tmp_path / str(trial)
-        with subprocess.Popen([sys.executable, "-m", "tests.ledger.crash_writer", str(path), str(COMMITS)], stdout=subprocess.PIPE, text=True) as process:
-            assert process.stdout is not None
-            assert process.stdout.readline() == "ready\n"
-            time.sleep(moments.uniform(0, 0.12))
-            os.kill(process.pid, signal.SIGKILL)
-            said = process.stdout.read().split()
-        seen.add(len(said))
-        finish_and_compare(path, len(said), uninterrupted)
-        shutil.rmtree(path)
-    assert len(seen) > 1, "every kill came at the same moment; widen the range of delays"
-
-
-class Stop(BaseException):
-    """The process ends here."""
-
-
-STEPS = ("sync_folder", "write_temporary", "link_new", "move", "remove")
-
-
-@contextmanager
-def stopping_at(count: int, monkeypatch: pytest.MonkeyPatch, error: BaseException) -> Iterator[Callable[[], bool]]:
-    """The step on the disk with this number does not happen, nor any after it."""
-    done = [0]
-
-    def stops(step: Callable[..., object]) -> Callable[..., object]:
-        def run(*arguments: object) -> object:
-            done[0] += 1
-            if done[0] > count:
-                raise error
-            return step(*arguments)
-
-        return run
-
-    with monkeypatch.context() as patch:
-        for name in STEPS:
-            patch.setattr(disk, name, stops(getattr(disk, name)))
-        yield lambda: done[0] > count
-
-
-def test_stopped_before_every_single_step_on_the_disk_a_writer_can_go_on(
-    tmp_path: Path, uninterrupted: dict[str, bytes], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for count in range(200):
-        path = tmp_path / str(count)
-        acknowledged = 0
-        with stopping_at(count, monkeypatch, Stop()) as was_stopped:
-            try:
-                with Writer(path, ORIGIN) as writer:
-                    for batch in BATCHES[:2]:
-                        acknowledged = writer.append(stage(path, batch)).commits
-            except Stop:
-                pass
-        finish_and_compare(path, acknowledged, uninterrupted)
-        if not was_stopped():
-            assert count > 20
-            return
-    pytest.fail("the writer never came to its end")
-
-
-def test_a_disk_that_refuses_any_single_step_gives_one_clear_error(tmp_path: Path, uninterrupted: dict[str, bytes], monkeypatch: pytest.MonkeyPatch) -> None:
-    messages: list[str] = []
-    for count in range(200):
-        path = tmp_path / str(count)
-        acknowledged = 0
-        with stopping_at(count, monkeypatch, OSError(28, "No space left on device")) as was_stopped:
-            try:
-                with Writer(path, ORIGIN) as writer:
-                    for batch in BATCHES[:2]:
-                        acknowledged = writer.append(stage(path, batch)).commits
-            except WriteFailed as error:
-                messages.append(str(error))
-        finish_and_compare(path, acknowledged, uninterrupted)
-        if not was_stopped():
-            assert len(messages) == count > 20
-            assert all("No space left on device" in message for message in messages)
-            return
-    pytest.fail("the writer never came to its end")
+    killed = 0
+    with Nursery() as nursery:
+        for ledger in range(4):
+            path = tmp_path / str(ledger)
+            for batches in range(2, 10, 2):  # the ledger is killed again and again while it grows
+                order = Order(str(path), NAMES[:2], batches, kill_after_us=(moments.randrange(150_000), moments.randrange(150_000)))
+                outcome = nursery(order)
+                killed += outcome.killed
+                assert outcome.wrong == ()
+                assert judge(path, outcome.acknowledged) == []
+    assert killed > 5, "most processes had ended before they were killed; give them more to do"
 
 
 @contextmanager
@@ -151,7 +165,7 @@ def test_a_segment_that_the_disk_has_no_room_for_leaves_nothing_behind(tmp_path:
         assert contents(path) == before
 
 
-def test_a_record_that_the_disk_has_no_room_for_commits_nothing(tmp_path: Path, uninterrupted: dict[str, bytes]) -> None:
+def test_a_record_that_the_disk_has_no_room_for_commits_nothing(laboratory: Laboratory, tmp_path: Path) -> None:
     path = tmp_path / "ledger"
     append_all(path, BATCHES[:1])
     before = contents(path)
@@ -162,12 +176,14 @@ def test_a_record_that_the_disk_has_no_room_for_commits_nothing(tmp_path: Path, 
         with pytest.raises(WriteFailed, match="broken"):
             writer.append(staged)
     assert {name: data for name, data in contents(path).items() if not name.startswith("staging/")} == before
-    finish_and_compare(path, 1, uninterrupted)
+    append_all(path, BATCHES[1:COMMITS])
+    assert contents(path) == laboratory.reference
 
 
-def test_a_ledger_that_the_disk_has_no_room_for_can_be_created_later(tmp_path: Path, uninterrupted: dict[str, bytes]) -> None:
+def test_a_ledger_that_the_disk_has_no_room_for_can_be_created_later(laboratory: Laboratory, tmp_path: Path) -> None:
     path = tmp_path / "ledger"
     with files_of_at_most(10), pytest.raises(WriteFailed, match="creating a ledger failed: File too large"):
         append.Writer(path, ORIGIN)
     assert contents(path) == {}
-    finish_and_compare(path, 0, uninterrupted)
+    append_all(path, BATCHES)
+    assert contents(path) == laboratory.reference

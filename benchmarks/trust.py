@@ -1,0 +1,126 @@
+"""What trust costs: verifying beside hashing the same bytes, and hashing and tiles beside simulating; prints the ratios.
+
+python benchmarks/trust.py              2.8 million events
+python benchmarks/trust.py --runs 20    a small run
+"""
+
+import argparse
+import hashlib
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+
+sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
+
+from benchmarks.metrics import experiment
+from fsar_ledger.ledger import append, canonical, codec
+from fsar_ledger.ledger.read import LedgerView, open_ledger
+from fsar_ledger.ledger.segment import read_table
+from fsar_ledger.ledger.tiles import Edge
+from fsar_ledger.ledger.verify import Asked, verify
+from fsar_ledger.runtime.experiment import simulate
+
+
+def leaf_bytes(view: LedgerView) -> list[list[bytes]]:
+    """The canonical bytes of all rows, each after its 0x00, by segment."""
+    return [canonical.from_table(read_table(path)) for path in view.segments()]
+
+
+def hash_and_read(view: LedgerView, rows: list[list[bytes]]) -> None:
+    """The alternative: hashlib over the same leaf bytes, and a Parquet read of the same rows, on one core."""
+    for lines in rows:
+        for line in lines:
+            hashlib.sha256(line).digest()
+    for path in view.segments():
+        pq.read_table(path, use_threads=False)
+
+
+def hash_files(ledger: Path) -> None:
+    """The alternative to a quick look: hashlib over the records and segments, on one core."""
+    for path in [*(ledger / "commits").iterdir(), *(ledger / "segments").iterdir()]:
+        with path.open("rb") as file:
+            hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def ratio(work: Callable[[], object], alternative: Callable[[], object], repeats: int) -> tuple[float, float, float]:
+    """The median of the paired ratios, and the best seconds of each side."""
+    pairs = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        work()
+        between = time.perf_counter()
+        alternative()
+        pairs.append((between - began, time.perf_counter() - between))
+    return statistics.median(one / other for one, other in pairs), min(one for one, _ in pairs), min(other for _, other in pairs)
+
+
+class Clock:
+    """Seconds spent in some functions while they are wrapped; time inside another wrapped one counts once."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+        self._depth = 0
+
+    def wrap(self, holder: Any, name: str) -> Callable[[], None]:
+        """The function is timed until the returned one is called."""
+        original = getattr(holder, name)
+
+        def timed(*arguments: Any, **named: Any) -> Any:
+            self._depth += 1
+            began = time.perf_counter()
+            try:
+                return original(*arguments, **named)
+            finally:
+                self._depth -= 1
+                if not self._depth:
+                    self.seconds += time.perf_counter() - began
+
+        setattr(holder, name, timed)
+        return lambda: setattr(holder, name, original)
+
+
+def share_of_simulate(folder: Path, runs: int) -> float:
+    """The share of a simulation on one core that goes into canonical bytes, leaf hashes, the tree, tiles and the checkpoint."""
+    clock = Clock()
+    undo = [clock.wrap(codec._Rows, "leaves"), clock.wrap(Edge, "extend"), clock.wrap(Edge, "frontier"), clock.wrap(append, "write_derived")]
+    began = time.perf_counter()
+    simulate(folder, experiment(runs), 1, None)
+    seconds = time.perf_counter() - began
+    for one in undo:
+        one()
+    return clock.seconds / seconds
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--runs", type=int, default=340, help="for each scenario and architecture")
+    parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--workers", type=int, default=2, help="of verify, where it says so")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as temporary:
+        ledger = Path(temporary) / "ledger"
+        simulate(ledger, experiment(arguments.runs), arguments.workers, None)
+        view = open_ledger(ledger)
+        rows = leaf_bytes(view)
+        print(f"{view.head.size:,} events in {view.head.commits} commits")
+        cases: tuple[tuple[str, Callable[[], object], str, Callable[[], object], float], ...] = (
+            (f"verify, {arguments.workers} processes", lambda: verify(ledger, arguments.workers), "hashlib + read", lambda: hash_and_read(view, rows), 2.5),
+            ("verify, 1 process", lambda: verify(ledger), "hashlib + read", lambda: hash_and_read(view, rows), 2.5),
+            ("verify --quick", lambda: verify(ledger, 1, None, Asked(is_quick=True)), "hashlib", lambda: hash_files(ledger), 1.5),
+        )
+        for name, work, other, alternative, target in cases:
+            found, seconds, other_seconds = ratio(work, alternative, arguments.repeats)
+            print(f"{name:22} {seconds:7.3f} s   {other:15} {other_seconds:7.3f} s   ratio {found:5.2f}   (target {target})")
+        share = share_of_simulate(Path(temporary) / "again", min(arguments.runs, 40))
+        print(f"hashing and tiles: {share:.0%} of simulate's time on one core   (target 30%)")
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,124 @@
+"""Everything that test_crash.py and test_concurrency.py do a part of: `python -m tests.ledger.crash_soak [KILLS] [PAIRS]`.
+
+Every kind of fault at every call of two appends, each followed by power failures; pairs of faults, the second during the
+recovery from the first; processes really killed at every call; KILLS processes (2,000) really killed at random moments,
+two to eight at a time on one ledger. Prints counts and ends with exit code 1 if anything was lost or torn.
+"""
+
+import random
+import shutil
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from tests.ledger.crash_trials import Laboratory, Tally, append_with
+from tests.ledger.crash_writer import Nursery, Order
+from tests.ledger.crowd import NAMES, judge
+from tests.ledger.faults import Fault, FaultyOs, calls_of, faults_at
+from tests.ledger.power import choices
+
+ROUNDS = 6
+"""So often the writers of one ledger are killed before a new ledger is begun."""
+MAX_COMPLAINTS = 20
+DEFAULTS = ("2000", "2000")
+
+
+def single_faults(laboratory: Laboratory, calls: list[str]) -> None:
+    """Every kind of fault at every call, and nine ways in which the power fails after it and after the recovery."""
+    for number, fault in enumerate(faults_at(calls)):
+        laboratory.trial([fault], choices(number, 2))
+
+
+def pairs_of_faults(laboratory: Laboratory, calls: list[str], pairs: int) -> None:
+    """Any fault, then any during the recovery; half of them with a power failure in between."""
+    draw = random.Random(11)
+    faults = list(faults_at(calls))
+    for number in range(pairs):
+        first, second = draw.choice(faults), draw.choice(faults)
+        if number % 2:
+            laboratory.trial([first, Fault(draw.randrange(first.at + 30), second.kind)], choices(number, 1)[-2:])
+        else:
+            laboratory.trial_after_power_failure(first, draw.choice(choices(number, 3)), Fault(second.at // 2, second.kind))
+
+
+def kills_at_calls(laboratory: Laboratory, nursery: Nursery, calls: list[str]) -> None:
+    """A process is really killed at every call, and in the middle of every write."""
+    kills = [Fault(at, "killed") for at in range(len(calls))] + [Fault(at, "killed-in-write") for at, name in enumerate(calls) if name == "write"]
+    for fault in kills:
+        root = laboratory.folder / f"{fault.kind}-{fault.at}"
+        path = root / "out" / "ledger"
+        root.mkdir()
+        outcome = nursery(Order(str(path), fault_at=fault.at, fault_kind=fault.kind))
+        laboratory.tally.kills += outcome.killed
+        for complaint in outcome.wrong:
+            laboratory.tally.note(complaint, fault)
+        laboratory.finish(path, laboratory.judge(path, outcome.acknowledged.get("trial", 0), fault), fault)
+        shutil.rmtree(root)
+
+
+def kills_at_moments(folder: Path, tally: Tally, nursery: Nursery, kills: int, seed: int = 13) -> int:
+    """So many processes are really killed at random moments while they open, recover and append. Returns how many batches were acknowledged."""
+    draw = random.Random(seed)
+    acknowledged = ledgers = 0
+    until = tally.kills + kills
+    while tally.kills < until:
+        path = folder / f"crowd-{ledgers}"
+        ledgers += 1
+        writers = NAMES[: draw.randrange(2, 9)]
+        known = dict.fromkeys(writers, 0)
+        for again in range(1, ROUNDS + 1):
+            moments = tuple(draw.randrange(1, 60_000 + 25_000 * len(writers)) for _ in writers)
+            outcome = nursery(Order(str(path), writers, again, readers=int(again == ROUNDS), kill_after_us=moments))
+            known = {name: max(count, outcome.acknowledged.get(name, 0)) for name, count in known.items()}
+            tally.kills += outcome.killed
+            for complaint in (*outcome.wrong, *judge(path, known)):
+                tally.note(complaint, (path.name, again))
+        outcome = nursery(Order(str(path), writers, ROUNDS))  # nobody is killed: all that was begun is finished
+        for complaint in (*outcome.wrong, *judge(path, dict.fromkeys(writers, ROUNDS))):
+            tally.note(complaint, (path.name, "the end"))
+        acknowledged += ROUNDS * len(writers)
+        shutil.rmtree(path)
+    return acknowledged
+
+
+def soak(folder: Path, kills: int, pairs: int) -> Tally:
+    """All of it, with a line on each part."""
+    laboratory = Laboratory(folder)
+    tally = laboratory.tally
+    root = folder / "calls"
+    root.mkdir()
+    calls = calls_of(root, lambda: append_with(FaultyOs(root), root / "out" / "ledger"))
+    start = time.monotonic()
+
+    def say(text: str) -> None:
+        print(f"{time.monotonic() - start:6.0f} s  {text}", flush=True)
+
+    single_faults(laboratory, calls)
+    say(f"{len(calls)} calls of two appends: {tally.faults:,} faults, {tally.power_failures:,} power failures after them")
+    pairs_of_faults(laboratory, calls, pairs)
+    say(f"{pairs:,} pairs of faults: {tally.faults_in_recovery:,} during the recovery, {tally.power_failures:,} power failures in all")
+    with Nursery() as nursery:
+        kills_at_calls(laboratory, nursery, calls)
+        say(f"{tally.kills:,} processes killed, one at each call")
+        acknowledged = kills_at_moments(folder, tally, nursery, kills)
+        say(f"{tally.kills:,} processes killed, with those at random moments; {acknowledged:,} batches acknowledged beside them")
+    return tally
+
+
+def main(arguments: list[str]) -> int:
+    """Prints the counts. Returns 0 if nothing was lost or torn, else 1."""
+    kills, pairs = (int(given) for given in [*arguments, *DEFAULTS[len(arguments) :]])
+    with tempfile.TemporaryDirectory() as folder:
+        tally = soak(Path(folder), kills, pairs)
+    print(
+        f"injected faults {tally.faults:,}, during recovery {tally.faults_in_recovery:,}, power failures {tally.power_failures:,}, SIGKILLs {tally.kills:,}\n"
+        f"acknowledged events lost: {tally.lost}, torn: {tally.torn}, other complaints: {len(tally.complaints) - tally.lost - tally.torn}"
+    )
+    for complaint in tally.complaints[:MAX_COMPLAINTS]:
+        print(complaint)
+    return 0 if tally.is_clean else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

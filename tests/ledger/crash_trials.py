@@ -1,0 +1,244 @@
+"""One trial: appends that a fault interrupts, perhaps a recovery that another interrupts, perhaps a power failure; then the judgement."""
+
+import hashlib
+import re
+import shutil
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from types import SimpleNamespace
+
+import pyarrow as pa
+import pytest
+
+from fsar_ledger.errors import FsarLedgerError
+from fsar_ledger.ledger import append, segment
+from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.codec import encode_hashed
+from fsar_ledger.ledger.read import open_ledger
+from fsar_ledger.ledger.record import MANIFEST, commit_path
+from fsar_ledger.ledger.verify import verify
+from tests.ledger.faults import Fault, FaultyOs, Killed, in_place_of_os
+from tests.ledger.power import Choice, Disk
+from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
+
+COMMITS = 3
+BATCHES = made_up_batches(COMMITS, size=70)
+"""140 events a commit, so that the tree passes 256 leaves, a full tile, within the appends that are interrupted."""
+INTERRUPTED = 2
+"""So many commits are appended while things fail; one more shows that the ledger goes on."""
+TOKEN = re.compile(r"[0-9a-f]{16}(?=\.tmp$)")
+
+
+@dataclass
+class Tally:
+    """What was tried and what was found. `lost` and `torn` count trials; `complaints` says what was wrong in each."""
+
+    faults: int = 0
+    faults_in_recovery: int = 0
+    power_failures: int = 0
+    kills: int = 0
+    lost: int = 0
+    torn: int = 0
+    complaints: list[str] = field(default_factory=list)
+
+    @property
+    def is_clean(self) -> bool:
+        return not (self.lost or self.torn or self.complaints)
+
+    def note(self, what: str, where: object) -> None:
+        """Something was wrong there."""
+        self.lost += what.startswith("lost")
+        self.torn += what.startswith("torn")
+        self.complaints.append(f"{where}: {what}")
+
+
+def _state(path: Path) -> str:
+    """One name for each state of the files, whatever their temporary names are."""
+    files = sorted((TOKEN.sub("", name), data) for name, data in contents(path).items())
+    folders = sorted(str(folder.relative_to(path)) for folder in path.rglob("*") if folder.is_dir())
+    return hashlib.sha256(repr((path.exists(), folders, files)).encode()).hexdigest()
+
+
+@cache
+def _encoded(first_run: str) -> tuple[pa.Table, bytes]:
+    return encode_hashed(next(batch for batch in BATCHES if batch[0].run_id == first_run))
+
+
+@cache
+def _parquet(first_run: str) -> pa.Buffer:
+    return segment.to_parquet(_encoded(first_run)[0])
+
+
+def _written(table: pa.Table) -> pa.Buffer:
+    return _parquet(table.column("run_id")[0].as_py())
+
+
+def encode_all() -> None:
+    """No batch is encoded again in this process, nor in those that it forks."""
+    for batch in BATCHES:
+        _parquet(batch[0].run_id)
+
+
+@contextmanager
+def encoded_once() -> Iterator[None]:
+    """Each batch is encoded once and for all: that touches no disk, and would take most of the time of a trial."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(append, "encode_hashed", lambda runs: _encoded(runs[0].run_id))
+        patch.setattr(append, "segment", SimpleNamespace(to_parquet=_written))
+        yield
+
+
+@dataclass
+class Session:
+    """How far one process came. `acknowledged` is the number of commits that the ledger has told it were safe."""
+
+    acknowledged: int = 0
+    error: FsarLedgerError | None = None
+    was_killed: bool = False
+
+
+def append_with(faulty: FaultyOs, path: Path, commits: int = INTERRUPTED, acknowledge: Callable[[int], None] | None = None) -> Session:
+    """A process opens the ledger and appends what it lacks, and the newest batch once more: it may not have been acknowledged."""
+    session = Session()
+
+    def acknowledged(count: int) -> None:
+        session.acknowledged = count
+        if acknowledge is not None:
+            acknowledge(count)
+
+    try:
+        with encoded_once(), in_place_of_os(faulty), Writer(path, ORIGIN) as writer:
+            acknowledged(writer.head.commits)
+            for batch in BATCHES[max(0, session.acknowledged - 1) : commits]:
+                acknowledged(writer.append(stage(path, batch)).commits)
+    except Killed:
+        session.was_killed = True
+    except FsarLedgerError as error:
+        session.error = error
+    return session
+
+
+class Laboratory:
+    """Makes trials in a folder of its own and keeps the tally."""
+
+    def __init__(self, folder: Path):
+        self.folder = folder
+        self.tally = Tally()
+        append_all(folder / "reference", BATCHES)
+        self.reference = contents(folder / "reference")
+        self._number = 0
+        self._judged: dict[str, tuple[int, list[str]]] = {}
+        self._finished: dict[str, str | None] = {}
+
+    def _fresh(self) -> Path:
+        """A path where nothing is, two folders deep in an empty root."""
+        self._number += 1
+        root = self.folder / str(self._number)
+        root.mkdir()
+        return root / "out" / "ledger"
+
+    def judge(self, path: Path, acknowledged: int, where: object) -> str:
+        """Readers find every acknowledged commit, whole, and no half of another. Returns the name of the state the ledger is in."""
+        state = _state(path)
+        commits, complaints = self._judged.get(state) or self._judged.setdefault(state, self._read(path))
+        if commits < acknowledged:
+            self.tally.note(f"lost: {commits} of {acknowledged} acknowledged commits are there", where)
+        for complaint in complaints:
+            self.tally.note(complaint, where)
+        return state
+
+    def _read(self, path: Path) -> tuple[int, list[str]]:
+        """How many commits readers see, and what is wrong with them. The same files give the same answer."""
+        if not (path / MANIFEST).exists():
+            return 0, []
+        complaints = []
+        try:
+            view = open_ledger(path)
+            for number in range(view.head.commits):
+                names = commit_path(path, number), view.segment(number)
+                expected = self.reference[f"commits/{number:012d}.json"], self.reference[f"segments/{number:012d}.parquet"]
+                if tuple(name.read_bytes() for name in names) != expected:
+                    complaints.append(f"torn: commit {number} has other bytes")
+            if list(view.runs()) != [run for batch in BATCHES[: view.head.commits] for run in batch]:
+                complaints.append("torn: other runs are read than were committed")
+            report = verify(path)
+        except FsarLedgerError as error:
+            return 0, [f"torn: a reader is told {error}"]
+        if not report.ok:
+            complaints.append(f"torn: verify found {'; '.join(map(str, report.problems))}")
+        return view.head.commits, complaints
+
+    def finish(self, path: Path, state: str, where: object) -> None:
+        """Without faults a writer goes on, and the ledger ends up as if nothing had happened. From each state this is tried once."""
+        if state not in self._finished:
+            self._finished[state] = self._go_on(path)
+        if self._finished[state] is not None:
+            self.tally.note(f"torn: {self._finished[state]}", where)
+
+    def _go_on(self, path: Path) -> str | None:
+        session = append_with(FaultyOs(path.parent.parent), path, COMMITS)
+        if session.error is not None:
+            return f"the next writer is told {session.error}"
+        found = contents(path)
+        names = sorted(name for name in found.keys() | self.reference.keys() if found.get(name) != self.reference.get(name))
+        return f"after going on other bytes are in {', '.join(names)}" if names else None
+
+    def trial(self, faults: Sequence[Fault], choices: Sequence[Choice] = ()) -> list[Session]:
+        """Each fault interrupts one process, each process recovering from the one before; then the power fails in each of these ways."""
+        path = self._fresh()
+        root = path.parent.parent
+        disk = Disk(root)
+        acknowledged = 0
+        sessions = []
+        for number, fault in enumerate(faults):
+            faulty = FaultyOs(root, fault, disk)
+            session = append_with(faulty, path)
+            sessions.append(session)
+            acknowledged = max(acknowledged, session.acknowledged)
+            self.tally.faults += faulty.was_hit and not number
+            self.tally.faults_in_recovery += faulty.was_hit and number > 0
+            self.judge(path, acknowledged, faults[: number + 1])
+        self._fail_power(disk, acknowledged, choices, (*faults, "power failure"))
+        recovered = append_with(FaultyOs(root, disk=disk), path)
+        if recovered.error is not None:
+            self.tally.note(f"torn: the next writer is told {recovered.error}", faults)
+        self._fail_power(disk, recovered.acknowledged, choices[:3], (*faults, "recovery", "power failure"))
+        self.finish(path, self.judge(path, recovered.acknowledged, faults), faults)
+        shutil.rmtree(root)
+        return sessions
+
+    def _fail_power(self, disk: Disk, acknowledged: int, choices: Sequence[Choice], where: object) -> None:
+        for choice in choices:
+            path = self._after_power_failure(disk, choice)
+            self.tally.power_failures += 1
+            state = self.judge(path, acknowledged, (where, choice.names, choice.contents))
+            self.finish(path, state, (where, choice.names, choice.contents))
+            shutil.rmtree(path.parent.parent)
+
+    def _after_power_failure(self, disk: Disk, choice: Choice) -> Path:
+        self._number += 1
+        root = self.folder / str(self._number)
+        disk.after_power_failure(choice, root)
+        return root / "out" / "ledger"
+
+    def trial_after_power_failure(self, first: Fault, choice: Choice, second: Fault) -> None:
+        """The first fault, the power fails, and the recovery after it is interrupted too."""
+        path = self._fresh()
+        disk = Disk(path.parent.parent)
+        session = append_with(FaultyOs(path.parent.parent, first, disk), path)
+        restarted = self._after_power_failure(disk, choice)
+        self.tally.faults += 1
+        self.tally.power_failures += 1
+        root = restarted.parent.parent
+        faulty = FaultyOs(root, second)
+        again = append_with(faulty, restarted)
+        self.tally.faults_in_recovery += faulty.was_hit
+        where = (first, choice.names, choice.contents, second)
+        state = self.judge(restarted, max(session.acknowledged, again.acknowledged), where)
+        self._fail_power(faulty.disk, max(session.acknowledged, again.acknowledged), [choice], where)
+        self.finish(restarted, state, where)
+        shutil.rmtree(root)
+        shutil.rmtree(path.parent.parent)

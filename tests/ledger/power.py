@@ -1,0 +1,182 @@
+"""What a disk holds after the power failed: a model that is told every change and how far each was synced.
+
+Of a file, what was synced is there; what was written since may be there, in part, as rubbish or not at all.
+Of a folder, the names as of its last sync are there; each change since is there or not, whatever the others do.
+A change of two folders (a rename) is one change, as on every file system that keeps a journal.
+What was written before a failed `fsync` of a file is never sure to be there, whatever is synced later.
+"""
+
+import random
+from dataclasses import dataclass, field
+from pathlib import Path
+
+GARBAGE = b"\xa5rubbish\x00"
+
+
+@dataclass(eq=False)
+class File:
+    """`cached` is what a process reads, `durable` what was synced."""
+
+    cached: bytes = b""
+    durable: bytes = b""
+    is_doomed: bool = False
+
+    @property
+    def is_sure(self) -> bool:
+        return self.cached == self.durable and not self.is_doomed
+
+
+@dataclass(eq=False)
+class Folder:
+    names: dict[str, "File | Folder"] = field(default_factory=dict)
+
+
+Node = File | Folder
+
+
+@dataclass(eq=False)
+class Change:
+    """Names that changed at once: (folder, name, what it names now or None)."""
+
+    names: tuple[tuple[Folder, str, Node | None], ...]
+    is_durable: bool = False
+
+
+class Disk:
+    """The folder at `root` and all below it; what is there at first is durable."""
+
+    def __init__(self, root: Path):
+        self.root = root
+        self._folders: list[Folder] = []
+        self._first: list[tuple[Folder, dict[str, Node]]] = []
+        self._changes: list[Change] = []
+        self._top = self._load(root)
+
+    def _load(self, path: Path) -> Folder:
+        folder = Folder()
+        for entry in sorted(path.iterdir()):
+            data = None if entry.is_dir() else entry.read_bytes()
+            folder.names[entry.name] = self._load(entry) if data is None else File(data, data)
+        self._first.append((folder, dict(folder.names)))
+        return folder
+
+    def find(self, path: Path) -> Node | None:
+        """What this path names now; None outside the root or where nothing is."""
+        if not path.is_relative_to(self.root):
+            return None
+        node: Node | None = self._top
+        for name in path.relative_to(self.root).parts:
+            node = node.names.get(name) if isinstance(node, Folder) else None
+        return node
+
+    def _folder_of(self, path: Path) -> Folder | None:
+        folder = self.find(path.parent)
+        return folder if isinstance(folder, Folder) else None
+
+    def _change(self, *names: tuple[Path, Node | None]) -> None:
+        known = [(folder, path.name, node) for path, node in names if (folder := self._folder_of(path)) is not None]
+        for folder, name, node in known:
+            folder.names.pop(name, None)
+            if node is not None:
+                folder.names[name] = node
+        self._changes.append(Change(tuple(known)))
+
+    def opened(self, path: Path, is_created: bool, is_emptied: bool) -> Node | None:
+        """A file was opened, perhaps created or emptied; what it is from now on, whatever its name becomes."""
+        if is_created and self.find(path) is None:
+            self._change((path, File()))
+        node = self.find(path)
+        if is_emptied and isinstance(node, File):
+            node.cached = b""
+        return node
+
+    def written(self, node: Node | None, data: bytes) -> None:
+        """The bytes were appended."""
+        if isinstance(node, File):
+            node.cached += data
+
+    def synced(self, node: Node | None) -> None:
+        """What the file holds, or the folder names, is durable."""
+        if isinstance(node, File):
+            assert not node.is_doomed, "a file was synced again after that had failed; it must be given up"
+            node.durable = node.cached
+        for change in self._changes:
+            change.is_durable = change.is_durable or any(folder is node for folder, _, _ in change.names)
+
+    def sync_failed(self, node: Node | None) -> None:
+        """What was written to the file is lost or not, for good."""
+        if isinstance(node, File) and not node.is_sure:
+            node.is_doomed = True
+
+    def made(self, path: Path) -> None:
+        """A folder was made."""
+        self._change((path, Folder()))
+
+    def linked(self, source: Path, path: Path) -> None:
+        """The file has a second name."""
+        self._change((path, self.find(source)))
+
+    def renamed(self, source: Path, path: Path) -> None:
+        """The name is another."""
+        self._change((path, self.find(source)), (source, None))
+
+    def unlinked(self, path: Path) -> None:
+        """The name is gone."""
+        self._change((path, None))
+
+    @property
+    def unsure(self) -> int:
+        """How many changes of names a power failure could undo."""
+        return sum(not change.is_durable for change in self._changes)
+
+    def after_power_failure(self, choice: "Choice", path: Path) -> None:
+        """The new folder `path` holds what the root would hold after a power failure now, with this choice of what survives."""
+        names = {id(folder): dict(first) for folder, first in self._first}
+        for change in self._changes:
+            if change.is_durable or choice.keeps_change():
+                for folder, name, node in change.names:
+                    there = names.setdefault(id(folder), {})
+                    there.pop(name, None)
+                    if node is not None:
+                        there[name] = node
+        self._write(self._top, names, choice, path, {})
+
+    def _write(self, folder: Folder, names: dict[int, dict[str, Node]], choice: "Choice", path: Path, chosen: dict[int, bytes]) -> None:
+        path.mkdir()
+        for name, node in names.get(id(folder), {}).items():
+            if isinstance(node, Folder):
+                self._write(node, names, choice, path / name, chosen)
+            else:
+                data = chosen.setdefault(id(node), node.durable if node.is_sure else choice.content(node))
+                (path / name).write_bytes(data)
+
+
+@dataclass
+class Choice:
+    """What a power failure leaves of what was not synced: changes of names (all, none or some) and contents."""
+
+    names: str
+    contents: str
+    draw: random.Random
+
+    def keeps_change(self) -> bool:
+        return self.names == "kept" or (self.names == "some" and self.draw.random() < 0.5)
+
+    def content(self, file: File) -> bytes:
+        kind = self.draw.choice(("kept", "lost", "rubbish", "part")) if self.contents == "some" else self.contents
+        match kind:
+            case "kept":
+                return file.cached
+            case "rubbish":
+                return (GARBAGE * (len(file.cached) // len(GARBAGE) + 1))[: len(file.cached)]
+            case "part":
+                return file.cached[: self.draw.randrange(len(file.cached) + 1)]
+            case _:
+                return file.durable if not file.is_doomed else b""
+
+
+def choices(seed: int, random_count: int) -> list[Choice]:
+    """All lost, all names kept but contents lost, all names kept with rubbish, all kept, and so many random ones."""
+    draw = random.Random(seed)
+    plain = [("lost", "lost"), ("kept", "lost"), ("kept", "rubbish"), ("kept", "kept")]
+    return [Choice(names, contents, draw) for names, contents in [*plain, *[("some", "some")] * random_count]]

@@ -1,0 +1,126 @@
+"""Two to eight processes append and read at once; `python -m tests.ledger.crash_soak` does it for longer."""
+
+import os
+import random
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger import append, verify
+from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.read import LedgerView, open_ledger
+from fsar_ledger.ledger.verify_commits import read_commits
+from tests.ledger.crash_writer import Nursery, Order
+from tests.ledger.crowd import NAMES, batch_of, judge
+from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
+
+BATCHES = made_up_batches(4)
+
+
+@pytest.mark.parametrize(("writers", "batches"), [(2, 4), (8, 1)])
+def test_what_several_writers_append_at_once_is_there_once_and_readers_see_whole_commits(tmp_path: Path, writers: int, batches: int) -> None:
+    path = tmp_path / "ledger"
+    with Nursery() as nursery:
+        outcome = nursery(Order(str(path), NAMES[:writers], batches, readers=2))
+    assert outcome.wrong == ()
+    assert outcome.acknowledged == dict.fromkeys(NAMES[:writers], batches)
+    assert judge(path, outcome.acknowledged) == []
+    assert open_ledger(path).head.commits == writers * batches
+    assert outcome.heads >= 2
+    assert all("found a commit of another writer, expected number" in conflict and "to be free" in conflict for conflict in outcome.conflicts)
+
+
+def test_a_writer_killed_among_others_loses_nothing_and_stops_nobody(tmp_path: Path) -> None:
+    moments = random.Random(3)
+    killed = 0
+    with Nursery() as nursery:
+        for trial in range(3):
+            path = tmp_path / str(trial)
+            outcome = nursery(Order(str(path), NAMES[:3], 3, readers=1, kill_after_us=(moments.randrange(20_000, 200_000),)))
+            killed += outcome.killed
+            assert outcome.wrong == ()
+            assert judge(path, outcome.acknowledged) == []
+            assert [outcome.acknowledged[name] for name in NAMES[1:3]] == [3, 3]
+    assert killed >= 1
+
+
+def test_the_judge_of_the_crowd_sees_a_lost_batch_and_one_out_of_order(tmp_path: Path) -> None:
+    append_all(tmp_path / "lost", [batch_of("anna", 0)])
+    assert judge(tmp_path / "lost", {"anna": 2}) == ["lost: 1 of 2 acknowledged batches of anna are there"]
+    append_all(tmp_path / "swapped", [batch_of("anna", 1), batch_of("anna", 0)])
+    assert judge(tmp_path / "swapped", {"anna": 2})[0] == "torn: commit 0 does not hold batch 0 of anna"
+    assert judge(tmp_path / "nowhere", {"anna": 1}) == ["lost: the ledger is gone"]
+
+
+@pytest.mark.parametrize("moment", ["looks whether something else is there", "gives the manifest its name"])
+def test_of_two_processes_that_create_a_ledger_the_slower_one_opens_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str) -> None:
+    path = tmp_path / "ledger"
+    path.mkdir()
+
+    def after_the_quicker_one(step: Callable[..., object]) -> Callable[..., object]:
+        def late(*arguments: object) -> object:
+            monkeypatch.undo()
+            append_all(path, BATCHES[:1])
+            return step(*arguments)
+
+        return late
+
+    if moment == "gives the manifest its name":
+        monkeypatch.setattr(os, "link", after_the_quicker_one(os.link))
+    else:
+        monkeypatch.setattr(append, "_is_unfinished", after_the_quicker_one(append._is_unfinished))
+    with Writer(path, ORIGIN) as writer:
+        assert writer.head.commits == 1
+
+
+def test_a_listing_that_lacks_a_commit_made_meanwhile_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "ledger"
+    append_all(path, BATCHES)
+    listdir = os.listdir
+    late = ["000000000002.json"]
+    monkeypatch.setattr(os, "listdir", lambda folder: sorted(set(listdir(folder)) - {late.pop()} if late else listdir(folder)))
+    assert open_ledger(path).head.commits == 4
+    (path / "commits" / "000000000002.json").rename(tmp_path / "gone")
+    with pytest.raises(LedgerCorrupted, match=r"found 000000000003\.json, expected 000000000002\.json"):
+        open_ledger(path)
+
+
+def test_verify_looks_again_where_a_writer_has_changed_the_ledger_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "ledger"
+    append_all(path, BATCHES[:2])
+
+    def then_another_is_made(*arguments: Any) -> object:
+        found = read_commits(*arguments)
+        monkeypatch.undo()
+        append_all(path, BATCHES[2:3])
+        return found
+
+    monkeypatch.setattr(verify, "read_commits", then_another_is_made)
+    report = verify.verify(path)
+    assert (report.problems, report.commits) == ((), 3)
+
+
+def test_a_batch_staged_again_after_its_commit_is_cleaned_up(tmp_path: Path) -> None:
+    path = tmp_path / "ledger"
+    append_all(path, BATCHES)
+    before = contents(path)
+    stage(path, BATCHES[1])
+    assert contents(path) != before
+    Writer(path, ORIGIN).close()
+    assert contents(path) == before
+
+
+def test_a_later_view_begins_with_the_earlier_one(tmp_path: Path) -> None:
+    path = tmp_path / "ledger"
+    seen: list[LedgerView] = []
+    with Writer(path, ORIGIN) as writer:
+        for batch in BATCHES:
+            writer.append(stage(path, batch))
+            seen.append(open_ledger(path))
+    for earlier, later in pairwise(seen):
+        assert later.records[: len(earlier.records)] == earlier.records
+        assert list(earlier.runs()) == list(later.runs())[: 2 * earlier.head.commits]
