@@ -2,8 +2,7 @@
 
     python tests/independent_verifier.py LEDGER [--key VKEY] [--anchor FILE] [--event-types FILE]
 
-It prints `consistent` or the first thing that is wrong, in the order of section 11; exit code 0 or 3. Sections are those of the document.
-Parquet and Ed25519 are left to libraries.
+It prints `consistent` or the first thing that is wrong, in the order of section 11 (of the document); exit code 0 or 3. Libraries do Parquet and Ed25519.
 """
 
 import argparse
@@ -48,7 +47,6 @@ def read_file(path: Path, most: int = 1 << 20) -> bytes:
 
 
 def canonical(value: object) -> bytes:
-    """Section 2."""
     return json.dumps(value, ensure_ascii=False, sort_keys=True, separators=(",", ":")).encode()
 
 
@@ -63,7 +61,7 @@ RECORD |= dict.fromkeys(("previous_sha256", "schema_sha256", "segment_sha256", "
 
 
 def read_json(path: Path, where: str, members: dict[str, str], commit: int | None = None) -> tuple[Row, str]:
-    """An object with exactly these members, each of which has canonical JSON of this pattern, and the hash of its file."""
+    """Section 2: an object with exactly these members, each of which has canonical JSON of this pattern, and the hash of its file."""
     try:
         data = read_file(path)
         found = json.loads(data.decode())
@@ -115,8 +113,7 @@ class Tile(NamedTuple):
     width: int
 
     def __str__(self) -> str:
-        digits = str(self.number).zfill((len(str(self.number)) + 2) // 3 * 3)
-        groups = re.sub("(...)(?=.)", r"x\1/", digits)
+        groups = re.sub("(...)(?=.)", r"x\1/", str(self.number).zfill((len(str(self.number)) + 2) // 3 * 3))
         return f"tile/{self.level}/{groups}" + ("" if self.width == 256 else f".p/{self.width}")
 
     def is_outgrown(self, size: int) -> bool:
@@ -160,12 +157,12 @@ class Note(NamedTuple):
     signatures: list[tuple[str, bytes, bytes]]
 
     def has(self, key: Key) -> bool | None:
-        """Whether the key's signatures on it are right; None if it has none."""
-        own = [data for name, key_id, data in self.signatures if (name, key_id) == key[:2]]
+        """Whether the key's signatures on it are right; None if it has none, or is of another origin."""
+        own = [data for name, key_id, data in self.signatures if (name, key_id) == key[:2] and self.origin == name]
         try:
             for data in own:
                 Ed25519PublicKey.from_public_bytes(key[2]).verify(data, self.text.encode())
-        except InvalidSignature:
+        except (InvalidSignature, ValueError):
             return False
         return True if own else None
 
@@ -203,24 +200,24 @@ def flaw_of(row: Row, place: int, is_again: bool, types: Row | None) -> tuple[st
 
 def runs_of(where: str, rows: list[Row], number: int, types: Row | None) -> list[str]:
     """The runs, in order, of rows that are all right."""
-    runs: dict[str, None] = {}
-    place, last = 0, None
+    runs: list[str] = []
+    place = 0
     for row in rows:
-        place = place + 1 if row["run_id"] == last else 0
-        flaw = flaw_of(row, place, place == 0 and row["run_id"] in runs, types)
+        is_new = row["run_id"] not in runs[-1:]
+        place = 0 if is_new else place + 1
+        flaw = flaw_of(row, place, is_new and row["run_id"] in runs, types)
         if flaw is not None:
             raise ProblemError(where, f"{flaw[0]} {row.get(flaw[0], 'NULL')!r}", flaw[1], number, row["run_id"], row["seq"])
-        last = row["run_id"]
-        runs[last] = None
-    return list(runs)
+        runs += [row["run_id"]] * is_new
+    return runs
 
 
 def check_statistics(group: Any, values: dict[str, list[Any]]) -> None:
-    for column in map(group.column, range(group.num_columns)):
-        said, found = column.statistics if column.is_stats_set else None, values.get(column.path_in_schema)
+    for column in filter(lambda column: column.is_stats_set, map(group.column, range(group.num_columns))):
+        said, found = column.statistics, values.get(column.path_in_schema)
         own = [value for value in found or [] if value is not None]
-        is_lying = said is not None and said.has_min_max and (not own or (said.min, said.max) != (min(own), max(own)))
-        if is_lying or (said is not None and said.has_null_count and (found is None or said.null_count != len(found) - len(own))):
+        is_lying = said.has_min_max and (not own or (said.min, said.max) != (min(own), max(own)))
+        if is_lying or (said.has_null_count and (found is None or said.null_count != len(found) - len(own))):
             raise ValueError(f"other statistics of {column.path_in_schema} than its rows have")
 
 
@@ -256,7 +253,7 @@ class Verifier:
     def read_records(self) -> list[tuple[Row, str]]:
         names = sorted(os.listdir(self.ledger / "commits"))
         expected = [f"{number:012d}.json" for number in range(len(names))]
-        for name in [name for name in names if not re.fullmatch("[0-9]{12}[.]json", name)]:
+        for name in filter(lambda name: not re.fullmatch("[0-9]{12}[.]json", name), names):
             raise ProblemError(f"commits/{name}", "a stray file", "only records")
         for name in sorted(set(names) - set(expected)):
             raise ProblemError(f"commits/{name}", "a gap before it", "numbers without gaps", int(name[:12]))
@@ -273,7 +270,8 @@ class Verifier:
             if self.types is not None and record["schema_sha256"] not in self.types["schemas"]:
                 raise ValueError(f"schema_sha256 {record['schema_sha256']}")
             note = read_note(record["note"])
-            if note[:3] != (origin, record["tree_size"], root) or len(note.signatures) > 1:
+            is_own = len(note.signatures) <= 1 and all(name == origin and len(data) == 64 for name, _, data in note.signatures)
+            if note[:3] != (origin, record["tree_size"], root) or not is_own:
                 raise ValueError(f"note {note}")
         except ValueError as error:
             raise ProblemError(f"commits/{number:012d}.json", error, "what the other files and its own fields give", number) from error
@@ -330,10 +328,10 @@ class Verifier:
         path = self.ledger / "checkpoint"
         try:
             found = read_file(path).decode() if os.path.lexists(path) else None
+            if found not in texts[-2:]:
+                raise ValueError(f"{found!r}")
         except (OSError, ValueError) as error:
             raise ProblemError("checkpoint", error, "the newest note") from error
-        if found not in texts[-2:]:
-            raise ProblemError("checkpoint", found, "the newest note")
         made = [list(tiles_between(old, new)) for old, new in zip(self.sizes, self.sizes[1:], strict=False)]
         must = sorted([tile for tiles in made for tile in tiles if not tile.is_outgrown(self.sizes[-1])], key=lambda tile: tile.width < 256)
         may = [tile for tiles in made[:-1] for tile in tiles if tile.is_outgrown(self.sizes[-1]) and not tile.is_outgrown(self.sizes[-2])]
@@ -360,10 +358,10 @@ class Verifier:
 
     def check_signatures(self) -> str:
         """What the newest note's signature is worth."""
-        if self.key is not None and not self.notes:
-            raise ProblemError("ledger.json", "no commit", "a signed note")
         if self.key is None:
             return "signer not checked" if self.notes and self.notes[-1].signatures else "unsigned"
+        if not self.notes:
+            raise ProblemError("ledger.json", "no commit", "a signed note")
         for number, note in enumerate(self.notes):
             if note.has(self.key) is False or (number == len(self.notes) - 1 and not note.has(self.key)):
                 raise ProblemError(f"commits/{number:012d}.json", "no signature of the trusted key, or a wrong one", self.key[0], number)
