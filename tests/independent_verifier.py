@@ -325,9 +325,8 @@ class Verifier:
 
     def check_derived(self, texts: list[str | None]) -> list[str]:
         """The checkpoint holds the newest note, or the one before; the tiles are those of the tree."""
-        path = self.ledger / "checkpoint"
         try:
-            found = read_file(path).decode() if os.path.lexists(path) else None
+            found = read_file(self.ledger / "checkpoint").decode() if os.path.lexists(self.ledger / "checkpoint") else None
             if found not in texts[-2:]:
                 raise ValueError(f"{found!r}")
         except (OSError, ValueError) as error:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from fsar_ledger.ledger.schema import COLUMNS, FINGERPRINT, LAYOUTS
-from tests.ledger.agreement import KEY, ROOT, Case, by_independent, by_package, event_types, independent, judged, plain, write
+from tests.ledger.agreement import KEY, ROOT, Case, by_independent, by_package, event_types, independent, judged, long_run, plain, write
 from tests.ledger.agreement_soak import outcomes
 from tests.ledger.samples import append_all, made_up_run
 
@@ -51,7 +51,7 @@ def test_a_disagreement_is_found(path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
 def test_tiles_of_level_two_are_the_same_to_both(tmp_path: Path) -> None:
     path = tmp_path / "ledger"
-    append_all(path, [[made_up_run("long", 65_530, 1)], [made_up_run("more", 20, 2)]])
+    append_all(path, [[long_run("long", 65_530)], [made_up_run("more", 20, 2)]])
     assert (path / "tile" / "2" / "000.p" / "1").stat().st_size == 32
     assert judged(Case("large", path, True)).difference == ""
     (path / "tile" / "2" / "000.p" / "1").write_bytes(bytes(32))
