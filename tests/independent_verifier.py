@@ -213,7 +213,10 @@ def runs_of(where: str, rows: list[Row], number: int, types: Row | None) -> list
 
 
 def check_statistics(group: Any, values: dict[str, list[Any]]) -> None:
-    for column in filter(lambda column: column.is_stats_set, map(group.column, range(group.num_columns))):
+    columns = [group.column(at) for at in range(group.num_columns)]
+    if any(column.has_column_index or column.has_offset_index or column.bloom_filter_offset is not None for column in columns):
+        raise ValueError("an index or a Bloom filter")
+    for column in filter(lambda column: column.is_stats_set, columns):
         said, found = column.statistics, values.get(column.path_in_schema)
         own = [value for value in found or [] if value is not None]
         is_lying = said.has_min_max and (not own or (said.min, said.max) != (min(own), max(own)))
@@ -237,15 +240,13 @@ class Verifier:
         for name in sorted({"ledger.json", "commits", "segments"} - {entry.name for entry in found}):
             raise ProblemError(name, "nothing", "it to be there")
         manifest, previous = read_json(self.ledger / "ledger.json", "ledger.json", MANIFEST)
-        texts: list[str | None] = [None]
-        for record, digest in self.read_records():
+        for record, digest in (records := self.read_records()):
             self.check_record(record, previous, manifest["origin"])
             self.check_segment(record)
             previous = digest
-            texts.append(record["note"])
         for name in sorted(set(os.listdir(self.ledger / "segments")) - {f"{number:012d}.parquet" for number in range(len(self.notes))}):
             raise ProblemError(f"segments/{name}", "a file of no commit", "only segments of commits")
-        remarks = self.check_derived(texts)
+        remarks = self.check_derived([None, *(record["note"] for record, _ in records)])
         signature = self.check_signatures()
         self.check_anchor(manifest["origin"])
         return self.sizes[-1], root_of(self.tree.frontier(self.sizes[-1])).hex(), signature, remarks
@@ -262,11 +263,10 @@ class Verifier:
     def check_record(self, record: Row, previous: str, origin: str) -> None:
         """The record agrees with its place, with the tree before it and with itself."""
         number, root = len(self.notes), root_of([bytes.fromhex(subtree) for subtree in record["frontier"]])
-        rows = max(1, record["tree_size"] - self.sizes[-1])
+        expected = {"number": number, "previous_sha256": previous, "rows": max(1, record["tree_size"] - self.sizes[-1]), "tree_root": root.hex()}
         try:
-            for name, value in {"number": number, "previous_sha256": previous, "rows": rows, "tree_root": root.hex()}.items():
-                if record[name] != value:
-                    raise ValueError(f"{name} {record[name]}, not {value}")
+            for name in [name for name, value in expected.items() if record[name] != value]:
+                raise ValueError(f"{name} {record[name]}, not {expected[name]}")
             if self.types is not None and record["schema_sha256"] not in self.types["schemas"]:
                 raise ValueError(f"schema_sha256 {record['schema_sha256']}")
             note = read_note(record["note"])
@@ -312,7 +312,7 @@ class Verifier:
                 raise ValueError(f"columns {columns}")
             if sha256("".join(f"{name} {text}\n" for name, text in columns).encode()).hex() != record["schema_sha256"]:
                 raise ValueError("another fingerprint")
-            table, group = parquet.read(use_threads=False), parquet.metadata.row_group(0)
+            table = parquet.read(use_threads=False)
         values = {name: table.column(name).to_pylist() for name, _ in sorted(columns)}
         rows: list[Row] = [{} for _ in range(record["rows"])]
         for name, column in values.items():
@@ -320,7 +320,7 @@ class Verifier:
                 if value is not None:
                     row[name] = value
         runs = runs_of(where, rows, record["number"], self.types)
-        check_statistics(group, values)
+        check_statistics(parquet.metadata.row_group(0), values)
         return rows, runs
 
     def check_derived(self, texts: list[str | None]) -> list[str]:

@@ -115,6 +115,8 @@ def _misleading(path: Path, metadata: pq.FileMetaData, table: pa.Table) -> tuple
         return "other bytes", "those that these rows are written as"
     for at in range(metadata.num_columns):
         stored = metadata.row_group(0).column(at)
+        if stored.has_column_index or stored.has_offset_index or stored.bloom_filter_offset is not None:
+            return f"an index or a Bloom filter of column {at}", "none: readers skip rows by them, and nothing vouches for what they say"
         if stored.is_stats_set:
             name = stored.path_in_schema
             values = table.column(name).cast(SCHEMA.field(name).type) if name in table.column_names else None
