@@ -1,12 +1,14 @@
 """Writes the parts of these pages that are real output, or (--check) says which of them are out of date.
 
-    python docs/write.py            docs/queries.md, and the output in every ```console block
+    python docs/write.py            docs/queries.md, docs/event-types.json, the example in docs/ledger-format.md, and the output in every ```console block
     python docs/write.py --check    exit code 1 and a diff where a page would change
 
 Within a ```console block, lines after `$ ` (and `> ` for more of the same) are commands; they run in order, in an empty folder for each page.
 """
 
+import base64
 import difflib
+import json
 import os
 import re
 import subprocess
@@ -15,10 +17,21 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
+from fsar_ledger.events.world import TaskArrived
+from fsar_ledger.ledger import canonical, merkle
+from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.note import Signer
+from fsar_ledger.ledger.read import open_ledger
+from fsar_ledger.ledger.record import commit_path
+from fsar_ledger.ledger.schema import FINGERPRINT, LAYOUTS, SCHEMA
+from fsar_ledger.ledger.tiles import node_of, tile_reader
 from fsar_ledger.metrics.library import Query, library
 
 DOCS = Path(__file__).resolve().parent
 PAGES = (DOCS / "audit-example.md",)
+FORMAT = DOCS / "ledger-format.md"
 FOLDERS = {
     "staging": "Staging: one view for each event type, and the runs",
     "facts": "Facts: what the events mean",
@@ -68,9 +81,67 @@ def _row(query: Query) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
+def event_types() -> str:
+    """What a verifier must know of events: the columns by their fingerprint; by type the fields that must and may have a value, and the only values of some."""
+    columns = {field.name: f"{field.type}{'' if field.nullable else ' not null'}" for field in SCHEMA}
+    types = {
+        tag: {
+            "required": sorted(field.name for field in layout.fields if not field.is_nullable),
+            "optional": sorted(field.name for field in layout.fields if field.is_nullable),
+            "values": {field.name: sorted(field.values) for field in layout.fields if field.values is not None},
+        }
+        for tag, layout in sorted(LAYOUTS.items())
+    }
+    schemas = ",\n".join(f'    "{name}": {json.dumps(text)}' for name, text in columns.items())
+    lines = ",\n".join(f'  "{tag}": {json.dumps(layout)}' for tag, layout in types.items())
+    return f'{{\n"schemas": {{\n  "{FINGERPRINT}": {{\n{schemas}\n  }}\n}},\n"types": {{\n{lines}\n}}\n}}\n'
+
+
+EXAMPLE_ORIGIN = "example.org/tiny"
+EXAMPLE_SECRET = bytes.fromhex("9d61b19deffd5a60ba844af492ec2cc44449c5697b326919703bac031cae7f60")  # RFC 8032, section 7.1, test 1: no secret
+EXAMPLE_RUNS = (
+    RunRecord("r1", [0, 1_500_000], [None, 0], [TaskArrived("T1", "robot/A1", 1, (), 9, -1, ("T1/1", "T1/2"), True), TaskCompleted("T1")]),
+    RunRecord("r2", [7], [None], [TaskAbandoned('"\\\t\u2028\N{ROBOT FACE}')]),
+)
+
+
+def format_page(page: str) -> str:
+    """The page with the example of a ledger as it is now."""
+    with tempfile.TemporaryDirectory() as folder:
+        text = "".join(example(Path(folder) / "ledger"))
+    return re.sub(r"<!-- example -->\n.*<!-- /example -->", lambda _: f"<!-- example -->\n{text}<!-- /example -->", page, flags=re.DOTALL)
+
+
+def example(path: Path) -> Iterator[str]:
+    """The parts of a ledger of two commits, signed with a key that everybody knows."""
+    signer = Signer(EXAMPLE_ORIGIN, EXAMPLE_SECRET)
+    with Writer(path, EXAMPLE_ORIGIN, signer) as writer:
+        for run in EXAMPLE_RUNS:
+            writer.append(stage(path, [run]))
+    rows = [row[1:] for table in open_ledger(path).tables() for row in canonical.from_table(table)]
+    leaves = [merkle.leaf_hash(row) for row in rows]
+
+    def block(title: str, *lines: str) -> str:
+        return f"\n{title}\n\n```\n" + "".join(line.removesuffix("\n") + "\n" for line in lines) + "```\n"
+
+    yield block("The public key:", str(signer.verifier))
+    yield block("`ledger.json`:", (path / "ledger.json").read_text())
+    yield block("The bytes of the three events, one a line (the third holds U+2028, which some editors show as a line break):", *[row.decode() for row in rows])
+    yield block("Their leaf hashes, which are also the first and only tile, `tile/0/000.p/3`, in hex:", *[leaf.hex() for leaf in leaves])
+    yield block("The root of the first two, which is the first commit's, and of all three, the second's:", *[merkle.root(leaves[:at]).hex() for at in (2, 3)])
+    yield block("The record of the second commit, `commits/000000000001.json`:", commit_path(path, 1).read_text())
+    yield block("`checkpoint`:", (path / "checkpoint").read_text())
+    proof = merkle.inclusion_proof(node_of(tile_reader(path), 3), 1, 3)
+    hashes = [base64.b64encode(each).decode() for each in (rows[1], *proof)]
+    lines = ["c2sp.org/tlog-proof@v1", f"extra {hashes[0]}", "index 1", *hashes[1:], "", (path / "checkpoint").read_text()]
+    yield block("A proof that the second event is in the ledger:", *lines)
+    yield "\n"
+
+
 def main(arguments: list[str]) -> int:
     """The pages are written, or compared."""
     pages = {page: with_output(page.read_text("utf-8")) for page in PAGES} | {DOCS / "queries.md": queries_page()}
+    pages |= {DOCS / "event-types.json": event_types(), FORMAT: format_page(FORMAT.read_text("utf-8"))}
     stale = {page: text for page, text in pages.items() if not page.exists() or page.read_text("utf-8") != text}
     if arguments != ["--check"]:
         for page, text in stale.items():

@@ -109,16 +109,16 @@ def _misleading(path: Path, metadata: pq.FileMetaData, table: pa.Table) -> tuple
     A query engine skips rows by the statistics in the footer, and no leaf covers those. The same version of pyarrow
     must write the same bytes; of a file by another version the statistics are compared.
     """
-    unsorted = next((name for name in table.column_names if not _is_sorted(whole(table.column(name)))), None)
-    if unsorted is not None:
-        return f"an unsorted dictionary of column {unsorted}", "each string once, in order, and used"
+    is_ours = all(_is_sorted(whole(table.column(name))) for name in table.column_names)  # else writing them again repeats what is not ours
     again = to_parquet(table)
-    if again.equals(pa.py_buffer(path.read_bytes())):
+    if is_ours and again.equals(pa.py_buffer(path.read_bytes())):
         return None
     if metadata.created_by == pq.read_metadata(pa.BufferReader(again)).created_by:
         return "other bytes", "those that these rows are written as"
     for at in range(metadata.num_columns):
         stored = metadata.row_group(0).column(at)
+        if stored.has_column_index or stored.has_offset_index or stored.bloom_filter_offset is not None:
+            return f"an index or a Bloom filter of column {at}", "none: readers skip rows by them, and nothing vouches for what they say"
         if stored.is_stats_set:
             name = stored.path_in_schema
             values = table.column(name).cast(SCHEMA.field(name).type) if name in table.column_names else None

@@ -1,0 +1,151 @@
+"""What a good ledger may look like, and what depends on the key or the anchor: each function makes one thing so, and says what a verifier must find.
+
+A function gets a ledger of its own to change, what is drawn, and a folder for files beside the ledger. It returns None where it does not apply.
+"""
+
+import random
+import shutil
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from fsar_ledger.ledger.merkle import Frontier
+from fsar_ledger.ledger.record import segment_path, staged_path
+from fsar_ledger.ledger.tiles import partial_tiles, tile_reader
+from tests.ledger.agreement import (
+    KEY,
+    OTHER_VERSION,
+    STRANGER,
+    VERSION,
+    Case,
+    Make,
+    anchor_at,
+    newest_tiles,
+    records_of,
+    rewrite,
+    tables_of,
+    with_value,
+)
+
+
+def as_it_is(path: Path, draw: random.Random, beside: Path) -> Case | None:
+    return Case("as it is", path, True)
+
+
+def with_its_key(path: Path, draw: random.Random, beside: Path) -> Case | None:
+    records = records_of(path)
+    signed = bool(records) and "\u2014" in records[-1].note
+    return Case("with the key that signed, or did not", path, signed, KEY.verifier)
+
+
+def with_an_anchor(path: Path, draw: random.Random, beside: Path) -> Case | None:
+    size = records_of(path)[-1].tree_size if records_of(path) else 0
+    signer = draw.choice([KEY, STRANGER, None])
+    return Case("with an anchor of any size", path, True, None, anchor_at(path, draw.randint(0, size), signer, beside / "anchor"))
+
+
+def a_segment_in_staging(path: Path, draw: random.Random, beside: Path) -> Case | None:
+    if not (records := records_of(path)):
+        return None
+    record = draw.choice(records)
+    segment_path(path, record.number).rename(staged_path(path, record.segment_sha256))
+    return Case("a segment in staging", path, True)
+
+
+def junk_in_staging(path: Path, draw: random.Random, beside: Path) -> Case | None:
+    if draw.random() < 0.5:
+        shutil.rmtree(path / "staging")
+        return Case("no staging", path, True)
+    (path / "staging" / "half.tmp").write_bytes(b"half")
+    (path / "staging" / "link").symlink_to("nowhere")
+    return Case("junk in staging", path, True)
+
+
+def one_commit_behind(path: Path, draw: random.Random, beside: Path) -> Case | None:
+    records = records_of(path)
+    if not records:
+        return None
+    before = records[-2].tree() if len(records) > 1 else Frontier()
+    for name in newest_tiles(before.size, records[-1].tree_size):
+        if draw.random() < 0.5:
+            (path / name).unlink()
+    if len(records) > 1:
+        (path / "checkpoint").write_text(records[-2].note, "utf-8")
+    else:
+        (path / "checkpoint").unlink()
+    return Case("derived files one commit behind", path, True)
+
+
+def outgrown_tiles_left(path: Path, draw: random.Random, beside: Path) -> Case | None:
+    """Partial tiles of the commit before the newest whose full tile is there."""
+    records = records_of(path)
+    if len(records) < 2:
+        return None
+    newly = [tile for tile in partial_tiles(records[-2].tree_size) if tile.number < records[-1].tree_size >> 8 * tile.level >> 8]
+    for tile in newly:
+        data = tile_reader(path)(tile)
+        (path / tile.name).parent.mkdir(exist_ok=True)
+        (path / tile.name).write_bytes(data)
+    if newly and draw.random() < 0.3:
+        (path / newly[0].name).write_bytes(bytes(32 * newly[0].width))
+        return Case("a wrong outgrown tile", path, False)
+    return Case("outgrown tiles left", path, True) if newly else None
+
+
+def another_history(path: Path, draw: random.Random, beside: Path) -> Case | None:
+    """Everything rewritten consistently from an altered row: good without a key and an anchor, and with an anchor of what came before; else damage."""
+    tables = tables_of(path)
+    if not tables:
+        return None
+    size = records_of(path)[-1].tree_size
+    number = draw.randrange(len(tables))
+    row = draw.randrange(tables[number].num_rows)
+    first = sum(table.num_rows for table in tables[:number]) + row
+    kept = draw.randint(0, size)
+    anchor = anchor_at(path, kept, None, beside / "anchor")
+    tables[number] = with_value(tables[number], "time_us", row, -123456789)
+    rewrite(path, tables, draw.choice([None, STRANGER]))
+    how = draw.choice(["alone", "anchor", "key"])
+    if how == "alone":
+        return Case("another history, alone", path, True)
+    if how == "key":
+        return Case("another history, with the key", path, False, KEY.verifier)
+    return Case("another history, with an anchor", path, kept <= first, None, anchor)
+
+
+def packed_otherwise(path: Path, draw: random.Random, beside: Path) -> Case | None:
+    """The same rows in other Parquet, by what says that it is another version of the library."""
+    codec, pages = draw.choice(["snappy", "none", "zstd"]), draw.choice([100, 1 << 20])
+    has_dictionary, has_sums, has_index = draw.random() < 0.5, draw.random() < 0.5, draw.random() < 0.2
+
+    def pack(table: pa.Table) -> bytes:
+        sink = pa.BufferOutputStream()
+        pq.write_table(
+            table,
+            sink,
+            compression=codec,
+            data_page_size=pages,
+            use_dictionary=has_dictionary,
+            write_page_checksum=has_sums,
+            write_page_index=has_index,
+            store_schema=False,
+            write_statistics=["run_id", "seq", "reason", "is_audited"],
+        )
+        return bytes(sink.getvalue()).replace(VERSION, OTHER_VERSION)
+
+    rewrite(path, tables_of(path), None, pack)
+    return Case(f"packed otherwise{' with an index' * has_index}", path, not has_index or not records_of(path))
+
+
+GOOD: tuple[Make, ...] = (
+    as_it_is,
+    with_its_key,
+    with_an_anchor,
+    a_segment_in_staging,
+    junk_in_staging,
+    one_commit_behind,
+    outgrown_tiles_left,
+    another_history,
+    packed_otherwise,
+)

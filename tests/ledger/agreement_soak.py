@@ -1,0 +1,65 @@
+"""How often `verify` and the independent verifier agree: `python -m tests.ledger.agreement_soak [N]` judges N ledgers (1,000), good and damaged."""
+
+import random
+import shutil
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from tests.ledger.agreement import Case, Outcome, bases, judged, odd_run, write
+from tests.ledger.agreement_damage import DAMAGED
+from tests.ledger.agreement_good import GOOD, as_it_is
+
+
+def drawn(folder: Path, count: int, *, is_large: bool) -> Iterator[Case]:
+    """So many ledgers, the same each time; each is gone when the next is asked for."""
+    shapes = bases(folder / "bases", is_large)
+    large = shapes.pop() if is_large else None
+    beside, path = folder / "beside", folder / "ledger"
+    number = seed = 0
+    while number < count:
+        draw = random.Random(seed)
+        seed += 1
+        makes = GOOD if draw.random() < 0.3 else DAMAGED
+        make = makes[seed % len(makes)]
+        beside.mkdir()
+        if make is as_it_is:
+            odd(path, draw)
+        else:
+            shutil.copytree(large if large and seed % 100 == 0 else draw.choice(shapes), path)
+        case = make(path, draw, beside)
+        if case is not None:
+            number += 1
+            yield case._replace(name=f"{case.name} (seed {seed - 1})")
+        shutil.rmtree(path)
+        shutil.rmtree(beside)
+
+
+def odd(path: Path, draw: random.Random) -> None:
+    """A ledger of some commits of events whose strings are hard to write."""
+    batches = [[odd_run(f"\u2028{commit}/{at}", draw.randrange(1, 9), draw) for at in range(draw.randrange(1, 3))] for commit in range(draw.randrange(1, 4))]
+    write(path, batches, [None] * len(batches))
+
+
+def outcomes(count: int, *, is_large: bool) -> list[Outcome]:
+    """What both verifiers say of so many ledgers."""
+    with tempfile.TemporaryDirectory() as folder:
+        return [judged(case) for case in drawn(Path(folder), count, is_large=is_large)]
+
+
+def main(arguments: list[str]) -> int:
+    """The counts are printed; 1 where the two differ anywhere, or both from what was expected."""
+    found = outcomes(int(arguments[0]) if arguments else 1000, is_large=True)
+    differences = [outcome.difference for outcome in found if outcome.difference]
+    good = sum(outcome.is_good for outcome in found)
+    stricter = sum(outcome.is_stricter for outcome in found)
+    agreed = len(found) - len(differences) - stricter
+    print(f"ledgers {len(found)}, good {good}, damaged {len(found) - good}: agree {agreed}, disagree {len(differences)}, verify alone stricter {stricter}")
+    for difference in differences:
+        print(f"  {difference}")
+    return 1 if differences else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

@@ -1,0 +1,157 @@
+"""Two verifiers that share nothing agree, and the document from which the second was written says what is so."""
+
+import ast
+import hashlib
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from fsar_ledger.ledger.schema import COLUMNS, FINGERPRINT, LAYOUTS
+from tests.ledger.agreement import KEY, ROOT, Case, by_independent, by_package, event_types, independent, judged, long_run, plain, write
+from tests.ledger.agreement_soak import outcomes
+from tests.ledger.samples import append_all, made_up_run
+
+VERIFIER = ROOT / "tests" / "independent_verifier.py"
+PAGE = (ROOT / "docs" / "ledger-format.md").read_text("utf-8")
+EXAMPLE = re.findall(r"```\n(.*?)```", PAGE.partition("<!-- example -->")[2], flags=re.DOTALL)
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return write(tmp_path / "ledger", plain([24, 30, 20]), [KEY] * 3)
+
+
+def test_the_independent_verifier_is_one_file_that_imports_nothing_of_ours() -> None:
+    nodes = [node for node in ast.walk(ast.parse(VERIFIER.read_text("utf-8"))) if isinstance(node, ast.Import | ast.ImportFrom)]
+    names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
+    names |= {f"{node.module}" for node in nodes if isinstance(node, ast.ImportFrom)}
+    outside = {name for name in names if name.partition(".")[0] not in sys.stdlib_module_names}
+    assert outside == {"pyarrow.parquet", "cryptography.exceptions", "cryptography.hazmat.primitives.asymmetric.ed25519"}
+
+
+def test_both_verifiers_say_the_same_of_good_and_damaged_ledgers() -> None:
+    found = outcomes(250, is_large=False)
+    assert [outcome.difference for outcome in found if outcome.difference] == []
+    assert sum(outcome.is_good for outcome in found) > 40
+    assert sum(not outcome.is_good and not outcome.is_stricter for outcome in found) > 120
+
+
+def test_a_disagreement_is_found(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    case = Case("as it is", path, True)
+    assert judged(case).difference == ""
+    assert "expected damage" in judged(case._replace(is_good=False)).difference
+    monkeypatch.setattr(independent(), "root_of", lambda frontier: bytes(32))
+    assert "the independent verifier (('commits/000000000000.json'" in judged(case).difference
+
+
+def test_tiles_of_level_two_are_the_same_to_both(tmp_path: Path) -> None:
+    path = tmp_path / "ledger"
+    append_all(path, [[long_run("long", 65_530)], [made_up_run("more", 20, 2)]])
+    assert (path / "tile" / "2" / "000.p" / "1").stat().st_size == 32
+    assert judged(Case("large", path, True)).difference == ""
+    (path / "tile" / "2" / "000.p" / "1").write_bytes(bytes(32))
+    found = by_package(Case("", path, None)), by_independent(Case("", path, None))
+    assert [one and one[0][0] for one in found] == ["tile/2/000.p/1"] * 2
+
+
+def test_the_independent_verifier_works_from_a_shell(path: Path, tmp_path: Path) -> None:
+    (tmp_path / "key.pub").write_text(f"{KEY.verifier}\n")
+    (tmp_path / "anchor").write_bytes((path / "checkpoint").read_bytes())
+    command = [sys.executable, str(VERIFIER), str(path), "--key", str(tmp_path / "key.pub"), "--anchor", str(tmp_path / "anchor")]
+    command += ["--event-types", str(ROOT / "docs" / "event-types.json")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.split()[:2], done.stderr) == (0, ["consistent:", "74"], "")
+    (path / "tile" / "0" / "000.p" / "54").write_bytes(b"")
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout.partition(":")[0], done.stderr) == (3, "tile/0/000.p/54", "")
+
+
+def test_the_list_of_event_types_is_that_of_the_package() -> None:
+    types, (fingerprint,) = event_types()["types"], event_types()["schemas"]
+    assert fingerprint == FINGERPRINT
+    assert list(event_types()["schemas"][fingerprint]) == list(COLUMNS)
+    assert set(types) == set(LAYOUTS)
+    for tag, layout in LAYOUTS.items():
+        assert set(types[tag]["required"]) == {field.name for field in layout.fields if not field.is_nullable}
+        assert set(types[tag]["optional"]) == {field.name for field in layout.fields if field.is_nullable}
+        assert types[tag]["values"] == {field.name: sorted(field.values) for field in layout.fields if field.values is not None}
+
+
+# --- the document ---
+
+
+def sha256(data: bytes) -> bytes:
+    return hashlib.sha256(data).digest()
+
+
+def rows_of_the_example() -> list[bytes]:
+    return [line.encode() for line in EXAMPLE[2].removesuffix("\n").split("\n")]
+
+
+def record_of_the_example() -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(EXAMPLE[5])
+    return found
+
+
+def test_the_strings_of_the_document_are_written_as_it_says() -> None:
+    rows = re.findall(r"^\| (U\+[^|]*) \| [^|]* \| ([0-9a-f ]+) \|$", PAGE, flags=re.MULTILINE)
+    assert len(rows) == 3
+    for points, expected in rows:
+        text = "".join(chr(int(point[2:], 16)) for point in points.split())
+        assert independent().canonical(text).hex(" ") == expected
+
+
+def test_the_example_of_a_fingerprint_is_right() -> None:
+    columns = independent().ENVELOPE
+    text = "".join(f"{name} {kind}\n" for name, kind in columns.items())
+    assert text.startswith("run_id string not null\nseq int64 not null\n")
+    assert sha256(text.encode()).hex() in PAGE
+
+
+def test_the_leaves_and_roots_of_the_example_follow_from_its_rows() -> None:
+    rows = rows_of_the_example()
+    assert [independent().canonical(json.loads(row)) for row in rows] == rows
+    leaves = [sha256(b"\x00" + row) for row in rows]
+    first = sha256(b"\x01" + leaves[0] + leaves[1])
+    assert EXAMPLE[3].split() == [leaf.hex() for leaf in leaves]
+    assert EXAMPLE[4].split() == [first.hex(), sha256(b"\x01" + first + leaves[2]).hex()]
+    assert record_of_the_example()["frontier"] == [first.hex(), leaves[2].hex()]
+    assert record_of_the_example()["tree_root"] == EXAMPLE[4].split()[1]
+
+
+def test_the_notes_of_the_example_are_signed_by_its_key() -> None:
+    module = independent()
+    key, note = module.read_key(EXAMPLE[0]), module.read_note(EXAMPLE[6])
+    assert key[2].hex() == "d75a980182b10ab7d54bfed3c964073a0ee172f3daa62325af021a68f707511a"  # RFC 8032, section 7.1, test 1
+    assert (note.origin, note.size, note.root.hex()) == (key[0], 3, EXAMPLE[4].split()[1])
+    assert note.has(key)
+    assert record_of_the_example()["note"] == EXAMPLE[6]
+
+
+def test_the_json_of_the_example_is_canonical() -> None:
+    for text in (EXAMPLE[1], EXAMPLE[5]):
+        assert independent().canonical(json.loads(text)).decode() + "\n" == text
+
+
+def test_the_proof_of_the_example_leads_to_its_root() -> None:
+    module = independent()
+    head, _, note = EXAMPLE[7].partition("\n\n")
+    title, extra, index, *hashes = head.split("\n")
+    assert (title, index) == ("c2sp.org/tlog-proof@v1", "index 1")
+    event = module.from_base64(extra.removeprefix("extra "))
+    first, last = map(module.from_base64, hashes)
+    assert event == rows_of_the_example()[1]
+    assert sha256(b"\x01" + sha256(b"\x01" + first + sha256(b"\x00" + event)) + last) == module.read_note(note).root
+    assert note == EXAMPLE[6]
+
+
+def test_the_document_names_every_member_of_a_record_and_every_tile_as_they_are() -> None:
+    assert set(re.findall(r"`(\w+)`", PAGE.partition("## 4.")[2].partition("## 5.")[0])) >= set(independent().RECORD)
+    assert str(independent().Tile(0, 1234067, 256)) == "tile/0/x001/x234/067"
+    assert "`x001/x234/067`" in PAGE
+    assert str(independent().Tile(1, 12, 3)) == "tile/1/012.p/3"
