@@ -14,6 +14,7 @@ from typing import Annotated
 
 import typer
 
+from .commands import recover
 from .commands.options import (
     ArchitectureOption,
     AuditedOption,
@@ -278,6 +279,9 @@ def verify(ledger: LedgerArgument, replay: ReplayOption = False, workers: Worker
         raise ReplayMismatch(verdict_text(ledger, report, again))
     if not as_json:
         _show(verdict_text(ledger, report, again))
+
+
+app.command(epilog=recover.RECOVER)(recover.recover)
 
 
 @app.command(
