@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from .commands import trust
+from .commands import recover, trust
 from .commands.options import (
     ArchitectureOption,
     AuditedOption,
@@ -265,6 +265,7 @@ app.command(epilog=trust.VERIFY)(trust.verify)
 app.command(epilog=trust.PROVE)(trust.prove)
 app.command("verify-proof", epilog=trust.VERIFY_PROOF)(trust.verify_proof)
 app.add_typer(trust.keys, name="key")
+app.command(epilog=recover.RECOVER)(recover.recover)
 
 
 @app.command(
