@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 
+from fsar_ledger.ledger import disk
 from tests.ledger.power import Disk, Node
 
 COUNTED = ("open", "read", "write", "fsync", "link", "rename", "replace", "unlink", "mkdir", "rmdir", "close")
@@ -160,6 +161,7 @@ def in_place_of_os(faulty: FaultyOs) -> Iterator[FaultyOs]:
         for name, module in list(sys.modules.items()):
             if name.startswith("fsar_ledger.ledger.") and not name.startswith(ONLY_READS) and getattr(module, "os", None) is os:
                 patch.setattr(module, "os", faulty)
+        patch.setattr(disk, "SYNCS_AT_ONCE", 1)  # the number of a call shall name the same call each time
         try:
             yield faulty
         finally:

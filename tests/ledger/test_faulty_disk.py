@@ -140,3 +140,25 @@ def is_free(path: Path) -> bool:
     finally:
         os.close(handle)
     return True
+
+
+def test_many_files_are_synced_together_and_one_that_cannot_be_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    staging = tmp_path / "staging"
+    staging.mkdir()
+    files = {tmp_path / "tile" / f"{number % 7}" / f"{number:03d}": b"%d" % number for number in range(300)}
+    synced: list[int] = []
+    monkeypatch.setattr(os, "fsync", synced.append)
+    disk.write_files(files, staging)
+    assert {path: path.read_bytes() for path in files} == files
+    assert len(synced) >= len(files) + 7
+    assert list(staging.iterdir()) == []
+
+    def refuses(_: int) -> None:
+        synced.append(0)
+        if len(synced) % 50 == 0:
+            raise OSError(5, "Input/output error")
+
+    monkeypatch.setattr(os, "fsync", refuses)
+    with pytest.raises(OSError, match="Input/output error"):
+        disk.write_files(dict.fromkeys(files, b"other"), staging)
+    assert list(staging.iterdir()) == []
