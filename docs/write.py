@@ -25,7 +25,8 @@ from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.ledger.note import Signer
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.record import commit_path
-from fsar_ledger.ledger.schema import FINGERPRINT, LAYOUTS, SCHEMA
+from fsar_ledger.ledger.releases import FINGERPRINTS
+from fsar_ledger.ledger.schema import SCHEMA, STORED
 from fsar_ledger.ledger.tiles import node_of, tile_reader
 from fsar_ledger.metrics.library import Query, library
 
@@ -82,7 +83,7 @@ def _row(query: Query) -> str:
 
 
 def event_types() -> str:
-    """What a verifier must know of events: the columns by their fingerprint; by type the fields that must and may have a value, and the only values of some."""
+    """What a verifier must know of events: the fingerprint of each release's columns, today's columns, and each type's required, optional, limited fields."""
     columns = {field.name: f"{field.type}{'' if field.nullable else ' not null'}" for field in SCHEMA}
     types = {
         tag: {
@@ -90,11 +91,11 @@ def event_types() -> str:
             "optional": sorted(field.name for field in layout.fields if field.is_nullable),
             "values": {field.name: sorted(field.values) for field in layout.fields if field.values is not None},
         }
-        for tag, layout in sorted(LAYOUTS.items())
+        for tag, layout in sorted(STORED.items())
     }
-    schemas = ",\n".join(f'    "{name}": {json.dumps(text)}' for name, text in columns.items())
-    lines = ",\n".join(f'  "{tag}": {json.dumps(layout)}' for tag, layout in types.items())
-    return f'{{\n"schemas": {{\n  "{FINGERPRINT}": {{\n{schemas}\n  }}\n}},\n"types": {{\n{lines}\n}}\n}}\n'
+    texts = [",\n".join(f'  "{name}": {json.dumps(text)}' for name, text in part.items()) for part in (FINGERPRINTS, columns, types)]
+    parts = [f'"{name}": {{\n{text}\n}}' for name, text in zip(("releases", "columns", "types"), texts, strict=True)]
+    return "{\n" + ",\n".join(parts) + "\n}\n"
 
 
 EXAMPLE_ORIGIN = "example.org/tiny"

@@ -56,7 +56,7 @@ def is_name(value: object) -> bool:
 
 COUNT, TEXT, HASH = "0|[1-9][0-9]{0,15}", '(?s:".*")', '"[0-9a-f]{64}"'
 MANIFEST = {"format": '"fsar-ledger"', "origin": TEXT, "version": "1"}
-RECORD = dict.fromkeys(("number", "segment_bytes", "rows", "tree_size"), COUNT) | dict.fromkeys(("first_run", "last_run", "note"), TEXT)
+RECORD = dict.fromkeys(("number", "segment_bytes", "rows", "tree_size"), COUNT) | dict.fromkeys(("first_run", "last_run", "note", "release"), TEXT)
 RECORD |= dict.fromkeys(("previous_sha256", "schema_sha256", "segment_sha256", "tree_root"), HASH) | {"frontier": rf"\[({HASH}(,(?!\])|(?=\])))*\]"}
 
 
@@ -267,8 +267,8 @@ class Verifier:
         try:
             for name in [name for name, value in expected.items() if record[name] != value]:
                 raise ValueError(f"{name} {record[name]}, not {expected[name]}")
-            if self.types is not None and record["schema_sha256"] not in self.types["schemas"]:
-                raise ValueError(f"schema_sha256 {record['schema_sha256']}")
+            if self.types is not None and self.types["releases"].get(record["release"]) != record["schema_sha256"]:
+                raise ValueError(f"release {record['release']}, schema_sha256 {record['schema_sha256']}")
             note = read_note(record["note"])
             is_own = len(note.signatures) <= 1 and all(name == origin and len(data) == 64 for name, _, data in note.signatures)
             if note[:3] != (origin, record["tree_size"], root) or not is_own:

@@ -11,7 +11,8 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.ledger.schema import COLUMNS, FINGERPRINT, LAYOUTS
+from fsar_ledger.ledger.releases import FINGERPRINTS
+from fsar_ledger.ledger.schema import COLUMNS, STORED
 from tests.ledger.agreement import KEY, ROOT, Case, by_independent, by_package, event_types, independent, judged, long_run, plain, write
 from tests.ledger.agreement_soak import outcomes
 from tests.ledger.samples import append_all, made_up_run
@@ -72,11 +73,11 @@ def test_the_independent_verifier_works_from_a_shell(path: Path, tmp_path: Path)
 
 
 def test_the_list_of_event_types_is_that_of_the_package() -> None:
-    types, (fingerprint,) = event_types()["types"], event_types()["schemas"]
-    assert fingerprint == FINGERPRINT
-    assert list(event_types()["schemas"][fingerprint]) == list(COLUMNS)
-    assert set(types) == set(LAYOUTS)
-    for tag, layout in LAYOUTS.items():
+    types = event_types()["types"]
+    assert event_types()["releases"] == FINGERPRINTS
+    assert list(event_types()["columns"]) == list(COLUMNS)
+    assert set(types) == set(STORED)
+    for tag, layout in STORED.items():
         assert set(types[tag]["required"]) == {field.name for field in layout.fields if not field.is_nullable}
         assert set(types[tag]["optional"]) == {field.name for field in layout.fields if field.is_nullable}
         assert types[tag]["values"] == {field.name: sorted(field.values) for field in layout.fields if field.values is not None}
