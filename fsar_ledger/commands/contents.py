@@ -5,6 +5,7 @@ from typing import Any
 
 import msgspec
 
+from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.read import Head
 from fsar_ledger.metrics.database import connect
 
@@ -83,5 +84,12 @@ def contents(ledger: Path) -> tuple[Head, Contents]:
     """
     with connect(ledger) as database:
         assert database.head is not None  # only a database over rows in memory has none
-        models = [{**row, "parameters": msgspec.json.decode(row["parameters"])} for row in database.rows(PARAMETERS)]
+        models = [{**row, "parameters": _parameters(ledger, row["parameters"])} for row in database.rows(PARAMETERS)]
         return database.head, Contents(groups=database.rows(GROUPS), models=models)
+
+
+def _parameters(ledger: Path, text: str) -> Any:
+    try:
+        return msgspec.json.decode(text)
+    except (msgspec.DecodeError, RecursionError) as error:
+        raise LedgerCorrupted(f"{ledger}: field parameters of a RunStarted: found {text!r:.80}, expected JSON ({error}); run fsar-ledger verify") from error

@@ -21,8 +21,9 @@ import msgspec
 
 from fsar_ledger.errors import NotALedger, SequenceConflict, UsageError, WriteFailed
 from fsar_ledger.ledger import canonical, disk, segment
+from fsar_ledger.ledger.bounds import MAX_ROWS, MAX_SEGMENT_BYTES, MAX_TEXT_BYTES, text_bytes
 from fsar_ledger.ledger.codec import RunRecord, encode_hashed
-from fsar_ledger.ledger.derived import catch_up, write_derived
+from fsar_ledger.ledger.derived import catch_up, check_folders, write_derived
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.note import Note, Signer, checkpoint_of, is_name
 from fsar_ledger.ledger.read import Head, LedgerView, open_ledger, read_manifest
@@ -67,13 +68,20 @@ def stage(ledger: Path, runs: Sequence[RunRecord]) -> Staged:
     removes what is staged and not committed. The same runs give the same file.
 
     Raises:
-        ValueError: There are no runs, or one of them cannot be encoded (see `codec.encode`).
+        ValueError: There are no runs, or more than one commit may hold (see `bounds`), or one of them cannot be encoded (see `codec.encode`).
         WriteFailed: The disk refused; nothing is left behind.
     """
     if not runs:
         raise ValueError("found no runs to stage, expected at least 1")
     table, leaves = encode_hashed(runs)
     data = segment.to_parquet(table)
+    for found, most, what in (
+        (table.num_rows, MAX_ROWS, "events"),
+        (data.size, MAX_SEGMENT_BYTES, "bytes"),
+        (text_bytes(table), MAX_TEXT_BYTES, "bytes of text"),
+    ):
+        if found > most:
+            raise ValueError(f"found {found} {what} in {len(runs)} runs, expected at most {most} in one commit; commit fewer runs at once")
     staged = Staged(sha256_hex(data), data.size, table.num_rows, runs[0].run_id, runs[-1].run_id, leaves)
     path = staged_path(ledger, staged.segment_sha256)
     with disk.refusals(path, "writing a segment"):
@@ -148,6 +156,7 @@ class Writer:
 
         Raises:
             SequenceConflict: Another writer took the number; open the ledger again and append what it lacks.
+            LedgerCorrupted: A folder of the tiles is a link.
             WriteFailed: The disk refused. The ledger is as it was, unless the message says otherwise.
         """
         if self._is_broken or self._lock < 0:
@@ -157,6 +166,7 @@ class Writer:
             return self._head
         number = self._head.commits
         edge, tiles = self._edge.extend(staged.leaves)
+        check_folders(self._path, tiles)
         record = self._record(staged, number, edge.frontier())
         data = canonical.document(record)
         self._is_broken = True  # unless everything below succeeds

@@ -4,7 +4,7 @@ They are written after the commit, tiles first, so a crash leaves them one commi
 Partial tiles stay until the full tile is there, as C2SP tlog-tiles asks, so each published tree size keeps its own.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted
@@ -35,6 +35,13 @@ def _remove_outgrown(ledger: Path, before: int, record: CommitRecord) -> None:
             disk.remove_folder(ledger / f"{Tile(tile.level, tile.number).name}.p")
 
 
+def check_folders(ledger: Path, tiles: Iterable[Tile]) -> None:
+    """No folder of these tiles is a link, through which a writer would reach files that are not the ledger's. Raises: LedgerCorrupted if one is."""
+    for folder in sorted({ledger / parent for tile in tiles for parent in Path(tile.name).parents if parent.name}):
+        if folder.is_symlink():
+            raise LedgerCorrupted(f"{folder}: found a link, expected a folder of tiles; take it away and run fsar-ledger recover")
+
+
 def catch_up(view: LedgerView) -> Edge:
     """The derived files are those of the view's head, durably, whatever moment the last writer was interrupted at; the edge of its tree.
 
@@ -57,8 +64,9 @@ def catch_up(view: LedgerView) -> Edge:
             "and fsar-ledger recover if only derived files are damaged"
         )
     edge = edge_at(view.path, before.tree() if before else Frontier())
+    after, made = edge.extend(view.leaves(len(view.records) - 1))
+    check_folders(view.path, made)
     with disk.refusals(view.path / TILE, "writing tiles"):
-        after, made = edge.extend(view.leaves(len(view.records) - 1))
         write_derived(view.path, edge, made, last)
     return after
 

@@ -15,6 +15,7 @@ import stat
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
+from itertools import islice
 from pathlib import Path
 from typing import TypeVar
 
@@ -27,6 +28,9 @@ _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
 _T = TypeVar("_T")
 MAX_DOCUMENT_BYTES = 1 << 20
 """No JSON file of a ledger comes near this size; what is larger is not one."""
+
+MAX_NAMES = 1 << 20
+"""A folder of a ledger with more files than this is not one: nobody has made so many commits."""
 
 
 def read_document(path: Path) -> bytes:
@@ -43,6 +47,15 @@ def read_document(path: Path) -> bytes:
     if len(data) > MAX_DOCUMENT_BYTES:
         raise OSError(0, f"it is larger than {MAX_DOCUMENT_BYTES} bytes")
     return data
+
+
+def entries(folder: Path) -> list["os.DirEntry[str]"]:
+    """What is in the folder, by name. Raises: OSError if it cannot be read or holds more than `MAX_NAMES`."""
+    with os.scandir(folder) as found:
+        names = list(islice(found, MAX_NAMES + 1))
+    if len(names) > MAX_NAMES:
+        raise OSError(0, f"it holds more than {MAX_NAMES} names", str(folder))
+    return sorted(names, key=lambda entry: entry.name)
 
 
 @contextmanager
@@ -175,7 +188,12 @@ def remove(path: Path) -> None:
 
 
 def remove_folder(path: Path) -> None:
-    """The folder and the files in it are gone, durably, even where a process was killed after it had removed them. Raises: OSError."""
+    """The folder and the files in it are gone, durably, even where a process was killed after it had removed them. What a link leads to stays.
+
+    Raises: OSError.
+    """
+    if path.is_symlink():
+        return
     with suppress(FileNotFoundError):
         for name in os.listdir(path):
             os.unlink(path / name)

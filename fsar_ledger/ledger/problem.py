@@ -2,9 +2,15 @@
 
 import msgspec
 
+MAX_TEXT = 600
+"""A note takes some 300 characters; nobody reads more of what a file should not hold."""
+
 
 class Problem(msgspec.Struct, frozen=True):
-    """One doubt: where (a file within the ledger, and as much of commit, run, seq and field as is known), found, expected."""
+    """One doubt: where (a file within the ledger, and as much of commit, run, seq and field as is known), found, expected.
+
+    Whatever a file or its name holds, the texts are one printable line each, of at most `MAX_TEXT` characters of it.
+    """
 
     where: str
     found: str
@@ -14,11 +20,22 @@ class Problem(msgspec.Struct, frozen=True):
     seq: int | None = None
     field: str | None = None
 
+    def __post_init__(self) -> None:
+        for name in ("where", "found", "expected", "run"):
+            text = getattr(self, name)
+            if text is not None and not (text.isprintable() and len(text) <= MAX_TEXT):
+                cut = text if len(text) <= MAX_TEXT else text[:MAX_TEXT] + "..."
+                msgspec.structs.force_setattr(self, name, "".join(map(_printable, cut)))
+
     def __str__(self) -> str:
         place = [
             f"{name} {value}" for name, value in (("commit", self.commit), ("run", self.run), ("seq", self.seq), ("field", self.field)) if value is not None
         ]
         return f"{': '.join([self.where, ', '.join(place)] if place else [self.where])}: found {self.found}, expected {self.expected}"
+
+
+def _printable(character: str) -> str:
+    return character if character.isprintable() else character.encode("unicode_escape", "surrogatepass").decode("ascii")
 
 
 def unexpected(where: str, commit: int | None, error: BaseException) -> Problem:

@@ -1,6 +1,7 @@
 """What is committed, as a reader sees it. Readers never write and never see half a commit."""
 
 import os
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -13,6 +14,8 @@ from fsar_ledger.ledger.merkle import Frontier
 from fsar_ledger.ledger.record import (
     COMMITS,
     MANIFEST,
+    SEGMENTS,
+    STAGING,
     CommitRecord,
     Manifest,
     commit_name,
@@ -25,6 +28,7 @@ from fsar_ledger.ledger.record import (
     staged_path,
 )
 from fsar_ledger.ledger.releases import is_later
+from fsar_ledger.ledger.tiles import TILE
 
 
 class Head(msgspec.Struct, frozen=True):
@@ -59,16 +63,19 @@ class LedgerView(msgspec.Struct, frozen=True):
         """The file with the rows of this commit: in place, or in staging where the writer was interrupted.
 
         Raises:
-            LedgerCorrupted: It is in neither place, or has another size than committed.
+            LedgerCorrupted: It is in neither place, is no regular file, or has another size than committed.
         """
         record = self.records[number]
         for path in (segment_path(self.path, number), staged_path(self.path, record.segment_sha256), segment_path(self.path, number)):
             try:
-                size = path.stat().st_size
+                status = path.lstat()
             except FileNotFoundError:
                 continue
             except OSError as error:
                 raise LedgerCorrupted(f"{path}: commit {number}: the segment cannot be read ({error.strerror}); permit reading or restore it") from error
+            if not stat.S_ISREG(status.st_mode):
+                raise LedgerCorrupted(f"{path}: commit {number}: found a link or something else than a file, expected a segment; restore the file")
+            size = status.st_size
             if size != record.segment_bytes:
                 raise LedgerCorrupted(f"{path}: commit {number}: found {size} bytes, expected {record.segment_bytes}; restore the file")
             return path
@@ -122,10 +129,11 @@ def open_ledger(path: Path) -> LedgerView:
     Raises:
         NotALedger: There is no ledger.
         FormatVersionMismatch: It was written in another format, or holds events of a later release.
-        LedgerCorrupted: A record is missing, is not canonical, or contradicts the one before it.
+        LedgerCorrupted: A record is missing, is not canonical, or contradicts the one before it; a folder is a link to elsewhere.
     """
     data = read_manifest(path)
     manifest = parse_manifest(path / MANIFEST, data)
+    _require_folders(path)
     records: list[CommitRecord] = []
     previous = manifest_sha256 = sha256_hex(data)
     tree = Frontier()
@@ -135,8 +143,8 @@ def open_ledger(path: Path) -> LedgerView:
         record = parse_record(file, data)
         for name, found, expected in contradictions(record, number, previous, manifest.origin, tree):
             if is_later(record.release):
-                raise FormatVersionMismatch(f"{file}: field {name}: found {found}, expected {expected}")
-            raise LedgerCorrupted(f"{file}: field {name}: found {found!r}, expected {expected!r}; restore the file, or run fsar-ledger verify")
+                raise FormatVersionMismatch(f"{file}: field {name}: found {found!s:.80}, expected {expected!s:.300}")
+            raise LedgerCorrupted(f"{file}: field {name}: found {found!r:.300}, expected {expected!r:.300}; restore the file, or run fsar-ledger verify")
         tree = record.tree()
         previous = sha256_hex(data)
         records.append(record)
@@ -154,6 +162,13 @@ def read_manifest(path: Path) -> bytes:
         raise LedgerCorrupted(f"{path / MANIFEST}: it cannot be read ({error.strerror}); permit reading or restore it") from error
 
 
+def _require_folders(path: Path) -> None:
+    """Raises: LedgerCorrupted if a folder of the ledger is a link: what it leads to is not the ledger's, to be read or cleaned up."""
+    for folder in (path / COMMITS, path / SEGMENTS, path / STAGING, path / TILE):
+        if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
+            raise LedgerCorrupted(f"{folder}: found a link or something else than a folder, expected a folder of the ledger; restore it")
+
+
 def _read(file: Path) -> bytes:
     try:
         return disk.read_document(file)
@@ -169,7 +184,9 @@ def _count(path: Path) -> int:
         raise LedgerCorrupted(f"{path / COMMITS}: the folder cannot be read ({error.strerror}), expected one record a commit; restore it") from error
     for number, name in enumerate(names):
         if name != commit_name(number):
-            raise LedgerCorrupted(f"{path / COMMITS}: found {name}, expected {commit_name(number)}; restore the missing record or take the stray file away")
+            raise LedgerCorrupted(
+                f"{path / COMMITS}: found {name!r:.80}, expected {commit_name(number)}; restore the missing record or take the stray file away"
+            )
     return len(names)
 
 
@@ -179,7 +196,7 @@ def commit_names(path: Path) -> list[str]:
     A listing may lack a commit that is made meanwhile, and yet hold a later one: then the folder is listed again.
     """
     while True:
-        names = sorted(os.listdir(path / COMMITS))
+        names = [entry.name for entry in disk.entries(path / COMMITS)]
         lacking = set(map(commit_name, range(len(names)))).difference(names)
         if not any(os.path.lexists(path / COMMITS / name) for name in lacking):
             return names

@@ -13,6 +13,7 @@ import msgspec
 
 from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger
 from fsar_ledger.ledger import canonical
+from fsar_ledger.ledger.bounds import MAX_ROWS, MAX_SEGMENT_BYTES
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.note import Checkpoint, Note, checkpoint_of, is_name, parse_note
 from fsar_ledger.ledger.releases import FINGERPRINTS, RELEASE, is_later
@@ -22,6 +23,7 @@ FORMAT = "fsar-ledger"
 VERSION = 1
 MANIFEST = "ledger.json"
 COMMITS, SEGMENTS, STAGING = "commits", "segments", "staging"
+_SIGNATURE_BYTES = 64  # RFC 8032
 
 Count = Annotated[int, msgspec.Meta(ge=0, le=MAX_INTEGER)]
 
@@ -48,8 +50,8 @@ class CommitRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     release: str
     schema_sha256: str
     segment_sha256: str
-    segment_bytes: Count
-    rows: Count
+    segment_bytes: Annotated[int, msgspec.Meta(ge=1, le=MAX_SEGMENT_BYTES)]
+    rows: Annotated[int, msgspec.Meta(ge=1, le=MAX_ROWS)]
     first_run: str
     last_run: str
     tree_size: Count
@@ -101,15 +103,15 @@ def parse_manifest(path: Path, data: bytes) -> Manifest:
     """
     try:
         header = msgspec.json.decode(data, type=dict[str, object])
-    except (msgspec.DecodeError, RecursionError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise LedgerCorrupted(f"{path}: found no JSON object ({error}), expected the description of a ledger; restore it") from error
     if header.get("format") != FORMAT:
-        raise NotALedger(f"{path}: found format {header.get('format')!r}, expected {FORMAT!r}; this is no FSAR ledger")
+        raise NotALedger(f"{path}: found format {header.get('format')!r:.80}, expected {FORMAT!r}; this is no FSAR ledger")
     if header.get("version") != VERSION:
-        raise FormatVersionMismatch(f"{path}: found format version {header.get('version')!r}, expected {VERSION}; read it with the version that wrote it")
+        raise FormatVersionMismatch(f"{path}: found format version {header.get('version')!r:.80}, expected {VERSION}; read it with the version that wrote it")
     manifest = _parse(path, data, Manifest)
     if not is_name(manifest.origin):
-        raise LedgerCorrupted(f"{path}: field origin: found {manifest.origin!r}, expected a printable name without spaces; restore it")
+        raise LedgerCorrupted(f"{path}: field origin: found {manifest.origin!r:.80}, expected a printable name without spaces; restore it")
     return manifest
 
 
@@ -134,7 +136,7 @@ def contradictions(record: CommitRecord, number: int, previous: str, origin: str
         "number": (record.number, number),
         "previous_sha256": (record.previous_sha256, previous),
         "schema_sha256": (record.schema_sha256, FINGERPRINTS.get(record.release, record.schema_sha256)),
-        "rows": (record.rows, max(1, record.tree_size - before.size)),
+        "rows": (record.rows, record.tree_size - before.size),
         "tree_root": (record.tree_root, tree.root().hex()),
     }
     for name, (found, expected) in pairs.items():
@@ -156,7 +158,8 @@ def _is_note_of(record: CommitRecord, checkpoint: Checkpoint) -> bool:
         note = record.signed_note()
     except LedgerCorrupted:
         return False
-    return note.checkpoint == checkpoint and len(note.signatures) <= 1
+    is_own = all(signature.name == checkpoint.origin and len(signature.data) == _SIGNATURE_BYTES for signature in note.signatures)
+    return note.checkpoint == checkpoint and len(note.signatures) <= 1 and is_own
 
 
 def _require_hash(path: Path, name: str, value: str) -> None:
@@ -168,7 +171,7 @@ def _parse(path: Path, data: bytes, kind: type[_Document]) -> _Document:
     """The struct in these bytes. Raises: LedgerCorrupted unless they are its canonical JSON."""
     try:
         found = msgspec.json.decode(data, type=kind)
-    except (msgspec.DecodeError, RecursionError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise LedgerCorrupted(f"{path}: found other JSON than expected ({error}); restore the file") from error
     expected = canonical.document(found)
     if data != expected:

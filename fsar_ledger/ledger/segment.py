@@ -8,10 +8,16 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger.bounds import MAX_TEXT_BYTES, check_bounds, text_bytes
 from fsar_ledger.ledger.releases import FINGERPRINTS, widened
 from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, SCHEMA, fingerprint
 
 _PRUNED_BY = ("run_id", "seq", "time_us")  # statistics of the other columns spare no reader any work
+
+
+def _leaf(name: str) -> str:
+    """The Parquet path of a column: that of its elements for a list."""
+    return f"{name}.list.element" if COLUMNS[name] == "strings" else name
 
 
 def to_parquet(table: pa.Table) -> pa.Buffer:
@@ -58,16 +64,12 @@ def _coded(strings: pa.Array) -> pa.DictionaryArray:
     return pa.DictionaryArray.from_arrays(pa.array(places).take(found.indices), found.dictionary.take(pa.array(order)))
 
 
-def _leaf(name: str) -> str:
-    """The Parquet path of a column: that of its elements for a list."""
-    return f"{name}.list.element" if COLUMNS[name] == "strings" else name
-
-
 def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
-    """The rows of a segment, after its page checksums were verified, with these columns of `SCHEMA` (all: None); NULL in those that came later.
+    """The rows of a segment, after its bounds and its page checksums were verified, with these columns of `SCHEMA` (all: None); NULL in those that came later.
 
     Raises:
-        LedgerCorrupted: The file cannot be read, a checksum is wrong, or its columns are those of no release.
+        LedgerCorrupted: The file cannot be read, asks for more memory than a batch of runs needs, a checksum is wrong, or its
+            columns are those of no release.
     """
     return _read(path, columns, is_coded=False)
 
@@ -79,14 +81,18 @@ def read_coded(path: Path) -> pa.Table:
 
 def _read(path: Path, columns: list[str] | None, *, is_coded: bool) -> pa.Table:
     try:
-        with pq.ParquetFile(path) as file:
-            schema, metadata = file.schema_arrow, file.metadata
+        metadata = check_bounds(path)
+        schema = metadata.schema.to_arrow_schema()
         if not schema.equals(SCHEMA) and fingerprint(schema) not in FINGERPRINTS.values():
             raise LedgerCorrupted(f"{path}: {_difference(schema)}; restore the file, or read it with the version that wrote it")
-        strings = [name for name in schema.names if COLUMNS[name] == "string"] if is_coded else None
+        strings = [_leaf(name) for name in schema.names if COLUMNS[name] in ("string", "strings")]
         with pq.ParquetFile(path, metadata=metadata, page_checksum_verification=True, read_dictionary=strings) as file:
             found = file.read(columns=columns, use_threads=False)
-        return widened(found, columns or SCHEMA.names, CODED_SCHEMA if is_coded else SCHEMA)
+        if (texts := text_bytes(found)) > MAX_TEXT_BYTES:
+            raise LedgerCorrupted(f"{path}: found strings of {texts} bytes in {found.num_rows} rows, expected at most {MAX_TEXT_BYTES}; restore the file")
+        target = CODED_SCHEMA if is_coded else SCHEMA
+        found = found.cast(pa.schema([target.field(name) for name in found.column_names]))
+        return widened(found, columns or SCHEMA.names, target)
     except (OSError, pa.ArrowException) as error:
         raise LedgerCorrupted(f"{path}: the segment cannot be read ({error}); expected a Parquet file with valid page checksums; restore it") from error
 

@@ -34,7 +34,7 @@ class Commit(msgspec.Struct, frozen=True):
     """One commit as its file says; None where it could not be read."""
 
     number: int
-    data: bytes | None
+    sha256: str | None
     record: CommitRecord | None
 
 
@@ -47,7 +47,7 @@ def check_folder(path: Path) -> Iterator[Problem]:
     """The ledger holds its folders and files, and nothing else."""
     known = ", ".join(sorted(_FOLDERS | _FILES))
     found = set()
-    for entry in sorted(os.scandir(path), key=lambda entry: entry.name):
+    for entry in disk.entries(path):
         found.add(entry.name)
         if entry.name not in _FOLDERS | _FILES:
             yield Problem(entry.name, "an unknown file", f"only {known}; take it away")
@@ -92,24 +92,23 @@ def read_commits(path: Path, problems: list[Problem]) -> list[Commit]:
 def _read_commit(path: Path, number: int, problems: list[Problem]) -> Commit:
     """The commit as its file says, as far as that can be read."""
     where = f"{COMMITS}/{number:012d}.json"
-    data: bytes | None = None
+    sha256: str | None = None
     try:
         data = disk.read_document(commit_path(path, number))
-        return Commit(number, data, parse_record(Path(where), data))
+        sha256 = sha256_hex(data)
+        return Commit(number, sha256, parse_record(Path(where), data))
     except OSError as error:
         problems.append(Problem(where, f"an unreadable file ({error.strerror})", "a commit record", commit=number))
     except FsarLedgerError as error:
         problems.append(Problem(where, str(error), "the canonical JSON of a commit record", commit=number))
     except Exception as error:
         problems.append(unexpected(where, number, error))
-    return Commit(number, data, None)
+    return Commit(number, sha256, None)
 
 
 def entries(folder: Path) -> list["os.DirEntry[str]"]:
-    """What is in the folder, by name; nothing if it is not one."""
-    if folder.is_symlink() or not folder.is_dir():
-        return []
-    return sorted(os.scandir(folder), key=lambda entry: entry.name)
+    """What is in the folder, by name; nothing if it is not one. Raises: OSError if it cannot be read or holds too much."""
+    return disk.entries(folder) if folder.is_dir() and not folder.is_symlink() else []
 
 
 def segment_file(path: Path, commit: Commit) -> str:

@@ -10,7 +10,7 @@ from fsar_ledger.ledger import disk
 from fsar_ledger.ledger.derived import CHECKPOINT, read_checkpoint
 from fsar_ledger.ledger.merkle import HASH_BYTES
 from fsar_ledger.ledger.problem import Problem
-from fsar_ledger.ledger.record import CommitRecord
+from fsar_ledger.ledger.record import COMMITS, CommitRecord
 from fsar_ledger.ledger.tiles import HEIGHT, TILE, WIDTH, Tile
 
 BEHIND = "the tiles and the checkpoint are one commit behind, as a crash leaves them; the next writer, or fsar-ledger recover, goes on from there"
@@ -28,8 +28,9 @@ def check_checkpoint(ledger: Path, records: list[CommitRecord]) -> tuple[list[Pr
         return [], False
     if len(notes) > 1 and found == notes[-2]:
         return [], True
-    size = records[-1].tree_size if records else 0
-    return [Problem(CHECKPOINT, "no file" if found is None else f"{found!r:.200}", f"the note of the newest commit, {size} events")], False
+    newest = records[-1].number if records else None
+    expected = "no note, as there is no commit" if newest is None else f"the note in {COMMITS}/{newest:012d}.json, the newest record"
+    return [Problem(CHECKPOINT, "no file" if found is None else f"{found!r:.400}", expected, commit=newest)], False
 
 
 class TileCheck:
@@ -107,12 +108,18 @@ class TileCheck:
         return tile.name == name and tile.number < self._full.get(tile.level, 0)
 
     def _files(self) -> Iterator[str]:
-        """Every file under `tile/`, links and other things among them."""
+        """Every file under `tile/`, links and other things among them. Raises: OSError if a folder cannot be read, or they are too many."""
         folders = [self._ledger / TILE] if (self._ledger / TILE).is_dir() else []
+        seen = 0
         while folders:
+            found: list[os.DirEntry[str]] = []
             with suppress(FileNotFoundError):  # a writer has removed outgrown tiles in between
-                for entry in os.scandir(folders.pop()):
-                    if entry.is_dir(follow_symlinks=False):
-                        folders.append(Path(entry.path))
-                    else:
-                        yield str(Path(entry.path).relative_to(self._ledger))
+                found = disk.entries(folders.pop())
+            seen += len(found)
+            if seen > disk.MAX_NAMES:
+                raise OSError(0, f"it holds more than {disk.MAX_NAMES} names", TILE)
+            for entry in found:
+                if entry.is_dir(follow_symlinks=False):
+                    folders.append(Path(entry.path))
+                else:
+                    yield str(Path(entry.path).relative_to(self._ledger))

@@ -268,11 +268,11 @@ def test_a_missing_record_or_a_stray_file_among_them_is_named(path: Path) -> Non
     append_all(path, BATCHES)
     record = path / "commits" / "000000000001.json"
     record.rename(path / "aside")
-    with pytest.raises(LedgerCorrupted, match=r"found 000000000002\.json, expected 000000000001\.json"):
+    with pytest.raises(LedgerCorrupted, match=r"found '000000000002\.json', expected 000000000001\.json"):
         open_ledger(path)
     (path / "aside").rename(record)
     (path / "commits" / "notes.txt").write_text("x")
-    with pytest.raises(LedgerCorrupted, match=r"found notes\.txt"):
+    with pytest.raises(LedgerCorrupted, match=r"found .notes\.txt."):
         open_ledger(path)
 
 

@@ -13,10 +13,10 @@ from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.releases import FINGERPRINTS, RELEASE
 from fsar_ledger.ledger.verify import verify
 from tests.ledger import later_release
+from tests.ledger.forgery import changed, forge_segment, table_of
 from tests.ledger.keep_release import LEDGERS, ORIGIN
 from tests.ledger.later_release import LaterRelease
 from tests.ledger.samples import append_all, made_up_batches
-from tests.ledger.test_verify import changed, forge_segment, table_of
 
 OLD = LEDGERS / "0.1.0" / "ledger"
 

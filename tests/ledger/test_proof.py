@@ -13,8 +13,8 @@ from fsar_ledger.ledger.note import Checkpoint, Note, Signer
 from fsar_ledger.ledger.proof import Proof, Value, blocks, check_proof, parse_proof, prove, prove_inclusion, read_proof
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.record import segment_path, sha256_hex
+from tests.ledger.forgery import changed, forge_segment, table_of
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
-from tests.ledger.test_verify import changed, forge_segment, table_of
 
 BATCHES = made_up_batches(3, runs=2, size=60)  # 360 events: a full tile, and a level above it
 SIGNER = Signer(ORIGIN, b"s" * 32)

@@ -11,8 +11,8 @@ from fsar_ledger.ledger.record import segment_path
 from fsar_ledger.ledger.tiles import node_of, tile_reader
 from fsar_ledger.ledger.verify import Asked, VerifyReport, verify
 from fsar_ledger.ledger.verify_notes import read_anchor
+from tests.ledger.forgery import changed, forge, forge_segment, record_of, table_of
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run
-from tests.ledger.test_verify import changed, forge, forge_segment, open_ledger_record, table_of
 
 BATCHES = made_up_batches(3)  # 24 events each
 SIGNER = Signer(ORIGIN, b"s" * 32)
@@ -93,11 +93,11 @@ def test_another_key_of_the_same_name_is_told_apart(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("number", [0, 1, 2])
 def test_a_note_that_pretends_to_be_of_the_key_is_found_in_any_commit(path: Path, number: int) -> None:
-    tree = open_ledger_record(path, number).signed_note().checkpoint
+    tree = record_of(path, number).signed_note().checkpoint
     forged = NAMESAKE.sign(tree)
     pretending = str(Note(tree, (type(forged)(KEY.name, KEY.key_id, forged.data),)))
     forge(path, number, note=pretending)
-    (path / "checkpoint").write_text(open_ledger_record(path, 2).note)
+    (path / "checkpoint").write_text(record_of(path, 2).note)
     assert verify(path).ok  # nothing contradicts itself
     assert f"commit {number}, field note: found a signature that this key did not make" in the_problem(trusted(path))
 
@@ -117,7 +117,7 @@ def anchored(path: Path, note: Note | str | bytes, *, is_quick: bool, key: Signe
 
 
 def note_of(path: Path, number: int) -> Note:
-    return open_ledger_record(path, number).signed_note()
+    return record_of(path, number).signed_note()
 
 
 @pytest.mark.parametrize("number", [0, 1, 2])
