@@ -1,0 +1,157 @@
+"""Files that somebody made to harm whoever reads them: JSON, notes and Parquet."""
+
+from collections.abc import Callable, Iterator
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from fsar_ledger.ledger import canonical, segment
+from fsar_ledger.ledger.record import CommitRecord
+from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, MAX_INTEGER, SCHEMA
+
+MIB = 1 << 20
+
+
+def documents(good: bytes) -> Iterator[tuple[str, bytes]]:
+    """What may stand in place of a JSON file or a note."""
+    yield from {
+        "nothing": b"",
+        "null": b"null",
+        "a number": b"1e400",
+        "a number of 100,000 digits": b"9" * 100_000,
+        "a string": b'"x"',
+        "100,000 lists in each other": b"[" * 100_000 + b"]" * 100_000,
+        "100,000 objects in each other": b'{"a":' * 100_000 + b"1" + b"}" * 100_000,
+        "a megabyte of blanks": b" " * MIB,
+        "more than a megabyte": b"[" + b"1," * MIB + b"1]",
+        "a million names": b"{" + b",".join(b'"%d":0' % number for number in range(80_000)) + b"}",
+        "a byte order mark": b"\xef\xbb\xbf" + good,
+        "UTF-16": good.decode().encode("utf-16"),
+        "bytes that are no UTF-8": good.replace(b"e", b"\xff", 1),
+        "an overlong NUL": good.replace(b"e", b"\xc0\x80", 1),
+        "a NUL": good.replace(b"e", b"\0", 1),
+        "a NUL at the end": good + b"\0",
+        "a lone surrogate": good.replace(b'":"', b'":"\\ud800', 1).replace(b"\n", b"\\ud800\n", 1),
+        "an escape that JSON need not make": good.replace(b"e", b"\\u0065", 1),
+        "lines that end in CR LF": good.replace(b"\n", b"\r\n") + b"\r\n",
+        "the same twice": good + good,
+        "a name twice": good[:-1] + b"," + good[1:],
+        "a name too many": good[:-1] + b',"zzz":1}',
+        "a float": good.replace(b":1", b":1.0", 1).replace(b":0", b":0.0", 1),
+        "a negative zero": good.replace(b":0", b":-0", 1).replace(b":1", b":-1", 1).replace(b"\n3\n", b"\n-3\n", 1),
+        "a megabyte in a string": good.replace(b"example", b"x" * (MIB - 3000), 1),
+    }.items()
+
+
+def records(good: CommitRecord) -> Iterator[tuple[str, bytes]]:
+    """Commit records as a forger may write them: canonical JSON, but of what cannot be."""
+    names = ("number", "rows", "segment_bytes", "tree_size")
+    fields: list[dict[str, object]] = [{name: value} for name in names for value in (MAX_INTEGER, -1, 10**30, True, "3")]
+    fields += [
+        {"rows": 0},
+        {"segment_bytes": 0},
+        {"tree_size": MAX_INTEGER, "frontier": ["0" * 64] * 53},
+        {"frontier": ["0" * 64] * 10_000},
+        {"frontier": [[]]},
+    ]
+    for name in ("first_run", "last_run", "segment_sha256", "note", "tree_root"):
+        fields += [{name: text} for text in ("../../../../etc/passwd", "/dev/zero", "\x00", "\x1b[2J\x1b[31m", "a\nb", "x" * 900_000, "", "\u202e")]
+    origin, size, root, *_ = good.note.split("\n")
+    signature = "\N{EM DASH} " + origin + " " + "A" * 91 + "=\n"
+    notes = [
+        signature * 2,
+        signature * 10_000,
+        signature.replace("A", "!"),
+        signature[:-1],
+        signature.replace("\n", "\r\n"),
+        "\N{EM DASH} x AAAA\n",
+        "\n" * 100_000,
+    ]
+    fields += [{"note": f"{origin}\n{size}\n{root}\n\n{lines}"} for lines in notes]
+    fields += [{"note": f"{origin}\n{number}\n{root}\n\n"} for number in ("9" * 100_000, "-1", "٣", "03", "1e3", "")]
+    for change in fields:
+        name, value = next(iter(change.items()))
+        yield f"{name} {str(value)[:20]!r}", canonical.document(msgspec.to_builtins(good) | change)
+
+
+def parquets(table: pa.Table, good: bytes) -> Iterator[tuple[str, bytes]]:
+    """What may stand in place of a segment with these rows, all small enough to be sent by mail."""
+    footer = len(good) - 8 - int.from_bytes(good[-8:-4], "little")
+    for length in (0, 1, footer - 1, len(good), 2**31 - 1, 2**32 - 1):
+        yield f"a footer that says to have {length} bytes", good[:-8] + length.to_bytes(4, "little") + good[-4:]
+    yield from ((f"cut to {length} bytes", good[:length]) for length in (1, 4, 8, 11, 12, footer, len(good) - 8, len(good) - 4, len(good) - 1))
+    yield "an encrypted file", b"PARE" + good[4:-4] + b"PARE"
+    yield "other data before its footer", bytes(footer) + good[footer:]
+    yield "twice", good + good
+    writings: dict[str, Callable[[], pa.Table]] = {
+        "no rows": lambda: table.slice(0, 0),
+        "a column too many": lambda: table.append_column("zzz", pa.nulls(len(table), pa.string())),
+        "a column too few": lambda: table.drop_columns(["robot"]),
+        "the columns in another order": lambda: table.select(table.column_names[::-1]),
+        "a nested column": lambda: table.set_column(0, "run_id", pa.array([{"a": [{"b": "x"}]}] * len(table))),
+        "seq as a float": lambda: table.set_column(1, "seq", table.column("seq").cast(pa.float64())),
+        "a column twice": lambda: table.append_column("seq", table.column("seq")),
+        "a string in 1000 rows that together are a gigabyte": lambda: _repeated("x" * MIB),
+        "more rows than any batch": lambda: pa.table({"a": pa.nulls((1 << 20) + 1, pa.null())}),
+    }
+    for name, make in writings.items():
+        yield name, written(make())
+    yield "no compression", written(table, compression="none")
+    yield "two row groups", written(table, row_group_size=max(1, len(table) // 2))
+    yield "a row group for each row", written(table, row_group_size=1)
+    yield "front-coded strings", written(table, use_dictionary=False, column_encoding={"run_id": "DELTA_BYTE_ARRAY"})
+    yield "strings that are stored whole", written(table, use_dictionary=False)
+    yield "no checksums", written(table, write_page_checksum=False)
+    yield "other pages", written(table, data_page_version="2.0")
+    yield "pages that unpack to 600 MB", _unpacks_to(600)
+
+
+def written(table: pa.Table, **options: object) -> bytes:
+    """The table as some Parquet file."""
+    sink = pa.BufferOutputStream()
+    pq.write_table(table, sink, **{"compression": "zstd", "store_schema": False, "write_page_checksum": True, **options})
+    return bytes(sink.getvalue())
+
+
+def _repeated(text: str, rows: int = 1000) -> pa.Table:
+    """Rows that differ in nothing, with one long string."""
+
+    def column(field: pa.Field) -> pa.Array:
+        if COLUMNS[field.name] == "string" and not field.nullable:
+            return pa.DictionaryArray.from_arrays(pa.array(np.zeros(rows, np.int32)), pa.array([text]))
+        return pa.nulls(rows, field.type) if field.nullable else pa.array(np.zeros(rows, np.int64))
+
+    return pa.Table.from_arrays([column(field) for field in CODED_SCHEMA], schema=CODED_SCHEMA)
+
+
+def _unpacks_to(mebibytes: int) -> bytes:
+    """One column of text that is all blanks."""
+    batch = pa.record_batch({"a": pa.array([" " * MIB])})
+    sink = pa.BufferOutputStream()
+    with pq.ParquetWriter(sink, batch.schema, compression="zstd", use_dictionary=False, write_statistics=False) as writer:
+        for _ in range(mebibytes):
+            writer.write_batch(batch)
+    return bytes(sink.getvalue())
+
+
+def lying_pages(table: pa.Table) -> Iterator[tuple[str, bytes]]:
+    """Segments in which the header of one page says something else than its footer: longer numbers in as many bytes."""
+    good = bytes(segment.to_parquet(table))
+    assert table.schema == SCHEMA
+    column = pq.read_metadata(pa.BufferReader(good)).row_group(0).column(SCHEMA.get_field_index("time_us"))
+    at = column.data_page_offset
+    header = good[at : at + 40]
+    rows = _zigzag(len(table))
+    for name, value in (("values", _zigzag((1 << 7 * len(rows) - 1) - 1)), ("a count below zero", _zigzag(-(1 << 7 * len(rows) - 1)))):
+        yield f"a page that lies about its {name}", good[:at] + header.replace(rows, value) + good[at + 40 :]
+
+
+def _zigzag(number: int) -> bytes:
+    """A Thrift compact integer."""
+    rest, found = number << 1 if number >= 0 else ~(number << 1), []
+    while rest > 0x7F:
+        found.append(rest & 0x7F | 0x80)
+        rest >>= 7
+    return bytes([*found, rest])

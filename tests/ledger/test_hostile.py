@@ -1,0 +1,289 @@
+import os
+import resource
+import shutil
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from fsar_ledger import cli
+from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
+from fsar_ledger.ledger import disk
+from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.record import commit_path, segment_path
+from fsar_ledger.ledger.verify import verify
+from tests.ledger.forgery import examined_once, forge, forge_segment, record_of, table_of
+from tests.ledger.hostile import documents, lying_pages, parquets, records
+from tests.ledger.samples import ORIGIN, append_all, made_up_batches, made_up_run
+
+MEMORY_BYTES = 3 << 30
+PROCESSOR_S = 20
+READERS = (("info",), ("metrics",), ("query", "failures"), ("sql",))
+
+
+@pytest.fixture(scope="module")
+def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("intact") / "ledger"
+    append_all(path, [[made_up_run(f"run-{number}", size, number)] for number, size in enumerate((130, 3))])
+    return path
+
+
+@pytest.fixture
+def path(intact: Path, tmp_path: Path) -> Iterator[Path]:
+    with examined_once(intact):
+        yield Path(shutil.copytree(intact, tmp_path / "ledger"))
+
+
+def arguments_of(command: tuple[str, ...], path: Path) -> list[str]:
+    return [*command, str(path), *(["SELECT count(*), max(run_id) FROM events"] if command == ("sql",) else [])]
+
+
+def refused(capsys: pytest.CaptureFixture[str], command: tuple[str, ...], path: Path) -> str:
+    """The command, in this process, ended with exit code 2 or 3 and a message, and showed nothing else."""
+    capsys.readouterr()
+    code = cli.run(arguments_of(command, path))
+    captured = capsys.readouterr()
+    assert code in ((3,) if command[0] == "verify" else (2, 3)), (command, code, captured)
+    assert captured.err.startswith("fsar-ledger: ")
+    assert captured.out == "" or "--json" in command
+    assert len(captured.err) < 200_000
+    assert all(character.isprintable() or character == "\n" for character in captured.err), captured.err
+    return captured.err
+
+
+def within_limits(command: tuple[str, ...], path: Path) -> tuple[int, str]:
+    """The exit code and the message of a command in a process with little memory and time."""
+
+    def limit() -> None:
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+        resource.setrlimit(resource.RLIMIT_CPU, (PROCESSOR_S, PROCESSOR_S))
+
+    call = [sys.executable, "-m", "fsar_ledger", *arguments_of(command, path)]
+    done = subprocess.run(call, capture_output=True, text=True, check=False, preexec_fn=limit, timeout=300)
+    assert "Traceback" not in done.stderr, done.stderr
+    return done.returncode, done.stderr
+
+
+# --- JSON and notes ---
+
+
+@pytest.mark.parametrize("name", ["ledger.json", "commits/000000000000.json", "commits/000000000001.json", "checkpoint"])
+def test_a_malformed_document_is_refused_by_every_command(path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+    good = (path / name).read_bytes()
+    for what, data in documents(good):
+        if data == good:
+            continue
+        (path / name).write_bytes(data)
+        report = verify(path)
+        assert not report.ok, what
+        assert any(name in str(problem) for problem in report.problems), (what, report.problems)
+        refused(capsys, ("verify", "--workers", "1"), path)
+        if name != "checkpoint":  # readers do not look at it
+            for command in READERS[:-1]:
+                refused(capsys, command, path)
+        with pytest.raises(FsarLedgerError):
+            Writer(path, ORIGIN)
+
+
+def test_a_record_of_what_cannot_be_is_refused_by_every_command(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    good = record_of(path, 1)
+    for what, data in records(good):
+        commit_path(path, 1).write_bytes(data)
+        report = verify(path)
+        assert not report.ok, what
+        assert any(problem.commit == 1 for problem in report.problems), (what, report.problems)
+        refused(capsys, ("verify", "--workers", "1", "--json"), path)
+        if not what.startswith(("first_run", "last_run", "segment_sha256")):  # these only the rows contradict
+            refused(capsys, ("info",), path)
+
+
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    name=st.sampled_from(["ledger.json", "commits/000000000001.json", "checkpoint"]),
+    at=st.floats(0, 1),
+    length=st.integers(0, 40),
+    piece=st.sampled_from([b"", b"\0", b'"', b"\\", b"{", b"[", b"}", b",", b":", b"\xff", b"\n", b"\n\n", b"-", b"e9", b"9" * 30, b"null", b"\\u0000"]),
+)
+def test_any_json_with_a_piece_replaced_is_found_and_never_raises(intact: Path, tmp_path: Path, name: str, at: float, length: int, piece: bytes) -> None:
+    path = Path(shutil.copytree(intact, tmp_path / "ledger", dirs_exist_ok=True))
+    good = (path / name).read_bytes()
+    start = int(at * len(good))
+    data = good[:start] + piece + good[start + length :]
+    (path / name).write_bytes(data)
+    with examined_once(intact):
+        report = verify(path)
+    assert report.ok == (data == good)
+    assert report.ok or any(name in str(problem) for problem in report.problems)
+
+
+# --- Parquet ---
+
+
+def test_a_hostile_segment_is_never_passed_and_never_unpacked(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    table, good, record = table_of(path, 0), segment_path(path, 0).read_bytes(), record_of(path, 0)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for what, data in [*parquets(table, good), *lying_pages(table)]:
+        assert len(data) < 1 << 22, what
+        forge_segment(path, 0, data)
+        if what.startswith(("more rows", "a string in", "pages that unpack")):
+            forge(path, 0, rows={"m": (1 << 20), "a": 1000, "p": 600}[what[0]])
+        report = verify(path)
+        assert not report.ok, what
+        assert (report.problems[0].commit, report.problems[0].run) == (0, None), (what, report.problems)
+        forge(path, 0, rows=record.rows)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1 << 20, "KiB more than before: something was unpacked"
+
+
+@pytest.mark.parametrize("what", ["a string in 1000 rows that together are a gigabyte", "pages that unpack to 600 MB", "more rows than any batch"])
+def test_a_bomb_is_refused_in_little_memory_and_time(path: Path, what: str) -> None:
+    bombs = dict(parquets(table_of(path, 0), segment_path(path, 0).read_bytes()))
+    forge_segment(path, 0, bombs[what])
+    code, message = within_limits(("verify", "--workers", "1"), path)
+    assert code == 3
+    assert "segments/000000000000.parquet" in message
+    for command in READERS:
+        code, message = within_limits(command, path)
+        assert code in (0, 2, 3), (command, message)
+
+
+# --- tiles, and things that are no files ---
+
+
+def in_place_of(file: Path) -> dict[str, Callable[[], object]]:
+    """What may stand where a file should."""
+    data = file.read_bytes() if file.is_file() else b""
+    aside = next(parent for parent in file.parents if parent.name == "ledger").parent / "aside"
+
+    def link_to(target: str) -> Callable[[], object]:
+        return lambda: file.symlink_to(target)
+
+    def bind() -> None:
+        folder = os.open(file.parent, os.O_RDONLY)
+        with socket.socket(socket.AF_UNIX) as one:
+            one.bind(f"/proc/self/fd/{folder}/{file.name}")
+        os.close(folder)
+
+    def sparse() -> None:
+        file.write_bytes(data)
+        os.truncate(file, 1 << 40)
+
+    aside.write_bytes(data)
+    return {
+        "nothing": lambda: None,
+        "a folder": file.mkdir,
+        "a pipe": lambda: os.mkfifo(file),
+        "a socket": bind,
+        "a link to the same": link_to(str(aside)),
+        "a link to nowhere": link_to("/nowhere"),
+        "a link to itself": link_to(file.name),
+        "a link to a device": link_to("/dev/zero"),
+        "a terabyte of nothing": sparse,
+    }
+
+
+@pytest.mark.parametrize(
+    "name", ["ledger.json", "checkpoint", "commits/000000000001.json", "segments/000000000001.parquet", "tile/0/000.p/133", "tile/0/000.p/130"]
+)
+def test_what_is_no_file_is_refused_by_every_command(path: Path, intact: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+    is_derived = name.startswith(("checkpoint", "tile"))
+    for what in in_place_of(path / name):
+        (path / name).unlink()
+        try:
+            in_place_of(path / name)[what]() if what != "a terabyte of nothing" else _make_sparse(path / name, (intact / name).read_bytes())
+        except OSError as error:
+            pytest.skip(f"this file system has no {what}: {error}")
+        report = verify(path)
+        assert not report.ok, what
+        is_gone = what == "nothing" and name.startswith("commits")  # nobody knows of a newest record that is gone, but for its segment
+        place = "segments/000000000001.parquet" if is_gone else name
+        assert any(place in problem.where for problem in report.problems), (what, report.problems)
+        refused(capsys, ("verify", "--workers", "1"), path)
+        if not is_derived and not (what == "nothing" and name.startswith("commits")):
+            for command in READERS[:-1]:
+                refused(capsys, command, path)
+        shutil.rmtree(path)
+        shutil.copytree(intact, path)
+
+
+def _make_sparse(file: Path, data: bytes) -> None:
+    file.write_bytes(data)
+    os.truncate(file, 1 << 40)
+
+
+@pytest.mark.parametrize("folder", ["", "commits", "segments", "tile", "tile/0", "tile/0/000.p"])
+@pytest.mark.parametrize("name", [b"\xff\xfe", b"a\nb", b"\x1b[2J", b"..." + b"x" * 200, "\u202e".encode()])
+def test_a_stray_file_of_any_name_is_named_in_printable_text(path: Path, capsys: pytest.CaptureFixture[str], folder: str, name: bytes) -> None:
+    (Path(os.fsdecode(os.path.join(os.fsencode(path / folder), name)))).write_bytes(b"")
+    (problem,) = verify(path).problems
+    assert problem.where.startswith(folder)
+    refused(capsys, ("verify", "--workers", "1"), path)
+    refused(capsys, ("verify", "--workers", "1", "--json"), path)
+
+
+def test_a_folder_with_more_names_than_any_ledger_has_is_refused(path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(disk, "MAX_NAMES", 20)
+    assert verify(path).ok
+    for folder in ("", "commits", "segments", "tile", "tile/0/000.p"):
+        for number in range(30):
+            (path / folder / f"stray-{number}").write_bytes(b"")
+        assert "more than 20 names" in refused(capsys, ("verify", "--workers", "1"), path)
+        if folder == "commits":
+            assert "more than 20 names" in refused(capsys, ("info",), path)
+        for number in range(30):
+            (path / folder / f"stray-{number}").unlink()
+    assert verify(path).ok
+
+
+# --- links that lead out of the ledger ---
+
+
+@pytest.mark.parametrize("folder", ["commits", "segments", "staging", "tile"])
+def test_a_folder_that_is_a_link_is_refused_and_what_it_leads_to_stays(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], folder: str) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    (path / folder).rename(elsewhere)
+    (path / folder).symlink_to(elsewhere)
+    (elsewhere / "letter.txt").write_text("dear")
+    assert folder in {problem.where for problem in verify(path).problems}
+    for command in READERS[:-1]:
+        refused(capsys, command, path)
+    with pytest.raises(LedgerCorrupted, match="link"):
+        Writer(path, ORIGIN)
+    assert (elsewhere / "letter.txt").read_text() == "dear"
+
+
+@pytest.mark.parametrize("folder", ["tile/0", "tile/0/000.p", "tile/1"])
+def test_a_writer_neither_writes_nor_removes_through_a_link_among_the_tiles(path: Path, tmp_path: Path, folder: str) -> None:
+    elsewhere = tmp_path / "elsewhere"
+    if (path / folder).exists():
+        (path / folder).rename(elsewhere)
+    else:
+        elsewhere.mkdir()
+    (path / folder).symlink_to(elsewhere)
+    (elsewhere / "letter.txt").write_text("dear")
+    before = sorted(elsewhere.rglob("*"))
+    with Writer(path, ORIGIN) as writer:
+        staged = stage(path, [made_up_run("run-9", 200, 9)])  # enough to make tile/0/000 full, and its partial ones go
+        if folder != "tile/0/000.p":
+            with pytest.raises(LedgerCorrupted, match="link"):
+                writer.append(staged)
+        else:
+            writer.append(staged)
+    assert sorted(elsewhere.rglob("*")) == before
+
+
+# --- what a writer refuses to make ---
+
+
+def test_a_commit_that_readers_would_refuse_is_not_made(tmp_path: Path) -> None:
+    long = msgspec.structs.replace(made_up_run("x", 1000, 1), run_id="x" * (1 << 20))
+    (batch,) = made_up_batches(1)
+    append_all(tmp_path / "ledger", [batch])
+    with pytest.raises(ValueError, match="bytes of text"):
+        stage(tmp_path / "ledger", [long])
+    assert verify(tmp_path / "ledger").ok
