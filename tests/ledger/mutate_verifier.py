@@ -1,0 +1,136 @@
+"""Takes each check out of the verifier, once, and demands that a test fails: `python -m tests.ledger.mutate_verifier [PART OF A NAME]`.
+
+Every mutant is tried in a process of its own, forked after the libraries were imported and before the package is:
+first with the quick tests, then, if it survives those, with the slow ones. Exit code 1 if one survives that is not listed
+in `EQUIVALENT`, or if an entry there no longer stands for a mutant that survives.
+"""
+
+import ast
+import os
+import signal
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from importlib.machinery import SourceFileLoader
+from pathlib import Path
+from types import CodeType
+
+TESTS = tuple(
+    f"tests/ledger/{name}.py"
+    for name in ("test_verify", "test_damage", "test_hostile", "test_verify_notes", "test_proof", "test_note", "test_append", "test_evolution")
+)
+SLOW = "every_byte or even_where_a_forger or anything_in_a_field or workers_find or any_json or bomb or readers_would or killed or of_two_writers"
+PARALLEL = len(os.sched_getaffinity(0))
+LIMIT_S = 600
+
+EQUIVALENT: dict[str, str] = {}
+"""Mutants that no test can tell from the verifier, and why."""
+
+
+def main(part: str) -> int:
+    """Every mutant whose name holds `part` was tried; 0 if each that should die did."""
+    import hypothesis  # noqa: F401
+    import numpy  # noqa: F401
+    import pyarrow.parquet  # noqa: F401
+    import pytest  # noqa: F401
+
+    began = time.monotonic()
+    sources = _sources()
+    names = [name for name in sources if part in name]
+    if _survives(None):
+        print(f"{len(names)} checks of the verifier are taken out, {PARALLEL} at a time", flush=True)
+    else:
+        print("the tests fail even with every check in place")
+        return 1
+    survivors = []
+    with ThreadPoolExecutor(PARALLEL) as pool:
+        for name, survives in zip(names, pool.map(lambda name: _survives(sources[name]), names), strict=True):
+            print(f"{'SURVIVED' if survives else 'found   '}  {name:.150}", flush=True)
+            survivors += [name] if survives else []
+    unlisted = [name for name in survivors if name not in EQUIVALENT]
+    stale = [name for name in EQUIVALENT if name in names and name not in survivors]
+    stale += [name for name in EQUIVALENT if name not in sources]
+    for name in survivors:
+        print(f"\n{name}\n    {EQUIVALENT.get(name, 'no test fails without this check')}")
+    for name in stale:
+        print(f"\n{name}\n    listed as one that no test can tell, but it was found, or is gone: take it off the list")
+    counts = f"{len(names)} checks taken out, {len(names) - len(survivors)} found, {len(survivors)} survived, {len(unlisted)} of them without a reason"
+    print(f"\n{counts}; {time.monotonic() - began:.0f} s")
+    return 1 if unlisted or stale else 0
+
+
+def _sources() -> dict[str, tuple[Path, ast.Module]]:
+    """Every mutant by its name. Made in a process of its own, so that nothing of the package is imported here."""
+    reading, writing = os.pipe()
+    if not os.fork():
+        from tests.ledger.mutants import mutants
+
+        with open(writing, "wb") as pipe:
+            for mutant in mutants():
+                text = ast.unparse(mutant.tree)
+                pipe.write(repr((mutant.name, str(mutant.path), text)).encode() + b"\n")
+        os._exit(0)
+    os.close(writing)
+    found: dict[str, tuple[Path, ast.Module]] = {}
+    with open(reading, "rb") as pipe:
+        for line in pipe:
+            name, path, text = ast.literal_eval(line.decode())
+            again = sum(other.partition(" #")[0] == name for other in found)
+            found[f"{name} #{again + 1}" if again else name] = Path(path), ast.parse(text)
+    os.wait()
+    return found
+
+
+def _survives(mutant: tuple[Path, ast.Module] | None) -> bool:
+    """Whether no test fails with this module in place of the package's own; None: with the package as it is."""
+    return _passes(mutant, f"not ({SLOW})") and _passes(mutant, SLOW)
+
+
+def _passes(mutant: tuple[Path, ast.Module] | None, which: str) -> bool:
+    child = os.fork()
+    if not child:
+        try:
+            _run_tests(mutant, which)
+        finally:
+            os._exit(70)
+    deadline = time.monotonic() + LIMIT_S
+    while True:
+        pid, status = os.waitpid(child, os.WNOHANG)
+        if pid:
+            code = os.waitstatus_to_exitcode(status)
+            if code not in (0, 1):
+                raise RuntimeError(f"the tests ended with {code}: the mutant cannot be tried")
+            return code == 0
+        if time.monotonic() > deadline:  # it hangs without the check: found
+            os.kill(child, signal.SIGKILL)
+            os.waitpid(child, 0)
+            return False
+        time.sleep(0.05)
+
+
+def _run_tests(mutant: tuple[Path, ast.Module] | None, which: str) -> None:
+    """Never returns: the process ends with the exit code of pytest."""
+    import pyarrow
+    import pytest
+
+    silent = os.open(os.devnull, os.O_WRONLY)
+    for stream in (1, 2):
+        os.dup2(silent, stream)
+    os.setpgid(0, 0)
+    pyarrow.set_cpu_count(1)
+    if mutant is not None:
+        path, tree = mutant
+        code = compile(tree, str(path), "exec")
+        own = SourceFileLoader.get_code
+
+        def get_code(loader: SourceFileLoader, fullname: str) -> CodeType | None:
+            return code if loader.path == str(path) else own(loader, fullname)
+
+        SourceFileLoader.get_code = get_code  # type: ignore[method-assign, assignment]
+    files = [test for test in TESTS if Path(test).exists()]
+    place = f"--basetemp={os.environ.get('TMPDIR', '/tmp')}/fsar-mutants-{os.getpid()}"
+    os._exit(int(pytest.main(["-x", "-q", "-W", "error", "-p", "no:cacheprovider", "--assert=plain", "-k", which, place, *files])))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1] if len(sys.argv) > 1 else ""))
