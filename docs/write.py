@@ -31,7 +31,7 @@ from fsar_ledger.ledger.tiles import node_of, tile_reader
 from fsar_ledger.metrics.library import Query, library
 
 DOCS = Path(__file__).resolve().parent
-PAGES = (DOCS / "audit-example.md",)
+PAGES = (DOCS / "audit-example.md", DOCS / "recovery.md")
 FORMAT = DOCS / "ledger-format.md"
 FOLDERS = {
     "staging": "Staging: one view for each event type, and the runs",

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .options import JsonOption, LedgerArgument, WorkersOption, examples, workers_of
-from .output import json_text
+from .options import JsonOption, LedgerArgument, TrustedKeyOption, WorkersOption, examples, workers_of
+from .output import json_text, signature_text
 from .progress import Progress
 from .terminal import show
 
@@ -35,9 +35,7 @@ def recover(
     anchor: Annotated[
         Path | None, typer.Option("--anchor", metavar="FILE", help="A copy of LEDGER/checkpoint that was kept elsewhere.", show_default=False)
     ] = None,
-    trusted_key: Annotated[
-        str | None, typer.Option("--trusted-key", metavar="KEY", help="Trust only what this public key signed: a .pub file, or the key.", show_default=False)
-    ] = None,
+    trusted_key: TrustedKeyOption = None,
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -111,14 +109,16 @@ def _trusted(found: "Recovery", asked: "Asked") -> Iterator[str]:
     else:
         yield "  no commit" if found.problems else "  it is empty"
     if asked.trusted is not None and head.commits:
-        yield f"  signed by {asked.trusted.name}+{asked.trusted.key_id.hex()}"
+        yield f"  {signature_text('signed', asked.trusted.key)}"
+    elif found.report is not None:
+        yield f"  {signature_text(found.report.signature, found.report.signer)}"
     note = asked.anchor.note if asked.anchor is not None else None
     if note is None:
         yield "  whether newer commits were removed, nothing in a ledger shows; --anchor FILE does, a checkpoint kept elsewhere"
     elif found.anchored is not None:
         yield f"  the anchor vouches for the first {found.anchored:,} events"
     elif note.checkpoint.size > head.size:
-        yield f"  the anchor knows of {note.checkpoint.size:,} events, so it cannot vouch for these {head.size:,}"
+        yield f"  the anchor knows of {note.checkpoint.size:,} events, and the tiles do not prove that it begins with these {head.size:,}"
     else:
         yield "  the anchor contradicts it"
 
@@ -139,9 +139,8 @@ def _next(ledger: Path, found: "Recovery", into: Path | None) -> Iterator[str]:
         yield f"  fsar-ledger simulate {into} with the options of {ledger} continues there"
         return
     yield f"  keep {ledger} as it is: it is the evidence"
-    for commit in found.later:
-        if commit.restore is not None:
-            yield f"  {segment_path(ledger, commit.number)} can be restored from a copy with SHA-256 {commit.restore}"
+    lost = [(segment_path(ledger, commit.number), commit.restore) for commit in found.later if commit.restore is not None]
+    yield from _some([f"  {file} can be restored from a copy with SHA-256 {sha256}" for file, sha256 in lost])
     if found.head.commits:
         yield f"  fsar-ledger recover {ledger} --into NEW copies what can be trusted to a new ledger; simulate NEW continues there"
     else:

@@ -44,8 +44,8 @@ class Recovery(msgspec.Struct, frozen=True):
 
     `outcome`: the ledger was *whole* already, or is so again (*mended*); or it is *damaged* and was not touched, with the trusted commits in
     a new ledger (*continued*) if that was asked for. `head` is that of the trusted commits; `problems` are those of the first commit after
-    them, `later` each commit after them on its own. `anchored` counts the events that the anchor vouches for, None if it cannot or none was
-    given. `report` is what `verify` says about the mended or the new ledger.
+    them, `later` each commit after them on its own. `anchored` counts those of their events that the anchor vouches for, None if it cannot or
+    none was given. `report` is what `verify` says about the mended or the new ledger.
     """
 
     outcome: Outcome
@@ -157,11 +157,12 @@ class _Mending:
         """There is nothing but the ledger's own files, and folders for them."""
         for name in prefix.strays:
             self._set_aside(name)
-        for folder, _, _ in list(os.walk(self.path / TILE, topdown=False)):
+        for folder, _, _ in os.walk(self.path / TILE, topdown=False) if prefix.strays or prefix.redo else ():
             with suppress(OSError):  # there are tiles in it
                 os.rmdir(folder)
         for name in (COMMITS, SEGMENTS):
-            (self.path / name).mkdir(exist_ok=True)
+            if not (self.path / name).is_dir():
+                disk.make_folder(self.path / name)
 
     def settle(self, prefix: Prefix) -> None:
         """Every committed segment is in place, after its record is on the disk for certain."""
@@ -183,10 +184,7 @@ class _Mending:
         if self._aside is None:
             self._aside = _new_folder(self.path)
         target = self._aside / name
-        folders = [folder for folder in (target.parent, *target.parent.parents) if self._aside in folder.parents]
-        for folder in reversed(folders):
-            folder.mkdir(exist_ok=True)
-            disk.sync_folder(folder.parent)
+        disk.make_folder(target.parent)
         disk.move(self.path / name, target)
         self.steps.append(Step("set aside", name, str(target)))
 
@@ -195,11 +193,10 @@ def _new_folder(ledger: Path) -> Path:
     """A new folder beside the ledger, durably."""
     real = ledger.resolve() if ledger.is_symlink() or ledger.name in ("", "..") else ledger
     top = real.with_name(f"{real.name}.set-aside")
-    top.mkdir(exist_ok=True)
+    disk.make_folder(top)
     for number in count():
         with suppress(FileExistsError):
             (top / f"{number:03d}").mkdir()
-            disk.sync_folder(top.parent)
             disk.sync_folder(top)
             return top / f"{number:03d}"
     raise AssertionError("count() never ends")
@@ -213,11 +210,11 @@ def _copy(path: Path, prefix: Prefix, into: Path, workers: int, progress: Progre
     if not prefix.records:
         raise LedgerCorrupted(f"{prefix.problems[0]}\n{path}: found no commit that can be trusted, expected one to copy to {into}; begin a new ledger there")
     work = disk.temporary_name(into)
-    if asked.anchor is not None and (prefix.anchored is None or prefix.anchored > prefix.head.size):
+    if asked.anchor is not None and asked.anchor.note is not None and asked.anchor.note.checkpoint.size > prefix.head.size:
         asked = msgspec.structs.replace(asked, anchor=None)
     try:
         with disk.refusals(into, "copying the trusted commits"):
-            into.parent.mkdir(parents=True, exist_ok=True)
+            disk.make_folder(into.parent)
             _write_copy(path, prefix, work)
         report = verify(work, workers, progress, asked)
         if not report.ok:

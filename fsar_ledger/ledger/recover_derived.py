@@ -12,11 +12,12 @@ import msgspec
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger import disk
 from fsar_ledger.ledger.derived import CHECKPOINT, read_checkpoint
-from fsar_ledger.ledger.note import Note, parse_note
+from fsar_ledger.ledger.merkle import consistency_proof, is_consistent
+from fsar_ledger.ledger.note import Checkpoint, Note, parse_note
 from fsar_ledger.ledger.problem import Problem
 from fsar_ledger.ledger.read import Head, LedgerView
 from fsar_ledger.ledger.record import STAGING
-from fsar_ledger.ledger.tiles import HEIGHT, TILE, WIDTH, Edge, Tile
+from fsar_ledger.ledger.tiles import HEIGHT, TILE, WIDTH, Edge, Tile, node_of, tile_reader
 
 SetAside = Callable[[str], None]
 """Takes the file of this name within the ledger out of it, to where nothing is lost."""
@@ -118,6 +119,17 @@ def put(ledger: Path, files: Mapping[str, bytes], set_aside: SetAside) -> list[s
         (ledger / STAGING).mkdir(exist_ok=True)
     disk.write_files({ledger / name: data for name, data in wrong.items()}, ledger / STAGING)
     return list(wrong)
+
+
+def begins_with(ledger: Path, then: Checkpoint, head: Head) -> bool:
+    """Whether the tiles prove that the tree of a checkpoint begins with the events of this head, not none. The proof counts, not the tiles."""
+    if not 0 < head.size <= then.size:
+        return False
+    try:
+        proof = consistency_proof(node_of(tile_reader(ledger), then.size), head.size, then.size)
+    except LedgerCorrupted:
+        return False
+    return is_consistent(head.size, bytes.fromhex(head.root), then.size, then.root, proof)
 
 
 # --- what the tree must not have ---

@@ -35,11 +35,11 @@ from fsar_ledger.ledger.record import (
     sha256_hex,
     staged_path,
 )
-from fsar_ledger.ledger.recover_derived import Redo, TilePlan, checkpoint_note, grown_beyond, tile_strays
+from fsar_ledger.ledger.recover_derived import Redo, TilePlan, begins_with, checkpoint_note, grown_beyond, tile_strays
 from fsar_ledger.ledger.tiles import TILE, Edge
 from fsar_ledger.ledger.verify import Asked, Progress
 from fsar_ledger.ledger.verify_commits import check_record
-from fsar_ledger.ledger.verify_notes import Anchor, check_anchor
+from fsar_ledger.ledger.verify_notes import Anchor, check_anchor, names
 from fsar_ledger.ledger.verify_segment import SegmentFacts, examine, examine_file
 from fsar_ledger.workers import WorkerPool
 
@@ -197,27 +197,26 @@ class _Walk:
         if not problems:
             found = msgspec.structs.replace(found, problems=tuple(self._grown_beyond(found.head)))
         if found.problems:
-            return msgspec.structs.replace(found, later=tuple(self._later(kept, is_cut=is_cut)), anchored=self._anchored())
+            return msgspec.structs.replace(found, later=tuple(self._later(kept, is_cut=is_cut)), anchored=self._anchored(found.head))
         partial = self.plan.partial()
         self.plan.compare(partial)
         strays = (*_strays(self.path, found), *tile_strays(self.path, found.head, partial))
-        return msgspec.structs.replace(found, redo=self.plan.redo(), strays=strays, anchored=self._anchored())
+        return msgspec.structs.replace(found, redo=self.plan.redo(), strays=strays, anchored=self._anchored(found.head))
 
     def _signed(self, kept: int) -> tuple[int, Problem | None]:
         """How many of these commits the trusted key vouches for, and why not for more."""
         if self.trusted is None or self.problems:
             return kept, None
-        key = (self.trusted.name, self.trusted.key_id)
         signed, found = 0, "no signature of it"
         for number, note in enumerate(record.signed_note() for record, _ in self.chain[:kept]):
             if self.trusted.has_signed(note):
                 signed = number + 1
-            elif any((signature.name, signature.key_id) == key for signature in note.signatures):
+            elif names(note, self.trusted):
                 found = "a signature that this key did not make"
                 break
         if kept and signed == kept:
             return kept, None
-        expected = f"a note signed by {self.trusted.name}+{self.trusted.key_id.hex()}, the trusted key"
+        expected = f"a note signed by {self.trusted.key}, the trusted key"
         return signed, Problem(f"{COMMITS}/{signed:012d}.json", found if kept else "no commit", expected, commit=signed, field="note")
 
     def _ask(self, anchor: Anchor, *, is_whole: bool) -> tuple[list[Problem], bool]:
@@ -230,12 +229,16 @@ class _Walk:
             return [], True
         return check_anchor(anchor, self.origin, size, self.roots.get(anchor.note.checkpoint.size), self.trusted), is_beyond
 
-    def _anchored(self) -> int | None:
-        """The events that the anchor that was given vouches for."""
-        if self.anchor is None or self.anchor.note is None:
+    def _anchored(self, head: Head) -> int | None:
+        """The events of the trusted ones that the anchor that was given vouches for."""
+        note = self.anchor.note if self.anchor is not None else None
+        if self.anchor is None or note is None:
             return None
-        problems, is_beyond = self._ask(self.anchor, is_whole=True)
-        return None if problems or is_beyond else self.anchor.note.checkpoint.size
+        then = note.checkpoint
+        if then.size <= head.size:
+            return None if self._ask(self.anchor, is_whole=True)[0] else then.size
+        is_own = not check_anchor(self.anchor, self.origin, then.size, then.root, self.trusted)
+        return head.size if is_own and begins_with(self.path, then, head) else None
 
     def _grown_beyond(self, head: Head) -> Iterator[Problem]:
         """What shows that the newest commits were removed."""

@@ -172,9 +172,18 @@ def test_an_anchor_vouches_for_what_it_knows(path: Path, tmp_path: Path) -> None
     segment_path(path, 3).unlink()
     assert recover(path, asked=asked(anchor), into=tmp_path / "new").anchored == 48
     assert verify(tmp_path / "new", asked=asked(anchor)).ok
+
+
+def test_an_anchor_of_more_than_can_be_read_vouches_where_the_tiles_prove_it(path: Path, tmp_path: Path) -> None:
+    anchor = checkpoint_of(2, tmp_path)
     segment_path(path, 1).unlink()
-    beyond = recover(path, asked=asked(anchor), into=tmp_path / "shorter")
-    assert (beyond.head.commits, beyond.anchored) == (1, None)
+    beyond = recover(path, asked=asked(anchor), into=tmp_path / "new")
+    assert (beyond.outcome, beyond.head.commits, beyond.anchored) == ("continued", 1, 24)
+    flip(path / "tile/0/000.p/48", 32 * 30)
+    assert recover(path, asked=asked(anchor)).anchored is None
+    append_all(tmp_path / "other", made_up_batches(4, size=13))
+    segment_path(tmp_path / "other", 1).unlink()
+    assert recover(tmp_path / "other", asked=asked(anchor)).anchored is None
 
 
 def test_nothing_can_be_trusted_that_an_anchor_contradicts(tmp_path: Path) -> None:

@@ -1,0 +1,102 @@
+"""`recover` as it is called: what it prints, its exit codes, and how a damaged ledger is continued."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.cli.conftest import SMALL, Call, one_message
+from tests.ledger.samples import contents
+
+MANY = ("--architecture", "fsar", "--scenario", "door-relay", "--runs", "60", "--workers", "1")  # three commits
+LAST = "segments/000000000002.parquet"
+
+
+@pytest.fixture(scope="session")
+def many(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ledger of three commits that tests may read but not change."""
+    from fsar_ledger.cli import run
+
+    path = tmp_path_factory.mktemp("recover") / "ledger"
+    assert run(["simulate", str(path), *MANY]) == 0
+    return path
+
+
+@pytest.fixture
+def copy(many: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(many, tmp_path / "ledger"))
+
+
+def test_a_whole_ledger_is_said_to_be_whole(call: Call, many: Path) -> None:
+    said = call("recover", many)
+    assert (said.code, said.err) == (0, "")
+    assert said.out.startswith(f"{many}: whole, there is nothing to mend\ntrusted\n  commits 0 to 2: ")
+    assert "only --anchor" not in said.out
+    assert "--anchor FILE does" in said.out
+    anchored = call("recover", many, "--anchor", many / "checkpoint")
+    assert "the anchor vouches for the first" in anchored.out
+    assert "--anchor FILE does" not in anchored.out
+
+
+def test_what_was_mended_is_named(call: Call, copy: Path) -> None:
+    (copy / "checkpoint").unlink()
+    (copy / "stray").write_bytes(b"?")
+    said = call("recover", copy)
+    assert (said.code, said.err) == (0, "")
+    assert f"set aside\n  stray -> {copy}.set-aside/000/stray\nmade again\n  checkpoint\n" in said.out
+    assert call("verify", copy).code == 0
+
+
+def test_a_damaged_ledger_is_explained_and_continued(call: Call, copy: Path, many: Path, tmp_path: Path) -> None:
+    (copy / "segments" / "000000000001.parquet").unlink()
+    before = contents(copy)
+    said = call("recover", copy)
+    assert (said.code, said.err) == (3, "")
+    assert said.out.startswith(f"{copy}: damaged at commit 1; nothing of it was changed\nfound\n  segments/000000000001.parquet: commit 1")
+    for line in ("  commit 0: ", "  commit 1: the segment is missing", "  commit 2: record and segment fit", "--into NEW copies", "SHA-256"):
+        assert f"\n{line}" in said.out or line in said.out
+    new = tmp_path / "new"
+    done = call("recover", copy, "--into", new)
+    assert (done.code, f"{new} holds what can be trusted" in done.out) == (0, True)
+    assert call("verify", new).code == 0
+    assert call("simulate", new, *MANY).code == 0
+    assert contents(new) == contents(many)
+    assert contents(copy) == before
+
+
+def test_programs_get_everything_as_json(call: Call, copy: Path) -> None:
+    whole = json.loads(call("recover", copy, "--json").out)
+    assert (whole["outcome"], whole["head"]["commits"], whole["steps"], whole["into"]) == ("whole", 3, [], None)
+    assert whole["report"]["root"] == whole["head"]["root"]
+    (copy / LAST).unlink()
+    said = call("recover", copy, "--json")
+    damaged = json.loads(said.out)
+    assert (said.code, damaged["outcome"], damaged["head"]["commits"]) == (3, "damaged", 2)
+    assert damaged["problems"][0]["where"] == LAST
+    assert [commit["number"] for commit in damaged["later"]] == [2]
+
+
+def test_long_lists_are_cut_for_people(call: Call, copy: Path) -> None:
+    for number in range(13):
+        (copy / f"stray-{number}").write_bytes(b"?")
+    assert "  ... and 3 more; --json names all\n" in call("recover", copy).out
+
+
+def test_with_a_key_the_answer_says_who_signed(call: Call, tmp_path: Path) -> None:
+    key, path = tmp_path / "fleet.key", tmp_path / "ledger"
+    public = call("key", "new", key).out.strip()
+    assert call("simulate", path, *SMALL, "--key", key).code == 0
+    signed = call("recover", path, "--trusted-key", f"{key}.pub")
+    assert (signed.code, f"  signed by {'+'.join(public.split('+')[:2])}\n" in signed.out) == (0, True)
+    unchecked = call("recover", path)
+    assert "  signed, signer not checked" in unchecked.out
+    assert call("key", "new", tmp_path / "other.key").code == 0
+    other = call("recover", path, "--trusted-key", f"{tmp_path / 'other.key'}.pub")
+    assert (other.code, "trusted\n  no commit\n" in other.out) == (3, True)
+
+
+def test_wrong_calls_are_one_message(call: Call, copy: Path, tmp_path: Path) -> None:
+    one_message(call("recover", tmp_path / "nowhere"), 2, "found no ledger there")
+    one_message(call("recover", copy, "--into", tmp_path), 2, "--into", "found something there")
+    one_message(call("recover", copy, "--anchor", tmp_path / "nothing"), 2, "--anchor")
