@@ -140,6 +140,7 @@ def _mend(path: Path, prefix: Prefix, workers: int, progress: Progress | None, a
         mending.set_strays_aside(prefix)
         mending.settle(prefix)
         mending.make_again(prefix)
+        mending.confirm()
     report = verify(path, workers, progress, asked)
     outcome: Outcome = "damaged" if not report.ok else "mended" if mending.steps else "whole"
     return Recovery(outcome, prefix.head, tuple(mending.steps), report.problems, anchored=prefix.anchored, report=report)
@@ -157,8 +158,8 @@ class _Mending:
         """There is nothing but the ledger's own files, and folders for them."""
         for name in prefix.strays:
             self._set_aside(name)
-        for folder, _, _ in os.walk(self.path / TILE, topdown=False) if prefix.strays or prefix.redo else ():
-            with suppress(OSError):  # there are tiles in it
+        for folder in sorted((self.path / TILE).rglob("*"), reverse=True) if prefix.strays or prefix.redo else ():
+            if folder.is_dir() and not any(folder.iterdir()):
                 os.rmdir(folder)
         for name in (COMMITS, SEGMENTS):
             if not (self.path / name).is_dir():
@@ -179,6 +180,11 @@ class _Mending:
         made += derive(open_ledger(self.path), prefix.redo, self._set_aside)
         self.steps += [Step("made again", name, name) for name in made]
 
+    def confirm(self) -> None:
+        """If anything was done, all that is there is on the disk: whoever made it may have been killed before it was."""
+        for folder in (self.path, self.path / COMMITS, self.path / SEGMENTS) if self.steps else ():
+            disk.sync_folder(folder)
+
     def _set_aside(self, name: str) -> None:
         """The file is beside the ledger now, durably, under the same name below the first free number."""
         if self._aside is None:
@@ -196,7 +202,7 @@ def _new_folder(ledger: Path) -> Path:
     disk.make_folder(top)
     for number in count():
         with suppress(FileExistsError):
-            (top / f"{number:03d}").mkdir()
+            os.mkdir(top / f"{number:03d}")
             disk.sync_folder(top)
             return top / f"{number:03d}"
     raise AssertionError("count() never ends")

@@ -116,7 +116,7 @@ def put(ledger: Path, files: Mapping[str, bytes], set_aside: SetAside) -> list[s
         if os.path.lexists(ledger / name):
             set_aside(name)
     if wrong:
-        (ledger / STAGING).mkdir(exist_ok=True)
+        disk.make_folder(ledger / STAGING)
     disk.write_files({ledger / name: data for name, data in wrong.items()}, ledger / STAGING)
     return list(wrong)
 

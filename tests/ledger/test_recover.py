@@ -14,6 +14,8 @@ from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.record import commit_path, segment_path, sha256_hex
 from fsar_ledger.ledger.recover import recover
 from fsar_ledger.ledger.verify import verify
+from tests.ledger.faults import Fault, FaultyOs, Killed, calls_of, in_place_of_os
+from tests.ledger.power import Disk, choices
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 
 BATCHES = made_up_batches(4, runs=2, size=60)  # 120 events a commit: the third outgrows the first partial tiles
@@ -279,7 +281,7 @@ def much_to_do(one: Files) -> Files:
     return files | {f"staging/{sha256_hex(segment)}.parquet": segment}
 
 
-@pytest.mark.parametrize(("error", "step"), [(Stop(), 1), (OSError(errno.ENOSPC, "No space left on device"), 3)])
+@pytest.mark.parametrize(("error", "step"), [(Stop(), 3), (OSError(errno.ENOSPC, "No space left on device"), 7)])
 def test_stopped_at_any_call_recovery_goes_on_when_called_again(
     tmp_path: Path, one: Files, monkeypatch: pytest.MonkeyPatch, error: BaseException, step: int
 ) -> None:
@@ -297,6 +299,25 @@ def test_stopped_at_any_call_recovery_goes_on_when_called_again(
             assert verify(path).ok
             return
     pytest.fail("recovery never came to its end")
+
+
+def test_a_power_failure_in_recovery_loses_nothing_either(tmp_path: Path, one: Files) -> None:
+    before = much_to_do(one)
+    counting = write(tmp_path / "counting" / "ledger", before)
+    changes = [at for at, name in enumerate(calls_of(counting.parent, lambda: recover(counting))) if name not in ("open", "read", "close")]
+    assert len(changes) > 30
+    for at in changes[::8]:
+        path = write(tmp_path / str(at) / "ledger", before)
+        disk = Disk(path.parent)
+        with suppress(Killed), in_place_of_os(FaultyOs(path.parent, Fault(at, "killed"), disk)):
+            recover(path)
+        for number, choice in enumerate(choices(at, 1)):
+            after = tmp_path / f"{at}-{number}" / "ledger"
+            disk.after_power_failure(choice, after.parent)
+            assert_nothing_lost(before, after)
+            recover(after)
+            assert_nothing_lost(before, after)
+            assert contents(after) == one
 
 
 def test_a_disk_that_refuses_is_named_with_what_to_do(tmp_path: Path, one: Files, monkeypatch: pytest.MonkeyPatch) -> None:
