@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .options import JsonOption, LedgerArgument, TrustedKeyOption, WorkersOption, examples, workers_of
-from .output import json_text, signature_text
 from .progress import Progress
 from .terminal import show
 
@@ -62,6 +61,8 @@ def recovery_json(ledger: Path, found: "Recovery", into: Path | None) -> str:
     """What was found and done, for programs: the head is that of what can be trusted."""
     from msgspec import to_builtins
 
+    from .output import json_text
+
     answer = to_builtins(found)
     return json_text(found.head, {**answer, "ledger": str(ledger), "into": None if into is None else str(into), "head": answer["head"]})
 
@@ -100,6 +101,8 @@ def _some(lines: list[str]) -> list[str]:
 
 def _trusted(found: "Recovery", asked: "Asked") -> Iterator[str]:
     """What can be trusted, and on whose word."""
+    from .output import signature_text
+
     head = found.head
     if head.commits:
         last = f"commit{'s 0 to' if head.commits > 1 else ''} {head.commits - 1:,}"
