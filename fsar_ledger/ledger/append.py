@@ -26,7 +26,7 @@ from fsar_ledger.ledger.codec import RunRecord, encode_hashed
 from fsar_ledger.ledger.derived import catch_up, check_folders, write_derived
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.note import Note, Signer, checkpoint_of, is_name
-from fsar_ledger.ledger.read import Head, LedgerView, open_ledger, read_manifest
+from fsar_ledger.ledger.read import Head, LedgerView, commit_names, open_ledger, read_manifest
 from fsar_ledger.ledger.record import (
     COMMITS,
     FORMAT,
@@ -155,7 +155,7 @@ class Writer:
         """The staged segment is part of the ledger, durably. Appending the newest segment once more changes nothing.
 
         Raises:
-            SequenceConflict: Another writer took the number; open the ledger again and append what it lacks.
+            SequenceConflict: Another writer took the number, or has gone on after the same commit; open the ledger again and append what it lacks.
             LedgerCorrupted: A folder of the tiles is a link.
             WriteFailed: The disk refused. The ledger is as it was, unless the message says otherwise.
         """
@@ -198,7 +198,7 @@ class Writer:
         )
 
     def _publish(self, staged: Staged, number: int, data: bytes) -> None:
-        """The record has its number. Raises: SequenceConflict if another has it, unless it is the same one."""
+        """The record has its number and is the newest. Raises: SequenceConflict if another has the number, or others have gone on from the same record."""
         path = commit_path(self._path, number)
         source = staged_path(self._path, staged.segment_sha256)
         temporary = disk.temporary_name(self._path / STAGING / path.name)
@@ -214,6 +214,12 @@ class Writer:
                 raise SequenceConflict(
                     f"{path}: found a commit of another writer, expected number {number} to be free; open the ledger again and append what it lacks"
                 )
+            newest = len(commit_names(self._path)) - 1
+        if newest > number:  # what would be derived from this commit now is older than what is there
+            raise SequenceConflict(
+                f"{self._path}: found commits up to {newest} of another writer, expected {number} to be the newest; "
+                "open the ledger again and append what it lacks, or run the same command again"
+            )
 
     def _settle(self, staged: Staged, number: int) -> None:
         """The record and its segment are in place, durably. Raises: WriteFailed if the disk refuses; the commit may stand."""

@@ -104,6 +104,7 @@ def simulate(out: Path, experiment: Experiment, workers: int, progress: Progress
 
     Raises:
         InvalidExperiment: the ledger holds some of these runs in batches of another experiment.
+        SequenceConflict: another process commits to the ledger meanwhile; the same call again makes what is missing then.
         NotALedger, FormatVersionMismatch, LedgerCorrupted, WriteFailed: see `Writer`.
     """
     batches = experiment.batches()

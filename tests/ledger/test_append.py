@@ -1,5 +1,6 @@
 import os
 import pickle
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,8 +14,9 @@ from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.codec import encode_hashed
 from fsar_ledger.ledger.note import Note, checkpoint_of
 from fsar_ledger.ledger.read import EMPTY_HEAD, open_ledger
-from fsar_ledger.ledger.record import Manifest, commit_path, sha256_hex
+from fsar_ledger.ledger.record import Manifest, commit_path, segment_path, sha256_hex
 from fsar_ledger.ledger.verify import verify
+from tests.ledger.forgery import changed, forge_segment, table_of
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run
 
 BATCHES = made_up_batches(4)
@@ -110,6 +112,25 @@ def test_two_writers_with_the_same_batch_commit_it_once(path: Path) -> None:
     assert verify(path).ok
 
 
+@pytest.mark.parametrize("behind", [0, 1])
+def test_a_writer_that_lags_behind_with_the_same_batches_takes_nothing_back(path: Path, behind: int) -> None:
+    with Writer(path, ORIGIN) as one, Writer(path, ORIGIN) as two:
+        for batch in BATCHES:
+            one.append(stage(path, batch))
+            if behind:
+                two.append(stage(path, batch))
+                behind -= 1
+        before = contents(path)
+        lagging = stage(path, BATCHES[two.head.commits])
+        with pytest.raises(SequenceConflict, match=rf"found commits up to 3 of another writer, expected {two.head.commits} to be the newest"):
+            two.append(lagging)
+        with pytest.raises(WriteFailed, match="broken"):
+            two.append(lagging)
+    Writer(path, ORIGIN).close()
+    assert contents(path) == before
+    assert verify(path).ok
+
+
 def test_a_second_writer_leaves_the_staging_of_the_first_alone(path: Path) -> None:
     with Writer(path, ORIGIN) as one:
         staged = stage(path, BATCHES[0])
@@ -137,6 +158,45 @@ def test_a_committed_segment_still_in_staging_is_read_there_and_moved_by_the_nex
     assert list(view.runs()) == [run for batch in BATCHES[:2] for run in batch]
     assert verify(path).ok
     Writer(path, ORIGIN).close()
+    assert contents(path) == before
+
+
+def _one_commit_behind(path: Path) -> None:
+    """What a crash leaves between the third commit and what is derived from it."""
+    append_all(path, BATCHES[:2])
+    derived = {name: data for name, data in contents(path).items() if name == "checkpoint" or name.startswith("tile/")}
+    append_all(path, BATCHES[2:3])
+    shutil.rmtree(path / "tile")
+    for name, data in derived.items():
+        (path / name).parent.mkdir(parents=True, exist_ok=True)
+        (path / name).write_bytes(data)
+
+
+def test_a_writer_one_commit_behind_goes_on_to_the_same_bytes(path: Path, tmp_path: Path) -> None:
+    _one_commit_behind(path)
+    Writer(path, ORIGIN).close()
+    append_all(tmp_path / "whole", BATCHES[:3])
+    assert contents(path).items() >= contents(tmp_path / "whole").items()
+    assert verify(path).ok
+
+
+def test_a_writer_derives_nothing_from_a_segment_that_was_altered_since_its_commit(path: Path) -> None:
+    _one_commit_behind(path)
+    data = bytearray(segment_path(path, 2).read_bytes())
+    data[len(data) // 2] ^= 1
+    segment_path(path, 2).write_bytes(data)
+    before = contents(path)
+    with pytest.raises(LedgerCorrupted, match=r"000000000002\.parquet: commit 2: found SHA-256 .* as committed; restore the file"):
+        Writer(path, ORIGIN)
+    assert contents(path) == before
+
+
+def test_a_writer_derives_nothing_from_rows_that_do_not_lead_to_the_root_as_committed(path: Path) -> None:
+    _one_commit_behind(path)
+    forge_segment(path, 2, changed(table_of(path, 2), "time_us", 3, 1))
+    before = contents(path)
+    with pytest.raises(LedgerCorrupted, match=r"000000000002\.parquet: commit 2: found rows that lead to root .* run fsar-ledger verify"):
+        Writer(path, ORIGIN)
     assert contents(path) == before
 
 

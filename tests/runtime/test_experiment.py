@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from fsar_ledger.constants import Constants, WorldConstants
-from fsar_ledger.errors import InvalidExperiment, NotALedger
+from fsar_ledger.errors import InvalidExperiment, NotALedger, SequenceConflict
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.verify import verify
 from fsar_ledger.runtime.experiment import BATCH_RUNS, Experiment, simulate
@@ -74,6 +74,18 @@ def test_an_interrupted_experiment_goes_on_at_the_first_missing_batch(tmp_path: 
     head = simulate(tmp_path / "ledger", SMALL, 1, lambda done, total: told.append((done, total)))
     assert told == [(1, 2), (2, 2)]
     assert simulate(tmp_path / "whole", SMALL, 1) == head
+    assert verify(tmp_path / "ledger").ok
+
+
+def test_an_experiment_that_another_process_finishes_meanwhile_stops_and_takes_nothing_back(tmp_path: Path) -> None:
+    def finish_elsewhere(done: int, _total: int) -> None:
+        if done == 0:
+            simulate(tmp_path / "ledger", SMALL, 1)
+
+    with pytest.raises(SequenceConflict, match="run the same command again"):
+        simulate(tmp_path / "ledger", SMALL, 1, finish_elsewhere)
+    assert verify(tmp_path / "ledger").ok
+    assert simulate(tmp_path / "ledger", SMALL, 1).commits == 2
     assert verify(tmp_path / "ledger").ok
 
 
