@@ -14,6 +14,7 @@ import typer
 
 from .commands import recover, trust
 from .commands.options import (
+    AdoptOption,
     ArchitectureOption,
     AuditedOption,
     CsvOption,
@@ -91,6 +92,7 @@ def simulate(
     fleet_size: Annotated[int, typer.Option(metavar="N", help="Robots; a multiple of 4.")] = 4,
     without: WithoutOption = None,
     key: KeyOption = None,
+    adopt: AdoptOption = False,
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -101,9 +103,9 @@ def simulate(
     from .commands.output import json_text
     from .runtime.experiment import simulate as run_experiment
 
-    experiment, signer = experiment_of(architecture, scenario, runs, seed, fleet_size, without, workflow), trust.signer_of(key)
+    experiment, signer = experiment_of(architecture, scenario, runs, seed, fleet_size, without, workflow), trust.signer_of(key, adopts=adopt)
     with Progress("simulated", "batches") as progress:
-        head = run_experiment(out, experiment, workers_of(workers), progress, signer)
+        head = run_experiment(out, experiment, workers_of(workers), progress, signer, adopts=adopt)
     plain = f"{out}: {head.size:,} events in {head.commits:,} commits\nroot {head.root}\n{trust.signed_text(out, signer)}"
     _show(json_text(head, {"ledger": str(out), "commits": head.commits}) if as_json else plain)
 
@@ -333,6 +335,7 @@ def calibrate(
 def reproduce(
     out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where the ledger, the tables and the report go.")] = Path("fsar-out"),
     key: KeyOption = None,
+    adopt: AdoptOption = False,
     workers: WorkersOption = None,
 ) -> None:
     """Do the paper's experiment, judge it, typeset the report.
@@ -342,7 +345,7 @@ def reproduce(
     from .commands.reproduce import reproduce as do
 
     began = time.monotonic()
-    text, head = do(out, workers_of(workers), trust.signer_of(key))
+    text, head = do(out, workers_of(workers), trust.signer_of(key, adopts=adopt), adopts=adopt)
     _show(f"{text}\n{head.size:,} events, root {head.root}, {time.monotonic() - began:.0f} s\n{out / 'report.pdf'}\n")
 
 

@@ -94,6 +94,7 @@ KeyOption = Annotated[
         "--key", metavar="FILE", envvar="FSAR_LEDGER_KEY", help="Sign with this key, of `fsar-ledger key new`.", show_default="leave the ledger unsigned"
     ),
 ]
+AdoptOption = Annotated[bool, typer.Option("--adopt", help="Sign on where another key or none signed what is there; verify it first.")]
 TrustedKeyOption = Annotated[
     str | None,
     typer.Option("--trusted-key", metavar="KEY", help="Require the signature of this public key: a .pub file, or the key itself.", show_default=False),

@@ -18,16 +18,16 @@ SEED = 42
 SHOWN = ("architecture", "metric", "mean", "sd", "n", "ci_low", "ci_high")
 
 
-def reproduce(out: Path, workers: int, signer: Signer | None = None) -> tuple[str, Head]:
+def reproduce(out: Path, workers: int, signer: Signer | None = None, *, adopts: bool = False) -> tuple[str, Head]:
     """The folder holds the ledgers, signed if there is a signer, the tables and the report; returns the table of metrics as text and the ledger's head."""
     ledger = out / "ledger"
     with Progress("simulated", "batches") as progress:
-        head = simulate(ledger, experiment_of(None, None, None, SEED, 4, None), workers, progress, signer)
+        head = simulate(ledger, experiment_of(None, None, None, SEED, 4, None), workers, progress, signer, adopts=adopts)
     with connect(ledger) as database:
         metrics, statistics = plain(metric_rows(database)), plain(statistic_rows(database))
     write_text(out / "metrics.csv", csv_text(metrics, list(metrics[0])))
     write_text(out / "statistics.csv", csv_text(statistics, list(statistics[0])))
     workflows = out / "workflows"
-    simulate(workflows, workflow_experiment(SEED), 1, signer=signer)
+    simulate(workflows, workflow_experiment(SEED), 1, signer=signer, adopts=adopts)
     write_report(ledger, out / "report.pdf", workflows)
     return table_text(metrics, SHOWN), head

@@ -53,9 +53,11 @@ def key_new(
     show(f"{new_key(file, ORIGIN if name is None else name)}\n")
 
 
-def signer_of(key: Path | None) -> "Signer | None":
-    """The key in this file, if one was given. Raises: UsageError if there is none in it."""
+def signer_of(key: Path | None, *, adopts: bool = False) -> "Signer | None":
+    """The key in this file, if one was given. Raises: UsageError if there is none in it, or if what others wrote shall be adopted without one."""
     if key is None:
+        if adopts:
+            raise UsageError("--adopt: found no --key, expected the key that signs on from here")
         return None
     from fsar_ledger.ledger.note import read_signer
 

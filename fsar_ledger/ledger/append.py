@@ -25,7 +25,7 @@ from fsar_ledger.ledger.bounds import MAX_ROWS, MAX_SEGMENT_BYTES, MAX_TEXT_BYTE
 from fsar_ledger.ledger.codec import RunRecord, encode_hashed
 from fsar_ledger.ledger.derived import catch_up, check_folders, write_derived
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
-from fsar_ledger.ledger.note import Note, Signer, checkpoint_of, is_name
+from fsar_ledger.ledger.note import Note, Signer, VerifierKey, checkpoint_of, is_name
 from fsar_ledger.ledger.read import Head, LedgerView, commit_names, open_ledger, read_manifest
 from fsar_ledger.ledger.record import (
     COMMITS,
@@ -45,6 +45,7 @@ from fsar_ledger.ledger.record import (
 from fsar_ledger.ledger.releases import RELEASE
 from fsar_ledger.ledger.schema import FINGERPRINT
 from fsar_ledger.ledger.tiles import Tile
+from fsar_ledger.ledger.verify_notes import doubt
 
 
 class Staged(msgspec.Struct, frozen=True):
@@ -94,16 +95,17 @@ class Writer:
 
     Args:
         signer: The key that signs the notes of new commits, whose name must be the origin; without one they are unsigned.
+        adopts: The signer vouches for what it did not sign: the newest commit is unsigned, or signed by another key.
 
     Raises:
         NotALedger: The path is a file, a folder with other things in it, or a ledger of another origin; it is left as it was.
         FormatVersionMismatch: The ledger was written in another format.
         LedgerCorrupted: Its records contradict each other, or a segment is missing.
-        UsageError: The key is that of another origin.
+        UsageError: The key is that of another origin; or it did not sign the newest commit and does not adopt it.
         WriteFailed: The disk refused.
     """
 
-    def __init__(self, ledger: Path, origin: str, signer: Signer | None = None):
+    def __init__(self, ledger: Path, origin: str, signer: Signer | None = None, *, adopts: bool = False):
         if signer is not None and signer.verifier.name != origin:
             raise UsageError(
                 f"found a key named {signer.verifier.name}, expected {origin}, the ledger's origin; make one with fsar-ledger key new FILE --name {origin}"
@@ -123,6 +125,8 @@ class Writer:
                 fcntl.flock(self._lock, fcntl.LOCK_SH)
             with disk.turn(ledger / COMMITS):
                 view = open_ledger(ledger)
+                if signer is not None and not adopts:
+                    _require_own(view, signer.verifier)
                 _confirm(view)
                 _roll_forward(view)
                 self._edge = catch_up(view)
@@ -254,6 +258,15 @@ def _lock(ledger: Path) -> tuple[int, bool]:
     except OSError:
         return handle, False
     return handle, True
+
+
+def _require_own(view: LedgerView, key: VerifierKey) -> None:
+    """The key has signed the newest commit, if there is one: its next signature covers all before. Raises: UsageError if it has not."""
+    if view.records and (found := doubt(view.records[-1].signed_note(), key)) is not None:
+        raise UsageError(
+            f"{commit_path(view.path, view.records[-1].number)}: found a newest checkpoint with {found}, expected one of {key.key}; "
+            "its next signature would vouch for all that is there: verify the ledger, and say --adopt to sign on from here"
+        )
 
 
 def _confirm(view: LedgerView) -> None:

@@ -96,19 +96,19 @@ def workflow_experiment(seed: int = 42, runs: int = 1, workflows: tuple[Workflow
     return Experiment(("fsar",), workflows, runs, seed, FLEET_SIZE)
 
 
-def simulate(out: Path, experiment: Experiment, workers: int, progress: Progress | None = None, signer: Signer | None = None) -> Head:
+def simulate(out: Path, experiment: Experiment, workers: int, progress: Progress | None = None, signer: Signer | None = None, *, adopts: bool = False) -> Head:
     """Every run of the experiment is in the ledger; batches that were there already are not made again.
 
     The bytes of the ledger do not depend on `workers`. `progress` is told batches done and batches in all. What is committed now carries a signature
-    of `signer`, whose key stays in this process.
+    of `signer`, whose key stays in this process; with `adopts` also where another or none signed what is there.
 
     Raises:
         InvalidExperiment: the ledger holds some of these runs in batches of another experiment.
         SequenceConflict: another process commits to the ledger meanwhile; the same call again makes what is missing then.
-        NotALedger, FormatVersionMismatch, LedgerCorrupted, WriteFailed: see `Writer`.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError, WriteFailed: see `Writer`.
     """
     batches = experiment.batches()
-    with Writer(out, ORIGIN, signer) as writer:
+    with Writer(out, ORIGIN, signer, adopts=adopts) as writer:
         missing = _missing(open_ledger(out), batches, experiment.constants)
         done = len(batches) - len(missing)
         if progress is not None:

@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.ledger.note import read_verifier
+from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.record import segment_path
-from tests.cli.conftest import SMALL, Call, in_a_process, one_message
+from tests.cli.conftest import SMALL, Call, Called, in_a_process, one_message
 
 RUN = "fsar.full.door-relay.n4.s7.r0000"
 
@@ -90,8 +91,21 @@ def test_who_signs_changes_the_notes_and_nothing_else(folder: Path, ledger: Path
 def test_a_ledger_that_is_complete_is_not_signed_afterwards_and_that_is_said(call: Call, folder: Path, tmp_path: Path) -> None:
     small = ("simulate", tmp_path / "ledger", *SMALL[:2], "--runs", "1")
     assert "signed" not in call(*small).out
-    assert "nothing was signed; the newest commit is unsigned" in call(*small, "--key", folder / "fleet.key").out
+    assert "nothing was signed; the newest commit is unsigned" in call(*small, "--key", folder / "fleet.key", "--adopt").out
     assert "consistent, unsigned" in call("verify", tmp_path / "ledger").out
+
+
+def test_a_key_goes_on_after_what_it_did_not_sign_only_if_told_to(call: Call, folder: Path, tmp_path: Path) -> None:
+    def simulate(seed: int, *options: str | Path) -> Called:
+        return call("simulate", tmp_path / "ledger", *SMALL[:2], "--runs", "1", "--seed", seed, *options)
+
+    key = ("--key", folder / "fleet.key")
+    simulate(1)
+    one_message(simulate(2, *key), 2, "found a newest checkpoint with no signature", "verify the ledger, and say --adopt to sign on from here")
+    assert open_ledger(tmp_path / "ledger").head.commits == 1
+    assert "signed by" in simulate(2, *key, "--adopt").out
+    assert "signed by" in simulate(3, *key).out
+    one_message(simulate(4, "--adopt"), 2, "--adopt: found no --key")
 
 
 def test_the_secret_is_in_no_output_and_in_no_file_of_the_ledger(call: Call, folder: Path) -> None:

@@ -87,7 +87,7 @@ def write(path: Path, batches: Sequence[Sequence[RunRecord]], signers: Sequence[
     with Writer(path, ORIGIN):
         pass
     for batch, signer in zip(batches, signers, strict=True):
-        with Writer(path, ORIGIN, signer) as writer:
+        with Writer(path, ORIGIN, signer, adopts=True) as writer:
             writer.append(stage(path, batch))
     return path
 

@@ -1,12 +1,14 @@
+import re
 import shutil
 from pathlib import Path
 
 import pytest
 
 from fsar_ledger.errors import UsageError
+from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.ledger.merkle import EMPTY_ROOT, tree_root
-from fsar_ledger.ledger.note import Checkpoint, Note, Signer
+from fsar_ledger.ledger.note import Checkpoint, Note, Signature, Signer
 from fsar_ledger.ledger.record import segment_path
 from fsar_ledger.ledger.tiles import node_of, tile_reader
 from fsar_ledger.ledger.verify import Asked, VerifyReport, verify
@@ -84,6 +86,29 @@ def test_a_key_that_follows_another_is_the_one_to_trust(tmp_path: Path) -> None:
     assert (trusted(tmp_path / "ledger").ok, trusted(tmp_path / "ledger").signed) == (True, 1)
     report = verify(tmp_path / "ledger", asked=Asked(trusted=NAMESAKE.verifier))
     assert f"commit 2, field note: found a signature of {KEY.key}, expected one of {NAMESAKE.verifier.key}" in the_problem(report)
+
+
+def test_a_key_does_not_sign_on_top_of_what_it_did_not_sign_unless_it_adopts_it(tmp_path: Path) -> None:
+    for name, signer, found in (("unsigned", None, "no signature"), ("rotated", NAMESAKE, f"a signature of {NAMESAKE.verifier.key}")):
+        path = tmp_path / name
+        append_all(path, BATCHES[:2], signer=signer)
+        before = contents(path)
+        with pytest.raises(UsageError, match=re.escape(f"1.json: found a newest checkpoint with {found}, expected one of {KEY.key}; ")):
+            Writer(path, ORIGIN, SIGNER)
+        assert contents(path) == before
+        with Writer(path, ORIGIN, SIGNER, adopts=True) as writer:
+            writer.append(stage(path, BATCHES[2]))
+        Writer(path, ORIGIN, SIGNER).close()
+        assert trusted(path).signed == 1
+
+
+def test_a_key_does_not_sign_on_top_of_a_note_that_only_names_it(path: Path) -> None:
+    tree = record_of(path, 2).signed_note().checkpoint
+    forged = Signature(KEY.name, KEY.key_id, NAMESAKE.sign(tree).data)
+    forge(path, 2, note=str(Note(tree, (forged,))))
+    (path / "checkpoint").write_text(record_of(path, 2).note)
+    with pytest.raises(UsageError, match="found a newest checkpoint with a signature that this key did not make"):
+        Writer(path, ORIGIN, SIGNER)
 
 
 def test_another_key_of_the_same_name_is_told_apart(tmp_path: Path) -> None:
