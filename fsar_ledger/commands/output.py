@@ -72,7 +72,9 @@ def verdict_text(ledger: Path, report: "VerifyReport") -> str:
     looked = "consistent at a quick look, which reads no rows" if report.is_quick else "consistent"
     lines = [f"{ledger}: {looked}, {signature_text(report.signature, report.signer)}: {counts}", f"root {report.root}"]
     lines += [f"signed commits: {report.signed:,} of {report.commits:,}"] if report.signed else []
-    lines += [f"only grew since the anchor's {report.anchored:,} events"] if report.anchored is not None else []
+    lines += (
+        [f"only grew since the anchor's {report.anchored:,} events"] if report.anchored is not None and not report.is_quick else []
+    )  # there a remark says it
     return "\n".join([*lines, *report.remarks, ""])
 
 

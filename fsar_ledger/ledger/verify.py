@@ -23,8 +23,8 @@ from fsar_ledger.ledger.problem import Problem, unexpected
 from fsar_ledger.ledger.record import COMMITS, MANIFEST, SEGMENTS, STAGING, CommitRecord
 from fsar_ledger.ledger.tiles import Edge
 from fsar_ledger.ledger.verify_commits import Commit, check_folder, check_manifest, check_record, check_strays, read_commits, segment_file
-from fsar_ledger.ledger.verify_derived import TileCheck, check_checkpoint
-from fsar_ledger.ledger.verify_notes import Anchor, Signatures, Signed, check_anchor, check_signatures, root_by_tiles
+from fsar_ledger.ledger.verify_derived import BEHIND, TileCheck, check_checkpoint
+from fsar_ledger.ledger.verify_notes import Anchor, ByTiles, Signatures, Signed, check_anchor, check_signatures, root_by_tiles
 from fsar_ledger.ledger.verify_segment import SegmentFacts, examine, examine_file
 from fsar_ledger.workers import WorkerPool
 
@@ -50,7 +50,7 @@ class VerifyReport(msgspec.Struct, frozen=True):
 
     `root` is the Merkle root in hex over the rows themselves (as recorded, where rows were not read), None if there is any doubt.
     `signer` is the trusted key (`name+id`) if one was given, else whom the newest note names; `anchored` counts the events of the anchor.
-    `remarks` are no doubts: what a crash may leave behind.
+    `remarks` are no doubts: what a crash may leave behind, and what a quick look leaves open.
     """
 
     ok: bool
@@ -123,6 +123,7 @@ class _Verification:
         self.tree: Frontier | None = Frontier()  # None: not known, because a record or segment before could not be read
         self.tiles = TileCheck(path)
         self.root_then: bytes | None = None  # that of the anchor's events
+        self.is_behind = False  # the derived files are those of the commit before the newest
 
     def run(self, workers: int, progress: Progress | None) -> VerifyReport:
         """The whole look."""
@@ -146,8 +147,10 @@ class _Verification:
             doubts, signed = check_signatures(records, self.asked.trusted)
             self.problems += doubts
         remarks = self._check_derived(records)
-        anchored = self._check_anchor(origin, records)
+        anchored, proved = self._check_anchor(origin, records)
         ok = not self.problems
+        if ok and self.asked.is_quick:
+            remarks += (_not_compared(anchored, proved, records[-1].tree_size if records else 0),)
         root = (self.tree.root() if self.tree is not None else merkle.EMPTY_ROOT).hex() if ok else None
         return VerifyReport(
             ok,
@@ -221,27 +224,40 @@ class _Verification:
         """What is derived is compared only where all it is derived from is beyond doubt; the remarks on it."""
         if self.problems:
             return ()
-        found, is_behind = check_checkpoint(self.path, records)
+        found, self.is_behind = check_checkpoint(self.path, records)
         self.problems += found
         if self.asked.is_quick:
-            return ()
-        found, remarks = self.tiles.finish(is_behind=is_behind)
+            return (BEHIND,) if self.is_behind else ()
+        found, remarks = self.tiles.finish(is_behind=self.is_behind)
         self.problems += found
         return remarks
 
-    def _check_anchor(self, origin: str | None, records: list[CommitRecord]) -> int | None:
-        """The events that the anchor vouches for, if the ledger begins with them."""
+    def _check_anchor(self, origin: str | None, records: list[CommitRecord]) -> tuple[int | None, int]:
+        """The events that the anchor vouches for, if the ledger begins with them; the events of the tree up to which that was shown."""
+        size = records[-1].tree_size if records else 0
         anchor = self.asked.anchor
         if anchor is None:
-            return None
+            return None, size
         then = anchor.note.checkpoint if anchor.note is not None else None
-        root_then = self.root_then
-        if then is not None and records and self.asked.is_quick:
-            root_then = root_by_tiles(self.path, then, records[-1])
+        found = ByTiles(self.root_then, size)
+        if then is not None and self.asked.is_quick:
+            found = root_by_tiles(self.path, then, records[: -3 if self.is_behind else -2 : -1])
         if then is not None and then.size == 0:
-            root_then = merkle.EMPTY_ROOT
-        self.problems += check_anchor(anchor, origin, records[-1].tree_size if records else 0, root_then, self.asked.trusted)
-        return then.size if then is not None else None
+            found = ByTiles(merkle.EMPTY_ROOT, size)
+        self.problems += check_anchor(anchor, origin, size, found.root, self.asked.trusted, found.missing)
+        return (then.size if then is not None else None), found.size
+
+
+def _not_compared(anchored: int | None, proved: int, size: int) -> str:
+    """What a quick look leaves open: the anchor's events begin the tree of `proved` events, and the newest has `size`."""
+    if anchored is None:
+        return "rows were not compared with the recorded roots"
+    if proved == size:
+        return f"the recorded roots only grew since the anchor's {anchored:,} events; rows were not compared with them"
+    return (
+        f"the recorded roots only grew from the anchor's {anchored:,} events to {proved:,}, those before the newest commit, whose tiles are missing; "
+        "neither its root nor any rows were compared with them"
+    )
 
 
 def _examine_all(path: Path, commits: list[Commit], workers: int, *, is_quick: bool) -> Iterator[SegmentFacts]:

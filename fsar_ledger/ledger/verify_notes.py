@@ -1,6 +1,7 @@
 """Who signed a ledger, and whether it only grew since an earlier checkpoint: a part of `verify`."""
 
 import os
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -12,7 +13,7 @@ from fsar_ledger.ledger.merkle import consistency_proof, is_consistent
 from fsar_ledger.ledger.note import Checkpoint, Note, VerifierKey, parse_note
 from fsar_ledger.ledger.problem import Problem
 from fsar_ledger.ledger.record import COMMITS, MANIFEST, CommitRecord
-from fsar_ledger.ledger.tiles import node_of, tile_reader
+from fsar_ledger.ledger.tiles import TILE, node_of, tile_reader
 
 Signed = Literal["unsigned", "signer not checked", "signed"]
 
@@ -81,22 +82,34 @@ def doubt(note: Note, trusted: VerifierKey) -> str | None:
     return f"a signature of {signers}" if signers else "no signature"
 
 
-def root_by_tiles(ledger: Path, then: Checkpoint, record: CommitRecord) -> bytes | None:
-    """The root of an earlier checkpoint, where the tiles prove that the tree of this record begins with its events; else None.
+class ByTiles(msgspec.Struct, frozen=True):
+    """What the tiles prove of an anchor: its root, None if nothing; the events of the tree that begins with it; the tile that was missing."""
+
+    root: bytes | None = None
+    size: int = 0
+    missing: str = ""
+
+
+def root_by_tiles(ledger: Path, then: Checkpoint, records: Sequence[CommitRecord]) -> ByTiles:
+    """The root of an earlier checkpoint, where the tiles prove that the tree of one of these records, the first with tiles, begins with its events.
 
     The proof counts, not the tiles: whoever rewrote history may have left old tiles in place.
     """
-    size, root = record.tree_size, bytes.fromhex(record.tree_root)
-    if not 0 < then.size <= size:
-        return None
-    try:
-        proof = consistency_proof(node_of(tile_reader(ledger), size), then.size, size)
-    except LedgerCorrupted:
-        return None
-    return then.root if is_consistent(then.size, then.root, size, root, proof) else None
+    missing = ""
+    for record in records:
+        size, root = record.tree_size, bytes.fromhex(record.tree_root)
+        if not 0 < then.size <= size:
+            continue
+        try:
+            proof = consistency_proof(node_of(tile_reader(ledger), size), then.size, size)
+        except LedgerCorrupted as error:
+            missing = str(error).removeprefix(f"{ledger}/").partition(", expected")[0]
+            continue
+        return ByTiles(then.root, size) if is_consistent(then.size, then.root, size, root, proof) else ByTiles()
+    return ByTiles(missing=missing)
 
 
-def check_anchor(anchor: Anchor, origin: str | None, size: int, root_then: bytes | None, trusted: VerifierKey | None) -> list[Problem]:
+def check_anchor(anchor: Anchor, origin: str | None, size: int, root_then: bytes | None, trusted: VerifierKey | None, missing: str = "") -> list[Problem]:
     """The ledger, of this origin and size, begins with the events of the anchor.
 
     Args:
@@ -105,6 +118,7 @@ def check_anchor(anchor: Anchor, origin: str | None, size: int, root_then: bytes
         size: The ledger's, in events.
         root_then: The root of the ledger's first so many events as the anchor counts; None if it cannot be known.
         trusted: The key that must have signed the anchor too.
+        missing: The tile for want of which that root is not known, and nothing worse.
     """
     if anchor.note is None:
         return [Problem(anchor.file, anchor.reason, "a checkpoint of this ledger")]
@@ -115,6 +129,9 @@ def check_anchor(anchor: Anchor, origin: str | None, size: int, root_then: bytes
         return [Problem(anchor.file, f"a checkpoint with {doubt(anchor.note, trusted)}", f"one signed by {trusted.key}, the trusted key")]
     if then.size > size:
         return [Problem(COMMITS, f"{size} events", f"at least {then.size}, as {anchor.file} says: the newest were removed")]
+    if root_then is None and missing:
+        expected = f"those from the {then.size} events of {anchor.file} to the ledger's {size}; run fsar-ledger recover, or verify without --quick"
+        return [Problem(TILE, f"one that cannot be read ({missing})", expected)]
     if root_then is None:
         found = f"no way from its {then.size} events to the ledger's {size}"
         return [Problem(anchor.file, found, "a ledger that begins with them: history was rewritten, or rows or tiles were damaged")]

@@ -132,7 +132,10 @@ def test_verify_says_how_it_looked_who_signed_and_since_when_it_only_grew(call: 
         assert "only grew since the anchor's 7,141 events\n" in out
     quick = call("verify", ledger, "--quick").out
     assert "consistent at a quick look, which reads no rows, signed" in quick
+    assert quick.endswith("rows were not compared with the recorded roots\n")
     assert "runs" not in quick
+    quick = call("verify", ledger, "--quick", *anchor).out
+    assert quick.endswith("\nthe recorded roots only grew since the anchor's 7,141 events; rows were not compared with them\n")
 
 
 def test_verify_says_the_same_as_json(call: Call, folder: Path) -> None:

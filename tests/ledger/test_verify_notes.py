@@ -12,6 +12,7 @@ from fsar_ledger.ledger.note import Checkpoint, Note, Signature, Signer
 from fsar_ledger.ledger.record import segment_path
 from fsar_ledger.ledger.tiles import node_of, tile_reader
 from fsar_ledger.ledger.verify import Asked, VerifyReport, verify
+from fsar_ledger.ledger.verify_derived import BEHIND
 from fsar_ledger.ledger.verify_notes import read_anchor
 from tests.ledger.forgery import changed, forge, forge_segment, record_of, table_of
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run
@@ -237,7 +238,43 @@ def test_old_tiles_left_in_a_rewritten_ledger_do_not_deceive_a_quick_look(tmp_pa
 def test_a_quick_look_with_an_anchor_needs_its_tiles(path: Path) -> None:
     shutil.rmtree(path / "tile")
     assert verify(path, asked=Asked(is_quick=True)).ok
-    assert "tiles were damaged" in the_problem(anchored(path, note_of(path, 1), is_quick=True))
+    found = the_problem(anchored(path, note_of(path, 1), is_quick=True))
+    assert found.startswith("tile: found one that cannot be read (tile/0/000.p/72: found no file), expected those from the 48 events")
+    assert "history" not in found
+
+
+@pytest.fixture
+def behind(path: Path, tmp_path: Path) -> Path:
+    """The ledger as a crash leaves it after its third commit, with the tiles and the checkpoint of the second."""
+    append_all(tmp_path / "two", BATCHES[:2], signer=SIGNER)
+    shutil.rmtree(path / "tile")
+    shutil.copytree(tmp_path / "two" / "tile", path / "tile")
+    shutil.copy(tmp_path / "two" / "checkpoint", path / "checkpoint")
+    return path
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_quick_look_one_commit_behind_proves_the_anchor_up_to_there_and_says_so(behind: Path, number: int) -> None:
+    report = anchored(behind, note_of(behind, number), is_quick=True, key=SIGNER)
+    assert (report.ok, report.anchored, report.remarks[0]) == (True, 24 * (number + 1), BEHIND), report.problems
+    assert f"the recorded roots only grew from the anchor's {24 * (number + 1)} events to 48, those before the newest commit" in report.remarks[1]
+    newest = anchored(behind, note_of(behind, 2), is_quick=True, key=SIGNER)
+    assert (newest.ok, newest.anchored) == (True, 72), newest.problems
+
+
+def test_a_quick_look_one_commit_behind_finds_a_rewritten_history(behind: Path, tmp_path: Path) -> None:
+    append_all(tmp_path / "other", made_up_batches(3, size=11))
+    elsewhere = note_of(tmp_path / "other", 0)
+    assert "history was rewritten" in the_problem(anchored(behind, elsewhere, is_quick=True))
+    between = Note(Checkpoint(ORIGIN, 60, bytes(32)))  # the tiles of the newest commit alone could tell
+    assert "tile: found one that cannot be read" in the_problem(anchored(behind, between, is_quick=True))
+
+
+def test_a_quick_look_says_what_it_did_not_compare(path: Path) -> None:
+    assert verify(path, asked=Asked(is_quick=True)).remarks == ("rows were not compared with the recorded roots",)
+    remark = "the recorded roots only grew since the anchor's 24 events; rows were not compared with them"
+    assert anchored(path, note_of(path, 0), is_quick=True).remarks == (remark,)
+    assert anchored(path, note_of(path, 0), is_quick=False).remarks == ()
 
 
 # --- a quick look ---
