@@ -6,7 +6,7 @@ Order of steps, each durable before the next; a reader or a crash between any tw
 3. The segment moves to `segments/`. A crash before this is mended by the next Writer; readers look in staging meanwhile.
 4. The tiles and the checkpoint follow (see `derived.py`); the next Writer mends these as well.
 
-Writers take turns: 2 to 4 happen under an exclusive lock on `commits/`. A Writer also holds a shared lock on the ledger. Leftovers in
+Writers take turns: 2 to 4 happen under an exclusive lock on `commits/`. A Writer also holds a shared lock on the ledger's folder. Leftovers in
 `staging/` that no record names are harmless; a Writer that finds itself alone removes them when it opens.
 """
 
@@ -250,9 +250,9 @@ def _unfinished(ledger: Path, number: int) -> Iterator[None]:
 
 
 def _lock(ledger: Path) -> tuple[int, bool]:
-    """A handle, and whether it holds the only lock on the ledger; False where another writer is or the file system has no locks."""
+    """A handle of the ledger's folder, and whether it holds the only lock on it; False where another writer is or the file system has no locks."""
     with disk.refusals(ledger, "locking"):
-        handle = os.open(ledger / MANIFEST, os.O_RDONLY | os.O_NOFOLLOW)
+        handle = os.open(ledger, os.O_RDONLY | os.O_DIRECTORY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:

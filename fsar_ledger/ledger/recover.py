@@ -108,12 +108,9 @@ def _require_free(path: Path, into: Path | None) -> None:
 
 @contextmanager
 def _alone(path: Path) -> Iterator[None]:
-    """No writer has the ledger open or opens it meanwhile, where the file system has locks. Raises: WriteFailed if one has."""
-    try:
-        handle = os.open(path / MANIFEST, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    except OSError:  # then no writer can open the ledger
-        yield
-        return
+    """No writer has the ledger open or opens it meanwhile, where the file system has locks. Raises: WriteFailed if one has, or it cannot be opened."""
+    with disk.refusals(path, "locking"):
+        handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY)  # ledger.json may be missing, and another file once it is made again
     try:
         _lock(path, handle)
         yield

@@ -132,7 +132,7 @@ def test_a_writer_that_the_disk_refuses_leaves_nothing_open(tmp_path: Path) -> N
 
 def is_free(path: Path) -> bool:
     """Whether nobody holds a lock on this ledger."""
-    handle = os.open(path / "ledger.json", os.O_RDONLY)
+    handle = os.open(path, os.O_RDONLY)
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
