@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from fsar_ledger.ledger.note import Signer
+from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.ledger.read import Head
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
@@ -19,7 +20,13 @@ SHOWN = ("architecture", "metric", "mean", "sd", "n", "ci_low", "ci_high")
 
 
 def reproduce(out: Path, workers: int, signer: Signer | None = None) -> tuple[str, Head]:
-    """The folder holds the ledgers, signed if there is a signer, the tables and the report; returns the table of metrics as text and the ledger's head."""
+    """The folder holds the ledgers, signed if there is a signer, the tables and the report; returns the table of metrics as text and the ledger's head.
+
+    Raises:
+        UsageError: The folder is a ledger, or lies inside one.
+        FsarLedgerError: As `simulate` and `write_report`.
+    """
+    require_outside(out, f"--out {out}")
     ledger = out / "ledger"
     with Progress("simulated", "batches") as progress:
         head = simulate(ledger, experiment_of(None, None, None, SEED, 4, None), workers, progress, signer)

@@ -48,8 +48,10 @@ def key_new(
     FILE is for the one who signs and nobody else: who has it can rewrite every ledger that it signed. The public half is for all who verify.
     """
     from fsar_ledger.ledger.note import new_key
+    from fsar_ledger.ledger.place import require_outside
     from fsar_ledger.runtime.experiment import ORIGIN
 
+    require_outside(file, f"FILE {file}")
     show(f"{new_key(file, ORIGIN if name is None else name)}\n")
 
 

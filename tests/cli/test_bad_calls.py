@@ -160,10 +160,44 @@ def test_an_export_to_an_unknown_format_is_refused(call: Call, ledger: Path, tmp
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_export_into_the_ledger_is_refused(call: Call, copy: Path) -> None:
+WRITERS = [
+    ("export", "LEDGER", "--out", "PLACE.parquet"),
+    ("export", "LEDGER", "--query", "metrics/run_metrics", "--out", "PLACE.csv"),
+    ("prove", "LEDGER", "8", "--out", "PLACE.tlog-proof"),
+    ("report", "LEDGER", "--out", "PLACE.pdf"),
+    ("explain", "LEDGER", "--request", "A1-1/2.1", "--svg", "PLACE.svg"),
+    ("explain", "LEDGER", "--request", "A1-1/2.1", "--pdf", "PLACE.pdf"),
+    ("key", "new", "PLACE.key"),
+    ("calibrate", "--out", "PLACE.json"),
+    ("reproduce", "--out", "PLACE"),
+]
+
+
+@pytest.mark.parametrize("command", WRITERS)
+def test_no_command_writes_into_any_ledger(call: Call, ledger: Path, copy: Path, tmp_path: Path, command: tuple[str, ...]) -> None:
+    (tmp_path / "link").symlink_to(copy / "segments")
     before = contents_of(copy)
-    one_message(call("export", copy, "--out", copy / "segments" / "events.parquet"), 2, "inside the ledger")
+    for place in (copy / "x", copy / "new" / "x", copy / "tile" / ".." / "x", tmp_path / "link" / "x"):
+        arguments = [argument.replace("LEDGER", str(ledger)).replace("PLACE", str(place)) for argument in command]
+        one_message(call(*arguments), 2, "inside the ledger", str(copy), "outside")
+        assert contents_of(copy) == before
+
+
+@pytest.mark.parametrize("lost", ["ledger.json", "commits", "segments"])
+def test_a_damaged_ledger_is_written_into_no_more_than_a_whole_one(call: Call, copy: Path, lost: str) -> None:
+    (copy / lost).rename(copy.parent / "lost")
+    before = contents_of(copy)
+    one_message(call("key", "new", copy / "fleet.key"), 2, "inside the ledger")
     assert contents_of(copy) == before
+
+
+def test_a_link_that_leads_into_a_ledger_is_no_way_around(call: Call, ledger: Path, copy: Path, tmp_path: Path) -> None:
+    (tmp_path / "events.csv").symlink_to(copy / "events.csv")
+    (copy / "tile" / "out.csv").symlink_to(tmp_path / "elsewhere.csv")
+    for out in (tmp_path / "events.csv", copy / "tile" / "out.csv"):
+        one_message(call("export", ledger, "--out", out), 2, "inside the ledger")
+        assert out.is_symlink()
+    assert not (tmp_path / "elsewhere.csv").exists()
 
 
 @pytest.mark.parametrize("arguments", [("export", "x.csv"), ("export", "x.parquet"), ("report", "x.pdf")])
