@@ -44,11 +44,14 @@ from .commands.options import (
     workers_of,
 )
 from .commands.progress import Progress
+from .commands.terminal import escaped
 from .commands.terminal import say as _say
 from .commands.terminal import show as _show
 from .errors import FsarLedgerError, UsageError
 
 INTERRUPTED = 130
+CONTINUES = "what is committed stays, and the same command continues there"
+AFTER_INTERRUPTION = {"simulate": CONTINUES, "reproduce": CONTINUES, "recover": "what was mended stays; run it again"}
 SHOWN_ROWS = 100
 
 app = typer.Typer(
@@ -349,6 +352,7 @@ def reproduce(
 def run(arguments: Sequence[str]) -> int:
     """The command has run; returns its exit code. What a user can cause is one message on stderr, never a traceback."""
     try:
+        _require_text(arguments)
         code = typer.main.get_command(app).main(args=list(arguments) or ["--help"], prog_name="fsar-ledger", standalone_mode=False)
     except FsarLedgerError as problem:
         _say(str(problem))
@@ -362,6 +366,15 @@ def run(arguments: Sequence[str]) -> int:
             raise
         _say(f"{problem.filename}: {problem.strerror}")
         return 1
+    except KeyboardInterrupt:
+        code = INTERRUPTED
     if code == INTERRUPTED:
-        _say("interrupted; what is committed stays, and the same command continues there")
+        _say(f"interrupted; {AFTER_INTERRUPTION.get(next(iter(arguments), ''), 'nothing was changed')}")
     return code if isinstance(code, int) else 0
+
+
+def _require_text(arguments: Sequence[str]) -> None:
+    """Raises: UsageError if an argument, perhaps a path, is not UTF-8: neither DuckDB nor JSON can name it."""
+    for argument in arguments:
+        if escaped(argument) != argument:
+            raise UsageError(f"{argument}: found bytes that are not UTF-8, expected UTF-8 in every path and option; give it another name")

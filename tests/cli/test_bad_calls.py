@@ -1,10 +1,16 @@
 """What a user gets wrong is answered by one clear message and the agreed exit code."""
 
+import json
+import os
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from fsar_ledger import cli
+from fsar_ledger.ledger.append import Writer
+from fsar_ledger.runtime.experiment import ORIGIN
 from tests.cli.conftest import SMALL, Call, one_message
 
 
@@ -57,6 +63,65 @@ def test_an_output_that_is_no_ledger_is_left_alone(call: Call, tmp_path: Path) -
 @pytest.mark.parametrize("command", ["info", "metrics", "statistics", "verify"])
 def test_a_place_without_ledger_is_named(call: Call, tmp_path: Path, command: str) -> None:
     one_message(call(command, tmp_path / "nowhere"), 2, str(tmp_path / "nowhere"), "simulate")
+
+
+@pytest.mark.parametrize("command", ["info", "metrics", "verify", "recover"])
+def test_an_interrupted_creation_is_no_damage_and_can_be_finished(call: Call, tmp_path: Path, command: str) -> None:
+    ledger = tmp_path / "begun"
+    for name in ("commits", "segments", "staging", "staging/ledger.json.0123456789abcdef.tmp"):
+        if name.endswith(".tmp"):
+            (ledger / name).write_bytes(b"{")
+        else:
+            (ledger / name).mkdir(parents=True)
+        one_message(call(command, ledger), 2, str(ledger), "creation was interrupted", "run the command that creates it again")
+    with Writer(ledger, ORIGIN):
+        pass
+    assert call(command, ledger).code == 0
+
+
+@pytest.mark.parametrize("name", ["commits/000000000000.json", "segments/000000000000.parquet", "tile/0/000.p/1", "staging/x.parquet", "checkpoint"])
+def test_a_ledger_without_its_ledger_json_is_not_taken_for_one_that_was_only_begun(call: Call, tmp_path: Path, name: str) -> None:
+    for folder in ("commits", "segments"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / name).write_bytes(b"")
+    called = call("verify", tmp_path)
+    assert called.code == 3
+    assert "ledger.json" in called.err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("info", "PATH"),
+        ("verify", "PATH"),
+        ("sql", "PATH", "SELECT 1"),
+        ("query", "failures", "PATH"),
+        ("recover", "PATH", "--json"),
+        ("simulate", "PATH", *SMALL),
+        ("export", "elsewhere", "--out", "PATH.csv"),
+    ],
+)
+def test_a_path_that_is_not_utf_8_is_refused_before_anything_is_done(call: Call, tmp_path: Path, arguments: tuple[str, ...]) -> None:
+    path = tmp_path / os.fsdecode(b"l\xff")
+    one_message(call(*[argument.replace("PATH", str(path)) for argument in arguments]), 2, "l\\udcff", "UTF-8")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", ["recover", "verify"])
+def test_a_file_whose_name_is_not_utf_8_is_named_in_json(call: Call, copy: Path, command: str) -> None:
+    (copy / "segments" / os.fsdecode(b"x\xff")).write_bytes(b"")
+    assert "x\\udcff" in json.dumps(json.loads(call(command, copy, "--json").out), ensure_ascii=False).replace("\\\\", "\\")
+
+
+@pytest.mark.parametrize("command", ["simulate", "reproduce", "recover", "info", "export"])
+def test_after_ctrl_c_each_command_says_what_is_left(call: Call, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cli.typer.main, "get_command", lambda app: SimpleNamespace(main=interrupted))
+    left = {"simulate": "the same command continues there", "reproduce": "the same command continues there", "recover": "run it again"}
+    one_message(call(command, "x"), 130, "interrupted; ", left.get(command, "nothing was changed"))
 
 
 @pytest.mark.parametrize("command", ["info", "metrics", "simulate"])
