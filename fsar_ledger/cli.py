@@ -26,6 +26,7 @@ from .commands.options import (
     LimitOption,
     MemoryOption,
     NewLedgerArgument,
+    OriginOption,
     ParameterOption,
     PdfOption,
     RequestOption,
@@ -81,6 +82,7 @@ def _version(version: Annotated[bool, typer.Option("--version", help="Show the v
         "fsar-ledger simulate out/untrusting --without trust-evaluation --runs 2",
         "fsar-ledger simulate out/workflows --workflow door-relay --workflow layered-recovery --workflow human-supervision",
         "fsar-ledger simulate out/signed --scenario door-relay --runs 1 --key out/fleet.key",
+        "fsar-ledger simulate out/named --scenario door-relay --runs 1 --origin example.org/fleet",
         "fsar-ledger simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 --runs 2",
     )
 )
@@ -93,6 +95,7 @@ def simulate(
     seed: Annotated[int, typer.Option(metavar="N", help="Decides every draw of the world.")] = 42,
     fleet_size: Annotated[int, typer.Option(metavar="N", help="Robots; a multiple of 4.")] = 4,
     without: WithoutOption = None,
+    origin: OriginOption = None,
     key: KeyOption = None,
     workers: WorkersOption = None,
     as_json: JsonOption = False,
@@ -106,7 +109,7 @@ def simulate(
 
     experiment, signer = experiment_of(architecture, scenario, runs, seed, fleet_size, without, workflow), trust.signer_of(key)
     with Progress("simulated", "batches") as progress:
-        head = run_experiment(out, experiment, workers_of(workers), progress, signer)
+        head = run_experiment(out, experiment, workers_of(workers), progress, signer, trust.origin_of(origin))
     plain = f"{out}: {head.size:,} events in {head.commits:,} commits\nroot {head.root}\n{trust.signed_text(out, signer)}"
     _show(json_text(head, {"ledger": str(out), "commits": head.commits}) if as_json else plain)
 
@@ -341,6 +344,7 @@ def reproduce(
     """Do the paper's experiment, judge it, typeset the report.
 
     5 scenarios, 20 seeds, 3 architectures, and 3 workflows. FOLDER then holds report.pdf, metrics.csv, statistics.csv, ledger/ and workflows/.
+    The key signs ledger/ alone: under its name there is no second tree. workflows/ has an origin of its own, fsar-ledger/workflows.
     """
     from .commands.reproduce import reproduce as do
 

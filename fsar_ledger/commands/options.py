@@ -94,6 +94,12 @@ KeyOption = Annotated[
         "--key", metavar="FILE", envvar="FSAR_LEDGER_KEY", help="Sign with this key, of `fsar-ledger key new`.", show_default="leave the ledger unsigned"
     ),
 ]
+OriginOption = Annotated[
+    str | None,
+    typer.Option(
+        "--origin", metavar="NAME", help="Publish the ledger under this name, as host/path.", show_default="the key's name, else fsar-ledger/simulated"
+    ),
+]
 TrustedKeyOption = Annotated[
     str | None,
     typer.Option("--trusted-key", metavar="KEY", help="Require the signature of this public key: a .pub file, or the key itself.", show_default=False),

@@ -64,6 +64,15 @@ def signer_of(key: Path | None) -> "Signer | None":
     return read_signer(key)
 
 
+def origin_of(name: str | None) -> str | None:
+    """The origin that was asked for, if any. Raises: UsageError if no ledger can have it."""
+    from fsar_ledger.ledger.note import is_name
+
+    if name is not None and not is_name(name):
+        raise UsageError(f"--origin {name!r}: expected a printable name without spaces and plus signs")
+    return name
+
+
 def signed_text(ledger: Path, signer: "Signer | None") -> str:
     """A line that says whether the newest commit of the ledger carries a signature of this key; nothing without a key."""
     from fsar_ledger.ledger.read import open_ledger

@@ -7,8 +7,8 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+import typer
 
-from fsar_ledger import cli
 from fsar_ledger.ledger.append import Writer
 from fsar_ledger.runtime.experiment import ORIGIN
 from tests.cli.conftest import SMALL, Call, one_message
@@ -119,7 +119,7 @@ def test_after_ctrl_c_each_command_says_what_is_left(call: Call, monkeypatch: py
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli.typer.main, "get_command", lambda app: SimpleNamespace(main=interrupted))
+    monkeypatch.setattr(typer.main, "get_command", lambda app: SimpleNamespace(main=interrupted))
     left = {"simulate": "the same command continues there", "reproduce": "the same command continues there", "recover": "run it again"}
     one_message(call(command, "x"), 130, "interrupted; ", left.get(command, "nothing was changed"))
 
