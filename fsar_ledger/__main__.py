@@ -10,8 +10,11 @@ def main() -> None:
     if sys.argv[1:] == ["--version"]:
         print(f"fsar-ledger {__version__}")
         return
-    from .cli import run
-
+    try:
+        from .cli import run
+    except KeyboardInterrupt:
+        sys.stderr.write("fsar-ledger: interrupted; nothing was changed\n")
+        sys.exit(130)
     sys.exit(run(sys.argv[1:]))
 
 

@@ -18,6 +18,7 @@ from fsar_ledger.constants import Constants
 from fsar_ledger.errors import WriteFailed
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.codec import encode
+from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.metrics.database import connect, from_table
 from fsar_ledger.metrics.results import MetricRow, metric_rows
 from fsar_ledger.metrics.verdicts import compare
@@ -124,8 +125,10 @@ def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> 
     """The record of the fit is in the file. Takes minutes.
 
     Raises:
+        UsageError: the file lies inside a ledger.
         WriteFailed: the file cannot be written.
     """
+    require_outside(out, f"--out {out}")
     _require_writable(out)
     starts = np.array([fitted.start for fitted in FITTED])
     total = _evaluations()

@@ -27,6 +27,7 @@ from .commands.options import (
     LimitOption,
     MemoryOption,
     NewLedgerArgument,
+    OriginOption,
     ParameterOption,
     PdfOption,
     RequestOption,
@@ -45,11 +46,14 @@ from .commands.options import (
     workers_of,
 )
 from .commands.progress import Progress
+from .commands.terminal import escaped
 from .commands.terminal import say as _say
 from .commands.terminal import show as _show
 from .errors import FsarLedgerError, UsageError
 
 INTERRUPTED = 130
+CONTINUES = "what is committed stays, and the same command continues there"
+AFTER_INTERRUPTION = {"simulate": CONTINUES, "reproduce": CONTINUES, "recover": "what was mended stays; run it again"}
 SHOWN_ROWS = 100
 
 app = typer.Typer(
@@ -79,6 +83,7 @@ def _version(version: Annotated[bool, typer.Option("--version", help="Show the v
         "fsar-ledger simulate out/untrusting --without trust-evaluation --runs 2",
         "fsar-ledger simulate out/workflows --workflow door-relay --workflow layered-recovery --workflow human-supervision",
         "fsar-ledger simulate out/signed --scenario door-relay --runs 1 --key out/fleet.key",
+        "fsar-ledger simulate out/named --scenario door-relay --runs 1 --origin example.org/fleet",
         "fsar-ledger simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 --runs 2",
     )
 )
@@ -91,6 +96,7 @@ def simulate(
     seed: Annotated[int, typer.Option(metavar="N", help="Decides every draw of the world.")] = 42,
     fleet_size: Annotated[int, typer.Option(metavar="N", help="Robots; a multiple of 4.")] = 4,
     without: WithoutOption = None,
+    origin: OriginOption = None,
     key: KeyOption = None,
     adopt: AdoptOption = False,
     workers: WorkersOption = None,
@@ -105,7 +111,7 @@ def simulate(
 
     experiment, signer = experiment_of(architecture, scenario, runs, seed, fleet_size, without, workflow), trust.signer_of(key, adopts=adopt)
     with Progress("simulated", "batches") as progress:
-        head = run_experiment(out, experiment, workers_of(workers), progress, signer, adopts=adopt)
+        head = run_experiment(out, experiment, workers_of(workers), progress, signer, trust.origin_of(origin), adopts=adopt)
     plain = f"{out}: {head.size:,} events in {head.commits:,} commits\nroot {head.root}\n{trust.signed_text(out, signer)}"
     _show(json_text(head, {"ledger": str(out), "commits": head.commits}) if as_json else plain)
 
@@ -341,6 +347,7 @@ def reproduce(
     """Do the paper's experiment, judge it, typeset the report.
 
     5 scenarios, 20 seeds, 3 architectures, and 3 workflows. FOLDER then holds report.pdf, metrics.csv, statistics.csv, ledger/ and workflows/.
+    The key signs ledger/ alone: under its name there is no second tree. workflows/ has an origin of its own, fsar-ledger/workflows.
     """
     from .commands.reproduce import reproduce as do
 
@@ -352,6 +359,7 @@ def reproduce(
 def run(arguments: Sequence[str]) -> int:
     """The command has run; returns its exit code. What a user can cause is one message on stderr, never a traceback."""
     try:
+        _require_text(arguments)
         code = typer.main.get_command(app).main(args=list(arguments) or ["--help"], prog_name="fsar-ledger", standalone_mode=False)
     except FsarLedgerError as problem:
         _say(str(problem))
@@ -365,6 +373,15 @@ def run(arguments: Sequence[str]) -> int:
             raise
         _say(f"{problem.filename}: {problem.strerror}")
         return 1
+    except KeyboardInterrupt:
+        code = INTERRUPTED
     if code == INTERRUPTED:
-        _say("interrupted; what is committed stays, and the same command continues there")
+        _say(f"interrupted; {AFTER_INTERRUPTION.get(next(iter(arguments), ''), 'nothing was changed')}")
     return code if isinstance(code, int) else 0
+
+
+def _require_text(arguments: Sequence[str]) -> None:
+    """Raises: UsageError if an argument, perhaps a path, is not UTF-8: neither DuckDB nor JSON can name it."""
+    for argument in arguments:
+        if escaped(argument) != argument:
+            raise UsageError(f"{argument}: found bytes that are not UTF-8, expected UTF-8 in every path and option; give it another name")

@@ -214,8 +214,8 @@ def runs_of(where: str, rows: list[Row], number: int, types: Row | None) -> list
 
 def check_statistics(group: Any, values: dict[str, list[Any]]) -> None:
     columns = [group.column(at) for at in range(group.num_columns)]
-    if any(column.has_column_index or column.has_offset_index or column.bloom_filter_offset is not None for column in columns):
-        raise ValueError("an index or a Bloom filter")
+    if group.sorting_columns or any(column.has_column_index or column.has_offset_index or column.bloom_filter_offset is not None for column in columns):
+        raise ValueError("an index, a Bloom filter or an order of rows")
     for column in filter(lambda column: column.is_stats_set, columns):
         said, found = column.statistics, values.get(column.path_in_schema)
         own = [value for value in found or [] if value is not None]

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from fsar_ledger.errors import UsageError
+from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.metrics.database import Database, connect, plain_rows
 
 from .options import did_you_mean
@@ -25,7 +26,7 @@ def explain(ledger: Path, run: str | None, request: str | None, failure: str | N
     """The text of the answer; `drawn` names the file of each kind of figure (svg, pdf) that is wanted, which is written.
 
     Raises:
-        UsageError: the run or the action is unknown, has not failed, or what was asked for cannot be drawn.
+        UsageError: the run or the action is unknown, has not failed, or what was asked for cannot be drawn, or not there: inside a ledger.
         WriteFailed: a figure cannot be written.
         NotALedger, FormatVersionMismatch, LedgerCorrupted: as `connect`.
     """
@@ -36,8 +37,7 @@ def explain(ledger: Path, run: str | None, request: str | None, failure: str | N
     if files and action is None:
         raise UsageError(f"--{next(iter(files))}: found no request to draw; give --request ACTION or --failure ACTION")
     for kind, path in files.items():
-        if path.resolve().is_relative_to(ledger.resolve()):
-            raise UsageError(f"--{kind} {path}: found a file inside the ledger {ledger}, which holds nothing but its own files; choose a place outside")
+        require_outside(path, f"--{kind} {path}")
     with connect(ledger) as database:
         name = _run(database, ledger, run)
         if action is None:

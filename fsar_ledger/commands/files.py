@@ -15,6 +15,7 @@ import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
 from fsar_ledger.errors import UsageError, WriteFailed
+from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.schema import SCHEMA
 from fsar_ledger.metrics.database import connect
@@ -24,10 +25,10 @@ def export_events(ledger: Path, out: Path) -> int:
     """Every event of the ledger is in the file as it is stored, retired types too, in commit order; returns how many.
 
     Raises:
-        UsageError: the name of the file ends in neither .csv nor .parquet, or it lies inside the ledger.
+        UsageError: the name of the file ends in neither .csv nor .parquet, or it lies inside a ledger.
         WriteFailed: the file cannot be written.
     """
-    _check(ledger, out)
+    _check(out)
     return _write_tables(out, SCHEMA, open_ledger(ledger).tables())
 
 
@@ -35,11 +36,11 @@ def export_query(ledger: Path, name: str, parameters: Mapping[str, str], out: Pa
     """The answer of the named query is in the file; returns its number of rows.
 
     Raises:
-        UsageError: the name of the file ends in neither .csv nor .parquet, or it lies inside the ledger.
+        UsageError: the name of the file ends in neither .csv nor .parquet, or it lies inside a ledger.
         UnknownQuery: there is no query of that name.
         WriteFailed: the file cannot be written.
     """
-    _check(ledger, out)
+    _check(out)
     with connect(ledger) as database:
         table = database.query(name, parameters)
     return _write_tables(out, table.schema, [table])
@@ -55,11 +56,10 @@ def write_text(out: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
-def _check(ledger: Path, out: Path) -> None:
+def _check(out: Path) -> None:
     """The file may be written. Before any reading: a wrong name should not cost minutes."""
     _format_of(out)
-    if out.resolve().is_relative_to(ledger.resolve()):
-        raise UsageError(f"{out}: found a file inside the ledger {ledger}, which holds nothing but its own files; choose a place outside")
+    require_outside(out, f"--out {out}")
 
 
 def _format_of(out: Path) -> str:

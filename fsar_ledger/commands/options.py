@@ -95,6 +95,12 @@ KeyOption = Annotated[
     ),
 ]
 AdoptOption = Annotated[bool, typer.Option("--adopt", help="Sign on where another key or none signed what is there; verify it first.")]
+OriginOption = Annotated[
+    str | None,
+    typer.Option(
+        "--origin", metavar="NAME", help="Publish the ledger under this name, as host/path.", show_default="the key's name, else fsar-ledger/simulated"
+    ),
+]
 TrustedKeyOption = Annotated[
     str | None,
     typer.Option("--trusted-key", metavar="KEY", help="Require the signature of this public key: a .pub file, or the key itself.", show_default=False),

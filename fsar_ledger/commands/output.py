@@ -15,6 +15,8 @@ from msgspec import to_builtins
 
 from fsar_ledger.errors import UsageError
 
+from .terminal import escaped
+
 if TYPE_CHECKING:
     from fsar_ledger.ledger.verify import VerifyReport
 
@@ -121,7 +123,16 @@ def queries_text(*, as_json: bool, as_csv: bool) -> str:
 
 
 def _pretty(document: object) -> str:
-    return msgspec.json.format(msgspec.json.encode(document), indent=2).decode() + "\n"
+    """The document as JSON; a name of a file that is not UTF-8 has each such byte escaped, `\\udcff` for ff."""
+    return msgspec.json.format(msgspec.json.encode(_encodable(to_builtins(document))), indent=2).decode() + "\n"
+
+
+def _encodable(value: object) -> object:
+    if isinstance(value, str):
+        return escaped(value)
+    if isinstance(value, dict):
+        return {_encodable(name): _encodable(one) for name, one in value.items()}
+    return [_encodable(one) for one in value] if isinstance(value, list | tuple) else value
 
 
 def _cell(value: object) -> str:

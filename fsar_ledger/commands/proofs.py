@@ -5,6 +5,7 @@ from pathlib import Path
 
 from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.canonical import document
+from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.ledger.proof import Proof, Proven, blocks, prove
 from fsar_ledger.ledger.read import LedgerView, open_ledger
 
@@ -30,15 +31,14 @@ def write_proof(ledger: Path, event: str, out: Path) -> str:
     """The new file holds the proof of this event; a line that says so.
 
     Raises:
-        UsageError: As `proof_of`; or the file exists, which is left as it is, or would lie inside the ledger.
+        UsageError: As `proof_of`; or the file exists, which is left as it is, or would lie inside a ledger.
         WriteFailed: The file cannot be written.
     """
     from .files import write_text
 
     if os.path.lexists(out):
         raise UsageError(f"--out {out}: found a file, expected a free name; a proof is never overwritten")
-    if out.resolve().is_relative_to(ledger.resolve()):
-        raise UsageError(f"--out {out}: found a place inside the ledger {ledger}, which holds nothing but its own files; choose one outside")
+    require_outside(out, f"--out {out}")
     proof = proof_of(ledger, event)
     write_text(out, str(proof))
     tree = proof.note.checkpoint

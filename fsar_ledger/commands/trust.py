@@ -48,8 +48,10 @@ def key_new(
     FILE is for the one who signs and nobody else: who has it can rewrite every ledger that it signed. The public half is for all who verify.
     """
     from fsar_ledger.ledger.note import new_key
+    from fsar_ledger.ledger.place import require_outside
     from fsar_ledger.runtime.experiment import ORIGIN
 
+    require_outside(file, f"FILE {file}")
     show(f"{new_key(file, ORIGIN if name is None else name)}\n")
 
 
@@ -62,6 +64,15 @@ def signer_of(key: Path | None, *, adopts: bool = False) -> "Signer | None":
     from fsar_ledger.ledger.note import read_signer
 
     return read_signer(key)
+
+
+def origin_of(name: str | None) -> str | None:
+    """The origin that was asked for, if any. Raises: UsageError if no ledger can have it."""
+    from fsar_ledger.ledger.note import is_name
+
+    if name is not None and not is_name(name):
+        raise UsageError(f"--origin {name!r}: expected a printable name without spaces and plus signs")
+    return name
 
 
 def signed_text(ledger: Path, signer: "Signer | None") -> str:
@@ -96,6 +107,7 @@ def verify(
     rewritten or its newest commits taken away, shows with a trusted key and an anchor: a copy of LEDGER/checkpoint, kept elsewhere.
     """
     from fsar_ledger.ledger.note import read_verifier
+    from fsar_ledger.ledger.place import require_created
     from fsar_ledger.ledger.verify import Asked
     from fsar_ledger.ledger.verify import verify as check
     from fsar_ledger.ledger.verify_notes import read_anchor
@@ -104,6 +116,7 @@ def verify(
 
     if quick and replay:
         raise UsageError("--quick and --replay: expected one of them; a quick look reads no rows, a replay all of them")
+    require_created(ledger)
     asked = Asked(quick, None if trusted_key is None else read_verifier(trusted_key), None if anchor is None else read_anchor(anchor))
     with Progress("verified", "segments") as progress:
         report = check(ledger, workers_of(workers), progress, asked)

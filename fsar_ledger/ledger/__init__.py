@@ -9,6 +9,7 @@ merkle     RFC 6962 hashes of the rows
 segment    one batch of runs as one Parquet file
 record     ledger.json and commits/*.json
 disk       durable files: all or nothing
+place      where a ledger is, and what nobody else may write there
 append     stage (worker side), Writer (parent side)
 read       Head, LedgerView: what is committed
 verify     everything derived again and compared

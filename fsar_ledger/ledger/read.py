@@ -11,6 +11,7 @@ import pyarrow as pa
 from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger
 from fsar_ledger.ledger import canonical, codec, disk, merkle, segment
 from fsar_ledger.ledger.merkle import Frontier
+from fsar_ledger.ledger.place import require_created
 from fsar_ledger.ledger.record import (
     COMMITS,
     MANIFEST,
@@ -152,10 +153,11 @@ def open_ledger(path: Path) -> LedgerView:
 
 
 def read_manifest(path: Path) -> bytes:
-    """The bytes of ledger.json. Raises: NotALedger if there is none."""
+    """The bytes of ledger.json. Raises: NotALedger if there is none, or its creation was interrupted."""
     try:
         return disk.read_document(path / MANIFEST)
     except (FileNotFoundError, NotADirectoryError) as error:
+        require_created(path)
         found = "no such path" if not path.exists() else "no ledger.json in it" if path.is_dir() else "a file"
         raise NotALedger(f"{path}: found {found}, expected the directory of a ledger; give the path that `fsar-ledger simulate` wrote to") from error
     except OSError as error:

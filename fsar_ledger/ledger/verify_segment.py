@@ -118,6 +118,8 @@ def _misleading(path: Path, metadata: pq.FileMetaData, table: pa.Table) -> tuple
         return None
     if metadata.created_by == pq.read_metadata(pa.BufferReader(again)).created_by:
         return "other bytes", "those that these rows are written as"
+    if metadata.row_group(0).sorting_columns:
+        return "a declared order of rows", "none: readers skip rows by it, and nothing vouches for it"
     for at in range(metadata.num_columns):
         stored = metadata.row_group(0).column(at)
         if stored.has_column_index or stored.has_offset_index or stored.bloom_filter_offset is not None:

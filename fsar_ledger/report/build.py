@@ -2,15 +2,10 @@
 
 from pathlib import Path
 
-from fsar_ledger.errors import WriteFailed
+from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.report import document, figures, typeset
 from fsar_ledger.report.calibration import recorded
 from fsar_ledger.report.gather import gather
-
-
-def _outside(ledger: Path, out: Path) -> None:
-    if out.resolve().is_relative_to(ledger.resolve()):
-        raise WriteFailed(f"{out}: this is inside the ledger {ledger}, which holds nothing but its own files; choose an --out elsewhere")
 
 
 def write_report(ledger: Path, out: Path, workflows: Path | None = None) -> None:
@@ -19,13 +14,11 @@ def write_report(ledger: Path, out: Path, workflows: Path | None = None) -> None
     Same heads and versions, same bytes.
 
     Raises:
-        UsageError: The ledger of workflows holds no workflow.
+        UsageError: The ledger of workflows holds no workflow, or `out` lies inside a ledger.
         NotALedger, FormatVersionMismatch, LedgerCorrupted: The ledger cannot be read.
-        WriteFailed: `out` cannot be written, or lies inside the ledger.
+        WriteFailed: `out` cannot be written.
     """
-    _outside(ledger, out)
-    if workflows is not None:
-        _outside(workflows, out)
+    require_outside(out, f"--out {out}")
     findings = gather(ledger, workflows)
     laid_out = document.encoded(document.data(findings, recorded()))
     typeset.publish(out, typeset.pdf(laid_out, document.drawings(findings)))
@@ -33,11 +26,11 @@ def write_report(ledger: Path, out: Path, workflows: Path | None = None) -> None
 
 def result_figure_svg(ledger: Path, out: Path) -> None:
     """The figure "Evaluation results" of the ledger is at `out` as SVG. Raises: as `write_report`."""
-    _outside(ledger, out)
+    require_outside(out, str(out))
     typeset.publish(out, figures.evaluation_results(gather(ledger).cells, "svg"))
 
 
 def result_figure_png(ledger: Path, out: Path) -> None:
     """The figure "Evaluation results" of the ledger is at `out` as PNG. Raises: as `write_report`."""
-    _outside(ledger, out)
+    require_outside(out, str(out))
     typeset.publish(out, figures.evaluation_results(gather(ledger).cells, "png"))

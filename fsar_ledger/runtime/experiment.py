@@ -22,6 +22,7 @@ from fsar_ledger.workers import WorkerPool
 from .world.workflows import FLEET_SIZE, WORKFLOWS
 
 ORIGIN = "fsar-ledger/simulated"
+WORKFLOWS_ORIGIN = "fsar-ledger/workflows"  # of the second ledger of `reproduce`: no key signs two trees under one origin
 BATCH_RUNS = 25  # runs in a commit, whatever the number of workers
 IN_FLIGHT = 2  # batches per worker that may be under way, so that memory stays flat
 
@@ -96,11 +97,20 @@ def workflow_experiment(seed: int = 42, runs: int = 1, workflows: tuple[Workflow
     return Experiment(("fsar",), workflows, runs, seed, FLEET_SIZE)
 
 
-def simulate(out: Path, experiment: Experiment, workers: int, progress: Progress | None = None, signer: Signer | None = None, *, adopts: bool = False) -> Head:
+def simulate(
+    out: Path,
+    experiment: Experiment,
+    workers: int,
+    progress: Progress | None = None,
+    signer: Signer | None = None,
+    origin: str | None = None,
+    *,
+    adopts: bool = False,
+) -> Head:
     """Every run of the experiment is in the ledger; batches that were there already are not made again.
 
     The bytes of the ledger do not depend on `workers`. `progress` is told batches done and batches in all. What is committed now carries a signature
-    of `signer`, whose key stays in this process; with `adopts` also where another or none signed what is there.
+    of `signer`, whose key stays in this process; with `adopts` also where another or none signed what is there. A new ledger has this origin, else the name of the signer, else `ORIGIN`.
 
     Raises:
         InvalidExperiment: the ledger holds some of these runs in batches of another experiment.
@@ -108,7 +118,8 @@ def simulate(out: Path, experiment: Experiment, workers: int, progress: Progress
         NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError, WriteFailed: see `Writer`.
     """
     batches = experiment.batches()
-    with Writer(out, ORIGIN, signer, adopts=adopts) as writer:
+    name = origin or (signer.verifier.name if signer is not None else ORIGIN)
+    with Writer(out, name, signer, adopts=adopts) as writer:
         missing = _missing(open_ledger(out), batches, experiment.constants)
         done = len(batches) - len(missing)
         if progress is not None:

@@ -168,12 +168,18 @@ def test_the_ledger_is_the_same_whatever_the_surroundings(ledger: Path, tmp_path
 
 
 def test_reproduce_does_the_whole_experiment_and_can_be_repeated(call: Call, tmp_path: Path) -> None:
-    said = call("reproduce", "--out", tmp_path / "out", "--workers", "2")
+    assert call("key", "new", tmp_path / "fleet.key", "--name", "example.org/fleet").code == 0
+    said = call("reproduce", "--out", tmp_path / "out", "--workers", "2", "--key", tmp_path / "fleet.key")
     assert said.code == 0, said.err
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"ledger", "workflows", "metrics.csv", "statistics.csv", "report.pdf"}
     info = json.loads(call("info", tmp_path / "out" / "ledger", "--json").out)
     assert (info["runs"], info["is_complete"]) == (300, True)
     assert len(said.out.splitlines()) == 2 + 24 + 3
+    notes = {name: (tmp_path / "out" / name / "checkpoint").read_text() for name in ("ledger", "workflows")}
+    assert {name: (note.split("\n")[0], "\N{EM DASH}" in note) for name, note in notes.items()} == {
+        "ledger": ("example.org/fleet", True),
+        "workflows": ("fsar-ledger/workflows", False),
+    }
     before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir() if path.is_file()}
-    assert call("reproduce", "--out", tmp_path / "out").code == 0
+    assert call("reproduce", "--out", tmp_path / "out", "--key", tmp_path / "fleet.key").code == 0
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir() if path.is_file()} == before

@@ -1,10 +1,16 @@
 """What a user gets wrong is answered by one clear message and the agreed exit code."""
 
+import json
+import os
 import shutil
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+import typer
 
+from fsar_ledger.ledger.append import Writer
+from fsar_ledger.runtime.experiment import ORIGIN
 from tests.cli.conftest import SMALL, Call, one_message
 
 
@@ -57,6 +63,65 @@ def test_an_output_that_is_no_ledger_is_left_alone(call: Call, tmp_path: Path) -
 @pytest.mark.parametrize("command", ["info", "metrics", "statistics", "verify"])
 def test_a_place_without_ledger_is_named(call: Call, tmp_path: Path, command: str) -> None:
     one_message(call(command, tmp_path / "nowhere"), 2, str(tmp_path / "nowhere"), "simulate")
+
+
+@pytest.mark.parametrize("command", ["info", "metrics", "verify", "recover"])
+def test_an_interrupted_creation_is_no_damage_and_can_be_finished(call: Call, tmp_path: Path, command: str) -> None:
+    ledger = tmp_path / "begun"
+    for name in ("commits", "segments", "staging", "staging/ledger.json.0123456789abcdef.tmp"):
+        if name.endswith(".tmp"):
+            (ledger / name).write_bytes(b"{")
+        else:
+            (ledger / name).mkdir(parents=True)
+        one_message(call(command, ledger), 2, str(ledger), "creation was interrupted", "run the command that creates it again")
+    with Writer(ledger, ORIGIN):
+        pass
+    assert call(command, ledger).code == 0
+
+
+@pytest.mark.parametrize("name", ["commits/000000000000.json", "segments/000000000000.parquet", "tile/0/000.p/1", "staging/x.parquet", "checkpoint"])
+def test_a_ledger_without_its_ledger_json_is_not_taken_for_one_that_was_only_begun(call: Call, tmp_path: Path, name: str) -> None:
+    for folder in ("commits", "segments"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+    (tmp_path / name).write_bytes(b"")
+    called = call("verify", tmp_path)
+    assert called.code == 3
+    assert "ledger.json" in called.err
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("info", "PATH"),
+        ("verify", "PATH"),
+        ("sql", "PATH", "SELECT 1"),
+        ("query", "failures", "PATH"),
+        ("recover", "PATH", "--json"),
+        ("simulate", "PATH", *SMALL),
+        ("export", "elsewhere", "--out", "PATH.csv"),
+    ],
+)
+def test_a_path_that_is_not_utf_8_is_refused_before_anything_is_done(call: Call, tmp_path: Path, arguments: tuple[str, ...]) -> None:
+    path = tmp_path / os.fsdecode(b"l\xff")
+    one_message(call(*[argument.replace("PATH", str(path)) for argument in arguments]), 2, "l\\udcff", "UTF-8")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", ["recover", "verify"])
+def test_a_file_whose_name_is_not_utf_8_is_named_in_json(call: Call, copy: Path, command: str) -> None:
+    (copy / "segments" / os.fsdecode(b"x\xff")).write_bytes(b"")
+    assert "x\\udcff" in json.dumps(json.loads(call(command, copy, "--json").out), ensure_ascii=False).replace("\\\\", "\\")
+
+
+@pytest.mark.parametrize("command", ["simulate", "reproduce", "recover", "info", "export"])
+def test_after_ctrl_c_each_command_says_what_is_left(call: Call, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(typer.main, "get_command", lambda app: SimpleNamespace(main=interrupted))
+    left = {"simulate": "the same command continues there", "reproduce": "the same command continues there", "recover": "run it again"}
+    one_message(call(command, "x"), 130, "interrupted; ", left.get(command, "nothing was changed"))
 
 
 @pytest.mark.parametrize("command", ["info", "metrics", "simulate"])
@@ -160,10 +225,44 @@ def test_an_export_to_an_unknown_format_is_refused(call: Call, ledger: Path, tmp
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_export_into_the_ledger_is_refused(call: Call, copy: Path) -> None:
+WRITERS = [
+    ("export", "LEDGER", "--out", "PLACE.parquet"),
+    ("export", "LEDGER", "--query", "metrics/run_metrics", "--out", "PLACE.csv"),
+    ("prove", "LEDGER", "8", "--out", "PLACE.tlog-proof"),
+    ("report", "LEDGER", "--out", "PLACE.pdf"),
+    ("explain", "LEDGER", "--request", "A1-1/2.1", "--svg", "PLACE.svg"),
+    ("explain", "LEDGER", "--request", "A1-1/2.1", "--pdf", "PLACE.pdf"),
+    ("key", "new", "PLACE.key"),
+    ("calibrate", "--out", "PLACE.json"),
+    ("reproduce", "--out", "PLACE"),
+]
+
+
+@pytest.mark.parametrize("command", WRITERS)
+def test_no_command_writes_into_any_ledger(call: Call, ledger: Path, copy: Path, tmp_path: Path, command: tuple[str, ...]) -> None:
+    (tmp_path / "link").symlink_to(copy / "segments")
     before = contents_of(copy)
-    one_message(call("export", copy, "--out", copy / "segments" / "events.parquet"), 2, "inside the ledger")
+    for place in (copy / "x", copy / "new" / "x", copy / "tile" / ".." / "x", tmp_path / "link" / "x"):
+        arguments = [argument.replace("LEDGER", str(ledger)).replace("PLACE", str(place)) for argument in command]
+        one_message(call(*arguments), 2, "inside the ledger", str(copy), "outside")
+        assert contents_of(copy) == before
+
+
+@pytest.mark.parametrize("lost", ["ledger.json", "commits", "segments"])
+def test_a_damaged_ledger_is_written_into_no_more_than_a_whole_one(call: Call, copy: Path, lost: str) -> None:
+    (copy / lost).rename(copy.parent / "lost")
+    before = contents_of(copy)
+    one_message(call("key", "new", copy / "fleet.key"), 2, "inside the ledger")
     assert contents_of(copy) == before
+
+
+def test_a_link_that_leads_into_a_ledger_is_no_way_around(call: Call, ledger: Path, copy: Path, tmp_path: Path) -> None:
+    (tmp_path / "events.csv").symlink_to(copy / "events.csv")
+    (copy / "tile" / "out.csv").symlink_to(tmp_path / "elsewhere.csv")
+    for out in (tmp_path / "events.csv", copy / "tile" / "out.csv"):
+        one_message(call("export", ledger, "--out", out), 2, "inside the ledger")
+        assert out.is_symlink()
+    assert not (tmp_path / "elsewhere.csv").exists()
 
 
 @pytest.mark.parametrize("arguments", [("export", "x.csv"), ("export", "x.parquet"), ("report", "x.pdf")])

@@ -38,6 +38,12 @@ def test_an_interrupted_simulation_can_be_continued(tmp_path: Path, workers: str
     assert json.loads(continued.out)["head"] == whole
 
 
+def test_ctrl_c_before_a_command_has_begun_is_no_traceback(tmp_path: Path) -> None:
+    (tmp_path / "typer.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
+    called = in_a_process("info", tmp_path, surroundings={"PYTHONPATH": str(tmp_path)})
+    assert (called.code, called.err) == (130, "fsar-ledger: interrupted; nothing was changed\n")
+
+
 def test_a_closed_pipe_is_no_error(ledger: Path) -> None:
     process = subprocess.Popen([*COMMAND, "sql", str(ledger), "SELECT * FROM events", "--csv"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout is not None

@@ -66,10 +66,11 @@ def test_a_key_in_the_environment_signs_as_well(folder: Path, tmp_path: Path) ->
 
 def test_a_key_that_cannot_sign_is_refused_before_anything_is_written(call: Call, folder: Path, tmp_path: Path) -> None:
     assert call("key", "new", tmp_path / "arm.key", "--name", "example.org/arm").code == 0
+    named = ("--origin", "example.org/leg", "--key", tmp_path / "arm.key")
+    one_message(call("simulate", tmp_path / "ledger", *SMALL, *named), 2, "found a key named example.org/arm, expected example.org/leg")
     shutil.copy(folder / "fleet.key", tmp_path / "open.key")
     (tmp_path / "open.key").chmod(0o644)
     for key, part in (
-        (tmp_path / "arm.key", "found a key named example.org/arm, expected fsar-ledger/simulated"),
         (tmp_path / "none.key", "none.key"),
         (folder / "fleet.key.pub", "no secret key"),
         (tmp_path / "open.key", "mode 644"),
@@ -78,6 +79,25 @@ def test_a_key_that_cannot_sign_is_refused_before_anything_is_written(call: Call
         one_message(call("reproduce", "--out", tmp_path / "out", "--key", key), 2, part)
     assert not (tmp_path / "ledger").exists()
     assert not (tmp_path / "out" / "ledger" / "ledger.json").exists()
+
+
+def test_a_ledger_has_the_origin_that_was_asked_for_or_the_name_of_its_key(call: Call, tmp_path: Path) -> None:
+    assert call("key", "new", tmp_path / "arm.key", "--name", "example.org/arm").code == 0
+    small = ("--scenario", "door-relay", "--architecture", "fsar", "--runs", "1", "--workers", "1")
+    for name, options, origin in (
+        ("asked", ("--origin", "example.org/leg"), "example.org/leg"),
+        ("key", ("--key", tmp_path / "arm.key"), "example.org/arm"),
+        ("both", ("--origin", "example.org/arm", "--key", tmp_path / "arm.key"), "example.org/arm"),
+        ("none", (), "fsar-ledger/simulated"),
+    ):
+        assert call("simulate", tmp_path / name, *small, *options).code == 0
+        assert (tmp_path / name / "checkpoint").read_text().split("\n")[0] == origin
+        assert call("simulate", tmp_path / name, *small, *options).code == 0
+    assert "consistent, signed by example.org/arm+" in call("verify", tmp_path / "key", "--trusted-key", tmp_path / "arm.key.pub").out
+    one_message(call("simulate", tmp_path / "asked", *small), 2, "found a ledger of origin 'example.org/leg'")
+    for name in ("", "two words", "a+b"):
+        one_message(call("simulate", tmp_path / "new", *small, "--origin", name), 2, "--origin", "without spaces")
+    assert not (tmp_path / "new").exists()
 
 
 def test_who_signs_changes_the_notes_and_nothing_else(folder: Path, ledger: Path) -> None:

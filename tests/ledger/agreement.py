@@ -19,6 +19,7 @@ from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.ledger.merkle import Frontier
 from fsar_ledger.ledger.note import Note, Signer, VerifierKey, checkpoint_of
+from fsar_ledger.ledger.problem import Problem
 from fsar_ledger.ledger.record import CommitRecord, commit_path, segment_path, sha256_hex
 from fsar_ledger.ledger.schema import LAYOUTS, SCHEMA, Field
 from fsar_ledger.ledger.tiles import WIDTH, Edge, Tile
@@ -282,5 +283,6 @@ def by_independent(case: Case) -> tuple[Place, str] | None:
     try:
         module.Verifier(case.path, key, case.anchor, event_types()).verify()
     except module.ProblemError as error:
-        return (error.where, error.commit, error.run, error.seq), str(error)
+        named = Problem(error.where, "", "", run=error.run)  # a report names both in printable characters
+        return (named.where, error.commit, named.run, error.seq), str(error)
     return None

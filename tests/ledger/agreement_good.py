@@ -117,7 +117,7 @@ def another_history(path: Path, draw: random.Random, beside: Path) -> Case | Non
 def packed_otherwise(path: Path, draw: random.Random, beside: Path) -> Case | None:
     """The same rows in other Parquet, by what says that it is another version of the library."""
     codec, pages = draw.choice(["snappy", "none", "zstd"]), draw.choice([100, 1 << 20])
-    has_dictionary, has_sums, has_index = draw.random() < 0.5, draw.random() < 0.5, draw.random() < 0.2
+    has_dictionary, has_sums, has_index, has_order = draw.random() < 0.5, draw.random() < 0.5, draw.random() < 0.2, draw.random() < 0.2
 
     def pack(table: pa.Table) -> bytes:
         sink = pa.BufferOutputStream()
@@ -129,13 +129,15 @@ def packed_otherwise(path: Path, draw: random.Random, beside: Path) -> Case | No
             use_dictionary=has_dictionary,
             write_page_checksum=has_sums,
             write_page_index=has_index,
+            sorting_columns=[pq.SortingColumn(draw.randrange(5))] if has_order else None,
             store_schema=False,
             write_statistics=["run_id", "seq", "reason", "is_audited"],
         )
         return bytes(sink.getvalue()).replace(VERSION, OTHER_VERSION)
 
     rewrite(path, tables_of(path), None, pack)
-    return Case(f"packed otherwise{' with an index' * has_index}", path, not has_index or not records_of(path))
+    name = f"packed otherwise{' with an index' * has_index}{' with an order of rows' * has_order}"
+    return Case(name, path, not (has_index or has_order) or not records_of(path))
 
 
 GOOD: tuple[Make, ...] = (

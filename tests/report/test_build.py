@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.errors import NotALedger, WriteFailed
+from fsar_ledger.errors import NotALedger, UsageError, WriteFailed
 from fsar_ledger.report import result_figure_png, result_figure_svg, typeset, write_report
 
 Make = Callable[..., Path]
@@ -58,7 +58,7 @@ def test_report_of_no_ledger_is_refused(tmp_path: Path) -> None:
 
 def test_report_inside_the_ledger_is_refused(ledger: Path) -> None:
     before = sorted(ledger.rglob("*"))
-    with pytest.raises(WriteFailed, match="inside the ledger"):
+    with pytest.raises(UsageError, match="inside the ledger"):
         write_report(ledger, ledger / "segments" / "report.pdf")
     assert sorted(ledger.rglob("*")) == before
 
