@@ -17,7 +17,19 @@ from types import CodeType
 
 TESTS = tuple(
     f"tests/ledger/{name}.py"
-    for name in ("test_verify", "test_damage", "test_hostile", "test_verify_notes", "test_proof", "test_note", "test_append", "test_evolution")
+    for name in (
+        "test_verify",
+        "test_damage",
+        "test_hostile",
+        "test_places",
+        "test_bounds",
+        "test_codec",
+        "test_verify_notes",
+        "test_proof",
+        "test_note",
+        "test_append",
+        "test_evolution",
+    )
 )
 SLOW = "every_byte or even_where_a_forger or anything_in_a_field or workers_find or any_json or bomb or readers_would or killed or of_two_writers"
 PARALLEL = len(os.sched_getaffinity(0))

@@ -119,7 +119,11 @@ def test_a_folder_that_is_missing_or_a_link_is_named(path: Path, tmp_path: Path,
 
 
 @pytest.mark.parametrize(
-    "name", ["notes.txt", "commits/notes.txt", "commits/12.json", "commits/000000000007.json", "segments/000000000003.parquet", "segments/x"]
+    "name",
+    [
+        *("notes.txt", "commits/notes.txt", "commits/12.json", "commits/000000000007.json", "commits/000000000003.txt", "commits/00000000000x.json"),
+        *("commits/٠٠٠٠٠٠٠٠٠٠٠٣.json", "commits/+00000000003.json", "segments/000000000003.parquet", "segments/x"),
+    ],
 )
 def test_an_unknown_file_is_named(path: Path, name: str) -> None:
     (path / name).write_bytes(b"x")

@@ -1,0 +1,166 @@
+import os
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from fsar_ledger.ledger import segment, verify_commits, verify_segment
+from fsar_ledger.ledger.problem import Problem
+from fsar_ledger.ledger.record import commit_path, segment_path, staged_path
+from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.verify_derived import BEHIND
+from tests.ledger.damage import write_ledger
+from tests.ledger.forgery import examined_once, forge, forge_segment, record_of, table_of
+
+SIZES = (130, 130, 20)
+LAST = "000000000002"
+
+
+@pytest.fixture(scope="module")
+def snapshots(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("snapshots")
+    write_ledger(folder / "whole", SIZES, folder)
+    return folder
+
+
+@pytest.fixture
+def path(snapshots: Path, tmp_path: Path) -> Iterator[Path]:
+    path = Path(shutil.copytree(snapshots / "whole", tmp_path / "ledger"))
+    with examined_once(path):
+        yield path
+
+
+def only_problem(path: Path) -> Problem:
+    (problem,) = verify(path).problems
+    return problem
+
+
+# --- files and folders ---
+
+
+def test_a_segment_that_is_no_file_is_said_to_be_none(path: Path) -> None:
+    segment_path(path, 2).unlink()
+    os.mkfifo(segment_path(path, 2))
+    assert (only_problem(path).where, only_problem(path).found) == (f"segments/{LAST}.parquet", "no regular file")
+
+
+def test_a_staged_segment_that_is_a_link_is_a_missing_segment(path: Path, tmp_path: Path) -> None:
+    staged = staged_path(path, record_of(path, 2).segment_sha256)
+    segment_path(path, 2).rename(staged)
+    assert verify(path).ok
+    staged.rename(tmp_path / "aside")
+    staged.symlink_to(tmp_path / "aside")
+    assert (only_problem(path).where, only_problem(path).commit) == (f"segments/{LAST}.parquet", 2)
+
+
+def test_a_missing_segment_of_an_unreadable_record_is_the_records_problem(path: Path) -> None:
+    commit_path(path, 2).write_bytes(b"{}")
+    segment_path(path, 2).unlink()
+    assert only_problem(path).where == f"commits/{LAST}.json"
+
+
+def test_a_missing_folder_is_missing_and_no_accident(path: Path) -> None:
+    shutil.rmtree(path / "segments")
+    problems = verify(path).problems
+    assert {problem.where.partition("/")[0] for problem in problems} == {"segments"}
+
+
+def test_nothing_behind_a_link_is_read(path: Path, tmp_path: Path) -> None:
+    (path / "segments").rename(tmp_path / "aside")
+    (path / "segments").symlink_to(tmp_path / "aside")
+    (tmp_path / "aside" / "stray").write_bytes(b"")
+    assert "segments/stray" not in {problem.where for problem in verify(path).problems}
+
+
+def test_a_longer_tile_is_said_to_be_longer(path: Path) -> None:
+    (path / "tile/0/000").write_bytes((path / "tile/0/000").read_bytes() + b"\0")
+    assert (only_problem(path).where, only_problem(path).found) == ("tile/0/000", "8193 bytes")
+
+
+def test_outgrown_tiles_behind_a_checkpoint_that_is_behind_are_one_remark(snapshots: Path, tmp_path: Path) -> None:
+    path = Path(shutil.copytree(snapshots / "2", tmp_path / "two"))
+    shutil.copytree(snapshots / "1" / "tile/0/000.p", path / "tile/0/000.p")
+    shutil.copyfile(snapshots / "1" / "checkpoint", path / "checkpoint")
+    assert (verify(path).ok, verify(path).remarks) == (True, (BEHIND,))
+
+
+# --- records ---
+
+
+@pytest.mark.parametrize("change", [lambda text: text.upper(), lambda text: text[:30] + "  " + text[30:], lambda text: text[:-1], lambda text: text[:-1] + "g"])
+@pytest.mark.parametrize("field", ["frontier", "segment_sha256"])
+def test_a_hash_in_other_letters_is_found_in_its_record(path: Path, field: str, change) -> None:  # type: ignore[no-untyped-def]
+    value = getattr(record_of(path, 2), field)
+    forge(path, 2, **{field: tuple(map(change, value)) if field == "frontier" else change(value)})
+    assert only_problem(path).where == f"commits/{LAST}.json"
+    assert f"field {field}" in only_problem(path).found
+
+
+@pytest.mark.parametrize("signatures", ["", "\N{EM DASH} other.org/x {data}\n", "\N{EM DASH} example.org/fsar-test AAAAAAAA\n", "{own}{own}"])
+def test_a_note_of_a_record_is_signed_by_the_ledgers_own_key_or_by_nobody(path: Path, signatures: str) -> None:
+    body, _, own = record_of(path, 2).note.rpartition("\n\n")
+    note = f"{body}\n\n" + signatures.format(own=own, data=own.split(" ")[2].strip())
+    forge(path, 2, note=note)
+    (path / "checkpoint").write_text(note)
+    report = verify(path)
+    assert report.ok == (signatures == "")
+    assert report.ok or (report.problems[0].where, report.problems[0].field) == (f"commits/{LAST}.json", "note")
+
+
+# --- a check that fails in a way nobody thought of ---
+
+
+def test_a_check_that_fails_in_a_way_nobody_thought_of_is_a_finding_in_its_place(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise ZeroDivisionError("nobody thought of this")
+
+    for module, name, place in (
+        (verify_commits, "parse_manifest", "ledger.json"),
+        (verify_commits, "parse_record", f"commits/{LAST}.json"),
+        (verify_segment, "first_flaw", f"segments/{LAST}.parquet"),
+        (verify_segment, "check_bounds", f"segments/{LAST}.parquet"),
+    ):
+        with monkeypatch.context() as patch:
+            patch.setattr(module, name, fail)
+            segment_path(path, 2).touch()
+            forge(path, 2, last_run="x")  # examined anew
+            assert place in {problem.where for problem in verify(path).problems if "ZeroDivisionError" in problem.found}
+
+
+# --- what a Parquet footer says of rows ---
+
+
+def footers(path: Path) -> Iterator[tuple[bytes, pq.FileMetaData]]:
+    """The segment as another version of pyarrow may have written it, with one byte of its footer changed, where it is a footer still."""
+    version = pa.__version__.encode()
+    data = segment_path(path, 2).read_bytes().replace(version, b"9" * len(version))
+    for at in range(len(data) - 8 - int.from_bytes(data[-8:-4], "little"), len(data) - 8):
+        changed = data[:at] + bytes([data[at] ^ 2]) + data[at + 1 :]
+        try:
+            yield changed, pq.read_metadata(pa.BufferReader(changed))
+        except (OSError, pa.ArrowException):
+            continue
+
+
+def test_a_count_of_nulls_that_hides_rows_is_found_whoever_wrote_it(path: Path) -> None:
+    tried = 0
+    for data, metadata in footers(path):
+        columns = [metadata.row_group(0).column(at) for at in range(min(5, metadata.num_columns))] if metadata.num_row_groups == 1 else []
+        if any(column.is_stats_set and column.statistics.null_count not in (0, None) for column in columns):
+            forge_segment(path, 2, data)
+            report = verify(path)
+            assert not report.ok
+            assert report.problems[0].where == f"segments/{LAST}.parquet"
+            tried += 1
+    assert tried >= 3  # run_id, seq, time_us
+
+
+def test_a_page_index_is_found_whoever_wrote_it(path: Path) -> None:
+    sink = pa.BufferOutputStream()
+    pq.write_table(segment.coded(table_of(path, 2)), sink, store_schema=False, compression="zstd", write_page_index=True, write_page_checksum=True)
+    version = pa.__version__.encode()
+    forge_segment(path, 2, bytes(sink.getvalue()).replace(version, b"9" * len(version)))
+    assert "an index or a Bloom filter" in only_problem(path).found
