@@ -110,7 +110,8 @@ def simulate(
     """Every run of the experiment is in the ledger; batches that were there already are not made again.
 
     The bytes of the ledger do not depend on `workers`. `progress` is told batches done and batches in all. What is committed now carries a signature
-    of `signer`, whose key stays in this process; with `adopts` also where another or none signed what is there. A new ledger has this origin, else the name of the signer, else `ORIGIN`.
+    of `signer`, whose key stays in this process; with `adopts` also where another or none signed what is there.
+    A new ledger has this origin, else the name of the signer, else `ORIGIN`.
 
     Raises:
         InvalidExperiment: the ledger holds some of these runs in batches of another experiment.
