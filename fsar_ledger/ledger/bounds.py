@@ -1,21 +1,21 @@
 """What a segment may cost to read, found out before anything is unpacked.
 
 A Parquet file of a few kilobytes can claim, and unpack to, any number of rows: one repeated value costs nothing to store.
-So the headers of all its pages are read first (Thrift compact protocol), and a file that asks for more than any batch of
+So the headers of all its pages are read first, and a file that asks for more than any batch of
 runs needs is refused.
 """
 
 import os
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, NamedTuple
 
-import msgspec
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger.footer import Column, Page, read_footer, read_page
 
 MAX_ROWS = 1 << 20
 """Events in one commit; a batch of 25 runs has some ten thousand."""
@@ -43,44 +43,40 @@ _ENCODINGS = {  # those whose values take the space that they say; front-coded s
 }
 _MAGIC = b"PAR1"
 
-_TRUE, _FALSE, _BYTE, _I16, _I32, _I64, _DOUBLE, _BINARY, _LIST, _SET, _MAP, _STRUCT = range(1, 13)
-_DATA, _INDEX, _DICTIONARY, _DATA_V2 = range(4)
 
-_Struct = dict[int, "int | bytes | _Struct"]
+class Footer(NamedTuple):
+    """What a segment is: its columns as they are stored, and all else as pyarrow holds it."""
 
-
-class _Page(msgspec.Struct, frozen=True):
-    """What the header of a page says. Units: bytes."""
-
-    values: int
-    encoding: int
-    unpacked_bytes: int
-    is_data: bool
+    metadata: pq.FileMetaData
+    columns: tuple[Column, ...]
 
 
-def check_bounds(path: Path) -> pq.FileMetaData:
+def check_bounds(path: Path) -> Footer:
     """The footer of a segment that can be read within the bounds above.
 
     Raises:
-        LedgerCorrupted: It asks for more, or is no Parquet file.
+        LedgerCorrupted: It asks for more, contradicts itself, or is no Parquet file.
         OSError: It cannot be read.
     """
     with path.open("rb") as file:
-        _check_footer(path, file)
-        metadata = pq.read_metadata(path)
-        if metadata.num_row_groups != 1:
-            raise LedgerCorrupted(f"{path}: found {metadata.num_row_groups} row groups, expected 1; restore the file")
-        if not 0 < metadata.num_rows <= MAX_ROWS:
-            raise LedgerCorrupted(f"{path}: found {metadata.num_rows} rows, expected 1 to {MAX_ROWS}; restore the file")
-        unpacked = 0
-        for number in range(metadata.num_columns):
-            column = metadata.row_group(0).column(number)
-            most = metadata.num_rows if metadata.schema.column(number).max_repetition_level == 0 else MAX_LIST_VALUES
-            try:
-                unpacked = _check_column(file, column, most, unpacked)
-            except (ValueError, IndexError) as error:
-                raise LedgerCorrupted(f"{path}: column {column.path_in_schema}: found {error or 'half a page header'}; restore the file") from error
-    return metadata
+        data, size = _read_footer(path, file)
+        where = "the footer"
+        try:
+            columns = read_footer(data)
+            metadata = pq.read_metadata(path)
+            _check_footer(metadata, columns)
+            unpacked = 0
+            for number, column in enumerate(columns):
+                where = f"column {column.path}"
+                is_list = metadata.schema.column(number).max_repetition_level > 0
+                unpacked = _check_column(file, size, column, MAX_LIST_VALUES if is_list else metadata.num_rows, unpacked)
+        except IndexError as error:
+            raise LedgerCorrupted(f"{path}: {where}: found half of it, expected all; restore the file") from error
+        except ValueError as error:
+            if isinstance(error, pa.ArrowException):
+                raise
+            raise LedgerCorrupted(f"{path}: {where}: found {error}; restore the file") from error
+    return Footer(metadata, columns)
 
 
 def text_bytes(table: pa.Table) -> int:
@@ -96,7 +92,8 @@ def text_bytes(table: pa.Table) -> int:
     return size
 
 
-def _check_footer(path: Path, file: BinaryIO) -> None:
+def _read_footer(path: Path, file: BinaryIO) -> tuple[bytes, int]:
+    """The bytes of the footer, and those of the file."""
     size = file.seek(0, os.SEEK_END)
     file.seek(max(0, size - 8))
     end = file.read(8)
@@ -105,12 +102,25 @@ def _check_footer(path: Path, file: BinaryIO) -> None:
         raise LedgerCorrupted(f"{path}: the segment cannot be read (found {size} bytes that end in {end[4:]!r}), expected a Parquet file; restore it")
     if length > _MAX_FOOTER_BYTES:
         raise LedgerCorrupted(f"{path}: found a footer of {length} bytes, expected at most {_MAX_FOOTER_BYTES}; restore the file")
+    file.seek(size - 8 - length)
+    return file.read(length), size
 
 
-def _check_column(file: BinaryIO, column: pq.ColumnChunkMetaData, most: int, unpacked: int) -> int:
+def _check_footer(metadata: pq.FileMetaData, columns: tuple[Column, ...]) -> None:
+    """Raises: ValueError if pyarrow would read other columns, or too many rows."""
+    if not 0 < metadata.num_rows <= MAX_ROWS:
+        raise ValueError(f"{metadata.num_rows} rows, expected 1 to {MAX_ROWS}")
+    found = [(column.path, column.type) for column in columns]
+    expected = [(metadata.schema.column(number).path, metadata.schema.column(number).physical_type) for number in range(metadata.num_columns)]
+    if found != expected:
+        at = next((at for at, (one, other) in enumerate(zip(found, expected, strict=False)) if one != other), min(len(found), len(expected)))
+        raise ValueError(f"column {at} as {found[at : at + 1]}, expected {expected[at : at + 1]} as in its schema")
+
+
+def _check_column(file: BinaryIO, size: int, column: Column, most: int, unpacked: int) -> int:
     """The bytes unpacked so far and those of this column. Raises: ValueError or IndexError if its pages ask for too much or are not pages."""
     values = 0
-    for number, page in enumerate(_pages(file, column)):
+    for number, page in enumerate(_pages(file, size, column)):
         unpacked += page.unpacked_bytes
         values += page.values if page.is_data else 0
         if number >= _MAX_PAGES:
@@ -126,79 +136,15 @@ def _check_column(file: BinaryIO, column: pq.ColumnChunkMetaData, most: int, unp
     return unpacked
 
 
-def _pages(file: BinaryIO, column: pq.ColumnChunkMetaData) -> Iterator[_Page]:
+def _pages(file: BinaryIO, size: int, column: Column) -> Iterator[Page]:
     """The pages of a column. Raises: ValueError or IndexError where there is none."""
-    at = column.dictionary_page_offset or column.data_page_offset
-    at = min(at, column.data_page_offset)
-    end = at + column.total_compressed_size
-    size = file.seek(0, os.SEEK_END)
+    at, end = column.at, column.at + column.stored_bytes
     if not 0 < at <= end <= size:
         raise ValueError(f"pages from byte {at} to {end}, expected them within the {size} bytes of the file")
     while at < end:
         file.seek(at)
-        page, length, header = _page(file.read(_MAX_HEADER_BYTES))
+        page, header = read_page(file.read(_MAX_HEADER_BYTES))
         yield page
-        at += header + length
+        at += header + page.stored_bytes
         if at > end:
             raise ValueError(f"a page that ends at byte {at}, expected it to end by {end}")
-
-
-def _page(data: bytes) -> tuple[_Page, int, int]:
-    """The page whose header these bytes begin with, its length as stored, and the length of its header."""
-    header, length = _struct(data, 0, 0)
-    kind, unpacked, stored = (_integer(header, field) for field in (1, 2, 3))
-    fields = {_DATA: (5, 1, 2), _DICTIONARY: (7, 1, 2), _DATA_V2: (8, 1, 4)}.get(kind)
-    if fields is None:
-        raise ValueError(f"a page of kind {kind}, expected data or a dictionary")
-    part = header.get(fields[0])
-    if not isinstance(part, dict):
-        raise ValueError("a page without the header of its kind")
-    return _Page(_integer(part, fields[1]), _integer(part, fields[2]), unpacked, kind != _DICTIONARY), stored, length
-
-
-def _integer(struct: _Struct, field: int) -> int:
-    value = struct.get(field)
-    if not isinstance(value, int) or value < 0:
-        raise ValueError(f"{value!r:.40} as field {field} of a page header, expected a count")
-    return value
-
-
-def _struct(data: bytes, at: int, depth: int) -> tuple[_Struct, int]:
-    """The struct that begins here, and where it ends."""
-    found: _Struct = {}
-    field = 0
-    while data[at]:
-        kind, step = data[at] & 15, data[at] >> 4
-        at += 1
-        if step:
-            field += step
-        else:
-            field, at = _zigzag(data, at)
-        if kind in (_TRUE, _FALSE):
-            found[field] = int(kind == _TRUE)
-        elif kind in (_I16, _I32, _I64):
-            found[field], at = _zigzag(data, at)
-        elif kind == _BINARY:
-            length, at = _varint(data, at)
-            found[field] = data[at : at + length]
-            at += length
-        elif kind == _STRUCT and depth < 3:
-            found[field], at = _struct(data, at, depth + 1)
-        else:
-            raise ValueError(f"a page header with a field of type {kind}, expected numbers, bytes and structs")
-    return found, at + 1
-
-
-def _varint(data: bytes, at: int) -> tuple[int, int]:
-    value = shift = 0
-    while data[at] & 0x80:
-        value |= (data[at] & 0x7F) << shift
-        shift, at = shift + 7, at + 1
-        if shift > 63:
-            raise ValueError("a number of more than 64 bits in a page header")
-    return value | data[at] << shift, at + 1
-
-
-def _zigzag(data: bytes, at: int) -> tuple[int, int]:
-    value, at = _varint(data, at)
-    return value >> 1 ^ -(value & 1), at

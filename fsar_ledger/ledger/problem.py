@@ -9,7 +9,7 @@ MAX_TEXT = 600
 class Problem(msgspec.Struct, frozen=True):
     """One doubt: where (a file within the ledger, and as much of commit, run, seq and field as is known), found, expected.
 
-    Whatever a file or its name holds, the texts are one printable line each, of at most `MAX_TEXT` characters of it.
+    Whatever a file or its name holds, the texts (but for `run`, which is as stored) are one printable line each, of at most `MAX_TEXT` characters of it.
     """
 
     where: str
@@ -21,21 +21,20 @@ class Problem(msgspec.Struct, frozen=True):
     field: str | None = None
 
     def __post_init__(self) -> None:
-        for name in ("where", "found", "expected", "run"):
+        for name in ("where", "found", "expected"):
             text = getattr(self, name)
-            if text is not None and not (text.isprintable() and len(text) <= MAX_TEXT):
-                cut = text if len(text) <= MAX_TEXT else text[:MAX_TEXT] + "..."
-                msgspec.structs.force_setattr(self, name, "".join(map(_printable, cut)))
+            if not (text.isprintable() and len(text) <= MAX_TEXT):
+                msgspec.structs.force_setattr(self, name, _printable(text))
 
     def __str__(self) -> str:
-        place = [
-            f"{name} {value}" for name, value in (("commit", self.commit), ("run", self.run), ("seq", self.seq), ("field", self.field)) if value is not None
-        ]
+        run = None if self.run is None else _printable(self.run)
+        place = [f"{name} {value}" for name, value in (("commit", self.commit), ("run", run), ("seq", self.seq), ("field", self.field)) if value is not None]
         return f"{': '.join([self.where, ', '.join(place)] if place else [self.where])}: found {self.found}, expected {self.expected}"
 
 
-def _printable(character: str) -> str:
-    return character if character.isprintable() else character.encode("unicode_escape", "surrogatepass").decode("ascii")
+def _printable(text: str) -> str:
+    cut = text if len(text) <= MAX_TEXT else text[:MAX_TEXT] + "..."
+    return "".join(one if one.isprintable() else one.encode("unicode_escape", "surrogatepass").decode("ascii") for one in cut)
 
 
 def unexpected(where: str, commit: int | None, error: BaseException) -> Problem:

@@ -8,7 +8,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.bounds import MAX_TEXT_BYTES, check_bounds, text_bytes
+from fsar_ledger.ledger.bounds import MAX_TEXT_BYTES, Footer, check_bounds, text_bytes
 from fsar_ledger.ledger.releases import FINGERPRINTS, widened
 from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, SCHEMA, fingerprint
 
@@ -71,17 +71,17 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
         LedgerCorrupted: The file cannot be read, asks for more memory than a batch of runs needs, a checksum is wrong, or its
             columns are those of no release.
     """
-    return _read(path, columns, is_coded=False)
+    return _read(path, columns, None)
 
 
-def read_coded(path: Path) -> pa.Table:
-    """As `read_table`, but with the columns of `CODED_SCHEMA`, as the file holds them: that spares the reader the strings one by one."""
-    return _read(path, None, is_coded=True)
+def read_coded(path: Path, footer: Footer) -> pa.Table:
+    """As `read_table`, of a file with this footer, but with the columns of `CODED_SCHEMA`, as the file holds them: that spares the strings one by one."""
+    return _read(path, None, footer)
 
 
-def _read(path: Path, columns: list[str] | None, *, is_coded: bool) -> pa.Table:
+def _read(path: Path, columns: list[str] | None, footer: Footer | None) -> pa.Table:
     try:
-        metadata = check_bounds(path)
+        metadata = (footer or check_bounds(path)).metadata
         schema = metadata.schema.to_arrow_schema()
         if not schema.equals(SCHEMA) and fingerprint(schema) not in FINGERPRINTS.values():
             raise LedgerCorrupted(f"{path}: {_difference(schema)}; restore the file, or read it with the version that wrote it")
@@ -90,7 +90,7 @@ def _read(path: Path, columns: list[str] | None, *, is_coded: bool) -> pa.Table:
             found = file.read(columns=columns, use_threads=False)
         if (texts := text_bytes(found)) > MAX_TEXT_BYTES:
             raise LedgerCorrupted(f"{path}: found strings of {texts} bytes in {found.num_rows} rows, expected at most {MAX_TEXT_BYTES}; restore the file")
-        target = CODED_SCHEMA if is_coded else SCHEMA
+        target = CODED_SCHEMA if footer else SCHEMA
         found = found.cast(pa.schema([target.field(name) for name in found.column_names]))
         return widened(found, columns or SCHEMA.names, target)
     except (OSError, pa.ArrowException) as error:

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger import canonical
 from fsar_ledger.ledger.arrow import places, whole
-from fsar_ledger.ledger.bounds import check_bounds
+from fsar_ledger.ledger.bounds import Footer, check_bounds
 from fsar_ledger.ledger.check import first_flaw, run_starts
 from fsar_ledger.ledger.problem import Problem, unexpected
 from fsar_ledger.ledger.record import COMMITS, CommitRecord
@@ -86,12 +86,13 @@ def _examine(file: str, path: Path, number: int, record: CommitRecord) -> Segmen
         return SegmentFacts(file, (Problem(file, str(found), str(expected), commit=number, field=field),))
 
     try:
-        metadata = check_bounds(path)
+        footer = check_bounds(path)
     except LedgerCorrupted as error:
         return fail(str(error), "a segment as it is written", "segment_sha256")
+    metadata = footer.metadata
     if metadata.num_rows != record.rows:
         return fail(metadata.num_rows, f"{record.rows}, {says}", "rows")
-    table = read_coded(path)
+    table = read_coded(path, footer)
     columns = metadata.schema.to_arrow_schema()
     if fingerprint(columns) != record.schema_sha256:
         return fail(fingerprint(columns), f"{record.schema_sha256}, {says}", "schema_sha256")
@@ -99,14 +100,14 @@ def _examine(file: str, path: Path, number: int, record: CommitRecord) -> Segmen
     problems = () if flaw is None else (Problem(file, flaw.found, flaw.expected, number, flaw.run, flaw.seq, flaw.field),)
     run_ids = whole(table.column("run_id"))
     runs = tuple(run_ids.take(run_starts(run_ids)).to_pylist())
-    misleading = _misleading(path, metadata, table.select(columns.names))
+    misleading = _misleading(path, footer, table.select(columns.names))
     if misleading is not None:
         problems = (*problems, Problem(file, *misleading, commit=number, field="segment_sha256"))
     leaves = b"".join(canonical.hashes(canonical.from_table(table)))
     return SegmentFacts(file, problems, table.num_rows, runs, leaves)
 
 
-def _misleading(path: Path, metadata: pq.FileMetaData, table: pa.Table) -> tuple[str, str] | None:
+def _misleading(path: Path, footer: Footer, table: pa.Table) -> tuple[str, str] | None:
     """What in the file beside its rows (found, expected) could make a reader see other rows than those; None if nothing.
 
     A query engine skips rows by the statistics in the footer, and no leaf covers those. The same version of pyarrow
@@ -116,22 +117,27 @@ def _misleading(path: Path, metadata: pq.FileMetaData, table: pa.Table) -> tuple
     again = to_parquet(table)
     if is_ours and again.equals(pa.py_buffer(path.read_bytes())):
         return None
-    if metadata.created_by == pq.read_metadata(pa.BufferReader(again)).created_by:
+    if footer.metadata.created_by == pq.read_metadata(pa.BufferReader(again)).created_by:
         return "other bytes", "those that these rows are written as"
-    if metadata.row_group(0).sorting_columns:
+    if footer.metadata.row_group(0).sorting_columns:
         return "a declared order of rows", "none: readers skip rows by it, and nothing vouches for it"
-    for at in range(metadata.num_columns):
-        stored = metadata.row_group(0).column(at)
-        if stored.has_column_index or stored.has_offset_index or stored.bloom_filter_offset is not None:
-            return f"an index or a Bloom filter of column {at}", "none: readers skip rows by them, and nothing vouches for what they say"
-        if stored.is_stats_set:
-            name = stored.path_in_schema
-            values = table.column(name).cast(SCHEMA.field(name).type) if name in table.column_names else None
-            span = pc.min_max(values).as_py() if values is not None else {}
-            said = {"min": stored.statistics.min, "max": stored.statistics.max} if stored.statistics.has_min_max else span
-            if said != span or stored.statistics.null_count not in (None, values.null_count if values is not None else None):
-                return f"statistics {said} of column {name}", f"{span}, as its rows are"
+    for column in footer.columns:
+        if column.has_index:
+            return f"an index or a Bloom filter of column {column.path}", "none: readers skip rows by them, and nothing vouches for what they say"
+        values = table.column(column.path).cast(SCHEMA.field(column.path).type) if column.path in table.column_names else None
+        nulls = values.null_count if values is not None else None
+        least, most = map(_stored, pc.min_max(values).as_py().values()) if values is not None else (None, None)
+        if {*column.least} - {least} or {*column.most} - {most} or column.nulls not in (None, nulls):
+            said = f"{[*column.least]} to {[*column.most]} and {column.nulls} NULL"
+            return f"statistics {said} of column {column.path}", f"{least!r} to {most!r} and {nulls} NULL, as its rows are"
     return None
+
+
+def _stored(value: bool | int | str | None) -> bytes | None:
+    """A value as the statistics of Parquet hold it."""
+    if isinstance(value, str):
+        return value.encode()
+    return None if value is None else value.to_bytes(1 if isinstance(value, bool) else 8, "little", signed=not isinstance(value, bool))
 
 
 def _is_sorted(column: pa.Array) -> bool:

@@ -32,7 +32,7 @@ def refusal(file: Path, data: bytes | pa.Table, **options: object) -> str:
 
 
 def test_a_segment_as_it_is_written_is_within_bounds(file: Path) -> None:
-    assert check_bounds(file).num_rows == 300
+    assert check_bounds(file).metadata.num_rows == 300
     assert segment.read_table(file).equals(TABLE)
 
 
@@ -52,18 +52,18 @@ def test_a_file_without_a_whole_footer_is_refused(file: Path) -> None:
 
 def test_a_footer_longer_than_any_is_refused_unread(file: Path) -> None:
     table = pa.table({"a": [1]}).replace_schema_metadata({"note": "x" * (1 << 20)})
-    assert "found a footer of 1" in refusal(file, table, store_schema=True)
+    assert "expected at most 1048576; restore" in refusal(file, table, store_schema=True)
 
 
 def test_a_file_larger_than_any_is_refused_unread(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bounds, "MAX_SEGMENT_BYTES", file.stat().st_size)
-    assert check_bounds(file).num_rows == 300
+    assert check_bounds(file).metadata.num_rows == 300
     assert "expected a Parquet file" in refusal(file, b"\0" + file.read_bytes())
 
 
 def test_row_groups_and_rows_have_bounds(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "found 2 row groups" in refusal(file, TABLE, row_group_size=200)
-    assert "found 0 row groups" in refusal(file, TABLE.slice(0, 0))
+    assert "found 0 rows" in refusal(file, TABLE.slice(0, 0))
     monkeypatch.setattr(bounds, "MAX_ROWS", 299)
     assert "found 300 rows, expected 1 to 299" in refusal(file, TABLE)
 
@@ -94,13 +94,13 @@ def test_no_byte_of_the_headers_of_pages_makes_the_check_fail_otherwise(file: Pa
     column = pq.read_metadata(file).row_group(0).column(0)
     refused = 0
     for at in range(column.dictionary_page_offset or column.data_page_offset, column.data_page_offset + 30):
-        for value in (0, 1, 0x15, 0x18, 0x19, 0x1C, 0x7F, 0x80, 0xFF):
+        for value in (0, 0x19, 0xFF):
             file.write_bytes(good[:at] + bytes([value]) + good[at + 1 :])
             try:
                 check_bounds(file)
             except LedgerCorrupted:
                 refused += 1
-    assert refused > 50
+    assert refused > 30
 
 
 def test_text_is_counted_as_if_it_were_written_out() -> None:

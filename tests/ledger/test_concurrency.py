@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger import append, verify
+from fsar_ledger.ledger import append, disk, verify
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.read import LedgerView, open_ledger
 from fsar_ledger.ledger.verify_commits import read_commits
@@ -80,12 +80,18 @@ def test_of_two_processes_that_create_a_ledger_the_slower_one_opens_it(tmp_path:
 def test_a_listing_that_lacks_a_commit_made_meanwhile_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "ledger"
     append_all(path, BATCHES)
-    listdir = os.listdir
+    entries = disk.entries
     late = ["000000000002.json"]
-    monkeypatch.setattr(os, "listdir", lambda folder: sorted(set(listdir(folder)) - {late.pop()} if late else listdir(folder)))
+
+    def without_one_at_first(folder: Path) -> list["os.DirEntry[str]"]:
+        lacking = late.pop() if late else None
+        return [entry for entry in entries(folder) if entry.name != lacking]
+
+    monkeypatch.setattr(disk, "entries", without_one_at_first)
     assert open_ledger(path).head.commits == 4
+    assert not late
     (path / "commits" / "000000000002.json").rename(tmp_path / "gone")
-    with pytest.raises(LedgerCorrupted, match=r"found 000000000003\.json, expected 000000000002\.json"):
+    with pytest.raises(LedgerCorrupted, match=r"found '000000000003\.json', expected 000000000002\.json"):
         open_ledger(path)
 
 

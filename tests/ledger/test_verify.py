@@ -325,7 +325,7 @@ def test_statistics_that_hide_rows_are_found_whoever_wrote_them(path: Path) -> N
     forge_segment(path, 1, lying)
     assert (first_problem(path).commit, first_problem(path).found) == (1, "other bytes")
     forge_segment(path, 1, lying.replace(VERSION, OTHER_VERSION))
-    assert "'max': 'run-0003'" in first_problem(path).expected
+    assert "to b'run-0003'" in first_problem(path).expected
 
 
 def test_a_declared_order_of_rows_is_found_even_where_it_is_true(path: Path) -> None:
