@@ -14,14 +14,14 @@ BIN := .venv/bin
 READY := .venv/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test check soak soak-federation soak-crash soak-damage soak-verifier soak-agreement bench docs clean
+.PHONY: help setup reproduce test check soak soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement bench docs clean
 
 help:
 	@echo "make setup      a .venv with the command fsar-ledger in it"
 	@echo "make reproduce  simulate the paper's experiment, measure it, typeset the report into $(OUT)/"
 	@echo "make test       every check and every test"
 	@echo "make check      the checks without the tests: style, types, imports, SQL"
-	@echo "make soak       the long tests, about an hour: make soak-federation, -crash, -damage, -verifier, -agreement are its parts"
+	@echo "make soak       the long tests, about an hour: make soak-tests, -federation, -crash, -damage, -verifier, -agreement are its parts"
 	@echo "make bench      the benchmarks, as ratios"
 	@echo "make docs       write the pages that hold real output again"
 	@echo "make clean      remove what the other targets made"
@@ -49,7 +49,11 @@ check: setup
 test: check
 	$(BIN)/pytest -n $(JOBS)
 
-soak: soak-federation soak-crash soak-damage soak-verifier soak-agreement
+soak: soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement
+
+# The tests that make test leaves out because they take minutes.
+soak-tests: setup
+	$(BIN)/pytest -n $(JOBS) -m slow
 
 # 100,000 random steps of random fleets: ten invariants hold, live state = rebuilt state.
 soak-federation: setup

@@ -60,6 +60,7 @@ def test_a_fault_at_any_call_loses_nothing_acknowledged_and_the_power_may_fail_a
     assert laboratory.tally.power_failures > 2 * len(calls)
 
 
+@pytest.mark.slow
 def test_a_fault_during_the_recovery_loses_nothing_either(laboratory: Laboratory, calls: list[str]) -> None:
     draw = random.Random(5)
     faults = list(faults_at(calls))
@@ -129,6 +130,7 @@ def test_a_process_really_killed_at_a_call_loses_nothing(laboratory: Laboratory,
     assert laboratory.tally.complaints == []
 
 
+@pytest.mark.slow
 def test_processes_killed_at_random_moments_lose_nothing(tmp_path: Path) -> None:
     moments = random.Random(7)
     killed = 0

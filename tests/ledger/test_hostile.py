@@ -108,6 +108,7 @@ def test_a_record_of_what_cannot_be_is_refused_by_every_command(path: Path, caps
             refused(capsys, ("info",), path)
 
 
+@pytest.mark.slow
 @settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     name=st.sampled_from(["ledger.json", "commits/000000000001.json", "checkpoint"]),
@@ -144,6 +145,7 @@ def test_a_hostile_segment_is_never_passed_and_never_unpacked(path: Path, capsys
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1 << 20, "KiB more than before: something was unpacked"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["a string in 1000 rows that together are a gigabyte", "pages that unpack to 600 MB", "more rows than any batch"])
 def test_a_bomb_is_refused_in_little_memory_and_time(path: Path, what: str) -> None:
     bombs = dict(parquets(table_of(path, 0), segment_path(path, 0).read_bytes()))

@@ -35,6 +35,7 @@ def test_the_independent_verifier_is_one_file_that_imports_nothing_of_ours() -> 
     assert outside == {"pyarrow.parquet", "cryptography.exceptions", "cryptography.hazmat.primitives.asymmetric.ed25519"}
 
 
+@pytest.mark.slow
 def test_both_verifiers_say_the_same_of_good_and_damaged_ledgers() -> None:
     found = outcomes(250, is_large=False)
     assert [outcome.difference for outcome in found if outcome.difference] == []

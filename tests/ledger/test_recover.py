@@ -281,6 +281,7 @@ def much_to_do(one: Files) -> Files:
     return files | {f"staging/{sha256_hex(segment)}.parquet": segment}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("error", "step"), [(Stop(), 3), (OSError(errno.ENOSPC, "No space left on device"), 7)])
 def test_stopped_at_any_call_recovery_goes_on_when_called_again(
     tmp_path: Path, one: Files, monkeypatch: pytest.MonkeyPatch, error: BaseException, step: int
@@ -301,6 +302,7 @@ def test_stopped_at_any_call_recovery_goes_on_when_called_again(
     pytest.fail("recovery never came to its end")
 
 
+@pytest.mark.slow
 def test_a_power_failure_in_recovery_loses_nothing_either(tmp_path: Path, one: Files) -> None:
     before = much_to_do(one)
     counting = write(tmp_path / "counting" / "ledger", before)

@@ -258,6 +258,7 @@ def assert_honest(found: Recovery, path: Path, before: dict[str, bytes]) -> None
     assert [name for name, data in before.items() if data not in {*contents(path).values(), *aside(path).values()} | notes] == []
 
 
+@pytest.mark.slow
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 1 << 32), times=st.integers(1, 3))
 def test_whatever_was_done_recovery_makes_no_false_ledger_verify(intact: Path, tmp_path_factory: pytest.TempPathFactory, seed: int, times: int) -> None:
