@@ -45,10 +45,11 @@ _MAGIC = b"PAR1"
 
 
 class Footer(NamedTuple):
-    """What a segment is: its columns as they are stored, and all else as pyarrow holds it."""
+    """What a segment is: its columns as they are stored, whether it declares an order of its rows, and all else as pyarrow holds it."""
 
     metadata: pq.FileMetaData
     columns: tuple[Column, ...]
+    has_order: bool
 
 
 def check_bounds(path: Path) -> Footer:
@@ -62,7 +63,7 @@ def check_bounds(path: Path) -> Footer:
         data, size = _read_footer(path, file)
         where = "the footer"
         try:
-            columns = read_footer(data)
+            columns, has_order = read_footer(data)
             metadata = pq.read_metadata(path)
             _check_footer(metadata, columns)
             unpacked = 0
@@ -76,7 +77,7 @@ def check_bounds(path: Path) -> Footer:
             if isinstance(error, pa.ArrowException):
                 raise
             raise LedgerCorrupted(f"{path}: {where}: found {error}; restore the file") from error
-    return Footer(metadata, columns)
+    return Footer(metadata, columns, has_order)
 
 
 def text_bytes(table: pa.Table) -> int:

@@ -43,13 +43,18 @@ class Page(msgspec.Struct, frozen=True):
     is_data: bool
 
 
-def read_footer(data: bytes) -> tuple[Column, ...]:
-    """The columns of the file with this footer. Raises: ValueError or IndexError if it is none, has not exactly one row group, or leads elsewhere."""
+def read_footer(data: bytes) -> tuple[tuple[Column, ...], bool]:
+    """The columns of the file with this footer, and whether it declares an order of its rows.
+
+    Raises:
+        ValueError or IndexError: It is none, has not exactly one row group, or leads elsewhere.
+    """
     footer, _ = read_struct(data, 0)
     groups = _list(footer, 4)
     if len(groups) != 1:
         raise ValueError(f"{len(groups)} row groups, expected 1")
-    return tuple(map(_column, _list(_as_struct(groups[0]), 1)))
+    group = _as_struct(groups[0])
+    return tuple(map(_column, _list(group, 1))), bool(group.get(4))
 
 
 def _column(chunk: Value) -> Column:

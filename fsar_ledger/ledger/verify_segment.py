@@ -119,7 +119,7 @@ def _misleading(path: Path, footer: Footer, table: pa.Table) -> tuple[str, str] 
         return None
     if footer.metadata.created_by == pq.read_metadata(pa.BufferReader(again)).created_by:
         return "other bytes", "those that these rows are written as"
-    if footer.metadata.row_group(0).sorting_columns:
+    if footer.has_order:
         return "a declared order of rows", "none: readers skip rows by it, and nothing vouches for it"
     for column in footer.columns:
         if column.has_index:

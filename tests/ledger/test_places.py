@@ -144,7 +144,7 @@ def footers(path: Path, pattern: bytes, changed: bytes) -> Iterator[tuple[bytes,
     for match in re.finditer(re.escape(pattern), data[first:last]):
         footer = data[first : first + match.start()] + changed + data[first + match.end() : last]
         with suppress(ValueError, IndexError):
-            yield data[:first] + footer + data[last:], read_footer(footer)
+            yield data[:first] + footer + data[last:], read_footer(footer)[0]
 
 
 def test_a_count_of_nulls_that_hides_rows_is_found_whoever_wrote_it(path: Path) -> None:
