@@ -47,7 +47,7 @@ check: setup
 	$(BIN)/lint-imports
 
 test: check
-	$(BIN)/pytest -n $(JOBS)
+	$(BIN)/pytest -n $(JOBS) --dist worksteal
 
 soak: soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement
 

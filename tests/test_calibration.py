@@ -77,7 +77,7 @@ def test_a_path_that_cannot_be_written_is_refused_before_the_work(tmp_path: Path
 
 
 def test_the_record_of_a_small_fit_is_complete_and_the_same_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name, value in {"RUNS": 1, "SLOPE_RUNS": 1, "ROUNDS": 1, "FITTED": FITTED[:2], "WorkerPool": ThreadPoolExecutor}.items():
+    for name, value in {"RUNS": 1, "SLOPE_RUNS": 1, "ROUNDS": 1, "FITTED": FITTED[:2], "SWITCHES": SWITCHES[:2], "WorkerPool": ThreadPoolExecutor}.items():
         monkeypatch.setattr(calibration, name, value)
     told: list[tuple[int, int]] = []
     for name in ("one.json", "two.json"):
@@ -88,4 +88,4 @@ def test_the_record_of_a_small_fit_is_complete_and_the_same_again(tmp_path: Path
     assert record["objective"]["accepted"] <= record["objective"]["start"]
     assert len(record["residuals"]) == 24
     assert [parameter["name"] for parameter in record["parameters"]] == [fitted.name for fitted in FITTED[:2]]
-    assert len(record["switch_offs"]) == sum(len(switch.metrics) for switch in SWITCHES)
+    assert len(record["switch_offs"]) == sum(len(switch.metrics) for switch in SWITCHES[:2])

@@ -85,9 +85,11 @@ def text_bytes(table: pa.Table) -> int:
     size = 0
     for column in table.columns:
         for chunk in column.chunks:
+            if chunk.null_count == len(chunk):  # most columns of a short run
+                continue
             values = chunk.flatten() if pa.types.is_list(chunk.type) else chunk
             if pa.types.is_dictionary(values.type):
-                size += pc.sum(pc.binary_length(values.dictionary).take(values.indices).cast(pa.int64())).as_py() or 0
+                size += pc.sum(pc.binary_length(values.dictionary).cast(pa.int64()).take(values.indices)).as_py() or 0
             elif pa.types.is_string(values.type):
                 size += pc.sum(pc.binary_length(values).cast(pa.int64())).as_py() or 0
     return size

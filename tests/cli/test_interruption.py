@@ -16,12 +16,19 @@ import pytest
 from tests.cli.conftest import SMALL, in_a_process
 
 COMMAND = [sys.executable, "-m", "fsar_ledger"]
-SEVERAL_COMMITS = ("--scenario", "door-relay", "--runs", "80", "--seed", "11")
+SEVERAL_COMMITS = ("--scenario", "door-relay", "--runs", "60", "--seed", "11")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
+    """The head of the ledger that nothing interrupted."""
+    called = in_a_process("simulate", tmp_path_factory.mktemp("whole") / "ledger", *SEVERAL_COMMITS, "--workers", "2", "--json")
+    head: dict[str, object] = json.loads(called.out)["head"]
+    return head
 
 
 @pytest.mark.parametrize("workers", ["1", "2"])
-def test_an_interrupted_simulation_can_be_continued(tmp_path: Path, workers: str) -> None:
-    whole = json.loads(in_a_process("simulate", tmp_path / "whole", *SEVERAL_COMMITS, "--workers", "2", "--json").out)["head"]
+def test_an_interrupted_simulation_can_be_continued(tmp_path: Path, workers: str, whole: dict[str, int]) -> None:
     out = tmp_path / "stopped"
     arguments = [*COMMAND, "simulate", str(out), *SEVERAL_COMMITS, "--workers", workers]
     process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)

@@ -16,11 +16,12 @@ import pytest
 from fsar_ledger.errors import FsarLedgerError
 from fsar_ledger.ledger import append, segment
 from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.codec import encode_hashed
+from fsar_ledger.ledger.codec import encode, encode_hashed
 from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.record import MANIFEST, commit_path
+from fsar_ledger.ledger.record import MANIFEST, commit_path, sha256_hex
 from fsar_ledger.ledger.verify import verify
 from tests.ledger.faults import Fault, FaultyOs, Killed, in_place_of_os
+from tests.ledger.forgery import Examined, examined_once
 from tests.ledger.power import Choice, Disk
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 
@@ -29,6 +30,7 @@ BATCHES = made_up_batches(COMMITS, size=70)
 """140 events a commit, so that the tree passes 256 leaves, a full tile, within the appends that are interrupted."""
 INTERRUPTED = 2
 """So many commits are appended while things fail; one more shows that the ledger goes on."""
+READ_TABLE = segment.read_table
 TOKEN = re.compile(r"[0-9a-f]{16}(?=\.tmp$)")
 
 
@@ -77,15 +79,32 @@ def _written(table: pa.Table) -> pa.Buffer:
 
 
 def encode_all() -> None:
-    """No batch is encoded again in this process, nor in those that it forks."""
+    """No batch is encoded or decoded again in this process, nor in those that it forks."""
     for batch in BATCHES:
         _parquet(batch[0].run_id)
+    _decoded()
+
+
+@cache
+def _decoded() -> dict[str, pa.Table]:
+    """The rows of each batch by the SHA-256 of its segment."""
+    return {sha256_hex(_parquet(batch[0].run_id)): encode(batch) for batch in BATCHES}
+
+
+def _read(path: Path, columns: list[str] | None = None) -> pa.Table:
+    """As `segment.read_table`."""
+    try:
+        table = _decoded().get(sha256_hex(path.read_bytes()))
+    except OSError:
+        table = None
+    return READ_TABLE(path, columns) if table is None else table.select(columns or table.column_names)
 
 
 @contextmanager
 def encoded_once() -> Iterator[None]:
-    """Each batch is encoded once and for all: that touches no disk, and would take most of the time of a trial."""
+    """Each batch is encoded once, and its segment decoded once, and for all: that writes nothing, and would take most of the time of a trial."""
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(segment, "read_table", _read)
         patch.setattr(append, "encode_hashed", lambda runs: _encoded(runs[0].run_id))
         patch.setattr(append, "segment", SimpleNamespace(to_parquet=_written))
         yield
@@ -129,6 +148,7 @@ class Laboratory:
         self.tally = Tally()
         append_all(folder / "reference", BATCHES)
         self.reference = contents(folder / "reference")
+        self._examined = Examined(folder / "reference")
         self._number = 0
         self._judged: dict[str, tuple[int, list[str]]] = {}
         self._finished: dict[str, str | None] = {}
@@ -162,9 +182,10 @@ class Laboratory:
                 expected = self.reference[f"commits/{number:012d}.json"], self.reference[f"segments/{number:012d}.parquet"]
                 if tuple(name.read_bytes() for name in names) != expected:
                     complaints.append(f"torn: commit {number} has other bytes")
-            if list(view.runs()) != [run for batch in BATCHES[: view.head.commits] for run in batch]:
-                complaints.append("torn: other runs are read than were committed")
-            report = verify(path)
+            with encoded_once(), examined_once(self._examined):
+                if list(view.runs()) != [run for batch in BATCHES[: view.head.commits] for run in batch]:
+                    complaints.append("torn: other runs are read than were committed")
+                report = verify(path)
         except FsarLedgerError as error:
             return 0, [f"torn: a reader is told {error}"]
         if not report.ok:
