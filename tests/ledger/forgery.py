@@ -9,7 +9,7 @@ from unittest.mock import patch
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger.ledger import canonical, disk, segment
+from fsar_ledger.ledger import canonical, disk, recover_prefix, segment
 from fsar_ledger.ledger import verify as verification
 from fsar_ledger.ledger.record import CommitRecord, commit_path, segment_path, sha256_hex
 from fsar_ledger.ledger.schema import SCHEMA
@@ -91,6 +91,7 @@ class Examined:
 
 @contextmanager
 def examined_once(ledger: Path | Examined) -> Iterator[None]:
-    """Inside, `verify` decodes only segments that differ from those that this ledger holds now."""
-    with patch.object(verification, "examine", ledger if isinstance(ledger, Examined) else Examined(ledger)):
+    """Inside, `verify` and `recover` decode only segments that differ from those that this ledger holds now."""
+    examined = ledger if isinstance(ledger, Examined) else Examined(ledger)
+    with patch.object(verification, "examine", examined), patch.object(recover_prefix, "examine", examined):
         yield

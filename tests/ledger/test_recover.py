@@ -15,6 +15,7 @@ from fsar_ledger.ledger.record import commit_path, segment_path, sha256_hex
 from fsar_ledger.ledger.recover import recover
 from fsar_ledger.ledger.verify import verify
 from tests.ledger.faults import Fault, FaultyOs, Killed, calls_of, in_place_of_os
+from tests.ledger.forgery import examined_once
 from tests.ledger.power import Disk, choices
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 
@@ -36,6 +37,14 @@ def three(tmp_path_factory: pytest.TempPathFactory) -> Files:
     path = tmp_path_factory.mktemp("three") / "ledger"
     append_all(path, BATCHES[:3])
     return contents(path)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def decoded_once(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    path = tmp_path_factory.mktemp("all") / "ledger"
+    append_all(path, BATCHES)
+    with examined_once(path):
+        yield
 
 
 def write(path: Path, files: Files) -> Path:

@@ -1,6 +1,6 @@
 import random
 import shutil
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
 import msgspec
@@ -19,6 +19,7 @@ from fsar_ledger.ledger.recover import Recovery, recover
 from fsar_ledger.ledger.recover_prefix import FITS, NO_RECORD, NO_SEGMENT
 from fsar_ledger.ledger.verify import Asked, verify
 from fsar_ledger.ledger.verify_notes import read_anchor
+from tests.ledger.forgery import examined_once
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 from tests.ledger.test_recover import aside
 
@@ -27,10 +28,11 @@ SIGNER = Signer(ORIGIN, bytes(range(32)))
 
 
 @pytest.fixture(scope="module")
-def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def intact(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     path = tmp_path_factory.mktemp("intact") / "ledger"
     append_all(path, BATCHES)
-    return path
+    with examined_once(path):
+        yield path
 
 
 @pytest.fixture

@@ -1,5 +1,6 @@
 import re
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,7 @@ from fsar_ledger.ledger.tiles import node_of, tile_reader
 from fsar_ledger.ledger.verify import Asked, VerifyReport, verify
 from fsar_ledger.ledger.verify_derived import BEHIND
 from fsar_ledger.ledger.verify_notes import read_anchor
-from tests.ledger.forgery import changed, forge, forge_segment, record_of, table_of
+from tests.ledger.forgery import changed, examined_once, forge, forge_segment, record_of, table_of
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run
 
 BATCHES = made_up_batches(3)  # 24 events each
@@ -23,10 +24,18 @@ NAMESAKE = Signer(ORIGIN, b"o" * 32)
 KEY = SIGNER.verifier
 
 
+@pytest.fixture(scope="module", autouse=True)
+def signed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A signed ledger, whose segments are decoded once."""
+    path = tmp_path_factory.mktemp("signed") / "ledger"
+    append_all(path, BATCHES, signer=SIGNER)
+    with examined_once(path):
+        yield path
+
+
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
-    append_all(tmp_path / "ledger", BATCHES, signer=SIGNER)
-    return tmp_path / "ledger"
+def path(signed: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(signed, tmp_path / "ledger"))
 
 
 def trusted(path: Path) -> VerifyReport:
