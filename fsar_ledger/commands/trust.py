@@ -107,7 +107,6 @@ def verify(
     rewritten or its newest commits taken away, shows with a trusted key and an anchor: a copy of LEDGER/checkpoint, kept elsewhere.
     """
     from fsar_ledger.ledger.note import read_verifier
-    from fsar_ledger.ledger.place import require_created
     from fsar_ledger.ledger.verify import Asked
     from fsar_ledger.ledger.verify import verify as check
     from fsar_ledger.ledger.verify_notes import read_anchor
@@ -116,7 +115,6 @@ def verify(
 
     if quick and replay:
         raise UsageError("--quick and --replay: expected one of them; a quick look reads no rows, a replay all of them")
-    require_created(ledger)
     asked = Asked(quick, None if trusted_key is None else read_verifier(trusted_key), None if anchor is None else read_anchor(anchor))
     with Progress("verified", "segments") as progress:
         report = check(ledger, workers_of(workers), progress, asked)

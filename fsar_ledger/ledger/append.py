@@ -26,6 +26,7 @@ from fsar_ledger.ledger.codec import RunRecord, encode_hashed
 from fsar_ledger.ledger.derived import catch_up, check_folders, write_derived
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.note import Note, Signer, VerifierKey, checkpoint_of, is_name
+from fsar_ledger.ledger.place import is_unfinished, require_outside
 from fsar_ledger.ledger.read import Head, LedgerView, commit_names, open_ledger, read_manifest
 from fsar_ledger.ledger.record import (
     COMMITS,
@@ -101,7 +102,7 @@ class Writer:
         NotALedger: The path is a file, a folder with other things in it, or a ledger of another origin; it is left as it was.
         FormatVersionMismatch: The ledger was written in another format.
         LedgerCorrupted: Its records contradict each other, or a segment is missing.
-        UsageError: The key is that of another origin; or it did not sign the newest commit and does not adopt it.
+        UsageError: The key is that of another origin; or it did not sign the newest commit and does not adopt it; or the path lies in another ledger.
         WriteFailed: The disk refused.
     """
 
@@ -116,7 +117,9 @@ class Writer:
             _create(ledger, origin)
         manifest = parse_manifest(ledger / MANIFEST, read_manifest(ledger))
         if manifest.origin != origin:
-            raise NotALedger(f"{ledger / MANIFEST}: found a ledger of origin {manifest.origin!r}, expected {origin!r}; give another path")
+            raise NotALedger(
+                f"{ledger / MANIFEST}: found a ledger of origin {manifest.origin!r}, expected {origin!r}; give another path, or that origin with --origin"
+            )
         self._lock, is_alone = _lock(ledger)
         try:
             if is_alone:
@@ -299,10 +302,11 @@ def _create(ledger: Path, origin: str) -> None:
     """There is an empty ledger. A creation that was interrupted is finished; anything else there is left alone."""
     if os.path.lexists(ledger) and not os.path.isdir(ledger):
         raise NotALedger(f"{ledger}: found a file, expected a ledger or a free path; give another path")
+    require_outside(ledger.parent, str(ledger))
     manifest = Manifest(FORMAT, origin, VERSION)
     temporary = disk.temporary_name(ledger / STAGING / MANIFEST)
     with disk.refusals(ledger, "creating a ledger"):
-        if os.path.isdir(ledger) and not _is_unfinished(ledger):
+        if os.path.isdir(ledger) and not is_unfinished(ledger):
             if os.path.lexists(ledger / MANIFEST):  # another writer was quicker
                 return
             raise NotALedger(f"{ledger}: found a folder with other things in it, expected a ledger or a free path; give another path")
@@ -312,14 +316,3 @@ def _create(ledger: Path, origin: str) -> None:
         with suppress(FileExistsError):  # another writer was quicker
             disk.link_new(temporary, ledger / MANIFEST)
         disk.sync_folder(ledger)
-
-
-def _is_unfinished(ledger: Path) -> bool:
-    """Whether this folder holds nothing but what an interrupted creation leaves behind."""
-    for entry in list(os.scandir(ledger)):
-        if entry.name not in (COMMITS, SEGMENTS, STAGING) or not entry.is_dir(follow_symlinks=False):
-            return False
-        leftovers = os.listdir(entry.path)
-        if any(entry.name != STAGING or not (name.startswith(MANIFEST) and name.endswith(disk.TEMPORARY)) for name in leftovers):
-            return False
-    return True

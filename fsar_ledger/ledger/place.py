@@ -1,6 +1,7 @@
 """Where a ledger is: what tells a folder that holds one, and what nobody else may write there."""
 
 import os
+from contextlib import suppress
 from pathlib import Path
 
 from fsar_ledger.errors import NotALedger, UsageError
@@ -14,22 +15,23 @@ def require_created(ledger: Path) -> None:
     Raises:
         NotALedger: It is: it holds some of a ledger's folders, in them nothing but a ledger.json on its way, and nothing else.
     """
-    if _is_unfinished(ledger):
-        raise NotALedger(
-            f"{ledger}: found a ledger whose creation was interrupted before anything was in it, expected one with {MANIFEST}; "
-            "run the command that creates it again"
-        )
+    with suppress(OSError):
+        if os.listdir(ledger) and is_unfinished(ledger):
+            raise NotALedger(
+                f"{ledger}: found a ledger whose creation was interrupted before anything was in it, expected one with {MANIFEST}; "
+                "run the command that creates it again"
+            )
 
 
-def _is_unfinished(ledger: Path) -> bool:
-    try:
-        folders = list(os.scandir(ledger))
-        if not folders or any(entry.name not in (COMMITS, SEGMENTS, STAGING) or not entry.is_dir(follow_symlinks=False) for entry in folders):
+def is_unfinished(ledger: Path) -> bool:
+    """Whether this folder holds nothing but what an interrupted creation leaves behind, or nothing at all. Raises: OSError if it cannot be read."""
+    for entry in list(os.scandir(ledger)):
+        if entry.name not in (COMMITS, SEGMENTS, STAGING) or not entry.is_dir(follow_symlinks=False):
             return False
-        leftovers = [(entry.name, name) for entry in folders for name in os.listdir(entry.path)]
-    except OSError:
-        return False
-    return all(folder == STAGING and name.startswith(MANIFEST) and name.endswith(disk.TEMPORARY) for folder, name in leftovers)
+        leftovers = os.listdir(entry.path)
+        if any(entry.name != STAGING or not (name.startswith(MANIFEST) and name.endswith(disk.TEMPORARY)) for name in leftovers):
+            return False
+    return True
 
 
 def require_outside(out: Path, what: str) -> None:

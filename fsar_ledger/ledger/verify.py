@@ -19,6 +19,7 @@ from fsar_ledger.ledger import disk, merkle
 from fsar_ledger.ledger.derived import read_checkpoint
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.note import VerifierKey
+from fsar_ledger.ledger.place import require_created
 from fsar_ledger.ledger.problem import Problem, unexpected
 from fsar_ledger.ledger.record import COMMITS, MANIFEST, SEGMENTS, STAGING, CommitRecord
 from fsar_ledger.ledger.tiles import Edge
@@ -80,10 +81,11 @@ def verify(path: Path, workers: int = 1, progress: Progress | None = None, asked
         asked: A quick look, a key that must have signed, an earlier checkpoint.
 
     Raises:
-        NotALedger: There is no directory at the path, or nothing of a ledger is in it.
+        NotALedger: There is no directory at the path, nothing of a ledger is in it, or its creation was interrupted.
     """
     if not any(os.path.lexists(path / name) for name in (MANIFEST, COMMITS, SEGMENTS)):
         raise NotALedger(f"{path}: found no ledger there, expected its directory; give the path that `fsar-ledger simulate` wrote to")
+    require_created(path)
     before = _moment(path)
     report = _look(path, workers, progress, asked or Asked())
     if not report.ok and _moment(path) != before:  # a writer was at work: what was read late need not fit what was read early

@@ -8,7 +8,7 @@ import msgspec
 import pyarrow as pa
 import pytest
 
-from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger, SequenceConflict, UnknownEventTag, WriteFailed
+from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger, SequenceConflict, UnknownEventTag, UsageError, WriteFailed
 from fsar_ledger.ledger import canonical, merkle, segment
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.codec import encode_hashed
@@ -275,6 +275,22 @@ def test_an_empty_folder_or_a_half_made_ledger_becomes_one(tmp_path: Path) -> No
         append_all(tmp_path / name, BATCHES[:1])
         assert verify(tmp_path / name).ok
     assert contents(tmp_path / "empty") == contents(tmp_path / "half")
+
+
+def test_what_an_interrupted_creation_left_is_no_damage(tmp_path: Path) -> None:
+    (tmp_path / "half" / "commits").mkdir(parents=True)
+    for look in (verify, open_ledger):
+        with pytest.raises(NotALedger, match="creation was interrupted before anything was in it"):
+            look(tmp_path / "half")
+
+
+@pytest.mark.parametrize("place", ["another", "commits/another", "tile/0/another"])
+def test_no_ledger_is_created_inside_another(path: Path, place: str) -> None:
+    append_all(path, BATCHES[:1])
+    before = contents(path)
+    with pytest.raises(UsageError, match="found a place inside the ledger"):
+        Writer(path / place, ORIGIN)
+    assert contents(path) == before
 
 
 def test_a_ledger_of_another_origin_is_not_appended_to(path: Path) -> None:

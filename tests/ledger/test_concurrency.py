@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger import append, disk, verify
+from fsar_ledger.ledger import append, disk, place, verify
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.read import LedgerView, open_ledger
 from fsar_ledger.ledger.verify_commits import read_commits
@@ -72,7 +72,7 @@ def test_of_two_processes_that_create_a_ledger_the_slower_one_opens_it(tmp_path:
     if moment == "gives the manifest its name":
         monkeypatch.setattr(os, "link", after_the_quicker_one(os.link))
     else:
-        monkeypatch.setattr(append, "_is_unfinished", after_the_quicker_one(append._is_unfinished))
+        monkeypatch.setattr(append, "is_unfinished", after_the_quicker_one(place.is_unfinished))
     with Writer(path, ORIGIN) as writer:
         assert writer.head.commits == 1
 
