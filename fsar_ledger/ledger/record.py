@@ -162,7 +162,7 @@ def _is_note_of(record: CommitRecord, checkpoint: Checkpoint) -> bool:
 
 
 def _require_hash(path: Path, name: str, value: str) -> None:
-    if len(value) != 2 * HASH_BYTES or not set(value) <= set("0123456789abcdef"):
+    if len(value) != 2 * HASH_BYTES or value.strip("0123456789abcdef"):
         raise LedgerCorrupted(f"{path}: field {name}: found {value!r:.80}, expected a SHA-256 in lower-case hex; restore the file")
 
 

@@ -113,12 +113,12 @@ def entries(folder: Path) -> list["os.DirEntry[str]"]:
 
 def segment_file(path: Path, commit: Commit) -> str:
     """Where the segment is, within the ledger: in place, or in staging where its writer was interrupted."""
-    place = segment_path(path, commit.number)
-    if commit.record is not None and not os.path.lexists(place):
+    place = f"{SEGMENTS}/{commit.number:012d}.parquet"
+    if commit.record is not None and not os.path.lexists(f"{path}/{place}"):
         staged = staged_path(path, commit.record.segment_sha256)
         if staged.exists() and stat.S_ISREG(staged.lstat().st_mode):
             return str(staged.relative_to(path))
-    return str(place.relative_to(path))
+    return place
 
 
 def check_record(number: int, record: CommitRecord, previous: str | None, origin: str | None, before: Frontier | None) -> Iterator[Problem]:
