@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from fsar_ledger.ledger.merkle import Frontier
-from fsar_ledger.ledger.note import Note, checkpoint_of
+from fsar_ledger.ledger.note import Note, Signature, checkpoint_of
 from fsar_ledger.ledger.record import commit_path, segment_path, sha256_hex
 from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, LAYOUTS, SCHEMA
 from fsar_ledger.ledger.segment import to_parquet
@@ -179,6 +179,8 @@ def a_forged_note(path: Path, draw: random.Random, beside: Path) -> Case | None:
         "other base64": text.replace("=\n\n", "\n\n"),
         "a leading zero": text.replace(f"\n{tree.size}\n", f"\n0{tree.size}\n"),
         "a hyphen": text.replace("\u2014", "-"),
+        "a short signature": str(Note(body, (Signature(ORIGIN, KEY.verifier.key_id, bytes(63)),))),
+        "a signature of another name": str(Note(body, (Signature(ORIGIN + "x", KEY.verifier.key_id, bytes(64)),))),
         "an empty signature": str(Note(body)) + f"\u2014 {ORIGIN} AAAAAA==\n",
         "a line feed too many": text + "\n",
         "a line feed too few": text[:-1],
