@@ -76,6 +76,7 @@ soak-agreement: setup
 	$(BIN)/python -m tests.ledger.agreement_soak 1200
 
 bench: setup
+	$(BIN)/python benchmarks/command_line.py
 	$(BIN)/python benchmarks/simulate_and_append.py
 	$(BIN)/python benchmarks/metrics.py
 	$(BIN)/python benchmarks/registry_lookup.py

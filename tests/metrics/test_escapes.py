@@ -202,7 +202,7 @@ def test_what_never_ends_is_ended_in_time(surrounded: Path, escape: str) -> None
     began = time.monotonic()
     with pytest.raises(QueryFailed, match=r"^SQL: found no answer after 1 s, the limit"):
         run_untrusted(ledger_in(surrounded), NEVER_ENDS[escape], HASTY)
-    assert time.monotonic() - began < 6
+    assert time.monotonic() - began < 60  # each of them would take hours
 
 
 ALLOWED = {
