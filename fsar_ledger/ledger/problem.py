@@ -1,6 +1,10 @@
 """One thing that `verify` doubts, with its place."""
 
+from pathlib import Path
+
 import msgspec
+
+from fsar_ledger.errors import FsarLedgerError
 
 MAX_TEXT = 600
 """A note takes some 300 characters; nobody reads more of what a file should not hold."""
@@ -35,6 +39,11 @@ class Problem(msgspec.Struct, frozen=True):
 def _printable(text: str) -> str:
     cut = text if len(text) <= MAX_TEXT else text[:MAX_TEXT] + "..."
     return "".join(one if one.isprintable() else one.encode("unicode_escape", "surrogatepass").decode("ascii") for one in cut)
+
+
+def refusal(place: str | Path, error: FsarLedgerError) -> str:
+    """What a reader that was given this place says of it, in brackets: without the place and without what to do, which a verifier says once for all."""
+    return f"({str(error).removeprefix(f'{place}: ').rpartition('; ')[0] or error})"
 
 
 def unexpected(where: str, commit: int | None, error: BaseException) -> Problem:

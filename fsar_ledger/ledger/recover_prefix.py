@@ -17,7 +17,7 @@ from fsar_ledger.ledger import canonical, disk, merkle
 from fsar_ledger.ledger.derived import CHECKPOINT
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.note import VerifierKey
-from fsar_ledger.ledger.problem import Problem, unexpected
+from fsar_ledger.ledger.problem import Problem, refusal, unexpected
 from fsar_ledger.ledger.read import EMPTY_HEAD, Head
 from fsar_ledger.ledger.record import (
     COMMITS,
@@ -295,9 +295,9 @@ def _read_manifest(path: Path, problems: list[Problem]) -> tuple[str | None, byt
         problems.append(Problem(MANIFEST, "no file that can be read", "the description of the ledger, which no commit record can replace"))
         return None, None
     try:
-        return parse_manifest(path / MANIFEST, data).origin, data
+        return parse_manifest(Path(MANIFEST), data).origin, data
     except LedgerCorrupted as error:
-        problems.append(Problem(MANIFEST, str(error), "the description of the ledger"))
+        problems.append(Problem(MANIFEST, f"no description of a ledger {refusal(MANIFEST, error)}", "one as it is written"))
         return None, None
 
 
@@ -326,7 +326,7 @@ def _read_record(path: Path, number: int) -> tuple[CommitRecord | None, bytes, l
     try:
         return parse_record(Path(where), data), data, []
     except FsarLedgerError as error:
-        return None, data, [Problem(where, str(error), "the canonical JSON of a commit record", commit=number)]
+        return None, data, [Problem(where, f"no commit record {refusal(where, error)}", "one as it is written", commit=number)]
     except Exception as error:
         return None, data, [unexpected(where, number, error)]
 

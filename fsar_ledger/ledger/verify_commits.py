@@ -11,7 +11,7 @@ from fsar_ledger.errors import FsarLedgerError
 from fsar_ledger.ledger import disk
 from fsar_ledger.ledger.derived import CHECKPOINT
 from fsar_ledger.ledger.merkle import Frontier
-from fsar_ledger.ledger.problem import Problem, unexpected
+from fsar_ledger.ledger.problem import Problem, refusal, unexpected
 from fsar_ledger.ledger.read import commit_names
 from fsar_ledger.ledger.record import (
     COMMITS,
@@ -68,7 +68,7 @@ def check_manifest(path: Path, problems: list[Problem]) -> tuple[str | None, str
     try:
         return parse_manifest(Path(MANIFEST), data).origin, sha256_hex(data)
     except FsarLedgerError as error:
-        problems.append(Problem(MANIFEST, str(error), "the description of the ledger"))
+        problems.append(Problem(MANIFEST, f"no description of a ledger {refusal(MANIFEST, error)}", "one as it is written"))
     except Exception as error:
         problems.append(unexpected(MANIFEST, None, error))
     return None, sha256_hex(data)
@@ -100,7 +100,7 @@ def _read_commit(path: Path, number: int, problems: list[Problem]) -> Commit:
     except OSError as error:
         problems.append(Problem(where, f"an unreadable file ({error.strerror})", "a commit record", commit=number))
     except FsarLedgerError as error:
-        problems.append(Problem(where, str(error), "the canonical JSON of a commit record", commit=number))
+        problems.append(Problem(where, f"no commit record {refusal(where, error)}", "one as it is written", commit=number))
     except Exception as error:
         problems.append(unexpected(where, number, error))
     return Commit(number, sha256, None)

@@ -9,7 +9,7 @@ from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger import disk
 from fsar_ledger.ledger.derived import CHECKPOINT, read_checkpoint
 from fsar_ledger.ledger.merkle import HASH_BYTES
-from fsar_ledger.ledger.problem import Problem
+from fsar_ledger.ledger.problem import Problem, refusal
 from fsar_ledger.ledger.record import COMMITS, CommitRecord
 from fsar_ledger.ledger.tiles import HEIGHT, TILE, WIDTH, Tile
 
@@ -22,7 +22,7 @@ def check_checkpoint(ledger: Path, records: list[CommitRecord]) -> tuple[list[Pr
     try:
         found = read_checkpoint(ledger)
     except LedgerCorrupted as error:
-        return [Problem(CHECKPOINT, str(error), "the newest note")], False
+        return [Problem(CHECKPOINT, f"no note {refusal(ledger / CHECKPOINT, error)}", "the newest one")], False
     notes = [None, *(record.note for record in records)]
     if found == notes[-1]:
         return [], False

@@ -18,7 +18,7 @@ from fsar_ledger.ledger import canonical
 from fsar_ledger.ledger.arrow import places, whole
 from fsar_ledger.ledger.bounds import Footer, check_bounds
 from fsar_ledger.ledger.check import first_flaw, run_starts
-from fsar_ledger.ledger.problem import Problem, unexpected
+from fsar_ledger.ledger.problem import Problem, refusal, unexpected
 from fsar_ledger.ledger.record import COMMITS, CommitRecord
 from fsar_ledger.ledger.releases import FINGERPRINTS
 from fsar_ledger.ledger.schema import SCHEMA, fingerprint
@@ -88,7 +88,7 @@ def _examine(file: str, path: Path, number: int, record: CommitRecord) -> Segmen
     try:
         footer = check_bounds(path)
     except LedgerCorrupted as error:
-        return fail(str(error), "a segment as it is written", "segment_sha256")
+        return fail(f"no segment {refusal(path, error)}", "one as it is written", "segment_sha256")
     metadata = footer.metadata
     if metadata.num_rows != record.rows:
         return fail(metadata.num_rows, f"{record.rows}, {says}", "rows")
