@@ -74,8 +74,6 @@ def check_bounds(path: Path) -> Footer:
         except IndexError as error:
             raise LedgerCorrupted(f"{path}: {where}: found half of it, expected all; restore the file") from error
         except ValueError as error:
-            if isinstance(error, pa.ArrowException):
-                raise
             raise LedgerCorrupted(f"{path}: {where}: found {error}; restore the file") from error
     return Footer(metadata, columns, has_order)
 

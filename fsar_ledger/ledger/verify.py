@@ -187,8 +187,8 @@ class _Verification:
         if facts.leaves is None or before is None:
             self.edge = None
             return
-        if self.edge is not None and self.edge.size == before.size:
-            self._look_back(facts.leaves)
+        if self.edge is not None:  # then it is the edge of the tree before
+            self._look_back(self.edge, facts.leaves)
             self.edge, made = self.edge.extend(facts.leaves)
             self.tiles.add(number, made)
             tree = self.edge.frontier()
@@ -200,14 +200,14 @@ class _Verification:
         if tree != claimed:
             self.edge = None
 
-    def _look_back(self, leaves: bytes) -> None:
+    def _look_back(self, edge: Edge, leaves: bytes) -> None:
         """The root over the anchor's events is known if they end within these leaves, or before them."""
         note = self.asked.anchor.note if self.asked.anchor else None
-        if note is None or self.edge is None:
+        if note is None:
             return
-        wanted = note.checkpoint.size - self.edge.size
+        wanted = note.checkpoint.size - edge.size
         if 0 <= wanted * HASH_BYTES <= len(leaves):
-            self.root_then = self.edge.extend(leaves[: wanted * HASH_BYTES])[0].frontier().root()
+            self.root_then = edge.extend(leaves[: wanted * HASH_BYTES])[0].frontier().root()
 
     def _check_runs(self, number: int, record: CommitRecord, facts: SegmentFacts) -> None:
         """The runs are those of the record, and in no other commit."""
@@ -242,10 +242,10 @@ class _Verification:
             return None, size
         then = anchor.note.checkpoint if anchor.note is not None else None
         found = ByTiles(self.root_then, size)
-        if then is not None and self.asked.is_quick:
-            found = root_by_tiles(self.path, then, records[: -3 if self.is_behind else -2 : -1])
         if then is not None and then.size == 0:
             found = ByTiles(merkle.EMPTY_ROOT, size)
+        elif then is not None and self.asked.is_quick:
+            found = root_by_tiles(self.path, then, records[: -3 if self.is_behind else -2 : -1])
         self.problems += check_anchor(anchor, origin, size, found.root, self.asked.trusted, found.missing)
         return (then.size if then is not None else None), found.size
 

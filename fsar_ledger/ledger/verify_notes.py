@@ -93,12 +93,12 @@ class ByTiles(msgspec.Struct, frozen=True):
 def root_by_tiles(ledger: Path, then: Checkpoint, records: Sequence[CommitRecord]) -> ByTiles:
     """The root of an earlier checkpoint, where the tiles prove that the tree of one of these records, the first with tiles, begins with its events.
 
-    The proof counts, not the tiles: whoever rewrote history may have left old tiles in place.
+    There are some such events. The proof counts, not the tiles: whoever rewrote history may have left old tiles in place.
     """
     missing = ""
     for record in records:
         size, root = record.tree_size, bytes.fromhex(record.tree_root)
-        if not 0 < then.size <= size:
+        if then.size > size:
             continue
         try:
             proof = consistency_proof(node_of(tile_reader(ledger), size), then.size, size)
@@ -129,7 +129,7 @@ def check_anchor(anchor: Anchor, origin: str | None, size: int, root_then: bytes
         return [Problem(anchor.file, f"a checkpoint with {doubt(anchor.note, trusted)}", f"one signed by {trusted.key}, the trusted key")]
     if then.size > size:
         return [Problem(COMMITS, f"{size} events", f"at least {then.size}, as {anchor.file} says: the newest were removed")]
-    if root_then is None and missing:
+    if missing:
         expected = f"those from the {then.size} events of {anchor.file} to the ledger's {size}; run fsar-ledger recover, or verify without --quick"
         return [Problem(TILE, f"one that cannot be read ({missing})", expected)]
     if root_then is None:

@@ -1,0 +1,207 @@
+"""Checks of the verifier that others would stand in for, each on its own: the place, the words and the number of problems are right."""
+
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+import pytest
+
+from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger import bounds, disk, releases, segment
+from fsar_ledger.ledger import verify as verification
+from fsar_ledger.ledger.problem import Problem
+from fsar_ledger.ledger.record import segment_path, staged_path
+from fsar_ledger.ledger.schema import fingerprint
+from fsar_ledger.ledger.verify import Asked, verify
+from fsar_ledger.ledger.verify_derived import BEHIND
+from fsar_ledger.ledger.verify_notes import read_anchor
+from tests.ledger.damage import SIGNER, write_ledger
+from tests.ledger.forgery import examined_once, forge, forge_segment, record_of, table_of
+
+SIZES = (270, 20)
+QUICK = Asked(is_quick=True)
+NEWEST = "segments/000000000001.parquet"
+
+
+@pytest.fixture(scope="module")
+def snapshots(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """In `N`, a signed ledger as it was after N of its 2 commits; the first fills a tile."""
+    folder = tmp_path_factory.mktemp("snapshots")
+    write_ledger(folder / "whole", SIZES, folder)
+    return folder
+
+
+@pytest.fixture
+def path(snapshots: Path, tmp_path: Path) -> Iterator[Path]:
+    path = Path(shutil.copytree(snapshots / "whole", tmp_path / "ledger"))
+    with examined_once(path):
+        yield path
+
+
+def only_problem(path: Path, asked: Asked | None = None) -> Problem:
+    (problem,) = verify(path, asked=asked).problems
+    return problem
+
+
+# --- the look as a whole ---
+
+
+@pytest.mark.parametrize("is_good", [True, False])
+def test_only_a_look_that_found_something_is_made_again_where_a_writer_was_at_work(path: Path, monkeypatch: pytest.MonkeyPatch, is_good: bool) -> None:
+    looks: list[Path] = []
+    look = verification._look
+
+    def counted(path: Path, workers: int, progress: None, asked: Asked) -> verification.VerifyReport:
+        looks.append(path)
+        return look(path, workers, progress, asked)
+
+    monkeypatch.setattr(verification, "_look", counted)
+    monkeypatch.setattr(verification, "_moment", lambda path: len(looks))
+    if not is_good:
+        (path / "checkpoint").write_text("")
+    assert verify(path).ok == is_good
+    assert len(looks) == (1 if is_good else 2)
+
+
+def test_a_quick_look_that_found_something_makes_no_remark(path: Path) -> None:
+    assert verify(path, asked=QUICK).remarks != ()
+    (path / "checkpoint").write_text("")
+    report = verify(path, asked=QUICK)
+    assert (report.ok, report.remarks) == (False, ())
+
+
+# --- files that cannot be read ---
+
+
+def test_a_file_that_is_missing_is_named_with_the_words_of_the_system(path: Path) -> None:
+    (path / "ledger.json").unlink()
+    assert [(problem.where, problem.found) for problem in verify(path).problems] == [("ledger.json", "nothing")]
+
+
+def test_a_segment_that_is_missing_is_named_with_the_words_of_the_system(path: Path) -> None:
+    (path / NEWEST).unlink()
+    problem = only_problem(path)
+    assert (problem.where, problem.found, problem.field) == (NEWEST, "No such file or directory", "segment_sha256")
+
+
+def test_a_right_copy_in_staging_excuses_no_damaged_segment_in_its_place(path: Path) -> None:
+    shutil.copyfile(path / NEWEST, staged_path(path, record_of(path, 1).segment_sha256))
+    assert verify(path).ok
+    (path / NEWEST).write_bytes((path / NEWEST).read_bytes()[:-1])
+    assert only_problem(path).where == NEWEST
+
+
+def test_half_a_footer_is_said_to_be_half_of_one(path: Path) -> None:
+    data = segment_path(path, 1).read_bytes()
+    length = int.from_bytes(data[-8:-4], "little")
+    footer = data[-8 - length : -8][: length // 2]
+    (path / NEWEST).write_bytes(data[: -8 - length] + footer + len(footer).to_bytes(4, "little") + b"PAR1")
+    with pytest.raises(LedgerCorrupted, match="the footer: found half of it, expected all"):
+        bounds.check_bounds(path / NEWEST)
+
+
+# --- records ---
+
+
+def test_a_note_that_is_none_is_a_problem_of_its_record(path: Path) -> None:
+    forge(path, 1, note="no note")
+    problem = only_problem(path)
+    assert (problem.where, problem.commit, problem.field, problem.found) == ("commits/000000000001.json", 1, "note", "'no note'")
+
+
+def test_a_fingerprint_that_is_not_of_the_release_is_a_problem_of_the_record_too(path: Path) -> None:
+    forge(path, 1, schema_sha256="0" * 64)
+    assert [problem.where for problem in verify(path).problems] == ["commits/000000000001.json", NEWEST]
+
+
+def test_columns_of_another_release_than_the_records_are_found(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    table = table_of(path, 1)
+    fewer = table.drop_columns([next(name for name in reversed(table.column_names) if table[name].null_count == len(table))])
+    monkeypatch.setitem(releases.FINGERPRINTS, "0.0.9", fingerprint(fewer.schema))
+    forge_segment(path, 1, fewer)
+    problem = verify(path).problems[0]
+    assert (problem.where, problem.field, problem.found) == (NEWEST, "schema_sha256", fingerprint(fewer.schema))
+    forge(path, 1, release="0.0.9", schema_sha256=fingerprint(fewer.schema))
+    assert "schema_sha256" not in {problem.field for problem in verify(path).problems}
+
+
+# --- what a file holds beside its rows ---
+
+
+def with_dictionary(table: pa.Table, change: Callable[[pa.DictionaryArray], pa.DictionaryArray]) -> bytes:
+    """The segment of these rows, written by ourselves but for the dictionary of their types."""
+    table = segment.coded(table)
+    column = change(table["type"].combine_chunks())
+    at = table.schema.get_field_index("type")
+    return bytes(segment.to_parquet(table.set_column(at, table.schema.field(at), column)))
+
+
+def backwards(column: pa.DictionaryArray) -> pa.DictionaryArray:
+    last = len(column.dictionary) - 1
+    return pa.DictionaryArray.from_arrays(pc.subtract(last, column.indices).cast(pa.int32()), column.dictionary[::-1])
+
+
+def with_one_more(column: pa.DictionaryArray) -> pa.DictionaryArray:
+    return pa.DictionaryArray.from_arrays(column.indices, pa.concat_arrays([column.dictionary, pa.array(["Zzz.v1"])]))
+
+
+@pytest.mark.parametrize("change", [backwards, with_one_more])
+def test_a_dictionary_that_we_would_not_have_written_is_found(path: Path, change: Callable[[pa.DictionaryArray], pa.DictionaryArray]) -> None:
+    data = with_dictionary(table_of(path, 1), change)
+    forge_segment(path, 1, data)
+    assert pq.read_table(pa.BufferReader(data)).equals(pq.read_table(pa.BufferReader(segment.to_parquet(table_of(path, 1)))))
+    assert only_problem(path).found == "other bytes"
+
+
+@pytest.mark.parametrize(("name", "said"), [("least", 0), ("most", 1)])
+def test_a_bound_that_hides_rows_is_found_whoever_wrote_it(path: Path, name: str, said: int) -> None:
+    version = pa.__version__.encode()
+    data = segment_path(path, 1).read_bytes().replace(version, b"9" * len(version))
+    times = table_of(path, 1)["time_us"].to_pylist()
+    bound = (min(times), max(times))[said].to_bytes(8, "little", signed=True)
+    first = len(data) - 8 - int.from_bytes(data[-8:-4], "little")
+    assert bound in data[first:]
+    forge_segment(path, 1, data[:first] + data[first:].replace(bound, (7).to_bytes(8, "little")))
+    assert "of column " in only_problem(path).found
+
+
+# --- tiles ---
+
+
+@pytest.mark.parametrize("name", ["tile/x/000", "tile/0/x", "tile/00/000", "tile/0/0000", "tile/0/x000/000", "tile/0/001"])
+def test_a_name_that_is_almost_that_of_a_full_tile_is_a_stray_file(path: Path, name: str) -> None:
+    (path / name).parent.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(path / "tile/0/000", path / name)
+    problem = only_problem(path)
+    assert (problem.where, problem.found) == (name, "a stray file")
+
+
+def test_more_tiles_than_any_ledger_has_are_not_all_looked_at(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for folder in range(4):
+        (path / f"tile/{folder}x").mkdir()
+        for number in range(4):
+            (path / f"tile/{folder}x/{number}").write_bytes(b"")
+    assert len(verify(path).problems) == 16
+    monkeypatch.setattr(disk, "MAX_NAMES", 10)
+    assert "it holds more than 10 names" in only_problem(path).found
+
+
+# --- anchors ---
+
+
+def test_an_anchor_of_the_newest_events_is_proved_by_the_rows_where_their_tiles_are_not_there_yet(path: Path, snapshots: Path) -> None:
+    anchor = read_anchor(snapshots / "2" / "checkpoint")
+    shutil.copyfile(snapshots / "1" / "checkpoint", path / "checkpoint")
+    (path / "tile/0/001.p/34").unlink()
+    report = verify(path, asked=Asked(trusted=SIGNER.verifier, anchor=anchor))
+    assert (report.ok, report.anchored, report.remarks) == (True, sum(SIZES), (BEHIND,))
+
+
+@pytest.mark.parametrize("is_quick", [False, True])
+def test_an_anchor_of_no_events_begins_every_ledger(path: Path, tmp_path: Path, is_quick: bool) -> None:
+    (tmp_path / "anchor").write_text("example.org/fsar-test\n0\n47DEQpj8HBSa+/TImW+5JCeuQeRkm5NMpJWZG3hSuFU=\n\n")
+    report = verify(path, asked=Asked(is_quick, anchor=read_anchor(tmp_path / "anchor")))
+    assert (report.ok, report.anchored) == (True, 0)
