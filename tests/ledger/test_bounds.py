@@ -1,6 +1,7 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -10,6 +11,7 @@ from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger import bounds, segment
 from fsar_ledger.ledger.bounds import check_bounds, text_bytes
 from fsar_ledger.ledger.codec import encode
+from fsar_ledger.ledger.footer import Column
 from tests.ledger.hostile import lying_pages, written
 from tests.ledger.samples import made_up_run
 
@@ -87,6 +89,32 @@ def test_a_page_that_says_something_else_than_the_footer_is_refused(file: Path) 
     messages = [refusal(file, data) for _, data in lying_pages(TABLE)]
     assert "pages of 8191 values, expected at most 300" in messages[0]
     assert "expected a count" in messages[1]
+
+
+def test_a_dictionary_of_more_values_than_its_bytes_can_hold_is_refused(file: Path) -> None:
+    file.write_bytes(written(pa.table({"a": list("abcdefghij")})))
+    offset = pq.read_metadata(file).row_group(0).column(0).dictionary_page_offset
+    at = file.read_bytes().index(b"\x15\x14", offset)  # a field that holds 10
+    assert check_bounds(file).columns[0].path == "a"
+    data = file.read_bytes()
+    assert "a dictionary of 60 values in 50 bytes" in refusal(file, data[: at + 1] + b"\x78" + data[at + 2 :])
+
+
+@pytest.mark.parametrize(("at", "stored"), [(0, 10), (4, 997), (1001, 0)])
+def test_pages_outside_the_file_are_refused_unread(tmp_path: Path, at: int, stored: int) -> None:
+    (tmp_path / "file").write_bytes(bytes(1000))
+    column = Column("a", "INT64", at, stored, None, (), (), has_index=False)
+    with (tmp_path / "file").open("rb") as opened, pytest.raises(ValueError, match="pages from byte"):
+        bounds._check_column(opened, 1000, column, 10, 0)
+
+
+def test_a_page_that_ends_beyond_its_column_is_refused(file: Path) -> None:
+    size, column = file.stat().st_size, check_bounds(file).columns[0]
+    shorter = msgspec.structs.replace(column, stored_bytes=column.stored_bytes - 1)
+    with file.open("rb") as opened:
+        assert bounds._check_column(opened, size, column, 300, 0) > 0
+        with pytest.raises(ValueError, match="a page that ends at byte"):
+            bounds._check_column(opened, size, shorter, 300, 0)
 
 
 def test_no_byte_of_the_headers_of_pages_makes_the_check_fail_otherwise(file: Path) -> None:
