@@ -42,8 +42,8 @@ def _printable(text: str) -> str:
 
 
 def refusal(place: str | Path, error: FsarLedgerError) -> str:
-    """What a reader that was given this place says of it, in brackets: without the place and without what to do, which a verifier says once for all."""
-    return f"({str(error).removeprefix(f'{place}: ').rpartition('; ')[0] or error})"
+    """What a reader that was given this place says of it, in brackets, without the place."""
+    return f"({str(error).removeprefix(f'{place}: ')})"
 
 
 def unexpected(where: str, commit: int | None, error: BaseException) -> Problem:

@@ -1,5 +1,6 @@
 """Checks of the verifier that others would stand in for, each on its own: the place, the words and the number of problems are right."""
 
+import os
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -101,6 +102,18 @@ def test_half_a_footer_is_said_to_be_half_of_one(path: Path) -> None:
     (path / NEWEST).write_bytes(data[: -8 - length] + footer + len(footer).to_bytes(4, "little") + b"PAR1")
     with pytest.raises(LedgerCorrupted, match="the footer: found half of it, expected all"):
         bounds.check_bounds(path / NEWEST)
+
+
+def test_a_document_is_a_regular_file_and_not_too_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "file").write_bytes(bytes(100))
+    with pytest.raises(OSError, match="it is not a regular file"):
+        disk.read_document(tmp_path / "pipe")
+    monkeypatch.setattr(disk, "MAX_DOCUMENT_BYTES", 99)
+    with pytest.raises(OSError, match="it is larger than 99 bytes"):
+        disk.read_document(tmp_path / "file")
+    monkeypatch.setattr(disk, "MAX_DOCUMENT_BYTES", 100)
+    assert disk.read_document(tmp_path / "file") == bytes(100)
 
 
 # --- records ---
