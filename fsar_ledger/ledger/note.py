@@ -141,15 +141,15 @@ def parse_note(where: str, text: str) -> Note:
     Raises:
         LedgerCorrupted: It is not a checkpoint, is not written as C2SP says, or has signatures that no Ed25519 key makes.
     """
-    body, divider, lines = text.rpartition("\n\n")
+    body, _, lines = text.rpartition("\n\n")
     origin, size, root, *_ = [*body.split("\n"), "", ""]
-    number = int(size) if size.isascii() and size.isdecimal() and len(size) <= 16 else -1
+    number = int(size) if size.isdecimal() and len(size) <= 16 else -1
     try:
         note = Note(Checkpoint(origin, number, base64.b64decode(root, validate=True)), tuple(map(_parse_signature, lines.splitlines())))
     except (binascii.Error, ValueError) as error:
         raise LedgerCorrupted(f"{where}: found a note with a part that is not base64 ({error}), expected a C2SP checkpoint; restore it") from error
     is_checkpoint = number >= 0 and is_name(origin) and len(note.checkpoint.root) == HASH_BYTES
-    if not divider or str(note) != text or not is_checkpoint or len(note.signatures) > MAX_SIGNATURES:
+    if str(note) != text or not is_checkpoint or len(note.signatures) > MAX_SIGNATURES:
         raise LedgerCorrupted(f"{where}: found {text!r:.120}, expected a C2SP checkpoint (origin, size, root, an empty line, signatures); restore it")
     return note
 
