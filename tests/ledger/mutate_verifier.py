@@ -24,6 +24,7 @@ TESTS = tuple(
         "test_hostile",
         "test_places",
         "test_bounds",
+        "test_footer",
         "test_codec",
         "test_verify_notes",
         "test_proof",

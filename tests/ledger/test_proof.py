@@ -177,6 +177,13 @@ def test_the_signature_must_be_the_trusted_keys(proof: Proof) -> None:
     assert "a checkpoint of example.org/elsewhere" in refused(msgspec.structs.replace(proof, note=Note(elsewhere, (SIGNER.sign(elsewhere),))))
 
 
+def test_an_index_below_zero_and_hashes_of_another_length_are_not_even_read(proof: Proof) -> None:
+    assert parse_proof("a proof", str(proof)) == proof
+    for change in ({"index": -1}, {"hashes": (*proof.hashes[:-1], proof.hashes[-1][:-1])}, {"hashes": (*proof.hashes, bytes(33))}):
+        with pytest.raises(LedgerCorrupted, match="expected a C2SP tlog-proof"):
+            parse_proof("a proof", str(msgspec.structs.replace(proof, **change)))
+
+
 GOOD = b'{"run_id":"r","seq":0,"type":"RunStarted.v1"}'
 
 
