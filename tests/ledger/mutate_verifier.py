@@ -1,4 +1,4 @@
-"""Takes each check out of the verifier, once, and demands that a test fails: `python -m tests.ledger.mutate_verifier [PART OF A NAME]`.
+"""Takes each check out of the verifier, once, and demands that a test fails: `python -m tests.ledger.mutate_verifier [PART OF A NAME ...]`.
 
 Every mutant is tried in a process of its own, forked after the libraries were imported and before the package is:
 first with the quick tests, then, if it survives those, with the slow ones. Exit code 1 if one survives that is not listed
@@ -45,8 +45,8 @@ EQUIVALENT: dict[str, str] = {
 """Mutants that no test can tell from the verifier, and why."""
 
 
-def main(part: str) -> int:
-    """Every mutant whose name holds `part` was tried; 0 if each that should die did."""
+def main(parts: list[str]) -> int:
+    """Every mutant whose name holds one of these parts (all: none) was tried; 0 if each that should die did."""
     import hypothesis  # noqa: F401
     import numpy  # noqa: F401
     import pyarrow.parquet  # noqa: F401
@@ -54,7 +54,7 @@ def main(part: str) -> int:
 
     began = time.monotonic()
     sources = _sources()
-    names = [name for name in sources if part in name]
+    names = [name for name in sources if not parts or any(part in name for part in parts)]
     if _survives(None):
         print(f"{len(names)} checks of the verifier are taken out, {PARALLEL} at a time", flush=True)
     else:
@@ -151,4 +151,4 @@ def _run_tests(mutant: tuple[Path, ast.Module] | None, which: str) -> None:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1] if len(sys.argv) > 1 else ""))
+    sys.exit(main(sys.argv[1:]))
