@@ -153,7 +153,8 @@ def _without(name: str, at: int) -> _Change:
         elif isinstance(values[at], ast.Assign):
             values[at].value = ast.List([], ast.Load())
         elif isinstance(values[at], ast.Return):
-            values[at] = ast.Return(ast.List([], ast.Load()))
+            is_refusal = ast.unparse(values[at]) == "return False"
+            values[at] = ast.Return(ast.Constant(True) if is_refusal else ast.List([], ast.Load()))
         elif isinstance(values[at], ast.Expr) and isinstance(values[at].value, ast.Yield | ast.YieldFrom):
             values[at] = ast.Expr(ast.YieldFrom(ast.Tuple([], ast.Load())))  # still a generator
         else:

@@ -92,6 +92,14 @@ def test_a_segment_that_is_missing_is_named_with_the_words_of_the_system(path: P
     assert (problem.where, problem.found, problem.field) == (NEWEST, "No such file or directory", "segment_sha256")
 
 
+@pytest.mark.parametrize("name", ["commits", "segments", "staging", "tile"])
+def test_a_folder_that_is_a_link_is_read_by_nobody(path: Path, tmp_path: Path, name: str) -> None:
+    (path / name).rename(tmp_path / "aside")
+    (path / name).symlink_to(tmp_path / "aside")
+    with pytest.raises(LedgerCorrupted, match=f"{name}: found a link or something else than a folder"):
+        open_ledger(path)
+
+
 def test_a_right_copy_in_staging_excuses_no_damaged_segment_in_its_place(path: Path) -> None:
     shutil.copyfile(path / NEWEST, staged_path(path, record_of(path, 1).segment_sha256))
     assert verify(path).ok
