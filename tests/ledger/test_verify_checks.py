@@ -93,9 +93,13 @@ def test_a_segment_that_is_missing_is_named_with_the_words_of_the_system(path: P
 
 
 @pytest.mark.parametrize("name", ["commits", "segments", "staging", "tile"])
-def test_a_folder_that_is_a_link_is_read_by_nobody(path: Path, tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize("is_link", [True, False])
+def test_a_folder_that_is_a_link_or_a_file_is_read_by_nobody(path: Path, tmp_path: Path, name: str, is_link: bool) -> None:
     (path / name).rename(tmp_path / "aside")
-    (path / name).symlink_to(tmp_path / "aside")
+    if is_link:
+        (path / name).symlink_to(tmp_path / "aside")
+    else:
+        (path / name).write_text("")
     with pytest.raises(LedgerCorrupted, match=f"{name}: found a link or something else than a folder"):
         open_ledger(path)
 
