@@ -83,7 +83,7 @@ def _read(path: Path, columns: list[str] | None, footer: Footer | None) -> pa.Ta
     try:
         metadata = (footer or check_bounds(path)).metadata
         schema = metadata.schema.to_arrow_schema()
-        if not schema.equals(SCHEMA) and fingerprint(schema) not in FINGERPRINTS.values():
+        if fingerprint(schema) not in FINGERPRINTS.values():
             raise LedgerCorrupted(f"{path}: {_difference(schema)}; restore the file, or read it with the version that wrote it")
         strings = [_leaf(name) for name in schema.names if COLUMNS[name] in ("string", "strings")]
         with pq.ParquetFile(path, metadata=metadata, page_checksum_verification=True, read_dictionary=strings) as file:
