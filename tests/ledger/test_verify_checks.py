@@ -111,6 +111,24 @@ def test_a_right_copy_in_staging_excuses_no_damaged_segment_in_its_place(path: P
     assert only_problem(path).where == NEWEST
 
 
+def test_readers_take_a_segment_in_its_place_whatever_else_is_staged(path: Path) -> None:
+    staged_path(path, record_of(path, 1).segment_sha256).write_bytes(b"half")
+    assert open_ledger(path).segment(1) == path / NEWEST
+
+
+def test_readers_find_a_segment_that_a_writer_moves_into_its_place_meanwhile(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    place, staged, lstat = path / NEWEST, staged_path(path, record_of(path, 1).segment_sha256), Path.lstat
+    place.rename(staged)
+
+    def moved_just_before(looked_at: Path) -> os.stat_result:
+        if looked_at == staged and staged.exists():
+            staged.rename(place)
+        return lstat(looked_at)
+
+    monkeypatch.setattr(Path, "lstat", moved_just_before)
+    assert open_ledger(path).segment(1) == place
+
+
 def test_half_a_footer_is_said_to_be_half_of_one(path: Path) -> None:
     data = segment_path(path, 1).read_bytes()
     length = int.from_bytes(data[-8:-4], "little")
