@@ -116,6 +116,13 @@ def test_readers_take_a_segment_in_its_place_whatever_else_is_staged(path: Path)
     assert open_ledger(path).segment(1) == path / NEWEST
 
 
+def test_readers_follow_no_link_to_a_segment(path: Path, tmp_path: Path) -> None:
+    (path / NEWEST).rename(tmp_path / "aside")
+    (path / NEWEST).symlink_to(tmp_path / "aside")
+    with pytest.raises(LedgerCorrupted, match="found a link or something else than a file"):
+        open_ledger(path).segment(1)
+
+
 def test_readers_find_a_segment_that_a_writer_moves_into_its_place_meanwhile(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     place, staged, lstat = path / NEWEST, staged_path(path, record_of(path, 1).segment_sha256), Path.lstat
     place.rename(staged)
