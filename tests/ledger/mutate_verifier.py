@@ -9,6 +9,7 @@ import ast
 import os
 import signal
 import sys
+import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
 from importlib.machinery import SourceFileLoader
@@ -105,10 +106,15 @@ def _survives(mutant: tuple[Path, ast.Module] | None) -> bool:
 
 
 def _passes(mutant: tuple[Path, ast.Module] | None, which: str) -> bool:
+    with tempfile.TemporaryDirectory(ignore_cleanup_errors=True) as folder:
+        return _pass_in(folder, mutant, which)
+
+
+def _pass_in(folder: str, mutant: tuple[Path, ast.Module] | None, which: str) -> bool:
     child = os.fork()
     if not child:
         try:
-            _run_tests(mutant, which)
+            _run_tests(folder, mutant, which)
         finally:
             os._exit(70)
     deadline = time.monotonic() + LIMIT_S
@@ -126,7 +132,7 @@ def _passes(mutant: tuple[Path, ast.Module] | None, which: str) -> bool:
         time.sleep(0.05)
 
 
-def _run_tests(mutant: tuple[Path, ast.Module] | None, which: str) -> None:
+def _run_tests(folder: str, mutant: tuple[Path, ast.Module] | None, which: str) -> None:
     """Never returns: the process ends with the exit code of pytest."""
     import pyarrow
     import pytest
@@ -146,8 +152,7 @@ def _run_tests(mutant: tuple[Path, ast.Module] | None, which: str) -> None:
 
         SourceFileLoader.get_code = get_code  # type: ignore[method-assign, assignment]
     files = [test for test in TESTS if Path(test).exists()]
-    place = f"--basetemp={os.environ.get('TMPDIR', '/tmp')}/fsar-mutants-{os.getpid()}"
-    os._exit(int(pytest.main(["-x", "-q", "-W", "error", "-p", "no:cacheprovider", "--assert=plain", "-k", which, place, *files])))
+    os._exit(int(pytest.main(["-x", "-q", "-W", "error", "-p", "no:cacheprovider", "--assert=plain", "-k", which, f"--basetemp={folder}/tests", *files])))
 
 
 if __name__ == "__main__":
