@@ -76,6 +76,7 @@ def test_a_path_that_cannot_be_written_is_refused_before_the_work(tmp_path: Path
     assert [path.name for path in tmp_path.iterdir()] == ["file"]
 
 
+@pytest.mark.slow
 def test_the_record_of_a_small_fit_is_complete_and_the_same_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name, value in {"RUNS": 1, "SLOPE_RUNS": 1, "ROUNDS": 1, "FITTED": FITTED[:2], "SWITCHES": SWITCHES[:2], "WorkerPool": ThreadPoolExecutor}.items():
         monkeypatch.setattr(calibration, name, value)

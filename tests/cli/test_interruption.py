@@ -27,7 +27,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
     return head
 
 
-@pytest.mark.parametrize("workers", ["1", "2"])
+@pytest.mark.parametrize("workers", [pytest.param("1", marks=pytest.mark.slow), "2"])
 def test_an_interrupted_simulation_can_be_continued(tmp_path: Path, workers: str, whole: dict[str, int]) -> None:
     out = tmp_path / "stopped"
     arguments = [*COMMAND, "simulate", str(out), *SEVERAL_COMMITS, "--workers", workers]

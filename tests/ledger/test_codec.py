@@ -29,7 +29,7 @@ def through_parquet(table: pa.Table, path: Path) -> pa.Table:
 
 
 @pytest.mark.parametrize("layouts", BY_MODULE.values(), ids=list(BY_MODULE))
-@settings(max_examples=15, deadline=None, suppress_health_check=list(HealthCheck))
+@settings(max_examples=10, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
 def test_every_event_type_survives_arrow_and_parquet(layouts: list[schema.Layout], data: st.DataObject, tmp_path: Path) -> None:
     events = [data.draw(any_event_of(layout)) for layout in layouts]
@@ -37,7 +37,7 @@ def test_every_event_type_survives_arrow_and_parquet(layouts: list[schema.Layout
     assert list(decode(through_parquet(encode(runs), tmp_path / "s.parquet"))) == runs
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(runs=any_runs())
 def test_runs_survive_arrow_and_parquet(runs: list[RunRecord], tmp_path: Path) -> None:
     assert list(decode(through_parquet(encode(runs), tmp_path / "s.parquet"))) == runs
@@ -62,7 +62,7 @@ def check_leaves(runs: list[RunRecord]) -> None:
     assert leaves == b"".join(map(merkle.leaf_hash, expected))
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=50, deadline=None)
 @given(runs=any_runs())
 def test_structs_columns_and_the_standard_library_give_the_same_canonical_bytes(runs: list[RunRecord]) -> None:
     check_leaves(runs)
@@ -75,7 +75,7 @@ def test_canonical_bytes_are_the_same_when_a_type_has_more_rows_than_are_encoded
     check_leaves([*runs, *(msgspec.structs.replace(run, run_id=f"r{len(run.events)}", events=[first] * len(run.events)) for run in many)])
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(runs=any_runs())
 def test_coded_and_plain_strings_are_the_same_rows_and_the_same_segment(runs: list[RunRecord]) -> None:
     coded, plain = encode_hashed(runs)[0], encode(runs)

@@ -85,7 +85,7 @@ def each(samples: list[Sample]) -> Iterator[tuple[Vector, Vector, StatisticRow]]
         yield first, second, row
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(SAMPLES)
 def test_paired_t_cohens_d_and_d_z_agree_with_scipy(samples: list[Sample]) -> None:
     for first, second, row in each(samples):
@@ -101,7 +101,7 @@ def test_paired_t_cohens_d_and_d_z_agree_with_scipy(samples: list[Sample]) -> No
         assert row.cohens_d == close(differences.mean() / math.sqrt((first.var(ddof=1) + second.var(ddof=1)) / 2))
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(SAMPLES)
 def test_wilcoxon_agrees_with_scipy_with_ties_and_zeros(samples: list[Sample]) -> None:
     for first, second, row in each(samples):
@@ -115,7 +115,7 @@ def test_wilcoxon_agrees_with_scipy_with_ties_and_zeros(samples: list[Sample]) -
         assert (row.wilcoxon_p, abs(row.wilcoxon_z or 0)) == close((expected.pvalue, abs(expected.zstatistic)))
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(SAMPLES)
 def test_hedges_g_and_its_interval_follow_their_formulas(samples: list[Sample]) -> None:
     for first, second, row in each(samples):
@@ -138,7 +138,7 @@ def test_wilcoxon_ties_differences_that_only_the_last_bits_of_a_float_tell_apart
     assert (row.wilcoxon_w, row.wilcoxon_n) == (2.0, 4), "three ties of rank 2 and one of rank 4"
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=6, deadline=None)
 @given(st.lists(st.tuples(st.booleans(), st.booleans()), min_size=1, max_size=60))
 def test_mcnemar_of_human_intervention_is_the_exact_binomial_test(pairs: list[tuple[bool, bool]]) -> None:
     row = one([float(first) for first, _ in pairs], [float(second) for _, second in pairs], "human_intervention")

@@ -99,6 +99,7 @@ def test_configurations_fleet_sizes_and_architectures_are_summarised_apart() -> 
     assert cells[:2] == [("full", 4, "fsar", "coordination_success"), ("full", 4, "cfc", "coordination_success")]
 
 
+@pytest.mark.slow
 def test_the_answer_is_the_same_bits_on_any_number_of_threads() -> None:
     chance = random.Random(7)
     runs = []

@@ -26,6 +26,7 @@ def test_same_ledger_gives_the_same_bytes_in_another_process_with_another_hash_s
     assert here.read_bytes() == there.read_bytes()
 
 
+@pytest.mark.slow
 def test_another_ledger_gives_another_report(make_ledger: Make, ledger: Path, tmp_path: Path) -> None:
     one, other = tmp_path / "one.pdf", tmp_path / "other.pdf"
     write_report(ledger, one)

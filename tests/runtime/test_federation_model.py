@@ -222,7 +222,7 @@ class Federation(RuleBasedStateMachine):
 
 SETTINGS = settings(max_examples=20, stateful_step_count=60, deadline=None, database=None, suppress_health_check=list(HealthCheck), phases=(Phase.generate,))
 TestFederation = Federation.TestCase
-TestFederation.settings = settings(SETTINGS, derandomize=True, max_examples=12)
+TestFederation.settings = settings(SETTINGS, derandomize=True, max_examples=8)
 
 
 def soak(steps: int) -> None:
