@@ -58,7 +58,7 @@ def test_another_seed_gives_another_ledger(tmp_path: Path, expected: dict[str, s
     assert fingerprint(tmp_path / "ledger") != expected
 
 
-@pytest.mark.parametrize("workers", ["1", "2"])
+@pytest.mark.parametrize("workers", [pytest.param("1", marks=pytest.mark.slow), "2"])
 def test_a_killed_simulation_resumes_to_the_same_bytes(tmp_path: Path, expected: dict[str, str], workers: str) -> None:
     out = tmp_path / "ledger"
     kills = 0
