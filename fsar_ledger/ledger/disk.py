@@ -33,7 +33,7 @@ MAX_NAMES = 1 << 20
 """A folder of a ledger with more files than this is not one: nobody has made so many commits."""
 
 
-def read_document(path: Path) -> bytes:
+def read_document(path: Path | str) -> bytes:
     """The bytes of a small regular file. Raises: OSError if it is missing, not a regular file (a link is not), too large or unreadable."""
     handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
     try:

@@ -19,11 +19,9 @@ from fsar_ledger.ledger.record import (
     SEGMENTS,
     STAGING,
     CommitRecord,
-    commit_path,
     contradictions,
     parse_manifest,
     parse_record,
-    segment_path,
     sha256_hex,
     staged_path,
 )
@@ -94,9 +92,9 @@ def _read_commit(path: Path, number: int, problems: list[Problem]) -> Commit:
     where = f"{COMMITS}/{number:012d}.json"
     sha256: str | None = None
     try:
-        data = disk.read_document(commit_path(path, number))
+        data = disk.read_document(f"{path}/{where}")
         sha256 = sha256_hex(data)
-        return Commit(number, sha256, parse_record(Path(where), data))
+        return Commit(number, sha256, parse_record(where, data))
     except OSError as error:
         problems.append(Problem(where, f"an unreadable file ({error.strerror})", "a commit record", commit=number))
     except FsarLedgerError as error:
@@ -133,7 +131,7 @@ def check_record(number: int, record: CommitRecord, previous: str | None, origin
 
 def check_strays(path: Path, count: int) -> Iterator[Problem]:
     """No segment is there without its commit."""
-    expected = {segment_path(path, number).name for number in range(count)}
+    expected = {f"{number:012d}.parquet" for number in range(count)}
     for entry in entries(path / SEGMENTS):
         if entry.name not in expected:
             yield Problem(f"{SEGMENTS}/{entry.name}", "a file of no commit", f"segments of {count} commits; restore the record or take it away")

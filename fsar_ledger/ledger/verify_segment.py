@@ -45,16 +45,16 @@ def examine_file(file: str, ledger: str, number: int, record: CommitRecord | Non
     return _guarded(_examine_file, file, ledger, number, record)
 
 
-def _guarded(check: Callable[[str, Path, int, CommitRecord], SegmentFacts], file: str, ledger: str, number: int, record: CommitRecord | None) -> SegmentFacts:
+def _guarded(check: Callable[[str, str, int, CommitRecord], SegmentFacts], file: str, ledger: str, number: int, record: CommitRecord | None) -> SegmentFacts:
     if record is None:
         return SegmentFacts(file)
     try:
-        return check(file, Path(ledger) / file, number, record)
+        return check(file, f"{ledger}/{file}", number, record)
     except (Exception, RecursionError) as error:
         return SegmentFacts(file, (unexpected(file, number, error),))
 
 
-def _examine_file(file: str, path: Path, number: int, record: CommitRecord) -> SegmentFacts:
+def _examine_file(file: str, path: str, number: int, record: CommitRecord) -> SegmentFacts:
     says = f"as {COMMITS}/{number:012d}.json says"
 
     def fail(found: object, expected: str, field: str) -> SegmentFacts:
@@ -76,8 +76,8 @@ def _examine_file(file: str, path: Path, number: int, record: CommitRecord) -> S
     return SegmentFacts(file, rows=record.rows)
 
 
-def _examine(file: str, path: Path, number: int, record: CommitRecord) -> SegmentFacts:
-    as_a_file = _examine_file(file, path, number, record)
+def _examine(file: str, place: str, number: int, record: CommitRecord) -> SegmentFacts:
+    as_a_file = _examine_file(file, place, number, record)
     if as_a_file.problems or record.release not in FINGERPRINTS:  # rows of a release that is not known cannot be judged; the record is a problem already
         return as_a_file
     says = f"as {COMMITS}/{number:012d}.json says"
@@ -85,6 +85,7 @@ def _examine(file: str, path: Path, number: int, record: CommitRecord) -> Segmen
     def fail(found: object, expected: object, field: str) -> SegmentFacts:
         return SegmentFacts(file, (Problem(file, str(found), str(expected), commit=number, field=field),))
 
+    path = Path(place)
     try:
         footer = check_bounds(path)
     except LedgerCorrupted as error:
