@@ -58,3 +58,10 @@ def test_structs_in_each_other_have_a_bound(depth: int) -> None:
         data = struct((5, STRUCT, data))
     with pytest.raises(ValueError, match="more than 8 structs" if depth > 8 else "as field 4"):
         read_footer(data)
+
+
+def test_bytes_and_lists_longer_than_what_is_left_are_refused() -> None:
+    with pytest.raises(ValueError, match="100 bytes, expected at most the 2 that are left"):
+        read_footer(struct((1, BINARY, b"\x64x")))
+    with pytest.raises(ValueError, match="a list of 100, expected at most the 2 bytes that are left"):
+        read_footer(struct((1, LIST, b"\xf5\x64\x02")))
