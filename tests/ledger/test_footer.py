@@ -60,6 +60,11 @@ def test_structs_in_each_other_have_a_bound(depth: int) -> None:
         read_footer(data)
 
 
+def test_a_name_that_is_no_text_is_refused() -> None:
+    with pytest.raises(ValueError, match="expected a name"):
+        read_footer(footer().replace(b"\x18\x01a", b"\x15\x02"))
+
+
 def test_bytes_and_lists_longer_than_what_is_left_are_refused() -> None:
     with pytest.raises(ValueError, match="100 bytes, expected at most the 2 that are left"):
         read_footer(struct((1, BINARY, b"\x64x")))
