@@ -8,3 +8,9 @@ def pytest_collection_finish() -> None:
     gc.collect()
     gc.freeze()
     gc.set_threshold(50_000, 20, 100)
+
+
+def pytest_unconfigure() -> None:
+    """At the end all is garbage again: libraries complain of what is left."""
+    gc.unfreeze()
+    gc.collect()
