@@ -324,7 +324,7 @@ def _read_record(path: Path, number: int) -> tuple[CommitRecord | None, bytes, l
     if data is None:
         return None, b"", [Problem(where, "no file that can be read", "a commit record", commit=number)]
     try:
-        return parse_record(Path(where), data), data, []
+        return parse_record(where, data), data, []
     except FsarLedgerError as error:
         return None, data, [Problem(where, f"no commit record {refusal(where, error)}", "one as it is written", commit=number)]
     except Exception as error:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.note import Signer
 from fsar_ledger.ledger.problem import Problem
-from fsar_ledger.ledger.verify import VerifyReport
+from fsar_ledger.ledger.verify import Asked, VerifyReport, verify
 from tests.ledger.samples import ORIGIN, made_up_run
 
 SIGNER = Signer(ORIGIN, bytes(range(32)))
@@ -52,6 +52,12 @@ def flips(data: bytes, first: int = 0, last: int | None = None) -> Iterator[byte
             flipped[at] ^= 1 << bit
             yield bytes(flipped)
             flipped[at] ^= 1 << bit
+
+
+def only_problem(path: Path, asked: Asked | None = None) -> Problem:
+    """The one thing that `verify` doubts."""
+    (problem,) = verify(path, asked=asked).problems
+    return problem
 
 
 def is_placed(report: VerifyReport, places: Iterable[str]) -> bool:

@@ -1,6 +1,5 @@
 import random
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -16,22 +15,6 @@ from tests.ledger.samples import append_all, contents, made_up_batches
 
 SIZES = (130, 130, 20, 20)
 FLIPS = 2000
-
-
-@pytest.fixture(scope="module")
-def snapshots(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """In `N`, a signed ledger of 300 events as it was after N of its 4 commits."""
-    folder = tmp_path_factory.mktemp("snapshots")
-    write_ledger(folder / "whole", SIZES, folder)
-    return folder
-
-
-@pytest.fixture
-def path(snapshots: Path, tmp_path: Path) -> Iterator[Path]:
-    """A copy to be damaged, whose segments are decoded only where they were damaged."""
-    path = Path(shutil.copytree(snapshots / "whole", tmp_path / "ledger"))
-    with examined_once(path):
-        yield path
 
 
 def restored(path: Path, snapshots: Path, number: int) -> Path:

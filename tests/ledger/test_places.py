@@ -12,34 +12,14 @@ import pytest
 from fsar_ledger.ledger import segment, verify_commits, verify_segment
 from fsar_ledger.ledger import verify as verification
 from fsar_ledger.ledger.footer import Column, read_footer
-from fsar_ledger.ledger.problem import Problem
 from fsar_ledger.ledger.record import commit_path, segment_path, staged_path
 from fsar_ledger.ledger.verify import verify
 from fsar_ledger.ledger.verify_derived import BEHIND
-from tests.ledger.damage import write_ledger
-from tests.ledger.forgery import examined_once, forge, forge_segment, record_of, table_of
+from tests.ledger.damage import only_problem
+from tests.ledger.forgery import forge, forge_segment, record_of, table_of
 
 SIZES = (130, 130, 20)
 LAST = "000000000002"
-
-
-@pytest.fixture(scope="module")
-def snapshots(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("snapshots")
-    write_ledger(folder / "whole", SIZES, folder)
-    return folder
-
-
-@pytest.fixture
-def path(snapshots: Path, tmp_path: Path) -> Iterator[Path]:
-    path = Path(shutil.copytree(snapshots / "whole", tmp_path / "ledger"))
-    with examined_once(path):
-        yield path
-
-
-def only_problem(path: Path) -> Problem:
-    (problem,) = verify(path).problems
-    return problem
 
 
 # --- files and folders ---

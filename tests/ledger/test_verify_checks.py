@@ -2,7 +2,7 @@
 
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pyarrow as pa
@@ -15,40 +15,19 @@ from fsar_ledger.ledger import bounds, disk, releases, segment
 from fsar_ledger.ledger import verify as verification
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.note import Note, checkpoint_of
-from fsar_ledger.ledger.problem import Problem
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.record import segment_path, staged_path
 from fsar_ledger.ledger.schema import fingerprint
 from fsar_ledger.ledger.verify import Asked, verify
 from fsar_ledger.ledger.verify_derived import BEHIND
 from fsar_ledger.ledger.verify_notes import read_anchor
-from tests.ledger.damage import SIGNER, write_ledger
-from tests.ledger.forgery import examined_once, forge, forge_segment, record_of, table_of
+from tests.ledger.damage import SIGNER, only_problem
+from tests.ledger.forgery import forge, forge_segment, record_of, table_of
 from tests.ledger.samples import ORIGIN
 
 SIZES = (270, 20)
 QUICK = Asked(is_quick=True)
 NEWEST = "segments/000000000001.parquet"
-
-
-@pytest.fixture(scope="module")
-def snapshots(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """In `N`, a signed ledger as it was after N of its 2 commits; the first fills a tile."""
-    folder = tmp_path_factory.mktemp("snapshots")
-    write_ledger(folder / "whole", SIZES, folder)
-    return folder
-
-
-@pytest.fixture
-def path(snapshots: Path, tmp_path: Path) -> Iterator[Path]:
-    path = Path(shutil.copytree(snapshots / "whole", tmp_path / "ledger"))
-    with examined_once(path):
-        yield path
-
-
-def only_problem(path: Path, asked: Asked | None = None) -> Problem:
-    (problem,) = verify(path, asked=asked).problems
-    return problem
 
 
 # --- the look as a whole ---

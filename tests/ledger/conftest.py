@@ -1,0 +1,26 @@
+"""A ledger to be damaged, for tests that look at many damaged copies of it."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.ledger.damage import write_ledger
+from tests.ledger.forgery import examined_once
+
+
+@pytest.fixture(scope="module")
+def snapshots(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """In `N`, a signed ledger as it was after N of its commits, whose numbers of events are the module's `SIZES`; in `whole`, after all."""
+    folder = tmp_path_factory.mktemp("snapshots")
+    write_ledger(folder / "whole", request.module.SIZES, folder)
+    return folder
+
+
+@pytest.fixture
+def path(snapshots: Path, tmp_path: Path) -> Iterator[Path]:
+    """A copy to be damaged, whose segments are decoded only where they were damaged."""
+    path = Path(shutil.copytree(snapshots / "whole", tmp_path / "ledger"))
+    with examined_once(path):
+        yield path
