@@ -129,6 +129,35 @@ def tiles_between(old: int, new: int) -> Iterator[Tile]:
             yield Tile(level, now // 256, now % 256)
 
 
+P, L = 2**255 - 19, 2**252 + 27742317777372353535851937790883648493  # RFC 8032, section 5.1: the field, and the order of the base point
+Point = tuple[int, int]
+
+
+def plus(one: Point, other: Point) -> Point:
+    (x, y), (u, v) = one, other
+    product = -121665 * pow(121666, -1, P) * x * u * y * v
+    return (x * v + u * y) * pow(1 + product, -1, P) % P, (y * v + x * u) * pow(1 - product, -1, P) % P
+
+
+def times(count: int, point: Point) -> Point:
+    found = (0, 1)
+    for digit in f"{count:b}":
+        found = plus(found, found)
+        found = plus(found, point) if digit == "1" else found
+    return found
+
+
+def point_of(raw: bytes) -> Point:
+    """Section 5.1.3: the point, which has one way of writing. Raises ValueError if there is none."""
+    sign, y = divmod(int.from_bytes(raw, "little"), 2**255)
+    square = (y * y - 1) * pow(-121665 * pow(121666, -1, P) * y * y + 1, -1, P) % P
+    root = pow(square, (P + 3) // 8, P)
+    roots = [x % P for r in (root, root * pow(2, (P - 1) // 4, P)) for x in (r, -r) if x * x % P == square and x % P % 2 == sign]
+    if not roots or y >= P:
+        raise ValueError("no point")
+    return roots[0], y
+
+
 Key = tuple[str, bytes, bytes]  # name, key id, public key
 
 
@@ -142,8 +171,12 @@ def from_base64(text: str) -> bytes:
 def read_key(text: str) -> Key:
     name, key_id, data = text.strip().split("+", 2)
     raw = from_base64(data)
-    if len(raw) != 33 or raw[0] != 1 or sha256(name.encode(), b"\n", raw)[:4].hex() != key_id:
-        raise ValueError(f"{text!r:.100} is no Ed25519 public key")
+    is_key = len(raw) == 33 and raw[0] == 1 and sha256(name.encode(), b"\n", raw)[:4].hex() == key_id
+    try:
+        if not is_key or (point := point_of(raw[1:])) == (0, 1) or times(L, point) != (0, 1):
+            raise ValueError("no key, or one outside the subgroup of the base point, where signatures need no secret")
+    except ValueError as error:
+        raise ValueError(f"{text!r:.100} is no Ed25519 public key") from error
     return name, bytes.fromhex(key_id), raw[1:]
 
 

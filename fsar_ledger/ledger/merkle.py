@@ -150,9 +150,16 @@ def consistency_proof(node: Node, old: int, new: int) -> tuple[bytes, ...]:
     return tuple(reversed(path))
 
 
+def _are_hashes(*found: bytes) -> bool:
+    return all(len(one) == HASH_BYTES for one in found)
+
+
 def root_of_inclusion(leaf: bytes, index: int, size: int, proof: Sequence[bytes]) -> bytes | None:
-    """The root that this proof leads to from the leaf hash; None if it has another length than such a proof has. RFC 9162 section 2.1.3.2."""
-    if not 0 <= index < size:
+    """The root that this proof leads to from the leaf hash. RFC 9162 section 2.1.3.2.
+
+    None if it has another length than such a proof has, or something in it is no hash of 32 bytes.
+    """
+    if not 0 <= index < size or not _are_hashes(leaf, *proof):
         return None
     place, last, found = index, size - 1, leaf
     for sibling in proof:
@@ -169,11 +176,15 @@ def root_of_inclusion(leaf: bytes, index: int, size: int, proof: Sequence[bytes]
 
 
 def is_consistent(old: int, old_root: bytes, new: int, new_root: bytes, proof: Sequence[bytes]) -> bool:
-    """True when the proof shows that the new tree begins with the old one. RFC 9162 section 2.1.4.2."""
-    if not 0 <= old <= new:
+    """True when the proof shows that the new tree begins with the old one. RFC 9162 section 2.1.4.2.
+
+    False where something is no hash of 32 bytes. Every tree begins with the empty one: from it, an empty proof will do, and its root is that of no
+    leaves (C2SP tlog-witness asks for this; RFC 9162 leaves it open).
+    """
+    if not 0 <= old <= new or not _are_hashes(old_root, new_root, *proof):
         return False
     if old == 0:
-        return not proof and old_root == EMPTY_ROOT
+        return not proof and old_root == EMPTY_ROOT and (new > 0 or new_root == EMPTY_ROOT)
     if old == new:
         return not proof and old_root == new_root
     first, *rest = (old_root, *proof) if old & (old - 1) == 0 else proof or (b"",)

@@ -20,6 +20,7 @@ import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger import disk
+from fsar_ledger.ledger.ed25519 import KEY_BYTES, flaw_of
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
 
 _ED25519 = b"\x01"
@@ -76,10 +77,17 @@ class Note(msgspec.Struct, frozen=True):
 
 
 class VerifierKey(msgspec.Struct, frozen=True):
-    """The public half of a key: it tells whether a note was signed by the other half."""
+    """The public half of a key: it tells whether a note was signed by the other half.
+
+    There is none of a point that is written in a second way, is not on the curve, or is outside the prime-order subgroup: `ValueError` says which.
+    """
 
     name: str
     public: bytes
+
+    def __post_init__(self) -> None:
+        if (flaw := flaw_of(self.public)) is not None:
+            raise ValueError(flaw)
 
     @property
     def key_id(self) -> bytes:
@@ -95,7 +103,11 @@ class VerifierKey(msgspec.Struct, frozen=True):
         return f"{self.key}+{base64.b64encode(_ED25519 + self.public).decode()}"
 
     def made(self, signature: bytes, text: bytes) -> bool:
-        """Whether this is the signature of this key under the text (RFC 8032)."""
+        """Whether this is the signature of this key under the text, by RFC 8032, section 5.1.7, in its strict form.
+
+        64 bytes; S below L, so that a signature has no second form; R in its one way of writing, for it is compared as bytes; no cofactor, which makes
+        no difference for a key of the prime-order subgroup.
+        """
         from cryptography.exceptions import InvalidSignature
         from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
@@ -176,7 +188,7 @@ def new_key(path: Path, name: str) -> VerifierKey:
     for file in (path, public):
         if os.path.lexists(file):
             raise UsageError(f"{file}: found a file, expected a free name; a key is never overwritten")
-    secret = os.urandom(HASH_BYTES)
+    secret = os.urandom(KEY_BYTES)
     verifier = Signer(name, secret).verifier
     text = f"{_SECRET}+{verifier.key}+{base64.b64encode(_ED25519 + secret).decode()}\n"
     with disk.refusals(path, "writing a key"):
@@ -219,9 +231,11 @@ def read_verifier(key: str) -> VerifierKey:
     name, _, rest = text.partition("+")
     key_id, _, data = rest.partition("+")
     public = _key_bytes(data)
+    where = "--trusted-key" if is_text else f"--trusted-key {key}"
     if name == "PRIVATE" or public is None or not is_name(name):  # the text is not shown: it may be the secret half
-        where = "--trusted-key" if is_text else f"--trusted-key {key}"
         raise UsageError(f"{where}: found no public key, expected one as `fsar-ledger key new` prints, or its .pub file")
+    if (flaw := flaw_of(public)) is not None:
+        raise UsageError(f"{where}: found {flaw}, expected an Ed25519 public key of prime order; no signature of it would prove anything, get another key")
     verifier = VerifierKey(name, public)
     if verifier.key_id.hex() != key_id:
         raise UsageError(f"--trusted-key: found key id {key_id:.40}, expected {verifier.key_id.hex()} for this key; it was altered, get it again")
@@ -242,5 +256,5 @@ def _key_bytes(data: str) -> bytes | None:
         key = base64.b64decode(data, validate=True)
     except (binascii.Error, ValueError):
         return None
-    is_right = key[:1] == _ED25519 and len(key) == 1 + HASH_BYTES and base64.b64encode(key).decode() == data
+    is_right = key[:1] == _ED25519 and len(key) == 1 + KEY_BYTES and base64.b64encode(key).decode() == data
     return key[1:] if is_right else None
