@@ -1,9 +1,10 @@
 """Good and damaged ledgers by the hundred, and whether `verify` and the independent verifier say the same of each."""
 
-import importlib.util
+import importlib
 import json
 import random
 import shutil
+import sys
 from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
@@ -36,13 +37,12 @@ ODD = ["", "A", '"', "\\", "/", "\n", "\x00", "\x1f", "\x7f", "\u0085", "é", "e
 
 @cache
 def independent() -> Any:
-    """The independent verifier, as a file and not as a part of any package."""
-    spec = importlib.util.spec_from_file_location("independent_verifier", ROOT / "tests" / "independent_verifier.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    """The independent verifier, as a file beside its own and not as a part of any package."""
+    sys.path.insert(0, str(ROOT / "tests"))
+    try:
+        return importlib.import_module("independent_verifier")
+    finally:
+        sys.path.pop(0)
 
 
 @cache

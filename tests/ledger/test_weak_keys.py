@@ -9,6 +9,7 @@ from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.ed25519 import flaw_of
 from fsar_ledger.ledger.merkle import Frontier
 from fsar_ledger.ledger.note import Signer, VerifierKey, checkpoint_of, read_signer, read_verifier
+from tests import independent_ed25519
 from tests.ledger.agreement import independent
 from tests.ledger.samples import ORIGIN
 from tests.ledger.weak_keys import SECOND_WAY, SMALL_ORDER, WEAK, Forger, L, forged
@@ -20,8 +21,7 @@ TEXT = checkpoint_of(ORIGIN, Frontier()).text().encode()
 
 def mixed(public: bytes, weak: bytes) -> bytes:
     """The key that is the sum of an honest one and of a point of small order."""
-    module = independent()
-    x, y = module.plus(module.point_of(public), module.point_of(weak))
+    x, y = independent_ed25519.plus(independent_ed25519.point_of(public), independent_ed25519.point_of(weak))
     return bytes((y | (x & 1) << 255).to_bytes(32, "little"))
 
 
@@ -42,10 +42,10 @@ def test_a_key_of_small_order_under_which_anybody_signs_is_refused_wherever_it_i
 
 def test_the_list_of_small_order_is_the_whole_list() -> None:
     """Eight points, and the other ways to write them."""
-    module = independent()
-    points = {module.point_of(bytes.fromhex(text)) for text in SMALL_ORDER.values()}
+    plus, point_of = independent_ed25519.plus, independent_ed25519.point_of
+    points = {point_of(bytes.fromhex(text)) for text in SMALL_ORDER.values()}
     assert len(points) == 8
-    assert {module.plus(one, other) for one in points for other in points} == points
+    assert {plus(one, other) for one in points for other in points} == points
     encodings = {y + over | sign << 255 for x, y in points for over in (0, P) for sign in (0, 1) if y + over < 2**255 and (x == 0 or x & 1 == sign)}
     assert {one.to_bytes(32, "little") for one in encodings} == set(WEAK.values())
     assert len(WEAK) == len(SMALL_ORDER) + len(SECOND_WAY) == 14
