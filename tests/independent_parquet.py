@@ -71,7 +71,7 @@ def read(data: bytes) -> tuple[int, list[tuple[str, str]], dict[str, Values]]:
             unpacked += column["unpacked_bytes"]
             must(unpacked <= MAX_UNPACKED_BYTES, True, "so much unpacked")
             values[leaf.path[0]] = read_column(leaf, column, pages, rows)
-        except (ValueError, pa.ArrowException) as error:
+        except (ValueError, OSError, pa.ArrowException) as error:
             raise ValueError(f"column {leaf.path[0]}: {error}") from error
         at += column["stored_bytes"]
     must(at, len(data) - 8 - length, "the end of the last column at byte")
@@ -129,7 +129,7 @@ def read_layout(data: bytes, at: int, leaf: Leaf, column: dict[str, Any], rows: 
         key = kind, about["encoding"]
         counts[key] = counts.get(key, 0) + 1
         if kind == DATA:
-            must((about["definition_encoding"], about["repetition_encoding"], about["num_values"] > 0), (RLE, RLE, True), "levels encoded, and values")
+            must((about["definition_encoding"], about["repetition_encoding"], about["num_values"] >= 0), (RLE, RLE, True), "levels encoded, and values")
             values += about["num_values"]
         else:
             must((about["encoding"] in (PLAIN, PLAIN_DICTIONARY), about.get("is_sorted", False)), (True, False), "a dictionary in PLAIN, in an order")
