@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from .commands import recover, trust
+from .commands import recover, trust, witness
 from .commands.options import (
     AdoptOption,
     ArchitectureOption,
@@ -273,6 +273,7 @@ app.command(epilog=trust.VERIFY)(trust.verify)
 app.command(epilog=trust.PROVE)(trust.prove)
 app.command("verify-proof", epilog=trust.VERIFY_PROOF)(trust.verify_proof)
 app.add_typer(trust.keys, name="key")
+app.add_typer(witness.witnesses, name="witness")
 app.command(epilog=recover.RECOVER)(recover.recover)
 
 
@@ -360,7 +361,7 @@ def run(arguments: Sequence[str]) -> int:
     """The command has run; returns its exit code. What a user can cause is one message on stderr, never a traceback."""
     try:
         _require_text(arguments)
-        code = typer.main.get_command(app).main(args=list(arguments) or ["--help"], prog_name="fsar-ledger", standalone_mode=False)
+        code = typer.main.get_command(app).main(args=list(arguments) or ["--help"], prog_name="fsar-ledger", standalone_mode=False, obj=_now)
     except FsarLedgerError as problem:
         _say(str(problem))
         return problem.exit_code
@@ -378,6 +379,11 @@ def run(arguments: Sequence[str]) -> int:
     if code == INTERRUPTED:
         _say(f"interrupted; {AFTER_INTERRUPTION.get(next(iter(arguments), ''), 'nothing was changed')}")
     return code if isinstance(code, int) else 0
+
+
+def _now() -> int:
+    """The time in seconds since 1970, for commands that must know it."""
+    return int(time.time())
 
 
 def _require_text(arguments: Sequence[str]) -> None:

@@ -8,6 +8,7 @@ FsarLedgerError            every error that a user can meet          exit code
 │   ├── QueryFailed            SQL or its parameters are wrong
 │   ├── NotALedger             the path exists and is no ledger, or does not exist
 │   └── FormatVersionMismatch  the ledger was written in another format
+├── NotCosigned            too few witnesses cosigned                1
 ├── WriteFailed            the disk refused: full, read-only, gone   1
 │   └── SequenceConflict       another writer took the commit number
 └── LedgerCorrupted        the ledger contradicts itself             3
@@ -47,6 +48,10 @@ class NotALedger(UsageError):
 
 class FormatVersionMismatch(UsageError):
     """The ledger was written in a format that this version does not read."""
+
+
+class NotCosigned(FsarLedgerError):
+    """Fewer witnesses cosigned than a policy demands."""
 
 
 class WriteFailed(FsarLedgerError):

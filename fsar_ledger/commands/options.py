@@ -105,6 +105,19 @@ TrustedKeyOption = Annotated[
     str | None,
     typer.Option("--trusted-key", metavar="KEY", help="Require the signature of this public key: a .pub file, or the key itself.", show_default=False),
 ]
+WitnessPolicyOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--witness-policy",
+        metavar="FILE",
+        help="Ask the witnesses in this C2SP tlog-policy what they saw of the ledger; enough of them must have seen it, as it is or before it grew.",
+        show_default=False,
+    ),
+]
+CosignedOption = Annotated[
+    list[Path] | None,
+    typer.Option("--cosigned", metavar="FILE", help="With --witness-policy: ask nobody, take what this note shows; may be repeated.", show_default=False),
+]
 WorkflowLedgerOption = Annotated[
     Path | None, typer.Option("--workflows", metavar="LEDGER", help="A ledger of the paper's three workflows.", show_default="say that there is none")
 ]

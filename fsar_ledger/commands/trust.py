@@ -7,7 +7,7 @@ import typer
 
 from fsar_ledger.errors import LedgerCorrupted, ReplayMismatch, UsageError
 
-from .options import JsonOption, LedgerArgument, ReplayOption, TrustedKeyOption, WorkersOption, examples, workers_of
+from .options import CosignedOption, JsonOption, LedgerArgument, ReplayOption, TrustedKeyOption, WitnessPolicyOption, WorkersOption, examples, workers_of
 from .progress import Progress
 from .terminal import show
 
@@ -20,6 +20,7 @@ VERIFY = examples(
     "fsar-ledger verify out/ledger --replay",
     "cp out/ledger/checkpoint monday    # keep it elsewhere; later:",
     "fsar-ledger verify out/ledger --anchor monday --trusted-key out/fleet.key.pub",
+    "fsar-ledger verify out/ledger --witness-policy witnesses.policy --cosigned out/cosigned",
 )
 PROVE = examples(
     "fsar-ledger prove out/ledger 1234 --out out/event-1234.tlog-proof",
@@ -90,6 +91,7 @@ def signed_text(ledger: Path, signer: "Signer | None") -> str:
 
 
 def verify(
+    context: typer.Context,
     ledger: LedgerArgument,
     quick: Annotated[bool, typer.Option("--quick", help="Read no rows: only the chain of records, the files' hashes and the notes.")] = False,
     anchor: Annotated[
@@ -97,6 +99,8 @@ def verify(
         typer.Option("--anchor", metavar="FILE", help="Prove that the ledger only grew since this copy of LEDGER/checkpoint.", show_default=False),
     ] = None,
     trusted_key: TrustedKeyOption = None,
+    witness_policy: WitnessPolicyOption = None,
+    cosigned: CosignedOption = None,
     replay: ReplayOption = False,
     workers: WorkersOption = None,
     as_json: JsonOption = False,
@@ -104,7 +108,8 @@ def verify(
     """Re-derive every hash, count and record of a ledger.
 
     Where anything does not hold, each place is named and the exit code is 3. What no ledger can show about itself, that all of it was
-    rewritten or its newest commits taken away, shows with a trusted key and an anchor: a copy of LEDGER/checkpoint, kept elsewhere.
+    rewritten or its newest commits taken away, shows with a trusted key and an anchor, a copy of LEDGER/checkpoint that was kept elsewhere,
+    or with witnesses, who keep one.
     """
     from fsar_ledger.ledger.note import read_verifier
     from fsar_ledger.ledger.verify import Asked
@@ -112,21 +117,27 @@ def verify(
     from fsar_ledger.ledger.verify_notes import read_anchor
 
     from .replay import replayed, verdict_json, verdict_text
+    from .witness import seen_of, with_seen
 
     if quick and replay:
         raise UsageError("--quick and --replay: expected one of them; a quick look reads no rows, a replay all of them")
-    asked = Asked(quick, None if trusted_key is None else read_verifier(trusted_key), None if anchor is None else read_anchor(anchor))
+    trusted = None if trusted_key is None else read_verifier(trusted_key)
+    kept = None if anchor is None else read_anchor(anchor)
+    seen = seen_of(context, ledger, witness_policy, cosigned, trusted)  # before the look: the ledger may grow meanwhile
+    asked = Asked(quick, trusted, kept, seen.evidence.checkpoints if seen is not None else ())
     with Progress("verified", "segments") as progress:
         report = check(ledger, workers_of(workers), progress, asked)
     again = replayed(ledger, report, workers_of(workers)) if replay else None
     if as_json:
-        show(verdict_json(report, again))
+        show(with_seen(verdict_json(report, again), seen))
     if not report.ok:
         raise LedgerCorrupted(verdict_text(ledger, report, again))
     if again is not None and not again.ok:
         raise ReplayMismatch(verdict_text(ledger, report, again))
+    if seen is not None and not seen.is_enough:
+        raise LedgerCorrupted(seen.text(ledger, report.events))
     if not as_json:
-        show(verdict_text(ledger, report, again))
+        show(verdict_text(ledger, report, again) + (seen.text(ledger, report.events) if seen is not None else ""))
 
 
 def prove(

@@ -38,12 +38,19 @@ Progress = Callable[[int, int], None]
 class Asked(msgspec.Struct, frozen=True):
     """What `verify` shall look at beyond the ledger itself.
 
-    With `is_quick` the rows are not read: the chain of records, the files' hashes and the notes must do.
+    With `is_quick` the rows are not read: the chain of records, the files' hashes and the notes must do. `witnessed` are more anchors, whose
+    signatures were looked at where they came from.
     """
 
     is_quick: bool = False
     trusted: VerifierKey | None = None
     anchor: Anchor | None = None
+    witnessed: tuple[Anchor, ...] = ()
+
+    def sizes(self) -> set[int]:
+        """The sizes of the anchors' trees."""
+        anchors = (self.anchor, *self.witnessed)
+        return {anchor.note.checkpoint.size for anchor in anchors if anchor is not None and anchor.note is not None}
 
 
 class VerifyReport(msgspec.Struct, frozen=True):
@@ -124,7 +131,7 @@ class _Verification:
         self.edge: Edge | None = None if asked.is_quick else Edge()  # None: not known, because some rows were not read
         self.tree: Frontier | None = Frontier()  # None: not known, because a record or segment before could not be read
         self.tiles = TileCheck(path)
-        self.root_then: bytes | None = None  # that of the anchor's events
+        self.roots_then: dict[int, bytes] = {}  # of the anchors' events, by their number
         self.is_behind = False  # the derived files are those of the commit before the newest
 
     def run(self, workers: int, progress: Progress | None) -> VerifyReport:
@@ -201,13 +208,11 @@ class _Verification:
             self.edge = None
 
     def _look_back(self, edge: Edge, leaves: bytes) -> None:
-        """The root over the anchor's events is known if they end within these leaves, or before them."""
-        note = self.asked.anchor.note if self.asked.anchor else None
-        if note is None:
-            return
-        wanted = note.checkpoint.size - edge.size
-        if 0 <= wanted * HASH_BYTES <= len(leaves):
-            self.root_then = edge.extend(leaves[: wanted * HASH_BYTES])[0].frontier().root()
+        """The root over an anchor's events is known if they end within these leaves, or before them."""
+        for size in self.asked.sizes():
+            wanted = size - edge.size
+            if 0 <= wanted * HASH_BYTES <= len(leaves):
+                self.roots_then[size] = edge.extend(leaves[: wanted * HASH_BYTES])[0].frontier().root()
 
     def _check_runs(self, number: int, record: CommitRecord, facts: SegmentFacts) -> None:
         """The runs are those of the record, and in no other commit."""
@@ -237,17 +242,24 @@ class _Verification:
     def _check_anchor(self, origin: str | None, records: list[CommitRecord]) -> tuple[int | None, int]:
         """The events that the anchor vouches for, if the ledger begins with them; the events of the tree up to which that was shown."""
         size = records[-1].tree_size if records else 0
+        for witnessed in self.asked.witnessed:
+            found = self._look_then(witnessed, records, size)
+            self.problems += check_anchor(witnessed, origin, size, found.root, None, found.missing)
         anchor = self.asked.anchor
         if anchor is None:
             return None, size
-        then = anchor.note.checkpoint if anchor.note is not None else None
-        found = ByTiles(self.root_then, size)
-        if then is not None and then.size == 0:
-            found = ByTiles(merkle.EMPTY_ROOT, size)
-        elif then is not None and self.asked.is_quick:
-            found = root_by_tiles(self.path, then, records[: -3 if self.is_behind else -2 : -1])
+        found = self._look_then(anchor, records, size)
         self.problems += check_anchor(anchor, origin, size, found.root, self.asked.trusted, found.missing)
-        return (then.size if then is not None else None), found.size
+        return (anchor.note.checkpoint.size if anchor.note is not None else None), found.size
+
+    def _look_then(self, anchor: Anchor, records: list[CommitRecord], size: int) -> ByTiles:
+        """The root of the ledger's first so many events as the anchor counts, if it is known."""
+        then = anchor.note.checkpoint if anchor.note is not None else None
+        if then is not None and then.size == 0:
+            return ByTiles(merkle.EMPTY_ROOT, size)
+        if then is not None and self.asked.is_quick:
+            return root_by_tiles(self.path, then, records[: -3 if self.is_behind else -2 : -1])
+        return ByTiles(self.roots_then.get(then.size) if then is not None else None, size)
 
 
 def _not_compared(anchored: int | None, proved: int, size: int) -> str:

@@ -1,0 +1,89 @@
+"""Asking witnesses over HTTP. What they answer is bounded in size and time and is believed only where a signature holds it."""
+
+import http.client
+import ssl
+from collections.abc import Callable, Sequence
+from threading import Event, Thread
+from typing import TypeVar
+from urllib.parse import SplitResult, urlsplit
+
+from fsar_ledger.witness.protocol import MAX_BODY_BYTES, Answer
+
+ANSWER_S = 10.0
+"""A witness that has not answered by then is silent."""
+
+_One = TypeVar("_One")
+_Found = TypeVar("_Found")
+
+
+class Silent(Exception):
+    """A witness gave no answer that can be used; the message says why."""
+
+
+def ask(url: str, path: str, body: bytes | None = None) -> Answer:
+    """What the server at this URL answers to a POST of the body, or to a GET. No redirection is followed, and no proxy asked.
+
+    Raises:
+        Silent: There is no such server, or it gave no answer of HTTP that is short enough.
+    """
+    place = _place(url)
+    try:
+        connection = _connection(place)
+        try:
+            connection.request("GET" if body is None else "POST", place.path.rstrip("/") + path, body)
+            response = connection.getresponse()
+            data = response.read(MAX_BODY_BYTES + 1)
+        finally:
+            connection.close()
+    except (OSError, http.client.HTTPException, ValueError) as error:
+        raise Silent(f"{url}: no answer ({_reason(error)})") from error
+    if len(data) > MAX_BODY_BYTES:
+        raise Silent(f"{url}: an answer of more than {MAX_BODY_BYTES} bytes")
+    return Answer(response.status, data.decode("utf-8", "replace"), response.headers.get("Content-Type", ""))
+
+
+def ask_all(question: Callable[[_One], _Found], members: Sequence[_One]) -> list[_Found | Silent]:
+    """What the question found for each, all asked at once; who takes longer than `ANSWER_S` for all of it, perhaps byte by byte, is silent."""
+    found: list[_Found | Silent] = [Silent(f"no answer within {ANSWER_S:.0f} s")] * len(members)
+    finished = [Event() for _ in members]
+    all_finished = Event()
+
+    def put(at: int, member: _One) -> None:
+        try:
+            found[at] = question(member)
+        except Silent as error:
+            found[at] = error
+        except Exception as error:  # an answer that fails in a way nobody thought of is no answer
+            found[at] = Silent(f"no answer that can be read ({type(error).__name__})")
+        finished[at].set()
+        if all(one.is_set() for one in finished):
+            all_finished.set()
+
+    for at, member in enumerate(members):
+        Thread(target=put, args=(at, member), daemon=True).start()
+    all_finished.wait(ANSWER_S if members else 0)
+    return list(found)
+
+
+def _place(url: str) -> SplitResult:
+    """The parts of the URL. Raises: Silent if nobody can be asked there."""
+    try:
+        place = urlsplit(url)
+        is_right = place.scheme in ("http", "https") and bool(place.hostname) and (place.port is None or place.port > 0) and url.isascii() and url.isprintable()
+    except ValueError:
+        is_right = False
+    if not is_right or place.query or place.fragment or place.username is not None:
+        raise Silent(f"{url}: no URL of a witness, expected http://HOST:PORT or https://HOST, with or without a path")
+    return place
+
+
+def _connection(place: SplitResult) -> http.client.HTTPConnection:
+    host = place.hostname or ""
+    if place.scheme == "https":
+        return http.client.HTTPSConnection(host, place.port, timeout=ANSWER_S, context=ssl.create_default_context())
+    return http.client.HTTPConnection(host, place.port, timeout=ANSWER_S)
+
+
+def _reason(error: Exception) -> str:
+    text = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return f"{text or type(error).__name__:.120}"

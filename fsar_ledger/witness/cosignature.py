@@ -1,0 +1,174 @@
+"""Cosignatures, as C2SP tlog-cosignature says (the Ed25519 kind), and the keys that make them.
+
+```
+— example.org/w1 jWbPPwAAAABkGFDLEZMHwS...     the witness, its key id, a time (8 bytes, seconds since 1970) and 64 bytes of Ed25519 over
+
+cosignature/v1                                 this text
+time 1679315147
+fsar-ledger/simulated                          and the checkpoint's
+167003
+GOniXQYJeSjvAPLjEaJ...UJtQ=
+```
+"""
+
+import base64
+import binascii
+import hashlib
+import os
+import re
+from pathlib import Path
+
+import msgspec
+
+from fsar_ledger.errors import LedgerCorrupted, UsageError
+from fsar_ledger.ledger import disk
+from fsar_ledger.ledger.note import MAX_SIGNATURES, Checkpoint, Note, Signature, Signer, VerifierKey, is_name, parse_note
+
+_COSIGNATURE = b"\x04"
+_ED25519 = b"\x01"
+_ID_BYTES = 4
+_TIME_BYTES = 8
+_SIGNATURE_BYTES = 64
+_SECRET = "PRIVATE+KEY+"
+_MAX_COSIGNATURES = 64
+MAX_TIME_S = 2**63 - 1
+
+
+class WitnessKey(msgspec.Struct, frozen=True):
+    """The public half of a witness's key. Raises: ValueError for one under which anybody can sign."""
+
+    name: str
+    public: bytes
+
+    def __post_init__(self) -> None:
+        VerifierKey(self.name, self.public)
+
+    @property
+    def key_id(self) -> bytes:
+        """The first four bytes of SHA-256(name, line feed, 0x04, public key)."""
+        return hashlib.sha256(self.name.encode() + b"\n" + _COSIGNATURE + self.public).digest()[:_ID_BYTES]
+
+    @property
+    def key(self) -> str:
+        """How a signature names it: `name+id`."""
+        return f"{self.name}+{self.key_id.hex()}"
+
+    def __str__(self) -> str:
+        return f"{self.key}+{base64.b64encode(_COSIGNATURE + self.public).decode()}"
+
+    def time_of(self, note: Note) -> int | None:
+        """When this witness cosigned the note (the newest time, in seconds since 1970); None if it did not."""
+        times = [self._time(one, note.checkpoint) for one in note.signatures if one.key == self.key]
+        return max((time for time in times if time is not None), default=None)
+
+    def _time(self, signature: Signature, checkpoint: Checkpoint) -> int | None:
+        time = int.from_bytes(signature.data[:_TIME_BYTES], "big")
+        if len(signature.data) != _TIME_BYTES + _SIGNATURE_BYTES or not 0 < time <= MAX_TIME_S:
+            return None
+        is_right = VerifierKey(self.name, self.public).made(signature.data[_TIME_BYTES:], cosigned_text(checkpoint, time))
+        return time if is_right else None
+
+
+class Cosigner:
+    """The secret half of a witness's key."""
+
+    def __init__(self, name: str, secret: bytes):
+        self._signer = Signer(name, secret)
+        self.key = WitnessKey(name, self._signer.verifier.public)
+
+    def cosign(self, checkpoint: Checkpoint, time_s: int) -> Signature:
+        """The cosignature of this key: at that time (in seconds since 1970) no larger tree of this log was known. Raises: ValueError for an impossible time."""
+        if not 0 < time_s <= MAX_TIME_S:
+            raise ValueError(f"found time {time_s}, expected seconds since 1970")
+        signed = self._signer.signature_of(cosigned_text(checkpoint, time_s))
+        return Signature(self.key.name, self.key.key_id, time_s.to_bytes(_TIME_BYTES, "big") + signed)
+
+
+def cosigned_text(checkpoint: Checkpoint, time_s: int) -> bytes:
+    """What a cosignature of that time signs."""
+    return f"cosignature/v1\ntime {time_s}\n{checkpoint.text()}".encode()
+
+
+def parse_cosigned(where: str, data: bytes) -> Note:
+    """The note in these bytes: as `parse_note`, but with up to 64 signatures, for as many witnesses. Raises: LedgerCorrupted if there is none."""
+    try:
+        body, _, signatures = data.decode().rpartition("\n\n")
+    except UnicodeDecodeError as error:
+        raise LedgerCorrupted(f"{where}: found bytes that are not UTF-8, expected a C2SP checkpoint") from error
+    lines = re.findall(r"[^\n]*\n|[^\n]+$", signatures)
+    if len(lines) > _MAX_COSIGNATURES:
+        raise LedgerCorrupted(f"{where}: found {len(lines)} signatures, expected at most {_MAX_COSIGNATURES}")
+    parts = ["".join(lines[at : at + MAX_SIGNATURES]) for at in range(0, len(lines), MAX_SIGNATURES)] or [""]
+    notes = [parse_note(where, f"{body}\n\n{part}") for part in parts]
+    return Note(notes[0].checkpoint, tuple(signature for note in notes for signature in note.signatures))
+
+
+def parse_vkey(text: str) -> VerifierKey | WitnessKey:
+    """The public key in this text, of a log (0x01) or of a witness (0x04).
+
+    Raises:
+        ValueError: It is none, or one under which anybody can sign; the message does not repeat it, for it may be a secret.
+    """
+    name, _, rest = text.partition("+")
+    key_id, _, data = rest.partition("+")
+    try:
+        material = base64.b64decode(data, validate=True)
+    except (binascii.Error, ValueError):
+        material = b""
+    if (
+        name == "PRIVATE"
+        or not is_name(name)
+        or not _is_utf8(name)
+        or base64.b64encode(material).decode() != data
+        or material[:1] not in (_ED25519, _COSIGNATURE)
+    ):
+        raise ValueError("found no public key of a log or a witness, expected name+id+key as `fsar-ledger key new` and `fsar-ledger witness new` print it")
+    kind = WitnessKey if material[:1] == _COSIGNATURE else VerifierKey
+    try:
+        key = kind(name, material[1:])
+    except ValueError as error:
+        raise ValueError(f"found {error}, expected an Ed25519 public key of prime order; no signature of it would prove anything, get another key") from error
+    if key.key_id.hex() != key_id:
+        raise ValueError(f"found another key id than {key.key_id.hex()}, which this key has; it was altered, get it again")
+    return key
+
+
+def _is_utf8(text: str) -> bool:
+    return text.encode("utf-8", "replace").decode() == text
+
+
+def read_log_key(key: str) -> VerifierKey:
+    """The public key of a log that this is, or that is in the file of this name. Raises: UsageError if it is none."""
+    is_text = key.count("+") >= 2 and not os.path.lexists(key)
+    where = "--log" if is_text else f"--log {key}"
+    try:
+        found = parse_vkey(key if is_text else _read(Path(key)))
+    except ValueError as error:
+        raise UsageError(f"{where}: {error}") from error
+    if not isinstance(found, VerifierKey):
+        raise UsageError(f"{where}: found the key of a witness, expected that of a log, as `fsar-ledger key new` prints it")
+    return found
+
+
+def _read(path: Path) -> str:
+    """The text in this file, without its last line feed. Raises: ValueError if it cannot be read."""
+    try:
+        return disk.read_document(Path(os.path.realpath(path))).decode().removesuffix("\n")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"the key cannot be read ({error.strerror if isinstance(error, OSError) else 'not text'}), expected a .pub file") from error
+
+
+def secret_text(key: WitnessKey, secret: bytes) -> str:
+    """The line that the secret file of this key holds."""
+    return f"{_SECRET}{key.key}+{base64.b64encode(_COSIGNATURE + secret).decode()}\n"
+
+
+def parse_secret(text: str) -> Cosigner | None:
+    """The key in the text of a secret file; None if it is none."""
+    name, _, rest = text.removesuffix("\n").removeprefix(_SECRET).partition("+")
+    try:
+        material = base64.b64decode(rest.partition("+")[2], validate=True)
+        found = Cosigner(name, material[1:])
+    except (binascii.Error, ValueError):
+        return None
+    return found if text == secret_text(found.key, material[1:]) else None

@@ -1,0 +1,187 @@
+"""Whom an auditor believes, as C2SP tlog-policy writes it: logs, witnesses, groups of them, and how many of which must have cosigned.
+
+```
+log fsar-ledger/simulated+192e3659+AQ...
+witness w1 example.org/w1+8d66cf3f+BA... http://127.0.0.1:8001
+witness w2 example.net/w2+1f0ab2c3+BA... http://127.0.0.1:8002
+witness w3 example.com/w3+77e01d4a+BA...
+group two-of-three 2 w1 w2 w3
+quorum two-of-three
+```
+"""
+
+import os
+import re
+from collections.abc import Set as AbstractSet
+from pathlib import Path
+
+import msgspec
+
+from fsar_ledger.errors import UsageError
+from fsar_ledger.ledger import disk
+from fsar_ledger.ledger.note import VerifierKey
+from fsar_ledger.witness.cosignature import WitnessKey, parse_vkey
+
+_NONE = "none"
+_WHITE = " \t"
+_DECIMAL = re.compile(r"[1-9][0-9]{0,8}")
+_FORBIDDEN = re.compile(rb"[^\t\n\x20-\x7e\x80-\xff]")
+
+
+class Witness(msgspec.Struct, frozen=True):
+    """A witness: its name within the policy, its key, and the URL under which it is asked, if there is one."""
+
+    name: str
+    key: WitnessKey
+    url: str | None = None
+
+
+class Group(msgspec.Struct, frozen=True):
+    """Members, witnesses or groups before it, of which so many must have cosigned."""
+
+    name: str
+    threshold: int
+    members: tuple[str, ...]
+
+
+class Policy(msgspec.Struct, frozen=True):
+    """The logs, the witnesses and groups in the order in which they stand, and the name of the one that must have cosigned, None if none need have."""
+
+    file: str
+    logs: tuple[VerifierKey, ...]
+    witnesses: tuple[Witness, ...]
+    groups: tuple[Group, ...]
+    quorum: str | None
+
+    def is_met(self, cosigned: AbstractSet[str]) -> bool:
+        """Whether these witnesses, by name, are enough."""
+        if self.quorum is None:
+            return True
+        enough = {witness.name for witness in self.witnesses if witness.name in cosigned}
+        for group in self.groups:  # each is written after its members
+            if sum(1 for member in group.members if member in enough) >= group.threshold:
+                enough.add(group.name)
+        return self.quorum in enough
+
+    def rule(self) -> str:
+        """The quorum in words."""
+        groups = {group.name: group for group in self.groups}
+        if self.quorum not in groups:
+            return f"that of {self.quorum}"
+        group = groups[self.quorum]
+        return f"{group.threshold} of {', '.join(group.members)}"
+
+
+def read_policy(path: Path) -> Policy:
+    """The policy in this file. Raises: UsageError if there is none in it."""
+    try:
+        return parse_policy(str(path), disk.read_document(Path(os.path.realpath(path))))
+    except OSError as error:
+        raise UsageError(f"--witness-policy {path}: it cannot be read ({error.strerror}), expected a C2SP tlog-policy") from error
+
+
+def parse_policy(file: str, data: bytes) -> Policy:
+    """The policy in these bytes of a file.
+
+    Raises:
+        UsageError: A line is none that C2SP tlog-policy knows, or says what it forbids; the message names it.
+    """
+    reader = _Reader(file)
+    found = _FORBIDDEN.search(data)
+    if found is not None:
+        reader.number = data.count(b"\n", 0, found.start()) + 1
+        raise reader.wrong(f"byte {found.group()[0]:#04x}", "text; of control characters only tabs and line feeds")
+    *lines, rest = data.decode("utf-8", "surrogateescape").split("\n")
+    for number, line in enumerate([*lines, rest] if rest else lines, 1):
+        reader.number = number
+        words = [word for word in re.split(f"[{_WHITE}]+", line.strip(_WHITE)) if word]
+        if number > len(lines) and words:
+            raise reader.wrong("a line without its line feed", "a whole file; the end of it may be missing")
+        if words and not words[0].startswith("#"):
+            reader.read(words)
+    return reader.policy()
+
+
+class _Reader:
+    """What the lines so far said."""
+
+    def __init__(self, file: str) -> None:
+        self.file, self.number = file, 0
+        self.logs: list[VerifierKey] = []
+        self.witnesses: list[Witness] = []
+        self.groups: list[Group] = []
+        self.names: set[str] = {_NONE}
+        self.members: set[str] = set()
+        self.quorum: str | None = None
+
+    def wrong(self, found: str, expected: str) -> UsageError:
+        """The error that says what is wrong with this line."""
+        return UsageError(f"{self.file}: line {self.number}: found {found}, expected {expected}")
+
+    def read(self, words: list[str]) -> None:
+        """One line more. Raises: UsageError."""
+        match words:
+            case ["log", key] | ["log", key, _]:
+                self._log(self._key(key))
+            case ["witness", name, key]:
+                self._witness(name, self._key(key), None)
+            case ["witness", name, key, url]:
+                self._witness(name, self._key(key), url)
+            case ["group", name, threshold, _, *_]:
+                self._group(name, threshold, words[3:])
+            case ["quorum", name]:
+                if self.quorum is not None:
+                    raise self.wrong("a second quorum", "one")
+                self.quorum = self._known(name, is_quorum=True)
+            case _:
+                raise self.wrong(f"{' '.join(words)!a:.60}", "log KEY [URL], witness NAME KEY [URL], group NAME K MEMBER..., or quorum NAME")
+
+    def _key(self, text: str) -> VerifierKey | WitnessKey:
+        try:
+            return parse_vkey(text)
+        except ValueError as error:
+            raise UsageError(f"{self.file}: line {self.number}: {error}") from error
+
+    def _log(self, key: VerifierKey | WitnessKey) -> None:
+        if not isinstance(key, VerifierKey):
+            raise self.wrong("the key of a witness (0x04)", "that of a log, as `fsar-ledger key new` prints it")
+        if any(log.public == key.public for log in self.logs):
+            raise self.wrong("the key of a log that stands before", "each once")
+        self.logs.append(key)
+
+    def _witness(self, name: str, key: VerifierKey | WitnessKey, url: str | None) -> None:
+        if not isinstance(key, WitnessKey):
+            raise self.wrong("the key of a log (0x01)", "that of a witness, as `fsar-ledger witness new` prints it")
+        if any(witness.key.public == key.public for witness in self.witnesses):
+            raise self.wrong("the key of a witness that stands before", "each once; under two names it would count twice")
+        self.witnesses.append(Witness(self._new(name), key, url))
+
+    def _group(self, name: str, threshold: str, members: list[str]) -> None:
+        for member in members:
+            self._known(member)
+            if member in self.members:
+                raise self.wrong(f"{member!a:.60} in a second place", "each witness and group in one group at most, and once; else it would count twice")
+            self.members.add(member)
+        words = {"any": 1, "all": len(members)}
+        count = words.get(threshold, int(threshold) if _DECIMAL.fullmatch(threshold) else 0)
+        if not 1 <= count <= len(members):
+            raise self.wrong(f"{threshold!a:.60}", f"any, all, or a number from 1 to {len(members)}, the members of the group")
+        self.groups.append(Group(self._new(name), count, tuple(members)))
+
+    def _new(self, name: str) -> str:
+        if name in self.names:
+            raise self.wrong(f"{name!a:.60} once more", "a name that stands for nothing yet")
+        self.names.add(name)
+        return name
+
+    def _known(self, name: str, *, is_quorum: bool = False) -> str:
+        if name not in self.names or (name == _NONE and not is_quorum):
+            raise self.wrong(f"{name!a:.60}", "a witness or a group of a line before")
+        return name
+
+    def policy(self) -> Policy:
+        """All that was read. Raises: UsageError if there is no quorum."""
+        if self.quorum is None:
+            raise UsageError(f"{self.file}: found no quorum, expected a line with the witness or group that must have cosigned")
+        quorum = None if self.quorum == _NONE else self.quorum
+        return Policy(self.file, tuple(self.logs), tuple(self.witnesses), tuple(self.groups), quorum)

@@ -1,0 +1,192 @@
+"""HTTP/1.1 around a witness: one POST, one GET, everything bounded in size, number and time."""
+
+import io
+import socket
+import sys
+from collections.abc import Callable
+from contextlib import suppress
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from socketserver import TCPServer
+from threading import BoundedSemaphore
+from typing import Any
+
+from fsar_ledger.errors import UsageError
+from fsar_ledger.witness.protocol import ADD_CHECKPOINT, MAX_BODY_BYTES, Answer
+from fsar_ledger.witness.service import Service
+
+REQUEST_S = 10.0
+"""A request must be here so long after its connection began, or after the answer before it."""
+
+MAX_CONNECTIONS = 64
+_NAME_CHARACTERS = 64
+_LENGTH_DIGITS = 7
+_BUSY_S = 0.1
+_BUSY = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+
+
+class _Timed(io.RawIOBase):
+    """What comes through a socket until a deadline, however slowly it comes."""
+
+    def __init__(self, connection: socket.socket, monotonic: Callable[[], float]) -> None:
+        self._connection, self._monotonic = connection, monotonic
+        self.begin()
+
+    def begin(self) -> None:
+        """The time of the next request begins."""
+        self._deadline = self._monotonic() + REQUEST_S
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        left = self._deadline - self._monotonic()
+        if left <= 0:
+            raise TimeoutError
+        self._connection.settimeout(left)
+        return self._connection.recv_into(buffer)
+
+
+class _Handler(BaseHTTPRequestHandler):
+    """One connection."""
+
+    protocol_version = "HTTP/1.1"
+    server: "WitnessServer"
+
+    def setup(self) -> None:
+        super().setup()
+        self.rfile.close()
+        self._timed = _Timed(self.connection, self.server.monotonic)
+        self.rfile = io.BufferedReader(self._timed)
+
+    def handle_one_request(self) -> None:
+        self._timed.begin()
+        self.close_connection = True  # whatever goes wrong before the request is known
+        try:
+            super().handle_one_request()
+        except (ConnectionError, TimeoutError):
+            self.close_connection = True
+
+    def do_GET(self) -> None:
+        """The newest checkpoint of a log."""
+        name = self.path.removeprefix("/").removesuffix("/checkpoint")
+        is_name = len(name) == _NAME_CHARACTERS and self.path == f"/{name}/checkpoint"
+        if self.headers.get("Content-Length", "0") != "0" or "Transfer-Encoding" in self.headers:
+            self.close_connection = True  # what follows is not a request
+        self._send(self.server.service.newest(name) if is_name else Answer(HTTPStatus.NOT_FOUND, "nothing is here\n"))
+
+    def do_POST(self) -> None:
+        """A checkpoint to cosign."""
+        lengths = self.headers.get_all("Content-Length", [])
+        is_length = len(lengths) == 1 and lengths[0].isascii() and lengths[0].isdecimal() and len(lengths[0]) <= _LENGTH_DIGITS
+        if "Transfer-Encoding" in self.headers or not lengths:
+            self._refuse(HTTPStatus.LENGTH_REQUIRED, "the length of the request must be given\n")
+        elif not is_length:
+            self._refuse(HTTPStatus.BAD_REQUEST, "the length of the request is no number, or too large\n")
+        elif int(lengths[0]) > MAX_BODY_BYTES:
+            self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"a request may have {MAX_BODY_BYTES} bytes\n")
+        else:
+            self._answer(int(lengths[0]))
+
+    def _answer(self, length: int) -> None:
+        if self.headers.get("Expect", "").lower() == "100-continue":
+            self.wfile.write(b"HTTP/1.1 100 Continue\r\n\r\n")
+        body = self.rfile.read(length)
+        if len(body) < length:
+            self.close_connection = True
+        elif self.path != ADD_CHECKPOINT:
+            self._send(Answer(HTTPStatus.NOT_FOUND, "nothing is here\n"))
+        else:
+            self._send(self.server.service.add_checkpoint(body))
+
+    def handle_expect_100(self) -> bool:
+        """Nothing is said before the length is known."""
+        return True
+
+    def _refuse(self, status: HTTPStatus, text: str) -> None:
+        self.close_connection = True
+        self._send(Answer(status, text))
+
+    def _send(self, answer: Answer) -> None:
+        data = answer.text.encode()
+        self.connection.settimeout(REQUEST_S)
+        self.send_response_only(answer.status)
+        self.send_header("Content-Type", answer.media)
+        self.send_header("Content-Length", str(len(data)))
+        self.send_header("Cache-Control", "no-store")
+        if self.close_connection:
+            self.send_header("Connection", "close")
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(data)
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:  # noqa: ARG002
+        """What `http.server` refuses by itself is answered as shortly as everything else, and repeats nothing of the request."""
+        self.close_connection = True
+        if getattr(self, "request_version", "HTTP/0.9") == "HTTP/0.9":  # no HTTP/1 request, so no HTTP/1 answer
+            self.request_version = self.protocol_version
+        self._send(Answer(code, f"{HTTPStatus(code).phrase.lower()}\n"))
+
+    def log_message(self, format: str, *args: object) -> None:
+        """Nothing: the service tells what matters, and strangers do not write into a log."""
+
+
+class WitnessServer(ThreadingHTTPServer):
+    """A witness that listens.
+
+    Raises: UsageError if it cannot listen there.
+    """
+
+    daemon_threads = True  # nothing that they do is half done when they end: a checkpoint is remembered as a whole
+    block_on_close = False
+    request_queue_size = 64
+
+    def __init__(self, host: str, port: int, service: Service, monotonic: Callable[[], float]) -> None:
+        self.service, self.monotonic = service, monotonic
+        self._room = BoundedSemaphore(MAX_CONNECTIONS)
+        try:
+            self.address_family = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE)[0][0]
+            super().__init__((host, port), _Handler)
+        except (OSError, OverflowError, UnicodeError) as error:
+            reason = error.strerror if isinstance(error, OSError) else "no such place"
+            raise UsageError(
+                f"--host {host} --port {port}: found no way to listen there ({reason}), expected an address of this machine and a free port"
+            ) from error
+
+    @property
+    def url(self) -> str:
+        """Where it listens."""
+        host, port = self.server_address[:2]
+        return f"http://[{host!s}]:{port}" if ":" in str(host) else f"http://{host!s}:{port}"
+
+    def server_bind(self) -> None:
+        """The socket has its address; nobody asks name servers what it is called."""
+        TCPServer.server_bind(self)
+        self.server_name, self.server_port = str(self.server_address[0]), int(self.server_address[1])
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """A thread has the connection; where too many have one, it is told so and closed."""
+        if not self._room.acquire(blocking=False):
+            with suppress(OSError):
+                request.settimeout(_BUSY_S)
+                request.sendall(_BUSY)
+            self.shutdown_request(request)
+            return
+        try:
+            super().process_request(request, client_address)
+        except BaseException:  # there is no thread that would make room again
+            self._room.release()
+            raise
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """The connection from its beginning to its end."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._room.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:  # noqa: ARG002
+        """A connection that broke is nobody's concern; what else goes wrong the operator is told."""
+        error = sys.exc_info()[1]
+        if not isinstance(error, OSError):
+            self.service.tell(f"a request was not answered: {type(error).__name__}")
