@@ -8,30 +8,25 @@ WITH held AS (
     -- A claim that ends when it begins was never held.
     SELECT
         run_id,
+        seq,
         action_id,
         dimension,
         claimant,
         began_us,
         coalesce(ended_us, 9223372036854775807) AS ended_us
     FROM claims
-    WHERE ended_us IS NULL OR ended_us > began_us
+    WHERE (ended_us IS NULL OR ended_us > began_us) AND action_id IS NOT NULL AND dimension IS NOT NULL AND claimant IS NOT NULL
 ),
 
-clashes AS (
+swept AS (
+    -- In order of beginning, each beside the claim before it that lasts longest: where that is the claimant's own, no other can hold, or a conflict
+    -- had begun before.
     SELECT
-        one.run_id,
-        one.action_id,
-        one.dimension,
-        greatest(one.began_us, other.began_us) AS began_us
-    FROM held AS one
-    INNER JOIN held AS other
-        ON
-            one.run_id = other.run_id
-            AND one.action_id = other.action_id
-            AND one.dimension = other.dimension
-            AND one.claimant < other.claimant
-            AND one.began_us < other.ended_us
-            AND one.ended_us > other.began_us
+        *,
+        max(ended_us) OVER earlier AS held_until_us,
+        arg_max(claimant, ended_us) OVER earlier AS holder
+    FROM held
+    WINDOW earlier AS (PARTITION BY run_id, action_id, dimension ORDER BY began_us, seq ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING)
 )
 
 SELECT
@@ -39,5 +34,6 @@ SELECT
     action_id,
     dimension,
     min(began_us) AS began_us
-FROM clashes
+FROM swept
+WHERE held_until_us > began_us AND holder <> claimant
 GROUP BY run_id, action_id, dimension
