@@ -35,9 +35,10 @@ def verdict_text(ledger: Path, report: "VerifyReport", again: "ReplayReport | No
     if not report.ok:
         return f"{text}\n{ledger}: not replayed, as its rows are in doubt"
     if again.ok:
-        return f"{text}replayed: all {again.events:,} events of {again.runs:,} runs are as the handlers decide them\n"
+        lines = [f"replayed: all {again.events:,} events of {again.runs:,} runs are as the world and the handlers make them", *again.remarks]
+        return text + "".join(f"{line}\n" for line in lines)
     count = f"{report.runs - again.runs:,} of {report.runs:,} runs"
-    return "\n".join([*map(str, again.differences), f"{ledger}: consistent, but replay doubts {count}; do not rely on what they say was decided"])
+    return "\n".join([*map(str, again.differences), f"{ledger}: consistent, but replay doubts {count}; do not rely on what they say happened and was decided"])
 
 
 def verdict_json(report: "VerifyReport", again: "ReplayReport | None") -> str:

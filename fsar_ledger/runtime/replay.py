@@ -1,18 +1,21 @@
-"""A recorded run is played again: given the recorded facts of the world, the handlers must decide what the record says, event by event.
+"""A recorded run is played again: from its parameters the world and the handlers must make what the record says, event by event.
 
 | what | where replay has it from |
 |---|---|
-| what was played: seed, architecture, scenario, constants | `RunStarted`, as recorded |
-| what the world did by itself (`events/world.py`), and when | the record |
+| what was played: seed, architecture, scenario, constants | `RunStarted`, as recorded; other constants than this version's are a remark (`worlds.py`) |
+| what the world did by itself (`events/world.py`), and when | made again (`world/schedule.py`), and compared: none is left out, added or another |
 | who founds the fleet, with which capabilities and trust | made again for the recorded fleet size, and compared |
 | every decision: what, by whom, when, caused by which event | made again by the handlers, and compared |
 | how long messages, ways, attempts, answers and executions take; whether a degraded actuator holds | drawn again under the recorded seed |
 
-The last row is why only simulated runs can be replayed. The length of an execution stands in the record, too, as `ends_us`; it is
-drawn again all the same, for to take it from there would be to believe the decision that is in question.
+So a simulated run has one record only, and nothing in it is taken on trust but its first event, which its name is a digest of. The
+schedule is made to its horizon and a run ends when nothing is left to happen, so all of the schedule is in the record. The facts of the
+paper's workflows are named by their scenario, and made again, too. What another kind of run (scripted, forked, live) differs in from the
+world of its seed has to be declared in its first event: `_Replay` takes the schedule with what is declared there, and `_parameters`
+refuses the kinds that declare nothing.
 
-A ledger in which every hash agrees but a decision was forged before it was committed is found. A fact of the world that was
-forged together with everything that follows from it is not: the world is taken as recorded here.
+The length of an execution stands in the record, too, as `ends_us`; it is drawn again all the same, for to take it from there would be
+to believe the decision that is in question.
 """
 
 import gc
@@ -43,9 +46,20 @@ from .kernel import Kernel
 from .simulation import MODEL_VERSION, RunSpec, founding_of, run_id, run_started, wiring
 from .world.draws import Draws, run_key
 from .world.scenarios import founding
+from .world.schedule import arrivals_expected, schedule
+from .worlds import Played, played, remarks_on
 
 _FACTS = frozenset(get_args(WorldEvent))
 _END = "the end of the run"
+
+FACTS_PER_ROBOT = 1_000
+"""Facts of the world that its rates may lead one to expect, for each robot and beside as many as there are events; the model's make 37 to 373.
+
+Recorded rates may be an enemy's: a world of a billion facts is no record of a few events, and is not made to see that.
+"""
+
+MAX_SILENT = 100_000
+"""Decisions in a row that make nothing; no run of the model takes a hundred."""
 
 
 class Difference(msgspec.Struct, frozen=True):
@@ -72,13 +86,31 @@ class Difference(msgspec.Struct, frozen=True):
 
 
 class ReplayReport(msgspec.Struct, frozen=True):
-    """What `replay` found. Units: `commits`, `runs` and `events` are counts of what is as decided, to the last event."""
+    """What `replay` found. Units: `commits`, `runs` and `events` are counts of what is as made again, to the last event.
+
+    `remarks` are no doubts: constants that are not this version's.
+    """
 
     ok: bool
     differences: tuple[Difference, ...] = ()
     commits: int = 0
     runs: int = 0
     events: int = 0
+    remarks: tuple[str, ...] = ()
+
+
+class CommitReport(msgspec.Struct, frozen=True):
+    """What `replay_commit` found: as `ReplayReport`, of one commit; `worlds` are those of the runs that are as made again."""
+
+    differences: tuple[Difference, ...]
+    worlds: tuple[Played, ...]
+    runs: int
+    events: int
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing differs."""
+        return not self.differences
 
 
 NOT_REPLAYED = ReplayReport(False)
@@ -101,16 +133,18 @@ def replay(path: Path, workers: int = 1, progress: Callable[[int, int], None] | 
     numbers = range(len(view.records))[:commits]
     files = [str(view.segment(number).relative_to(path)) for number in numbers]
     found: list[Difference] = []
+    worlds: list[Played] = []
     whole = runs = events = 0
     for done, result in enumerate(_replayed(str(path), files, max(1, workers)), start=1):
         found += result.differences
+        worlds += result.worlds
         whole, runs, events = whole + result.ok, runs + result.runs, events + result.events
         if progress is not None:
             progress(done, len(files))
-    return ReplayReport(not found, tuple(found[:MAX_PROBLEMS]), whole, runs, events)
+    return ReplayReport(not found, tuple(found[:MAX_PROBLEMS]), whole, runs, events, remarks_on(worlds))
 
 
-def _replayed(path: str, files: list[str], workers: int) -> Iterator[ReplayReport]:
+def _replayed(path: str, files: list[str], workers: int) -> Iterator[CommitReport]:
     """The report of each commit, in order."""
     with ExitStack() as stack:
         if workers > 1 and len(files) > 1:
@@ -120,9 +154,10 @@ def _replayed(path: str, files: list[str], workers: int) -> Iterator[ReplayRepor
             yield from map(replay_commit, repeat(path), range(len(files)), files)
 
 
-def replay_commit(path: str, number: int, file: str) -> ReplayReport:
+def replay_commit(path: str, number: int, file: str) -> CommitReport:
     """The report on the runs of one commit, in `file` of the ledger. Never raises."""
     found: list[Difference] = []
+    starts: list[RunStarted] = []
     runs = events = 0
     gc.disable()  # a run makes no cyclic garbage
     try:
@@ -130,17 +165,18 @@ def replay_commit(path: str, number: int, file: str) -> ReplayReport:
             difference = replay_run(record)
             if difference is None:
                 runs, events = runs + 1, events + len(record.events)
+                starts += [event for event in record.events[:1] if isinstance(event, RunStarted)]
             else:
                 found.append(msgspec.structs.replace(difference, commit=number, segment=file))
     except Exception as error:  # a check that fails in a way nobody thought of is still a finding
         found.append(Difference(None, None, None, None, "runs that can be replayed", _told(error), number, file))
     finally:
         gc.enable()
-    return ReplayReport(not found, tuple(found), int(not found), runs, events)
+    return CommitReport(tuple(found), played(starts), runs, events)
 
 
 def replay_run(record: RunRecord) -> Difference | None:
-    """The first difference of the record from what the handlers decide, None if there is none. Never raises."""
+    """The first difference of the record from what the world and the handlers make, None if there is none. Never raises."""
     one: _Replay | None = None
     try:
         one = _begun(record)
@@ -172,18 +208,17 @@ class _Replay(Kernel):
         """The run stands after its founding. Raises: _Differs if the record has another one."""
         events, founded = founding_of(spec, constants)
         self._stored, self._count = record, len(record.events)
-        self._deciding: Callable[..., tuple[Event, ...]] | None = founding
+        self._deciding: Callable[..., object] = founding
+        self._facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size)
         self._silent: list[tuple[int, Decide]] = []  # when, and who had a turn since the last event and made nothing
-        self._fact_us = 0
         for seq, event in enumerate(events):
             self._require(seq, event, 0, None if seq == 0 else 0)
-        facts = [(time_us, event) for time_us, event in zip(record.times_us, record.events, strict=True) if type(event) in _FACTS]
-        super().__init__(wiring(spec.architecture), facts, Draws(run_key(spec.seed, spec.scenario, spec.run), constants.world), events, founded)
+        super().__init__(wiring(spec.architecture), self._facts, Draws(run_key(spec.seed, spec.scenario, spec.run), constants.world), events, founded)
         self._decides = {command: self._noted(decide) for command, decide in self._decides.items()}
 
-    def handler(self) -> str | None:
-        """The function that makes the next event, by module and name; None for the world."""
-        return None if self._deciding is None else _name(self._deciding)
+    def handler(self) -> str:
+        """The function that makes the next event, by module and name."""
+        return _name(self._deciding)
 
     def require_end(self) -> None:
         """Nothing is recorded that was not decided. Raises: _Differs."""
@@ -199,19 +234,16 @@ class _Replay(Kernel):
             events = decide(state, command)
             if not events:
                 self._silent.append((command.now_us, decide))
+                if len(self._silent) > MAX_SILENT:
+                    raise RuntimeError(f"more than {MAX_SILENT:,} decisions in a row made nothing, the last at {command.now_us} microseconds")
             return events
 
         return noted
 
     def _record(self, event: Event, time_us: int, cause: int | None) -> None:
         if cause == 0:
-            self._deciding = None
+            self._deciding = schedule
         self._require(len(self.events), event, time_us, cause)
-        if cause == 0:
-            if time_us <= self._fact_us:
-                expected = f"more than {self._fact_us}, the time of the fact of the world before it"
-                raise _Differs(self._stored.run_id, len(self.events), "time_us", None, expected, str(time_us))
-            self._fact_us = time_us
         self._silent.clear()
         super()._record(event, time_us, cause)
 
@@ -227,14 +259,19 @@ class _Replay(Kernel):
         """The first field in which the recorded event is another one: its name, the handler, expected, actual."""
         stored, actual_us = self._stored.events[seq], self._stored.times_us[seq]
         if type(stored) is not type(event):
-            because = ", the next fact of the world in the record; nothing is decided before it" if type(event) in _FACTS else ""
-            return "type", self.handler(), _at(event, time_us) + because, self._actual(seq)
+            return "type", self.handler(), _at(event, time_us), self._actual(seq)
         pairs: list[tuple[str, object, object]] = [("time_us", time_us, actual_us), ("caused_by", cause, self._stored.caused_by[seq])]
         pairs += [(name, getattr(event, name), getattr(stored, name)) for name in event.__struct_fields__]
-        return next((name, self.handler(), f"{expected!r:.300}", f"{actual!r:.300}") for name, expected, actual in pairs if expected != actual)
+        name, expected, actual = next(pair for pair in pairs if pair[1] != pair[2])
+        if type(event) in _FACTS and name != "caused_by":
+            return name, self.handler(), _at(event, time_us), self._actual(seq)
+        return name, self.handler(), f"{expected!r:.300}", f"{actual!r:.300}"
 
     def _actual(self, seq: int) -> str:
-        return _at(self._stored.events[seq], self._stored.times_us[seq])
+        """What is recorded there; of a fact of the world also whether the world has it."""
+        event, time_us = self._stored.events[seq], self._stored.times_us[seq]
+        invented = type(event) in _FACTS and (time_us, event) not in self._facts
+        return _at(event, time_us) + (", which the world of this run does not have" if invented else "")
 
     def _unasked(self, seq: int) -> _Differs | None:
         """The difference, if the recorded event stands where a handler had its turn and made nothing."""
@@ -247,7 +284,9 @@ def _name(function: Callable[..., object]) -> str:
 
 
 def _at(event: Event, time_us: int) -> str:
-    return f"{event.__struct_config__.tag} at {time_us} microseconds"
+    """The event, of a fact of the world also what it is about."""
+    about = ", ".join(f"{name} {getattr(event, name)!r:.80}" for name in event.__struct_fields__) if type(event) in _FACTS else ""
+    return f"{event.__struct_config__.tag} at {time_us} microseconds{f' ({about})' if about else ''}"
 
 
 def _begun(record: RunRecord) -> _Replay:
@@ -255,13 +294,13 @@ def _begun(record: RunRecord) -> _Replay:
     started = record.events[0]
     if not isinstance(started, RunStarted):
         raise _Differs(record.run_id, 0, "type", None, "RunStarted.v1", _at(started, record.times_us[0]))
-    spec, constants = _parameters(record.run_id, started)
+    spec, constants = _parameters(record.run_id, started, len(record.events))
     if run_id(started) != record.run_id:
         raise _Differs(record.run_id, 0, "run_id", None, repr(run_id(started)), repr(record.run_id))
     return _Replay(record, spec, constants)
 
 
-def _parameters(run: str, started: RunStarted) -> tuple[RunSpec, Constants]:
+def _parameters(run: str, started: RunStarted, event_count: int) -> tuple[RunSpec, Constants]:
     """What the run was made from. Raises: _Differs if this program cannot make such a run."""
 
     def refused(field: str | None, expected: str, actual: str) -> _Differs:
@@ -282,6 +321,9 @@ def _parameters(run: str, started: RunStarted) -> tuple[RunSpec, Constants]:
         raise refused("parameters", "the constants of the model", str(error)) from error
     if run_started(spec, constants) != started:
         raise refused("parameters", "all constants of the model, in the form in which it writes them", f"{started.parameters!r:.300}")
+    most = FACTS_PER_ROBOT * spec.fleet_size + event_count
+    if not arrivals_expected(constants.world, spec.fleet_size) <= most:
+        raise refused("parameters", f"rates of the world that make at most {most} facts", "more than that to be expected")
     return spec, constants
 
 

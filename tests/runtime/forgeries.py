@@ -131,21 +131,24 @@ FORGERIES = {
         changed(HONEST, WITHHELD, RoutinePerformed(*msgspec.structs.astuple(withheld))), WITHHELD, "type", "fsar.execution.decide_routine"
     ),
     "two events of one decision are swapped": Forgery(swapped(HONEST, ADMITTED), ADMITTED, "type", "fsar.request.evaluate_request"),
-    "a decision comes before its cause": Forgery(swapped(HONEST, PERFORMED - 1), PERFORMED - 1, "type", None),
+    "a decision comes before its cause": Forgery(swapped(HONEST, PERFORMED - 1), PERFORMED - 1, "type", "world.schedule.schedule"),
     "a decision is doubled": Forgery(
         added(HONEST, ACCEPTED, HONEST.events[ACCEPTED], HONEST.times_us[ACCEPTED], 1), ACCEPTED, "caused_by", "fsar.request.take_turn"
     ),
     "a task is begun that did not arrive": Forgery(
-        added(HONEST, DUE, StepBegan("A9-1", "A9-1/1.1", "robot/A1", 1, 1, "carry.package", None), HONEST.times_us[DUE], 0), DUE, "type", None
+        added(HONEST, DUE, StepBegan("A9-1", "A9-1/1.1", "robot/A1", 1, 1, "carry.package", None), HONEST.times_us[DUE], 0),
+        DUE,
+        "type",
+        "world.schedule.schedule",
     ),
-    "a fact of the world is left out, its consequence is not": Forgery(dropped(HONEST, DUE), DUE, "type", None),
+    "a fact of the world is left out, its consequence is not": Forgery(dropped(HONEST, DUE), DUE, "type", "world.schedule.schedule"),
     "a fact of the world is added, without its consequence": Forgery(
-        added(HONEST, LAST + 1, RoutineDue("robot/A1", "sensing"), LATE, 0), LAST + 2, "type", "fsar.execution.decide_routine"
+        added(HONEST, LAST + 1, RoutineDue("robot/A1", "sensing"), LATE, 0), LAST + 1, "type", None
     ),
     "a robot fails without a cause in the world": Forgery(
-        added(HONEST, STARTED + 1, HONEST.events[FAILED], HONEST.times_us[STARTED] + 1, STARTED), STARTED + 1, "type", None
+        added(HONEST, STARTED + 1, HONEST.events[FAILED], HONEST.times_us[STARTED] + 1, STARTED), STARTED + 1, "type", "world.schedule.schedule"
     ),
-    "a fact of the world is said to have a cause": Forgery(changed(HONEST, OBSTRUCTED, caused_by=1), OBSTRUCTED, "caused_by", None),
+    "a fact of the world is said to have a cause": Forgery(changed(HONEST, OBSTRUCTED, caused_by=1), OBSTRUCTED, "caused_by", "world.schedule.schedule"),
     "the run goes on after its end": Forgery(added(HONEST, LAST + 1, HONEST.events[PERFORMED], LATE, LAST), LAST + 1, "type", None),
     "the run stops halfway": Forgery(stopped(200), 200, "type", "fsar.recovery.end_attempt"),
 }

@@ -45,6 +45,18 @@ def schedule(world: WorldConstants, seed: int, scenario: Scenario | Workflow, ru
             return _disturbed(world, key, scenario, fleet_size)
 
 
+def arrivals_expected(world: WorldConstants, fleet_size: int) -> float:
+    """How many arrivals one may expect in a run with such rates: nearly all of its facts, but for some of each robot, task and window."""
+    rates = (world.context_rate_per_s, world.fleet_rule_rate_per_s, world.obstruction_rate_per_s)
+    one_robot = sum(_expected(1 / rate, world.horizon_s) for rate in rates) + _expected(1 / world.routine_rate_per_s, world.routine_until_s)
+    return fleet_size * one_robot + fleet_size * (fleet_size - 1) / 2 * _expected(world.encounter_mean_s, world.horizon_s)
+
+
+def _expected(mean_s: float, until_s: float) -> float:
+    """How many instants `_arrivals` makes on average, which are a microsecond apart at least."""
+    return max(0.0, until_s * 1e6) / max(1.0, mean_s * 1e6)
+
+
 def _disturbed(world: WorldConstants, key: bytes, scenario: Scenario, fleet_size: int) -> tuple[Fact, ...]:
     """The tasks of the scenario, in a world that disturbs them."""
     members = robots(fleet_size)

@@ -1,0 +1,88 @@
+"""Which worlds the runs of a ledger met: replay makes every run again under the constants that the run itself records.
+
+Whoever makes a ledger may record other constants than this version's, for all of its runs or for some. Such a run is as its world
+and its handlers make it, so replay does not doubt it; but a world without obstructions says little of one with them, and two runs of
+one seed that met different worlds are no pair. So a reader is told.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Iterator
+
+import msgspec
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.events.fleet import RunStarted
+
+MAX_NAMED = 5
+"""A remark names so many constants or groups of runs, and counts the others."""
+
+World = tuple[int, str, int, int]  # seed, scenario, fleet size, run
+
+
+class Played(msgspec.Struct, frozen=True):
+    """The worlds that runs of one kind met under the same constants; `parameters` as `RunStarted` holds them."""
+
+    parameters: str
+    architecture: str
+    configuration: str
+    worlds: tuple[World, ...]
+
+
+def played(starts: Iterable[RunStarted]) -> tuple[Played, ...]:
+    """What these runs met, in the order in which it was first met."""
+    groups: dict[tuple[str, str, str], list[World]] = {}
+    for one in starts:
+        groups.setdefault((one.parameters, one.architecture, one.configuration), []).append((one.seed, one.scenario, one.fleet_size, one.run))
+    return tuple(Played(*kind, tuple(worlds)) for kind, worlds in groups.items())
+
+
+def remarks_on(found: Iterable[Played]) -> tuple[str, ...]:
+    """A line for each set of constants that is not this version's, and one if runs of one world met different ones."""
+    runs: dict[str, Counter[str]] = {}
+    met: dict[World, set[int]] = {}
+    numbers: dict[str, int] = {}
+    for one in found:
+        who = one.architecture if one.configuration == "full" else f"{one.architecture} {one.configuration}"
+        runs.setdefault(one.parameters, Counter())[who] += len(one.worlds)
+        number = numbers.setdefault(one.parameters, len(numbers))
+        for world in one.worlds:
+            met.setdefault(world, set()).add(number)
+    total = sum(count.total() for count in runs.values())
+    lines = [
+        f"other constants: {counts.total():,} of {total:,} runs ({_some(f'{count:,} of {who}' for who, count in counts.items())}) "
+        f"met a world or a structure that is not this version's: {_some(differences)}"
+        for parameters, counts in runs.items()
+        if (differences := list(_differences(parameters)))
+    ]
+    if len(lines) > MAX_NAMED:
+        lines[MAX_NAMED:] = [f"other constants: {len(lines) - MAX_NAMED:,} sets more"]
+    unlike = [world for world, sets in met.items() if len(sets) > 1]
+    if unlike:
+        seed, scenario, fleet_size, run = unlike[0]
+        lines.append(
+            f"no pairs: under {len(unlike):,} of {len(met):,} combinations of seed, scenario, fleet size and run "
+            f"the runs met different constants, first under {seed}, {scenario}, {fleet_size}, {run}; `statistics` compares none of these with each other"
+        )
+    return tuple(lines)
+
+
+def _differences(parameters: str) -> Iterator[str]:
+    """The constants that are not this version's."""
+    constants = msgspec.json.decode(parameters, type=Constants)
+    for part in Constants.__struct_fields__:
+        actual, own = getattr(constants, part), getattr(Constants(), part)
+        for name in own.__struct_fields__:
+            if getattr(actual, name) != getattr(own, name):
+                yield f"{part}.{name} {_short(getattr(actual, name))} (here {_short(getattr(own, name))})"
+
+
+def _short(value: object) -> str:
+    if isinstance(value, msgspec.Struct):
+        return " to ".join(repr(one) for one in msgspec.structs.astuple(value))
+    return f"{value!a:.60}"
+
+
+def _some(parts: Iterable[str]) -> str:
+    """The first few of them, and how many more there are."""
+    named = list(parts)
+    return ", ".join(named[:MAX_NAMED]) + (f" and {len(named) - MAX_NAMED:,} more" if len(named) > MAX_NAMED else "")

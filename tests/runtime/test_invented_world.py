@@ -1,0 +1,279 @@
+"""Replay makes the world again: a fact that was left out, added, moved or altered before the run was made and committed is found.
+
+Every invented run here is what the real handlers decide in that world, so that nothing but the world itself is wrong.
+"""
+
+import random
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import cache
+from typing import Any, get_args
+
+import msgspec
+import pytest
+
+from fsar_ledger.constants import Constants, Structure, WorldConstants
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.world import (
+    ActuatorDegraded,
+    ContextChanged,
+    ObstructionAppeared,
+    ObstructionCleared,
+    PolicyWindowClosed,
+    PolicyWindowOpened,
+    RoutineDue,
+    SupervisorLeft,
+    TaskArrived,
+    WorldEvent,
+)
+from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.runtime.experiment import Experiment
+from fsar_ledger.runtime.kernel import Kernel
+from fsar_ledger.runtime.replay import replay_run
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, founding_of, run_id, run_started, simulate_run, wiring
+from fsar_ledger.runtime.world.draws import Draws, run_key
+from fsar_ledger.runtime.world.schedule import Fact, arrivals_expected, schedule
+from fsar_ledger.runtime.worlds import played, remarks_on
+from tests.runtime.forgeries import changed, dropped, renamed
+
+CONSTANTS = Constants()
+ARCHITECTURES: tuple[Architecture, ...] = get_args(Architecture)
+FACTS: tuple[type[Event], ...] = get_args(WorldEvent)
+SPECS = [
+    *(RunSpec(9, architecture, "full", scenario, 4, 1) for architecture in ARCHITECTURES for scenario in SCENARIOS),
+    RunSpec(9, "fsar", "full", "workflow-door-relay", 4, 0),
+    RunSpec(9, "fsar", "full", "workflow-layered-recovery", 4, 0),
+    RunSpec(9, "cfc", "full", "mixed-trust-inspection", 8, 0),
+]
+Invent = Callable[[Sequence[Fact]], Sequence[Fact]]
+
+
+def world_of(spec: RunSpec) -> tuple[Fact, ...]:
+    return schedule(CONSTANTS.world, spec.seed, spec.scenario, spec.run, spec.fleet_size)
+
+
+def simulated_in(facts: Sequence[Fact], spec: RunSpec) -> RunRecord:
+    """The run that the real handlers make in a world of these facts, under the name of the honest one."""
+    draws = Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world)
+    one = Kernel(wiring(spec.architecture), facts, draws, *founding_of(spec, CONSTANTS))
+    one.run()
+    return RunRecord(run_id(run_started(spec, CONSTANTS)), one.times_us, one.caused_by, one.events)
+
+
+honest = cache(lambda spec: simulate_run(spec, CONSTANTS))
+
+
+def first_other(spec: RunSpec, record: RunRecord) -> int:
+    """The first seq at which the record is not the honest one."""
+    own = honest(spec)
+    pairs = [list(zip(one.times_us, one.caused_by, one.events, strict=True)) for one in (own, record)]
+    return next((seq for seq, (left, right) in enumerate(zip(*pairs, strict=False)) if left != right), min(map(len, pairs)))
+
+
+def without(*kinds: type[Event]) -> Invent:
+    return lambda facts: [fact for fact in facts if not isinstance(fact[1], kinds)]
+
+
+def moved(facts: Sequence[Fact]) -> Sequence[Fact]:
+    """One obstruction comes a tenth of a second later."""
+    at = next(at for at, (_, event) in enumerate(facts) if isinstance(event, ObstructionAppeared))
+    time_us, event = facts[at]
+    return sorted([*facts[:at], (time_us + 100_001, event), *facts[at + 1 :]], key=lambda fact: fact[0])
+
+
+def eased(facts: Sequence[Fact]) -> Sequence[Fact]:
+    """Every window asks for a review that denied, and the other way round."""
+    other: Any = {"deny": "review", "review": "deny"}
+    return [(at, msgspec.structs.replace(one, outcome=other[one.outcome]) if isinstance(one, PolicyWindowOpened) else one) for at, one in facts]
+
+
+def patient(facts: Sequence[Fact]) -> Sequence[Fact]:
+    """Every task has twice the time."""
+    return [
+        (at, msgspec.structs.replace(one, budget_us=2 * one.budget_us, due_us=at + 2 * one.budget_us) if isinstance(one, TaskArrived) else one)
+        for at, one in facts
+    ]
+
+
+INVENTED: dict[str, Invent] = {
+    "nothing goes wrong": without(
+        ObstructionAppeared, ObstructionCleared, PolicyWindowOpened, PolicyWindowClosed, ActuatorDegraded, ContextChanged, SupervisorLeft
+    ),
+    "nothing is in the way": without(ObstructionAppeared, ObstructionCleared),
+    "no policy ever denies": without(PolicyWindowOpened, PolicyWindowClosed),
+    "no context changes": without(ContextChanged),
+    "no routine": without(RoutineDue),
+    "an obstruction comes later": moved,
+    "denials are reviews": eased,
+    "tasks have more time": patient,
+    "an obstruction more": lambda facts: [*facts, (facts[-1][0] + 1, ObstructionAppeared("robot/A1", "obstruction/A1/99"))],
+    "the last fact is missing": lambda facts: facts[:-1],
+    "the last fact comes later": lambda facts: [*facts[:-1], (facts[-1][0] + 1, facts[-1][1])],
+    "two facts change places": lambda facts: [*facts[:40], (facts[40][0], facts[41][1]), (facts[41][0], facts[40][1]), *facts[42:]],
+    "no world at all": lambda _: (),
+}
+
+
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+@pytest.mark.parametrize("name", list(INVENTED))
+def test_a_run_in_an_invented_world_is_found_where_it_leaves_its_own(name: str, architecture: Architecture) -> None:
+    spec = RunSpec(9, architecture, "full", "fleet-contention", 4, 1)
+    record = simulated_in(INVENTED[name](world_of(spec)), spec)
+    difference = replay_run(record)
+    assert difference is not None
+    assert (difference.run, difference.seq) == (record.run_id, first_other(spec, record))
+    assert "of this run does not have" in difference.actual or difference.handler == "world.schedule.schedule"
+
+
+def test_no_kind_of_fact_can_be_left_out() -> None:
+    tried = set()
+    for spec in SPECS:
+        facts = world_of(spec)
+        for kind in {type(event) for _, event in facts}:
+            try:
+                record = simulated_in(without(kind)(facts), spec)
+            except RuntimeError:  # a coordinator goes on for ever where a window never closes
+                continue
+            difference = replay_run(record)
+            assert difference is not None
+            assert difference.seq == first_other(spec, record)
+            assert difference.expected.startswith(f"{kind.__struct_config__.tag} at "), difference
+            assert difference.handler == "world.schedule.schedule"
+            tried.add(kind)
+    assert tried == set(FACTS)
+
+
+def test_a_difference_says_which_fact_was_found_and_which_was_expected() -> None:
+    spec = RunSpec(9, "fsar", "full", "fleet-contention", 4, 1)
+    facts = world_of(spec)
+    at = next(at for at, (_, event) in enumerate(facts) if isinstance(event, ObstructionAppeared))
+    missing, invented = facts[at], (facts[at][0], ObstructionCleared("robot/A1", "obstruction/A1/0"))
+    difference = replay_run(simulated_in([*facts[:at], invented, *facts[at + 1 :]], spec))
+    assert difference is not None
+    assert isinstance(missing[1], ObstructionAppeared)
+    assert difference.expected == f"ObstructionAppeared.v1 at {missing[0]} microseconds (robot {missing[1].robot!r}, obstruction {missing[1].obstruction!r})"
+    found = f"ObstructionCleared.v1 at {missing[0]} microseconds (robot 'robot/A1', obstruction 'obstruction/A1/0'), which the world of this run does not have"
+    assert difference.actual == found
+    assert str(difference).endswith(f"seq {difference.seq}, field type: found {found}, expected {difference.expected} from world.schedule.schedule")
+
+
+OTHERS: dict[type, Any] = {str: "another", int: 7_777_777, bool: True, tuple: ("another",), type(None): "another"}
+
+
+def altered(draw: random.Random, record: RunRecord, seq: int) -> RunRecord:
+    """The record with one fact left out, moved, or altered in one field."""
+    event = record.events[seq]
+    match draw.randrange(3):
+        case 0:
+            return dropped(record, seq)
+        case 1:
+            return changed(record, seq, time_us=record.times_us[seq] + draw.choice((-1, 1)))
+    name = draw.choice(event.__struct_fields__)
+    return changed(record, seq, msgspec.structs.replace(event, **{name: OTHERS[type(getattr(event, name))]}))
+
+
+def test_any_single_fact_of_any_run_that_is_missing_or_another_is_found_at_its_place() -> None:
+    draw = random.Random(17)
+    found = set()
+    for spec in SPECS:
+        record = honest(spec)
+        assert replay_run(record) is None
+        facts = [seq for seq, event in enumerate(record.events) if isinstance(event, FACTS)]
+        assert len(facts) == len(world_of(spec))  # all of the schedule is in the record, to its end
+        for seq in {facts[-1], *draw.sample(facts, min(4, len(facts)))}:
+            difference = replay_run(altered(draw, record, seq))
+            assert difference is not None
+            assert difference.seq == seq
+            found.add(type(record.events[seq]))
+    assert len(found) > 5
+
+
+@pytest.mark.slow
+def test_every_fact_that_is_left_out_of_a_random_world_in_which_the_run_is_made_is_found() -> None:
+    draw = random.Random(18)
+    made = 0
+    for _ in range(60):
+        spec = RunSpec(draw.randrange(2**53), draw.choice(ARCHITECTURES), "full", draw.choice(SCENARIOS), draw.choice((4, 8)), draw.randrange(20))
+        facts = world_of(spec)
+        for at in draw.sample(range(len(facts)), 12):
+            with suppress(RuntimeError):  # such a run has no end
+                difference = replay_run(simulated_in([*facts[:at], *facts[at + 1 :]], spec))
+                assert difference is not None
+                assert difference.expected.startswith(f"{facts[at][1].__struct_config__.tag} at {facts[at][0]} microseconds")
+                made += 1
+    assert made > 600
+
+
+# --- other constants ---
+
+
+def started_with(world: WorldConstants, spec: RunSpec = SPECS[0]) -> RunStarted:
+    return run_started(spec, Constants(world))
+
+
+CALM = WorldConstants(obstruction_rate_per_s=1e-9, context_rate_per_s=1e-9, fleet_rule_rate_per_s=1e-9)
+
+
+def test_a_run_under_other_constants_is_no_doubt_but_told() -> None:
+    record = simulate_run(SPECS[0], Constants(CALM, Structure(local_attempts=9)))
+    assert replay_run(record) is None
+    started = record.events[0]
+    assert isinstance(started, RunStarted)
+    [remark] = remarks_on(played([started, run_started(SPECS[1], CONSTANTS)]))
+    assert remark == (
+        f"other constants: 1 of 2 runs (1 of {SPECS[0].architecture}) met a world or a structure that is not this version's: "
+        "world.context_rate_per_s 1e-09 (here 0.0229), world.fleet_rule_rate_per_s 1e-09 (here 0.00674), "
+        "world.obstruction_rate_per_s 1e-09 (here 0.0145), structure.local_attempts 9 (here 2)"
+    )
+
+
+def test_runs_of_one_seed_under_different_constants_are_said_to_be_no_pairs() -> None:
+    one, other = (RunSpec(9, architecture, "full", "door-relay", 4, 1) for architecture in ("fsar", "cfc"))
+    met = played([started_with(CALM, one), started_with(WorldConstants(), other)])
+    assert remarks_on(met)[-1].startswith("no pairs: under 1 of 1 combinations of seed, scenario, fleet size and run")
+    assert "first under 9, door-relay, 4, 1;" in remarks_on(met)[-1]
+    assert len(remarks_on(met)) == 2
+    assert remarks_on(played([run_started(one, CONSTANTS), run_started(other, CONSTANTS)])) == ()
+
+
+def test_remarks_are_few_and_short_whatever_the_constants() -> None:
+    odd = [WorldConstants(obstruction_rate_per_s=rate, durations=(("\x1b[2J" * 1000, CONSTANTS.world.message),)) for rate in range(1, 50)]
+    remarks = remarks_on(played([started_with(world) for world in odd]))
+    assert len(remarks) == 7
+    assert remarks[5] == "other constants: 44 sets more"
+    assert all(len(remark) < 1000 and remark.isprintable() for remark in remarks)
+
+
+ENDLESS = {
+    "obstructions without end": WorldConstants(obstruction_rate_per_s=1e300),
+    "a horizon without end": WorldConstants(horizon_s=1e300),
+    "a rate below nothing": WorldConstants(context_rate_per_s=-1.0),
+    "robots meet all the time": WorldConstants(encounter_mean_s=1e-9),
+    "robots meet before they met": WorldConstants(encounter_mean_s=-90.0),
+    "a rate of nothing": WorldConstants(fleet_rule_rate_per_s=0.0),
+    "hardly ever": WorldConstants(routine_rate_per_s=5e-324),
+}
+
+
+@pytest.mark.parametrize("name", list(ENDLESS))
+def test_a_world_that_nobody_can_make_is_a_finding_at_once(name: str) -> None:
+    record = honest(SPECS[0])
+    parameters = msgspec.json.encode(Constants(ENDLESS[name]), order="deterministic").decode()
+    difference = replay_run(renamed(changed(record, 0, msgspec.structs.replace(record.events[0], parameters=parameters))))
+    assert difference is not None
+    assert difference.seq == 0
+
+
+@pytest.mark.parametrize("fleet_size", [4, 64])
+def test_the_rates_lead_one_to_expect_what_comes(fleet_size: int) -> None:
+    runs = [schedule(CONSTANTS.world, 3, "door-relay", run, fleet_size) for run in range(8)]
+    counted = sum(isinstance(event, ContextChanged | ObstructionAppeared | RoutineDue) or "Met" in type(event).__name__ for run in runs for _, event in run)
+    counted += sum(isinstance(event, PolicyWindowOpened) and event.scope == "fleet" for run in runs for _, event in run)
+    assert counted / len(runs) == pytest.approx(arrivals_expected(CONSTANTS.world, fleet_size), rel=0.1)
+
+
+def test_the_largest_fleet_is_within_the_bounds() -> None:
+    assert Experiment(("fsar",), ("door-relay",), 1, fleet_size=256).fleet_size == 256
+    assert arrivals_expected(CONSTANTS.world, 256) < 1_000 * 256 / 2
