@@ -5,7 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted, ReplayMismatch, UsageError
+from fsar_ledger.printable import Shown
 
 from .options import JsonOption, LedgerArgument, ReplayOption, TrustedKeyOption, WorkersOption, examples, workers_of
 from .progress import Progress
@@ -52,7 +54,7 @@ def key_new(
     from fsar_ledger.runtime.experiment import ORIGIN
 
     require_outside(file, f"FILE {file}")
-    show(f"{new_key(file, ORIGIN if name is None else name)}\n")
+    show(printable.line(str(new_key(file, ORIGIN if name is None else name))))
 
 
 def signer_of(key: Path | None, *, adopts: bool = False) -> "Signer | None":
@@ -75,18 +77,18 @@ def origin_of(name: str | None) -> str | None:
     return name
 
 
-def signed_text(ledger: Path, signer: "Signer | None") -> str:
+def signed_lines(ledger: Path, signer: "Signer | None") -> list[str]:
     """A line that says whether the newest commit of the ledger carries a signature of this key; nothing without a key."""
     from fsar_ledger.ledger.read import open_ledger
     from fsar_ledger.ledger.verify_notes import signers_of
 
     if signer is None:
-        return ""
+        return []
     records = open_ledger(ledger).records
     signers = signers_of(records[-1].signed_note()) if records else None
     if signers == signer.verifier.key:
-        return f"signed by {signers}\n"
-    return f"nothing was appended, so nothing was signed; the newest commit is {f'signed by {signers}' if signers else 'unsigned'}\n"
+        return [f"signed by {printable.value(signers)}"]
+    return [f"nothing was appended, so nothing was signed; the newest commit is {f'signed by {printable.value(signers)}' if signers else 'unsigned'}"]
 
 
 def verify(
@@ -111,7 +113,7 @@ def verify(
     from fsar_ledger.ledger.verify import verify as check
     from fsar_ledger.ledger.verify_notes import read_anchor
 
-    from .replay import replayed, verdict_json, verdict_text
+    from .replay import replayed, verdict_json, verdict_lines
 
     if quick and replay:
         raise UsageError("--quick and --replay: expected one of them; a quick look reads no rows, a replay all of them")
@@ -122,11 +124,11 @@ def verify(
     if as_json:
         show(verdict_json(report, again))
     if not report.ok:
-        raise LedgerCorrupted(verdict_text(ledger, report, again))
+        raise LedgerCorrupted(*verdict_lines(ledger, report, again))
     if again is not None and not again.ok:
-        raise ReplayMismatch(verdict_text(ledger, report, again))
+        raise ReplayMismatch(*verdict_lines(ledger, report, again))
     if not as_json:
-        show(verdict_text(ledger, report, again))
+        show(printable.lines(*verdict_lines(ledger, report, again)))
 
 
 def prove(
@@ -151,7 +153,7 @@ def prove(
     from .proofs import proof_of, write_proof
 
     if out is None:
-        show(str(proof_of(ledger, event)))
+        show(Shown(str(proof_of(ledger, event))), raw=True)
     else:
         show(write_proof(ledger, event, out))
 
