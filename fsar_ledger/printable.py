@@ -35,7 +35,9 @@ def is_shown(text: str) -> bool:
     """Whether every character of the text is shown as itself."""
     if text.isascii():
         return text.isprintable()
-    return text.isprintable() and not _MOVING.search(text) and not any(map(_is_mark, set(text)))
+    if not text.isprintable() or _MOVING.search(text):
+        return False
+    return not any(map(_is_mark, set(text))) or _escaped(text, is_whole=False) == text
 
 
 def escaped(text: str) -> str:

@@ -54,7 +54,7 @@ def key_new(
     from fsar_ledger.runtime.experiment import ORIGIN
 
     require_outside(file, f"FILE {file}")
-    show(printable.line(str(new_key(file, ORIGIN if name is None else name))))
+    show(printable.line(str(new_key(file, ORIGIN if name is None else short("--name", name)))))
 
 
 def signer_of(key: Path | None, *, adopts: bool = False) -> "Signer | None":
@@ -74,6 +74,13 @@ def origin_of(name: str | None) -> str | None:
 
     if name is not None and not is_name(name):
         raise UsageError(f"--origin {name!r}: expected a printable name without spaces and plus signs")
+    return None if name is None else short("--origin", name)
+
+
+def short(option: str, name: str) -> str:
+    """The name, which people are shown whole. Raises: UsageError if it is too long for that."""
+    if len(name) > printable.MAX_VALUE:
+        raise UsageError(f"{option} {name:.40}...: found {len(name):,} characters, expected at most {printable.MAX_VALUE}")
     return name
 
 
