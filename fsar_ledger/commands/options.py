@@ -21,6 +21,7 @@ NewLedgerArgument = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer as JSON, with the head (size, root) of the ledger.")]
 CsvOption = Annotated[bool, typer.Option("--csv", help="Answer as comma-separated values.")]
+RawOption = Annotated[bool, typer.Option("--raw", help="In CSV give text as it is, with control characters, and what a spreadsheet reads as a formula.")]
 LimitOption = Annotated[int, typer.Option("--limit", metavar="N", help="Rows of the table that are shown; 0 shows all.")]
 FileOption = Annotated[
     Path | None,

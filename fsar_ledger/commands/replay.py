@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import msgspec
+from fsar_ledger.printable import Shown
 
 from . import output
 from .progress import Progress
@@ -27,24 +27,19 @@ def replayed(ledger: Path, report: "VerifyReport", workers: int) -> "ReplayRepor
         return replay(ledger, workers, progress, report.commits)
 
 
-def verdict_text(ledger: Path, report: "VerifyReport", again: "ReplayReport | None") -> str:
+def verdict_lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | None") -> list[str]:
     """What was found, for people; `again` is None where no replay was asked for."""
-    text = output.verdict_text(ledger, report)
+    lines = output.verdict_lines(ledger, report)
     if again is None:
-        return text
+        return lines
     if not report.ok:
-        return f"{text}\n{ledger}: not replayed, as its rows are in doubt"
+        return [*lines, f"{ledger}: not replayed, as its rows are in doubt"]
     if again.ok:
-        lines = [f"replayed: all {again.events:,} events of {again.runs:,} runs are as the world and the handlers make them", *again.remarks]
-        return text + "".join(f"{line}\n" for line in lines)
+        return [*lines, f"replayed: all {again.events:,} events of {again.runs:,} runs are as the world and the handlers make them", *again.remarks]
     count = f"{report.runs - again.runs:,} of {report.runs:,} runs"
-    return "\n".join([*map(str, again.differences), f"{ledger}: consistent, but replay doubts {count}; do not rely on what they say happened and was decided"])
+    return [*map(str, again.differences), f"{ledger}: consistent, but replay doubts {count}; do not rely on what they say happened and was decided"]
 
 
-def verdict_json(report: "VerifyReport", again: "ReplayReport | None") -> str:
+def verdict_json(report: "VerifyReport", again: "ReplayReport | None") -> Shown:
     """What was found, for programs: with a replay, `ok` is true when both found nothing, and `replay` holds the differences."""
-    document = output.verdict_json(report)
-    if again is None:
-        return document
-    both = {**msgspec.json.decode(document), "ok": report.ok and again.ok, "replay": again}
-    return msgspec.json.format(msgspec.json.encode(both), indent=2).decode() + "\n"
+    return output.verdict_json(report) if again is None else output.verdict_json(report, ok=report.ok and again.ok, replay=again)

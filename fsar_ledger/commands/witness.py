@@ -11,7 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 import typer
 
+from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted, NotCosigned, UsageError
+from fsar_ledger.printable import Shown
 
 from .options import LedgerArgument, examples
 from .terminal import say, show
@@ -46,7 +48,7 @@ def witness_new(
     from fsar_ledger.witness.state import new_state
 
     require_outside(state, f"STATE {state}")
-    show(f"{new_state(state, name)}\n")
+    show(printable.line(str(new_state(state, name))))
 
 
 @witnesses.command(
@@ -75,10 +77,10 @@ def witness_serve(
 
     logs = [read_log_key(key) for key in log]
     with opened(state) as found, WitnessServer(host, port, Service(found, logs, _clock(context), _tell), time.monotonic) as server:
-        _serve(server, f"{found.cosigner.key}\n{server.url}\n")
+        _serve(server, printable.lines(str(found.cosigner.key), server.url))
 
 
-def _serve(server: "WitnessServer", greeting: str) -> None:
+def _serve(server: "WitnessServer", greeting: Shown) -> None:
     """The server has served until SIGTERM or Ctrl-C."""
 
     def end(*_: object) -> None:
@@ -135,11 +137,11 @@ def witness_ask(
     for name, reason in found.silent.items():
         say(f"{name}: {reason}")
     if out is None:
-        show(str(found.note))
+        show(printable.lines(*str(found.note).splitlines()))
         return
     write_text(out, str(found.note))
     tree = found.note.checkpoint
-    show(f"{out}: {tree.size:,} events, cosigned by {_listed(found.times)}\nroot {tree.root.hex()}\n")
+    show(printable.lines(f"{out}: {tree.size:,} events, cosigned by {_listed(found.times)}", f"root {tree.root.hex()}"))
 
 
 class Seen(msgspec.Struct, frozen=True):
@@ -153,20 +155,20 @@ class Seen(msgspec.Struct, frozen=True):
         """Whether enough of them saw anything."""
         return self.evidence.size > 0
 
-    def text(self, ledger: Path, events: int) -> str:
-        """What they saw, for people; `events` is the ledger's number."""
+    def lines(self, ledger: Path, events: int) -> list[str]:
+        """What they saw, for people, a line each; `events` is the ledger's number."""
         size, words = self.evidence.size, self.evidence.words
         heard = {word.witness: word.time_s for word in words if word.time_s is not None}
         silent = [f"witness {word.witness}: its word does not count: {word.reason}" for word in words if word.reason is not None]
         if not self.is_enough:
             said = _listed(heard) or "no cosignature that counts"
             reasons = "; ".join(f"{word.witness}: {word.reason}" for word in words if word.reason is not None)
-            return (
+            return [
                 f"{self.policy.file}: found {said} ({reasons}), expected {self.policy.rule()}; {ledger} may be consistent, "
                 "but whether it is what they saw nobody knows: ask again, or find out why they are silent"
-            )
+            ]
         rest = "" if size >= events else f"; fewer saw the newest {events - size:,}"
-        return "\n".join([f"witnessed: {min(size, events):,} of {events:,} events, by {_listed(heard)} (enough: {self.policy.rule()}){rest}", *silent, ""])
+        return [f"witnessed: {min(size, events):,} of {events:,} events, by {_listed(heard)} (enough: {self.policy.rule()}){rest}", *silent]
 
     def json(self) -> dict[str, object]:
         """What they saw, for programs."""
@@ -216,13 +218,13 @@ def _logs_of(policy: "Policy", trusted: "VerifierKey | None") -> tuple["Verifier
     return policy.logs if trusted is None else (trusted,)
 
 
-def with_seen(document: str, seen: Seen | None) -> str:
+def with_seen(document: Shown, seen: Seen | None) -> Shown:
     """The JSON of a verdict with what the witnesses saw in it; `ok` is true when both found nothing."""
     if seen is None:
         return document
     verdict: dict[str, Any] = msgspec.json.decode(document)
     both = {**verdict, "ok": verdict["ok"] and seen.is_enough, "witnessed": seen.json()}
-    return msgspec.json.format(msgspec.json.encode(both), indent=2).decode() + "\n"
+    return printable.ascii_json(msgspec.json.format(msgspec.json.encode(both), indent=2).decode() + "\n")
 
 
 def _clock(context: typer.Context) -> Callable[[], int]:
