@@ -205,7 +205,8 @@ def query(
         _show(queries_text(as_json=as_json, as_csv=as_csv))
         return
     own = {"--seconds": seconds, "--memory": memory}
-    _show(answer_query((name, ledger), file, parameters_of(param), own, as_json=as_json, as_csv=as_csv, limit=limit))
+    for piece in answer_query((name, ledger), file, parameters_of(param), own, as_json=as_json, as_csv=as_csv, limit=limit):
+        _show(piece)
 
 
 @app.command(
@@ -230,7 +231,8 @@ def sql(
     """
     from .commands.questions import answer_select, limits_of
 
-    _show(answer_select(ledger, select, limits_of({"--seconds": seconds, "--memory": memory}), as_json=as_json, as_csv=as_csv, limit=limit))
+    for piece in answer_select(ledger, select, limits_of({"--seconds": seconds, "--memory": memory}), as_json=as_json, as_csv=as_csv, limit=limit):
+        _show(piece)
 
 
 @app.command(

@@ -45,9 +45,12 @@ def table_text(rows: Sequence[Row], columns: Sequence[str], limit: int = 0) -> s
         return "  ".join(text.rjust(width) if right else text.ljust(width) for text, width, right in zip(texts, widths, is_number, strict=True)).rstrip()
 
     lines = [line_of(columns), line_of(["-" * width for width in widths]), *map(line_of, cells)]
-    if len(shown) < len(rows):
-        lines.append(f"... {len(rows) - len(shown):,} more rows; --limit 0 shows all, --csv and --json always do")
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines) + "\n" + (more_text(len(rows) - len(shown)) if len(shown) < len(rows) else "")
+
+
+def more_text(count: int) -> str:
+    """The line that says how many rows are not shown."""
+    return f"... {count:,} more rows; --limit 0 shows all, --csv and --json always do\n"
 
 
 def json_text(head: HeadLike | None, answer: Mapping[str, object]) -> str:
