@@ -62,14 +62,16 @@ def test_a_long_answer_comes_in_parts_and_in_order(ledger: Path) -> None:
 
 
 def test_the_time_of_whoever_takes_the_answer_counts(ledger: Path) -> None:
-    with answering(ledger, "SELECT i FROM range(200000) AS t(i)", Limits(seconds=2)) as answer, pytest.raises(QueryFailed, match="after 2 s, the limit"):
-        for _ in answer.parts:
-            time.sleep(1)
+    with answering(ledger, "SELECT i FROM range(200000) AS t(i)", Limits(seconds=2)) as answer:
+        next(answer.parts)
+        time.sleep(2)
+        with pytest.raises(QueryFailed, match="after 2 s, the limit"):
+            next(answer.parts)
 
 
 def test_a_row_that_cannot_be_cut_has_a_limit(ledger: Path) -> None:
     with pytest.raises(QueryFailed, match="found a row that takes"):
-        run_untrusted(ledger, "SELECT [x % 2 = 0 FOR x IN range(10000000)] AS many")
+        run_untrusted(ledger, "SELECT range(4300000) AS many")
 
 
 def test_values_that_need_no_bytes_count_too() -> None:
@@ -81,10 +83,8 @@ def test_values_that_need_no_bytes_count_too() -> None:
 
 
 def test_what_lists_maps_and_structs_hold_is_counted_in_each_part() -> None:
-    batch = pa.RecordBatch.from_pylist(
-        [{"s": {"l": [1, 2]}, "f": True, "m": [("a", 1)]}] * 10,
-        schema=pa.schema({"s": pa.struct({"l": pa.list_(pa.int8())}), "f": pa.bool_(), "m": pa.map_(pa.string(), pa.int8())}),
-    )
+    schema = pa.schema({"s": pa.struct({"l": pa.list_(pa.int8())}), "f": pa.bool_(), "m": pa.map_(pa.string(), pa.int8())})
+    batch = pa.RecordBatch.from_pylist([{"s": {"l": [1, 2]}, "f": True, "m": [("a", 1)]}] * 10, schema=schema)
     whole, half = weight(batch), weight(batch.slice(5))
     assert whole - batch.nbytes == 16 * 10 * (1 + 1 + 2 + 1 + 3)
     assert half - batch.slice(5).nbytes == 16 * 5 * 8
