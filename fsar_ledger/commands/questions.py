@@ -5,10 +5,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from fsar_ledger.errors import QueryFailed, UsageError
-from fsar_ledger.metrics.database import connect, plain_rows
+from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.metrics.locked import Limits
 from fsar_ledger.metrics.untrusted import run_untrusted
 
+from .answering import answering, demanded_head, warn
 from .output import answer_text
 
 MEMORY_MIB_MIN = 1024
@@ -32,19 +33,29 @@ def limits_of(asked: Asked) -> Limits:
     return Limits(seconds=seconds, memory_bytes=memory_mib << 20)
 
 
-def answer_select(ledger: Path, select: str, limits: Limits, *, as_json: bool, as_csv: bool, limit: int) -> str:
+def answer_select(ledger: Path, select: str, limits: Limits, *, as_json: bool, as_csv: bool, limit: int, verified: bool = False) -> str:
     """The answer of the SELECT as text.
 
     Raises:
         FsarLedgerError: as `run_untrusted`.
         UsageError: both JSON and CSV are asked for.
     """
-    answer = run_untrusted(ledger, select, limits)
-    return answer_text(answer.head, answer.rows, answer.columns, as_json=as_json, as_csv=as_csv, limit=limit)
+    answer = run_untrusted(ledger, select, limits, demanded_head(ledger, verified=verified))
+    text = answer_text(answer.head, answer.rows, answer.columns, rows_verified=answer.rows_verified, as_json=as_json, as_csv=as_csv, limit=limit)
+    warn(ledger, rows_verified=answer.rows_verified)
+    return text
 
 
 def answer_query(
-    places: tuple[str | None, Path | None], file: Path | None, parameters: Mapping[str, str], asked: Asked, *, as_json: bool, as_csv: bool, limit: int
+    places: tuple[str | None, Path | None],
+    file: Path | None,
+    parameters: Mapping[str, str],
+    asked: Asked,
+    *,
+    as_json: bool,
+    as_csv: bool,
+    limit: int,
+    verified: bool = False,
 ) -> str:
     """The answer of the named query, or of the SELECT in the file, as text; `places` are NAME and LEDGER, or LEDGER alone beside a file.
 
@@ -59,16 +70,16 @@ def answer_query(
                 raise UsageError(f"{option} {value}: expected only with --file; a packaged query has no limits")
         if name is None or ledger is None:
             raise UsageError("query: expected NAME and LEDGER, as in `fsar-ledger query failures out/ledger`; `fsar-ledger query --list` shows the names")
-        with connect(ledger) as database:
-            table = database.query(name, parameters)
-            return answer_text(database.head, plain_rows(table), table.column_names, as_json=as_json, as_csv=as_csv, limit=limit)
+        with answering(ledger, verified=verified) as database:
+            table, known = database.query(name, parameters), database.rows_verified
+            return answer_text(database.head, plain_rows(table), table.column_names, rows_verified=known, as_json=as_json, as_csv=as_csv, limit=limit)
     if parameters:
         raise UsageError(f"--param {next(iter(parameters))}=... and --file {file}: only a packaged query has parameters; write the value into the file")
     if name is None or ledger is not None:
         raise UsageError(f"query --file {file}: expected one argument, LEDGER, as in `fsar-ledger query --file {file} out/ledger`")
     limits = limits_of(asked)
     try:
-        return answer_select(Path(name), _text_of(file, limits.sql_bytes), limits, as_json=as_json, as_csv=as_csv, limit=limit)
+        return answer_select(Path(name), _text_of(file, limits.sql_bytes), limits, as_json=as_json, as_csv=as_csv, limit=limit, verified=verified)
     except QueryFailed as problem:
         raise QueryFailed(f"{file}: {problem}") from problem
 

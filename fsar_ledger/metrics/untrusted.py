@@ -19,10 +19,12 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger.errors import QueryFailed
-from fsar_ledger.ledger.read import Head, open_ledger
+from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.read import Head
 
 from .database import first_damage, plain_rows
 from .locked import Limits, Question, Refusal
+from .verified import is_verified
 
 ENVIRONMENT = {"ARROW_DEFAULT_MEMORY_POOL": "system", "MALLOC_ARENA_MAX": "1", "OPENBLAS_NUM_THREADS": "1"}
 """All that the process finds in its environment: libraries then reserve no address space that they do not use (2.4 GiB become 0.7 GiB)."""
@@ -34,23 +36,26 @@ START = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from fsar_ledg
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """The rows that a SELECT yielded at this head."""
+    """The rows that a SELECT yielded at this head, and whether the rows that it read were compared with the head's root."""
 
     head: Head
+    rows_verified: bool
     columns: list[str]
     rows: list[dict[str, Any]]
 
 
-def run_untrusted(ledger: Path, sql: str, limits: Limits | None = None) -> Answer:
-    """The answer of this SELECT over the ledger's present head.
+def run_untrusted(ledger: Path, sql: str, limits: Limits | None = None, demanded: str | None = None) -> Answer:
+    """The answer of this SELECT over the ledger's present head; with `demanded`, only over the head with that newest record.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_ledger`; LedgerCorrupted also for a segment that cannot be read.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`; LedgerCorrupted also for a segment that is not as committed.
+        SequenceConflict: As `is_verified`.
         QueryFailed: The SQL is not one SELECT, does not run, reaches for something outside, or meets a limit.
     """
     limits = limits or Limits()
     check_text(sql, limits)
-    view = open_ledger(ledger)
+    view = open_for_answers(ledger)
+    rows_verified = is_verified(view, demanded)
     segments = [str(path.resolve()) for path in view.segments()]
     with _process() as pipe:
         try:
@@ -67,7 +72,7 @@ def run_untrusted(ledger: Path, sql: str, limits: Limits | None = None) -> Answe
                 f"or of processor time ({limits.seconds} s), or values nest too deep; ask for less"
             ) from error
     try:
-        return Answer(view.head, table.column_names, plain_rows(table))
+        return Answer(view.head, rows_verified, table.column_names, plain_rows(table))
     except (OverflowError, ValueError) as error:
         raise QueryFailed(
             "SQL: found a date or time that an answer cannot show, expected years 1 to 9999 and whole microseconds; make it text, as in CAST(... AS VARCHAR)"
