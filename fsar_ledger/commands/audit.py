@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.invariants import audit_rows, chosen
 
+from .answering import answering
 from .options import known
 from .output import Row, json_text, table_text
 
@@ -15,21 +15,21 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.invariants import AuditRow
 
 
-def audit(ledger: Path, invariants: Sequence[str], architectures: Sequence[str], *, as_json: bool) -> tuple[str, bool]:
+def audit(ledger: Path, invariants: Sequence[str], architectures: Sequence[str], *, as_json: bool, verified: bool = False) -> tuple[str, bool]:
     """The text of the answer, and whether every invariant that was asked for holds on every run that was asked for.
 
     Raises:
         InvalidExperiment: an architecture is unknown.
         UnknownQuery: an invariant is unknown.
         UsageError: the ledger has no run of these architectures.
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: as `connect`.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: as `answering`.
     """
     queries, wanted = chosen(invariants), known("architecture", architectures, get_args(Architecture))
-    with connect(ledger) as database:
+    with answering(ledger, verified=verified) as database:
         rows = audit_rows(database, queries, wanted)
         holds = not any(row.events for row in rows)
         if as_json:
-            return json_text(database.head, {"ledger": str(ledger), "holds": holds, "rows": rows}), holds
+            return json_text(database.head, {"ledger": str(ledger), "holds": holds, "rows": rows}, database.rows_verified), holds
     return table_text([_shown(row) for row in rows], list(_shown(rows[0]))) + "\n" + _verdict(rows), holds
 
 

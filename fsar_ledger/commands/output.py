@@ -53,10 +53,13 @@ def more_text(count: int) -> str:
     return f"... {count:,} more rows; --limit 0 shows all, --csv and --json always do\n"
 
 
-def json_text(head: HeadLike | None, answer: Mapping[str, object]) -> str:
-    """One JSON object: the head (size, root) that the answer holds for, null where there is none to speak of, then the answer."""
-    document = {"head": head and {"size": head.size, "root": head.root}, **answer}
-    return _pretty(document)
+def json_text(head: HeadLike | None, answer: Mapping[str, object], rows_verified: bool | None = None) -> str:
+    """One JSON object: the head (size, root) that the answer holds for, null where there is none to speak of, then the answer.
+
+    Of an answer from rows, `rows_verified` says whether they were compared with that root.
+    """
+    standing = {} if rows_verified is None else {"rows_verified": rows_verified}
+    return _pretty({"head": head and {"size": head.size, "root": head.root}, **standing, **answer})
 
 
 def csv_text(rows: Sequence[Row], columns: Sequence[str]) -> str:
@@ -71,8 +74,7 @@ def csv_text(rows: Sequence[Row], columns: Sequence[str]) -> str:
 def verdict_text(ledger: Path, report: "VerifyReport") -> str:
     """What `verify` found, for people: one line for each problem, or that there is none and what that covers."""
     if not report.ok:
-        count = f"{len(report.problems)} problem{'' if len(report.problems) == 1 else 's'}{' at a quick look' if report.is_quick else ''}"
-        return "\n".join([*map(str, report.problems), f"{ledger}: {count}; do not rely on this ledger, restore it from a copy that verifies"])
+        return report.refusal(ledger)
     counts = f"{report.events:,} events{'' if report.is_quick else f' of {report.runs:,} runs'} in {report.commits:,} commits"
     looked = "consistent at a quick look, which reads no rows" if report.is_quick else "consistent"
     lines = [f"{ledger}: {looked}, {signature_text(report.signature, report.signer)}: {counts}", f"root {report.root}"]
@@ -101,13 +103,15 @@ def plain(rows: Sequence[msgspec.Struct]) -> list[Row]:
     return [msgspec.structs.asdict(row) for row in rows]
 
 
-def answer_text(head: HeadLike | None, rows: Sequence[Row], columns: Sequence[str] = (), *, as_json: bool, as_csv: bool, limit: int = 0) -> str:
+def answer_text(
+    head: HeadLike | None, rows: Sequence[Row], columns: Sequence[str] = (), *, rows_verified: bool | None, as_json: bool, as_csv: bool, limit: int = 0
+) -> str:
     """The rows as a table for people, or as what --json or --csv asks for. Raises: UsageError when both are asked for."""
     if as_json and as_csv:
         raise UsageError("found --json and --csv, expected one of them")
     names = columns or (list(rows[0]) if rows else ())
     if as_json:
-        return json_text(head, {"rows": rows})
+        return json_text(head, {"rows": rows}, rows_verified)
     return csv_text(rows, names) if as_csv else table_text(rows, names, limit) or "no rows\n"
 
 

@@ -17,7 +17,14 @@ PIECE = 1 << 20
 
 
 def answer_pieces(
-    head: HeadLike | None, columns: Sequence[str], parts: Iterable[Sequence[Row]], *, as_json: bool, as_csv: bool, limit: int = 0
+    head: HeadLike | None,
+    columns: Sequence[str],
+    parts: Iterable[Sequence[Row]],
+    *,
+    rows_verified: bool | None,
+    as_json: bool,
+    as_csv: bool,
+    limit: int = 0,
 ) -> Iterator[str]:
     """The rows, of which each part holds some, as a table for people, or as what --json or --csv asks for.
 
@@ -27,12 +34,12 @@ def answer_pieces(
     if as_json and as_csv:
         raise UsageError("found --json and --csv, expected one of them")
     if as_json:
-        return _json(head, parts)
+        return _json(json_text(head, {"rows": []}, rows_verified), parts)
     return _csv(columns, parts) if as_csv else _table(columns, parts, limit)
 
 
-def _json(head: HeadLike | None, parts: Iterable[Sequence[Row]]) -> Iterator[str]:
-    before, after = json_text(head, {"rows": []}).rsplit("[]", 1)
+def _json(empty: str, parts: Iterable[Sequence[Row]]) -> Iterator[str]:
+    before, after = empty.rsplit("[]", 1)
     bare = json_text(None, {"rows": []}).rsplit("[]", 1)
     is_first = True
     for rows in filter(len, parts):

@@ -7,10 +7,11 @@ from pathlib import Path
 import pyarrow as pa
 
 from fsar_ledger.errors import QueryFailed, UsageError
-from fsar_ledger.metrics.database import connect, plain_rows
+from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.metrics.locked import Limits, slices
-from fsar_ledger.metrics.untrusted import answering
+from fsar_ledger.metrics.untrusted import stream_untrusted
 
+from .answering import answering, demanded_head, warn
 from .output import Row
 from .pieces import Kept, answer_pieces
 
@@ -35,25 +36,36 @@ def limits_of(asked: Asked) -> Limits:
     return Limits(seconds=seconds, memory_bytes=memory_mib << 20)
 
 
-def answer_select(ledger: Path, select: str, limits: Limits, *, as_json: bool, as_csv: bool, limit: int) -> Iterable[str]:
+def answer_select(ledger: Path, select: str, limits: Limits, *, as_json: bool, as_csv: bool, limit: int, verified: bool = False) -> Iterable[str]:
     """The answer of the SELECT as text, a piece at a time; the limit of time holds for making all of it.
 
     Raises:
-        FsarLedgerError: as `answering`.
+        FsarLedgerError: as `stream_untrusted`.
         UsageError: both JSON and CSV are asked for.
     """
-    with answering(ledger, select, limits) as answer:
-        return Kept(answer_pieces(answer.head, answer.columns, answer.parts, as_json=as_json, as_csv=as_csv, limit=limit))
+    with stream_untrusted(ledger, select, limits, demanded_head(ledger, verified=verified)) as answer:
+        known = answer.rows_verified
+        text = Kept(answer_pieces(answer.head, answer.columns, answer.parts, rows_verified=known, as_json=as_json, as_csv=as_csv, limit=limit))
+    warn(ledger, rows_verified=known)
+    return text
 
 
 def answer_query(
-    places: tuple[str | None, Path | None], file: Path | None, parameters: Mapping[str, str], asked: Asked, *, as_json: bool, as_csv: bool, limit: int
+    places: tuple[str | None, Path | None],
+    file: Path | None,
+    parameters: Mapping[str, str],
+    asked: Asked,
+    *,
+    as_json: bool,
+    as_csv: bool,
+    limit: int,
+    verified: bool = False,
 ) -> Iterable[str]:
     """The answer of the named query, or of the SELECT in the file, as text, a piece at a time; `places` are NAME and LEDGER, or LEDGER alone beside a file.
 
     Raises:
         UsageError: an argument or option is missing, or does not belong to the others.
-        FsarLedgerError: as `Database.query`, or as `answering`, then with the name of the file before the message.
+        FsarLedgerError: as `Database.query`, or as `stream_untrusted`, then with the name of the file before the message.
     """
     name, ledger = places
     if file is None:
@@ -62,16 +74,16 @@ def answer_query(
                 raise UsageError(f"{option} {value}: expected only with --file; a packaged query has no limits")
         if name is None or ledger is None:
             raise UsageError("query: expected NAME and LEDGER, as in `fsar-ledger query failures out/ledger`; `fsar-ledger query --list` shows the names")
-        with connect(ledger) as database:
-            table = database.query(name, parameters)
-            return answer_pieces(database.head, table.column_names, _parts(table), as_json=as_json, as_csv=as_csv, limit=limit)
+        with answering(ledger, verified=verified) as database:
+            table, known = database.query(name, parameters), database.rows_verified
+            return answer_pieces(database.head, table.column_names, _parts(table), rows_verified=known, as_json=as_json, as_csv=as_csv, limit=limit)
     if parameters:
         raise UsageError(f"--param {next(iter(parameters))}=... and --file {file}: only a packaged query has parameters; write the value into the file")
     if name is None or ledger is not None:
         raise UsageError(f"query --file {file}: expected one argument, LEDGER, as in `fsar-ledger query --file {file} out/ledger`")
     limits = limits_of(asked)
     try:
-        return answer_select(Path(name), _text_of(file, limits.sql_bytes), limits, as_json=as_json, as_csv=as_csv, limit=limit)
+        return answer_select(Path(name), _text_of(file, limits.sql_bytes), limits, as_json=as_json, as_csv=as_csv, limit=limit, verified=verified)
     except QueryFailed as problem:
         raise QueryFailed(f"{file}: {problem}") from problem
 

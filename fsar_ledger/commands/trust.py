@@ -7,7 +7,7 @@ import typer
 
 from fsar_ledger.errors import LedgerCorrupted, ReplayMismatch, UsageError
 
-from .options import JsonOption, LedgerArgument, ReplayOption, TrustedKeyOption, WorkersOption, examples, workers_of
+from .options import JsonOption, LedgerArgument, ReplayOption, TrustedKeyOption, VerifiedOption, WorkersOption, examples, workers_of
 from .progress import Progress
 from .terminal import show
 
@@ -105,11 +105,12 @@ def verify(
 
     Where anything does not hold, each place is named and the exit code is 3. What no ledger can show about itself, that all of it was
     rewritten or its newest commits taken away, shows with a trusted key and an anchor: a copy of LEDGER/checkpoint, kept elsewhere.
+    A look at all rows that finds nothing is remembered in the user's cache, never in the ledger; answers from this head are then `rows_verified`.
     """
     from fsar_ledger.ledger.note import read_verifier
     from fsar_ledger.ledger.verify import Asked
-    from fsar_ledger.ledger.verify import verify as check
     from fsar_ledger.ledger.verify_notes import read_anchor
+    from fsar_ledger.metrics.verified import whole_look
 
     from .replay import replayed, verdict_json, verdict_text
 
@@ -117,7 +118,7 @@ def verify(
         raise UsageError("--quick and --replay: expected one of them; a quick look reads no rows, a replay all of them")
     asked = Asked(quick, None if trusted_key is None else read_verifier(trusted_key), None if anchor is None else read_anchor(anchor))
     with Progress("verified", "segments") as progress:
-        report = check(ledger, workers_of(workers), progress, asked)
+        report = whole_look(ledger, workers_of(workers), progress, asked)
     again = replayed(ledger, report, workers_of(workers)) if replay else None
     if as_json:
         show(verdict_json(report, again))
@@ -142,6 +143,7 @@ def prove(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="A new file, by custom .tlog-proof; never replaced.", show_default="print it")
     ] = None,
+    verified: VerifiedOption = False,
 ) -> None:
     """Prove that one event is in a ledger.
 
@@ -151,9 +153,9 @@ def prove(
     from .proofs import proof_of, write_proof
 
     if out is None:
-        show(str(proof_of(ledger, event)))
+        show(str(proof_of(ledger, event, verified=verified)))
     else:
-        show(write_proof(ledger, event, out))
+        show(write_proof(ledger, event, out, verified=verified))
 
 
 def verify_proof(

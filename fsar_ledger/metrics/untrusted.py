@@ -22,10 +22,12 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger.errors import QueryFailed
-from fsar_ledger.ledger.read import Head, open_ledger
+from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.read import Head
 
 from .database import SHOWN, first_damage, plain_rows
 from .locked import GRACE_S, Limits, Question, Refusal
+from .verified import is_verified
 
 ENVIRONMENT = {"ARROW_DEFAULT_MEMORY_POOL": "system", "MALLOC_ARENA_MAX": "1", "OPENBLAS_NUM_THREADS": "1"}
 """All that the process finds in its environment: libraries then reserve no address space that they do not use (2.4 GiB become 0.7 GiB)."""
@@ -45,45 +47,51 @@ OUT_OF_MEMORY = ("bad_alloc", "MemoryError", "Cannot allocate memory", "out of m
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """The rows that a SELECT yielded at this head."""
+    """The rows that a SELECT yielded at this head, and whether the rows that it read were compared with the head's root."""
 
     head: Head
+    rows_verified: bool
     columns: list[str]
     rows: list[dict[str, Any]]
 
 
-class Answering(NamedTuple):
-    """What a SELECT yields at this head, `parts` some rows at a time. They raise QueryFailed when the time is over, or for a value that cannot be shown."""
+class Stream(NamedTuple):
+    """As `Answer`, but with `parts`: some rows at a time. They raise QueryFailed when the time is over, or for a value that cannot be shown."""
 
     head: Head
+    rows_verified: bool
     columns: list[str]
     parts: Iterator[list[dict[str, Any]]]
 
 
-def run_untrusted(ledger: Path, sql: str, limits: Limits | None = None) -> Answer:
-    """The answer of this SELECT over the ledger's present head, all of it in memory. Raises: as `answering`."""
-    with answering(ledger, sql, limits) as answer:
-        return Answer(answer.head, answer.columns, [row for part in answer.parts for row in part])
+def run_untrusted(ledger: Path, sql: str, limits: Limits | None = None, demanded: str | None = None) -> Answer:
+    """The answer of this SELECT, all of it in memory. Raises: as `stream_untrusted`."""
+    with stream_untrusted(ledger, sql, limits, demanded) as answer:
+        return Answer(answer.head, answer.rows_verified, answer.columns, [row for part in answer.parts for row in part])
 
 
 @contextmanager
-def answering(ledger: Path, sql: str, limits: Limits | None = None) -> Iterator[Answering]:
-    """The answer of this SELECT over the ledger's present head, as it is wanted; the time that this takes counts, too.
+def stream_untrusted(ledger: Path, sql: str, limits: Limits | None = None, demanded: str | None = None) -> Iterator[Stream]:
+    """The answer of this SELECT over the ledger's present head; with `demanded`, only over the head with that newest record.
+
+    The limit of time holds until the last part has been taken.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_ledger`; LedgerCorrupted also for a segment that cannot be read.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`; LedgerCorrupted also for a segment that is not as committed.
+        SequenceConflict: As `is_verified`.
         QueryFailed: The SQL is not one SELECT, does not run, reaches for something outside, or meets a limit.
     """
     limits = limits or Limits()
     check_text(sql, limits)
-    view = open_ledger(ledger)
+    view = open_for_answers(ledger)
+    rows_verified = is_verified(view, demanded)
     segments = [str(path.resolve()) for path in view.segments()]
     with _process(limits) as process:
         process.send(msgspec.json.encode(Question(segments, sql, limits)))
         refusal = msgspec.json.decode(process.receive(), type=Refusal | None)
         if refusal is not None:
             raise (first_damage(view.segments()) if refusal.may_be_damage else None) or QueryFailed(refusal.message)
-        yield Answering(view.head, pa.ipc.open_stream(process.receive()).schema.names, _parts(process))
+        yield Stream(view.head, rows_verified, pa.ipc.open_stream(process.receive()).schema.names, _parts(process))
 
 
 def _parts(process: "_Process") -> Iterator[list[dict[str, Any]]]:

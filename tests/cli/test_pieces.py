@@ -20,13 +20,13 @@ ROWS: list[Row] = [{COLUMNS[0]: seq, COLUMNS[1]: f"a,b\n[]{seq}\r\n" if seq % 3 
 def test_the_pieces_are_the_answer(kind: dict[str, bool | int], cuts: list[int]) -> None:
     parts = [ROWS[one:other] for one, other in pairwise(cuts)]
     rows = [row for part in parts for row in part]
-    options = {"as_json": False, "as_csv": False, "limit": 0, **kind}
+    options = {"as_json": False, "as_csv": False, "limit": 0, "rows_verified": False, **kind}
     assert "".join(answer_pieces(HEAD, COLUMNS, parts, **options)) == answer_text(HEAD, rows, COLUMNS, **options)  # type: ignore[arg-type]
 
 
 def test_an_answer_has_one_form() -> None:
     with pytest.raises(UsageError, match="--json and --csv"):
-        answer_pieces(HEAD, COLUMNS, [], as_json=True, as_csv=True)
+        answer_pieces(HEAD, COLUMNS, [], rows_verified=None, as_json=True, as_csv=True)
 
 
 @pytest.mark.parametrize("longest", [0, 10, KEPT_BYTES // 20])

@@ -9,7 +9,7 @@ import pytest
 
 from fsar_ledger.errors import LedgerCorrupted, NotALedger, QueryFailed
 from fsar_ledger.metrics.locked import SLICE_BYTES, Limits, slices, weight
-from fsar_ledger.metrics.untrusted import answering, run_untrusted
+from fsar_ledger.metrics.untrusted import run_untrusted, stream_untrusted
 
 
 def test_a_select_over_events_views_and_metrics_is_answered_with_the_head(ledger: Path) -> None:
@@ -53,7 +53,7 @@ def test_several_may_ask_at_once(ledger: Path) -> None:
 
 
 def test_a_long_answer_comes_in_parts_and_in_order(ledger: Path) -> None:
-    with answering(ledger, "SELECT i, [i, i + 1] AS pair FROM range(50000) AS t(i)") as answer:
+    with stream_untrusted(ledger, "SELECT i, [i, i + 1] AS pair FROM range(50000) AS t(i)") as answer:
         assert answer.columns == ["i", "pair"]
         parts = list(answer.parts)
     assert len(parts) > 4
@@ -62,7 +62,7 @@ def test_a_long_answer_comes_in_parts_and_in_order(ledger: Path) -> None:
 
 
 def test_the_time_of_whoever_takes_the_answer_counts(ledger: Path) -> None:
-    with answering(ledger, "SELECT i FROM range(200000) AS t(i)", Limits(seconds=2)) as answer:
+    with stream_untrusted(ledger, "SELECT i FROM range(200000) AS t(i)", Limits(seconds=2)) as answer:
         next(answer.parts)
         time.sleep(2)
         with pytest.raises(QueryFailed, match="after 2 s, the limit"):
