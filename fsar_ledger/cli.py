@@ -1,4 +1,6 @@
-"""The command line: with `commands/trust.py` the only place that prints (`commands/terminal.py`) or exits, and with `commands/progress.py` that reads a clock.
+"""The command line: with its other commands in `commands/` the only place that prints (`commands/terminal.py`) or exits.
+
+With `commands/progress.py` it is the only one that reads a clock.
 
 Every command body imports what it needs, so that `--help` stays quick. A command that fails raises one of
 the errors of `errors.py`; `run` turns it into one message on stderr and its exit code:
@@ -13,7 +15,7 @@ from typing import Annotated
 import typer
 
 from . import printable
-from .commands import recover, trust, witness
+from .commands import judging, recover, trust, witness
 from .commands.options import (
     AdoptOption,
     ArchitectureOption,
@@ -38,6 +40,7 @@ from .commands.options import (
     ScenarioOption,
     SecondsOption,
     SvgOption,
+    VerifiedOption,
     WithoutOption,
     WorkersOption,
     WorkflowLedgerOption,
@@ -119,7 +122,7 @@ def simulate(
 
 
 @app.command(epilog=examples("fsar-ledger info out/ledger", "fsar-ledger info out/ledger --json"))
-def info(ledger: LedgerArgument, as_json: JsonOption = False) -> None:
+def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: JsonOption = False) -> None:
     """Show what a ledger holds, and whether it is complete.
 
     Its head, its runs by seed, fleet size, architecture and configuration, and (with --json) the parameters of its worlds.
@@ -127,53 +130,18 @@ def info(ledger: LedgerArgument, as_json: JsonOption = False) -> None:
     from .commands.contents import contents
     from .commands.output import json_text, table_text
 
-    head, found = contents(ledger)
+    head, found = contents(ledger, verified=verified)
     if as_json:
         answer = {"groups": found.groups, "models": found.models, "runs": found.run_count, "is_complete": found.is_complete}
-        _show(json_text(head, {"ledger": str(ledger), "commits": head.commits, **answer}))
+        _show(json_text(head, {"ledger": str(ledger), "commits": head.commits, **answer}, found.rows_verified))
         return
     _show(printable.lines(f"{ledger}: {head.size:,} events in {head.commits:,} commits", f"root {head.root}", *found.summary()))
     if found.groups:
         _show(printable.joined(printable.line(""), table_text(found.groups, list(found.groups[0]))))
 
 
-@app.command(epilog=examples("fsar-ledger metrics out/ledger", "fsar-ledger metrics out/ledger --by scenario", "fsar-ledger metrics out/ledger --json"))
-def metrics(
-    ledger: LedgerArgument,
-    by: Annotated[str | None, typer.Option(metavar="scenario", help="One row for each scenario.", show_default=False)] = None,
-    as_json: JsonOption = False,
-    as_csv: CsvOption = False,
-    raw: RawOption = False,
-) -> None:
-    """Judge a ledger by the eight metrics of the paper.
-
-    Mean, SD, 95 % interval and denominator for each architecture, configuration and fleet size. Shares are in [0,1], latency is in
-    seconds; `-` in a table, null in JSON: the metric is not defined there.
-    """
-    from .commands.output import answer_text, plain
-    from .metrics.database import connect
-    from .metrics.results import metric_rows
-
-    if by not in (None, "scenario"):
-        raise UsageError(f"--by {by}: expected --by scenario, or no --by")
-    with connect(ledger) as database:
-        rows = plain(metric_rows(database, by_scenario=by is not None))
-        columns = [name for name in rows[0] if by or name != "scenario"] if rows else []
-        _show(answer_text(database.head, [{name: row[name] for name in columns} for row in rows], as_json=as_json, as_csv=as_csv, raw=raw), raw=raw)
-
-
-@app.command(epilog=examples("fsar-ledger statistics out/ledger", "fsar-ledger statistics out/ledger --csv"))
-def statistics(ledger: LedgerArgument, as_json: JsonOption = False, as_csv: CsvOption = False, raw: RawOption = False) -> None:
-    """Compare the architectures of a ledger in pairs.
-
-    For each metric and pair: paired t, Wilcoxon signed-rank, effect sizes, exact McNemar for human intervention, and Holm over the 24.
-    """
-    from .commands.output import answer_text, plain
-    from .metrics.database import connect
-    from .metrics.results import statistic_rows
-
-    with connect(ledger) as database:
-        _show(answer_text(database.head, plain(statistic_rows(database)), as_json=as_json, as_csv=as_csv, raw=raw), raw=raw)
+app.command(epilog=judging.METRICS)(judging.metrics)
+app.command(epilog=judging.STATISTICS)(judging.statistics)
 
 
 @app.command(
@@ -194,6 +162,7 @@ def query(
     as_csv: CsvOption = False,
     raw: RawOption = False,
     limit: LimitOption = SHOWN_ROWS,
+    verified: VerifiedOption = False,
     seconds: SecondsOption = None,
     memory: MemoryOption = None,
 ) -> None:
@@ -209,7 +178,9 @@ def query(
         _show(queries_text(as_json=as_json, as_csv=as_csv, raw=raw), raw=raw)
         return
     own = {"--seconds": seconds, "--memory": memory}
-    _show(answer_query((name, ledger), file, parameters_of(param), own, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit), raw=raw)
+    asked = answer_query((name, ledger), file, parameters_of(param), own, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit, verified=verified)
+    for piece in asked:
+        _show(piece, raw=raw)
 
 
 @app.command(
@@ -225,6 +196,7 @@ def sql(
     as_csv: CsvOption = False,
     raw: RawOption = False,
     limit: LimitOption = SHOWN_ROWS,
+    verified: VerifiedOption = False,
     seconds: SecondsOption = None,
     memory: MemoryOption = None,
 ) -> None:
@@ -235,7 +207,9 @@ def sql(
     """
     from .commands.questions import answer_select, limits_of
 
-    _show(answer_select(ledger, select, limits_of({"--seconds": seconds, "--memory": memory}), as_json=as_json, as_csv=as_csv, raw=raw, limit=limit), raw=raw)
+    limits = limits_of({"--seconds": seconds, "--memory": memory})
+    for piece in answer_select(ledger, select, limits, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit, verified=verified):
+        _show(piece, raw=raw)
 
 
 @app.command(
@@ -250,6 +224,7 @@ def export(
     name: Annotated[str | None, typer.Option("--query", metavar="NAME", help="Export the answer of this query.", show_default="every event")] = None,
     param: ParameterOption = None,
     raw: RawOption = False,
+    verified: VerifiedOption = False,
 ) -> None:
     """Write events, or the answer of a query, to a file.
 
@@ -258,19 +233,26 @@ def export(
     """
     from .commands.files import export_events, export_query
 
-    rows = export_events(ledger, out, raw=raw) if name is None else export_query(ledger, name, parameters_of(param), out, raw=raw)
+    given = {"raw": raw, "verified": verified}
+    rows = export_events(ledger, out, **given) if name is None else export_query(ledger, name, parameters_of(param), out, **given)
     _show(printable.line(f"{out}: {rows:,} rows"))
 
 
 @app.command(epilog=examples("fsar-ledger audit out/ledger --architecture fsar", "fsar-ledger audit out/ledger --architecture fsar --invariant i4 --json"))
-def audit(ledger: LedgerArgument, invariant: InvariantOption = None, architecture: AuditedOption = None, as_json: JsonOption = False) -> None:
+def audit(
+    ledger: LedgerArgument,
+    invariant: InvariantOption = None,
+    architecture: AuditedOption = None,
+    verified: VerifiedOption = False,
+    as_json: JsonOption = False,
+) -> None:
     """Check the invariants I1 to I5 and A1 to A5.
 
     Counts the events that offend each, by architecture and configuration, and names the first. Exit code 0 if all hold on all runs, else 1.
     """
     from .commands.audit import audit as check
 
-    text, holds = check(ledger, invariant or (), architecture or (), as_json=as_json)
+    text, holds = check(ledger, invariant or (), architecture or (), as_json=as_json, verified=verified)
     _show(text)
     if not holds:
         raise typer.Exit(1)
@@ -299,6 +281,7 @@ def explain(
     failure: FailureOption = None,
     svg: SvgOption = None,
     pdf: PdfOption = None,
+    verified: VerifiedOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Tell the story of a request: who asked, who allowed, who acted, who supervised.
@@ -308,7 +291,7 @@ def explain(
     """
     from .commands.explain import explain as tell
 
-    _show(tell(ledger, run, request, failure, {"svg": svg, "pdf": pdf}, as_json=as_json))
+    _show(tell(ledger, run, request, failure, {"svg": svg, "pdf": pdf}, as_json=as_json, verified=verified))
 
 
 @app.command(
@@ -318,14 +301,17 @@ def report(
     ledger: LedgerArgument,
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The PDF; replaced if it exists.", show_default=False)],
     workflows: WorkflowLedgerOption = None,
+    workers: WorkersOption = None,
 ) -> None:
     """Typeset the evaluation as a PDF.
 
-    Each number of the paper stands beside the ledger's, with its interval and a verdict.
+    Each number of the paper stands beside the ledger's, with its interval and a verdict. First all rows are compared with their root, as
+    `verify` does it.
     """
     from .report import write_report
 
-    write_report(ledger, out, workflows)
+    with Progress("verified", "segments") as progress:
+        write_report(ledger, out, workflows, workers_of(workers), progress)
     _show(printable.line(f"{out}"))
 
 

@@ -6,10 +6,10 @@ from typing import TYPE_CHECKING, get_args
 
 from fsar_ledger import printable
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.invariants import audit_rows, chosen
 from fsar_ledger.printable import Shown
 
+from .answering import answering
 from .options import known
 from .output import Row, json_text, table_text
 
@@ -17,21 +17,21 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.invariants import AuditRow
 
 
-def audit(ledger: Path, invariants: Sequence[str], architectures: Sequence[str], *, as_json: bool) -> tuple[Shown, bool]:
+def audit(ledger: Path, invariants: Sequence[str], architectures: Sequence[str], *, as_json: bool, verified: bool = False) -> tuple[Shown, bool]:
     """The text of the answer, and whether every invariant that was asked for holds on every run that was asked for.
 
     Raises:
         InvalidExperiment: an architecture is unknown.
         UnknownQuery: an invariant is unknown.
         UsageError: the ledger has no run of these architectures.
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: as `connect`.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: as `answering`.
     """
     queries, wanted = chosen(invariants), known("architecture", architectures, get_args(Architecture))
-    with connect(ledger) as database:
+    with answering(ledger, verified=verified) as database:
         rows = audit_rows(database, queries, wanted)
         holds = not any(row.events for row in rows)
         if as_json:
-            return json_text(database.head, {"ledger": str(ledger), "holds": holds, "rows": rows}), holds
+            return json_text(database.head, {"ledger": str(ledger), "holds": holds, "rows": rows}, database.rows_verified), holds
     return printable.joined(table_text([_shown(row) for row in rows], list(_shown(rows[0]))), printable.lines("", _verdict(rows))), holds
 
 

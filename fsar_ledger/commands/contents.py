@@ -8,7 +8,8 @@ import msgspec
 from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.read import Head
-from fsar_ledger.metrics.database import connect
+
+from .answering import answering
 
 # Grain: one row per seed, fleet size, architecture and configuration.
 # A scenario was meant to have the runs 0 to the highest run number that its seed and fleet size have in this ledger.
@@ -56,10 +57,14 @@ MODELS = 5
 
 
 class Contents(msgspec.Struct, frozen=True):
-    """The runs of a ledger: `groups` by seed, fleet size, architecture and configuration; `models` by model version and parameters."""
+    """The runs of a ledger: `groups` by seed, fleet size, architecture and configuration; `models` by model version and parameters.
+
+    `rows_verified` is that of the `Database` they come from.
+    """
 
     groups: list[dict[str, Any]]
     models: list[dict[str, Any]]
+    rows_verified: bool | None = None
 
     @property
     def run_count(self) -> int:
@@ -82,16 +87,16 @@ class Contents(msgspec.Struct, frozen=True):
         return [f"{self.run_count:,} runs, {state}", f"{models}{more}"]
 
 
-def contents(ledger: Path) -> tuple[Head, Contents]:
+def contents(ledger: Path, *, verified: bool = False) -> tuple[Head, Contents]:
     """The head of the ledger and its runs, counted by SQL.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `connect`.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `answering`.
     """
-    with connect(ledger) as database:
+    with answering(ledger, verified=verified) as database:
         assert database.head is not None  # only a database over rows in memory has none
         models = [{**row, "parameters": _parameters(ledger, row["parameters"])} for row in database.rows(PARAMETERS)]
-        return database.head, Contents(groups=database.rows(GROUPS), models=models)
+        return database.head, Contents(groups=database.rows(GROUPS), models=models, rows_verified=database.rows_verified)
 
 
 def _parameters(ledger: Path, text: str) -> Any:

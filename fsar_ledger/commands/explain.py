@@ -11,9 +11,10 @@ from typing import Any
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.place import require_outside
-from fsar_ledger.metrics.database import Database, connect, plain_rows
+from fsar_ledger.metrics.database import Database, plain_rows
 from fsar_ledger.printable import Shown
 
+from .answering import answering
 from .options import did_you_mean
 from .output import json_text, table_text
 
@@ -25,13 +26,15 @@ UNKNOWN = "not on record"
 WORDS, MAX_WORDS = ("message", "note"), 1_000
 
 
-def explain(ledger: Path, run: str | None, request: str | None, failure: str | None, drawn: Mapping[str, Path | None], *, as_json: bool) -> Shown:
+def explain(
+    ledger: Path, run: str | None, request: str | None, failure: str | None, drawn: Mapping[str, Path | None], *, as_json: bool, verified: bool = False
+) -> Shown:
     """The text of the answer; `drawn` names the file of each kind of figure (svg, pdf) that is wanted, which is written.
 
     Raises:
         UsageError: the run or the action is unknown, has not failed, or what was asked for cannot be drawn, or not there: inside a ledger.
         WriteFailed: a figure cannot be written.
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: as `connect`.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: as `answering`.
     """
     files = {kind: path for kind, path in drawn.items() if path is not None}
     if request is not None and failure is not None:
@@ -41,7 +44,7 @@ def explain(ledger: Path, run: str | None, request: str | None, failure: str | N
         raise UsageError(f"--{next(iter(files))}: found no request to draw; give --request ACTION or --failure ACTION")
     for kind, path in files.items():
         require_outside(path, f"--{kind} {path}")
-    with connect(ledger) as database:
+    with answering(ledger, verified=verified) as database:
         name = _run(database, ledger, run)
         if action is None:
             return _listed(database, ledger, name, as_json=as_json)
@@ -52,10 +55,10 @@ def explain(ledger: Path, run: str | None, request: str | None, failure: str | N
         recovery = _asked(database, "failure_story", name, action)
         if failure is not None and not recovery:
             raise UsageError(f"--failure {failure}: found no failure of this action in run {name}; --request {failure} tells what happened")
-        head = database.head
+        head, rows_verified = database.head, database.rows_verified
     _draw(files, recovery if failure is not None else story, is_ladder=failure is not None)
     if as_json:
-        return json_text(head, {"run": name, "action": action, "parties": parties, "story": story, "recovery": recovery})
+        return json_text(head, {"run": name, "action": action, "parties": parties, "story": story, "recovery": recovery}, rows_verified)
     told = _told(name, action, shown(story if failure is None else []), shown([parties])[0])
     return printable.lines(*told, *_recovered(shown(recovery)), *map(str, files.values()))
 
@@ -97,7 +100,7 @@ def _no_action(database: Database, ledger: Path, run: str, asked: str) -> str:
 def _listed(database: Database, ledger: Path, run: str, *, as_json: bool) -> Shown:
     rows = _asked(database, "requests", run)
     if as_json:
-        return json_text(database.head, {"run": run, "requests": rows})
+        return json_text(database.head, {"run": run, "requests": rows}, database.rows_verified)
     if not rows:
         return printable.lines(f"run {run}", "no requests")
     began = [{**row, "began_s": f"{row['began_s']:.3f}"} for row in rows]

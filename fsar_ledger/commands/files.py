@@ -16,13 +16,15 @@ import pyarrow.parquet as pq
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, WriteFailed
+from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.place import require_outside
-from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.schema import SCHEMA
-from fsar_ledger.metrics.database import connect
+from fsar_ledger.metrics.verified import is_verified
+
+from .answering import answering, demanded_head, warn
 
 
-def export_events(ledger: Path, out: Path, *, raw: bool = False) -> int:
+def export_events(ledger: Path, out: Path, *, raw: bool = False, verified: bool = False) -> int:
     """Every event of the ledger is in the file as it is stored, retired types too, in commit order; returns how many.
 
     Text in CSV is as `printable.field` makes it, unless `raw`.
@@ -32,10 +34,15 @@ def export_events(ledger: Path, out: Path, *, raw: bool = False) -> int:
         WriteFailed: the file cannot be written.
     """
     _check(out)
-    return _write_tables(out, SCHEMA, open_ledger(ledger).tables(), raw=raw)
+    demanded = demanded_head(ledger, verified=verified)
+    view = open_for_answers(ledger)
+    rows_verified = is_verified(view, demanded)
+    rows = _write_tables(out, SCHEMA, view.tables(), raw=raw)
+    warn(ledger, rows_verified=rows_verified)
+    return rows
 
 
-def export_query(ledger: Path, name: str, parameters: Mapping[str, str], out: Path, *, raw: bool = False) -> int:
+def export_query(ledger: Path, name: str, parameters: Mapping[str, str], out: Path, *, raw: bool = False, verified: bool = False) -> int:
     """The answer of the named query is in the file, text as in `export_events`; returns its number of rows.
 
     Raises:
@@ -44,7 +51,7 @@ def export_query(ledger: Path, name: str, parameters: Mapping[str, str], out: Pa
         WriteFailed: the file cannot be written.
     """
     _check(out)
-    with connect(ledger) as database:
+    with answering(ledger, verified=verified) as database:
         table = database.query(name, parameters)
     return _write_tables(out, table.schema, [table], raw=raw)
 

@@ -48,15 +48,22 @@ def table_text(rows: Sequence[Row], columns: Sequence[str], limit: int = 0) -> S
         return "  ".join(text.rjust(width) if right else text.ljust(width) for text, width, right in zip(texts, widths, is_number, strict=True)).rstrip()
 
     lines = [line_of(names), line_of(["-" * width for width in widths]), *map(line_of, cells)]
-    if len(shown) < len(rows):
-        lines.append(f"... {len(rows) - len(shown):,} more rows; --limit 0 shows all, --csv and --json always do")
-    return Shown("\n".join(lines) + "\n")
+    rest = [more_text(len(rows) - len(shown))] if len(shown) < len(rows) else []
+    return printable.joined(Shown("\n".join(lines) + "\n"), *rest)
 
 
-def json_text(head: HeadLike | None, answer: Mapping[str, object]) -> Shown:
-    """One JSON object: the head (size, root) that the answer holds for, null where there is none to speak of, then the answer."""
-    document = {"head": head and {"size": head.size, "root": head.root}, **answer}
-    return _pretty(document)
+def more_text(count: int) -> Shown:
+    """The line that says how many rows are not shown."""
+    return printable.line(f"... {count:,} more rows; --limit 0 shows all, --csv and --json always do")
+
+
+def json_text(head: HeadLike | None, answer: Mapping[str, object], rows_verified: bool | None = None) -> Shown:
+    """One JSON object: the head (size, root) that the answer holds for, null where there is none to speak of, then the answer.
+
+    Of an answer from rows, `rows_verified` says whether they were compared with that root.
+    """
+    standing = {} if rows_verified is None else {"rows_verified": rows_verified}
+    return _pretty({"head": head and {"size": head.size, "root": head.root}, **standing, **answer})
 
 
 def csv_text(rows: Sequence[Row], columns: Sequence[str], *, raw: bool = False) -> Shown:
@@ -71,8 +78,7 @@ def csv_text(rows: Sequence[Row], columns: Sequence[str], *, raw: bool = False) 
 def verdict_lines(ledger: Path, report: "VerifyReport") -> list[str]:
     """What `verify` found, for people: one line for each problem, or that there is none and what that covers."""
     if not report.ok:
-        count = f"{len(report.problems)} problem{'' if len(report.problems) == 1 else 's'}{' at a quick look' if report.is_quick else ''}"
-        return [*map(str, report.problems), f"{ledger}: {count}; do not rely on this ledger, restore it from a copy that verifies"]
+        return report.refusal(ledger)
     counts = f"{report.events:,} events{'' if report.is_quick else f' of {report.runs:,} runs'} in {report.commits:,} commits"
     looked = "consistent at a quick look, which reads no rows" if report.is_quick else "consistent"
     lines = [f"{ledger}: {looked}, {signature_text(report.signature, report.signer)}: {counts}", f"root {report.root}"]
@@ -101,13 +107,21 @@ def plain(rows: Sequence[msgspec.Struct]) -> list[Row]:
 
 
 def answer_text(
-    head: HeadLike | None, rows: Sequence[Row], columns: Sequence[str] = (), *, as_json: bool, as_csv: bool, raw: bool = False, limit: int = 0
+    head: HeadLike | None,
+    rows: Sequence[Row],
+    columns: Sequence[str] = (),
+    *,
+    rows_verified: bool | None,
+    as_json: bool,
+    as_csv: bool,
+    raw: bool = False,
+    limit: int = 0,
 ) -> Shown:
     """The rows as a table for people, or as what --json or --csv asks for. Raises: UsageError when both are asked for, or --raw without --csv."""
     check_form(as_json=as_json, as_csv=as_csv, raw=raw)
     names = columns or (list(rows[0]) if rows else ())
     if as_json:
-        return json_text(head, {"rows": rows})
+        return json_text(head, {"rows": rows}, rows_verified)
     return csv_text(rows, names, raw=raw) if as_csv else table_text(rows, names, limit) or Shown("no rows\n")
 
 

@@ -4,13 +4,16 @@ import os
 from pathlib import Path
 
 from fsar_ledger import printable
-from fsar_ledger.errors import UsageError
+from fsar_ledger.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.canonical import document
+from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.place import require_outside
-from fsar_ledger.ledger.proof import Proof, Proven, blocks, prove
-from fsar_ledger.ledger.read import LedgerView, open_ledger
+from fsar_ledger.ledger.proof import Proof, Proven, blocks, check_proof, prove
+from fsar_ledger.ledger.read import LedgerView
+from fsar_ledger.metrics.verified import is_verified
 from fsar_ledger.printable import Shown
 
+from .answering import demanded_head
 from .options import did_you_mean
 from .output import json_text, signature_text
 
@@ -18,18 +21,22 @@ PRINCIPALS = ("decided_by", "requested_by", "executed_by", "supervised_by")
 UNKNOWN = "not on record"
 
 
-def proof_of(ledger: Path, event: str) -> Proof:
+def proof_of(ledger: Path, event: str, *, verified: bool = False) -> Proof:
     """The proof of the event of this name: `RUN:SEQ`, where the beginning of the run's name is enough if no other begins so, or its number.
 
     Raises:
         UsageError: There is no such event, or more than one such run.
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_ledger` and `prove`.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers` and `prove`.
     """
-    view = open_ledger(ledger)
-    return prove(view, _index_of(view, event))
+    demanded = demanded_head(ledger, verified=verified)
+    view = open_for_answers(ledger)
+    is_verified(view, demanded)
+    proof = prove(view, _index_of(view, event))
+    _require_asked(view, event, check_proof(str(ledger), proof))
+    return proof
 
 
-def write_proof(ledger: Path, event: str, out: Path) -> Shown:
+def write_proof(ledger: Path, event: str, out: Path, *, verified: bool = False) -> Shown:
     """The new file holds the proof of this event; two lines that say so.
 
     Raises:
@@ -41,7 +48,7 @@ def write_proof(ledger: Path, event: str, out: Path) -> Shown:
     if os.path.lexists(out):
         raise UsageError(f"--out {out}: found a file, expected a free name; a proof is never overwritten")
     require_outside(out, f"--out {out}")
-    proof = proof_of(ledger, event)
+    proof = proof_of(ledger, event, verified=verified)
     write_text(out, str(proof))
     tree = proof.note.checkpoint
     return printable.lines(f"{out}: event {proof.index:,} of {tree.size:,}", f"root {tree.root.hex()}")
@@ -65,6 +72,16 @@ def _index_of(view: LedgerView, event: str) -> int:
     if len(seq) > 16 or int(seq) >= block.events:
         raise UsageError(f"EVENT {event}: found {block.events:,} events in run {block.run}, expected a seq from 0 to {block.events - 1}")
     return block.first + int(seq)
+
+
+def _require_asked(view: LedgerView, event: str, proven: Proven) -> None:
+    """The proven event is itself of the run and seq that were asked for; where it is came from rows that no proof covers. Raises: LedgerCorrupted."""
+    run, _, seq = event.rpartition(":")
+    found = proven.event
+    if run and not (str(found["run_id"]).startswith(run) and found["seq"] == int(seq)):
+        raise LedgerCorrupted(
+            f"{view.path}: event {proven.index}: found run {found['run_id']} seq {found['seq']}, expected {event} there; run fsar-ledger verify"
+        )
 
 
 def _no_run(view: LedgerView, asked: str, names: list[str], known: list[str]) -> str:

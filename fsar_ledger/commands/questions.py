@@ -1,16 +1,20 @@
 """What `query` and `sql` answer: packaged queries here, a SELECT of the user's own in the locked process."""
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
+import pyarrow as pa
+
 from fsar_ledger.errors import QueryFailed, UsageError
-from fsar_ledger.metrics.database import connect, plain_rows
-from fsar_ledger.metrics.locked import Limits
-from fsar_ledger.metrics.untrusted import run_untrusted
+from fsar_ledger.metrics.database import plain_rows
+from fsar_ledger.metrics.locked import Limits, slices
+from fsar_ledger.metrics.untrusted import stream_untrusted
 from fsar_ledger.printable import Shown
 
-from .output import answer_text, check_form
+from .answering import answering, demanded_head, warn
+from .output import Row, check_form
+from .pieces import Kept, answer_pieces
 
 MEMORY_MIB_MIN = 1024
 Asked = Mapping[str, int | None]
@@ -33,16 +37,20 @@ def limits_of(asked: Asked) -> Limits:
     return Limits(seconds=seconds, memory_bytes=memory_mib << 20)
 
 
-def answer_select(ledger: Path, select: str, limits: Limits, *, as_json: bool, as_csv: bool, raw: bool, limit: int) -> Shown:
-    """The answer of the SELECT as text.
+def answer_select(ledger: Path, select: str, limits: Limits, *, as_json: bool, as_csv: bool, raw: bool, limit: int, verified: bool = False) -> Iterable[Shown]:
+    """The answer of the SELECT as text, a piece at a time; the limit of time holds for making all of it.
 
     Raises:
-        FsarLedgerError: as `run_untrusted`.
+        FsarLedgerError: as `stream_untrusted`.
         UsageError: both JSON and CSV are asked for.
     """
     check_form(as_json=as_json, as_csv=as_csv, raw=raw)
-    answer = run_untrusted(ledger, select, limits)
-    return answer_text(answer.head, answer.rows, answer.columns, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit)
+    with stream_untrusted(ledger, select, limits, demanded_head(ledger, verified=verified)) as answer:
+        known = answer.rows_verified
+        pieces = answer_pieces(answer.head, answer.columns, answer.parts, rows_verified=known, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit)
+        text = Kept(pieces)
+    warn(ledger, rows_verified=known)
+    return text
 
 
 def answer_query(
@@ -55,12 +63,13 @@ def answer_query(
     as_csv: bool,
     raw: bool,
     limit: int,
-) -> Shown:
-    """The answer of the named query, or of the SELECT in the file, as text; `places` are NAME and LEDGER, or LEDGER alone beside a file.
+    verified: bool = False,
+) -> Iterable[Shown]:
+    """The answer of the named query, or of the SELECT in the file, as text, a piece at a time; `places` are NAME and LEDGER, or LEDGER alone beside a file.
 
     Raises:
         UsageError: an argument or option is missing, or does not belong to the others.
-        FsarLedgerError: as `Database.query`, or as `run_untrusted`, then with the name of the file before the message.
+        FsarLedgerError: as `Database.query`, or as `stream_untrusted`, then with the name of the file before the message.
     """
     name, ledger = places
     if file is None:
@@ -69,18 +78,26 @@ def answer_query(
                 raise UsageError(f"{option} {value}: expected only with --file; a packaged query has no limits")
         if name is None or ledger is None:
             raise UsageError("query: expected NAME and LEDGER, as in `fsar-ledger query failures out/ledger`; `fsar-ledger query --list` shows the names")
-        with connect(ledger) as database:
-            table = database.query(name, parameters)
-            return answer_text(database.head, plain_rows(table), table.column_names, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit)
+        check_form(as_json=as_json, as_csv=as_csv, raw=raw)
+        with answering(ledger, verified=verified) as database:
+            table, known = database.query(name, parameters), database.rows_verified
+            return answer_pieces(database.head, table.column_names, _parts(table), rows_verified=known, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit)
     if parameters:
         raise UsageError(f"--param {next(iter(parameters))}=... and --file {file}: only a packaged query has parameters; write the value into the file")
     if name is None or ledger is not None:
         raise UsageError(f"query --file {file}: expected one argument, LEDGER, as in `fsar-ledger query --file {file} out/ledger`")
     limits = limits_of(asked)
     try:
-        return answer_select(Path(name), _text_of(file, limits.sql_bytes), limits, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit)
+        return answer_select(Path(name), _text_of(file, limits.sql_bytes), limits, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit, verified=verified)
     except QueryFailed as problem:
         raise QueryFailed(f"{file}: {problem}") from problem
+
+
+def _parts(table: pa.Table) -> Iterator[list[Row]]:
+    """The rows, some at a time."""
+    for batch in table.to_batches():
+        for part in slices(batch):
+            yield list(plain_rows(pa.Table.from_batches([part])))
 
 
 def _text_of(file: Path, most: int) -> str:

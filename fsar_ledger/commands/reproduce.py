@@ -11,6 +11,7 @@ from fsar_ledger.printable import Shown
 from fsar_ledger.report import write_report
 from fsar_ledger.runtime.experiment import WORKFLOWS_ORIGIN, simulate, workflow_experiment
 
+from .answering import looked_head
 from .files import write_text
 from .options import experiment_of
 from .output import csv_text, plain, table_text
@@ -27,17 +28,18 @@ def reproduce(out: Path, workers: int, signer: Signer | None = None, *, adopts: 
 
     Raises:
         UsageError: The folder is a ledger, or lies inside one.
-        FsarLedgerError: As `simulate` and `write_report`.
+        FsarLedgerError: As `simulate`, `required_look` and `write_report`.
     """
     require_outside(out, f"--out {out}")
     ledger = out / "ledger"
     with Progress("simulated", "batches") as progress:
         head = simulate(ledger, experiment_of(None, None, None, SEED, 4, None), workers, progress, signer, adopts=adopts)
-    with connect(ledger) as database:
+    demanded = looked_head(ledger, workers)
+    with connect(ledger, demanded=demanded) as database:
         metrics, statistics = plain(metric_rows(database)), plain(statistic_rows(database))
     write_text(out / "metrics.csv", csv_text(metrics, list(metrics[0])))
     write_text(out / "statistics.csv", csv_text(statistics, list(statistics[0])))
     workflows = out / "workflows"
     simulate(workflows, workflow_experiment(SEED), 1, origin=WORKFLOWS_ORIGIN)
-    write_report(ledger, out / "report.pdf", workflows)
+    write_report(ledger, out / "report.pdf", workflows, workers)
     return table_text(metrics, SHOWN), head

@@ -9,7 +9,18 @@ from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted, ReplayMismatch, UsageError
 from fsar_ledger.printable import Shown
 
-from .options import CosignedOption, JsonOption, LedgerArgument, ReplayOption, TrustedKeyOption, WitnessPolicyOption, WorkersOption, examples, workers_of
+from .options import (
+    CosignedOption,
+    JsonOption,
+    LedgerArgument,
+    ReplayOption,
+    TrustedKeyOption,
+    VerifiedOption,
+    WitnessPolicyOption,
+    WorkersOption,
+    examples,
+    workers_of,
+)
 from .progress import Progress
 from .terminal import show
 
@@ -119,11 +130,12 @@ def verify(
     Where anything does not hold, each place is named and the exit code is 3. What no ledger can show about itself, that all of it was
     rewritten or its newest commits taken away, shows with a trusted key and an anchor, a copy of LEDGER/checkpoint that was kept elsewhere,
     or with witnesses, who keep one.
+    A look at all rows that finds nothing is remembered in the user's cache, never in the ledger; answers from this head are then `rows_verified`.
     """
     from fsar_ledger.ledger.note import read_verifier
     from fsar_ledger.ledger.verify import Asked
-    from fsar_ledger.ledger.verify import verify as check
     from fsar_ledger.ledger.verify_notes import read_anchor
+    from fsar_ledger.metrics.verified import whole_look
 
     from .replay import replayed, verdict_json, verdict_lines
     from .witness import seen_of, with_seen
@@ -135,7 +147,7 @@ def verify(
     seen = seen_of(context, ledger, witness_policy, cosigned, trusted)  # before the look: the ledger may grow meanwhile
     asked = Asked(quick, trusted, kept, seen.evidence.checkpoints if seen is not None else ())
     with Progress("verified", "segments") as progress:
-        report = check(ledger, workers_of(workers), progress, asked)
+        report = whole_look(ledger, workers_of(workers), progress, asked)
     again = replayed(ledger, report, workers_of(workers)) if replay else None
     if as_json:
         show(with_seen(verdict_json(report, again), seen))
@@ -163,6 +175,7 @@ def prove(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="A new file, by custom .tlog-proof; never replaced.", show_default="print it")
     ] = None,
+    verified: VerifiedOption = False,
 ) -> None:
     """Prove that one event is in a ledger.
 
@@ -172,9 +185,9 @@ def prove(
     from .proofs import proof_of, write_proof
 
     if out is None:
-        show(Shown(str(proof_of(ledger, event))), raw=True)
+        show(Shown(str(proof_of(ledger, event, verified=verified))), raw=True)
     else:
-        show(write_proof(ledger, event, out))
+        show(write_proof(ledger, event, out, verified=verified))
 
 
 def verify_proof(

@@ -291,7 +291,8 @@ def _confirm(view: LedgerView) -> None:
 
 def _clean(view: LedgerView) -> None:
     """Staging holds only committed segments that are not yet in place. Only for a writer that is alone: others may be staging."""
-    kept = {path.name for path in view.segments() if path.parent.name == STAGING}
+    places = [view.place(number) for number in range(len(view.records))]
+    kept = {path.name for path in places if path.parent.name == STAGING}
     with disk.refusals(view.path / STAGING, "cleaning up"):
         disk.make_folder(view.path / STAGING)
         leftovers = [entry.path for entry in list(os.scandir(view.path / STAGING)) if entry.name not in kept and entry.is_file(follow_symlinks=False)]
@@ -301,8 +302,8 @@ def _clean(view: LedgerView) -> None:
 
 def _roll_forward(view: LedgerView) -> None:
     """Every committed segment is in place. Raises: LedgerCorrupted if one is missing, WriteFailed if the disk refuses."""
-    for number, path in enumerate(view.segments()):
-        target = segment_path(view.path, number)
+    for number in range(len(view.records)):
+        path, target = view.place(number), segment_path(view.path, number)
         if path != target:
             with disk.refusals(target, "moving a committed segment into place"):
                 disk.move(path, target)

@@ -4,7 +4,6 @@ They are written after the commit, tiles first, so a crash leaves them one commi
 Partial tiles stay until the full tile is there, as C2SP tlog-tiles asks, so each published tree size keeps its own.
 """
 
-import hashlib
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
@@ -65,7 +64,7 @@ def catch_up(view: LedgerView) -> Edge:
             "and fsar-ledger recover if only derived files are damaged"
         )
     edge = edge_at(view.path, before.tree() if before else Frontier())
-    after, made = edge.extend(_newest_leaves(view))
+    after, made = edge.extend(view.leaves(last.number))
     if after.frontier() != last.tree():
         raise LedgerCorrupted(
             f"{view.segment(last.number)}: commit {last.number}: found rows that lead to root {after.frontier().root().hex()}, "
@@ -75,20 +74,6 @@ def catch_up(view: LedgerView) -> Edge:
     with disk.refusals(view.path / TILE, "writing tiles"):
         write_derived(view.path, edge, made, last)
     return after
-
-
-def _newest_leaves(view: LedgerView) -> bytes:
-    """The packed leaf hashes of the newest commit's rows. Raises: LedgerCorrupted if its segment is not the file that was committed."""
-    last = view.records[-1]
-    path = view.segment(last.number)
-    try:
-        with open(path, "rb") as opened:
-            found = hashlib.file_digest(opened, "sha256").hexdigest()
-    except OSError as error:
-        raise LedgerCorrupted(f"{path}: commit {last.number}: the segment cannot be read ({error.strerror}); permit reading or restore it") from error
-    if found != last.segment_sha256:
-        raise LedgerCorrupted(f"{path}: commit {last.number}: found SHA-256 {found}, expected {last.segment_sha256} as committed; restore the file")
-    return view.leaves(last.number)
 
 
 def read_checkpoint(ledger: Path) -> str | None:

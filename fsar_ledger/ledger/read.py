@@ -1,15 +1,18 @@
-"""What is committed, as a reader sees it. Readers never write and never see half a commit."""
+"""What is committed, as a reader sees it. Readers never write, never see half a commit, and never get a segment that is not the one committed."""
 
 import os
 import stat
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import NamedTuple
 
 import msgspec
 import pyarrow as pa
 
 from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger
 from fsar_ledger.ledger import canonical, codec, disk, merkle, segment
+from fsar_ledger.ledger.layout import check_layout
 from fsar_ledger.ledger.merkle import Frontier
 from fsar_ledger.ledger.place import require_created
 from fsar_ledger.ledger.record import (
@@ -31,6 +34,10 @@ from fsar_ledger.ledger.record import (
 from fsar_ledger.ledger.releases import is_later
 from fsar_ledger.ledger.tiles import TILE
 
+_THREADS = 4
+_WORTH_THREADS_BYTES = 1 << 25
+"""Hashing so much takes some 20 ms; below that, starting threads gains nothing."""
+
 
 class Head(msgspec.Struct, frozen=True):
     """How far a ledger goes: commits, events, the Merkle root over them in hex, and the last run."""
@@ -44,13 +51,29 @@ class Head(msgspec.Struct, frozen=True):
 EMPTY_HEAD = Head(0, 0, merkle.EMPTY_ROOT.hex())
 
 
+class Checked(NamedTuple):
+    """A segment that is as committed: where it is, and what of its file changes when somebody writes to it or puts another in its place."""
+
+    path: Path
+    device: int
+    inode: int
+    size: int
+    modified_ns: int
+    changed_ns: int
+
+
 class LedgerView(msgspec.Struct, frozen=True):
-    """A ledger as it was when it was opened; later commits do not show."""
+    """A ledger as it was when it was opened; later commits do not show.
+
+    `record_sha256` is the hash of the newest record, of ledger.json where there is none: it vouches for every byte of the ledger but what is derived.
+    """
 
     path: Path
     manifest: Manifest
     manifest_sha256: str
+    record_sha256: str
     records: tuple[CommitRecord, ...]
+    checked: dict[int, Checked] = msgspec.field(default_factory=dict)
 
     @property
     def head(self) -> Head:
@@ -60,12 +83,42 @@ class LedgerView(msgspec.Struct, frozen=True):
         last = self.records[-1]
         return Head(len(self.records), last.tree_size, last.tree_root, last.last_run)
 
-    def segment(self, number: int) -> Path:
-        """The file with the rows of this commit: in place, or in staging where the writer was interrupted.
+    def place(self, number: int) -> Path:
+        """Where the rows of this commit are: in place, or in staging where the writer was interrupted. The bytes are not looked at: for who only moves them.
 
         Raises:
-            LedgerCorrupted: It is in neither place, is no regular file, or has another size than committed.
+            LedgerCorrupted: The segment is in neither place, is no regular file, or has another size than committed.
         """
+        return self._found(number).path
+
+    def segment(self, number: int) -> Path:
+        """The file with the rows of this commit: exactly the bytes that the record names, and no more to unpack than a batch of runs.
+
+        They are read once for each view; a file that changed since is read again.
+
+        Raises:
+            LedgerCorrupted: As `place`; or its SHA-256 is another, or it asks for more than the bounds.
+        """
+        found = self._found(number)
+        if self.checked.get(number) != found:
+            try:
+                self._require_committed(number, found.path)
+            except FileNotFoundError:  # a writer moved it into place in between
+                found = self._found(number)
+                self._require_committed(number, found.path)
+            self.checked[number] = found
+        return found.path
+
+    def segments(self) -> list[Path]:
+        """The files with the rows of all commits, in order, each as committed. Raises: as `segment`, of the first that is not."""
+        numbers = range(len(self.records))
+        if sum(record.segment_bytes for record in self.records) < _WORTH_THREADS_BYTES:
+            return [self.segment(number) for number in numbers]
+        with ThreadPoolExecutor(_THREADS) as pool:  # hashing lets other threads run
+            return list(pool.map(self.segment, numbers))
+
+    def _found(self, number: int) -> Checked:
+        """The segment where it is, not yet checked. Raises: as `place`."""
         record = self.records[number]
         for path in (segment_path(self.path, number), staged_path(self.path, record.segment_sha256), segment_path(self.path, number)):
             try:
@@ -73,18 +126,29 @@ class LedgerView(msgspec.Struct, frozen=True):
             except FileNotFoundError:
                 continue
             except OSError as error:
-                raise LedgerCorrupted(f"{path}: commit {number}: the segment cannot be read ({error.strerror}); permit reading or restore it") from error
+                raise _unreadable(path, number, error) from error
             if not stat.S_ISREG(status.st_mode):
                 raise LedgerCorrupted(f"{path}: commit {number}: found a link or something else than a file, expected a segment; restore the file")
-            size = status.st_size
-            if size != record.segment_bytes:
-                raise LedgerCorrupted(f"{path}: commit {number}: found {size} bytes, expected {record.segment_bytes}; restore the file")
-            return path
+            if status.st_size != record.segment_bytes:
+                raise LedgerCorrupted(f"{path}: commit {number}: found {status.st_size} bytes, expected {record.segment_bytes}; restore the file")
+            return Checked(path, status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
         raise LedgerCorrupted(f"{segment_path(self.path, number)}: commit {number}: found no segment, expected {record.rows} events; restore the file")
 
-    def segments(self) -> list[Path]:
-        """The files with the rows of all commits, in order. Raises: LedgerCorrupted if one is missing or has another size."""
-        return [self.segment(number) for number in range(len(self.records))]
+    def _require_committed(self, number: int, path: Path) -> None:
+        """Raises: LedgerCorrupted if the file is not the one that the record names, or goes beyond the bounds; FileNotFoundError if it is gone."""
+        expected = self.records[number].segment_sha256
+        try:
+            with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as opened:
+                if not stat.S_ISREG(os.fstat(opened.fileno()).st_mode):
+                    raise OSError(0, "it is not a regular file")
+                data = opened.read()  # as many bytes as the record says, see `_found`
+            if (found := sha256_hex(data)) != expected:
+                raise LedgerCorrupted(f"{path}: commit {number}: found SHA-256 {found}, expected {expected} as committed; restore the file")
+            check_layout(path, data)
+        except FileNotFoundError:
+            raise
+        except OSError as error:
+            raise _unreadable(path, number, error) from error
 
     def tables(self, columns: list[str] | None = None) -> Iterator[pa.Table]:
         """The rows of each commit as they are stored, in order, with these columns (all: None). Raises: LedgerCorrupted for a segment that cannot be read."""
@@ -149,7 +213,7 @@ def open_ledger(path: Path) -> LedgerView:
         tree = record.tree()
         previous = sha256_hex(data)
         records.append(record)
-    return LedgerView(path, manifest, manifest_sha256, tuple(records))
+    return LedgerView(path, manifest, manifest_sha256, previous, tuple(records))
 
 
 def read_manifest(path: Path) -> bytes:
@@ -169,6 +233,10 @@ def _require_folders(path: Path) -> None:
     for folder in (path / COMMITS, path / SEGMENTS, path / STAGING, path / TILE):
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
             raise LedgerCorrupted(f"{folder}: found a link or something else than a folder, expected a folder of the ledger; restore it")
+
+
+def _unreadable(path: Path, number: int, error: OSError) -> LedgerCorrupted:
+    return LedgerCorrupted(f"{path}: commit {number}: the segment cannot be read ({error.strerror}); permit reading or restore it")
 
 
 def _read(file: Path) -> bytes:

@@ -59,6 +59,7 @@ class VerifyReport(msgspec.Struct, frozen=True):
     `root` is the Merkle root in hex over the rows themselves (as recorded, where rows were not read), None if there is any doubt.
     `signer` is the trusted key (`name+id`) if one was given, else whom the newest note names; `anchored` counts the events of the anchor.
     `remarks` are no doubts: what a crash may leave behind, and what a quick look leaves open.
+    `record_sha256` is the hash of the newest commit record (of ledger.json where there is none), which vouches for all before; None if there is any doubt.
     """
 
     ok: bool
@@ -73,6 +74,12 @@ class VerifyReport(msgspec.Struct, frozen=True):
     is_quick: bool = False
     anchored: int | None = None
     remarks: tuple[str, ...] = ()
+    record_sha256: str | None = None
+
+    def refusal(self, ledger: Path) -> list[str]:
+        """What was found, for people: one line for each problem, and what to do."""
+        count = f"{len(self.problems)} problem{'' if len(self.problems) == 1 else 's'}{' at a quick look' if self.is_quick else ''}"
+        return [*map(str, self.problems), f"{ledger}: {count}; do not rely on this ledger, restore it from a copy that verifies"]
 
 
 def verify(path: Path, workers: int = 1, progress: Progress | None = None, asked: Asked | None = None) -> VerifyReport:
@@ -148,9 +155,9 @@ class _Verification:
             if progress is not None:
                 progress(commit.number + 1, len(commits))
         self.problems += check_strays(self.path, len(commits))
-        return self._report(origin, [commit.record for commit in commits if commit.record is not None])
+        return self._report(origin, [commit.record for commit in commits if commit.record is not None], previous)
 
-    def _report(self, origin: str | None, records: list[CommitRecord]) -> VerifyReport:
+    def _report(self, origin: str | None, records: list[CommitRecord], newest: str | None) -> VerifyReport:
         signed = Signatures("signer not checked")
         if not self.problems:
             doubts, signed = check_signatures(records, self.asked.trusted)
@@ -174,6 +181,7 @@ class _Verification:
             is_quick=self.asked.is_quick,
             anchored=anchored if ok else None,
             remarks=remarks,
+            record_sha256=newest if ok else None,
         )
 
     def _add(self, commits: list[Commit], commit: Commit, facts: SegmentFacts, previous: str | None, origin: str | None) -> None:

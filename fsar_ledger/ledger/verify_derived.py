@@ -1,7 +1,7 @@
 """The tiles and the checkpoint, compared with those that the rows give: a part of `verify`."""
 
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -17,7 +17,7 @@ BEHIND = "the tiles and the checkpoint are one commit behind, as a crash leaves 
 LEFT_OVER = "partial tiles are there whose full tile is there too, as a crash leaves them; fsar-ledger recover sets them aside"
 
 
-def check_checkpoint(ledger: Path, records: list[CommitRecord]) -> tuple[list[Problem], bool]:
+def check_checkpoint(ledger: Path, records: Sequence[CommitRecord]) -> tuple[list[Problem], bool]:
     """The file `checkpoint` holds the note of the newest commit, or (True) of the one before it, which a crash may leave."""
     try:
         found = read_checkpoint(ledger)

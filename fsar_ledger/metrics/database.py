@@ -14,14 +14,15 @@ import duckdb
 import pyarrow as pa
 
 from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted, QueryFailed
-from fsar_ledger.ledger.layout import check_bounds
-from fsar_ledger.ledger.read import Head, open_ledger
+from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.read import Head
 from fsar_ledger.ledger.schema import SCHEMA
 from fsar_ledger.ledger.segment import read_table
 
 from . import relation
 from .functions import register
 from .library import Library, library, values
+from .verified import is_verified
 
 LOCK = (
     "threads = 1",
@@ -65,8 +66,12 @@ class Database:
     the packaged ones do.
     """
 
-    def __init__(self, head: Head | None, segments: Sequence[Path], threads: int | None = None, queries: Library | None = None):
+    def __init__(
+        self, head: Head | None, segments: Sequence[Path], threads: int | None = None, queries: Library | None = None, rows_verified: bool | None = None
+    ):
         self.head = head
+        self.rows_verified = rows_verified
+        """Whether the rows were compared with the root of the head, by a whole look; None where there is no head."""
         self.library = queries or library()
         self._segments = tuple(segments)
         self._made: set[str] = set()
@@ -232,17 +237,22 @@ def _first_lines(text: str, count: int = 6) -> str:
     return "\n".join(lines[:count])
 
 
-def connect(ledger: Path, threads: int | None = None) -> Database:
-    """A database over the committed segments of one head of this ledger.
+def connect(ledger: Path, threads: int | None = None, demanded: str | None = None) -> Database:
+    """A database over the committed segments of one head of this ledger, each the very file that was committed.
+
+    Args:
+        ledger: Its folder.
+        threads: Of DuckDB; None is one per core.
+        demanded: The newest record that a whole look just saw (`required_look`), where no other head will do.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_ledger`; also LedgerCorrupted for a segment that is missing or not as it may be.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`; also LedgerCorrupted for a segment that is not as committed.
+        SequenceConflict: As `is_verified`.
     """
-    view = open_ledger(ledger)
+    view = open_for_answers(ledger)
+    rows_verified = is_verified(view, demanded)
     segments = view.segments()
-    for path in segments:
-        check_bounds(path)
-    database = Database(view.head, segments, threads)
+    database = Database(view.head, segments, threads, rows_verified=rows_verified)
     try:
         if segments:
             parts = relation.native_parts(segments, [record.release for record in view.records])

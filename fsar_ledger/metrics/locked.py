@@ -8,6 +8,7 @@ DuckDB's own locks come on top (`Database.lock`).
 import os
 import resource
 import signal
+from collections.abc import Iterator
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -27,6 +28,12 @@ GRACE_S = 5
 FILES = 64
 """Open files at once; reading 167,000 events of 12 segments takes 11."""
 
+
+SLICE_BYTES, VALUE_BYTES = 1 << 20, 16
+"""What is sent at once, so that the caller holds little: as Python's values it takes some tens of MiB. And what a value counts beside its bytes."""
+
+ROW_BYTES = 64 << 20
+"""One row cannot be cut; as Python's values it may take ten times as much."""
 
 OWN_BYTES = 512 << 20
 """Address space of the process before it answers, with some to spare. DuckDB gets half of the rest: what grows is copied into twice its room."""
@@ -61,18 +68,21 @@ class Refusal(msgspec.Struct, frozen=True):
 
 
 def answer(descriptor: int) -> None:
-    """The pipe has had one `Question` read from it and holds null and the answer as an Arrow stream, or one `Refusal`."""
+    """The pipe has had one `Question` read from it and holds one `Refusal`, or null and the answer: an Arrow stream for each slice, then nothing."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the caller too, which ends this process
     with Connection(descriptor) as pipe:
         question = msgspec.json.decode(pipe.recv_bytes(), type=Question)
         give_up(question.limits)
         try:
-            stream = _stream(_select(question), question.limits)
+            batches = _select(question)
         except (QueryFailed, LedgerCorrupted, MemoryError, pa.ArrowException, OSError) as error:
             pipe.send_bytes(msgspec.json.encode(_refusal(error, question.limits)))
-        else:
-            pipe.send_bytes(b"null")
-            pipe.send_bytes(stream)
+            return
+        pipe.send_bytes(b"null")
+        for batch in batches:
+            for part in slices(batch):
+                pipe.send_bytes(_stream(part))
+        pipe.send_bytes(b"")
 
 
 def _refusal(error: Exception, limits: Limits) -> Refusal:
@@ -92,10 +102,11 @@ def give_up(limits: Limits) -> None:
         resource.RLIMIT_FSIZE: 0,
         resource.RLIMIT_NOFILE: FILES,
         resource.RLIMIT_AS: limits.memory_bytes,
-        resource.RLIMIT_CPU: limits.seconds + GRACE_S,
     }
     for what, value in most.items():
         resource.setrlimit(what, (value, value))
+    seconds = limits.seconds + GRACE_S
+    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))  # SIGXCPU at the first says why, SIGKILL at the second ends it
 
 
 def _checked() -> ds.ParquetFileFormat:
@@ -103,7 +114,7 @@ def _checked() -> ds.ParquetFileFormat:
     return ds.ParquetFileFormat(default_fragment_scan_options=ds.ParquetFragmentScanOptions(page_checksum_verification=True))
 
 
-def _select(question: Question) -> pa.Table:
+def _select(question: Question) -> list[pa.RecordBatch]:
     """The answer, read no further than its limits. Raises: QueryFailed."""
     limits, segments = question.limits, question.segments
     pa.set_cpu_count(1)  # threads reserve address space, which is limited
@@ -120,25 +131,61 @@ def _select(question: Question) -> pa.Table:
         database.only_read()
         batches: list[pa.RecordBatch] = []
         rows = size = 0
-        for batch in database.batches(question.sql):
+        for batch in map(_plain, database.batches(question.sql)):
             rows, size = rows + batch.num_rows, size + batch.nbytes
             if rows > limits.rows:
                 raise QueryFailed(f"SQL: found more than {limits.rows:,} rows, the limit; add a LIMIT or aggregate")
-            _check_size(size, limits)
+            if size > limits.answer_bytes:
+                raise QueryFailed(f"SQL: found an answer of more than {limits.answer_bytes:,} bytes, the limit; ask for fewer columns or rows")
+            for part in slices(batch):
+                if (weighs := weight(part)) > ROW_BYTES:
+                    raise QueryFailed(f"SQL: found a row that takes {weighs:,} bytes, expected at most {ROW_BYTES:,}; ask for fewer columns or shorter values")
             batches.append(batch)
-        return pa.Table.from_batches(batches)
+        return batches
 
 
-def _stream(table: pa.Table, limits: Limits) -> pa.Buffer:
-    """The table as an Arrow stream. Raises: QueryFailed when it is larger than an answer may be."""
+def _plain(batch: pa.RecordBatch) -> pa.RecordBatch:
+    """The batch without codes into lists of texts: each part of it would be sent with all of the list."""
+    columns = [column.dictionary_decode() if pa.types.is_dictionary(column.type) else column for column in batch.columns]
+    return pa.RecordBatch.from_arrays(columns, names=batch.schema.names)
+
+
+def _stream(batch: pa.RecordBatch) -> pa.Buffer:
+    """The batch as an Arrow stream of its own."""
     sink = pa.BufferOutputStream()
-    with pa.ipc.new_stream(sink, table.schema) as writer:
-        writer.write_table(table)
-    stream = sink.getvalue()
-    _check_size(stream.size, limits)
-    return stream
+    with pa.ipc.new_stream(sink, batch.schema) as writer:
+        writer.write_batch(batch)
+    return sink.getvalue()
 
 
-def _check_size(size: int, limits: Limits) -> None:
-    if size > limits.answer_bytes:
-        raise QueryFailed(f"SQL: found an answer of more than {limits.answer_bytes:,} bytes, the limit; ask for fewer columns or rows")
+def slices(batch: pa.RecordBatch) -> Iterator[pa.RecordBatch]:
+    """The batch in parts that are small as Python's values, too; a row is never cut."""
+    if batch.num_rows < 2 or weight(batch) <= SLICE_BYTES:
+        yield batch
+        return
+    half = batch.num_rows // 2
+    yield from slices(batch.slice(0, half))
+    yield from slices(batch.slice(half))
+
+
+def weight(batch: pa.RecordBatch) -> int:
+    """About the bytes that these rows take, each value counted as one of Python's, however little Arrow needs for it."""
+    return int(batch.nbytes) + VALUE_BYTES * sum(_values(column) for column in batch.columns)
+
+
+def _values(column: pa.Array) -> int:
+    """How many values an array holds, those inside of them too."""
+    kind = column.type
+    if pa.types.is_struct(kind):
+        return len(column) + sum(_values(part) for part in column.flatten())
+    if pa.types.is_map(kind):
+        return len(column) + _values(_entries(column, column.keys)) + _values(_entries(column, column.items))
+    return len(column) + (_values(column.flatten()) if pa.types.is_nested(kind) and not pa.types.is_union(kind) else 0)
+
+
+def _entries(column: pa.Array, entries: pa.Array) -> pa.Array:
+    """The keys or items that belong to this part of a map."""
+    if not len(column):
+        return entries.slice(0, 0)
+    first, last = column.offsets[0].as_py(), column.offsets[-1].as_py()
+    return entries.slice(first, last - first)

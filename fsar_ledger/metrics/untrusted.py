@@ -7,23 +7,27 @@ limit. What comes back is Arrow data, never pickled objects.
 
 import json
 import os
+import signal
 import subprocess
 import sys
+import threading
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from multiprocessing.connection import Connection, Pipe
+from multiprocessing.connection import Pipe
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import msgspec
 import pyarrow as pa
 
 from fsar_ledger.errors import QueryFailed
-from fsar_ledger.ledger.layout import check_bounds
-from fsar_ledger.ledger.read import Head, open_ledger
+from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.read import Head
 
-from .database import first_damage, plain_rows
-from .locked import Limits, Question, Refusal
+from .database import SHOWN, first_damage, plain_rows
+from .locked import GRACE_S, Limits, Question, Refusal
+from .verified import is_verified
 
 ENVIRONMENT = {"ARROW_DEFAULT_MEMORY_POOL": "system", "MALLOC_ARENA_MAX": "1", "OPENBLAS_NUM_THREADS": "1"}
 """All that the process finds in its environment: libraries then reserve no address space that they do not use (2.4 GiB become 0.7 GiB)."""
@@ -34,45 +38,71 @@ NEEDED = ("LD_LIBRARY_PATH",)
 START = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from fsar_ledger.metrics.locked import answer; answer(int(sys.argv[2]))"
 
 
+DYING_S = 5
+"""Seconds within which a process is gone after its pipe is."""
+
+SAID_BYTES = 1 << 16
+OUT_OF_MEMORY = ("bad_alloc", "MemoryError", "Cannot allocate memory", "out of memory", "failed to map segment")
+"""What C++, Python and the dynamic loader write when they get no memory."""
+
+
 class Answer(msgspec.Struct, frozen=True):
-    """The rows that a SELECT yielded at this head."""
+    """The rows that a SELECT yielded at this head, and whether the rows that it read were compared with the head's root."""
 
     head: Head
+    rows_verified: bool
     columns: list[str]
     rows: list[dict[str, Any]]
 
 
-def run_untrusted(ledger: Path, sql: str, limits: Limits | None = None) -> Answer:
-    """The answer of this SELECT over the ledger's present head.
+class Stream(NamedTuple):
+    """As `Answer`, but with `parts`: some rows at a time. They raise QueryFailed when the time is over, or for a value that cannot be shown."""
+
+    head: Head
+    rows_verified: bool
+    columns: list[str]
+    parts: Iterator[list[dict[str, Any]]]
+
+
+def run_untrusted(ledger: Path, sql: str, limits: Limits | None = None, demanded: str | None = None) -> Answer:
+    """The answer of this SELECT, all of it in memory. Raises: as `stream_untrusted`."""
+    with stream_untrusted(ledger, sql, limits, demanded) as answer:
+        return Answer(answer.head, answer.rows_verified, answer.columns, [row for part in answer.parts for row in part])
+
+
+@contextmanager
+def stream_untrusted(ledger: Path, sql: str, limits: Limits | None = None, demanded: str | None = None) -> Iterator[Stream]:
+    """The answer of this SELECT over the ledger's present head; with `demanded`, only over the head with that newest record.
+
+    The limit of time holds until the last part has been taken.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_ledger`; LedgerCorrupted also for a segment that cannot be read.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`; LedgerCorrupted also for a segment that is not as committed.
+        SequenceConflict: As `is_verified`.
         QueryFailed: The SQL is not one SELECT, does not run, reaches for something outside, or meets a limit.
     """
     limits = limits or Limits()
     check_text(sql, limits)
-    view = open_ledger(ledger)
-    segments = [str(path.resolve()) for path in view.segments() if check_bounds(path)]
-    with _process() as pipe:
+    view = open_for_answers(ledger)
+    rows_verified = is_verified(view, demanded)
+    segments = [str(path.resolve()) for path in view.segments()]
+    with _process(limits) as process:
+        process.send(msgspec.json.encode(Question(segments, sql, limits)))
+        refusal = msgspec.json.decode(process.receive(), type=Refusal | None)
+        if refusal is not None:
+            raise (first_damage(view.segments()) if refusal.may_be_damage else None) or QueryFailed(refusal.message)
+        yield Stream(view.head, rows_verified, pa.ipc.open_stream(process.receive()).schema.names, _parts(process))
+
+
+def _parts(process: "_Process") -> Iterator[list[dict[str, Any]]]:
+    while data := process.receive():
         try:
-            pipe.send_bytes(msgspec.json.encode(Question(segments, sql, limits)))
-            if not pipe.poll(limits.seconds):
-                raise QueryFailed(f"SQL: found no answer after {limits.seconds} s, the limit; ask for less, or use a packaged query")
-            refusal = msgspec.json.decode(pipe.recv_bytes(), type=Refusal | None)
-            if refusal is not None:
-                raise (first_damage(view.segments()) if refusal.may_be_damage else None) or QueryFailed(refusal.message)
-            table = pa.ipc.open_stream(pipe.recv_bytes(limits.answer_bytes)).read_all()
-        except (EOFError, OSError) as error:
-            raise QueryFailed(
-                f"SQL: the process that ran it broke off without an answer: it met the limit of memory ({limits.memory_bytes >> 20:,} MiB) "
-                f"or of processor time ({limits.seconds} s), or values nest too deep; ask for less"
-            ) from error
-    try:
-        return Answer(view.head, table.column_names, plain_rows(table))
-    except (OverflowError, ValueError) as error:
-        raise QueryFailed(
-            "SQL: found a date or time that an answer cannot show, expected years 1 to 9999 and whole microseconds; make it text, as in CAST(... AS VARCHAR)"
-        ) from error
+            rows = plain_rows(pa.ipc.open_stream(data).read_all())
+        except (OverflowError, ValueError) as error:
+            found = "SQL: found a date or time that an answer cannot show, expected years 1 to 9999 and whole microseconds"
+            raise QueryFailed(f"{found}; make it text, as in CAST(... AS VARCHAR)") from error
+        yield rows
+        process.check_time()
 
 
 def check_text(sql: str, limits: Limits) -> None:
@@ -91,23 +121,99 @@ def check_text(sql: str, limits: Limits) -> None:
         raise QueryFailed(f"SQL: found a NUL at character {sql.index(chr(0)) + 1}, expected text; remove it")
 
 
+class _Process:
+    """A process that waits for a `Question`, and the pipe to it; it is ended when its time is over, whatever either side is doing."""
+
+    def __init__(self, limits: Limits) -> None:
+        self.limits = limits
+        self.pipe, there = Pipe()
+        self._said, said = os.pipe()
+        os.set_blocking(said, False)  # what does not fit into the pipe is lost, and nobody waits for it
+        os.set_blocking(self._said, False)
+        path = json.dumps([os.path.abspath(place) for place in sys.path])
+        try:
+            self._child = subprocess.Popen(
+                [sys.executable, "-I", "-B", "-X", "utf8", "-c", START, path, str(there.fileno())],
+                env=ENVIRONMENT | {name: os.environ[name] for name in NEEDED if name in os.environ},
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                stderr=said,
+                pass_fds=[there.fileno()],
+            )
+        finally:
+            there.close()
+            os.close(said)
+        self._ends = time.monotonic() + limits.seconds
+        self._alarm = threading.Timer(limits.seconds, self._child.kill)
+        self._alarm.daemon = True
+        self._alarm.start()
+
+    def send(self, data: bytes) -> None:
+        """The process has these bytes. Raises: QueryFailed if it is gone."""
+        try:
+            self.pipe.send_bytes(data)
+        except OSError as error:
+            raise self._gone() from error
+
+    def receive(self) -> bytes:
+        """What the process sends next. Raises: QueryFailed if it is gone, or its time is over."""
+        try:
+            return self.pipe.recv_bytes(self.limits.answer_bytes)
+        except (EOFError, OSError) as error:
+            raise self._gone() from error
+
+    def check_time(self) -> None:
+        """Raises: QueryFailed if the time is over."""
+        if time.monotonic() >= self._ends:
+            raise self._gone()
+
+    def end(self) -> None:
+        """The process is gone, and the pipes to it are closed."""
+        self._alarm.cancel()
+        self._child.kill()
+        self._child.wait()
+        self.pipe.close()
+        os.close(self._said)
+
+    def _gone(self) -> QueryFailed:
+        if time.monotonic() >= self._ends:
+            return QueryFailed(f"SQL: found no answer after {self.limits.seconds} s, the limit; ask for less, or use a packaged query")
+        try:
+            code: int | None = self._child.wait(DYING_S)
+        except subprocess.TimeoutExpired:
+            code = None
+        try:
+            said = os.read(self._said, SAID_BYTES).decode(errors="replace")
+        except OSError:
+            said = ""
+        return QueryFailed(f"SQL: the process that ran it {cause_of_death(code, said, self.limits)}")
+
+
+def cause_of_death(code: int | None, said: str, limits: Limits) -> str:
+    """Why a process ended without an answer, and what to do, by its exit code (a signal's number below zero) and the end of what it wrote to stderr."""
+    last = next((line for line in reversed(said.splitlines()) if line.strip()), "nothing")[:SHOWN]
+    memory = f"ran out of memory, the limit is {limits.memory_bytes >> 20:,} MiB; ask for less, or raise it with --memory"
+    if any(sign in said for sign in OUT_OF_MEMORY):
+        return memory
+    if code is None:
+        return "closed its pipe and did not end; please report this"
+    if code >= 0:
+        return f"ended with exit code {code}, as when it cannot start; the last that it wrote: {last}"
+    killer = next((one for one in signal.Signals if one == -code), None)
+    if killer == signal.SIGXCPU:
+        return f"used {limits.seconds + GRACE_S} s of processor time, and its limit is {limits.seconds} s; ask for less"
+    if killer == signal.SIGKILL:
+        return "was killed from outside (SIGKILL), as a system does that is short of memory; see to that and ask again"
+    if killer in (signal.SIGSEGV, signal.SIGBUS):
+        return f"crashed ({signal.Signals(-code).name}): values nest too deep for it, or DuckDB has an error there; ask for it in another way"
+    return f"was ended by {f'signal {-code}' if killer is None else killer.name}; the last that it wrote: {last}"
+
+
 @contextmanager
-def _process() -> Iterator[Connection]:
-    """The pipe to a process that waits for a `Question`; the process is gone at the end, however that comes."""
-    here, there = Pipe()
-    path = json.dumps([os.path.abspath(place) for place in sys.path])
-    child = subprocess.Popen(
-        [sys.executable, "-I", "-B", "-X", "utf8", "-c", START, path, str(there.fileno())],
-        env=ENVIRONMENT | {name: os.environ[name] for name in NEEDED if name in os.environ},
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,  # a library that dies of the memory limit writes there; this side says what happened
-        pass_fds=[there.fileno()],
-    )
+def _process(limits: Limits) -> Iterator[_Process]:
+    """A process that waits for a `Question`; it is gone at the end, however that comes."""
+    process = _Process(limits)
     try:
-        there.close()
-        yield here
+        yield process
     finally:
-        child.kill()
-        child.wait()
-        here.close()
+        process.end()

@@ -1,25 +1,36 @@
 """A ledger becomes the report: gather, lay out, typeset, publish."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 from fsar_ledger.ledger.place import require_outside
+from fsar_ledger.metrics.verified import required_look
 from fsar_ledger.report import document, figures, typeset
 from fsar_ledger.report.calibration import recorded
 from fsar_ledger.report.gather import gather
 
 
-def write_report(ledger: Path, out: Path, workflows: Path | None = None) -> None:
+def write_report(ledger: Path, out: Path, workflows: Path | None = None, workers: int = 1, progress: Callable[[int, int], None] | None = None) -> None:
     """The PDF about the ledger's present head, and about that of a ledger of workflows, is at `out`, complete or not at all.
 
-    Same heads and versions, same bytes.
+    First every row of both is compared with its root. Same heads and versions, same bytes.
+
+    Args:
+        ledger: The folder of the ledger.
+        out: The PDF.
+        workflows: The folder of the ledger of workflows.
+        workers: Processes that compare rows.
+        progress: Told of segments compared, done and in all.
 
     Raises:
         UsageError: The ledger of workflows holds no workflow, or `out` lies inside a ledger.
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: The ledger cannot be read.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: The ledger cannot be read, or its rows are not those under its root.
+        SequenceConflict: Somebody appended meanwhile.
         WriteFailed: `out` cannot be written.
     """
     require_outside(out, f"--out {out}")
-    findings = gather(ledger, workflows)
+    demanded = required_look(ledger, workers, progress)
+    findings = gather(ledger, workflows, demanded, None if workflows is None else required_look(workflows, workers, progress))
     laid_out = document.encoded(document.data(findings, recorded()))
     typeset.publish(out, typeset.pdf(laid_out, document.drawings(findings)))
 

@@ -196,14 +196,16 @@ def _is_file(query: str) -> bool:
     return files("fsar_ledger.queries").joinpath(f"{query}.sql").is_file()
 
 
-def gather(ledger: Path, workflows: Path | None = None) -> Findings:
+def gather(ledger: Path, workflows: Path | None = None, demanded: str | None = None, demanded_of_workflows: str | None = None) -> Findings:
     """All that the ledger's present head has to say, and that of a ledger of workflows, if there is one.
 
+    Where a newest record is demanded, of no other head.
+
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `fsar_ledger.metrics.database.connect`.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `fsar_ledger.metrics.database.connect`; SequenceConflict, too.
         QueryFailed: A packaged query fails on this ledger's data.
     """
-    with connect(ledger) as database:
+    with connect(ledger, demanded=demanded) as database:
         head = database.head
         overall, by_scenario = metric_rows(database), metric_rows(database, by_scenario=True)
         models, parameters = _models(database)
@@ -227,5 +229,5 @@ def gather(ledger: Path, workflows: Path | None = None) -> Findings:
             sources=tuple(Source(name=query.name, sha256=query.sha256) for query in sorted(needed, key=lambda query: query.name) if _is_file(query.name)),
             features=marks.features(graded),
             evidence=tuple(graded),
-            workflows=None if workflows is None else marks.workflows(workflows),
+            workflows=None if workflows is None else marks.workflows(workflows, demanded_of_workflows),
         )

@@ -55,14 +55,14 @@ def verdict(pairs: Mapping[str, tuple[str | None, str | None]]) -> str | None:
     return f"{DIFFERS}: {', '.join(differing)}" if differing else AGREES
 
 
-def workflows(ledger: Path) -> Workflows:
+def workflows(ledger: Path, demanded: str | None = None) -> Workflows:
     """What the head of a ledger of workflows says: coverage, the story of the door relay, the recovery of the layered recovery.
 
     Raises:
         UsageError: it holds no run of a workflow.
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: as `connect`.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted, SequenceConflict: as `connect`.
     """
-    with connect(ledger) as database:
+    with connect(ledger, demanded=demanded) as database:
         runs = {row["scenario"]: row["run_id"] for row in database.rows("SELECT scenario, min(run_id) AS run_id FROM runs GROUP BY scenario")}
         if not runs.keys() & WORKFLOWS.keys():
             raise UsageError(f"--workflows {ledger}: found no run of {', '.join(WORKFLOWS)}; make one with `fsar-ledger simulate`")

@@ -1,12 +1,15 @@
 """SQL that anyone may have written reads one ledger and reaches nothing else."""
 
 import threading
+import time
 from pathlib import Path
 
+import pyarrow as pa
 import pytest
 
-from fsar_ledger.errors import LedgerCorrupted, NotALedger
-from fsar_ledger.metrics.untrusted import run_untrusted
+from fsar_ledger.errors import LedgerCorrupted, NotALedger, QueryFailed
+from fsar_ledger.metrics.locked import SLICE_BYTES, Limits, slices, weight
+from fsar_ledger.metrics.untrusted import run_untrusted, stream_untrusted
 
 
 def test_a_select_over_events_views_and_metrics_is_answered_with_the_head(ledger: Path) -> None:
@@ -47,3 +50,42 @@ def test_several_may_ask_at_once(ledger: Path) -> None:
     for thread in threads:
         thread.join()
     assert sorted(answers) == [0, 1, 2]
+
+
+def test_a_long_answer_comes_in_parts_and_in_order(ledger: Path) -> None:
+    with stream_untrusted(ledger, "SELECT i, [i, i + 1] AS pair FROM range(50000) AS t(i)") as answer:
+        assert answer.columns == ["i", "pair"]
+        parts = list(answer.parts)
+    assert len(parts) > 4
+    assert [row["i"] for part in parts for row in part] == list(range(50_000))
+    assert parts[-1][-1] == {"i": 49_999, "pair": [49_999, 50_000]}
+
+
+def test_the_time_of_whoever_takes_the_answer_counts(ledger: Path) -> None:
+    with stream_untrusted(ledger, "SELECT i FROM range(200000) AS t(i)", Limits(seconds=2)) as answer:
+        next(answer.parts)
+        time.sleep(2)
+        with pytest.raises(QueryFailed, match="after 2 s, the limit"):
+            next(answer.parts)
+
+
+def test_a_row_that_cannot_be_cut_has_a_limit(ledger: Path) -> None:
+    with pytest.raises(QueryFailed, match="found a row that takes"):
+        run_untrusted(ledger, "SELECT range(4300000) AS many")
+
+
+def test_values_that_need_no_bytes_count_too() -> None:
+    batch = pa.RecordBatch.from_arrays([pa.nulls(100_000)] * 20, names=[f"n{number}" for number in range(20)])
+    assert batch.nbytes < 10
+    parts = list(slices(batch))
+    assert sum(part.num_rows for part in parts) == 100_000
+    assert all(weight(part) <= SLICE_BYTES for part in parts)
+
+
+def test_what_lists_maps_and_structs_hold_is_counted_in_each_part() -> None:
+    schema = pa.schema({"s": pa.struct({"l": pa.list_(pa.int8())}), "f": pa.bool_(), "m": pa.map_(pa.string(), pa.int8())})
+    batch = pa.RecordBatch.from_pylist([{"s": {"l": [1, 2]}, "f": True, "m": [("a", 1)]}] * 10, schema=schema)
+    whole, half = weight(batch), weight(batch.slice(5))
+    assert whole - batch.nbytes == 16 * 10 * (1 + 1 + 2 + 1 + 3)
+    assert half - batch.slice(5).nbytes == 16 * 5 * 8
+    assert weight(batch.slice(0, 0)) == batch.slice(0, 0).nbytes

@@ -1,0 +1,55 @@
+"""A ledger that is opened for an answer by the command line, and what is said of its rows: one line on stderr where they were not compared with the root."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.metrics.verified import is_remembered, required_look
+
+from .options import workers_of
+from .progress import Progress
+from .terminal import say
+
+if TYPE_CHECKING:
+    from fsar_ledger.metrics.database import Database
+
+
+@contextmanager
+def answering(ledger: Path, *, verified: bool) -> Iterator["Database"]:
+    """A database over the ledger; when the answer has been given, it is said if its rows were not compared with the root.
+
+    Raises:
+        FsarLedgerError: As `connect`; with `verified` as `demanded_head`, too.
+    """
+    from fsar_ledger.metrics.database import connect
+
+    with connect(ledger, demanded=demanded_head(ledger, verified=verified)) as database:
+        yield database
+        warn(ledger, rows_verified=bool(database.rows_verified))
+
+
+def demanded_head(ledger: Path, *, verified: bool, workers: int | None = None) -> str | None:
+    """The newest record whose rows are compared with its root, remembered or by a whole look now, if that is demanded.
+
+    Raises:
+        LedgerCorrupted: The look doubts something.
+        NotALedger, FormatVersionMismatch: As `open_for_answers`.
+    """
+    if not verified:
+        return None
+    newest = open_for_answers(ledger).record_sha256
+    return newest if is_remembered(newest) else looked_head(ledger, workers_of(workers))
+
+
+def looked_head(ledger: Path, workers: int) -> str:
+    """The newest record of the ledger, after a whole look. Raises: as `required_look`."""
+    with Progress("verified", "segments") as progress:
+        return required_look(ledger, workers, progress)
+
+
+def warn(ledger: Path, *, rows_verified: bool) -> None:
+    """One line on stderr if the rows were not compared with the root."""
+    if not rows_verified:
+        say(f"the rows of {ledger} were not compared with its root; `fsar-ledger verify {ledger}` does that, and --verified demands it")

@@ -1,0 +1,87 @@
+"""Long answers as text, some rows at a time, so that what a command holds does not grow with its answer. Nothing here prints.
+
+The pieces together are what `output.answer_text` makes of all rows.
+"""
+
+import tempfile
+from collections.abc import Iterable, Iterator, Sequence
+from typing import TextIO
+
+from fsar_ledger.printable import Shown
+
+from .output import HeadLike, Row, check_form, csv_text, json_text, more_text, table_text
+
+KEPT_BYTES = 16 << 20
+"""Text up to this size stays in memory until it is complete; more waits in a file without a name."""
+PIECE = 1 << 20
+
+
+def answer_pieces(
+    head: HeadLike | None,
+    columns: Sequence[str],
+    parts: Iterable[Sequence[Row]],
+    *,
+    rows_verified: bool | None,
+    as_json: bool,
+    as_csv: bool,
+    raw: bool = False,
+    limit: int = 0,
+) -> Iterator[Shown]:
+    """The rows, of which each part holds some, as a table for people, or as what --json or --csv asks for.
+
+    Raises:
+        UsageError: As `check_form`.
+    """
+    check_form(as_json=as_json, as_csv=as_csv, raw=raw)
+    if as_json:
+        return _json(json_text(head, {"rows": []}, rows_verified), parts)
+    return _csv(columns, parts, raw=raw) if as_csv else _table(columns, parts, limit)
+
+
+def _json(empty: str, parts: Iterable[Sequence[Row]]) -> Iterator[Shown]:
+    before, after = empty.rsplit("[]", 1)
+    bare = json_text(None, {"rows": []}).rsplit("[]", 1)
+    is_first = True
+    for rows in filter(len, parts):
+        text = json_text(None, {"rows": rows})
+        yield Shown((before + "[\n" if is_first else ",\n") + text[len(bare[0]) + 2 : -len(bare[1]) - 4])
+        is_first = False
+    yield Shown(f"{before}[]{after}" if is_first else f"\n  ]{after}")
+
+
+def _csv(columns: Sequence[str], parts: Iterable[Sequence[Row]], *, raw: bool) -> Iterator[Shown]:
+    header = csv_text([], columns, raw=raw)
+    yield header
+    for rows in parts:
+        yield Shown(csv_text(rows, columns, raw=raw)[len(header) :])
+
+
+def _table(columns: Sequence[str], parts: Iterable[Sequence[Row]], limit: int) -> Iterator[Shown]:
+    shown: list[Row] = []
+    count = 0
+    for rows in parts:
+        shown += rows[: limit - len(shown)] if limit else rows
+        count += len(rows)
+    yield table_text(shown, columns) or Shown("no rows\n")
+    if count > len(shown):
+        yield more_text(count - len(shown))
+
+
+class Kept:
+    """Text that is shown only when all of it is there: whoever reads an answer gets a whole one or an error."""
+
+    def __init__(self, pieces: Iterable[Shown]):
+        """The pieces are made now. Raises: whatever that raises."""
+        self._file: TextIO = tempfile.SpooledTemporaryFile(KEPT_BYTES, "w+", encoding="utf-8", errors="surrogatepass", newline="")  # type: ignore[assignment]  # noqa: SIM115
+        try:
+            for piece in pieces:
+                self._file.write(piece)
+        except BaseException:
+            self._file.close()
+            raise
+
+    def __iter__(self) -> Iterator[Shown]:
+        """The text, a few whole lines at a time; once."""
+        with self._file as file:
+            file.seek(0)
+            yield from (Shown("".join(lines)) for lines in iter(lambda: file.readlines(PIECE), []))

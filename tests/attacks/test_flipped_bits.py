@@ -1,0 +1,109 @@
+"""One bit of a segment flipped where the query engine does not notice: the answer was another one, without a word.
+
+DuckDB does not look at the checksums of pages, and what zstd stores as it is has none of its own. `verify` found the bit; nothing that answers did.
+"""
+
+import json
+import shutil
+from collections.abc import Iterator
+from itertools import product
+from pathlib import Path
+
+import duckdb
+import pyarrow.parquet as pq
+import pytest
+
+from fsar_ledger.ledger.record import segment_path
+from tests.ledger.damage import only_problem
+from tests.ledger.flips import write_runs
+from tests.ledger.forgery import changed, forge_segment, table_of
+
+from .conftest import Attack
+
+NUMBER = 0
+"""The commit that is attacked: the run of the first architecture."""
+
+
+@pytest.fixture(scope="module")
+def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A ledger of one run of each architecture, which tests copy."""
+    path = tmp_path_factory.mktemp("honest") / "ledger"
+    write_runs(path)
+    return path
+
+
+@pytest.fixture
+def ledger(honest: Path, tmp_path: Path) -> Path:
+    """A copy to be damaged."""
+    return Path(shutil.copytree(honest, tmp_path / "ledger"))
+
+
+def flip_unnoticed(segment: Path, column: str) -> None:
+    """One bit within this column's pages is flipped, the first with which DuckDB reads other values of it and no error."""
+    good, before = segment.read_bytes(), read_by_duckdb(segment, column)
+    for data in flipped(good, segment, column):
+        segment.write_bytes(data)
+        try:
+            if read_by_duckdb(segment, column) != before:
+                return
+        except duckdb.Error:
+            continue
+    raise AssertionError(f"{segment}: found no bit of {column} that DuckDB does not notice")
+
+
+def flipped(good: bytes, segment: Path, column: str) -> Iterator[bytes]:
+    """The segment with each bit of this column's pages flipped, from their end."""
+    group = pq.read_metadata(segment).row_group(0)
+    (chunk,) = [group.column(at) for at in range(group.num_columns) if group.column(at).path_in_schema == column]
+    first = chunk.dictionary_page_offset or chunk.data_page_offset
+    for at, bit in product(reversed(range(first, first + chunk.total_compressed_size)), range(8)):
+        yield good[:at] + bytes([good[at] ^ 1 << bit]) + good[at + 1 :]
+
+
+def read_by_duckdb(segment: Path, column: str) -> list[tuple[object, ...]]:
+    with duckdb.connect() as connection:
+        return connection.execute(f"SELECT {column} FROM read_parquet(?)", [str(segment)]).fetchall()
+
+
+@pytest.mark.parametrize(
+    ("verb", "column"),
+    [
+        (("metrics",), "time_us"),
+        (("metrics", "--by", "scenario", "--json"), "scenario"),
+        (("statistics", "--csv"), "scenario"),
+        (("audit",), "architecture"),
+        (("explain",), "action_id"),
+        (("info",), "seed"),
+    ],
+)
+def test_no_answer_comes_from_a_segment_with_a_flipped_bit(command: Attack, ledger: Path, verb: tuple[str, ...], column: str) -> None:
+    flip_unnoticed(segment_path(ledger, NUMBER), column)
+    assert only_problem(ledger).commit == NUMBER
+
+    answer = command(verb[0], ledger, *verb[1:])
+
+    assert (answer.code, answer.out) == (3, "")
+    assert "segments/000000000000.parquet" in answer.err
+    assert "SHA-256" in answer.err
+
+
+def test_a_look_before_the_bit_was_flipped_excuses_nothing(command: Attack, ledger: Path) -> None:
+    assert command("verify", ledger).code == 0
+    flip_unnoticed(segment_path(ledger, NUMBER), "time_us")
+
+    answer = command("metrics", ledger, "--json")
+
+    assert (answer.code, answer.out) == (3, "")
+
+
+def test_no_number_stands_under_a_root_that_is_not_that_of_its_rows(command: Attack, ledger: Path) -> None:
+    rows = table_of(ledger, NUMBER)
+    forge_segment(ledger, NUMBER, changed(rows, "architecture", 0, "dhma"))  # the hashes are mended, the root is the old one
+
+    answer = command("metrics", ledger, "--json")
+    assert answer.code != 0 or json.loads(answer.out).get("rows_verified") is False
+
+    report = command("report", ledger, "--out", ledger.parent / "report.pdf")
+    assert report.code == 3
+    assert "Merkle root" in report.err
+    assert not (ledger.parent / "report.pdf").exists()

@@ -1,0 +1,113 @@
+"""A small ledger of real runs, one bit of it flipped, and what each command that answers from a ledger then answers."""
+
+import io
+import random
+from collections.abc import Iterable, Iterator
+from contextlib import redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import NamedTuple, get_args
+
+from fsar_ledger import cli
+from fsar_ledger.constants import Constants
+from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from tests.ledger.damage import files_of, kind_of
+
+VERBS: dict[str, tuple[str, ...]] = {
+    "metrics": ("metrics", "LEDGER", "--json"),
+    "metrics by scenario": ("metrics", "LEDGER", "--by", "scenario"),
+    "statistics": ("statistics", "LEDGER", "--csv"),
+    "audit": ("audit", "LEDGER", "--json"),
+    "query": ("query", "decisions", "LEDGER", "--csv"),
+    "sql": ("sql", "LEDGER", "SELECT * FROM events ORDER BY ALL", "--csv"),
+    "explain": ("explain", "LEDGER"),
+    "info": ("info", "LEDGER", "--json"),
+    "prove": ("prove", "LEDGER", "700"),
+    "prove by name": ("prove", "LEDGER", "cfc.full:9"),
+    "export": ("export", "LEDGER", "--out", "OUT/events.csv"),
+    "export of a query": ("export", "LEDGER", "--query", "metrics/run_metrics", "--out", "OUT/metrics.parquet"),
+    "replay": ("verify", "LEDGER", "--replay", "--workers", "1", "--json"),
+    "report": ("report", "LEDGER", "--out", "OUT/report.pdf", "--workers", "1"),
+}
+"""Every command that answers from a ledger; one call of each."""
+
+KINDS = {"segments": 75, "records": 10, "ledger.json": 5, "checkpoint": 5, "full tiles": 2, "partial tiles": 3}
+"""Of a hundred flips, so many in files of each kind: most bytes that an answer rests on are in segments."""
+
+
+class Flip(NamedTuple):
+    """One bit of one file, the file as its name within the ledger."""
+
+    name: str
+    at: int
+    bit: int
+
+
+class Answer(NamedTuple):
+    """What a command answered: exit code, stdout, and the file that it wrote."""
+
+    code: int
+    out: str
+    file: bytes | None
+
+
+def write_runs(path: Path) -> None:
+    """There is a ledger of one run of each architecture, each in a commit of its own."""
+    with Writer(path, "example.org/flips") as writer:
+        for architecture in get_args(Architecture):
+            spec = RunSpec(7, architecture, "full", "door-relay", 4, 0)
+            writer.append(stage(path, [simulate_run(spec, Constants())]))
+
+
+def chosen(path: Path, count: int, seed: int, kinds: dict[str, int] = KINDS) -> Iterator[Flip]:
+    """So many bits of the ledger's files, drawn."""
+    draw = random.Random(seed)
+    files: dict[str, list[str]] = {}
+    for name in files_of(path):
+        files.setdefault(kind_of(name), []).append(name)
+    present = [kind for kind in kinds if kind in files]
+    for kind in draw.choices(present, [kinds[kind] for kind in present], k=count):
+        name = draw.choice(files[kind])
+        yield Flip(name, draw.randrange((path / name).stat().st_size), draw.randrange(8))
+
+
+def answered(path: Path, out: Path, verb: str) -> Answer:
+    """What this command says of the ledger now."""
+    text = io.StringIO()
+    with redirect_stdout(text), redirect_stderr(io.StringIO()):
+        code = cli.run([word.replace("LEDGER", str(path)).replace("OUT", str(out)) for word in VERBS[verb]])
+    written = sorted(out.iterdir())
+    data = written[0].read_bytes() if written else None
+    for file in written:
+        file.unlink()
+    return Answer(code, text.getvalue(), data)
+
+
+def undamaged(path: Path, out: Path, verbs: Iterable[str] = VERBS) -> dict[str, Answer]:
+    """What these commands say of the ledger as it is, after a look that found it right."""
+    with redirect_stdout(io.StringIO()):
+        assert cli.run(["verify", str(path), "--workers", "1"]) == 0
+    good = {verb: answered(path, out, verb) for verb in verbs}
+    assert all(answer.out and answer.code in (0, 1) for answer in good.values()), good
+    return good
+
+
+def outcome(good: Answer, now: Answer) -> str:
+    """The same answer, a refusal without an answer, or a wrong answer."""
+    if now == good:
+        return "same"
+    if now.code in (2, 3) and now.file is None and (not now.out or '"ok": false' in now.out):
+        return "refused"
+    return "wrong"
+
+
+def outcomes(path: Path, out: Path, flip: Flip, good: dict[str, Answer]) -> dict[str, str]:
+    """What becomes of each command's answer while the bit is flipped."""
+    file = path / flip.name
+    data = file.read_bytes()
+    file.write_bytes(data[: flip.at] + bytes([data[flip.at] ^ 1 << flip.bit]) + data[flip.at + 1 :])
+    try:
+        return {verb: outcome(answer, answered(path, out, verb)) for verb, answer in good.items()}
+    finally:
+        file.write_bytes(data)

@@ -1,0 +1,68 @@
+"""Single bits flipped in all files of a ledger, and then every command that answers from it: `python -m tests.ledger.flips_soak [COUNT]`.
+
+An answer must be refused, or be that of the undamaged ledger. Prints counts by kind of file and by command; exit code 1 if any answer is wrong.
+"""
+
+import os
+import shutil
+import sys
+import tempfile
+import time
+from collections import Counter
+from concurrent.futures import ProcessPoolExecutor
+from itertools import repeat
+from multiprocessing import get_context
+from pathlib import Path
+
+from tests.ledger.damage import kind_of
+from tests.ledger.flips import KINDS, VERBS, Flip, chosen, outcomes, undamaged, write_runs
+
+COUNT = 2_000
+PARTS = 8
+"""Each part is tried on a copy of the ledger of its own."""
+
+OUTCOMES = ("refused", "same", "wrong")
+Tally = Counter[tuple[str, str]]
+"""How often a kind of file, or a command, had this outcome."""
+
+
+def try_part(ledger: Path, flips: list[Flip]) -> tuple[Tally, list[str]]:
+    """The outcomes of these flips, and each wrong answer."""
+    tally: Tally = Counter()
+    wrong: list[str] = []
+    with tempfile.TemporaryDirectory(dir=ledger.parent) as folder:
+        path, out = Path(shutil.copytree(ledger, Path(folder) / "ledger")), Path(folder) / "out"
+        out.mkdir()
+        good = undamaged(path, out)
+        for flip in flips:
+            for verb, outcome in outcomes(path, out, flip, good).items():
+                tally.update([(kind_of(flip.name), outcome), (verb, outcome)])
+                wrong += [f"{verb}: {flip}"] if outcome == "wrong" else []
+    return tally, wrong
+
+
+def main(count: int) -> int:
+    """The exit code: 0 if no answer was wrong."""
+    began = time.monotonic()
+    tally: Tally = Counter()
+    wrong: list[str] = []
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["XDG_CACHE_HOME"] = f"{folder}/cache"
+        ledger = Path(folder) / "ledger"
+        write_runs(ledger)
+        flips = list(chosen(ledger, count, seed=1))
+        parts = [flips[part::PARTS] for part in range(PARTS)]
+        with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context("spawn")) as pool:
+            for counted, named in pool.map(try_part, repeat(ledger), parts):
+                tally += counted
+                wrong += named
+    for name in (*KINDS, *VERBS):
+        print(f"{name:20}" + "".join(f"{tally[name, outcome]:9,} {outcome}" for outcome in OUTCOMES))
+    print(*wrong, sep="\n", end="\n" if wrong else "")
+    answers = sum(tally[verb, outcome] for verb in VERBS for outcome in OUTCOMES)
+    print(f"{len(flips):,} flips, {answers:,} answers, {len(wrong):,} wrong, {time.monotonic() - began:.0f} s")
+    return 1 if wrong or not answers else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(int(sys.argv[1]) if len(sys.argv) > 1 else COUNT))
