@@ -120,6 +120,11 @@ def about(footer: Tree, column: int) -> Tree:
     return found
 
 
+def start_of(footer: Tree, column: int) -> int:
+    """Where the pages of a column begin."""
+    return min(int(each[2]) for each in about(footer, column) if each[0] in (9, 11))
+
+
 def moved(footer: Tree, since: int, by: int) -> None:
     """Whatever lies at this byte or behind it lies so many bytes further."""
     for column in range(len(value(footer, 4, 0, 1)[1])):
@@ -132,7 +137,7 @@ def altered_page(data: bytes, column: int, page: int, alter: Callable[[Tree], No
     """The file with another header for that page of the column; offsets and sizes are made to fit."""
     body, footer = footer_of(data)
     meta = about(footer, column)
-    at = min(each[2] for each in meta if each[0] in (9, 11))
+    at = start_of(footer, column)
     for _ in range(page):
         header, start = read_tree(body, at)
         at = start + value(header, 3)
