@@ -14,6 +14,7 @@ import duckdb
 import pyarrow as pa
 
 from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted, QueryFailed
+from fsar_ledger.ledger.layout import check_bounds
 from fsar_ledger.ledger.read import Head, open_ledger
 from fsar_ledger.ledger.schema import SCHEMA
 from fsar_ledger.ledger.segment import read_table
@@ -235,10 +236,12 @@ def connect(ledger: Path, threads: int | None = None) -> Database:
     """A database over the committed segments of one head of this ledger.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_ledger`; also LedgerCorrupted for a segment that is missing or has another size.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_ledger`; also LedgerCorrupted for a segment that is missing or not as it may be.
     """
     view = open_ledger(ledger)
     segments = view.segments()
+    for path in segments:
+        check_bounds(path)
     database = Database(view.head, segments, threads)
     try:
         if segments:

@@ -19,6 +19,7 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger.errors import QueryFailed
+from fsar_ledger.ledger.layout import check_bounds
 from fsar_ledger.ledger.read import Head, open_ledger
 
 from .database import first_damage, plain_rows
@@ -51,7 +52,7 @@ def run_untrusted(ledger: Path, sql: str, limits: Limits | None = None) -> Answe
     limits = limits or Limits()
     check_text(sql, limits)
     view = open_ledger(ledger)
-    segments = [str(path.resolve()) for path in view.segments()]
+    segments = [str(path.resolve()) for path in view.segments() if check_bounds(path)]
     with _process() as pipe:
         try:
             pipe.send_bytes(msgspec.json.encode(Question(segments, sql, limits)))
