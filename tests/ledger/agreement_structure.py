@@ -7,7 +7,8 @@ from fsar_ledger.ledger.record import segment_path
 from fsar_ledger.ledger.segment import to_parquet
 from tests.ledger.agreement import OTHER_VERSION, VERSION, Case, Make, tables_of, unchained, with_value
 from tests.ledger.agreement_damage import forged_segment
-from tests.ledger.parquet_damage import DAMAGED, TIME, two_faces
+from tests.ledger.parquet_damage import DAMAGED
+from tests.ledger.parts import two_faced
 
 
 def a_segment_with_two_faces(path: Path, draw: random.Random, beside: Path) -> Case | None:
@@ -17,8 +18,8 @@ def a_segment_with_two_faces(path: Path, draw: random.Random, beside: Path) -> C
         return None
     number = draw.randrange(len(tables))
     row = draw.randrange(tables[number].num_rows)
-    honest, other = (bytes(to_parquet(table)) for table in (tables[number], with_value(tables[number], "time_us", row, 4242)))
-    data = two_faces(*draw.choice([(honest, other), (other, honest)]), TIME)
+    honest, other = (bytes(to_parquet(table)) for table in (tables[number], with_value(tables[number], "type", row, "Forged.v1")))
+    data = two_faced(*draw.choice([(honest, other), (other, honest)]), "type")
     return forged_segment(path, records, number, data, "a segment with two faces")
 
 

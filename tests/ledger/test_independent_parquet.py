@@ -14,10 +14,12 @@ from fsar_ledger.ledger import segment
 from fsar_ledger.ledger.codec import encode
 from fsar_ledger.ledger.layout import check_layout
 from fsar_ledger.ledger.schema import COLUMNS
+from tests.ledger import thrift
 from tests.ledger.agreement import independent, odd_run, with_value
-from tests.ledger.parquet_damage import DAMAGED, TIME, TYPE, footed, set_to, two_faces
-from tests.ledger.parquet_forgery import BINARY, I16, I32, I64, LIST, STRUCT, Field, Tree, altered_page, footer_of, with_footer
+from tests.ledger.parquet_damage import DAMAGED, in_footer, to
+from tests.ledger.parts import Parts, two_faced
 from tests.ledger.samples import made_up_run
+from tests.ledger.thrift import I32, I64, Field, Listed, Struct
 
 TABLE = encode([made_up_run("a run", 40, 1), odd_run("\u2028", 9, random.Random(2))])
 DATA = bytes(segment.to_parquet(TABLE))
@@ -92,16 +94,17 @@ def test_it_reads_integers_of_any_size_in_differences() -> None:
     numbers = [draw.choice([0, 1 - 2**53, 2**53 - 1, draw.randrange(-(2**40), 2**40), number]) for number in range(300)]
     for count in (1, 2, 32, 33, 128, 129, 300):
         table = TABLE.take([0] * count)
-        table = table.set_column(TIME, TABLE.schema.field("time_us"), pa.array(numbers[:count]))
+        table = table.set_column(2, TABLE.schema.field("time_us"), pa.array(numbers[:count]))
         assert read(bytes(segment.to_parquet(table)))[2]["time_us"] == numbers[:count]
 
 
 # --- what must not be ---
 
 
-ROWS_ALONE = ("a lie about all strings", "statistics of a page that lie")
-"""Which only the rows tell."""
-FACES = two_faces(DATA, bytes(segment.to_parquet(with_value(TABLE, "time_us", 3, 4242))), TIME)
+CONTENT = ("a lie about all strings", "a page that unpacks to more", "statistics that lie", "statistics of a page that lie")
+"""Those that show when the pages are unpacked."""
+OTHER = with_value(TABLE, "type", 3, "Forged.v1")
+FACES = two_faced(DATA, bytes(segment.to_parquet(OTHER)), "type")
 
 
 @pytest.mark.parametrize("name", DAMAGED)
@@ -110,7 +113,7 @@ def test_a_file_that_says_a_thing_in_two_ways_is_refused(name: str) -> None:
         read(DAMAGED[name](DATA))
 
 
-@pytest.mark.parametrize("name", [name for name in DAMAGED if name not in ROWS_ALONE])
+@pytest.mark.parametrize("name", [name for name in DAMAGED if name not in CONTENT])
 def test_the_layout_of_the_package_refuses_the_same(name: str) -> None:
     with pytest.raises(LedgerCorrupted):
         check_layout(Path("a segment"), DAMAGED[name](DATA))
@@ -120,38 +123,38 @@ def test_the_file_with_two_faces_is_refused_and_has_them(tmp_path: Path) -> None
     """Readers that begin at the data and readers that begin at the dictionary see other rows in it, and neither complains."""
     file = tmp_path / "faces.parquet"
     file.write_bytes(FACES)
-    altered = with_value(TABLE, "time_us", 3, 4242).column("time_us").to_pylist()
-    assert pq.read_table(file, page_checksum_verification=True).column("time_us").equals(TABLE.column("time_us"))
+    assert pq.read_table(file, page_checksum_verification=True).column("type").equals(TABLE.column("type"))
     with duckdb.connect() as connection:
-        found = connection.execute(f"SELECT time_us FROM '{file}'").fetchall()
-    assert [time for (time,) in found] == altered != TABLE.column("time_us").to_pylist()
-    with pytest.raises(ValueError, match=r"column time_us: .*a dictionary"):
+        found = connection.execute(f"SELECT type FROM '{file}'").fetchall()
+    assert [kind for (kind,) in found] == OTHER.column("type").to_pylist() != TABLE.column("type").to_pylist()
+    with pytest.raises(ValueError, match=r"stored bytes of the row group"):
         read(FACES)
 
 
 def test_the_forger_changes_nothing_but_what_it_means_to() -> None:
-    body, footer = footer_of(DATA)
-    assert with_footer(body, footer) == DATA
-    assert altered_page(DATA, TYPE, 1, lambda header: None) == DATA
-    assert read(footed(set_to(6, BINARY, b"parquet-cpp-arrow version 9.9.9"))(DATA))[2] == rows_of(TABLE)
+    assert bytes(Parts(DATA)) == bytes(Parts(DATA).fit()) == DATA
+    assert read(in_footer(to(6, b"parquet-cpp-arrow version 9.9.9"))(DATA))[2] == rows_of(TABLE)
 
 
 def test_no_number_of_a_footer_can_be_another() -> None:
     draw = random.Random(4)
-    for _ in range(60):
-        body, footer = footer_of(DATA)
-        number = draw.choice(numbers_in(footer))
-        number[2] += draw.choice([-1, 1, 7, -(2**31)])
+    begin = len(DATA) - 8 - int.from_bytes(DATA[-8:-4], "little")
+    for _ in range(40):
+        footer, _ = thrift.read(DATA, begin)
+        struct, at = draw.choice(numbers_in(footer))
+        number, kind, value = struct[at]
+        assert isinstance(value, int)
+        struct[at] = Field(number, kind, value + draw.choice([-1, 1, 7, -(2**31)]))
+        end = thrift.write(footer)
         with pytest.raises(ValueError, match=r"."):
-            read(with_footer(body, footer))
+            read(DATA[:begin] + end + len(end).to_bytes(4, "little") + b"PAR1")
 
 
-def numbers_in(tree: Tree) -> list[Field]:
-    """Every field that is a number, at any depth."""
+def numbers_in(struct: Struct) -> list[tuple[Struct, int]]:
+    """Every field that is a number, at any depth: its struct, and its place there."""
     found = []
-    for each in tree:
-        kind, inner = each[1], each[2]
-        found += [each] if kind in (I16, I32, I64) else []
-        trees = [inner] if kind == STRUCT else inner[1] if kind == LIST and inner[0] == STRUCT else []
-        found += [number for one in trees for number in numbers_in(one)]
+    for at, one in enumerate(struct):
+        found += [(struct, at)] if one.kind in (I32, I64) else []
+        inner = one.value.values if isinstance(one.value, Listed) else [one.value]
+        found += [number for each in inner if isinstance(each, list) for number in numbers_in(each)]
     return found
