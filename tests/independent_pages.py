@@ -6,7 +6,7 @@ from typing import Any
 from independent_thrift import Bytes  # type: ignore[import-not-found]
 
 BOOLEAN, INT64, BYTE_ARRAY = 0, 2, 6
-PLAIN, PLAIN_DICTIONARY, RLE, DELTA, DELTA_LENGTHS, RLE_DICTIONARY, BYTE_STREAM_SPLIT = 0, 2, 3, 5, 6, 8, 9
+PLAIN, RLE, DELTA, RLE_DICTIONARY = 0, 3, 5, 8
 Values = list[Any]
 
 
@@ -55,16 +55,8 @@ def ended(data: Any) -> None:
         raise ValueError(f"{len(data.data) - data.at} bytes that nobody reads")
 
 
-def int64(data: bytes) -> int:
-    return int.from_bytes(data, "little", signed=True)
-
-
 def plain_strings(data: Any, count: int) -> Values:
     return [data.take(int.from_bytes(data.take(4), "little")).decode() for _ in range(count)]
-
-
-def plain_integers(data: Any, count: int) -> Values:
-    return [int64(data.take(8)) for _ in range(count)]
 
 
 def plain_booleans(data: Any, count: int) -> Values:
@@ -72,13 +64,6 @@ def plain_booleans(data: Any, count: int) -> Values:
     if any(found[count:]):
         raise ValueError("something in what only fills up")
     return [bool(bit) for bit in found[:count]]
-
-
-def run_booleans(data: Any, count: int) -> Values:
-    own = Bytes(data.take(int.from_bytes(data.take(4), "little")))
-    found = hybrid(own, 1, count)
-    ended(own)
-    return [bool(bit) for bit in found]
 
 
 def differences(data: Any, count: int) -> Values:
@@ -101,35 +86,17 @@ def differences(data: Any, count: int) -> Values:
     return found
 
 
-def lengths_and_strings(data: Any, count: int) -> Values:
-    sizes = differences(data, count)
-    if min(sizes, default=0) < 0:
-        raise ValueError("a string of a negative length")
-    return [data.take(size).decode() for size in sizes]
-
-
-def split_integers(data: Any, count: int) -> Values:
-    streams = [data.take(count) for _ in range(8)]
-    return [int64(bytes(stream[at] for stream in streams)) for at in range(count)]
-
-
 ENCODINGS: dict[tuple[int, int], Callable[[Any, int], Values]] = {
     (BYTE_ARRAY, PLAIN): plain_strings,
-    (BYTE_ARRAY, DELTA_LENGTHS): lengths_and_strings,
-    (INT64, PLAIN): plain_integers,
     (INT64, DELTA): differences,
-    (INT64, BYTE_STREAM_SPLIT): split_integers,
     (BOOLEAN, PLAIN): plain_booleans,
-    (BOOLEAN, RLE): run_booleans,
 }
-"""By type and encoding; those of dictionaries are for every type but BOOLEAN."""
+"""By type and encoding; strings are also codes into a dictionary."""
 
 
 def read_values(data: Any, kind: int, encoding: int, count: int, dictionary: Values | None) -> Values:
     """So many values, and nothing behind them."""
-    if encoding in (PLAIN_DICTIONARY, RLE_DICTIONARY):
-        if dictionary is None or kind == BOOLEAN:
-            raise ValueError("codes without a dictionary")
+    if encoding == RLE_DICTIONARY and dictionary is not None:
         (width,) = data.take(1)
         codes = hybrid(data, width, count) if width <= 32 else [len(dictionary)]
         if max(codes, default=-1) >= len(dictionary):

@@ -1,24 +1,27 @@
 """A Parquet reader for the second verifier, written from parquet-format and section 5 of docs/ledger-format.md: no byte of a file is left over.
 
-It shares nothing with the package or with the libraries that the package reads by; pyarrow only unpacks zstd and Snappy here.
+It shares nothing with the package or with the libraries that the package reads by; pyarrow only unpacks zstd here.
 """
 
+import re
 import struct
 import zlib
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import pyarrow as pa
-from independent_pages import PLAIN, PLAIN_DICTIONARY, RLE, assembled, ended, levels, read_values  # type: ignore[import-not-found]
+from independent_pages import DELTA, PLAIN, RLE, RLE_DICTIONARY, assembled, ended, levels, read_values  # type: ignore[import-not-found]
 from independent_thrift import FOOTER, PAGE, Bytes  # type: ignore[import-not-found]
 
-MAX_FILE_BYTES, MAX_FOOTER_BYTES, MAX_HEADER_BYTES = 1 << 28, 1 << 20, 1 << 12
+MAX_FILE_BYTES, MAX_FOOTER_BYTES, MAX_HEADER_BYTES, MAX_BOUND_BYTES = 1 << 28, 1 << 20, 1 << 14, 1 << 12
 MAX_ROWS, MAX_PAGES, MAX_LIST_VALUES, MAX_UNPACKED_BYTES, MAX_TEXT_BYTES = 1 << 20, 1 << 10, 1 << 23, 1 << 29, 1 << 29
-CODECS = {0: None, 1: "snappy", 6: "zstd"}
+ZSTD = 6
 BOOLEAN, INT64, BYTE_ARRAY = 0, 2, 6
 REQUIRED, OPTIONAL, REPEATED = 0, 1, 2
 DATA, DICTIONARY = 0, 2
 STRING = {"type": BYTE_ARRAY, "converted_type": 0, "logical_type": {"string": {}}}
+ENCODINGS = {BOOLEAN: [RLE, PLAIN], INT64: [RLE, DELTA], BYTE_ARRAY: [PLAIN, RLE, RLE_DICTIONARY]}
+STATED = {"run_id": {"max_value", "min_value"}, "seq": {"max", "min", "max_value", "min_value"}, "time_us": {"max", "min", "max_value", "min_value"}}
 LEAVES = {"string": STRING, "int64": {"type": INT64}, "bool": {"type": BOOLEAN}}
 Values = list[Any]
 
@@ -54,15 +57,15 @@ def read(data: bytes) -> tuple[int, list[tuple[str, str]], dict[str, Values]]:
     ended(footer)
     leaves = read_schema(found["schema"])
     rows = found["num_rows"]
-    must((found["version"] in (1, 2), len(found["groups"]), 0 < rows <= MAX_ROWS), (True, 1, True), "a version, row groups, rows")
-    must(found.get("column_orders", [{"by_type": {}}] * len(leaves)), [{"by_type": {}}] * len(leaves), "orders of columns")
+    must((found["version"], len(found["groups"]), 0 < rows <= MAX_ROWS), (2, 1, True), "a version, row groups, rows")
+    must(found["column_orders"], [{"by_type": {}}] * len(leaves), "orders of columns")
+    must(re.fullmatch("parquet-cpp-arrow version [-.0-9A-Za-z]{1,40}", found["created_by"]) is not None, True, "a writer that is known:")
     (group,) = found["groups"]
     columns = [chunk["column"] for chunk in group["chunks"]]
     must(len(columns), len(leaves), "column chunks")
-    must((group["num_rows"], group.get("file_offset", 4), group.get("ordinal", 0)), (rows, 4, 0), "a row group of")
+    must((group["num_rows"], group["file_offset"]), (rows, 4), "a row group of")
     must(group["unpacked_bytes"], sum(column["unpacked_bytes"] for column in columns), "unpacked bytes of the row group")
-    stored = sum(column["stored_bytes"] for column in columns)
-    must(group.get("stored_bytes", stored), stored, "stored bytes of the row group")
+    must(group["stored_bytes"], sum(column["stored_bytes"] for column in columns), "stored bytes of the row group")
     must(any(chunk["file_offset"] for chunk in group["chunks"]), False, "a place of a column's metadata")
     at, values, unpacked = 4, {}, 0
     for leaf, column in zip(leaves, columns, strict=True):
@@ -99,8 +102,7 @@ def read_schema(elements: list[dict[str, Any]]) -> list[Leaf]:
             must(rest.pop(), {"name": "list", "repetition": REPEATED, "children": 1}, f"within {name}")
             must(rest.pop(), {"name": "element", "repetition": REQUIRED, **STRING}, f"within {name}.list")
             leaves.append(Leaf("list<element: string not null>", [name, "list", "element"], BYTE_ARRAY, 2, 1))
-    root.pop("name")
-    must((root.pop("repetition", REQUIRED), root, rest), (REQUIRED, {}, []), "the root of the schema")
+    must((root, rest), ({"name": "schema", "repetition": REQUIRED}, []), "the root of the schema")
     if len({leaf.path[0] for leaf in leaves}) != len(leaves):
         raise ValueError("a column twice")
     return leaves
@@ -108,7 +110,8 @@ def read_schema(elements: list[dict[str, Any]]) -> list[Leaf]:
 
 def read_layout(data: bytes, at: int, leaf: Leaf, column: dict[str, Any], rows: int) -> Iterator[Page]:
     """The pages of the column chunk that begins at this byte; the chunk says of itself and of them what they are."""
-    must((column["type"], column["path"], column["codec"] in CODECS), (leaf.type, leaf.path, True), "a type, path and codec")
+    must((column["type"], column["path"], column["codec"]), (leaf.type, leaf.path, ZSTD), "a type, path and codec")
+    must((column["encodings"], "dictionary_offset" in column), (ENCODINGS[leaf.type], leaf.type == BYTE_ARRAY), "encodings, and a dictionary")
     end, values, unpacked = at + column["stored_bytes"], 0, 0
     dictionary, first, counts = None, None, dict[tuple[int, int], int]()
     while at < end:
@@ -117,14 +120,11 @@ def read_layout(data: bytes, at: int, leaf: Leaf, column: dict[str, Any], rows: 
         kind, stored = header["type"], header["stored_bytes"]
         name = {DATA: "data", DICTIONARY: "dictionary"}.get(kind)
         must((header.keys() & {"data", "dictionary"}, min(stored, header["unpacked_bytes"]) >= 0), ({name}, True), "a page with")
-        must(kind == DICTIONARY, dictionary is None and first is None and "dictionary_offset" in column, "a dictionary, only before the data:")
+        must(kind == DICTIONARY, dictionary is None and "dictionary_offset" in column, "a dictionary, only before the data:")
         dictionary, first = (at, first) if kind == DICTIONARY else (dictionary, at if first is None else first)
         page = data[at + reader.at : at + reader.at + stored]
         must(len(page) == stored and at + reader.at + stored <= end, True, "a page within its chunk:")
-        if "crc" in header:
-            must(header["crc"] & 0xFFFFFFFF, zlib.crc32(page), "a checksum")
-        if not CODECS[column["codec"]]:
-            must(stored, header["unpacked_bytes"], "bytes of a page that is not compressed")
+        must(header["crc"] & 0xFFFFFFFF, zlib.crc32(page), "a checksum")
         about = header[name]
         key = kind, about["encoding"]
         counts[key] = counts.get(key, 0) + 1
@@ -132,19 +132,17 @@ def read_layout(data: bytes, at: int, leaf: Leaf, column: dict[str, Any], rows: 
             must((about["definition_encoding"], about["repetition_encoding"], about["num_values"] >= 0), (RLE, RLE, True), "levels encoded, and values")
             values += about["num_values"]
         else:
-            must((about["encoding"] in (PLAIN, PLAIN_DICTIONARY), about.get("is_sorted", False)), (True, False), "a dictionary in PLAIN, in an order")
+            must((about["encoding"], about["is_sorted"]), (PLAIN, False), "a dictionary in PLAIN, in an order")
         unpacked += reader.at + header["unpacked_bytes"]
-        must(max(len(counts) and sum(counts.values()) - MAX_PAGES, unpacked - MAX_UNPACKED_BYTES) <= 0, True, "so many pages, or such large ones:")
+        must(sum(counts.values()) - (dictionary is not None) <= MAX_PAGES and unpacked <= MAX_UNPACKED_BYTES, True, "so many pages, or such large ones:")
         at += reader.at + stored
         yield Page(header, page)
     must(at, end, "the end of the last page at byte")
     must((column["data_offset"], column.get("dictionary_offset"), column["unpacked_bytes"]), (first, dictionary, unpacked), "offsets and unpacked bytes")
     must((column["num_values"], values if leaf.repetition else rows), (values, values), "values")
     must(values <= (MAX_LIST_VALUES if leaf.repetition else MAX_ROWS), True, "so many values:")
-    must(set(column["encodings"]) - {RLE}, {encoding for _, encoding in counts} - {RLE}, "encodings")
-    if "encoding_stats" in column:
-        stats = [((each["page_type"], each["encoding"]), each["count"]) for each in column["encoding_stats"]]
-        must((dict(stats), len(stats)), (counts, len(counts)), "pages by encoding")
+    stats = [((each["page_type"], each["encoding"]), each["count"]) for each in column["encoding_stats"]]
+    must(stats, sorted(counts.items(), key=lambda item: (item[0][0] != DICTIONARY, item[0])), "pages by kind and encoding")
 
 
 def read_column(leaf: Leaf, column: dict[str, Any], pages: list[Page], rows: int) -> Values:
@@ -154,9 +152,8 @@ def read_column(leaf: Leaf, column: dict[str, Any], pages: list[Page], rows: int
     repetitions: list[int] = []
     definitions: list[int] = []
     for header, stored in pages:
-        size, codec = header["unpacked_bytes"], CODECS[column["codec"]]
-        raw = stored if codec is None else pa.Codec(codec).decompress(stored, size, asbytes=True)
-        must(len(raw), size, "unpacked bytes of a page")
+        raw = pa.Codec("zstd").decompress(stored, header["unpacked_bytes"], asbytes=True)
+        must(len(raw), header["unpacked_bytes"], "unpacked bytes of a page")
         reader = Bytes(raw)
         if header["type"] == DICTIONARY:
             dictionary = read_values(reader, leaf.type, PLAIN, header["dictionary"]["num_values"], None)
@@ -165,7 +162,7 @@ def read_column(leaf: Leaf, column: dict[str, Any], pages: list[Page], rows: int
         again = levels(reader, leaf.repetition, about["num_values"])
         defined = levels(reader, leaf.definition, about["num_values"])
         own = read_values(reader, leaf.type, about["encoding"], defined.count(leaf.definition), dictionary)
-        check_statistics(about.get("statistics", {}), leaf, own, len(defined) - len(own))
+        check_statistics(about["statistics"], leaf, own, len(defined) - len(own))
         values, repetitions, definitions = values + own, repetitions + again, definitions + defined
     check_statistics(column.get("statistics", {}), leaf, values, len(definitions) - len(values))
     check_sizes(column.get("sizes", {}), leaf, values, repetitions, definitions)
@@ -175,28 +172,29 @@ def read_column(leaf: Leaf, column: dict[str, Any], pages: list[Page], rows: int
 
 
 def check_statistics(said: dict[str, Any], leaf: Leaf, own: Values, nulls: int) -> None:
-    if leaf.repetition:
-        return must(said, {}, "statistics of lists")
-    must((said.get("null_count", nulls), said.get("is_max_value_exact", True), said.get("is_min_value_exact", True)), (nulls, True, True), "statistics")
-    for name in said.keys() & {"max", "max_value", "min", "min_value"}:
-        if not own:
-            raise ValueError("bounds of no values")
-        must(said[name], bound(max(own) if "max" in name else min(own)), f"{name} of the column")
-    return None
+    """Statistics, where there are any, are all that their column may have, and those of its rows."""
+    if not said:
+        return
+    exact = {"is_max_value_exact", "is_min_value_exact"} & said.keys()
+    must((leaf.path[0] in STATED, len(exact) != 1, bool(own)), (True, True, True), "statistics of this column, of some values:")
+    expected = dict.fromkeys(exact, True) | {name: bound(max(own) if "max" in name else min(own)) for name in STATED[leaf.path[0]]}
+    must(said, expected | {"null_count": nulls}, "statistics")
+    must(max(len(said["max_value"]), len(said["min_value"])) <= MAX_BOUND_BYTES, True, "such long bounds")
 
 
 def bound(value: Any) -> bytes:
-    if isinstance(value, bool):
-        return bytes([value])
     return value.encode() if isinstance(value, str) else struct.pack("<q", value)
 
 
 def check_sizes(said: dict[str, Any], leaf: Leaf, own: Values, repetitions: list[int], definitions: list[int]) -> None:
-    if "unencoded" in said:
-        must((leaf.type, said["unencoded"]), (BYTE_ARRAY, text_bytes(own)), "bytes of all strings")
-    for name, found, most in (("repetitions", repetitions, leaf.repetition), ("definitions", definitions, leaf.definition)):
-        if said.get(name):
-            must(said[name], [found.count(level) for level in range(most + 1)], f"{name} by level")
+    """The sizes, where there are any, are those of its rows: bytes of all strings, and how often there is each level."""
+    if said:
+        counted = [
+            [found.count(level) for level in range(most + 1)] if most else []
+            for found, most in ((repetitions, leaf.repetition), (definitions, leaf.definition))
+        ]
+        texts = {"unencoded": text_bytes(own)} if leaf.type == BYTE_ARRAY else {}
+        must(said, texts | {"repetitions": counted[0], "definitions": counted[1]}, "sizes")
 
 
 def text_bytes(values: Values) -> int:

@@ -40,7 +40,7 @@ COLUMN: Grammar = {
     9: ("data_offset*", "i64"),
     11: ("dictionary_offset", "i64"),
     12: ("statistics", STATISTICS),
-    13: ("encoding_stats", [ENCODING_STATS]),
+    13: ("encoding_stats*", [ENCODING_STATS]),
     16: ("sizes", SIZES),
 }
 CHUNK: Grammar = {2: ("file_offset*", "i64"), 3: ("column*", COLUMN)}
@@ -48,38 +48,37 @@ GROUP: Grammar = {
     1: ("chunks*", [CHUNK]),
     2: ("unpacked_bytes*", "i64"),
     3: ("num_rows*", "i64"),
-    5: ("file_offset", "i64"),
-    6: ("stored_bytes", "i64"),
-    7: ("ordinal", "i16"),
+    5: ("file_offset*", "i64"),
+    6: ("stored_bytes*", "i64"),
 }
 FOOTER: Grammar = {
     1: ("version*", "i32"),
     2: ("schema*", [ELEMENT]),
     3: ("num_rows*", "i64"),
     4: ("groups*", [GROUP]),
-    6: ("created_by", "text"),
-    7: ("column_orders", [{1: ("by_type*", NOTHING)}]),
+    6: ("created_by*", "text"),
+    7: ("column_orders*", [{1: ("by_type*", NOTHING)}]),
 }
 DATA_PAGE: Grammar = {
     1: ("num_values*", "i32"),
     2: ("encoding*", "i32"),
     3: ("definition_encoding*", "i32"),
     4: ("repetition_encoding*", "i32"),
-    5: ("statistics", STATISTICS),
+    5: ("statistics*", STATISTICS),
 }
-DICTIONARY_PAGE: Grammar = {1: ("num_values*", "i32"), 2: ("encoding*", "i32"), 3: ("is_sorted", "bool")}
+DICTIONARY_PAGE: Grammar = {1: ("num_values*", "i32"), 2: ("encoding*", "i32"), 3: ("is_sorted*", "bool")}
 PAGE: Grammar = {
     1: ("type*", "i32"),
     2: ("unpacked_bytes*", "i32"),
     3: ("stored_bytes*", "i32"),
-    4: ("crc", "i32"),
+    4: ("crc*", "i32"),
     5: ("data", DATA_PAGE),
     7: ("dictionary", DICTIONARY_PAGE),
 }
 
 TRUE, FALSE, LIST, STRUCT = 1, 2, 9, 12
-WIRES = {"i16": 4, "i32": 5, "i64": 6, "binary": 8, "text": 8}
-BITS = {"i16": 16, "i32": 32, "i64": 64}
+WIRES = {"i32": 5, "i64": 6, "binary": 8, "text": 8}
+BITS = {"i32": 32, "i64": 64}
 
 
 class Bytes:

@@ -10,6 +10,7 @@ from pathlib import Path
 from tests.ledger.agreement import Case, Outcome, bases, judged, odd_run, write
 from tests.ledger.agreement_damage import DAMAGED
 from tests.ledger.agreement_good import GOOD, as_it_is
+from tests.ledger.agreement_structure import STRUCTURES
 
 
 def drawn(folder: Path, count: int, *, is_large: bool) -> Iterator[Case]:
@@ -21,7 +22,7 @@ def drawn(folder: Path, count: int, *, is_large: bool) -> Iterator[Case]:
     while number < count:
         draw = random.Random(seed)
         seed += 1
-        makes = GOOD if draw.random() < 0.3 else DAMAGED
+        makes = draw.choices((GOOD, DAMAGED, STRUCTURES), (3, 5, 2))[0]
         make = makes[seed % len(makes)]
         beside.mkdir()
         if make is as_it_is:

@@ -1,0 +1,191 @@
+"""Ways to say a thing twice in a Parquet file, or to say what nobody reads: each makes one segment into another that a verifier must refuse."""
+
+from collections.abc import Callable
+from typing import cast
+
+from tests.ledger.parts import MAGIC, Parts
+from tests.ledger.thrift import BINARY, FALSE, I16, I32, I64, LIST, STRUCT, TRUE, Field, Listed, Struct, Value, field, put
+
+SEQ, TIME, TYPE = 1, 2, 4
+"""Columns of every segment, by their places."""
+
+Damage = Callable[[bytes], bytes]
+Alter = Callable[[Struct], None]
+
+
+def forged(alter: Callable[[Parts], None]) -> Damage:
+    """The file with altered parts."""
+
+    def damage(data: bytes) -> bytes:
+        parts = Parts(data)
+        alter(parts)
+        return bytes(parts)
+
+    return damage
+
+
+def in_footer(alter: Alter) -> Damage:
+    """The file with another footer."""
+    return forged(lambda parts: alter(parts.footer))
+
+
+def in_group(alter: Alter) -> Damage:
+    """The file with another row group."""
+    return forged(lambda parts: alter(parts.group()))
+
+
+def in_chunk(alter: Alter) -> Damage:
+    """The file with another column chunk."""
+    return forged(lambda parts: alter(parts.chunks()[TYPE]))
+
+
+def in_column(alter: Alter, column: int = TYPE) -> Damage:
+    """The file with other metadata of a column chunk."""
+    return forged(lambda parts: alter(parts.about(column)))
+
+
+def in_page(alter: Alter, column: int = SEQ) -> Damage:
+    """The file with another header of the first page of a column; offsets and sizes are made to fit."""
+
+    def change(parts: Parts) -> None:
+        alter(parts.pages[column][0].header)
+        parts.fit()
+
+    return forged(change)
+
+
+def to(number: int, value: Value, kind: int | None = None) -> Alter:
+    """The field says this; a new one is of this kind."""
+    return lambda struct: put(struct, number, value, kind)
+
+
+def plus(by: int, number: int) -> Alter:
+    """The field says so much more."""
+    return lambda struct: put(struct, number, cast(int, field(struct, number)) + by)
+
+
+def within(number: int, alter: Alter) -> Alter:
+    """The struct in this field, or the first of the list in it, is altered."""
+
+    def change(struct: Struct) -> None:
+        inner = field(struct, number)
+        alter(cast(Struct, inner.values[0] if isinstance(inner, Listed) else inner))
+
+    return change
+
+
+def without(number: int) -> Alter:
+    """The field is not there."""
+    return lambda struct: struct.remove(next(one for one in struct if one.number == number))
+
+
+def again(number: int, *, at_once: bool) -> Alter:
+    """The field is there twice, one after the other or in another place."""
+
+    def change(struct: Struct) -> None:
+        at, one = next((at, one) for at, one in enumerate(struct) if one.number == number)
+        struct.insert(at if at_once else len(struct), one)
+
+    return change
+
+
+def gap(before: int | None) -> Damage:
+    """Bytes that nobody reads lie before a column, or behind the last."""
+
+    def change(parts: Parts) -> None:
+        parts.gaps[len(parts.pages) if before is None else before] = b"aside"
+        parts.fit()
+
+    return forged(change)
+
+
+def one_less(number: int) -> Alter:
+    """The list in this field is shorter."""
+
+    def change(struct: Struct) -> None:
+        cast(Listed, field(struct, number)).values.pop()
+
+    return change
+
+
+def lying(said: Struct) -> None:
+    """Statistics say that the greatest integer is 0, both times."""
+    for number in (1, 5):
+        put(said, number, ZERO)
+
+
+def swapped(parts: Parts) -> None:
+    """Two columns lie in the file in the other order; each is where the footer says."""
+    first, second = (cast(int, field(parts.about(column), 7)) for column in (SEQ, TIME))
+    parts.pages[SEQ], parts.pages[TIME] = parts.pages[TIME], parts.pages[SEQ]
+    plus(second, 9)(parts.about(SEQ))
+    plus(-first, 9)(parts.about(TIME))
+
+
+def longer_footer(data: bytes) -> bytes:
+    """A byte behind the fields of the footer is said to be of it."""
+    return data[:-8] + b"\0" + (int.from_bytes(data[-8:-4], "little") + 1).to_bytes(4, "little") + MAGIC
+
+
+KEYS_AND_VALUES = Listed(STRUCT, [[Field(1, BINARY, b"key"), Field(2, BINARY, b"value")]])
+IN_ORDER = Listed(STRUCT, [[Field(1, I32, 0), Field(2, FALSE, 0), Field(3, TRUE, 1)]])
+ZERO = bytes(8)
+
+DAMAGED: dict[str, Damage] = {
+    "bytes before the footer": gap(None),
+    "bytes between columns": gap(SEQ),
+    "bytes before the first column": gap(0),
+    "columns in another order in the file": forged(swapped),
+    "bytes behind the fields of the footer": longer_footer,
+    "another version": in_footer(plus(7, 1)),
+    "more rows in the file": in_footer(plus(1, 3)),
+    "key-value metadata": in_footer(to(5, KEYS_AND_VALUES, LIST)),
+    "another writer": in_footer(to(6, b"parquet-mr version 1.15")),
+    "no order of values": in_footer(without(7)),
+    "an order of values less": in_footer(one_less(7)),
+    "a field of the footer that nobody knows": in_footer(to(30, 4, I64)),
+    "a field of the footer twice": in_footer(again(3, at_once=True)),
+    "more rows in the row group": in_group(plus(1, 3)),
+    "a larger row group": in_group(plus(1, 2)),
+    "a larger row group as it is stored": in_group(plus(1, 6)),
+    "a row group elsewhere": in_group(plus(1, 5)),
+    "a number of the row group": in_group(to(7, 0, I16)),
+    "an order of rows": in_group(to(4, IN_ORDER, LIST)),
+    "a column in another file": in_chunk(to(1, b"other.parquet", BINARY)),
+    "the metadata of a column elsewhere": in_chunk(plus(4, 2)),
+    "an encrypted column": in_chunk(to(9, b"secret", BINARY)),
+    "a page index": in_chunk(to(4, 4, I64)),
+    "fewer values": in_column(plus(-1, 5)),
+    "more values": in_column(plus(1, 5)),
+    "a column that unpacks to more": in_column(plus(1, 6)),
+    "a larger column": in_column(plus(1, 7)),
+    "a dictionary elsewhere": in_column(plus(1, 11)),
+    "no dictionary": in_column(without(11)),
+    "a dictionary where there is none": in_column(to(11, 0, I64), SEQ),
+    "a data page elsewhere": in_column(plus(1, 9)),
+    "another codec": in_column(plus(-5, 4)),
+    "another type": in_column(plus(-4, 1)),
+    "key-value metadata of a column": in_column(to(8, KEYS_AND_VALUES, LIST)),
+    "a Bloom filter": in_column(to(14, 4, I64)),
+    "a field that nobody knows": in_column(to(19, 4, I64)),
+    "a field twice": in_column(again(5, at_once=False)),
+    "a field as another type": in_column(lambda about: put(about, 5, field(about, 5), I32)),
+    "an encoding that no page has": in_column(to(2, Listed(I32, [0, 3, 8, 6]))),
+    "other counts of pages": in_column(within(13, plus(1, 3))),
+    "statistics that lie": in_column(within(12, lying), TIME),
+    "statistics that say two things": in_column(within(12, to(5, ZERO)), TIME),
+    "a count of distinct values": in_column(within(12, to(4, 1, I64)), SEQ),
+    "NULLs where there are none": in_column(within(12, plus(1, 3)), SEQ),
+    "a lie about all strings": in_column(within(16, plus(1, 1))),
+    "a wrong checksum": in_page(plus(1, 4)),
+    "no checksum": in_page(without(4)),
+    "a page that unpacks to more": in_page(plus(1, 2)),
+    "a page with two kinds of header": in_page(to(7, [Field(1, I32, 1), Field(2, I32, 0), Field(3, FALSE, 0)], STRUCT)),
+    "a field of a page that nobody knows": in_page(to(12, 7, I32)),
+    "a page of fewer values": in_page(within(5, plus(-1, 1))),
+    "a page in another encoding": in_page(within(5, to(2, 0))),
+    "levels in another encoding": in_page(within(5, plus(1, 3))),
+    "statistics of a page that lie": in_page(within(5, within(5, lying)), TIME),
+    "a dictionary in an order": in_page(within(7, lambda header: put(header, 3, 1, TRUE)), TYPE),
+}
+"""By name, beside `parts.two_faced`, which needs a second file."""
