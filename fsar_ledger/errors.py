@@ -11,6 +11,7 @@ FsarLedgerError            every error that a user can meet          exit code
 ├── NotCosigned            too few witnesses cosigned                1
 ├── WriteFailed            the disk refused: full, read-only, gone   1
 │   └── SequenceConflict       another writer took the commit number
+├── WorkerDied             a process that worked for the command     1
 └── LedgerCorrupted        the ledger contradicts itself             3
     ├── UnknownEventTag        a stored type that this version does not know
     └── ReplayMismatch         replay gives other events than those stored
@@ -63,6 +64,10 @@ class WriteFailed(FsarLedgerError):
 
 class SequenceConflict(WriteFailed):
     """Another writer committed under the number that this one expected to take."""
+
+
+class WorkerDied(FsarLedgerError):
+    """A process that worked for the command was ended from outside, so the command could not finish; nothing is known of what it did not do."""
 
 
 class LedgerCorrupted(FsarLedgerError):

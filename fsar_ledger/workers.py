@@ -1,32 +1,206 @@
-"""Worker processes that leave Ctrl-C to the command that started them."""
+"""Worker processes that leave Ctrl-C to the command that started them, end with it, and do not die unnoticed.
 
+Each worker has a pipe of its own, of which it alone has the other end: whenever it dies, even halfway through an answer, the pipe ends
+there. (The pool of the standard library shares one queue between all; a process killed while it writes there leaves everybody waiting.)
+"""
+
+import os
+import pickle
 import signal
+import threading
+import traceback
+from collections import deque
 from collections.abc import Callable
-from concurrent.futures import Future, ProcessPoolExecutor
-from multiprocessing import get_context
+from concurrent.futures import Executor, Future
+from contextlib import suppress
+from multiprocessing import connection, get_context, parent_process
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from multiprocessing.reduction import ForkingPickler
 from typing import Any, ParamSpec, TypeVar
+
+from fsar_ledger.errors import WorkerDied
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
+_SPAWN = get_context("spawn")  # DuckDB and Polars do not survive a fork
 
 
-class WorkerPool(ProcessPoolExecutor):
-    """A pool of fresh processes (spawned: DuckDB and Polars do not survive a fork), deaf to Ctrl-C from their first moment.
+class _Worker:
+    """A process, our end of its pipe, and what it is doing."""
 
-    A process inherits the signals that are held back while it starts, and a submission is what starts it.
-    Leaving the pool drops what has not begun and waits for what has.
+    def __init__(self) -> None:
+        """The process is on its way. Raises: OSError if it cannot be started or dies at once."""
+        self.pipe, theirs = _SPAWN.Pipe()
+        self.process: BaseProcess = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
+        self.doing: Future[Any] | None = None
+        try:
+            self.process.start()
+        except OSError:
+            self.pipe.close()
+            raise
+        finally:
+            theirs.close()
+
+
+class WorkerPool(Executor):
+    """A pool of fresh processes, deaf to Ctrl-C from their first moment, which die within a moment of this process, however that ends.
+
+    A process inherits the signals that are held back while it starts, and a submission is what starts it. Where one dies, every call
+    that is not answered yet raises `WorkerDied`. Leaving the pool drops what has not begun and waits for what has.
     """
 
     def __init__(self, workers: int) -> None:
-        super().__init__(workers, mp_context=get_context("spawn"))
+        self._most = workers
+        self._workers: list[_Worker] = []
+        self._waiting: deque[tuple[Future[Any], bytes]] = deque()
+        self._lock = threading.Lock()  # of what is above and below
+        self._is_closing = False
+        self._death: str | None = None
+        self._wakes, self._wake = _SPAWN.Pipe(duplex=False)
+        self._dispatcher = threading.Thread(target=self._dispatch, daemon=True)
 
     def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
-        """The call is queued, as in any executor."""
+        """The call is queued, as in any executor. Raises: WorkerDied if one has died, or none can be started."""
+        call = bytes(ForkingPickler.dumps((fn, args, kwargs)))
+        future: Future[_T] = Future()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
         try:
-            return super().submit(fn, *args, **kwargs)
+            if self._death is None and len(self._workers) < self._most:
+                self._start()
+            with self._lock:
+                if self._death is not None:
+                    raise WorkerDied(self._death)
+                self._waiting.append((future, call))
+            self._wake.send_bytes(b".")
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: ARG002
+        """All processes have ended, after what they had begun, without `cancel_futures` also after what was waiting. It is always waited for."""
+        with self._lock:
+            if self._is_closing:
+                return
+            self._is_closing = True
+            for future, _ in self._waiting if cancel_futures else ():
+                future.cancel()
+        if self._dispatcher.ident is not None:
+            self._wake.send_bytes(b".")
+            self._dispatcher.join()
+        for worker in self._workers:
+            worker.pipe.close()  # whoever is idle ends then
+            if self._death is not None:
+                worker.process.terminate()
+        for worker in self._workers:
+            worker.process.join()
+        self._wake.close()
+        self._wakes.close()
 
     def __exit__(self, *_error: Any) -> None:
-        self.shutdown(wait=True, cancel_futures=True)
+        self.shutdown(cancel_futures=True)
+
+    def _start(self) -> None:
+        """One process more. Raises: WorkerDied if there is none."""
+        try:
+            worker = _Worker()
+        except OSError as error:  # no room for a process, or it was killed before it had read its orders
+            raise WorkerDied(_death_of(None, str(error))) from error
+        with self._lock:
+            self._workers.append(worker)
+        if self._dispatcher.ident is None:
+            self._dispatcher.start()
+
+    def _dispatch(self) -> None:
+        """Calls go to whoever is idle, and answers to whoever waits for them, until the pool is left or a process dies."""
+        while True:
+            with self._lock:
+                begun = [(worker, call) for worker in self._workers if worker.doing is None and (call := self._next_for(worker)) is not None]
+                pipes = {worker.pipe: worker for worker in self._workers}
+                if self._is_closing and not any(worker.doing for worker in self._workers):
+                    return
+            for worker, call in begun:
+                with suppress(OSError):  # it is dead: then its pipe has ended, too
+                    worker.pipe.send_bytes(call)
+            for ready in connection.wait([*pipes, self._wakes]):
+                if ready is self._wakes:
+                    self._wakes.recv_bytes()
+                elif not self._answered(pipes[ready]):  # type: ignore[index]
+                    self._fail(pipes[ready])  # type: ignore[index]
+                    return
+
+    def _next_for(self, worker: _Worker) -> bytes | None:
+        """The first call that still waits, which is the worker's now."""
+        while self._waiting:
+            future, call = self._waiting.popleft()
+            if future.set_running_or_notify_cancel():
+                worker.doing = future
+                return call
+        return None
+
+    def _answered(self, worker: _Worker) -> bool:
+        """Whether the worker has answered, rather than died."""
+        try:
+            answer = worker.pipe.recv_bytes()
+        except (EOFError, OSError):
+            return False
+        future, worker.doing = worker.doing, None
+        assert future is not None  # a worker speaks when it is spoken to
+        is_result, value = pickle.loads(answer)
+        (future.set_result if is_result else future.set_exception)(value)
+        return True
+
+    def _fail(self, worker: _Worker) -> None:
+        """Nobody waits any longer."""
+        worker.process.join(5)  # its pipe has ended, so it has or is about to
+        code = worker.process.exitcode
+        with self._lock:
+            self._death = _death_of(worker.process.pid, "it still runs" if code is None else f"ended by signal {-code}" if code < 0 else f"ended with {code}")
+            open_calls = [one.doing for one in self._workers if one.doing is not None]
+            open_calls += [future for future, _ in self._waiting if future.set_running_or_notify_cancel()]
+            self._waiting.clear()
+        for future in open_calls:
+            future.set_exception(WorkerDied(self._death))
+
+
+def _death_of(process: int | None, found: str) -> str:
+    named = "a worker process" if process is None else f"worker process {process}"
+    return (
+        f"{named}: found {found}, expected it to finish its work; somebody or the system ended it, the system for want of memory perhaps; "
+        "what is committed stays, and of what was not looked at nothing is said: run the same command again, with fewer --workers where memory is short"
+    )
+
+
+# --- in the worker ---
+
+
+def _work(pipe: Connection) -> None:
+    """Every call is answered, until nobody asks any longer."""
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    with suppress(EOFError, OSError):  # whoever asked is gone
+        while True:
+            call = pipe.recv_bytes()
+            pipe.send_bytes(_answer(call))
+
+
+def _answer(call: bytes) -> bytes:
+    """What the call returns or raises, pickled."""
+    try:
+        function, args, kwargs = pickle.loads(call)
+        return pickle.dumps((True, function(*args, **kwargs)))
+    except BaseException as error:
+        error.add_note(f"in worker process {os.getpid()}:\n{''.join(traceback.format_exception(error))}")
+        try:
+            answer = pickle.dumps((False, error))
+            pickle.loads(answer)
+        except Exception:  # an exception that cannot travel
+            return pickle.dumps((False, RuntimeError(f"{type(error).__name__}: {error}")))
+        return answer
+
+
+def _end_with_parent() -> None:
+    """The process ends at once when the one that started it has ended, whatever it is doing: what it writes is in staging, and harmless there."""
+    parent = parent_process()
+    assert parent is not None
+    connection.wait([parent.sentinel])
+    os._exit(1)

@@ -201,12 +201,13 @@ def remove_folder(path: Path) -> None:
     sync_folder(path.parent)
 
 
-def write_files(files: Mapping[Path, bytes], staging: Path) -> None:
+def write_files(files: Mapping[Path, bytes], staging: Path, make_way: Callable[[Path], None] | None = None) -> None:
     """Each file holds its bytes, whole and on the disk, and so do the folders made for it. Each folder is made durable once.
 
     Args:
         files: What each path shall hold.
         staging: A folder on the same disk, for files on their way. The files' folders are made below the one that it is in.
+        make_way: Told each path before it gets its file, when the bytes are on the disk already: where there is no room for them, all stays.
     """
     folders: set[Path] = set()
     for path in files:
@@ -214,11 +215,11 @@ def write_files(files: Mapping[Path, bytes], staging: Path) -> None:
             folders.update(_make_folder(path.parent, staging.parent))
     paths = list(files)
     for at in range(0, len(paths), _OPEN_AT_ONCE):
-        _write_some([(temporary_name(staging / "file"), path, files[path]) for path in paths[at : at + _OPEN_AT_ONCE]])
+        _write_some([(temporary_name(staging / "file"), path, files[path]) for path in paths[at : at + _OPEN_AT_ONCE]], make_way)
     _at_once(sync_folder, list(folders))
 
 
-def _write_some(files: list[tuple[Path, Path, bytes]]) -> None:
+def _write_some(files: list[tuple[Path, Path, bytes]], make_way: Callable[[Path], None] | None) -> None:
     """As `write_files`, for files (temporary name, name, bytes) whose folders are there and are synced later."""
     handles: list[int] = []
     try:
@@ -231,6 +232,8 @@ def _write_some(files: list[tuple[Path, Path, bytes]]) -> None:
             for handle in handles:
                 os.close(handle)
         for temporary, path, _ in files:
+            if make_way is not None:
+                make_way(path)
             os.replace(temporary, path)
     except BaseException:
         for temporary, *_ in files:

@@ -23,7 +23,7 @@ from fsar_ledger.ledger import disk
 from fsar_ledger.ledger.problem import Problem
 from fsar_ledger.ledger.read import Head, open_ledger
 from fsar_ledger.ledger.record import COMMITS, MANIFEST, SEGMENTS, STAGING, commit_path, segment_path
-from fsar_ledger.ledger.recover_derived import Redo, derive, put
+from fsar_ledger.ledger.recover_derived import Redo, derive, is_tile, put
 from fsar_ledger.ledger.recover_prefix import Later, Prefix, find_prefix
 from fsar_ledger.ledger.tiles import TILE
 from fsar_ledger.ledger.verify import Asked, Progress, VerifyReport, verify
@@ -134,9 +134,10 @@ def _mend(path: Path, prefix: Prefix, workers: int, progress: Progress | None, a
     """The ledger verifies again."""
     mending = _Mending(path)
     with disk.refusals(path, "mending"):
-        mending.set_strays_aside(prefix)
+        mending.make_room(prefix)
         mending.settle(prefix)
         mending.make_again(prefix)
+        mending.set_strays_aside(prefix)
         mending.confirm()
     report = verify(path, workers, progress, asked)
     outcome: Outcome = "damaged" if not report.ok else "mended" if mending.steps else "whole"
@@ -151,16 +152,27 @@ class _Mending:
         self.steps: list[Step] = []
         self._aside: Path | None = None
 
-    def set_strays_aside(self, prefix: Prefix) -> None:
-        """There is nothing but the ledger's own files, and folders for them."""
+    def make_room(self, prefix: Prefix) -> None:
+        """Nothing stands in the place of a file of the ledger, and there are folders for all of them."""
         for name in prefix.strays:
-            self._set_aside(name)
-        for folder in sorted((self.path / TILE).rglob("*"), reverse=True) if prefix.strays or prefix.redo else ():
-            if folder.is_dir() and not any(folder.iterdir()):
-                os.rmdir(folder)
+            if not is_tile(name):
+                self._set_aside(name)
+        self._remove_empty_folders(prefix)
         for name in (COMMITS, SEGMENTS):
             if not (self.path / name).is_dir():
                 disk.make_folder(self.path / name)
+
+    def set_strays_aside(self, prefix: Prefix) -> None:
+        """There is nothing but the ledger's own files. Tiles of an earlier tree go last: until the later ones are there, the next writer needs them."""
+        for name in prefix.strays:
+            if is_tile(name):
+                self._set_aside(name)
+        self._remove_empty_folders(prefix)
+
+    def _remove_empty_folders(self, prefix: Prefix) -> None:
+        for folder in sorted((self.path / TILE).rglob("*"), reverse=True) if prefix.strays or prefix.redo else ():
+            if folder.is_dir() and not any(folder.iterdir()):
+                os.rmdir(folder)
 
     def settle(self, prefix: Prefix) -> None:
         """Every committed segment is in place, after its record is on the disk for certain."""

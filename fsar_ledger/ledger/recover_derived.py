@@ -112,12 +112,14 @@ def _leave(name: str) -> None:
 def put(ledger: Path, files: Mapping[str, bytes], set_aside: SetAside) -> list[str]:
     """Each file is there with these bytes, durably; the names of those that had to be written. Raises: OSError."""
     wrong = {name: data for name, data in files.items() if not is_as(ledger, name, data)}
-    for name in wrong:
-        if os.path.lexists(ledger / name):
-            set_aside(name)
+
+    def make_way(path: Path) -> None:
+        if os.path.lexists(path):
+            set_aside(str(path.relative_to(ledger)))
+
     if wrong:
         disk.make_folder(ledger / STAGING)
-    disk.write_files({ledger / name: data for name, data in wrong.items()}, ledger / STAGING)
+    disk.write_files({ledger / name: data for name, data in wrong.items()}, ledger / STAGING, make_way)
     return list(wrong)
 
 
@@ -139,6 +141,11 @@ def tile_strays(ledger: Path, head: Head, partial: list[_Made]) -> list[str]:
     """Every file below `tile/` that is no tile of this tree, outgrown partial tiles among them; links and other things are files."""
     expected = {one.tile.name for one in partial}
     return [name for name in _files(ledger) if name not in expected and not _is_full(_tile(name), head.size)]
+
+
+def is_tile(name: str) -> bool:
+    """Whether a tile of some tree has this name: then nothing else of a ledger can have its place."""
+    return name.startswith(f"{TILE}/") and _tile(name) is not None
 
 
 def grown_beyond(ledger: Path, head: Head, origin: str) -> Iterator[Problem]:

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.errors import FsarLedgerError, NotALedger
+from fsar_ledger.errors import FsarLedgerError, NotALedger, WorkerDied
 from fsar_ledger.ledger import disk, merkle
 from fsar_ledger.ledger.derived import read_checkpoint
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
@@ -96,6 +96,7 @@ def verify(path: Path, workers: int = 1, progress: Progress | None = None, asked
 
     Raises:
         NotALedger: There is no directory at the path, nothing of a ledger is in it, or its creation was interrupted.
+        WorkerDied: A process that reads segments was ended; the ledger is neither consistent nor damaged for all that is known.
     """
     if not any(os.path.lexists(path / name) for name in (MANIFEST, COMMITS, SEGMENTS)):
         raise NotALedger(f"{path}: found no ledger there, expected its directory; give the path that `fsar-ledger simulate` wrote to")
@@ -118,10 +119,12 @@ def _moment(path: Path) -> tuple[list[str], list[str], str | None] | None:
 
 
 def _look(path: Path, workers: int, progress: Progress | None, asked: Asked) -> VerifyReport:
-    """One look at the whole ledger. Never raises."""
+    """One look at the whole ledger. Raises: WorkerDied, and nothing else: then nothing is known."""
     verification = _Verification(path, asked)
     try:
         return verification.run(max(1, workers), progress)
+    except WorkerDied:
+        raise
     except (Exception, RecursionError) as error:  # a check that fails in a way nobody thought of is still a finding
         problems = (*verification.problems[: MAX_PROBLEMS - 1], unexpected(str(path), None, error))
         return VerifyReport(False, problems, 0, 0, 0, None, is_quick=verification.asked.is_quick)
