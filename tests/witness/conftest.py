@@ -15,6 +15,7 @@ from fsar_ledger.witness.protocol import Request
 from fsar_ledger.witness.server import WitnessServer
 from fsar_ledger.witness.service import Service
 from fsar_ledger.witness.state import State, new_state, opened
+from tests.cli.conftest import call as call  # the fixture
 
 ORIGIN = "example.org/log"
 LOG = Signer(ORIGIN, bytes(range(32)))

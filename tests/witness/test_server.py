@@ -23,9 +23,13 @@ def server(witness: Open) -> Iterator[WitnessServer]:
         yield found
 
 
+def connected(server: WitnessServer) -> socket.socket:
+    return socket.create_connection(("127.0.0.1", server.server_port), timeout=5)
+
+
 def raw(server: WitnessServer, data: bytes) -> bytes:
     """All that comes back over one connection."""
-    with socket.create_connection(server.server_address[:2], timeout=5) as connection:
+    with connected(server) as connection:
         connection.sendall(data)
         connection.shutdown(socket.SHUT_WR)
         return b"".join(iter(lambda: connection.recv(1 << 16), b""))
@@ -37,7 +41,7 @@ def post(body: bytes = BODY, path: str = "/add-checkpoint", length: object = Non
 
 
 def test_a_connection_may_ask_many_things_one_after_the_other(server: WitnessServer, witness: Open) -> None:
-    connection = HTTPConnection(*server.server_address[:2], timeout=5)
+    connection = HTTPConnection("127.0.0.1", server.server_port, timeout=5)
     for old, new in ((0, 5), (5, 9), (9, 9)):
         connection.request("POST", "/add-checkpoint", str(GROWING.request(old, new)).encode())
         response = connection.getresponse()
@@ -123,7 +127,7 @@ def test_a_slow_client_is_given_up_however_steadily_it_drips(server: WitnessServ
     monkeypatch.setattr(module, "REQUEST_S", 0.4)
     for beginning in (b"", post()[:20], post()[:-5]):
         began = time.monotonic()
-        with socket.create_connection(server.server_address[:2], timeout=5) as connection:
+        with connected(server) as connection:
             connection.sendall(beginning)
             connection.settimeout(0.05)
             for _ in range(60):
@@ -141,7 +145,7 @@ def test_a_slow_client_is_given_up_however_steadily_it_drips(server: WitnessServ
 
 def test_too_many_connections_are_told_so_and_those_before_are_served(server: WitnessServer, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "REQUEST_S", 2.0)
-    held = [socket.create_connection(server.server_address[:2], timeout=5) for _ in range(module.MAX_CONNECTIONS)]
+    held = [connected(server) for _ in range(module.MAX_CONNECTIONS)]
     try:
         assert raw_or_reset(server, b"").startswith((b"HTTP/1.1 503", b"reset"))
         held[0].sendall(b"GET / HTTP/1.1\r\nConnection: close\r\n\r\n")
@@ -207,7 +211,7 @@ def test_a_place_where_nobody_can_listen_is_a_wrong_call(witness: Open, host: st
 
 def test_a_port_that_is_taken_is_a_wrong_call(server: WitnessServer, witness: Open) -> None:
     with pytest.raises(UsageError, match="already in use"):
-        WitnessServer("127.0.0.1", int(server.server_address[1]), witness.service, time.monotonic)
+        WitnessServer("127.0.0.1", server.server_port, witness.service, time.monotonic)
 
 
 def test_it_listens_by_the_newer_protocol_too(witness: Open) -> None:

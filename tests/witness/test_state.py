@@ -141,7 +141,7 @@ def test_a_folder_that_is_no_witness_is_not_served(tmp_path: Path) -> None:
     for wrong in ("", "nonsense", text[:-2], text.replace("w+", "v+", 1), "\udcff"):
         secret.write_bytes(wrong.encode("utf-8", "surrogateescape"))
         secret.chmod(0o600)
-        with pytest.raises(UsageError, match="found") as error, opened(tmp_path / "w"):
+        with pytest.raises(UsageError, match=r"witness\.key") as error, opened(tmp_path / "w"):
             pass
         assert text.rpartition("+")[2].strip() not in str(error.value)
 
