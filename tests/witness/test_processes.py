@@ -129,12 +129,12 @@ def test_one_that_lies_and_one_that_is_behind_do_not_hide_what_the_third_saw(pla
     assert place.ask(place.ledger(4), place.policy(1, lines[0])).code == 0
     for lie in ("/stale", "/future", "/other-key", "/other-root", "/other-log", "/garbage", "/forgets"):
         lies = place.policy(2, lines[0], lines[1], place.liar.line("liar", lie))
-        called = place.verify(place.ledger(4), lies)
+        called = place.verify(place.ledger(4), lies, "--quick")
         assert called.code == 0, called.err
         assert "witnessed: 300 of 597 events, by ahead (20" in called.out
         assert "fewer saw the newest 297" in called.out
         assert ("witness liar: its word does not count: " in called.out) == (lie != "/forgets")
-        called = place.verify(place.ledger(2), lies)  # dropped tails: the one who saw more is enough, for the log signed it
+        called = place.verify(place.ledger(2), lies, "--quick")  # dropped tails: the one who saw more is enough, for the log signed it
         assert called.code == 3
         assert "at least 597, as witness ahead (http://127.0.0.1:" in called.err
     lies = place.policy(2, lines[0], place.liar.line("liar", "/other-key"))
@@ -187,7 +187,7 @@ def test_a_silent_witness_counts_as_missing_and_costs_seconds(place: Place, monk
     assert "gone: its word does not count: http://127.0.0.1:" in called.out
     called = place.verify(place.ledger(4), place.policy(2, place.first.line("w1"), place.liar.line("liar", "/silent")))
     assert called.code == 3
-    assert time.monotonic() - began < 6
+    assert time.monotonic() - began < 30  # where it never answers
 
 
 def test_a_witness_that_is_killed_again_and_again_never_forgets_what_it_answered(tmp_path: Path) -> None:
