@@ -14,7 +14,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test check soak soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement bench docs clean
+.PHONY: help setup reproduce test check soak soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement bench docs sbom clean
 
 help:
 	@echo "make setup      a .venv with the command fsar-ledger in it"
@@ -24,6 +24,7 @@ help:
 	@echo "make soak       the long tests, about an hour: make soak-tests, -federation, -crash, -damage, -verifier, -agreement are its parts"
 	@echo "make bench      the benchmarks, as ratios"
 	@echo "make docs       write the pages that hold real output again"
+	@echo "make sbom       the software bill of materials, CycloneDX 1.6, into dist/fsar-ledger.cdx.json"
 	@echo "make clean      remove what the other targets made"
 
 setup: $(READY)
@@ -42,7 +43,7 @@ reproduce: setup
 check: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy --strict fsar_ledger tests benchmarks docs
+	$(BIN)/mypy --strict fsar_ledger tests benchmarks docs .ci/sbom.py
 	$(BIN)/sqlfluff lint --disable-progress-bar queries
 	$(BIN)/lint-imports
 
@@ -86,6 +87,10 @@ bench: setup
 docs: reproduce
 	$(BIN)/python docs/write.py
 	$(BIN)/python -c 'from pathlib import Path; from fsar_ledger.report import result_figure_svg; result_figure_svg(Path("$(OUT)/ledger"), Path("docs/results.svg"))'
+
+# What the package and its tests are made of: versions, hashes and licences of all that requirements.txt installs.
+sbom: setup
+	$(BIN)/python .ci/sbom.py dist/fsar-ledger.cdx.json
 
 clean:
 	rm -rf .venv $(OUT) build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache

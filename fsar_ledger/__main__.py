@@ -1,5 +1,6 @@
 """The entry of the command `fsar-ledger` and of `python -m fsar_ledger`."""
 
+import os
 import sys
 from contextlib import suppress
 from types import TracebackType
@@ -15,6 +16,9 @@ def main() -> None:
         with suppress(Enough):
             show(printable.line(f"fsar-ledger {__version__}"))
         return
+    if os.name != "posix":
+        sys.stderr.write(f"fsar-ledger: found an operating system that is not POSIX ({os.name}), expected Linux or macOS; on Windows use WSL\n")
+        sys.exit(2)
     try:
         from .cli import run
     except KeyboardInterrupt:

@@ -145,6 +145,8 @@ def verify(
     trusted = None if trusted_key is None else read_verifier(trusted_key)
     kept = None if anchor is None else read_anchor(anchor)
     seen = seen_of(context, ledger, witness_policy, cosigned, trusted)  # before the look: the ledger may grow meanwhile
+    if trusted is None and seen is not None:
+        trusted = seen.log
     asked = Asked(quick, trusted, kept, seen.evidence.checkpoints if seen is not None else ())
     with Progress("verified", "segments") as progress:
         report = whole_look(ledger, workers_of(workers), progress, asked)

@@ -145,10 +145,16 @@ def witness_ask(
 
 
 class Seen(msgspec.Struct, frozen=True):
-    """What the witnesses of a policy saw of a ledger."""
+    """What the witnesses of a policy saw of a ledger; one of the keys must have signed what they cosigned."""
 
     policy: "Policy"
+    logs: tuple["VerifierKey", ...]
     evidence: "Evidence"
+
+    @property
+    def log(self) -> "VerifierKey | None":
+        """The key that must have signed the ledger, where there is no choice."""
+        return self.logs[0] if len(self.logs) == 1 else None
 
     @property
     def is_enough(self) -> bool:
@@ -203,8 +209,8 @@ def seen_of(context: typer.Context, ledger: Path, policy: Path | None, cosigned:
         raise LedgerCorrupted(f"{ledger}: found a ledger of {origin}, expected one of a log that {policy} or --trusted-key names")
     now_s = _clock(context)()
     if cosigned:
-        return Seen(read, read_cosigned(read, logs, origin, now_s, cosigned))
-    return Seen(read, ask_witnesses(read, logs, origin, now_s))
+        return Seen(read, logs, read_cosigned(read, logs, origin, now_s, cosigned))
+    return Seen(read, logs, ask_witnesses(read, logs, origin, now_s))
 
 
 def _logs_of(policy: "Policy", trusted: "VerifierKey | None") -> tuple["VerifierKey", ...]:

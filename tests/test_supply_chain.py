@@ -1,0 +1,162 @@
+"""What the package is made of is said by a machine, and where it runs by itself."""
+
+import importlib.util
+import json
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Literal
+
+import msgspec
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+SCRIPT = ROOT / ".ci" / "sbom.py"
+
+
+class Hash(msgspec.Struct, forbid_unknown_fields=True):
+    """As CycloneDX 1.6 says, of the parts that we write; `Bom` below too."""
+
+    alg: Literal["SHA-256"]
+    content: str
+
+
+class Name(msgspec.Struct, forbid_unknown_fields=True):
+    name: str
+
+
+class Licence(msgspec.Struct, forbid_unknown_fields=True):
+    license: Name | None = None
+    expression: str | None = None
+
+
+class Component(msgspec.Struct, forbid_unknown_fields=True):
+    type: Literal["library"]
+    bom_ref: str = msgspec.field(name="bom-ref")
+    name: str
+    version: str
+    scope: Literal["required", "excluded"]
+    hashes: list[Hash]
+    purl: str
+    licenses: list[Licence] = []
+
+
+class Application(msgspec.Struct, forbid_unknown_fields=True):
+    type: Literal["application"]
+    bom_ref: str = msgspec.field(name="bom-ref")
+    name: str
+    version: str
+    description: str
+    licenses: list[Licence]
+    purl: str
+
+
+class Property(msgspec.Struct, forbid_unknown_fields=True):
+    name: str
+    value: str
+
+
+class Metadata(msgspec.Struct, forbid_unknown_fields=True):
+    component: Application
+    properties: list[Property]
+
+
+class Dependency(msgspec.Struct, forbid_unknown_fields=True):
+    ref: str
+    dependsOn: list[str]
+
+
+class Bom(msgspec.Struct, forbid_unknown_fields=True):
+    schema: Literal["http://cyclonedx.org/schema/bom-1.6.schema.json"] = msgspec.field(name="$schema")
+    bomFormat: Literal["CycloneDX"]
+    specVersion: Literal["1.6"]
+    serialNumber: str
+    version: Literal[1]
+    metadata: Metadata
+    components: list[Component]
+    dependencies: list[Dependency]
+
+
+@pytest.fixture(scope="module")
+def script() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("sbom", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="module")
+def bom(tmp_path_factory: pytest.TempPathFactory) -> tuple[Bom, bytes]:
+    out = tmp_path_factory.mktemp("sbom") / "new" / "bom.json"
+    done = subprocess.run([sys.executable, str(SCRIPT), str(out)], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    data = out.read_bytes()
+    return msgspec.json.decode(data, type=Bom), data
+
+
+def test_the_bill_of_materials_is_cyclonedx_and_refers_to_what_it_holds(bom: tuple[Bom, bytes]) -> None:
+    found, _ = bom
+    references = {found.metadata.component.bom_ref, *(one.bom_ref for one in found.components)}
+    assert len(references) == 1 + len(found.components)
+    assert {one.ref for one in found.dependencies} == references
+    assert {name for one in found.dependencies for name in one.dependsOn} <= references
+    assert re.fullmatch(r"urn:uuid:[0-9a-f]{8}-[0-9a-f]{4}-5[0-9a-f]{3}-[89ab][0-9a-f]{3}-[0-9a-f]{12}", found.serialNumber)
+    for one in found.components:
+        assert one.purl == one.bom_ref == f"pkg:pypi/{one.name}@{one.version}"
+        assert all((licence.license is None) != (licence.expression is None) for licence in one.licenses)
+
+
+def test_it_names_every_requirement_with_every_hash_that_may_be_installed(bom: tuple[Bom, bytes]) -> None:
+    entries: dict[tuple[str, str], set[str]] = {}
+    for entry in re.split(r"\n(?=\w)", (ROOT / "requirements.txt").read_text("utf-8")):
+        head = re.match(r"([\w.-]+)==([^\s;]+)", entry)
+        if head is not None:
+            entries[head[1], head[2]] = set(re.findall(r"sha256:([0-9a-f]{64})", entry))
+    found = {(one.name, one.version): {each.content for each in one.hashes} for one in bom[0].components}
+    assert found.items() <= entries.items()
+    assert {name for name, _ in found} == {name for name, _ in entries}
+    assert min(map(len, found.values())) >= 1
+
+
+def test_what_runs_is_told_from_what_tests(bom: tuple[Bom, bytes]) -> None:
+    scopes = {one.name: one.scope for one in bom[0].components}
+    dependencies = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["dependencies"]
+    named = {re.split(r"[=<>]", one)[0] for one in dependencies}
+    assert {scopes[name] for name in named} == {"required"}
+    assert {scopes[name] for name in ("pytest", "mypy", "ruff", "hypothesis", "sqlfluff")} == {"excluded"}
+    own = next(one for one in bom[0].dependencies if one.ref == bom[0].metadata.component.bom_ref)
+    assert {name.removeprefix("pkg:pypi/").partition("@")[0] for name in own.dependsOn} == named
+
+
+def test_it_is_the_same_each_time(bom: tuple[Bom, bytes], script: ModuleType) -> None:
+    again: dict[str, Any] = script.document(ROOT)
+    assert json.dumps(again, indent=2, ensure_ascii=False).encode() + b"\n" == bom[1]
+
+
+@pytest.mark.parametrize("text", ["msgspec==0.22.0\n", "msgspec>=0.22 \\\n    --hash=sha256:" + "0" * 64 + "\n", "msgspec==0.22.0 \\\n    --hash=md5:00\n"])
+def test_a_requirement_that_is_not_pinned_is_found(script: ModuleType, text: str) -> None:
+    with pytest.raises(SystemExit, match="expected NAME==VERSION and its hashes"):
+        list(script.pinned(text))
+
+
+def test_an_installation_that_is_not_as_pinned_is_found(script: ModuleType) -> None:
+    for name, version, part in (("msgspec", "0.0.1", "expected 0.0.1"), ("no-such-package", "1", "found none installed")):
+        with pytest.raises(SystemExit, match=part):
+            script.installed(script.Pinned(name, version, ("0" * 64,)))
+
+
+def test_the_checks_of_a_change_make_it_after_the_tests() -> None:
+    lines = (ROOT / ".ci" / "run").read_text("utf-8").splitlines()
+    assert lines.index("make test") < lines.index("make sbom")
+
+
+def test_where_it_does_not_run_it_says_so() -> None:
+    code = "import os, sys; sys.argv = ['fsar-ledger', 'info', 'x']; from fsar_ledger.__main__ import main; os.name = 'nt'; main()"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "fsar-ledger: found an operating system that is not POSIX (nt), expected Linux or macOS; on Windows use WSL\n"
