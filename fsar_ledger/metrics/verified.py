@@ -37,12 +37,14 @@ def required_look(ledger: Path, workers: int = 1, progress: Callable[[int, int],
     """The SHA-256 of the newest record of this ledger, after a whole look that doubts nothing; for `is_verified`.
 
     Raises:
-        LedgerCorrupted: The look doubts something; the message names every problem.
+        LedgerCorrupted: The look doubts something; the message names the first problem.
         NotALedger: As `verify`.
     """
     report = whole_look(ledger, workers, progress)
     if report.record_sha256 is None:
-        raise LedgerCorrupted(report.refusal(ledger))
+        first, *others = report.problems
+        more = f" ({len(others)} more of these)" if others else ""
+        raise LedgerCorrupted(f"{ledger}: {first}{more}; no answer is given from rows that are not those under the root, run fsar-ledger verify")
     return report.record_sha256
 
 
