@@ -18,6 +18,7 @@ from pathlib import Path
 
 from fsar_ledger import __version__
 from fsar_ledger.errors import LedgerCorrupted, SequenceConflict, UsageError
+from fsar_ledger.ledger import disk
 from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.ledger.read import LedgerView
 from fsar_ledger.ledger.verify import Asked, VerifyReport, verify
@@ -68,13 +69,11 @@ def is_remembered(record_sha256: str) -> bool:
     folder = _folder()
     if folder is None or not _is_own(folder):
         return False
+    file = folder / _name(record_sha256)
     try:
-        handle = os.open(folder / _name(record_sha256), os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        return _is_safe(file.lstat()) and disk.read_document(file) == _line(record_sha256)
     except OSError:
         return False
-    with open(handle, "rb") as file:
-        status = os.fstat(handle)
-        return stat.S_ISREG(status.st_mode) and _is_safe(status) and file.read(len(record_sha256) + 2) == _line(record_sha256)
 
 
 def _remember(record_sha256: str) -> None:

@@ -9,7 +9,7 @@ import pytest
 from fsar_ledger.ledger.read import LedgerView
 from tests.ledger.flips import Answer, chosen, outcomes, undamaged, write_runs
 
-SAMPLED = ("metrics", "query", "explain", "info", "prove", "prove by name", "export")
+SAMPLED = ("metrics", "query", "explain", "prove", "prove by name")
 """The quick ones; the soak asks every command."""
 
 Ledger = tuple[Path, Path]
@@ -38,13 +38,13 @@ def tried(ledger: Ledger, good: dict[str, Answer], count: int, kinds: dict[str, 
 def test_no_flipped_bit_changes_an_answer(ledger: Ledger) -> None:
     good = undamaged(*ledger, SAMPLED)
 
-    found = tried(ledger, good, 38, {"segments": 6, "records": 2, "ledger.json": 1, "checkpoint": 1})
+    found = tried(ledger, good, 39, {"segments": 6, "records": 2, "ledger.json": 1, "checkpoint": 1})
     assert found["wrong"] == 0
-    assert found["refused"] > 38 * 4  # of 7: `prove` reads one segment of three
+    assert found["refused"] >= 39 * 4  # of 5: `prove` reads one segment of three
 
-    tiles = tried(ledger, good, 2, {"partial tiles": 1, "full tiles": 1})
+    tiles = tried(ledger, good, 1, {"full tiles": 1})
     assert tiles["wrong"] == 0
-    assert tiles["same"] >= 2 * 5  # no other answer rests on tiles
+    assert tiles["same"] >= 3  # no other answer rests on tiles
 
 
 def test_without_the_comparison_of_hashes_wrong_answers_are_found(ledger: Ledger, monkeypatch: pytest.MonkeyPatch) -> None:
