@@ -9,7 +9,7 @@ import pytest
 from fsar_ledger.ledger.read import LedgerView
 from tests.ledger.flips import Answer, chosen, outcomes, undamaged, write_runs
 
-SAMPLED = ("metrics", "query", "explain", "prove", "prove by name")
+SAMPLED = ("metrics", "explain", "prove")
 """The quick ones; the soak asks every command."""
 
 Ledger = tuple[Path, Path]
@@ -40,11 +40,11 @@ def test_no_flipped_bit_changes_an_answer(ledger: Ledger) -> None:
 
     found = tried(ledger, good, 39, {"segments": 6, "records": 2, "ledger.json": 1, "checkpoint": 1})
     assert found["wrong"] == 0
-    assert found["refused"] >= 39 * 4  # of 5: `prove` reads one segment of three
+    assert found["refused"] >= 39 * 2  # `prove` reads one segment of three
 
     tiles = tried(ledger, good, 1, {"full tiles": 1})
     assert tiles["wrong"] == 0
-    assert tiles["same"] >= 3  # no other answer rests on tiles
+    assert tiles["same"] >= 2  # no other answer rests on tiles
 
 
 def test_without_the_comparison_of_hashes_wrong_answers_are_found(ledger: Ledger, monkeypatch: pytest.MonkeyPatch) -> None:
