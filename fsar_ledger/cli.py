@@ -135,7 +135,8 @@ def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: Json
         answer = {"groups": found.groups, "models": found.models, "runs": found.run_count, "is_complete": found.is_complete}
         _show(json_text(head, {"ledger": str(ledger), "commits": head.commits, **answer}, found.rows_verified))
         return
-    _show(printable.lines(f"{ledger}: {head.size:,} events in {head.commits:,} commits", f"root {head.root}", *found.summary()))
+    standing = "" if found.rows_verified else " (the rows were not compared with it)"
+    _show(printable.lines(f"{ledger}: {head.size:,} events in {head.commits:,} commits", f"root {head.root}{standing}", *found.summary()))
     if found.groups:
         _show(printable.joined(printable.line(""), table_text(found.groups, list(found.groups[0]))))
 
