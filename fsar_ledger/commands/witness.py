@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
-import msgspec
 import typer
 
 from fsar_ledger import printable
@@ -144,7 +143,7 @@ def witness_ask(
     show(printable.lines(f"{out}: {tree.size:,} events, cosigned by {_listed(found.times)}", f"root {tree.root.hex()}"))
 
 
-class Seen(msgspec.Struct, frozen=True):
+class Seen(NamedTuple):
     """What the witnesses of a policy saw of a ledger; one of the keys must have signed what they cosigned."""
 
     policy: "Policy"
@@ -228,6 +227,8 @@ def with_seen(document: Shown, seen: Seen | None) -> Shown:
     """The JSON of a verdict with what the witnesses saw in it; `ok` is true when both found nothing."""
     if seen is None:
         return document
+    import msgspec
+
     verdict: dict[str, Any] = msgspec.json.decode(document)
     both = {**verdict, "ok": verdict["ok"] and seen.is_enough, "witnessed": seen.json()}
     return printable.ascii_json(msgspec.json.format(msgspec.json.encode(both), indent=2).decode() + "\n")

@@ -8,6 +8,7 @@ import pytest
 from fsar_ledger.commands.output import Row, answer_text
 from fsar_ledger.commands.pieces import KEPT_BYTES, Kept, answer_pieces
 from fsar_ledger.errors import UsageError
+from fsar_ledger.printable import Shown
 from fsar_ledger.ledger.read import Head
 
 HEAD = Head(3, 1000, "ab" * 32)
@@ -32,14 +33,14 @@ def test_an_answer_has_one_form() -> None:
 @pytest.mark.parametrize("longest", [0, 10, KEPT_BYTES // 20])
 def test_what_is_kept_comes_back_in_whole_lines(longest: int) -> None:
     lines = [f"{number} \udcff é{'x' * longest}\r\n" for number in range(30)]
-    pieces = list(Kept(lines))
+    pieces = list(Kept(map(Shown, lines)))
     assert "".join(pieces) == "".join(lines)
     assert all(piece.endswith("\n") for piece in pieces)
 
 
 def test_what_breaks_off_is_not_shown() -> None:
-    def broken() -> Iterator[str]:
-        yield "x" * (KEPT_BYTES + 1)
+    def broken() -> Iterator[Shown]:
+        yield Shown("x" * (KEPT_BYTES + 1))
         raise UsageError("enough")
 
     with pytest.raises(UsageError, match="enough"):
