@@ -4,7 +4,7 @@ import hashlib
 import os
 import stat
 from collections.abc import Callable
-from itertools import pairwise
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -35,9 +35,14 @@ class SegmentFacts(msgspec.Struct, frozen=True):
     leaves: bytes | None = None
 
 
-def examine(file: str, ledger: str, number: int, record: CommitRecord | None) -> SegmentFacts:
-    """What this segment holds, compared with its commit record. Never raises."""
-    return _guarded(_examine, file, ledger, number, record)
+SecondReader = Callable[[str, pa.Table, bool], tuple[str, str] | None]
+"""Reads the file at a path with other code than `segment` and compares it with these rows: (found, expected), None if it holds them. True: the file is byte
+for byte what these rows are written as."""
+
+
+def examine(file: str, ledger: str, number: int, record: CommitRecord | None, second_reader: SecondReader | None = None) -> SegmentFacts:
+    """What this segment holds, compared with its commit record and with what the second reader finds. Never raises."""
+    return _guarded(partial(_examine, second_reader), file, ledger, number, record)
 
 
 def examine_file(file: str, ledger: str, number: int, record: CommitRecord | None) -> SegmentFacts:
@@ -76,7 +81,7 @@ def _examine_file(file: str, path: str, number: int, record: CommitRecord) -> Se
     return SegmentFacts(file, rows=record.rows)
 
 
-def _examine(file: str, place: str, number: int, record: CommitRecord) -> SegmentFacts:
+def _examine(second_reader: SecondReader | None, file: str, place: str, number: int, record: CommitRecord) -> SegmentFacts:
     as_a_file = _examine_file(file, place, number, record)
     if as_a_file.problems or record.release not in FINGERPRINTS:  # rows of a release that is not known cannot be judged; the record is a problem already
         return as_a_file
@@ -102,15 +107,16 @@ def _examine(file: str, place: str, number: int, record: CommitRecord) -> Segmen
     problems = () if flaw is None else (Problem(file, flaw.found, flaw.expected, number, flaw.run, flaw.seq, flaw.field),)
     run_ids = whole(table.column("run_id"))
     runs = tuple(run_ids.take(run_starts(run_ids)).to_pylist())
-    misleading = _misleading(data, layout, table.select(layout.schema.names))
-    if misleading is not None:
-        problems = (*problems, Problem(file, *misleading, commit=number, field="segment_sha256"))
+    stored = table.select(layout.schema.names)
+    is_as_written, misleading = _misleading(data, layout, stored)
+    again = second_reader(place, stored, is_as_written) if second_reader is not None else None
+    problems = (*problems, *(Problem(file, *other, commit=number, field="segment_sha256") for other in (misleading, again) if other is not None))
     leaves = b"".join(canonical.hashes(canonical.from_table(table)))
     return SegmentFacts(file, problems, table.num_rows, runs, leaves)
 
 
-def _misleading(data: bytes, layout: Layout, table: pa.Table) -> tuple[str, str] | None:
-    """What in the file beside its rows (found, expected) could make a reader see other rows than those; None if nothing.
+def _misleading(data: bytes, layout: Layout, table: pa.Table) -> tuple[bool, tuple[str, str] | None]:
+    """Whether the file is what these rows are written as, and what in it beside them (found, expected) could make a reader see others; None if nothing.
 
     A query engine skips rows by the statistics in the footer, and no leaf covers those. The same version of pyarrow
     must write the same bytes; of a file by another version the statistics are compared.
@@ -118,15 +124,15 @@ def _misleading(data: bytes, layout: Layout, table: pa.Table) -> tuple[str, str]
     is_ours = all(_is_sorted(whole(table.column(name))) for name in table.column_names)  # else writing them again repeats what is not ours
     again = to_parquet(table)
     if is_ours and again.equals(pa.py_buffer(data)):
-        return None
+        return True, None
     if layout.created_by == pq.read_metadata(pa.BufferReader(again)).created_by:
-        return "other bytes", "those that these rows are written as"
+        return False, ("other bytes", "those that these rows are written as")
     for said in layout.statistics:
         values = table.column(said.name).cast(SCHEMA.field(said.name).type)
         least, most = map(_stored, pc.min_max(values).as_py().values())
         if (said.least, said.most) != (least, most):
-            return f"statistics {said.least!r} to {said.most!r} of column {said.name}", f"{least!r} to {most!r}, as its rows are"
-    return None
+            return False, (f"statistics {said.least!r} to {said.most!r} of column {said.name}", f"{least!r} to {most!r}, as its rows are")
+    return False, None
 
 
 def _stored(value: int | str) -> bytes:
@@ -138,7 +144,7 @@ def _is_sorted(column: pa.Array) -> bool:
     """Whether a column is no dictionary, or one as we write it."""
     if not isinstance(column, pa.DictionaryArray):
         return True
-    texts = column.dictionary.to_pylist()
+    texts = column.dictionary
     is_used = np.zeros(len(texts) + 1, bool)
     is_used[places(column)] = True
-    return bool(is_used[:-1].all()) and all(one < other for one, other in pairwise(texts))
+    return bool(is_used[:-1].all()) and pc.all(pc.less(texts[:-1], texts[1:])).as_py() is not False

@@ -16,6 +16,8 @@ from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 
+import msgspec
+
 from fsar_ledger import __version__
 from fsar_ledger.errors import LedgerCorrupted, SequenceConflict, UsageError
 from fsar_ledger.ledger import disk
@@ -28,7 +30,12 @@ _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 def whole_look(ledger: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None, asked: Asked | None = None) -> VerifyReport:
     """The report of `verify`; where it read the rows and doubts nothing, the head is remembered. Raises: as `verify`."""
-    report = verify(ledger, workers, progress, asked or Asked())  # the second reader of the rows is named here, in `Asked`
+    asked = asked or Asked()
+    if not asked.is_quick:
+        from .second_reader import read_again  # DuckDB, which a proof does without
+
+        asked = msgspec.structs.replace(asked, second_reader=read_again)
+    report = verify(ledger, workers, progress, asked)
     if report.record_sha256 is not None and not report.is_quick:
         _remember(report.record_sha256)
     return report
