@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pyarrow as pa
 
-from fsar_ledger.ledger.schema import COLUMNS
+from fsar_ledger.ledger.schema import COLUMNS, Kind
 
 TYPES = ("BOOLEAN", "INT32", "INT64", "INT96", "FLOAT", "DOUBLE", "BYTE_ARRAY", "FIXED_LEN_BYTE_ARRAY")
 _TRUE, _FALSE, _BYTE, _I16, _I32, _I64, _DOUBLE, _BINARY, _LIST, _SET, _MAP, _STRUCT = range(1, 13)
@@ -22,6 +22,8 @@ _ABOUT = {8: "key-value metadata", 10: "an index page", **dict.fromkeys((14, 15)
 
 Struct = dict[int, "Value"]
 Value = int | bytes | list["Value"] | Struct
+
+_ENCODINGS: dict[Kind, list[Value]] = {"string": [0, 3, 8], "strings": [0, 3, 8], "integer": [3, 5], "boolean": [3, 0]}
 
 
 def explain_footer(data: bytes, schema: pa.Schema) -> str:
@@ -67,25 +69,37 @@ def _faults(footer: Struct, schema: pa.Schema) -> Iterator[str]:
     group = _struct(groups[0])
     yield from _extra(group, {1, 2, 3, 5, 6}, _GROUP)
     chunks = [_struct(chunk) for chunk in _list(group, 1)]
-    for at, chunk in enumerate(chunks):
-        about = _struct(chunk.get(3, {}))
-        for field in (4, 5, 6, 7, 9):
-            _count(about, field)
-        kind = _count(about, 1)
-        found = ".".join(_text(part) for part in _list(about, 3)), TYPES[kind] if kind < len(TYPES) else f"type {kind}"
-        expected = _expected(schema, at)
+    names = [_path(chunk) for chunk in chunks]
+    for at in range(max(len(chunks), len(schema))):
+        found, expected = names[at] if at < len(names) else None, _expected(schema, at)
         if found != expected:
             yield f"column {at} as {found}, expected {expected} as in the columns of a release"
-        yield from _extra(chunk, {2, 3}, _CHUNK, f" of column {found[0]}")
-        yield from _extra(about, {1, 2, 3, 4, 5, 6, 7, 9, 11, 12, 13, 16}, _ABOUT, f" of column {found[0]}")
-        if about.get(4) != 6:
-            yield f"column {found[0]} in codec {about.get(4)!r:.40}, expected 6 (zstd)"
-        if nulls := _struct(about.get(12, {})).get(3):
-            yield f"statistics that say {nulls!r:.40} NULL of column {found[0]}, expected none in columns that must have values, and no statistics of others"
-        if 12 in about and found[0] not in schema.names[:3]:
-            yield f"statistics of column {found[0]}, expected none but of {', '.join(schema.names[:3])}"
-    if len(chunks) != len(schema):
-        yield f"{len(chunks)} columns, expected {len(schema)}"
+    for (name, _), chunk in zip(names, chunks, strict=True):
+        yield from _faults_of_column(name, chunk, schema)
+
+
+def _faults_of_column(name: str, chunk: Struct, schema: pa.Schema) -> Iterator[str]:
+    about = _struct(chunk.get(3, {}))
+    yield from _extra(chunk, {2, 3}, _CHUNK, f" of column {name}")
+    yield from _extra(about, {1, 2, 3, 4, 5, 6, 7, 9, 11, 12, 13, 16}, _ABOUT, f" of column {name}")
+    for field in (4, 5, 6, 7, 9):
+        _count(about, field)
+    if about[4] != 6:
+        yield f"column {name} in codec {about[4]!r}, expected 6 (zstd)"
+    encodings = _ENCODINGS[COLUMNS[name.partition(".")[0]]]
+    if _list(about, 2) != encodings:
+        yield f"column {name} in encodings {about[2]!r:.40}, expected {encodings}"
+    if 12 in about and name not in schema.names[:3]:
+        yield f"statistics of column {name}, expected none but of {', '.join(schema.names[:3])}"
+    if nulls := _struct(about.get(12, {})).get(3):
+        yield f"statistics that say {nulls!r:.40} NULL of column {name}, expected none"
+
+
+def _path(chunk: Struct) -> tuple[str, str]:
+    """The path and the type of a column."""
+    about = _struct(chunk.get(3, {}))
+    kind = _count(about, 1)
+    return ".".join(_text(part) for part in _list(about, 3)), TYPES[kind] if kind < len(TYPES) else f"type {kind}"
 
 
 def _expected(schema: pa.Schema, at: int) -> tuple[str, str] | None:
@@ -160,13 +174,15 @@ def _value(data: bytes, at: int, kind: int, depth: int) -> tuple[Value, int]:
     if kind == _STRUCT:
         return read_struct(data, at, depth + 1)
     if kind == _LIST:
-        return _values(data, at, depth)
+        return _values(data, at, depth + 1)
     if kind in (_BYTE, _TRUE, _FALSE):
         return data[at], at + 1
     raise ValueError(f"a field of type {kind}, expected numbers, bytes, lists and structs")
 
 
 def _values(data: bytes, at: int, depth: int) -> tuple[list[Value], int]:
+    if depth > _MAX_DEPTH:
+        raise ValueError(f"more than {_MAX_DEPTH} structs in each other, expected fewer")
     size, kind = data[at] >> 4, data[at] & 15
     at += 1
     if size == 15:
@@ -175,7 +191,7 @@ def _values(data: bytes, at: int, depth: int) -> tuple[list[Value], int]:
         raise ValueError(f"a list of {size}, expected at most the {len(data) - at} bytes that are left")
     found: list[Value] = []
     for _ in range(size):
-        value, at = _value(data, at, kind, depth + 1)
+        value, at = _value(data, at, kind, depth)
         found.append(value)
     return found, at
 

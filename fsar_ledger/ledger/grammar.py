@@ -12,7 +12,8 @@ longer than they need be are then no matter of checks: they cannot be said. It t
 | ColumnChunk | 2 file_offset = 0, 3 meta_data |
 | ColumnMetaData | 1 type, 2 encodings, 3 path_in_schema, 4 codec = ZSTD, 5 num_values, 6 total_uncompressed_size, 7 total_compressed_size, |
 | | 9 data_page_offset, 11 dictionary_page_offset (strings only), [12 statistics: `run_id`, `seq`, `time_us` only], 13 encoding_stats, [16 size_statistics] |
-| Statistics | integers: 1 max, 2 min, 3 null_count = 0, 5 max_value = max, 6 min_value = min, [7, 8 exact: true]; `run_id`: the same without 1 and 2 |
+| Statistics | integers: 1 max, 2 min, 3 null_count = 0, 5 max_value = max, 6 min_value = min, [7, 8 exact: true]; `run_id`: the same without 1 and 2, |
+| | and without 5 to 8 where the bounds are too long |
 | SizeStatistics | 1 unencoded_byte_array_data_bytes (strings only), 2 and 3 the histograms of levels, which have as many numbers as there are levels |
 | PageHeader, dictionary | 1 type = 2, 2 uncompressed_page_size, 3 compressed_page_size, 4 crc, 7: 1 num_values, 2 encoding = PLAIN, 3 is_sorted = false |
 | PageHeader, data | 1 type = 0, 2 uncompressed_page_size, 3 compressed_page_size, 4 crc, 5: 1 num_values, 2 encoding, 3 and 4 levels in RLE, 5 statistics |
@@ -49,6 +50,8 @@ MOST = re.compile(rb"[\x1c]\x36\x00\x28" + _LENGTH, re.DOTALL)
 LEAST = re.compile(rb"\x18" + _LENGTH, re.DOTALL)
 BOUNDS_END = re.compile(_IS_EXACT + rb"\x00", re.DOTALL)
 """The statistics of strings: each length is that of the bound which follows."""
+UNBOUNDED = b"\x1c\x36\x00\x00"
+"""The statistics of strings that are too long for bounds: no NULL."""
 
 _SIZES = rb"\x15(%b)\x15(%b)\x15(%b)" % (_N, _N, _SUM)  # unpacked, stored, checksum
 DICTIONARY_PAGE = re.compile(rb"\x15\x04" + _SIZES + rb"\x3c\x15(%b)\x15\x00\x12\x00\x00" % _N, re.DOTALL)

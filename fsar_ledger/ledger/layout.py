@@ -24,6 +24,7 @@ from fsar_ledger.ledger.grammar import (
     MOST,
     ROWS,
     RUN_ID_REST,
+    UNBOUNDED,
     Column,
     Footer,
     encoding_statistics,
@@ -199,6 +200,8 @@ def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[Said | None, int]:
     """The statistics of `run_id` that begin or do not begin here, and where what comes `after` them ends. Raises: ValueError if they are not as they may be."""
     if data[at : at + 1] == b"\x29":
         return None, at + 1
+    if data.startswith(without := UNBOUNDED + after, at):
+        return None, at + len(without)
     if (most := MOST.match(data, at)) and (least := LEAST.match(data, most.end() + (most_bytes := _length(most[1])))):
         end = BOUNDS_END.match(data, least.end() + (least_bytes := _length(least[1])))
         if end is not None and data.startswith(after, end.end()) and max(most_bytes, least_bytes) <= bounds.MAX_BOUND_BYTES:
