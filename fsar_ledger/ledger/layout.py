@@ -46,12 +46,13 @@ class Said(NamedTuple):
 
 
 class Layout(NamedTuple):
-    """What a segment says of itself: its rows, its columns, who wrote it, its statistics, and the sizes in each column (as Parquet holds them, or nothing)."""
+    """What a segment says of itself: its rows, columns and writer, statistics of columns and of pages, and sizes in each column (as Parquet holds them)."""
 
     rows: int
     schema: pa.Schema
     created_by: str
     statistics: tuple[Said, ...]
+    of_pages: tuple[Said, ...]
     sizes: tuple[bytes, ...]
 
 
@@ -147,7 +148,7 @@ def read_layout(data: bytes) -> Layout:
     if not data.startswith(known.group, at):
         raise ValueError(explain_footer(data[footer_at:-8], (known or _footers()[-1]).schema))
     at += len(known.group)
-    place, unpacked, statistics, sizes = len(MAGIC), 0, list[Said](), list[bytes]()
+    place, unpacked, statistics, of_pages, sizes = len(MAGIC), 0, list[Said](), list[Said](), list[bytes]()
     for column in known.columns:
         found_chunk = _chunk(data, column, at)
         if found_chunk is None:
@@ -159,7 +160,7 @@ def read_layout(data: bytes) -> Layout:
         unpacked += chunk.unpacked
         if unpacked > bounds.MAX_UNPACKED_BYTES:
             raise ValueError(f"column {column.name}: pages that unpack to {unpacked} bytes with those before, expected at most {bounds.MAX_UNPACKED_BYTES}")
-        place = _check_pages(data, chunk, place, statistics)
+        place = _check_pages(data, chunk, place, of_pages)
     end = GROUP_END.match(data, at)
     if end is None or not data.startswith(known.orders, end.end()) or end.end() + len(known.orders) != size - 8 or end[4][0] != len(end[5]):
         raise ValueError(explain_footer(data[footer_at:-8], (known or _footers()[-1]).schema))
@@ -169,7 +170,7 @@ def read_layout(data: bytes) -> Layout:
             raise ValueError(f"a row group of {_number[one]} {what}, expected {other}")
     if place != footer_at:
         raise ValueError(f"{footer_at - place} bytes between the last page and the footer, expected none")
-    return Layout(rows, known.schema, end[5].decode(), tuple(statistics), tuple(sizes))
+    return Layout(rows, known.schema, end[5].decode(), tuple(statistics), tuple(of_pages), tuple(sizes))
 
 
 def _footer_at(data: bytes) -> int:
@@ -251,7 +252,7 @@ def _check_chunk(chunk: _Chunk, rows: int, place: int) -> None:
         raise ValueError(f"column {name}: pages from byte {begin}, expected from byte {place}, where those before end")
 
 
-def _check_pages(data: bytes, chunk: _Chunk, place: int, statistics: list[Said]) -> int:
+def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[Said]) -> int:
     """The place where the pages of this chunk end, as it says; what they say of their rows is added. Raises: ValueError if they are not what it says."""
     name, has_dictionary = chunk.column.name, chunk.column.kind in ("string", "strings")
     at, end = place, place + chunk.stored
@@ -269,7 +270,7 @@ def _check_pages(data: bytes, chunk: _Chunk, place: int, statistics: list[Said])
         if pages > bounds.MAX_PAGES:
             raise ValueError(f"column {name}: more than {bounds.MAX_PAGES} pages, expected fewer")
         said, body = _page_bounds(data, name, header)
-        statistics += [said._replace(rows=(values, _number[header[4]]))] if said else []
+        of_pages += [said._replace(rows=(values, _number[header[4]]))] if said else []
         stored = _number[header[2]]
         _check_sum(data, name, body, stored, header[3])
         values += _number[header[4]]

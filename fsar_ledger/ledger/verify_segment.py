@@ -124,7 +124,7 @@ def _misleading(data: bytes, layout: Layout, table: pa.Table) -> tuple[str, str]
     for name, sizes, own in zip(table.column_names, layout.sizes, read_layout(again.to_pybytes()).sizes, strict=True):
         if sizes and own and sizes != own:
             return f"sizes of strings and lists {sizes.hex()} in column {name}", f"{own.hex()}, as its rows are"
-    for said in layout.statistics:
+    for said in (*layout.statistics, *layout.of_pages):
         values = table.column(said.name).slice(*said.rows or (0,)).cast(SCHEMA.field(said.name).type)
         least, most = (None if bound is None else _stored(bound) for bound in pc.min_max(values).as_py().values())
         if (said.least, said.most) != (least, most):
