@@ -110,12 +110,14 @@ def verify(
     from fsar_ledger.ledger.verify import Asked
     from fsar_ledger.ledger.verify import verify as check
     from fsar_ledger.ledger.verify_notes import read_anchor
+    from fsar_ledger.metrics.second_reader import read_again
 
     from .replay import replayed, verdict_json, verdict_text
 
     if quick and replay:
         raise UsageError("--quick and --replay: expected one of them; a quick look reads no rows, a replay all of them")
-    asked = Asked(quick, None if trusted_key is None else read_verifier(trusted_key), None if anchor is None else read_anchor(anchor))
+    key, kept = None if trusted_key is None else read_verifier(trusted_key), None if anchor is None else read_anchor(anchor)
+    asked = Asked(quick, key, kept, None if quick else read_again)
     with Progress("verified", "segments") as progress:
         report = check(ledger, workers_of(workers), progress, asked)
     again = replayed(ledger, report, workers_of(workers)) if replay else None

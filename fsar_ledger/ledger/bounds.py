@@ -39,3 +39,15 @@ def text_bytes(table: pa.Table) -> int:
             elif pa.types.is_string(values.type):
                 size += pc.sum(pc.binary_length(values).cast(pa.int64())).as_py() or 0
     return size
+
+
+def has_more_text_than(table: pa.Table, most: int) -> bool:
+    """Whether `text_bytes` is more than this; quickly, where every string could be as long as the longest of its column."""
+    longest = 0
+    for column in table.columns:
+        for chunk in column.chunks:
+            values = chunk.flatten() if pa.types.is_list(chunk.type) else chunk
+            texts = values.dictionary if pa.types.is_dictionary(values.type) else values
+            if pa.types.is_string(texts.type):
+                longest += len(values) * (pc.max(pc.binary_length(texts)).as_py() or 0)
+    return longest > most and text_bytes(table) > most

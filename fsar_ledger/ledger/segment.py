@@ -8,7 +8,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.bounds import MAX_TEXT_BYTES, text_bytes
+from fsar_ledger.ledger.bounds import MAX_TEXT_BYTES, has_more_text_than, text_bytes
 from fsar_ledger.ledger.grammar import HAS_STATISTICS, path_of
 from fsar_ledger.ledger.layout import Layout, check_layout, read_file
 from fsar_ledger.ledger.releases import widened
@@ -82,8 +82,10 @@ def _read(path: Path, data: bytes, layout: Layout, columns: list[str] | None, ta
     try:
         with pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True, read_dictionary=strings) as file:
             found = file.read(columns=columns, use_threads=False)
-        if (texts := text_bytes(found)) > MAX_TEXT_BYTES:
-            raise LedgerCorrupted(f"{path}: found strings of {texts} bytes in {found.num_rows} rows, expected at most {MAX_TEXT_BYTES}; restore the file")
+        if has_more_text_than(found, MAX_TEXT_BYTES):
+            raise LedgerCorrupted(
+                f"{path}: found strings of {text_bytes(found)} bytes in {found.num_rows} rows, expected at most {MAX_TEXT_BYTES}; restore the file"
+            )
         found = found.cast(pa.schema([target.field(name) for name in found.column_names]))
         return widened(found, columns or SCHEMA.names, target)
     except (OSError, pa.ArrowException) as error:

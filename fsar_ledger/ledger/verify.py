@@ -26,7 +26,7 @@ from fsar_ledger.ledger.tiles import Edge
 from fsar_ledger.ledger.verify_commits import Commit, check_folder, check_manifest, check_record, check_strays, read_commits, segment_file
 from fsar_ledger.ledger.verify_derived import BEHIND, TileCheck, check_checkpoint
 from fsar_ledger.ledger.verify_notes import Anchor, ByTiles, Signatures, Signed, check_anchor, check_signatures, root_by_tiles
-from fsar_ledger.ledger.verify_segment import SegmentFacts, examine, examine_file
+from fsar_ledger.ledger.verify_segment import SecondReader, SegmentFacts, examine, examine_file
 from fsar_ledger.workers import WorkerPool
 
 MAX_PROBLEMS = 100
@@ -38,12 +38,14 @@ Progress = Callable[[int, int], None]
 class Asked(msgspec.Struct, frozen=True):
     """What `verify` shall look at beyond the ledger itself.
 
-    With `is_quick` the rows are not read: the chain of records, the files' hashes and the notes must do.
+    With `is_quick` the rows are not read: the chain of records, the files' hashes and the notes must do. `second_reader` reads the rows
+    of each segment once more, with other code, and compares them; it can be pickled.
     """
 
     is_quick: bool = False
     trusted: VerifierKey | None = None
     anchor: Anchor | None = None
+    second_reader: SecondReader | None = None
 
 
 class VerifyReport(msgspec.Struct, frozen=True):
@@ -132,7 +134,7 @@ class _Verification:
         self.problems += check_folder(self.path)
         origin, previous = check_manifest(self.path, self.problems)
         commits = read_commits(self.path, self.problems)
-        for commit, facts in zip(commits, _examine_all(self.path, commits, workers, is_quick=self.asked.is_quick), strict=True):
+        for commit, facts in zip(commits, _examine_all(self.path, commits, workers, self.asked), strict=True):
             before = len(self.problems)
             self._add(commits, commit, facts, previous, origin)
             previous = commit.sha256
@@ -262,19 +264,22 @@ def _not_compared(anchored: int | None, proved: int, size: int) -> str:
     )
 
 
-def _examine_all(path: Path, commits: list[Commit], workers: int, *, is_quick: bool) -> Iterator[SegmentFacts]:
+def _examine_all(path: Path, commits: list[Commit], workers: int, asked: Asked) -> Iterator[SegmentFacts]:
     """What each segment holds, in order; nothing of those whose record is unreadable."""
     files = [segment_file(path, commit) for commit in commits]
     records = [commit.record for commit in commits]
     arguments = (files, repeat(str(path)), range(len(commits)), records)
+    again = (*arguments, repeat(asked.second_reader)) if asked.second_reader is not None else arguments
     workers = min(workers, len(commits))
     with ExitStack() as stack:
-        if workers > 1 and is_quick:  # hashing lets other threads run
+        if workers > 1 and asked.is_quick:  # hashing lets other threads run
             yield from stack.enter_context(ThreadPoolExecutor(workers)).map(examine_file, *arguments)
         elif workers > 1:
-            yield from stack.enter_context(WorkerPool(workers)).map(examine, *arguments)
+            yield from stack.enter_context(WorkerPool(workers)).map(examine, *again)
+        elif asked.is_quick:
+            yield from map(examine_file, *arguments)
         else:
-            yield from map(examine_file if is_quick else examine, *arguments)
+            yield from map(examine, *again)
 
 
 def _claimed_before(commits: list[Commit], number: int) -> Frontier | None:

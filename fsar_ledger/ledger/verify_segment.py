@@ -4,6 +4,7 @@ import hashlib
 import os
 import stat
 from collections.abc import Callable
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
@@ -35,9 +36,13 @@ class SegmentFacts(msgspec.Struct, frozen=True):
     leaves: bytes | None = None
 
 
-def examine(file: str, ledger: str, number: int, record: CommitRecord | None) -> SegmentFacts:
-    """What this segment holds, compared with its commit record. Never raises."""
-    return _guarded(_examine, file, ledger, number, record)
+SecondReader = Callable[[str, pa.Table], tuple[str, str] | None]
+"""Reads the file at a path with other code than `segment` and compares it with these rows: (found, expected), None if it holds them."""
+
+
+def examine(file: str, ledger: str, number: int, record: CommitRecord | None, second_reader: SecondReader | None = None) -> SegmentFacts:
+    """What this segment holds, compared with its commit record and with what the second reader finds. Never raises."""
+    return _guarded(partial(_examine, second_reader), file, ledger, number, record)
 
 
 def examine_file(file: str, ledger: str, number: int, record: CommitRecord | None) -> SegmentFacts:
@@ -76,7 +81,7 @@ def _examine_file(file: str, path: str, number: int, record: CommitRecord) -> Se
     return SegmentFacts(file, rows=record.rows)
 
 
-def _examine(file: str, place: str, number: int, record: CommitRecord) -> SegmentFacts:
+def _examine(second_reader: SecondReader | None, file: str, place: str, number: int, record: CommitRecord) -> SegmentFacts:
     as_a_file = _examine_file(file, place, number, record)
     if as_a_file.problems or record.release not in FINGERPRINTS:  # rows of a release that is not known cannot be judged; the record is a problem already
         return as_a_file
@@ -105,6 +110,9 @@ def _examine(file: str, place: str, number: int, record: CommitRecord) -> Segmen
     misleading = _misleading(data, layout, table.select(layout.schema.names))
     if misleading is not None:
         problems = (*problems, Problem(file, *misleading, commit=number, field="segment_sha256"))
+    other = second_reader(place, table.select(layout.schema.names)) if second_reader is not None else None
+    if other is not None:
+        problems = (*problems, Problem(file, *other, commit=number, field="segment_sha256"))
     leaves = b"".join(canonical.hashes(canonical.from_table(table)))
     return SegmentFacts(file, problems, table.num_rows, runs, leaves)
 

@@ -65,14 +65,14 @@ class Database:
     the packaged ones do.
     """
 
-    def __init__(self, head: Head | None, segments: Sequence[Path], threads: int | None = None, queries: Library | None = None):
+    def __init__(self, head: Head | None, segments: Sequence[Path], threads: int | None = None, queries: Library | None = None, *, caches_files: bool = True):
         self.head = head
         self.library = queries or library()
         self._segments = tuple(segments)
         self._made: set[str] = set()
         self._connection = duckdb.connect(":memory:", config={"threads": threads} if threads else {})
         # The wide relation is read again and again: opening its files once is enough. UTC and no progress bar: the answer is the same anywhere.
-        for setting in ("parquet_metadata_cache = true", "TimeZone = 'UTC'", "enable_progress_bar = false"):
+        for setting in (f"parquet_metadata_cache = {str(caches_files).lower()}", "TimeZone = 'UTC'", "enable_progress_bar = false"):
             self._connection.execute(f"SET {setting}")
         register(self._connection)
 
@@ -90,6 +90,15 @@ class Database:
         """An Arrow table or dataset is the relation of this name, whatever packaged query has it."""
         self._connection.register(name, table)
         self._made.add(name)
+
+    def drop(self, name: str) -> None:
+        """The relation that `hold` made is gone, and what it held."""
+        self._connection.unregister(name)
+        self._made.discard(name)
+
+    def direct(self, sql: str) -> pa.Table:
+        """The answer to one SELECT over files and what this connection holds; names in it are never those of packaged queries. Raises: as `table`."""
+        return self._execute(sql, None)
 
     def define(self, name: str, sql: str) -> None:
         """The SELECT is the relation of this name, whatever packaged query has it. Raises: as `table`."""

@@ -13,7 +13,7 @@ from fsar_ledger.ledger import canonical, disk, recover_prefix, segment
 from fsar_ledger.ledger import verify as verification
 from fsar_ledger.ledger.record import CommitRecord, commit_path, segment_path, sha256_hex
 from fsar_ledger.ledger.schema import SCHEMA
-from fsar_ledger.ledger.verify_segment import SegmentFacts, examine
+from fsar_ledger.ledger.verify_segment import SecondReader, SegmentFacts, examine
 
 
 def record_of(path: Path, number: int) -> CommitRecord:
@@ -80,13 +80,13 @@ class Examined:
     def _key(self, data: bytes, number: int, record: CommitRecord) -> tuple[object, ...]:
         return sha256_hex(data), number, *(getattr(record, name) for name in sorted(self._fields))
 
-    def __call__(self, file: str, ledger: str, number: int, record: CommitRecord | None) -> SegmentFacts:
+    def __call__(self, file: str, ledger: str, number: int, record: CommitRecord | None, second_reader: SecondReader | None = None) -> SegmentFacts:
         """As `examine`."""
         try:
             known = record and self._known.get(self._key(disk.read_document(Path(ledger, file)), number, record))
         except OSError:
             known = None
-        return msgspec.structs.replace(known, file=file) if known else examine(file, ledger, number, record)
+        return msgspec.structs.replace(known, file=file) if known else examine(file, ledger, number, record, second_reader)
 
 
 @contextmanager
