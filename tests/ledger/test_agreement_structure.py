@@ -11,10 +11,10 @@ from fsar_ledger.ledger.record import segment_path
 from tests.ledger.agreement import OTHER_VERSION, VERSION, by_package, judged, plain, tables_of, unchained, write
 from tests.ledger.agreement_damage import forged_segment
 from tests.ledger.agreement_structure import a_segment_with_two_faces
-from tests.ledger.parquet_damage import DAMAGED, TIME, lying, to, within
+from tests.ledger.parquet_damage import DAMAGED, TIME, TYPE, lying, to, within, without
 from tests.ledger.parts import Page, Parts
 from tests.ledger.test_independent_parquet import CONTENT, packed
-from tests.ledger.thrift import put
+from tests.ledger.thrift import I64, LIST, STRUCT, Field, Listed, put
 
 
 @pytest.fixture
@@ -66,4 +66,13 @@ def test_a_page_without_rows_has_no_statistics(path: Path, has_statistics: bool)
     parts.pages[TIME].append(page)
     within(13, to(3, 2))(parts.about(TIME))
     case = forged_segment(path, unchained(path), 1, bytes(parts.fit()), "a page of nothing")._replace(is_good=not has_statistics)
+    assert judged(case).difference == ""
+
+
+def test_sizes_may_be_left_out_and_say_nothing_of_integers_that_every_row_has(path: Path) -> None:
+    parts = Parts(segment_path(path, 1).read_bytes().replace(VERSION, OTHER_VERSION))
+    without(16)(parts.about(TYPE))
+    nothing = Listed(I64, [])
+    put(parts.about(TIME), 16, [Field(2, LIST, nothing), Field(3, LIST, nothing)], STRUCT)
+    case = forged_segment(path, unchained(path), 1, bytes(parts), "other sizes")._replace(is_good=True)
     assert judged(case).difference == ""
