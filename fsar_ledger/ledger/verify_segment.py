@@ -5,7 +5,6 @@ import os
 import stat
 from collections.abc import Callable
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 
 import msgspec
@@ -36,8 +35,9 @@ class SegmentFacts(msgspec.Struct, frozen=True):
     leaves: bytes | None = None
 
 
-SecondReader = Callable[[str, pa.Table], tuple[str, str] | None]
-"""Reads the file at a path with other code than `segment` and compares it with these rows: (found, expected), None if it holds them."""
+SecondReader = Callable[[str, pa.Table, bool], tuple[str, str] | None]
+"""Reads the file at a path with other code than `segment` and compares it with these rows: (found, expected), None if it holds them. True: the file is byte
+for byte what these rows are written as."""
 
 
 def examine(file: str, ledger: str, number: int, record: CommitRecord | None, second_reader: SecondReader | None = None) -> SegmentFacts:
@@ -107,18 +107,16 @@ def _examine(second_reader: SecondReader | None, file: str, place: str, number: 
     problems = () if flaw is None else (Problem(file, flaw.found, flaw.expected, number, flaw.run, flaw.seq, flaw.field),)
     run_ids = whole(table.column("run_id"))
     runs = tuple(run_ids.take(run_starts(run_ids)).to_pylist())
-    misleading = _misleading(data, layout, table.select(layout.schema.names))
-    if misleading is not None:
-        problems = (*problems, Problem(file, *misleading, commit=number, field="segment_sha256"))
-    other = second_reader(place, table.select(layout.schema.names)) if second_reader is not None else None
-    if other is not None:
-        problems = (*problems, Problem(file, *other, commit=number, field="segment_sha256"))
+    stored = table.select(layout.schema.names)
+    is_as_written, misleading = _misleading(data, layout, stored)
+    again = second_reader(place, stored, is_as_written) if second_reader is not None else None
+    problems = (*problems, *(Problem(file, *other, commit=number, field="segment_sha256") for other in (misleading, again) if other is not None))
     leaves = b"".join(canonical.hashes(canonical.from_table(table)))
     return SegmentFacts(file, problems, table.num_rows, runs, leaves)
 
 
-def _misleading(data: bytes, layout: Layout, table: pa.Table) -> tuple[str, str] | None:
-    """What in the file beside its rows (found, expected) could make a reader see other rows than those; None if nothing.
+def _misleading(data: bytes, layout: Layout, table: pa.Table) -> tuple[bool, tuple[str, str] | None]:
+    """Whether the file is what these rows are written as, and what in it beside them (found, expected) could make a reader see others; None if nothing.
 
     A query engine skips rows by the statistics in the footer, and no leaf covers those. The same version of pyarrow
     must write the same bytes; of a file by another version the statistics are compared.
@@ -126,18 +124,18 @@ def _misleading(data: bytes, layout: Layout, table: pa.Table) -> tuple[str, str]
     is_ours = all(_is_sorted(whole(table.column(name))) for name in table.column_names)  # else writing them again repeats what is not ours
     again = to_parquet(table)
     if is_ours and again.equals(pa.py_buffer(data)):
-        return None
+        return True, None
     if layout.created_by == pq.read_metadata(pa.BufferReader(again)).created_by:
-        return "other bytes", "those that these rows are written as"
+        return False, ("other bytes", "those that these rows are written as")
     for name, sizes, own in zip(table.column_names, layout.sizes, read_layout(again.to_pybytes()).sizes, strict=True):
         if sizes and own and sizes != own:
-            return f"sizes of strings and lists {sizes.hex()} in column {name}", f"{own.hex()}, as its rows are"
+            return False, (f"sizes of strings and lists {sizes.hex()} in column {name}", f"{own.hex()}, as its rows are")
     for said in (*layout.statistics, *layout.of_pages):
         values = table.column(said.name).slice(*said.rows or (0,)).cast(SCHEMA.field(said.name).type)
         least, most = (None if bound is None else _stored(bound) for bound in pc.min_max(values).as_py().values())
         if (said.least, said.most) != (least, most):
-            return f"statistics {said.least!r} to {said.most!r} of column {said.name}", f"{least!r} to {most!r}, as its rows are"
-    return None
+            return False, (f"statistics {said.least!r} to {said.most!r} of column {said.name}", f"{least!r} to {most!r}, as its rows are")
+    return False, None
 
 
 def _stored(value: int | str) -> bytes:
@@ -149,7 +147,7 @@ def _is_sorted(column: pa.Array) -> bool:
     """Whether a column is no dictionary, or one as we write it."""
     if not isinstance(column, pa.DictionaryArray):
         return True
-    texts = column.dictionary.to_pylist()
+    texts = column.dictionary
     is_used = np.zeros(len(texts) + 1, bool)
     is_used[places(column)] = True
-    return bool(is_used[:-1].all()) and all(one < other for one, other in pairwise(texts))
+    return bool(is_used[:-1].all()) and pc.all(pc.less(texts[:-1], texts[1:])).as_py() is not False

@@ -96,9 +96,12 @@ class Database:
         self._connection.unregister(name)
         self._made.discard(name)
 
-    def direct(self, sql: str) -> pa.Table:
-        """The answer to one SELECT over files and what this connection holds; names in it are never those of packaged queries. Raises: as `table`."""
-        return self._execute(sql, None)
+    def direct(self, sql: str) -> list[tuple[Any, ...]]:
+        """The rows of one SELECT over files and what this connection holds; names in it are never those of packaged queries. Raises: as `table`."""
+        try:
+            return self._connection.execute(sql).fetchall()  # a relation would plan it twice
+        except duckdb.Error as error:
+            raise self._failure(error) from error
 
     def define(self, name: str, sql: str) -> None:
         """The SELECT is the relation of this name, whatever packaged query has it. Raises: as `table`."""

@@ -1,44 +1,79 @@
 """The rows of a segment by DuckDB's own Parquet reader, compared with those that were decoded by pyarrow: a whole look believes neither alone.
 
 Answers come from the one, proofs and replay from the other. `layout` leaves no way known to us in which a file could say two things to them;
-this finds the ways that are not known. Values are compared one by one, not digests of them, which somebody could choose values to fit.
+this finds the ways that are not known. A file that is byte for byte what its rows are written as leaves nobody a choice: there the two are
+compared by a digest of each column (its values counted, and its integers together). In any other file every value is compared, since
+whoever can choose what a file says can choose it to fit a digest.
 """
 
 import os
 from functools import cache
 
+import numpy as np
 import pyarrow as pa
 
 from fsar_ledger.errors import QueryFailed
+from fsar_ledger.ledger.arrow import numbers, validity, whole
 
 from .database import Database
 
 _DECODED = "decoded_rows"
+_EXPECTED = "the same as by pyarrow: rows that both of our readers read alike"
 
 
-def read_again(path: str, decoded: pa.Table) -> tuple[str, str] | None:
+def read_again(path: str, decoded: pa.Table, is_as_written: bool) -> tuple[str, str] | None:
     """Return what DuckDB finds in the segment at this path and what was expected, None if it finds the decoded rows.
 
     For `verify.Asked.second_reader`: it can be pickled, and keeps one connection for each process.
     """
-    database = _database(os.getpid())
-    database.hold(_DECODED, decoded)
-    source = "FROM read_parquet('{}', hive_partitioning = false) AS a POSITIONAL JOIN {} AS b".format(path.replace("'", "''"), _DECODED)
-    differences = {name: f'a."{name}" IS DISTINCT FROM b."{name}"' for name in decoded.column_names}
+    database = _databases().setdefault(os.getpid(), None) or _opened()
     try:
-        if not database.direct(f"SELECT count(*) AS n {source} WHERE {' OR '.join(differences.values())}")["n"][0].as_py():
-            return None
-        counts = ", ".join(f'count(*) FILTER ({difference}) AS "{name}"' for name, difference in differences.items())
-        found = database.direct(f"SELECT {counts} {source}").to_pylist()[0]
+        return _by_digest(database, path, decoded) if is_as_written else _by_value(database, path, decoded)
     except QueryFailed as error:
-        return f"a segment that DuckDB cannot read ({error})", "rows that both of our readers read alike"
+        return f"a segment that DuckDB cannot read ({error})", _EXPECTED
+
+
+def _by_digest(database: Database, path: str, decoded: pa.Table) -> tuple[str, str] | None:
+    """As `read_again`, by how many values each column has, and all its integers XORed."""
+    columns = {name: whole(decoded.column(name)) for name in decoded.column_names}
+    integers = [name for name, column in columns.items() if pa.types.is_int64(column.type)]
+    counts = [f'count("{name}")' for name in columns] + [f'coalesce(bit_xor("{name}"), 0)' for name in integers]
+    expected = [("run_id", len(decoded)), *((name, len(column) - column.null_count) for name, column in columns.items())]
+    for name in integers:
+        values = numbers(columns[name])[validity(columns[name])]
+        expected.append((name, int(np.bitwise_xor.reduce(values, initial=0))))
+    [found] = database.direct(f"SELECT count(*), {', '.join(counts)} FROM {_source(path)}")
+    for (name, by_pyarrow), by_duckdb in zip(expected, found, strict=True):
+        if by_duckdb != by_pyarrow:
+            return f"{by_duckdb} as the digest of column {name} by DuckDB, {by_pyarrow} by pyarrow", _EXPECTED
+    return None
+
+
+def _by_value(database: Database, path: str, decoded: pa.Table) -> tuple[str, str] | None:
+    """As `read_again`, value by value."""
+    source = f"FROM {_source(path)} AS a POSITIONAL JOIN {_DECODED} AS b"
+    differences = {name: f'a."{name}" IS DISTINCT FROM b."{name}"' for name in decoded.column_names}
+    database.hold(_DECODED, decoded)
+    try:
+        if database.direct(f"SELECT count(*) {source} WHERE {' OR '.join(differences.values())}") == [(0,)]:
+            return None
+        [found] = database.direct(f"SELECT {', '.join(f'count(*) FILTER ({difference})' for difference in differences.values())} {source}")
     finally:
         database.drop(_DECODED)
-    name = next((name for name in found if found[name]), decoded.column_names[0])
-    return f"{found[name]} values of column {name} that DuckDB reads otherwise than pyarrow", "rows that both of our readers read alike"
+    name, count = next(((name, count) for name, count in zip(differences, found, strict=True) if count), ("run_id", 0))
+    return f"{count} values of column {name} that DuckDB reads otherwise", _EXPECTED
+
+
+def _source(path: str) -> str:
+    return "read_parquet('{}', hive_partitioning = false)".format(path.replace("'", "''"))
 
 
 @cache
-def _database(process: int) -> Database:
-    """The connection of this process: one that was opened before a fork is no use after it."""
-    return Database(None, (), threads=1, caches_files=False)
+def _databases() -> dict[int, Database | None]:
+    """The connection of each process: one that was opened before a fork is no use after it."""
+    return {}
+
+
+def _opened() -> Database:
+    database = _databases()[os.getpid()] = Database(None, (), threads=1, caches_files=False)
+    return database

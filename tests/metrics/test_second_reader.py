@@ -1,0 +1,91 @@
+import re
+from pathlib import Path
+
+import pyarrow as pa
+import pytest
+
+from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger import layout, segment, verify_segment
+from fsar_ledger.ledger.codec import encode
+from fsar_ledger.ledger.layout import Layout, check_layout, read_file, read_layout
+from fsar_ledger.ledger.record import segment_path
+from fsar_ledger.ledger.schema import SCHEMA
+from fsar_ledger.ledger.segment import read_coded
+from fsar_ledger.ledger.verify import Asked, verify
+from fsar_ledger.metrics.second_reader import read_again
+from tests.ledger.forgery import changed, forge_segment
+from tests.ledger.parts import two_faced
+from tests.ledger.samples import append_all, made_up_run
+
+TABLE = encode([made_up_run("run-0", 60, 1), made_up_run("run-1", 40, 2)])
+ASKED = Asked(second_reader=read_again)
+
+
+def written(path: Path, table: pa.Table) -> str:
+    path.write_bytes(bytes(segment.to_parquet(table)))
+    return str(path)
+
+
+@pytest.mark.parametrize("is_as_written", [True, False])
+def test_the_same_rows_are_the_same_by_both_readers(tmp_path: Path, is_as_written: bool) -> None:
+    path = tmp_path / "it's a segment"
+    written(path, TABLE)
+    data = read_file(path)
+    assert read_again(str(path), TABLE, is_as_written) is None
+    assert read_again(str(path), read_coded(path, data, check_layout(path, data)), is_as_written) is None
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("time_us", 5), ("robot", "nobody"), ("robot", None), ("achieved", ["x"]), ("approves", True), ("caused_by", None)]
+)
+def test_one_value_that_differs_is_found_and_its_column_named(tmp_path: Path, name: str, value: object) -> None:
+    row = next(row for row in range(100) if TABLE[name][row].as_py() != value)
+    path = written(tmp_path / "segment", TABLE)
+    found = read_again(path, changed(TABLE, name, row, value), False)
+    assert found is not None
+    assert found[0] == f"1 values of column {name} that DuckDB reads otherwise"
+    is_counted = name == "time_us" or (value is None) != (TABLE[name][row].as_py() is None)
+    by_digest = read_again(path, changed(TABLE, name, row, value), True)
+    assert (by_digest is not None and f"column {name} by DuckDB" in by_digest[0]) == is_counted
+
+
+@pytest.mark.parametrize("is_as_written", [True, False])
+def test_rows_too_many_or_too_few_are_found(tmp_path: Path, is_as_written: bool) -> None:
+    path = written(tmp_path / "segment", TABLE)
+    for other in (TABLE.slice(0, 99), pa.concat_tables([TABLE, TABLE.slice(0, 1)])):
+        found = read_again(path, other, is_as_written)
+        assert found is not None
+        assert "column run_id" in found[0]
+
+
+def test_a_file_that_duckdb_cannot_read_is_found(tmp_path: Path) -> None:
+    path = written(tmp_path / "segment", TABLE)
+    Path(path).write_bytes(Path(path).read_bytes()[:-1])
+    found = read_again(path, TABLE, True)
+    assert found is not None
+    assert "a segment that DuckDB cannot read" in found[0]
+
+
+def test_two_contents_are_found_even_where_the_layout_is_not_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "ledger"
+    append_all(path, [[made_up_run("run-0", 60, 1)], [made_up_run("run-1", 40, 2)]])
+    assert verify(path, asked=ASKED).ok
+    assert verify(path, workers=2, asked=ASKED).ok
+    honest = segment_path(path, 1).read_bytes()
+    table = segment.read_table(segment_path(path, 1))
+    at = SCHEMA.get_field_index("robot")
+    other = table.set_column(at, SCHEMA.field(at), pa.array([None if robot is None else "nobody" for robot in table["robot"].to_pylist()]))
+    forged = two_faced(honest, bytes(segment.to_parquet(other)), "robot")
+    with pytest.raises(LedgerCorrupted):
+        check_layout(path, forged)
+    forge_segment(path, 1, forged)
+
+    def unchecked(_: Path, data: bytes) -> Layout:
+        return read_layout(honest)._replace(created_by="another", statistics=()) if data == forged else read_layout(data)
+
+    monkeypatch.setattr(verify_segment, "check_layout", unchecked)
+    assert verify(path).ok, "pyarrow reads the honest rows"
+    [problem] = verify(path, asked=ASKED).problems
+    assert (problem.where, problem.commit) == ("segments/000000000001.parquet", 1)
+    assert re.fullmatch(r"\d+ values of column robot that DuckDB reads otherwise", problem.found)
+    assert layout.check_layout is check_layout
