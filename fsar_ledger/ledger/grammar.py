@@ -70,7 +70,7 @@ _DATA_PAGES: dict[Kind, re.Pattern[bytes]] = {
     "strings": _data_page(rb"\x10\x00", rb"()\x00\x00\x00"),
 }
 _RUN_ID_PAGE = _data_page(rb"\x10\x00", rb"(\x00\x00\x00)?")
-_BOUNDED_PAGE = _data_page(rb"\x0a", rb"()(?:%b|\x00)\x00\x00" % _WITHOUT_GROUPS)
+_BOUNDED_PAGE = _data_page(rb"\x0a", rb"()(?:(%b)|\x00)\x00\x00" % _WITHOUT_GROUPS)
 
 
 def number(value: int) -> bytes:
@@ -128,7 +128,7 @@ class Column(NamedTuple):
     """How a column stands in a segment.
 
     `about` is its chunk in the footer up to its numbers; `chunk` matches these (values, unpacked bytes, stored bytes, place of the first data
-    page, place of the dictionary or nothing) and, but for `run_id`, all else (statistics or None, encoding statistics); `page` the header of a data page.
+    page, place of the dictionary or nothing) and, but for `run_id`, all else (statistics or None, encoding and size statistics); `page` the header of a page.
     """
 
     name: str
@@ -190,11 +190,11 @@ def _rest(kind: Kind, *, is_nullable: bool) -> bytes:
     definitions = bytes([(levels + 1) << 4 | 6]) if levels else b"\x06"
     histograms = repetitions + rb"\x19" + re.escape(definitions) + _N * (levels + 1 if levels else 0)
     sizes = (rb"\x16%b\x19" % _N if is_text else rb"\x29") + histograms
-    return rb"([\x1c\x2c\x3c](?:%b){1,3})(?:\x3c%b\x00)?\x00\x00" % (one, sizes)
+    return rb"([\x1c\x2c\x3c](?:%b){1,3})((?:\x3c%b\x00)?)\x00\x00" % (one, sizes)
 
 
 RUN_ID_REST = re.compile(_rest("string", is_nullable=False), re.DOTALL)
-"""What follows the statistics of `run_id`: encoding statistics."""
+"""What follows the statistics of `run_id`: encoding statistics, size statistics."""
 
 
 @cache

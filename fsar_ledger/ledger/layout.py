@@ -4,6 +4,7 @@ The chunks of the columns fill the file from byte 4 to the footer, in the order 
 only), then data. Every count and size that is said in two places is the same in both. How each struct is written, `grammar` says.
 """
 
+import re
 from functools import cache
 from pathlib import Path
 from typing import NamedTuple
@@ -36,20 +37,23 @@ MIN_ENTRY_BYTES = 4
 
 
 class Said(NamedTuple):
-    """What statistics say of a column, as Parquet holds it; each name is that of the column."""
+    """What statistics say of a column, as Parquet holds it; `rows` are those of the page that they are about, None for those of the column."""
 
     name: str
     least: bytes
     most: bytes
+    rows: tuple[int, int] | None = None
 
 
 class Layout(NamedTuple):
-    """What a segment says of itself: its rows, its columns, who wrote it, and its statistics."""
+    """What a segment says of itself: its rows, columns and writer, statistics of columns and of pages, and sizes in each column (as Parquet holds them)."""
 
     rows: int
     schema: pa.Schema
     created_by: str
     statistics: tuple[Said, ...]
+    of_pages: tuple[Said, ...]
+    sizes: tuple[bytes, ...]
 
 
 class _Chunk(NamedTuple):
@@ -62,6 +66,7 @@ class _Chunk(NamedTuple):
     data_at: int
     dictionary_at: int
     encodings: bytes
+    sizes: bytes
 
 
 class _Numbers(dict[bytes, int]):
@@ -143,18 +148,19 @@ def read_layout(data: bytes) -> Layout:
     if not data.startswith(known.group, at):
         raise ValueError(explain_footer(data[footer_at:-8], (known or _footers()[-1]).schema))
     at += len(known.group)
-    place, unpacked, statistics = len(MAGIC), 0, []
+    place, unpacked, statistics, of_pages, sizes = len(MAGIC), 0, list[Said](), list[Said](), list[bytes]()
     for column in known.columns:
         found_chunk = _chunk(data, column, at)
         if found_chunk is None:
             raise ValueError(explain_footer(data[footer_at:-8], known.schema))
         chunk, said, at = found_chunk
         statistics += [said] if said else []
+        sizes.append(chunk.sizes)
         _check_chunk(chunk, rows, place)
         unpacked += chunk.unpacked
         if unpacked > bounds.MAX_UNPACKED_BYTES:
             raise ValueError(f"column {column.name}: pages that unpack to {unpacked} bytes with those before, expected at most {bounds.MAX_UNPACKED_BYTES}")
-        place = _check_pages(data, chunk, place)
+        place = _check_pages(data, chunk, place, of_pages)
     end = GROUP_END.match(data, at)
     if end is None or not data.startswith(known.orders, end.end()) or end.end() + len(known.orders) != size - 8 or end[4][0] != len(end[5]):
         raise ValueError(explain_footer(data[footer_at:-8], (known or _footers()[-1]).schema))
@@ -164,7 +170,7 @@ def read_layout(data: bytes) -> Layout:
             raise ValueError(f"a row group of {_number[one]} {what}, expected {other}")
     if place != footer_at:
         raise ValueError(f"{footer_at - place} bytes between the last page and the footer, expected none")
-    return Layout(rows, known.schema, end[5].decode(), tuple(statistics))
+    return Layout(rows, known.schema, end[5].decode(), tuple(statistics), tuple(of_pages), tuple(sizes))
 
 
 def _footer_at(data: bytes) -> int:
@@ -192,8 +198,8 @@ def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, Said | None, i
     values, unpacked, stored, data_at, dictionary_at, *stated = found.groups()
     if rest is found and stated[0]:
         said = _integer_bounds(column.name, stated[0])
-    encodings = rest[rest.lastindex or 0]
-    return _Chunk(column, _number[values], _number[unpacked], _number[stored], _number[data_at], _number[dictionary_at], encodings), said, rest.end()
+    encodings, sizes = rest.groups()[-2:]
+    return _Chunk(column, _number[values], _number[unpacked], _number[stored], _number[data_at], _number[dictionary_at], encodings, sizes), said, rest.end()
 
 
 def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[Said | None, int]:
@@ -208,6 +214,13 @@ def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[Said | None, int]:
             said = Said("run_id", data[least.end() : least.end() + least_bytes], data[most.end() : most.end() + most_bytes])
             return said, end.end() + len(after)
     raise ValueError("other statistics of column run_id, expected most, least and no NULL")
+
+
+def _page_bounds(data: bytes, name: str, header: re.Match[bytes]) -> tuple[Said | None, int]:
+    """The statistics of the page with this header, and where its body begins. Raises: ValueError if they are not as they may be."""
+    if header[6] is None:
+        return _text_bounds(data, header.end() - 1, b"\x00\x00")
+    return _integer_bounds(name, header[7]) if header.lastindex == 7 else None, header.end()
 
 
 def _length(data: bytes) -> int:
@@ -239,8 +252,8 @@ def _check_chunk(chunk: _Chunk, rows: int, place: int) -> None:
         raise ValueError(f"column {name}: pages from byte {begin}, expected from byte {place}, where those before end")
 
 
-def _check_pages(data: bytes, chunk: _Chunk, place: int) -> int:
-    """The place where the pages of this chunk end, as it says. Raises: ValueError if they are not what it says."""
+def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[Said]) -> int:
+    """The place where the pages of this chunk end, as it says; what they say of their rows is added. Raises: ValueError if they are not what it says."""
     name, has_dictionary = chunk.column.name, chunk.column.kind in ("string", "strings")
     at, end = place, place + chunk.stored
     values = plain = pages = unpacked = 0
@@ -256,7 +269,8 @@ def _check_pages(data: bytes, chunk: _Chunk, place: int) -> int:
         pages += 1
         if pages > bounds.MAX_PAGES:
             raise ValueError(f"column {name}: more than {bounds.MAX_PAGES} pages, expected fewer")
-        body = header.end() if header[6] is not None else _text_bounds(data, header.end() - 1, b"\x00\x00")[1]
+        said, body = _page_bounds(data, name, header)
+        of_pages += [said._replace(rows=(values, _number[header[4]]))] if said else []
         stored = _number[header[2]]
         _check_sum(data, name, body, stored, header[3])
         values += _number[header[4]]

@@ -17,7 +17,7 @@ from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger import canonical
 from fsar_ledger.ledger.arrow import places, whole
 from fsar_ledger.ledger.check import first_flaw, run_starts
-from fsar_ledger.ledger.layout import Layout, check_layout, read_file
+from fsar_ledger.ledger.layout import Layout, check_layout, read_file, read_layout
 from fsar_ledger.ledger.problem import Problem, refusal, unexpected
 from fsar_ledger.ledger.record import COMMITS, CommitRecord
 from fsar_ledger.ledger.releases import FINGERPRINTS
@@ -127,9 +127,12 @@ def _misleading(data: bytes, layout: Layout, table: pa.Table) -> tuple[bool, tup
         return True, None
     if layout.created_by == pq.read_metadata(pa.BufferReader(again)).created_by:
         return False, ("other bytes", "those that these rows are written as")
-    for said in layout.statistics:
-        values = table.column(said.name).cast(SCHEMA.field(said.name).type)
-        least, most = map(_stored, pc.min_max(values).as_py().values())
+    for name, sizes, own in zip(table.column_names, layout.sizes, read_layout(again.to_pybytes()).sizes, strict=True):
+        if sizes and own and sizes != own:
+            return False, (f"sizes of strings and lists {sizes.hex()} in column {name}", f"{own.hex()}, as its rows are")
+    for said in (*layout.statistics, *layout.of_pages):
+        values = table.column(said.name).slice(*said.rows or (0,)).cast(SCHEMA.field(said.name).type)
+        least, most = (None if bound is None else _stored(bound) for bound in pc.min_max(values).as_py().values())
         if (said.least, said.most) != (least, most):
             return False, (f"statistics {said.least!r} to {said.most!r} of column {said.name}", f"{least!r} to {most!r}, as its rows are")
     return False, None

@@ -23,7 +23,7 @@ CHECKED: dict[str, tuple[str, ...] | None] = {
     "layout.py": None,
     "footer.py": None,
     "disk.py": ("read_document",),
-    "note.py": ("is_name", "has_signed", "parse_note", "_parse_signature"),
+    "note.py": ("__post_init__", "is_name", "has_signed", "parse_note", "_parse_signature"),
     "proof.py": ("parse_proof", "check_proof", "_event"),
     "read.py": ("open_ledger", "_count", "segment", "_require_folders"),
 }

@@ -30,6 +30,8 @@ TESTS = tuple(
         "test_verify_notes",
         "test_proof",
         "test_note",
+        "test_weak_keys",
+        "test_agreement_structure",
         "test_append",
         "test_evolution",
     )
