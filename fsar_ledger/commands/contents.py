@@ -5,9 +5,9 @@ from typing import Any
 
 import msgspec
 
-from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.read import Head
 from fsar_ledger.metrics.database import connect
+from fsar_ledger.metrics.models import models
 
 # Grain: one row per seed, fleet size, architecture and configuration.
 # A scenario was meant to have the runs 0 to the highest run number that its seed and fleet size have in this ledger.
@@ -41,14 +41,6 @@ GROUP BY runs.seed, runs.fleet_size, runs.architecture, runs.configuration
 ORDER BY runs.seed, runs.fleet_size, runs.architecture, runs.configuration
 """
 
-PARAMETERS = """
-SELECT kind, model_version, parameters, count(*) AS runs
-FROM events
-WHERE type = 'RunStarted.v1'
-GROUP BY kind, model_version, parameters
-ORDER BY runs DESC, model_version, parameters
-"""
-
 
 class Contents(msgspec.Struct, frozen=True):
     """The runs of a ledger: `groups` by seed, fleet size, architecture and configuration; `models` by model version and parameters."""
@@ -80,16 +72,10 @@ def contents(ledger: Path) -> tuple[Head, Contents]:
     """The head of the ledger and its runs, counted by SQL.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `connect`.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `connect`, and `models`.
     """
     with connect(ledger) as database:
         assert database.head is not None  # only a database over rows in memory has none
-        models = [{**row, "parameters": _parameters(ledger, row["parameters"])} for row in database.rows(PARAMETERS)]
-        return database.head, Contents(groups=database.rows(GROUPS), models=models)
-
-
-def _parameters(ledger: Path, text: str) -> Any:
-    try:
-        return msgspec.json.decode(text)
-    except (msgspec.DecodeError, RecursionError) as error:
-        raise LedgerCorrupted(f"{ledger}: field parameters of a RunStarted: found {text!r:.80}, expected JSON ({error}); run fsar-ledger verify") from error
+        found = sorted(models(database), key=lambda one: (-one.runs, one.model_version, one.text))
+        shown = [{"kind": one.kind, "model_version": one.model_version, "parameters": one.parameters, "runs": one.runs} for one in found]
+        return database.head, Contents(groups=database.rows(GROUPS), models=shown)
