@@ -4,7 +4,7 @@ With `commands/progress.py` it is the only one that reads a clock.
 
 Every command body imports what it needs, so that `--help` stays quick. A command that fails raises one of
 the errors of `errors.py`; `run` turns it into one message on stderr and its exit code:
-0 fine, 1 a write failed or an audit found something, 2 the call was wrong, 3 the ledger is damaged, 130 interrupted.
+0 fine, 1 a write failed, a worker was killed or an audit found something, 2 the call was wrong, 3 the ledger is damaged, 130 interrupted.
 """
 
 import time

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, get_args
 from fsar_ledger import printable
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.metrics.invariants import audit_rows, chosen
+from fsar_ledger.metrics.models import models
 from fsar_ledger.printable import Shown
 
 from .answering import answering
@@ -28,6 +29,7 @@ def audit(ledger: Path, invariants: Sequence[str], architectures: Sequence[str],
     """
     queries, wanted = chosen(invariants), known("architecture", architectures, get_args(Architecture))
     with answering(ledger, verified=verified) as database:
+        models(database)  # budgets are judged by what the runs record
         rows = audit_rows(database, queries, wanted)
         holds = not any(row.events for row in rows)
         if as_json:

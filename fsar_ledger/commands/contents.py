@@ -6,8 +6,8 @@ from typing import Any
 import msgspec
 
 from fsar_ledger import printable
-from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.read import Head
+from fsar_ledger.metrics.models import models
 
 from .answering import answering
 
@@ -41,14 +41,6 @@ INNER JOIN meant ON runs.seed = meant.seed AND runs.fleet_size = meant.fleet_siz
 INNER JOIN sizes ON runs.run_id = sizes.run_id
 GROUP BY runs.seed, runs.fleet_size, runs.architecture, runs.configuration
 ORDER BY runs.seed, runs.fleet_size, runs.architecture, runs.configuration
-"""
-
-PARAMETERS = """
-SELECT kind, model_version, parameters, count(*) AS runs
-FROM events
-WHERE type = 'RunStarted.v1'
-GROUP BY kind, model_version, parameters
-ORDER BY runs DESC, model_version, parameters
 """
 
 
@@ -91,16 +83,10 @@ def contents(ledger: Path, *, verified: bool = False) -> tuple[Head, Contents]:
     """The head of the ledger and its runs, counted by SQL.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `answering`.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `answering`, and `models`.
     """
     with answering(ledger, verified=verified) as database:
         assert database.head is not None  # only a database over rows in memory has none
-        models = [{**row, "parameters": _parameters(ledger, row["parameters"])} for row in database.rows(PARAMETERS)]
-        return database.head, Contents(groups=database.rows(GROUPS), models=models, rows_verified=database.rows_verified)
-
-
-def _parameters(ledger: Path, text: str) -> Any:
-    try:
-        return msgspec.json.decode(text)
-    except (msgspec.DecodeError, RecursionError) as error:
-        raise LedgerCorrupted(f"{ledger}: field parameters of a RunStarted: found {text!r:.80}, expected JSON ({error}); run fsar-ledger verify") from error
+        found = sorted(models(database), key=lambda one: (-one.runs, one.model_version, one.text))
+        shown = [{"kind": one.kind, "model_version": one.model_version, "parameters": one.parameters, "runs": one.runs} for one in found]
+        return database.head, Contents(groups=database.rows(GROUPS), models=shown, rows_verified=database.rows_verified)

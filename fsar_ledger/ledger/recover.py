@@ -115,7 +115,7 @@ def _alone(path: Path) -> Iterator[None]:
         _lock(path, handle)
         yield
     finally:
-        os.close(handle)
+        disk.close(handle)
 
 
 def _lock(path: Path, handle: int) -> None:

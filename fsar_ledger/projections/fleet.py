@@ -5,7 +5,7 @@ from typing import assert_never
 
 import msgspec
 
-from fsar_ledger.constants import Constants, Structure
+from fsar_ledger.constants import Structure, read_constants
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 
 HANDLES = RunStarted | RobotJoined
@@ -50,4 +50,4 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
 @lru_cache(maxsize=4)
 def _structure(parameters: str) -> Structure:
     """The structural constants of a run; all runs of an experiment have the same."""
-    return msgspec.json.decode(parameters, type=Constants).structure
+    return read_constants(parameters).structure

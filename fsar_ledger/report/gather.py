@@ -5,7 +5,6 @@ with the paper's.
 """
 
 import hashlib
-import json
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -14,6 +13,7 @@ import msgspec
 
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.metrics.models import models
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
 from fsar_ledger.report import marks, printing, specs
 from fsar_ledger.report.findings import ARCHITECTURES, COMPARISONS, MAIN_CONFIGURATION, MAIN_FLEET_SIZE, SCENARIOS, Findings, Row, Source, with_agreement
@@ -38,13 +38,6 @@ RUNS_SQL = """
     FROM runs
     GROUP BY configuration, fleet_size, architecture
     ORDER BY configuration <> 'full', configuration, fleet_size, list_position(['fsar', 'cfc', 'dhma'], architecture)
-"""
-
-MODELS_SQL = """
-    SELECT model_version, kind, parameters, count(*) AS runs, min(run_id) AS first
-    FROM run_started
-    GROUP BY model_version, kind, parameters
-    ORDER BY first
 """
 
 
@@ -154,17 +147,17 @@ def _ranges(numbers: Iterable[int]) -> str:
 
 def _models(database: Database) -> tuple[tuple[Row, ...], dict[str, str]]:
     """The sets of constants in the ledger, and those of its first run by dotted name."""
-    rows = database.rows(MODELS_SQL)
-    models = tuple(
+    found = models(database)
+    rows: tuple[Row, ...] = tuple(
         {
-            "model_version": row["model_version"],
-            "kind": row["kind"],
-            "runs": row["runs"],
-            "parameters_sha256": hashlib.sha256(row["parameters"].encode()).hexdigest(),
+            "model_version": one.model_version,
+            "kind": one.kind,
+            "runs": one.runs,
+            "parameters_sha256": hashlib.sha256(one.text.encode()).hexdigest(),
         }
-        for row in rows
+        for one in found
     )
-    return models, dict(flat("", json.loads(rows[0]["parameters"]))) if rows else {}
+    return rows, dict(flat("", found[0].parameters)) if found else {}
 
 
 def flat(name: str, value: object) -> Iterator[tuple[str, str]]:
@@ -208,7 +201,7 @@ def gather(ledger: Path, workflows: Path | None = None, demanded: str | None = N
     with connect(ledger, demanded=demanded) as database:
         head = database.head
         overall, by_scenario = metric_rows(database), metric_rows(database, by_scenario=True)
-        models, parameters = _models(database)
+        kinds, parameters = _models(database)
         names = (*QUERIES, *(marks.QUERIES if workflows is not None else ()))
         needed = database.library.needs(database.library.find(name).relation for name in names)
         graded = marks.graded(database)
@@ -224,7 +217,7 @@ def gather(ledger: Path, workflows: Path | None = None, demanded: str | None = N
             rule=_rule(),
             others=_others(overall),
             runs=runs,
-            models=models,
+            models=kinds,
             parameters=parameters,
             sources=tuple(Source(name=query.name, sha256=query.sha256) for query in sorted(needed, key=lambda query: query.name) if _is_file(query.name)),
             features=marks.features(graded),

@@ -28,7 +28,7 @@ from typing import get_args
 
 import msgspec
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.constants import BadParameters, Constants, read_constants
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import Event
 from fsar_ledger.events.fleet import RunStarted
@@ -317,8 +317,8 @@ def _parameters(run: str, started: RunStarted, event_count: int) -> tuple[RunSpe
         raise refused(None, "a run that can be simulated", str(error)) from error
     try:
         constants = _constants(started.parameters)
-    except msgspec.MsgspecError as error:
-        raise refused("parameters", "the constants of the model", str(error)) from error
+    except BadParameters as error:
+        raise refused("parameters", "the constants of the model", str(error).removeprefix("found ")) from error
     if run_started(spec, constants) != started:
         raise refused("parameters", "all constants of the model, in the form in which it writes them", f"{started.parameters!r:.300}")
     most = FACTS_PER_ROBOT * spec.fleet_size + event_count
@@ -329,4 +329,4 @@ def _parameters(run: str, started: RunStarted, event_count: int) -> tuple[RunSpe
 
 @lru_cache(maxsize=8)
 def _constants(parameters: str) -> Constants:
-    return msgspec.json.decode(parameters, type=Constants)
+    return read_constants(parameters)

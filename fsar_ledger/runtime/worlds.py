@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 
 import msgspec
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.constants import Constants, read_constants
 from fsar_ledger.events.fleet import RunStarted
 
 MAX_NAMED = 5
@@ -68,7 +68,7 @@ def remarks_on(found: Iterable[Played]) -> tuple[str, ...]:
 
 def _differences(parameters: str) -> Iterator[str]:
     """The constants that are not this version's."""
-    constants = msgspec.json.decode(parameters, type=Constants)
+    constants = read_constants(parameters)
     for part in Constants.__struct_fields__:
         actual, own = getattr(constants, part), getattr(Constants(), part)
         for name in own.__struct_fields__:

@@ -4,14 +4,22 @@
 -- Units: t_max_us microseconds; n_max attempts (local), helpers asked (peer), reassignments (fleet), calls (human); since_seq position in the run
 -- NULL: t_max_us, n_max where the run records neither; set_by where the budget is the fleet's own
 -- Example: fsar-ledger query facts/recovery_allowances LEDGER
-WITH founding AS (
+WITH readable AS (
+    SELECT
+        run_id,
+        seq,
+        CASE WHEN json_valid(parameters) THEN parameters END AS constants
+    FROM run_started
+),
+
+founding AS (
     SELECT
         runs.run_id,
         runs.seq AS since_seq,
         counts.level,
-        json_extract(runs.parameters, '$.structure.' || counts.level || '_budget_us')::BIGINT AS t_max_us,
-        json_extract(runs.parameters, '$.structure.' || counts.name)::BIGINT AS n_max
-    FROM run_started AS runs
+        try_cast(json_extract(runs.constants, '$.structure.' || counts.level || '_budget_us') AS BIGINT) AS t_max_us,
+        try_cast(json_extract(runs.constants, '$.structure.' || counts.name) AS BIGINT) AS n_max
+    FROM readable AS runs
     CROSS JOIN (
         VALUES ('local', 'local_attempts'), ('peer', 'peer_helpers'), ('fleet', 'fleet_reassignments'), ('human', 'human_calls')
     ) AS counts (level, name)

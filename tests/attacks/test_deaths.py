@@ -1,0 +1,173 @@
+"""Processes that are killed, disks that are full, and parameters that are none: each ends in one message, and what is called next goes on by itself."""
+
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.runtime.experiment import ORIGIN, Experiment
+from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
+from tests.attacks.conftest import Attack, attacked
+from tests.cli.conftest import one_message
+from tests.runtime.forgeries import changed, renamed
+
+SOME = ("--scenario", "door-relay", "--seed", "3", "--workers", "2", "--runs", "17")
+MANY = (*SOME[:-1], "50")
+EXPERIMENT = Experiment(ARCHITECTURES, ("door-relay",), 17, 3)  # three commits
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The ledger of `SOME`, after one commit a copy of it beside."""
+    path = tmp_path_factory.mktemp("deaths") / "ledger"
+    with Writer(path, ORIGIN) as writer:
+        for number, batch in enumerate(EXPERIMENT.batches()):
+            writer.append(stage(path, [simulate_run(spec, Constants()) for spec in batch]))
+            if number == 0:
+                shutil.copytree(path, path.with_name("one"))
+    return path
+
+
+def children(parent: int) -> list[tuple[int, str]]:
+    """The living processes below that one: number and command line."""
+    listed = subprocess.run(["ps", "-A", "-ww", "-o", "pid=,ppid=,stat=,args="], check=True, capture_output=True, text=True).stdout
+    rows = [line.split(None, 3) for line in listed.splitlines()]
+    return [(int(row[0]), row[3]) for row in rows if len(row) == 4 and int(row[1]) == parent and not row[2].startswith("Z")]
+
+
+def until(moment: float, seconds: float) -> Iterator[None]:
+    """Looks again and again for so long."""
+    while time.monotonic() < moment + seconds:
+        yield
+        time.sleep(0.02)
+
+
+def begun(*arguments: object) -> subprocess.Popen[str]:
+    """A command of the checkout under attack, which goes on meanwhile."""
+    call = [sys.executable, "-m", "fsar_ledger", *map(str, arguments)]
+    environment = {**os.environ, "PYTHONPATH": str(attacked())}
+    return subprocess.Popen(call, cwd=Path(sys.prefix), env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def workers_of(process: subprocess.Popen[str], count: int = 2) -> list[int]:
+    """The worker processes of the command, once there are so many."""
+    for _ in until(time.monotonic(), 60):
+        found = [number for number, line in children(process.pid) if "spawn_main" in line]
+        if len(found) >= count or process.poll() is not None:
+            return found
+    return []
+
+
+def is_alive(number: int) -> bool:
+    listed = subprocess.run(["ps", "-o", "stat=", "-p", str(number)], capture_output=True, text=True, check=False).stdout.strip()
+    return bool(listed) and not listed.startswith("Z")
+
+
+def test_the_workers_of_a_simulation_that_was_killed_die_with_it(tmp_path: Path, command: Attack) -> None:
+    ledger = tmp_path / "ledger"
+    with begun("simulate", ledger, *MANY) as process:
+        for _ in until(time.monotonic(), 60):
+            if list(ledger.glob("commits/*.json")) or process.poll() is not None:
+                break
+        left = children(process.pid)
+        process.kill()
+    try:
+        assert len([line for _, line in left if "spawn_main" in line]) == 2
+        for _ in until(time.monotonic(), 10):
+            if not any(is_alive(number) for number, _ in left):
+                break
+        assert [line for number, line in left if is_alive(number)] == []
+    finally:
+        end([number for number, _ in left])
+    assert command("verify", ledger, "--quick").code == 0
+
+
+def end(processes: list[int]) -> None:
+    for number in processes:
+        if is_alive(number):
+            os.kill(number, signal.SIGKILL)
+
+
+def ended_with_a_killed_worker(*arguments: object) -> tuple[int, str, str]:
+    """Exit code, answer and message of the command; -9 where it goes on for ever."""
+    with begun(*arguments) as process:
+        for number in workers_of(process)[-1:]:
+            os.kill(number, signal.SIGKILL)
+        try:
+            out, err = process.communicate(timeout=30)
+        except subprocess.TimeoutExpired:
+            left = [number for number, _ in children(process.pid)]
+            process.kill()
+            end(left)
+            return -9, "", ""
+    return process.returncode, out, err
+
+
+def test_a_simulation_whose_worker_is_killed_says_so_and_continues_when_it_is_called_again(tmp_path: Path, command: Attack, whole: Path) -> None:
+    ledger = tmp_path / "ledger"
+    code, out, err = ended_with_a_killed_worker("simulate", ledger, *SOME)
+    assert (code, out, len(err.splitlines())) == (1, "", 1), err
+    for part in ("fsar-ledger: worker process ", "signal 9", "what is committed stays", "run the same command again"):
+        assert part in err
+    assert command("simulate", ledger, *SOME).code == 0
+    assert (ledger / "checkpoint").read_bytes() == (whole / "checkpoint").read_bytes()
+
+
+@pytest.mark.parametrize("options", [("verify",), pytest.param(("recover",), marks=pytest.mark.slow)], ids=" ".join)
+def test_a_look_that_could_not_finish_calls_a_ledger_neither_good_nor_bad(tmp_path: Path, whole: Path, options: tuple[str, ...]) -> None:
+    ledger = shutil.copytree(whole, tmp_path / "ledger")
+    code, out, err = ended_with_a_killed_worker(options[0], ledger, *options[1:], "--workers", "2")
+    assert (code, out, len(err.splitlines())) == (1, "", 1), err
+    assert err.startswith("fsar-ledger: worker process ")
+    assert "of what was not looked at nothing is said" in err
+    assert not any(word in err for word in ("consistent", "damaged", "do not rely"))
+
+
+def test_after_a_recovery_without_room_a_simulation_goes_on_by_itself(tmp_path: Path, command: Attack, whole: Path) -> None:
+    """The second commit was made, and then there was no room for what is derived from it."""
+    ledger = tmp_path / "ledger"
+    shutil.copytree(whole.with_name("one"), ledger)
+    for name in ("commits/000000000001.json", "segments/000000000001.parquet"):
+        shutil.copy(whole / name, ledger / name)
+    call = [sys.executable, "-m", "fsar_ledger", "recover", str(ledger), "--workers", "1"]
+    without_room = subprocess.run(
+        call,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(attacked())},
+        capture_output=True,
+        text=True,
+        check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)),  # folders and names can be made, a tile of 8 KiB cannot
+    )
+    assert without_room.returncode == 1
+    assert "mending failed" in without_room.stderr
+    continued = command("simulate", ledger, *SOME)
+    assert continued.code == 0, continued.err
+    assert (ledger / "checkpoint").read_bytes() == (whole / "checkpoint").read_bytes()
+
+
+BAD = {
+    "nested without end": '{"world":' + "[" * 100_000,
+    "a number of 6,000 digits": '{"world":' + "9" * 6000 + "}",
+}
+
+
+@pytest.mark.parametrize("name", list(BAD))
+def test_a_report_on_parameters_that_are_none_ends_with_one_message(tmp_path: Path, command: Attack, name: str) -> None:
+    honest = simulate_run(RunSpec(7, "fsar", "full", "door-relay", 4, 0), Constants())
+    record = renamed(changed(honest, 0, msgspec.structs.replace(honest.events[0], parameters=BAD[name])))
+    ledger = tmp_path / "ledger"
+    with Writer(ledger, ORIGIN) as writer:
+        writer.append(stage(ledger, [record]))
+    one_message(command("report", ledger, "--out", tmp_path / "report.pdf"), 3, record.run_id, "field parameters", "expected constants as a JSON object")
+    assert not (tmp_path / "report.pdf").exists()
