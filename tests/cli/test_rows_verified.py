@@ -108,6 +108,11 @@ def test_a_proof_is_of_the_event_that_was_asked_for_or_is_not_made(call: Call, s
     one_message(call("prove", small, "run-0-cfc:1"), 3, "event 3: found run run-0-cfc seq 0, expected run-0-cfc:1 there")
 
 
+def test_rows_that_no_events_give_are_damage_and_no_traceback(call: Call, small: Path) -> None:
+    forge_segment(small, 0, changed(table_of(small, 0), "architecture", 0, None))
+    one_message(call("metrics", small), 3, "found a row that no events give", "run fsar-ledger verify")
+
+
 def test_a_flipped_bit_is_refused_by_every_answer(call: Call, small: Path) -> None:
     segment = segment_path(small, 0)
     segment.write_bytes(next(flips(segment.read_bytes(), 5000)))

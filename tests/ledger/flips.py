@@ -34,7 +34,7 @@ VERBS: dict[str, tuple[str, ...]] = {
 
 SCENARIOS: tuple[Scenario, ...] = ("door-relay", "failure-recovery-chain", "fleet-contention")
 
-KINDS = {"segments": 75, "records": 10, "ledger.json": 5, "checkpoint": 5, "full tiles": 2, "partial tiles": 3}
+KINDS = {"segments": 75, "records": 12, "ledger.json": 5, "checkpoint": 5, "full tiles": 1, "partial tiles": 2}
 """Of a hundred flips, so many in files of each kind: most bytes that an answer rests on are in segments."""
 
 
