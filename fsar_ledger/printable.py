@@ -7,6 +7,7 @@ that are more than two on one. Escapes are those of Python: `\\n`, `\\x1b`, `\\u
 """
 
 import re
+import shlex
 import unicodedata
 from typing import NewType
 
@@ -66,6 +67,11 @@ def cell(text: str, most: int = MAX_VALUE) -> str:
 def field(text: str) -> str:
     """The value, whole, as a spreadsheet may read it: with escapes as in `value`, and no formula."""
     return unformulated(value(text, len(text)))
+
+
+def word(text: object) -> str:
+    """The text as one word of a command that is shown to be copied: in a shell it does nothing but name itself."""
+    return shlex.quote(value(str(text), len(str(text))))
 
 
 def unformulated(text: str) -> str:

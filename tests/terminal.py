@@ -47,7 +47,8 @@ def painted(stream: str) -> list[str]:
         return []
     lines = stream.removesuffix("\n").split("\n")
     screen = screen_of(stream)
-    shown = [line.rstrip() for line in screen.display]
+    rows = [screen.buffer[number] for number in range(screen.lines)]
+    shown = ["".join(row[at].data for at in range(max(row, default=-1) + 1)).rstrip() for row in rows]
     found = [f"{line!r} is shown as {there!r}" for line, there in zip(lines, shown, strict=False) if unicodedata.normalize("NFC", line.rstrip()) != there]
     found += [f"below: {line!r}" for line in shown[len(lines) :] if line]
     found += [f"title {screen.title!r}"] if screen.title or screen.icon_name else []

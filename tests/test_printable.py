@@ -7,7 +7,7 @@ import re
 import unicodedata
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger import printable
@@ -52,6 +52,7 @@ def test_a_value_is_shown_as_itself_or_escaped(text: str, shown: str) -> None:
     assert printable.value(text) == shown
 
 
+@settings(max_examples=40)
 @given(ANY | NASTY)
 def test_a_value_that_is_shown_is_safe_and_can_be_read_back(text: str) -> None:
     shown = printable.value(text)
@@ -60,6 +61,7 @@ def test_a_value_that_is_shown_is_safe_and_can_be_read_back(text: str) -> None:
     assert read_back(shown) == text
 
 
+@settings(max_examples=40)
 @given(st.lists(NASTY, min_size=2, max_size=2, unique=True))
 def test_two_values_are_never_shown_alike(texts: list[str]) -> None:
     one, other = texts
@@ -68,12 +70,14 @@ def test_two_values_are_never_shown_alike(texts: list[str]) -> None:
     assert printable.cell(one) != printable.cell(other)
 
 
+@settings(max_examples=40)
 @given(ANY | NASTY)
 def test_what_was_escaped_is_not_escaped_again(text: str) -> None:
     assert printable.escaped(printable.value(text)) == printable.value(text)
     assert printable.net(printable.line(text)) == printable.line(text)
 
 
+@settings(max_examples=40)
 @given(st.dictionaries(ANY | NASTY, st.lists(ANY | NASTY), max_size=3))
 def test_json_is_ascii_and_means_the_same(document: dict[str, list[str]]) -> None:
     shown = printable.ascii_json(json.dumps(document, ensure_ascii=False, indent=1))

@@ -87,14 +87,17 @@ def _run(database: Database, ledger: Path, asked: str | None) -> str:
     beginning = sorted(name for name in names if name.startswith(asked)) if asked else []
     if beginning:
         return str(beginning[0])
-    raise UsageError(f"--run {asked}: there is no such run in {ledger}; {did_you_mean(asked, names)}`fsar-ledger query runs {ledger}` lists them")
+    raise UsageError(
+        f"--run {asked}: there is no such run in {ledger}; {did_you_mean(asked, names)}`fsar-ledger query runs {printable.word(ledger)}` lists them"
+    )
 
 
 def _no_action(database: Database, ledger: Path, run: str, asked: str) -> str:
     known = [
         row["action_id"] for row in database.rows("SELECT DISTINCT action_id FROM keyed_events WHERE run_id = $run AND action_id IS NOT NULL", {"run": run})
     ]
-    return f"{asked}: there is no such request in run {run}; {did_you_mean(asked, known)}`fsar-ledger explain {ledger} --run {run}` lists them"
+    way = f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)}` lists them"
+    return f"{asked}: there is no such request in run {printable.value(run)}; {did_you_mean(asked, known)}{way}"
 
 
 def _listed(database: Database, ledger: Path, run: str, *, as_json: bool) -> Shown:
@@ -102,10 +105,10 @@ def _listed(database: Database, ledger: Path, run: str, *, as_json: bool) -> Sho
     if as_json:
         return json_text(database.head, {"run": run, "requests": rows}, database.rows_verified)
     if not rows:
-        return printable.lines(f"run {run}", "no requests")
+        return printable.lines(f"run {printable.value(run)}", "no requests")
     began = [{**row, "began_s": f"{row['began_s']:.3f}"} for row in rows]
-    hint = f"`fsar-ledger explain {ledger} --run {run} --request {rows[0]['action_id']}` tells one of them"
-    return printable.joined(printable.lines(f"run {run}", ""), table_text(began, COLUMNS), printable.lines("", hint))
+    hint = f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)} --request {printable.word(rows[0]['action_id'])}` tells one of them"
+    return printable.joined(printable.lines(f"run {printable.value(run)}", ""), table_text(began, COLUMNS), printable.lines("", hint))
 
 
 def _told(run: str, action: str, story: Story, parties: Mapping[str, Any]) -> Iterator[str]:

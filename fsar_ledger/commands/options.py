@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
+from fsar_ledger import printable
 from fsar_ledger.errors import InvalidExperiment, QueryFailed, UsageError
 
 if TYPE_CHECKING:
@@ -215,7 +216,7 @@ def did_you_mean(asked: str, names: Sequence[str]) -> str:
     ordered = sorted(names)
     near = [name for name in ordered if name.startswith(asked)] or get_close_matches(asked, [name[: len(asked)] for name in ordered], 1, 0.3)
     found = next((name for name in ordered if near and name.startswith(near[0])), None)
-    return "" if found is None else f"did you mean {found}? "
+    return "" if found is None else f"did you mean {printable.value(found)}? "
 
 
 def workers_of(asked: int | None) -> int:

@@ -9,6 +9,7 @@ Text of a ledger is escaped where it becomes a cell, a field or a line (`printab
 import csv
 import io
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
@@ -69,9 +70,9 @@ def json_text(head: HeadLike | None, answer: Mapping[str, object], rows_verified
 def csv_text(rows: Sequence[Row], columns: Sequence[str], *, raw: bool = False) -> Shown:
     """The rows as comma-separated values under one line of column names; text is harmless for terminals and spreadsheets unless `raw`."""
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns if raw else map(printable.field, columns))
-    writer.writerows([_field(row[column], raw=raw) for column in columns] for row in rows)
+    writer, quoting = csv.writer(text, lineterminator="\n"), csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_ALL)
+    for fields in ([*map(partial(_field, raw=raw), columns)], *([_field(row[column], raw=raw) for column in columns] for row in rows)):
+        (quoting if any("\r" in field for field in fields) else writer).writerow(fields)  # a bare CR ends a row for some readers
     return Shown(text.getvalue())
 
 

@@ -87,7 +87,7 @@ def _require_asked(view: LedgerView, event: str, proven: Proven) -> None:
 def _no_run(view: LedgerView, asked: str, names: list[str], known: list[str]) -> str:
     if names:
         return f"EVENT {asked}: found {len(names)} runs that begin so, {names[0]} and {names[1]} among them, expected one; give more of its name"
-    return f"EVENT {asked}: there is no such run in {view.path}; {did_you_mean(asked, known)}`fsar-ledger query runs {view.path}` lists them"
+    return f"EVENT {asked}: there is no such run in {view.path}; {did_you_mean(asked, known)}`fsar-ledger query runs {printable.word(view.path)}` lists them"
 
 
 def proven_text(file: Path, proven: Proven) -> Shown:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
+from fsar_ledger import printable
 from fsar_ledger.errors import QueryFailed, UsageError
 from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.metrics.locked import Limits, slices
@@ -85,7 +86,7 @@ def answer_query(
     if parameters:
         raise UsageError(f"--param {next(iter(parameters))}=... and --file {file}: only a packaged query has parameters; write the value into the file")
     if name is None or ledger is not None:
-        raise UsageError(f"query --file {file}: expected one argument, LEDGER, as in `fsar-ledger query --file {file} out/ledger`")
+        raise UsageError(f"query --file {file}: expected one argument, LEDGER, as in `fsar-ledger query --file {printable.word(file)} out/ledger`")
     limits = limits_of(asked)
     try:
         return answer_select(Path(name), _text_of(file, limits.sql_bytes), limits, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit, verified=verified)

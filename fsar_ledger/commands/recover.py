@@ -142,12 +142,12 @@ def _next(ledger: Path, found: "Recovery", into: Path | None) -> Iterator[str]:
 
     if into is not None:
         yield f"  {into} holds what can be trusted, byte for byte, and verifies; {ledger} remains damaged, keep it as evidence"
-        yield f"  fsar-ledger simulate {into} with the options of {ledger} continues there"
+        yield f"  fsar-ledger simulate {printable.word(into)} with the options of {ledger} continues there"
         return
     yield f"  keep {ledger} as it is: it is the evidence"
     lost = [(segment_path(ledger, commit.number), commit.restore) for commit in found.later if commit.restore is not None]
     yield from _some([f"  {file} can be restored from a copy with SHA-256 {sha256}" for file, sha256 in lost])
     if found.head.commits:
-        yield f"  fsar-ledger recover {ledger} --into NEW copies what can be trusted to a new ledger; simulate NEW continues there"
+        yield f"  fsar-ledger recover {printable.word(ledger)} --into NEW copies what can be trusted to a new ledger; simulate NEW continues there"
     else:
         yield "  restore it from a copy that verifies, or begin a new ledger"

@@ -15,7 +15,8 @@ from fsar_ledger.printable import Shown
 ON = "  | "
 """What the rest of a line begins with where the terminal is too narrow for it."""
 
-NARROWEST = 20
+NARROWEST, USUAL = 20, 80
+"""Columns: of a terminal that is no use folding for, and of one that does not say."""
 MAX_LINES = 20
 """Lines of one message; DuckDB's have up to six."""
 
@@ -49,7 +50,7 @@ def say_failure(trace: str) -> None:
 
 def _write(stream: TextIO, text: str) -> None:
     try:
-        width = os.get_terminal_size(stream.fileno()).columns if stream.isatty() else 0
+        width = (os.get_terminal_size(stream.fileno()).columns or USUAL) if stream.isatty() else 0
     except (OSError, ValueError):
         width = 0
     if width >= NARROWEST:

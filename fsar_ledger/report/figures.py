@@ -3,8 +3,11 @@
 import io
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import lru_cache
 from typing import Any
+from unicodedata import combining
 
+from fsar_ledger import printable
 from fsar_ledger.report import specs
 
 Row = Mapping[str, Any]
@@ -57,6 +60,20 @@ def plain_canvas(width_in: float, height_in: float) -> Iterator[tuple[Any, Any]]
         axes.set_ylim(height_in, 0)
         axes.axis("off")
         yield figure, axes
+
+
+def label(text: str, most: int) -> str:
+    """The text as a figure shows it, cut after `most` characters: escaped where the font has no picture of a character, or a reader would not see it."""
+    glyphs = _glyphs()
+    return "".join(one if ord(one) in glyphs and not combining(one) else one.encode("unicode_escape").decode("ascii") for one in printable.value(text, most))
+
+
+@lru_cache(maxsize=1)
+def _glyphs() -> frozenset[int]:
+    """The characters that the font of the figures can draw."""
+    from matplotlib.font_manager import findfont, get_font
+
+    return frozenset(get_font(findfont(STYLE["font.family"])).get_charmap())
 
 
 def rendered(figure: Any, kind: str) -> bytes:

@@ -9,12 +9,14 @@ from typing import Any
 
 import msgspec
 
+from fsar_ledger import printable
 from fsar_ledger.report import specs
 
 NOTHING = "–"
 MINUS = "\u2212"
 THIN_SPACE = "\u2009"
 GRADES = {"full": "\u25cf", "partial": "\u25cb", "none": "\u2014"}  # as in the paper: present, partial, absent
+MAX_ROWS, MAX_WORDS = 200, 400  # of a table, and characters of a cell; those over are counted
 SMALLEST_P = 0.0001  # smaller p are printed as "<.0001", as the paper does
 
 Row = Mapping[str, Any]
@@ -84,13 +86,20 @@ def _counted(value: float, name: str) -> str:
     return f"{integer(value)} {specs.metric(name).counted}"
 
 
+def words(value: object) -> str:
+    """The text as a page shows it: escaped but for the thin spaces of our numbers, and cut where it is longer than any of ours."""
+    text = str(value)
+    cut = text if len(text) <= MAX_WORDS else f"{text[:MAX_WORDS]}... ({len(text) - MAX_WORDS:,} more)"
+    return THIN_SPACE.join(printable.value(part, len(part)) for part in cut.split(THIN_SPACE))
+
+
 Formatter = Callable[[Any, specs.Column, Row], str]
 
 FORMATS: Mapping[str, Formatter] = {
-    "text": lambda value, _column, _row: str(value),
-    "code": lambda value, _column, _row: str(value),
-    "architecture": lambda value, _column, _row: str(value).upper(),
-    "pair": lambda value, _column, _row: " vs ".join(str(value).upper().split("-")),
+    "text": lambda value, _column, _row: words(value),
+    "code": lambda value, _column, _row: words(value),
+    "architecture": lambda value, _column, _row: words(value).upper(),
+    "pair": lambda value, _column, _row: " vs ".join(words(value).upper().split("-")),
     "title": lambda value, _column, _row: specs.metric(str(value)).title,
     "short": lambda value, _column, _row: specs.metric(str(value)).short,
     "number": lambda value, column, _row: number(value, column.digits),
@@ -107,7 +116,7 @@ FORMATS: Mapping[str, Formatter] = {
     "feature": lambda value, _column, _row: specs.labels("feature")[value],
     "mechanism": lambda value, _column, _row: specs.labels("mechanism")[value],
     "agreement": lambda value, _column, _row: "yes" if value else "no",
-    "verdict": lambda value, _column, _row: str(value),
+    "verdict": lambda value, _column, _row: words(value),
 }
 
 
@@ -135,7 +144,7 @@ def table(name: str, rows: Sequence[Row], source: str = "") -> Table:
     spec = specs.table(name)
     filled, begins = [], []
     before: Row = {}
-    for position, row in enumerate(rows):
+    for position, row in enumerate(rows[:MAX_ROWS]):
         cells = []
         for column in spec.column:
             one = cell(column, row)
@@ -149,7 +158,7 @@ def table(name: str, rows: Sequence[Row], source: str = "") -> Table:
         name=name,
         title=spec.title,
         caption=spec.caption,
-        source=source,
+        source=source if len(rows) <= MAX_ROWS else f"{source}{'; ' if source else ''}{len(rows) - MAX_ROWS:,} more rows are not shown",
         size=spec.size,
         heads=tuple(column.head for column in spec.column),
         aligns=tuple(column.align for column in spec.column),

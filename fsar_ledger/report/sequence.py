@@ -1,5 +1,6 @@
 """The story of a request and the recovery of a failure, drawn from the rows of their queries. Same rows, same bytes.
 
+What a ledger says is drawn escaped and cut (`figures.label`), and so much of it that a figure stays below a megabyte; the rest is counted.
 `sequence` draws life lines and messages (`queries/audit/request_story.sql`), `ladder` the levels of recovery
 (`queries/audit/failure_story.sql`). Lengths are in inches; the figure grows with what it has to show.
 """
@@ -28,6 +29,32 @@ NOBODY = "not on record"
 LEVEL_FILLS = {"local": "#dff0df", "peer": "#fbf6cf", "fleet": "#fbe7c9", "human": "#f7d9d6"}
 GOOD, BAD, QUIET = "#2e7d32", "#b23b3b", "#666666"
 GOOD_RESULTS = ("success", "resolved", "helped")
+MAX_STEPS, MAX_LANES, MAX_LETTERS = 120, 12, 8_000  # a letter takes some 90 bytes of SVG
+MAX_NAME, MAX_WORDS, MAX_LINE = 40, 240, 80  # characters of a principal, of what a step says, and of one line of that in a box
+NAMES = ("sender", "receiver", "decided_by", "level", "to_level")
+
+
+def drawable(rows: Sequence[Row]) -> tuple[list[dict[str, Any]], str]:
+    """The steps that are drawn, with their texts as a figure shows them, and a line that counts the others; empty if there are none."""
+    drawn: list[dict[str, Any]] = []
+    letters = 0
+    for row in rows[:MAX_STEPS]:
+        step = {name: figures.label(value, MAX_NAME if name in NAMES else MAX_WORDS) if isinstance(value, str) else value for name, value in row.items()}
+        letters += sum(len(value) for value in step.values() if isinstance(value, str))
+        if drawn and letters > MAX_LETTERS:
+            break
+        drawn.append(step)
+    return drawn, f"... and {len(rows) - len(drawn):,} more steps, which are not drawn" if len(drawn) < len(rows) else ""
+
+
+def _in_lanes(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows with the principals that get no lane of their own in one lane together."""
+    names = lanes(rows)
+    if len(names) <= MAX_LANES:
+        return rows
+    others = f"{len(names) - MAX_LANES + 1:,} others"
+    lane = {name: name if at < MAX_LANES - 1 else others for at, name in enumerate(names)}
+    return [row | {side: lane.get(row[side] or NOBODY, others) for side in ("sender", "receiver")} for row in rows]
 
 
 def lanes(rows: Sequence[Row]) -> list[str]:
@@ -48,6 +75,8 @@ def sequence(rows: Sequence[Row], kind: str = "svg") -> bytes:
 @contextmanager
 def drawn_sequence(rows: Sequence[Row]) -> Iterator[Any]:
     """The figure of `sequence`, with its settings in force, so that it can be rendered or measured."""
+    drawn, more = drawable(rows)
+    rows = _in_lanes(drawn)
     names = lanes(rows)
     step = LANE if len(names) <= 5 else AGENT_LANE
     at = {name: TIME + 0.55 + step * position for position, name in enumerate(names)}
@@ -56,7 +85,7 @@ def drawn_sequence(rows: Sequence[Row]) -> Iterator[Any]:
     texts = [_lines(row, at) for row in rows]
     heights = [_height(row, lines) for row, lines in zip(rows, texts, strict=True)]
     tops = [HEAD + 0.08 + sum(heights[:position]) for position in range(len(rows))]
-    height = HEAD + 0.2 + sum(heights)
+    height = HEAD + 0.2 + sum(heights) + (LINE if more else 0)
     with figures.plain_canvas(width, height) as (figure, axes):
         for name, x in at.items():
             axes.plot([x, x], [HEAD, height - 0.05], color="#bbbbbb", linewidth=0.8, zorder=1)
@@ -69,6 +98,8 @@ def drawn_sequence(rows: Sequence[Row]) -> Iterator[Any]:
                 axes.text(0.08, level, time, ha="left", va="center", color=QUIET, **TEXT)
             before = time
             _step(axes, row, lines, at, top, room)
+        if more:
+            axes.text(0.08, height - 0.1, more, ha="left", va="center", color=QUIET, **TEXT)
         yield figure
 
 
@@ -79,7 +110,8 @@ def _words(row: Row) -> str:
 def _lines(row: Row, at: Mapping[str, float]) -> list[str]:
     """What the row says, wrapped to the room that it has."""
     if row["kind"] == "evaluation":
-        return [row["message"], *(row["note"].split("; ") if row["note"] else ())]
+        said = [row["message"], *(row["note"].split("; ") if row["note"] else ())]
+        return [part for one in said for part in (textwrap.wrap(one, MAX_LINE) if len(one) > MAX_LINE else [one])]
     between = abs(at[row["receiver"] or NOBODY] - at[row["sender"] or NOBODY]) - 0.15 if row["kind"] == "message" else DEED
     return textwrap.wrap(_words(row), max(int(between / LETTER), 12))
 
@@ -138,14 +170,15 @@ def ladder(rows: Sequence[Row], kind: str = "svg") -> bytes:
 @contextmanager
 def drawn_ladder(rows: Sequence[Row]) -> Iterator[Any]:
     """The figure of `ladder`, with its settings in force, so that it can be rendered or measured."""
+    rows, more = drawable(rows)
     shown = rungs(rows)
     box, tall, left, middle = 2.9, 0.3, 1.35, 1.35 + 0.95 + 1.45
-    width, height = middle + box / 2 + 2.1, 0.15 + (tall + 0.14) * len(shown)
+    width, height = middle + box / 2 + 2.1, 0.15 + (tall + 0.14) * len(shown) + (LINE if more else 0)
     with figures.plain_canvas(width, height) as (figure, axes):
         heights = [0.12 + tall / 2 + (tall + 0.14) * position for position in range(len(shown))]
         for row, y, below in zip(shown, heights, [*heights[1:], None], strict=True):
             is_way = row["to_level"] is not None
-            fill = "white" if is_way else LEVEL_FILLS[row["level"]]
+            fill = "white" if is_way else LEVEL_FILLS.get(row["level"], "white")
             _box(axes, middle, y, box, tall, fill, _rung(row, rows), style="--" if is_way else "-")
             axes.text(left + 0.3, y, f"{row['time_s']:.3f} s", ha="left", va="center", color=QUIET, **TEXT)
             if row["result"] and not is_way:
@@ -155,6 +188,8 @@ def drawn_ladder(rows: Sequence[Row]) -> Iterator[Any]:
                 arrow = {"arrowstyle": "-|>", "color": "#888888", "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}
                 axes.annotate("", (middle, below - tall / 2), (middle, y + tall / 2), arrowprops=arrow, zorder=3)
         _levels(axes, shown, heights, left, tall)
+        if more:
+            axes.text(0.08, height - 0.1, more, ha="left", va="center", color=QUIET, **TEXT)
         yield figure
 
 

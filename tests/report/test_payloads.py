@@ -1,0 +1,152 @@
+"""Texts that do something where others open a file: in every output they stay text, and the file stays whole and small."""
+
+import csv
+import io
+import re
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+import msgspec
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pytest
+
+from fsar_ledger.commands import output
+from fsar_ledger.commands.files import _write_tables
+from fsar_ledger.report import document, printing, sequence, typeset
+from fsar_ledger.report.findings import Findings
+from fsar_ledger.report.gather import gather
+from tests.report.test_sequence import STORY, told
+from tests.terminal import PAINT, painted
+
+FORMULAS = ("=1+1", "+1+1", "-1+1", "@SUM(A1)", "=cmd|' /C calc'!A0", '=HYPERLINK("http://x","y")', "\t=1+1", "\r=1+1", "\uff1d1+1", " =1+1", "'=1+1")
+MARKUP = (
+    *("<script>alert(1)</script>", "</text><script>1</script>", "<!-- x", "--> <b>", "]]>", "&lt;&amp;&#0;", '" onload="x', "<![CDATA[", "<?xml?>"),
+    *(
+        '#panic("evaluated")',
+        '#read("/etc/passwd")',
+        "$ x / $",
+        "*bold",
+        "_under",
+        "`raw",
+        "] #panic()",
+        '#eval("panic()")',
+        "@nowhere",
+        "<label>",
+        "\\",
+        "= Title",
+    ),
+    *("$x^{2$", r"$\frac{$", "$$", "{x}", "%s %d {0}", "https://evil.example/", "[x](javascript:1)", "../../x", "x" * 100_000),
+)
+PAYLOADS = (*FORMULAS, *MARKUP, *PAINT.values())
+TAGS = {"svg", "defs", "g", "path", "use", "style", "metadata", "RDF", "Work", "type", "format", "clipPath", "rect"}
+
+
+@pytest.fixture(scope="module")
+def findings(ledger: Path) -> Findings:
+    return gather(ledger)
+
+
+def drawn(kind: str, payloads: Sequence[str]) -> Iterator[bytes]:
+    """A story and a ladder with these payloads in every text."""
+    story = [told(number, one, "robot/B1", one, "evaluation" if number % 2 else "message", note=one) for number, one in enumerate(payloads)]
+    rung: dict[str, object] = {"failure": 1, "level_number": 1, "spent_s": 1.0, "time_s": 1.0, "until_s": 2.0, "budget_s": 1.0, "to_level": None}
+    rungs = [rung | dict.fromkeys(("level", "what", "result", "achieved", "decided_by"), one) for one in payloads]
+    rungs[-1]["to_level"] = payloads[-1]
+    assert not sequence.drawable(story)[1]
+    yield from (sequence.sequence(story, kind), sequence.ladder(rungs, kind))
+
+
+def assert_only_a_picture(svg: bytes) -> None:
+    assert len(svg) < 1_000_000
+    root = ElementTree.fromstring(svg)
+    assert {one.tag.rpartition("}")[2] for one in root.iter()} <= TAGS
+    assert [name for one in root.iter() for name in one.attrib if name.startswith("on") or "javascript" in one.attrib[name]] == []
+
+
+def test_there_are_forty() -> None:
+    assert len(set(PAYLOADS)) >= 40
+
+
+def test_no_figure_breaks_and_none_grows() -> None:
+    for at in range(0, len(PAYLOADS), 5):
+        for svg in drawn("svg", PAYLOADS[at : at + 5]):
+            assert_only_a_picture(svg)
+    for pdf in drawn("pdf", MARKUP[-8:-5]):
+        assert pdf.startswith(b"%PDF")
+        assert len(pdf) < 1_000_000
+        assert not re.search(rb"/(?:URI|JavaScript|Launch)\b", pdf)
+
+
+def test_a_long_story_says_what_it_leaves_out() -> None:
+    many = [told(number, f"robot/{number}", f"robot/{number + 1}", "x" * 1_000, note="y" * 1_000) for number in range(1, 5_000)]
+    svg = sequence.sequence(many)
+    assert_only_a_picture(svg)
+    assert re.search(rb"4,9\d\d more steps, which are not drawn", svg)
+    assert b"others" in svg
+    assert len(sequence.drawable(STORY)[0]) == len(STORY)
+
+
+def test_no_answer_holds_a_formula_or_paints() -> None:
+    rows = [{payload: payload, "n": -1.5, "list": [payload]} for payload in PAYLOADS]
+    for row in rows:
+        text = output.csv_text([row], list(row))
+        header, values = csv.reader(io.StringIO(text))
+        for cell in (header[0], values[0], values[2]):
+            assert cell.lstrip()[:1] not in tuple("=+-@\t\r\uff1d\uff0b\uff0d\uff20")
+        assert values[1] == "-1.5"
+        assert msgspec.json.decode(values[2]) == row["list"]
+        assert painted(text) == []
+        assert painted(output.table_text([row], list(row))) == []
+        assert msgspec.json.decode(output.json_text(None, {"rows": [row]}))["rows"] == [row]
+        raw = list(csv.reader(io.StringIO(output.csv_text([row], list(row), raw=True), newline="")))
+        assert raw[1][0] == next(iter(row))
+
+
+def test_an_exported_file_holds_no_formula_unless_asked(tmp_path: Path) -> None:
+    texts = pa.array([*PAYLOADS, None, "", *PAYLOADS], pa.string())
+    table = pa.table(
+        {
+            "text": texts,
+            "coded": texts,
+            "lists": pa.array([[text] for text in PAYLOADS] + [None, []] + [[text] for text in PAYLOADS]),
+            "n": range(-9, len(texts) - 9),
+        }
+    )
+    for raw in (False, True):
+        out = tmp_path / f"{raw}.csv"
+        assert _write_tables(out, table.schema, [table, table.slice(3)], raw=raw) == 2 * len(texts) - 3
+        found = pa_csv.read_csv(
+            out,
+            parse_options=pa_csv.ParseOptions(newlines_in_values=True),
+            convert_options=pa_csv.ConvertOptions(strings_can_be_null=True, quoted_strings_can_be_null=False),
+        )
+        assert found.column("n").to_pylist()[:9] == list(range(-9, 0))
+        cells = found.column("text").to_pylist()
+        assert (cells[: len(texts)] == texts.to_pylist()) == raw
+        assert cells[len(PAYLOADS) : len(PAYLOADS) + 2] == [None, ""]
+        if not raw:
+            assert [cell for cell in cells if cell and cell.lstrip()[:1] in tuple("=+-@\uff1d\uff0b\uff0d\uff20")] == []
+            assert painted(out.read_text("utf-8")[:200_000].rpartition("\n")[0]) == []
+
+
+def test_the_report_reads_no_payload_as_markup(findings: Findings) -> None:
+    """A payload that were evaluated would stop the typesetter: it panics, or leaves something open."""
+    hostile = {f"{payload[:200]} {number}": payload for number, payload in enumerate(PAYLOADS)}
+    others = tuple({**row, "configuration": payload, "architecture": payload} for row in findings.runs[:1] for payload in PAYLOADS)
+    models = tuple({**findings.models[0], "kind": payload, "model_version": payload} for payload in PAYLOADS * 5)
+    evil = msgspec.structs.replace(findings, parameters=hostile, runs=others, models=models)
+    data = document.data(evil, None)
+    pdf = typeset.pdf(document.encoded(data), document.drawings(evil))
+    assert pdf.startswith(b"%PDF")
+    assert len(pdf) < 3_000_000
+    assert f"{len(models) - printing.MAX_ROWS} more rows are not shown" in data["tables"]["models"].source
+    for table in data["tables"].values():
+        assert painted("".join(f"{cell.printed}\n".replace(printing.THIN_SPACE, "") for row in table.rows for cell in row)) == []
+
+
+def test_nothing_of_ours_is_escaped_or_cut(findings: Findings) -> None:
+    tables = document.data(findings, None)["tables"]
+    printed = [cell.printed for table in tables.values() for row in table.rows for cell in row]
+    assert [text for text in printed if re.search(r"\\[xuU]|more\)", text)] == []
