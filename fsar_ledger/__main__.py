@@ -2,24 +2,36 @@
 
 import os
 import sys
+from contextlib import suppress
+from types import TracebackType
 
-from . import __version__
+from . import __version__, printable
+from .commands.terminal import Enough, say, say_failure, show
 
 
 def main() -> None:
     """The command has run and the process has ended with its exit code; `--version` answers before anything slow is imported."""
+    sys.excepthook = _failed
     if sys.argv[1:] == ["--version"]:
-        print(f"fsar-ledger {__version__}")
+        with suppress(Enough):
+            show(printable.line(f"fsar-ledger {__version__}"))
         return
     if os.name != "posix":
-        sys.stderr.write(f"fsar-ledger: found an operating system that is not POSIX ({os.name}), expected Linux or macOS; on Windows use WSL\n")
+        say(f"found an operating system that is not POSIX ({os.name}), expected Linux or macOS; on Windows use WSL")
         sys.exit(2)
     try:
         from .cli import run
     except KeyboardInterrupt:
-        sys.stderr.write("fsar-ledger: interrupted; nothing was changed\n")
+        say("interrupted; nothing was changed")
         sys.exit(130)
     sys.exit(run(sys.argv[1:]))
+
+
+def _failed(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+    """A mistake of ours ends the process with Python's own words; they may quote a ledger."""
+    import traceback
+
+    say_failure("".join(traceback.format_exception(kind, error, trace)))
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@ from typing import Annotated
 
 import typer
 
+from . import printable
 from .commands import recover, trust, witness
 from .commands.options import (
     AdoptOption,
@@ -30,6 +31,7 @@ from .commands.options import (
     OriginOption,
     ParameterOption,
     PdfOption,
+    RawOption,
     RequestOption,
     RunOption,
     RunsOption,
@@ -46,7 +48,7 @@ from .commands.options import (
     workers_of,
 )
 from .commands.progress import Progress
-from .commands.terminal import escaped
+from .commands.terminal import Enough
 from .commands.terminal import say as _say
 from .commands.terminal import show as _show
 from .errors import FsarLedgerError, UsageError
@@ -72,7 +74,7 @@ def _version(version: Annotated[bool, typer.Option("--version", help="Show the v
     if version:
         from . import __version__
 
-        _show(f"fsar-ledger {__version__}\n")
+        _show(printable.line(f"fsar-ledger {__version__}"))
         raise typer.Exit(0)
 
 
@@ -112,8 +114,8 @@ def simulate(
     experiment, signer = experiment_of(architecture, scenario, runs, seed, fleet_size, without, workflow), trust.signer_of(key, adopts=adopt)
     with Progress("simulated", "batches") as progress:
         head = run_experiment(out, experiment, workers_of(workers), progress, signer, trust.origin_of(origin), adopts=adopt)
-    plain = f"{out}: {head.size:,} events in {head.commits:,} commits\nroot {head.root}\n{trust.signed_text(out, signer)}"
-    _show(json_text(head, {"ledger": str(out), "commits": head.commits}) if as_json else plain)
+    lines = [f"{out}: {head.size:,} events in {head.commits:,} commits", f"root {head.root}", *trust.signed_lines(out, signer)]
+    _show(json_text(head, {"ledger": str(out), "commits": head.commits}) if as_json else printable.lines(*lines))
 
 
 @app.command(epilog=examples("fsar-ledger info out/ledger", "fsar-ledger info out/ledger --json"))
@@ -130,9 +132,9 @@ def info(ledger: LedgerArgument, as_json: JsonOption = False) -> None:
         answer = {"groups": found.groups, "models": found.models, "runs": found.run_count, "is_complete": found.is_complete}
         _show(json_text(head, {"ledger": str(ledger), "commits": head.commits, **answer}))
         return
-    _show(f"{ledger}: {head.size:,} events in {head.commits:,} commits\nroot {head.root}\n{found.summary()}\n")
+    _show(printable.lines(f"{ledger}: {head.size:,} events in {head.commits:,} commits", f"root {head.root}", *found.summary()))
     if found.groups:
-        _show("\n" + table_text(found.groups, list(found.groups[0])))
+        _show(printable.joined(printable.line(""), table_text(found.groups, list(found.groups[0]))))
 
 
 @app.command(epilog=examples("fsar-ledger metrics out/ledger", "fsar-ledger metrics out/ledger --by scenario", "fsar-ledger metrics out/ledger --json"))
@@ -141,6 +143,7 @@ def metrics(
     by: Annotated[str | None, typer.Option(metavar="scenario", help="One row for each scenario.", show_default=False)] = None,
     as_json: JsonOption = False,
     as_csv: CsvOption = False,
+    raw: RawOption = False,
 ) -> None:
     """Judge a ledger by the eight metrics of the paper.
 
@@ -156,11 +159,11 @@ def metrics(
     with connect(ledger) as database:
         rows = plain(metric_rows(database, by_scenario=by is not None))
         columns = [name for name in rows[0] if by or name != "scenario"] if rows else []
-        _show(answer_text(database.head, [{name: row[name] for name in columns} for row in rows], as_json=as_json, as_csv=as_csv))
+        _show(answer_text(database.head, [{name: row[name] for name in columns} for row in rows], as_json=as_json, as_csv=as_csv, raw=raw), raw=raw)
 
 
 @app.command(epilog=examples("fsar-ledger statistics out/ledger", "fsar-ledger statistics out/ledger --csv"))
-def statistics(ledger: LedgerArgument, as_json: JsonOption = False, as_csv: CsvOption = False) -> None:
+def statistics(ledger: LedgerArgument, as_json: JsonOption = False, as_csv: CsvOption = False, raw: RawOption = False) -> None:
     """Compare the architectures of a ledger in pairs.
 
     For each metric and pair: paired t, Wilcoxon signed-rank, effect sizes, exact McNemar for human intervention, and Holm over the 24.
@@ -170,7 +173,7 @@ def statistics(ledger: LedgerArgument, as_json: JsonOption = False, as_csv: CsvO
     from .metrics.results import statistic_rows
 
     with connect(ledger) as database:
-        _show(answer_text(database.head, plain(statistic_rows(database)), as_json=as_json, as_csv=as_csv))
+        _show(answer_text(database.head, plain(statistic_rows(database)), as_json=as_json, as_csv=as_csv, raw=raw), raw=raw)
 
 
 @app.command(
@@ -189,6 +192,7 @@ def query(
     list_all: Annotated[bool, typer.Option("--list", help="List every query with its title and parameters.")] = False,
     as_json: JsonOption = False,
     as_csv: CsvOption = False,
+    raw: RawOption = False,
     limit: LimitOption = SHOWN_ROWS,
     seconds: SecondsOption = None,
     memory: MemoryOption = None,
@@ -202,10 +206,10 @@ def query(
     from .commands.questions import answer_query
 
     if list_all:
-        _show(queries_text(as_json=as_json, as_csv=as_csv))
+        _show(queries_text(as_json=as_json, as_csv=as_csv, raw=raw), raw=raw)
         return
     own = {"--seconds": seconds, "--memory": memory}
-    _show(answer_query((name, ledger), file, parameters_of(param), own, as_json=as_json, as_csv=as_csv, limit=limit))
+    _show(answer_query((name, ledger), file, parameters_of(param), own, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit), raw=raw)
 
 
 @app.command(
@@ -219,6 +223,7 @@ def sql(
     select: Annotated[str, typer.Argument(metavar="SELECT", help="One SELECT in DuckDB's SQL.", show_default=False)],
     as_json: JsonOption = False,
     as_csv: CsvOption = False,
+    raw: RawOption = False,
     limit: LimitOption = SHOWN_ROWS,
     seconds: SecondsOption = None,
     memory: MemoryOption = None,
@@ -230,7 +235,7 @@ def sql(
     """
     from .commands.questions import answer_select, limits_of
 
-    _show(answer_select(ledger, select, limits_of({"--seconds": seconds, "--memory": memory}), as_json=as_json, as_csv=as_csv, limit=limit))
+    _show(answer_select(ledger, select, limits_of({"--seconds": seconds, "--memory": memory}), as_json=as_json, as_csv=as_csv, raw=raw, limit=limit), raw=raw)
 
 
 @app.command(
@@ -244,15 +249,17 @@ def export(
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="A .csv or .parquet file; replaced if it exists.", show_default=False)],
     name: Annotated[str | None, typer.Option("--query", metavar="NAME", help="Export the answer of this query.", show_default="every event")] = None,
     param: ParameterOption = None,
+    raw: RawOption = False,
 ) -> None:
     """Write events, or the answer of a query, to a file.
 
-    The format, CSV or Parquet, follows from the name of the file; lists are JSON text in CSV.
+    The format, CSV or Parquet, follows from the name of the file; lists are JSON text in CSV. Text in CSV is made harmless for spreadsheets and
+    terminals unless --raw is given; Parquet always holds the values themselves.
     """
     from .commands.files import export_events, export_query
 
-    rows = export_events(ledger, out) if name is None else export_query(ledger, name, parameters_of(param), out)
-    _show(f"{out}: {rows:,} rows\n")
+    rows = export_events(ledger, out, raw=raw) if name is None else export_query(ledger, name, parameters_of(param), out, raw=raw)
+    _show(printable.line(f"{out}: {rows:,} rows"))
 
 
 @app.command(epilog=examples("fsar-ledger audit out/ledger --architecture fsar", "fsar-ledger audit out/ledger --architecture fsar --invariant i4 --json"))
@@ -319,7 +326,7 @@ def report(
     from .report import write_report
 
     write_report(ledger, out, workflows)
-    _show(f"{out}\n")
+    _show(printable.line(f"{out}"))
 
 
 @app.command(epilog=examples("fsar-ledger calibrate --out out/calibration.json"))
@@ -335,7 +342,7 @@ def calibrate(
 
     with Progress("tried", "parameter sets") as progress:
         fit(out, progress, workers_of(workers))
-    _show(f"{out}\n")
+    _show(printable.line(f"{out}"))
 
 
 @app.command(epilog=examples("fsar-ledger reproduce", "fsar-ledger reproduce --out out/paper"))
@@ -354,16 +361,21 @@ def reproduce(
 
     began = time.monotonic()
     text, head = do(out, workers_of(workers), trust.signer_of(key, adopts=adopt), adopts=adopt)
-    _show(f"{text}\n{head.size:,} events, root {head.root}, {time.monotonic() - began:.0f} s\n{out / 'report.pdf'}\n")
+    took = f"{head.size:,} events, root {head.root}, {time.monotonic() - began:.0f} s"
+    _show(printable.joined(text, printable.lines("", took, str(out / "report.pdf"))))
 
 
 def run(arguments: Sequence[str]) -> int:
     """The command has run; returns its exit code. What a user can cause is one message on stderr, never a traceback."""
     try:
         _require_text(arguments)
-        code = typer.main.get_command(app).main(args=list(arguments) or ["--help"], prog_name="fsar-ledger", standalone_mode=False, obj=_now)
+        code = typer.main.get_command(app).main(
+            args=list(arguments) or ["--help"], prog_name="fsar-ledger", standalone_mode=False, obj=lambda: int(time.time())
+        )
+    except Enough:
+        return 0
     except FsarLedgerError as problem:
-        _say(str(problem))
+        _say(*map(str, problem.args))
         return problem.exit_code
     except typer.TyperException as problem:
         context = getattr(problem, "ctx", None)
@@ -381,13 +393,8 @@ def run(arguments: Sequence[str]) -> int:
     return code if isinstance(code, int) else 0
 
 
-def _now() -> int:
-    """The time in seconds since 1970, for commands that must know it."""
-    return int(time.time())
-
-
 def _require_text(arguments: Sequence[str]) -> None:
     """Raises: UsageError if an argument, perhaps a path, is not UTF-8: neither DuckDB nor JSON can name it."""
     for argument in arguments:
-        if escaped(argument) != argument:
+        if argument.encode("utf-8", "replace").decode() != argument:
             raise UsageError(f"{argument}: found bytes that are not UTF-8, expected UTF-8 in every path and option; give it another name")

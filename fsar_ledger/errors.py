@@ -19,9 +19,12 @@ FsarLedgerError            every error that a user can meet          exit code
 
 
 class FsarLedgerError(Exception):
-    """The message says where, what was found, what was expected and what to do."""
+    """The message says where, what was found, what was expected and what to do; of several messages, each is an argument."""
 
     exit_code = 1
+
+    def __str__(self) -> str:
+        return "\n".join(map(str, self.args))
 
 
 class UsageError(FsarLedgerError):

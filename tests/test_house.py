@@ -52,6 +52,46 @@ def undocumented(root: Path) -> list[str]:
     return [str(path.relative_to(root)) for path in modules if not ast.get_docstring(ast.parse(path.read_text("utf-8")))]
 
 
+PRINTING = {
+    *("print", "sys.stdout", "sys.stderr", "sys.__stdout__", "sys.__stderr__", "sys.displayhook", "pprint.pprint", "warnings.warn", "os.system"),
+    *("typer.echo", "typer.secho", "typer.echo_via_pager", "typer.prompt", "typer.confirm", "typer.progressbar", "typer.launch", "input"),
+}
+PRINTERS = {"rich", "click", "logging", "curses", "readline", "pdb", "faulthandler"}
+MAY_PRINT = ("commands/terminal.py", "commands/progress.py")
+
+
+def prints(root: Path) -> list[str]:
+    """Where the package prints, but for the modules that may."""
+    found = []
+    for path in code_files(root, ".py", ("fsar_ledger", "queries", "reports")):
+        name = path.relative_to(root).as_posix()
+        if not name.endswith(MAY_PRINT):
+            found += [f"{name}:{line}: {what}" for line, what in sorted(set(printing(ast.parse(path.read_text("utf-8")))))]
+    return found
+
+
+def printing(module: ast.Module) -> Iterator[tuple[int, str]]:
+    """The lines of a module that print, and with what: by any name, or by ending the process with a text."""
+    for node in ast.walk(module):
+        if isinstance(node, ast.Import):
+            yield from (
+                (node.lineno, name.name) for name in node.names if name.name.partition(".")[0] in PRINTERS or (name.asname and name.name in ("sys", "typer"))
+            )
+        elif isinstance(node, ast.ImportFrom):
+            names = [f"{node.module}.{name.name}" for name in node.names]
+            yield from ((node.lineno, name) for name in names if name in PRINTING or str(node.module).partition(".")[0] in PRINTERS)
+        elif isinstance(node, ast.Attribute | ast.Name) and (name := ast.unparse(node)) in PRINTING:
+            yield node.lineno, name
+        elif isinstance(node, ast.Call):
+            name, first = ast.unparse(node.func), node.args[0] if node.args else None
+            is_text = isinstance(first, ast.JoinedStr) or (isinstance(first, ast.Constant) and isinstance(first.value, str))
+            is_stream = isinstance(first, ast.Constant) and first.value in (1, 2)
+            if (name in ("sys.exit", "SystemExit", "exit", "quit") and is_text) or (name in ("os.write", "os.fdopen", "open") and is_stream):
+                yield node.lineno, name
+            if name.startswith("traceback.print_"):
+                yield node.lineno, name
+
+
 def foreign_places(root: Path, files: list[Path]) -> list[str]:
     """Package registries and folders of one machine that a file names."""
     pattern = re.compile(r"--(?:extra-)?index-url|--trusted-host|/(?:home|Users|work|root)/\w|https?://[^\s/]*(?:pypi|artifactory|nexus)")
@@ -108,6 +148,25 @@ def test_a_module_without_docstring_is_found(tmp_path: Path) -> None:
     (tmp_path / "fsar_ledger").mkdir()
     (tmp_path / "fsar_ledger" / "silent.py").write_text("X = 1\n")
     assert undocumented(tmp_path) == ["fsar_ledger/silent.py"]
+
+
+def test_only_the_terminal_prints() -> None:
+    assert prints(ROOT) == []
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        *("print(1)", "import sys; sys.stdout.write('x')", "import sys; out = sys.stderr", "from sys import stdout", "import sys as s", "import logging"),
+        *("import typer; typer.echo('x')", "from rich.console import Console", "import click", "import os; os.write(1, b'x')", "import sys; sys.exit('gone')"),
+        *("raise SystemExit(f'{1}')", "import traceback; traceback.print_exc()", "import warnings; warnings.warn('x')", "say = print", "open(2, 'w')"),
+    ],
+)
+def test_printing_around_the_terminal_is_found(tmp_path: Path, line: str) -> None:
+    (tmp_path / "fsar_ledger" / "commands").mkdir(parents=True)
+    (tmp_path / "fsar_ledger" / "fixture.py").write_text(f"{line}\n")
+    (tmp_path / "fsar_ledger" / "commands" / "terminal.py").write_text("print(1)\n")
+    assert {place.partition(":")[0] for place in prints(tmp_path)} == {"fsar_ledger/fixture.py"}
 
 
 def test_nothing_names_a_registry_or_a_machine() -> None:

@@ -4,9 +4,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
+from fsar_ledger import printable
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.invariants import audit_rows, chosen
+from fsar_ledger.printable import Shown
 
 from .options import known
 from .output import Row, json_text, table_text
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.invariants import AuditRow
 
 
-def audit(ledger: Path, invariants: Sequence[str], architectures: Sequence[str], *, as_json: bool) -> tuple[str, bool]:
+def audit(ledger: Path, invariants: Sequence[str], architectures: Sequence[str], *, as_json: bool) -> tuple[Shown, bool]:
     """The text of the answer, and whether every invariant that was asked for holds on every run that was asked for.
 
     Raises:
@@ -30,7 +32,7 @@ def audit(ledger: Path, invariants: Sequence[str], architectures: Sequence[str],
         holds = not any(row.events for row in rows)
         if as_json:
             return json_text(database.head, {"ledger": str(ledger), "holds": holds, "rows": rows}), holds
-    return table_text([_shown(row) for row in rows], list(_shown(rows[0]))) + "\n" + _verdict(rows), holds
+    return printable.joined(table_text([_shown(row) for row in rows], list(_shown(rows[0]))), printable.lines("", _verdict(rows))), holds
 
 
 def _shown(row: "AuditRow") -> Row:
@@ -50,5 +52,5 @@ def _verdict(rows: "Sequence[AuditRow]") -> str:
     broken = list(dict.fromkeys(row.invariant for row in rows if row.events))
     count = len({row.invariant for row in rows})
     if not broken:
-        return f"{count} of {count} invariants hold\n"
-    return f"{count - len(broken)} of {count} invariants hold; `fsar-ledger query {broken[0]} LEDGER` lists every offending event of the first that does not\n"
+        return f"{count} of {count} invariants hold"
+    return f"{count - len(broken)} of {count} invariants hold; `fsar-ledger query {broken[0]} LEDGER` lists every offending event of the first that does not"

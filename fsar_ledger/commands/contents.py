@@ -5,6 +5,7 @@ from typing import Any
 
 import msgspec
 
+from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.read import Head
 from fsar_ledger.metrics.database import connect
@@ -50,6 +51,10 @@ ORDER BY runs DESC, model_version, parameters
 """
 
 
+MODELS = 5
+"""So many models are named to people; a ledger of one simulation has one."""
+
+
 class Contents(msgspec.Struct, frozen=True):
     """The runs of a ledger: `groups` by seed, fleet size, architecture and configuration; `models` by model version and parameters."""
 
@@ -66,14 +71,15 @@ class Contents(msgspec.Struct, frozen=True):
         """Whether every group has every run of every scenario that its worlds have; an empty ledger is not complete."""
         return bool(self.groups) and not any(group["runs_missing"] for group in self.groups)
 
-    def summary(self) -> str:
+    def summary(self) -> list[str]:
         """One or two lines for people; the parameters are too many for that."""
         if not self.groups:
-            return "no runs yet"
+            return ["no runs yet"]
         missing = sum(group["runs_missing"] for group in self.groups)
         state = "complete" if self.is_complete else f"not complete ({missing:,} missing; the `simulate` that began this ledger continues it)"
-        models = "; ".join(f"{model['kind']}, model {model['model_version']}" for model in self.models)
-        return f"{self.run_count:,} runs, {state}\n{models}"
+        models = "; ".join(f"{printable.value(model['kind'])}, model {printable.value(model['model_version'])}" for model in self.models[:MODELS])
+        more = f"; and {len(self.models) - MODELS:,} more, --json names all" if len(self.models) > MODELS else ""
+        return [f"{self.run_count:,} runs, {state}", f"{models}{more}"]
 
 
 def contents(ledger: Path) -> tuple[Head, Contents]:

@@ -8,9 +8,11 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.metrics.database import Database, connect, plain_rows
+from fsar_ledger.printable import Shown
 
 from .options import did_you_mean
 from .output import json_text, table_text
@@ -20,9 +22,10 @@ Story = list[dict[str, Any]]
 COLUMNS = ("began_s", "action_id", "capability", "asked_by", "allowed_by", "executed_by", "supervised_by", "failures", "result")
 PARTIES = ("asked_by", "allowed_by", "executed_by", "supervised_by")
 UNKNOWN = "not on record"
+WORDS, MAX_WORDS = ("message", "note"), 1_000
 
 
-def explain(ledger: Path, run: str | None, request: str | None, failure: str | None, drawn: Mapping[str, Path | None], *, as_json: bool) -> str:
+def explain(ledger: Path, run: str | None, request: str | None, failure: str | None, drawn: Mapping[str, Path | None], *, as_json: bool) -> Shown:
     """The text of the answer; `drawn` names the file of each kind of figure (svg, pdf) that is wanted, which is written.
 
     Raises:
@@ -53,7 +56,16 @@ def explain(ledger: Path, run: str | None, request: str | None, failure: str | N
     _draw(files, recovery if failure is not None else story, is_ladder=failure is not None)
     if as_json:
         return json_text(head, {"run": name, "action": action, "parties": parties, "story": story, "recovery": recovery})
-    return "".join([*_told(name, action, story if failure is None else [], parties), *_recovered(recovery), *(f"{path}\n" for path in files.values())])
+    told = _told(name, action, shown(story if failure is None else []), shown([parties])[0])
+    return printable.lines(*told, *_recovered(shown(recovery)), *map(str, files.values()))
+
+
+def shown(rows: Sequence[Mapping[str, Any]]) -> Story:
+    """The rows with each text as people see it; `MAX_WORDS` characters of what is said, of names fewer."""
+    return [
+        {name: printable.value(found, MAX_WORDS if name in WORDS else printable.MAX_VALUE) if isinstance(found, str) else found for name, found in row.items()}
+        for row in rows
+    ]
 
 
 def _asked(database: Database, query: str, run: str, action: str = "all") -> Story:
@@ -72,40 +84,47 @@ def _run(database: Database, ledger: Path, asked: str | None) -> str:
     beginning = sorted(name for name in names if name.startswith(asked)) if asked else []
     if beginning:
         return str(beginning[0])
-    raise UsageError(f"--run {asked}: there is no such run in {ledger}; {did_you_mean(asked, names)}`fsar-ledger query runs {ledger}` lists them")
+    raise UsageError(
+        f"--run {asked}: there is no such run in {ledger}; {did_you_mean(asked, names)}`fsar-ledger query runs {printable.word(ledger)}` lists them"
+    )
 
 
 def _no_action(database: Database, ledger: Path, run: str, asked: str) -> str:
     known = [
         row["action_id"] for row in database.rows("SELECT DISTINCT action_id FROM keyed_events WHERE run_id = $run AND action_id IS NOT NULL", {"run": run})
     ]
-    return f"{asked}: there is no such request in run {run}; {did_you_mean(asked, known)}`fsar-ledger explain {ledger} --run {run}` lists them"
+    way = f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)}` lists them"
+    return f"{asked}: there is no such request in run {printable.value(run)}; {did_you_mean(asked, known)}{way}"
 
 
-def _listed(database: Database, ledger: Path, run: str, *, as_json: bool) -> str:
+def _listed(database: Database, ledger: Path, run: str, *, as_json: bool) -> Shown:
     rows = _asked(database, "requests", run)
     if as_json:
         return json_text(database.head, {"run": run, "requests": rows})
     if not rows:
-        return f"run {run}\nno requests\n"
-    shown = [{**row, "began_s": f"{row['began_s']:.3f}"} for row in rows]
-    hint = f"`fsar-ledger explain {ledger} --run {run} --request {rows[0]['action_id']}` tells one of them\n"
-    return f"run {run}\n\n{table_text(shown, COLUMNS)}\n{hint}"
+        return printable.lines(f"run {printable.value(run)}", "no requests")
+    began = [{**row, "began_s": f"{row['began_s']:.3f}"} for row in rows]
+    hint = f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)} --request {printable.word(rows[0]['action_id'])}` tells one of them"
+    return printable.joined(printable.lines(f"run {printable.value(run)}", ""), table_text(began, COLUMNS), printable.lines("", hint))
 
 
 def _told(run: str, action: str, story: Story, parties: Mapping[str, Any]) -> Iterator[str]:
     """Run and action, the story a line for each step, and the parties."""
-    yield f"run {run}\naction {action}" + (f", {parties['capability']}\n" if parties["capability"] else "\n")
+    yield f"run {printable.value(run)}"
+    yield f"action {printable.value(action)}" + (f", {parties['capability']}" if parties["capability"] else "")
     between = [_between(row) for row in story]
     width = max(map(len, between), default=0)
     for row, names in zip(story, between, strict=True):
         note = f"  ({row['note']})" if row["note"] else ""
-        yield f"{'' if row['step'] > 1 else chr(10)}{row['time_s']:>10.3f} s {' ' if row['is_tied'] else '*'} {names:<{width}}  {row['message']}{note}\n"
+        if row["step"] <= 1:
+            yield ""
+        yield f"{row['time_s']:>10.3f} s {' ' if row['is_tied'] else '*'} {names:<{width}}  {row['message']}{note}"
     if not all(row["is_tied"] for row in story):
-        yield "* the record names no action; its cause does\n"
-    yield "\n" + "".join(f"{name.replace('_', ' '):<14} {parties[name] or UNKNOWN}\n" for name in PARTIES)
+        yield "* the record names no action; its cause does"
+    yield ""
+    yield from (f"{name.replace('_', ' '):<14} {parties[name] or UNKNOWN}" for name in PARTIES)
     took = "" if parties["ended_s"] is None else f", {parties['ended_s'] - parties['began_s']:.3f} s after it began"
-    yield f"{'result':<14} {parties['result']}{took}\n"
+    yield f"{'result':<14} {parties['result']}{took}"
 
 
 def _between(row: Mapping[str, Any]) -> str:
@@ -117,13 +136,14 @@ def _between(row: Mapping[str, Any]) -> str:
 def _recovered(recovery: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """Each failure, level by level: how long, what was tried with which result, and why the level was left."""
     for failure, steps in groupby(recovery, key=lambda row: row["failure"]):
-        yield f"\nfailure {failure}\n"
+        yield ""
+        yield f"failure {failure}"
         for (number, level, spent_s), rows in groupby(steps, key=lambda row: (row["level_number"], row["level"], row["spent_s"])):
             stay = list(rows)
-            yield f"  {number} {level:<6}{spent_s:>9.3f} s\n"
+            yield f"  {number} {level:<6}{spent_s:>9.3f} s"
             for row in stay:
                 by = f", by {row['decided_by']}" if row["decided_by"] else ""
-                yield f"{row['time_s']:>10.3f} s    {row['what']}{by}{_result(row, stay)}\n"
+                yield f"{row['time_s']:>10.3f} s    {row['what']}{by}{_result(row, stay)}"
 
 
 def _result(row: Mapping[str, Any], stay: Sequence[Mapping[str, Any]]) -> str:

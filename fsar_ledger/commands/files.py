@@ -14,6 +14,7 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pq
 
+from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, WriteFailed
 from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.ledger.read import open_ledger
@@ -21,19 +22,21 @@ from fsar_ledger.ledger.schema import SCHEMA
 from fsar_ledger.metrics.database import connect
 
 
-def export_events(ledger: Path, out: Path) -> int:
+def export_events(ledger: Path, out: Path, *, raw: bool = False) -> int:
     """Every event of the ledger is in the file as it is stored, retired types too, in commit order; returns how many.
+
+    Text in CSV is as `printable.field` makes it, unless `raw`.
 
     Raises:
         UsageError: the name of the file ends in neither .csv nor .parquet, or it lies inside a ledger.
         WriteFailed: the file cannot be written.
     """
     _check(out)
-    return _write_tables(out, SCHEMA, open_ledger(ledger).tables())
+    return _write_tables(out, SCHEMA, open_ledger(ledger).tables(), raw=raw)
 
 
-def export_query(ledger: Path, name: str, parameters: Mapping[str, str], out: Path) -> int:
-    """The answer of the named query is in the file; returns its number of rows.
+def export_query(ledger: Path, name: str, parameters: Mapping[str, str], out: Path, *, raw: bool = False) -> int:
+    """The answer of the named query is in the file, text as in `export_events`; returns its number of rows.
 
     Raises:
         UsageError: the name of the file ends in neither .csv nor .parquet, or it lies inside a ledger.
@@ -43,7 +46,7 @@ def export_query(ledger: Path, name: str, parameters: Mapping[str, str], out: Pa
     _check(out)
     with connect(ledger) as database:
         table = database.query(name, parameters)
-    return _write_tables(out, table.schema, [table])
+    return _write_tables(out, table.schema, [table], raw=raw)
 
 
 def write_text(out: Path, text: str) -> None:
@@ -68,10 +71,10 @@ def _format_of(out: Path) -> str:
     return out.suffix
 
 
-def _write_tables(out: Path, schema: pa.Schema, tables: Iterable[pa.Table]) -> int:
+def _write_tables(out: Path, schema: pa.Schema, tables: Iterable[pa.Table], *, raw: bool) -> int:
     """The tables stand one after the other in the file; memory holds one of them at a time."""
     rows = 0
-    with _whole_file(out) as temporary, _writer(out, temporary, schema) as write:
+    with _whole_file(out) as temporary, _writer(out, temporary, schema, raw=raw) as write:
         for table in tables:
             write(table)
             rows += table.num_rows
@@ -79,7 +82,7 @@ def _write_tables(out: Path, schema: pa.Schema, tables: Iterable[pa.Table]) -> i
 
 
 @contextmanager
-def _writer(out: Path, temporary: Path, schema: pa.Schema) -> Iterator[Callable[[pa.Table], None]]:
+def _writer(out: Path, temporary: Path, schema: pa.Schema, *, raw: bool) -> Iterator[Callable[[pa.Table], None]]:
     if _format_of(out) == ".parquet":
         with pq.ParquetWriter(temporary, schema, compression="zstd") as writer:
             yield lambda table: writer.write_table(table)
@@ -87,16 +90,32 @@ def _writer(out: Path, temporary: Path, schema: pa.Schema) -> Iterator[Callable[
         # Text stands in quotes and NULL does not, so that an empty text can be told from NULL; names of columns need no quotes.
         options = pa_csv.WriteOptions(quoting_header="none")
         with pa_csv.CSVWriter(temporary, _flat(schema.empty_table()).schema, write_options=options) as writer:
-            yield lambda table: writer.write_table(_flat(table))
+            yield lambda table: writer.write_table(_flat(table) if raw else _harmless(_flat(table)))
 
 
 def _flat(table: pa.Table) -> pa.Table:
     """The same table with each list as JSON text, because a CSV field holds no list."""
     for at, field in enumerate(table.schema):
         if pa.types.is_nested(field.type):
-            texts = [None if value is None else msgspec.json.encode(value).decode() for value in table.column(at).to_pylist()]
+            texts = [None if value is None else printable.ascii_json(msgspec.json.encode(value).decode()) for value in table.column(at).to_pylist()]
             table = table.set_column(at, field.name, pa.array(texts, pa.string()))
     return table
+
+
+def _harmless(table: pa.Table) -> pa.Table:
+    """The same table with each text as `printable.field` makes it: looked at once, however many rows hold it."""
+    for at, field in enumerate(table.schema):
+        if pa.types.is_string(field.type):
+            chunks = [_harmless_chunk(chunk) for chunk in table.column(at).chunks]
+            table = table.set_column(at, field, pa.chunked_array(chunks, field.type))
+    return table
+
+
+def _harmless_chunk(texts: pa.Array) -> pa.Array:
+    coded = texts.dictionary_encode()
+    found = coded.dictionary.to_pylist()
+    shown = [None if text is None else printable.field(text) for text in found]
+    return texts if shown == found else pa.array(shown, texts.type).take(coded.indices)
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, TypeVar
 
 import typer
 
+from fsar_ledger import printable
 from fsar_ledger.errors import InvalidExperiment, QueryFailed, UsageError
 
 if TYPE_CHECKING:
@@ -21,6 +22,7 @@ NewLedgerArgument = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer as JSON, with the head (size, root) of the ledger.")]
 CsvOption = Annotated[bool, typer.Option("--csv", help="Answer as comma-separated values.")]
+RawOption = Annotated[bool, typer.Option("--raw", help="In CSV give text as it is, with control characters, and what a spreadsheet reads as a formula.")]
 LimitOption = Annotated[int, typer.Option("--limit", metavar="N", help="Rows of the table that are shown; 0 shows all.")]
 FileOption = Annotated[
     Path | None,
@@ -206,7 +208,7 @@ def did_you_mean(asked: str, names: Sequence[str]) -> str:
     ordered = sorted(names)
     near = [name for name in ordered if name.startswith(asked)] or get_close_matches(asked, [name[: len(asked)] for name in ordered], 1, 0.3)
     found = next((name for name in ordered if near and name.startswith(near[0])), None)
-    return "" if found is None else f"did you mean {found}? "
+    return "" if found is None else f"did you mean {printable.value(found)}? "
 
 
 def workers_of(asked: int | None) -> int:

@@ -2,6 +2,8 @@
 
 A row is a mapping from column to value; all rows of an answer have the same columns. NULL is `-` in a
 table, `null` in JSON and an empty field in CSV. Lists are JSON text in CSV and in tables.
+
+Text of a ledger is escaped where it becomes a cell, a field or a line (`printable`): what is returned can be shown.
 """
 
 import csv
@@ -13,9 +15,9 @@ from typing import TYPE_CHECKING, Protocol
 import msgspec
 from msgspec import to_builtins
 
+from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
-
-from .terminal import escaped
+from fsar_ledger.printable import Shown
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.verify import VerifyReport
@@ -32,44 +34,45 @@ class HeadLike(Protocol):
     def root(self) -> str: ...  # noqa: D102
 
 
-def table_text(rows: Sequence[Row], columns: Sequence[str], limit: int = 0) -> str:
+def table_text(rows: Sequence[Row], columns: Sequence[str], limit: int = 0) -> Shown:
     """The rows aligned under their columns, numbers to the right; after `limit` rows (0: all) the rest is only counted."""
     if not columns:
-        return ""
+        return Shown("")
     shown = rows[:limit] if limit else rows
+    names = [printable.cell(column) for column in columns]
     cells = [[_cell(row[column]) for column in columns] for row in shown]
     is_number = [all(isinstance(row[column], int | float | None) for row in shown) for column in columns]
-    widths = [max(len(column), *(len(line[at]) for line in cells)) if cells else len(column) for at, column in enumerate(columns)]
+    widths = [max(len(name), *(len(line[at]) for line in cells)) if cells else len(name) for at, name in enumerate(names)]
 
     def line_of(texts: Sequence[str]) -> str:
         return "  ".join(text.rjust(width) if right else text.ljust(width) for text, width, right in zip(texts, widths, is_number, strict=True)).rstrip()
 
-    lines = [line_of(columns), line_of(["-" * width for width in widths]), *map(line_of, cells)]
+    lines = [line_of(names), line_of(["-" * width for width in widths]), *map(line_of, cells)]
     if len(shown) < len(rows):
         lines.append(f"... {len(rows) - len(shown):,} more rows; --limit 0 shows all, --csv and --json always do")
-    return "\n".join(lines) + "\n"
+    return Shown("\n".join(lines) + "\n")
 
 
-def json_text(head: HeadLike | None, answer: Mapping[str, object]) -> str:
+def json_text(head: HeadLike | None, answer: Mapping[str, object]) -> Shown:
     """One JSON object: the head (size, root) that the answer holds for, null where there is none to speak of, then the answer."""
     document = {"head": head and {"size": head.size, "root": head.root}, **answer}
     return _pretty(document)
 
 
-def csv_text(rows: Sequence[Row], columns: Sequence[str]) -> str:
-    """The rows as comma-separated values under one line of column names."""
+def csv_text(rows: Sequence[Row], columns: Sequence[str], *, raw: bool = False) -> Shown:
+    """The rows as comma-separated values under one line of column names; text is harmless for terminals and spreadsheets unless `raw`."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    writer.writerows([_field(row[column]) for column in columns] for row in rows)
-    return text.getvalue()
+    writer.writerow(columns if raw else map(printable.field, columns))
+    writer.writerows([_field(row[column], raw=raw) for column in columns] for row in rows)
+    return Shown(text.getvalue())
 
 
-def verdict_text(ledger: Path, report: "VerifyReport") -> str:
+def verdict_lines(ledger: Path, report: "VerifyReport") -> list[str]:
     """What `verify` found, for people: one line for each problem, or that there is none and what that covers."""
     if not report.ok:
         count = f"{len(report.problems)} problem{'' if len(report.problems) == 1 else 's'}{' at a quick look' if report.is_quick else ''}"
-        return "\n".join([*map(str, report.problems), f"{ledger}: {count}; do not rely on this ledger, restore it from a copy that verifies"])
+        return [*map(str, report.problems), f"{ledger}: {count}; do not rely on this ledger, restore it from a copy that verifies"]
     counts = f"{report.events:,} events{'' if report.is_quick else f' of {report.runs:,} runs'} in {report.commits:,} commits"
     looked = "consistent at a quick look, which reads no rows" if report.is_quick else "consistent"
     lines = [f"{ledger}: {looked}, {signature_text(report.signature, report.signer)}: {counts}", f"root {report.root}"]
@@ -77,20 +80,19 @@ def verdict_text(ledger: Path, report: "VerifyReport") -> str:
     lines += (
         [f"only grew since the anchor's {report.anchored:,} events"] if report.anchored is not None and not report.is_quick else []
     )  # there a remark says it
-    return "\n".join([*lines, *report.remarks, ""])
+    return [*lines, *report.remarks]
 
 
 def signature_text(state: str, signer: str | None) -> str:
     """What the signature of a note is worth, for people: `signer` is the trusted key that made it, or whom the note names."""
-    if state == "signed":
-        return f"signed by {signer}"
-    return "unsigned" if signer is None else f"signed, signer not checked (it names {signer})"
+    if signer is None:
+        return "unsigned"
+    return f"signed by {printable.value(signer)}" if state == "signed" else f"signed, signer not checked (it names {printable.value(signer)})"
 
 
-def verdict_json(report: "VerifyReport") -> str:
+def verdict_json(report: "VerifyReport", **more: object) -> Shown:
     """What `verify` found, for programs: the head is the one that the rows themselves give, its root null where some cannot be read."""
-    document = {"head": {"size": report.events, "root": report.root}, **to_builtins(report)}
-    return _pretty(document)
+    return _pretty({"head": {"size": report.events, "root": report.root}, **to_builtins(report), **more})
 
 
 def plain(rows: Sequence[msgspec.Struct]) -> list[Row]:
@@ -98,18 +100,28 @@ def plain(rows: Sequence[msgspec.Struct]) -> list[Row]:
     return [msgspec.structs.asdict(row) for row in rows]
 
 
-def answer_text(head: HeadLike | None, rows: Sequence[Row], columns: Sequence[str] = (), *, as_json: bool, as_csv: bool, limit: int = 0) -> str:
-    """The rows as a table for people, or as what --json or --csv asks for. Raises: UsageError when both are asked for."""
-    if as_json and as_csv:
-        raise UsageError("found --json and --csv, expected one of them")
+def answer_text(
+    head: HeadLike | None, rows: Sequence[Row], columns: Sequence[str] = (), *, as_json: bool, as_csv: bool, raw: bool = False, limit: int = 0
+) -> Shown:
+    """The rows as a table for people, or as what --json or --csv asks for. Raises: UsageError when both are asked for, or --raw without --csv."""
+    check_form(as_json=as_json, as_csv=as_csv, raw=raw)
     names = columns or (list(rows[0]) if rows else ())
     if as_json:
         return json_text(head, {"rows": rows})
-    return csv_text(rows, names) if as_csv else table_text(rows, names, limit) or "no rows\n"
+    return csv_text(rows, names, raw=raw) if as_csv else table_text(rows, names, limit) or Shown("no rows\n")
 
 
-def queries_text(*, as_json: bool, as_csv: bool) -> str:
-    """Every packaged query with its title and parameters."""
+def check_form(*, as_json: bool, as_csv: bool, raw: bool) -> None:
+    """Raises: UsageError when an answer cannot have the form that was asked for."""
+    if as_json and as_csv:
+        raise UsageError("found --json and --csv, expected one of them")
+    if raw and not as_csv:
+        raise UsageError("found --raw without --csv, expected both or neither; --json always gives the values themselves")
+
+
+def queries_text(*, as_json: bool, as_csv: bool, raw: bool = False) -> Shown:
+    """Every packaged query with its title and parameters. Raises: as `answer_text`."""
+    check_form(as_json=as_json, as_csv=as_csv, raw=raw)
     from fsar_ledger.metrics.library import library
 
     columns = ("name", "title", "parameters")
@@ -119,37 +131,43 @@ def queries_text(*, as_json: bool, as_csv: bool) -> str:
     ]
     if as_json:
         return json_text(None, {"queries": rows})
-    return csv_text(rows, columns) if as_csv else table_text([{**row, "title": str(row["title"]).partition(". ")[0]} for row in rows], columns)
+    return csv_text(rows, columns, raw=raw) if as_csv else table_text([{**row, "title": str(row["title"]).partition(". ")[0]} for row in rows], columns)
 
 
-def _pretty(document: object) -> str:
-    """The document as JSON; a name of a file that is not UTF-8 has each such byte escaped, `\\udcff` for ff."""
-    return msgspec.json.format(msgspec.json.encode(_encodable(to_builtins(document))), indent=2).decode() + "\n"
+def _pretty(document: object) -> Shown:
+    """The document as JSON in ASCII; a name of a file that is not UTF-8 has each such byte escaped, `\\udcff` for ff."""
+    return printable.ascii_json(msgspec.json.format(msgspec.json.encode(_encodable(to_builtins(document))), indent=2).decode() + "\n")
 
 
 def _encodable(value: object) -> object:
     if isinstance(value, str):
-        return escaped(value)
+        return value if value.isascii() else value.encode("utf-8", "backslashreplace").decode()
     if isinstance(value, dict):
         return {_encodable(name): _encodable(one) for name, one in value.items()}
     return [_encodable(one) for one in value] if isinstance(value, list | tuple) else value
 
 
 def _cell(value: object) -> str:
+    """The value in a table, as people see it."""
+    if isinstance(value, str):
+        return printable.cell(value)
     if value is None:
         return "-"
-    if isinstance(value, bool):
-        return "true" if value else "false"
     if isinstance(value, float):
         return f"{value:.6g}"
-    return _field(value)
+    shown = _field(value, raw=False)
+    return shown if len(shown) <= printable.MAX_VALUE else f"{shown[: printable.MAX_VALUE]}... ({len(shown) - printable.MAX_VALUE:,} more)"
 
 
-def _field(value: object) -> str:
+def _field(value: object, *, raw: bool) -> str:
+    """The value in CSV."""
+    if isinstance(value, str):
+        return value if raw else printable.field(value)
     if value is None:
         return ""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, list | tuple | dict):
-        return msgspec.json.encode(value).decode()
+        text = msgspec.json.encode(_encodable(value)).decode()
+        return text if raw else printable.ascii_json(text)
     return repr(value) if isinstance(value, float) else str(value)

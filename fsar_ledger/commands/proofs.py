@@ -3,11 +3,13 @@
 import os
 from pathlib import Path
 
+from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.canonical import document
 from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.ledger.proof import Proof, Proven, blocks, prove
 from fsar_ledger.ledger.read import LedgerView, open_ledger
+from fsar_ledger.printable import Shown
 
 from .options import did_you_mean
 from .output import json_text, signature_text
@@ -27,8 +29,8 @@ def proof_of(ledger: Path, event: str) -> Proof:
     return prove(view, _index_of(view, event))
 
 
-def write_proof(ledger: Path, event: str, out: Path) -> str:
-    """The new file holds the proof of this event; a line that says so.
+def write_proof(ledger: Path, event: str, out: Path) -> Shown:
+    """The new file holds the proof of this event; two lines that say so.
 
     Raises:
         UsageError: As `proof_of`; or the file exists, which is left as it is, or would lie inside a ledger.
@@ -42,7 +44,7 @@ def write_proof(ledger: Path, event: str, out: Path) -> str:
     proof = proof_of(ledger, event)
     write_text(out, str(proof))
     tree = proof.note.checkpoint
-    return f"{out}: event {proof.index:,} of {tree.size:,}\nroot {tree.root.hex()}\n"
+    return printable.lines(f"{out}: event {proof.index:,} of {tree.size:,}", f"root {tree.root.hex()}")
 
 
 def _index_of(view: LedgerView, event: str) -> int:
@@ -68,23 +70,28 @@ def _index_of(view: LedgerView, event: str) -> int:
 def _no_run(view: LedgerView, asked: str, names: list[str], known: list[str]) -> str:
     if names:
         return f"EVENT {asked}: found {len(names)} runs that begin so, {names[0]} and {names[1]} among them, expected one; give more of its name"
-    return f"EVENT {asked}: there is no such run in {view.path}; {did_you_mean(asked, known)}`fsar-ledger query runs {view.path}` lists them"
+    return f"EVENT {asked}: there is no such run in {view.path}; {did_you_mean(asked, known)}`fsar-ledger query runs {printable.word(view.path)}` lists them"
 
 
-def proven_text(file: Path, proven: Proven) -> str:
+def proven_text(file: Path, proven: Proven) -> Shown:
     """What the proof shows, for people: the event and its principals, its place, and what the signature is worth."""
-    event = proven.event
+    event = {name: printable.value(found) if isinstance(found, str) else found for name, found in proven.event.items()}
     width = max(map(len, PRINCIPALS))
-    principals = "".join(f"{name.replace('_', ' '):<{width}}  {event.get(name, UNKNOWN)}\n" for name in PRINCIPALS)
     signature = signature_text(proven.signature, proven.signer)
-    hint = "" if proven.signature == "signed" else "no signature was checked: compare the root with one that you trust\n"
-    return (
-        f"{file}: proven: event {proven.index:,} of {proven.size:,} in the ledger of {proven.origin}, {signature}\nroot {proven.root}\n{hint}\n"
-        f"run {event['run_id']}, seq {event['seq']}: {event['type']}\n{principals}{document(event).decode()}\n"
+    place = f"event {proven.index:,} of {proven.size:,} in the ledger of {printable.value(proven.origin)}"
+    hint = [] if proven.signature == "signed" else ["no signature was checked: compare the root with one that you trust"]
+    return printable.lines(
+        f"{file}: proven: {place}, {signature}",
+        f"root {proven.root}",
+        *hint,
+        "",
+        f"run {event['run_id']}, seq {event['seq']}: {event['type']}",
+        *(f"{name.replace('_', ' '):<{width}}  {event.get(name, UNKNOWN)}" for name in PRINCIPALS),
+        printable.ascii_json(document(proven.event).decode()),
     )
 
 
-def proven_json(file: Path, proven: Proven) -> str:
+def proven_json(file: Path, proven: Proven) -> Shown:
     """What the proof shows, for programs; `head` is that of the proof's checkpoint."""
     event = proven.event
     about = {name: event[name] for name in ("run_id", "seq", "type")} | {name: event.get(name) for name in PRINCIPALS}

@@ -7,6 +7,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fsar_ledger import printable
+from fsar_ledger.printable import Shown
+
 from .options import JsonOption, LedgerArgument, TrustedKeyOption, WorkersOption, examples, workers_of
 from .progress import Progress
 from .terminal import show
@@ -57,7 +60,7 @@ def recover(
         raise typer.Exit(DAMAGED)
 
 
-def recovery_json(ledger: Path, found: "Recovery", into: Path | None) -> str:
+def recovery_json(ledger: Path, found: "Recovery", into: Path | None) -> Shown:
     """What was found and done, for programs: the head is that of what can be trusted."""
     from msgspec import to_builtins
 
@@ -67,7 +70,7 @@ def recovery_json(ledger: Path, found: "Recovery", into: Path | None) -> str:
     return json_text(found.head, {**answer, "ledger": str(ledger), "into": None if into is None else str(into), "head": answer["head"]})
 
 
-def recovery_text(ledger: Path, found: "Recovery", asked: "Asked", into: Path | None) -> str:
+def recovery_text(ledger: Path, found: "Recovery", asked: "Asked", into: Path | None) -> Shown:
     """What was found and done, for people."""
     if found.report is not None and not found.problems:
         lines = [f"{ledger}: {'mended; nothing was deleted' if found.steps else 'whole, there is nothing to mend'}", *_done(found.steps)]
@@ -83,7 +86,7 @@ def recovery_text(ledger: Path, found: "Recovery", asked: "Asked", into: Path | 
         lines += ["trusted", *_trusted(found, asked)]
         lines += ["after that, on its own", *_some(list(_later(found.later)))] if found.later else []
         lines += ["next", *_next(ledger, found, into)]
-    return "\n".join([*lines, ""])
+    return printable.lines(*lines)
 
 
 def _done(steps: "Sequence[Step]") -> Iterator[str]:
@@ -106,7 +109,7 @@ def _trusted(found: "Recovery", asked: "Asked") -> Iterator[str]:
     head = found.head
     if head.commits:
         last = f"commit{'s 0 to' if head.commits > 1 else ''} {head.commits - 1:,}"
-        yield f"  {last}: {head.size:,} events, up to run {head.last_run}"
+        yield f"  {last}: {head.size:,} events, up to run {printable.value(head.last_run or '')}"
         yield f"  root {head.root}"
         yield "  every row, hash and record of them was derived again and agrees"
     else:
@@ -139,12 +142,12 @@ def _next(ledger: Path, found: "Recovery", into: Path | None) -> Iterator[str]:
 
     if into is not None:
         yield f"  {into} holds what can be trusted, byte for byte, and verifies; {ledger} remains damaged, keep it as evidence"
-        yield f"  fsar-ledger simulate {into} with the options of {ledger} continues there"
+        yield f"  fsar-ledger simulate {printable.word(into)} with the options of {ledger} continues there"
         return
     yield f"  keep {ledger} as it is: it is the evidence"
     lost = [(segment_path(ledger, commit.number), commit.restore) for commit in found.later if commit.restore is not None]
     yield from _some([f"  {file} can be restored from a copy with SHA-256 {sha256}" for file, sha256 in lost])
     if found.head.commits:
-        yield f"  fsar-ledger recover {ledger} --into NEW copies what can be trusted to a new ledger; simulate NEW continues there"
+        yield f"  fsar-ledger recover {printable.word(ledger)} --into NEW copies what can be trusted to a new ledger; simulate NEW continues there"
     else:
         yield "  restore it from a copy that verifies, or begin a new ledger"

@@ -1,9 +1,10 @@
 """`verify --replay`: the runs are played again where `verify` found nothing, and both findings are one answer."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import msgspec
+from fsar_ledger.printable import Shown
 
 from . import output
 from .progress import Progress
@@ -27,23 +28,23 @@ def replayed(ledger: Path, report: "VerifyReport", workers: int) -> "ReplayRepor
         return replay(ledger, workers, progress, report.commits)
 
 
-def verdict_text(ledger: Path, report: "VerifyReport", again: "ReplayReport | None") -> str:
+def verdict_lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | None") -> list[str]:
     """What was found, for people; `again` is None where no replay was asked for."""
-    text = output.verdict_text(ledger, report)
+    lines = output.verdict_lines(ledger, report)
     if again is None:
-        return text
+        return lines
     if not report.ok:
-        return f"{text}\n{ledger}: not replayed, as its rows are in doubt"
+        return [*lines, f"{ledger}: not replayed, as its rows are in doubt"]
     if again.ok:
-        return f"{text}replayed: all {again.events:,} events of {again.runs:,} runs are as the handlers decide them\n"
+        return [*lines, f"replayed: all {again.events:,} events of {again.runs:,} runs are as the handlers decide them"]
     count = f"{report.runs - again.runs:,} of {report.runs:,} runs"
-    return "\n".join([*map(str, again.differences), f"{ledger}: consistent, but replay doubts {count}; do not rely on what they say was decided"])
+    return [*map(str, again.differences), f"{ledger}: consistent, but replay doubts {count}; do not rely on what they say was decided"]
 
 
-def verdict_json(report: "VerifyReport", again: "ReplayReport | None") -> str:
-    """What was found, for programs: with a replay, `ok` is true when both found nothing, and `replay` holds the differences."""
-    document = output.verdict_json(report)
-    if again is None:
-        return document
-    both = {**msgspec.json.decode(document), "ok": report.ok and again.ok, "replay": again}
-    return msgspec.json.format(msgspec.json.encode(both), indent=2).decode() + "\n"
+def verdict_json(report: "VerifyReport", again: "ReplayReport | None", witnessed: Mapping[str, object] | None = None) -> Shown:
+    """What was found, for programs: `ok` is true when nobody found anything, `replay` holds the differences and `witnessed` what witnesses saw, where asked."""
+    more: dict[str, object] = {} if again is None else {"replay": again}
+    if witnessed is not None:
+        more["witnessed"] = witnessed
+    ok = report.ok and (again is None or again.ok) and (witnessed is None or bool(witnessed["ok"]))
+    return output.verdict_json(report, ok=ok, **more)

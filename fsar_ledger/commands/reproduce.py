@@ -7,6 +7,7 @@ from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.ledger.read import Head
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
+from fsar_ledger.printable import Shown
 from fsar_ledger.report import write_report
 from fsar_ledger.runtime.experiment import WORKFLOWS_ORIGIN, simulate, workflow_experiment
 
@@ -19,7 +20,7 @@ SEED = 42
 SHOWN = ("architecture", "metric", "mean", "sd", "n", "ci_low", "ci_high")
 
 
-def reproduce(out: Path, workers: int, signer: Signer | None = None, *, adopts: bool = False) -> tuple[str, Head]:
+def reproduce(out: Path, workers: int, signer: Signer | None = None, *, adopts: bool = False) -> tuple[Shown, Head]:
     """The folder holds the ledgers, the tables and the report; returns the table of metrics as text and the ledger's head.
 
     A signer signs the main ledger; that of the workflows has an origin of its own and is unsigned.

@@ -1,26 +1,86 @@
-"""What commands write for people and for programs: answers on stdout, messages on stderr."""
+"""The one place that prints: answers on stdout, messages on stderr.
+
+Only text whose values are escaped (`Shown`) can be shown, and it goes through a last net. On a terminal a line that is too long for it goes on in
+the next one behind a mark, so that no line of the screen begins with what somebody else wrote.
+"""
 
 import os
 import sys
+from contextlib import suppress
+from typing import TextIO
 
-import typer
+from fsar_ledger import printable
+from fsar_ledger.printable import Shown
+
+ON = "  | "
+"""What the rest of a line begins with where the terminal is too narrow for it."""
+
+NARROWEST, USUAL = 20, 80
+"""Columns: of a terminal that is no use folding for, and of one that does not say."""
+MAX_LINES = 20
+"""Lines of one message; DuckDB's have up to six."""
 
 
-def escaped(text: str) -> str:
-    """The text as it can be written in UTF-8: each byte of a file's name that is not is escaped, `\\udcff` for ff."""
-    return text.encode("utf-8", "backslashreplace").decode()
+class Enough(Exception):
+    """Whoever reads the answer has had enough of it (`| head`)."""
 
 
-def show(text: str) -> None:
-    """The text is on stdout; a reader that has had enough (`| head`) ends the command quietly."""
+def show(text: Shown, *, raw: bool = False) -> None:
+    """The text is on stdout; `raw` is for programs and may be anything, as long as stdout is no terminal. Raises: Enough where nobody reads it."""
+    _write(sys.stdout, text if raw and not sys.stdout.isatty() else printable.net(text))
+
+
+def say(*messages: str) -> None:
+    """The messages are on stderr, each after the name of the command; where one goes on in another line, that stands behind a mark, whoever broke it."""
+    with suppress(Enough):
+        _write(sys.stderr, "".join(map(_message, messages)))
+
+
+def _message(text: str) -> Shown:
+    first, *more = text.split("\n", MAX_LINES)
+    more[MAX_LINES - 1 :] = ["..."] if len(more) == MAX_LINES else []
+    return printable.lines(f"fsar-ledger: {first}", *(f"{ON}{line}" for line in more))
+
+
+def say_failure(trace: str) -> None:
+    """The lines that Python has for a mistake of ours are on stderr, harmless whatever they quote."""
+    with suppress(Enough):
+        _write(sys.stderr, printable.net(trace))
+
+
+def _write(stream: TextIO, text: str) -> None:
     try:
-        sys.stdout.write(escaped(text))
-        sys.stdout.flush()
+        width = (os.get_terminal_size(stream.fileno()).columns or USUAL) if stream.isatty() else 0
+    except (OSError, ValueError):
+        width = 0
+    if width >= NARROWEST:
+        text = "\n".join(folded(line, width) for line in text.split("\n"))
+    encoding = stream.encoding or "utf-8"
+    try:
+        stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
+        stream.flush()
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise typer.Exit(0) from None
+        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        raise Enough from None
 
 
-def say(text: str) -> None:
-    """The lines are on stderr, each after the name of the command."""
-    sys.stderr.write("".join(f"fsar-ledger: {line}\n" for line in escaped(text).splitlines()))
+def folded(line: str, width: int) -> str:
+    """The line as it stands on a terminal with so many columns: the rest of it behind a mark, as often as needed."""
+    if len(line) <= width and line.isascii():
+        return line
+    parts, at, used = [], 0, 0
+    for place, columns in enumerate(map(_columns, line)):
+        if used + columns > width:
+            parts.append(line[at:place])
+            at, used = place, len(ON)
+        used += columns
+    return f"\n{ON}".join([*parts, line[at:]])
+
+
+def _columns(character: str) -> int:
+    """The columns that a terminal gives this character."""
+    if character.isascii():
+        return 1
+    from unicodedata import category, east_asian_width
+
+    return 0 if category(character) in ("Mn", "Me") else 2 if east_asian_width(character) in "WF" else 1

@@ -5,7 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted, ReplayMismatch, UsageError
+from fsar_ledger.printable import Shown
 
 from .options import CosignedOption, JsonOption, LedgerArgument, ReplayOption, TrustedKeyOption, WitnessPolicyOption, WorkersOption, examples, workers_of
 from .progress import Progress
@@ -53,7 +55,7 @@ def key_new(
     from fsar_ledger.runtime.experiment import ORIGIN
 
     require_outside(file, f"FILE {file}")
-    show(f"{new_key(file, ORIGIN if name is None else name)}\n")
+    show(printable.line(str(new_key(file, ORIGIN if name is None else short("--name", name)))))
 
 
 def signer_of(key: Path | None, *, adopts: bool = False) -> "Signer | None":
@@ -73,21 +75,28 @@ def origin_of(name: str | None) -> str | None:
 
     if name is not None and not is_name(name):
         raise UsageError(f"--origin {name!r}: expected a printable name without spaces and plus signs")
+    return None if name is None else short("--origin", name)
+
+
+def short(option: str, name: str) -> str:
+    """The name, which people are shown whole. Raises: UsageError if it is too long for that."""
+    if len(name) > printable.MAX_VALUE:
+        raise UsageError(f"{option} {name:.40}...: found {len(name):,} characters, expected at most {printable.MAX_VALUE}")
     return name
 
 
-def signed_text(ledger: Path, signer: "Signer | None") -> str:
+def signed_lines(ledger: Path, signer: "Signer | None") -> list[str]:
     """A line that says whether the newest commit of the ledger carries a signature of this key; nothing without a key."""
     from fsar_ledger.ledger.read import open_ledger
     from fsar_ledger.ledger.verify_notes import signers_of
 
     if signer is None:
-        return ""
+        return []
     records = open_ledger(ledger).records
     signers = signers_of(records[-1].signed_note()) if records else None
     if signers == signer.verifier.key:
-        return f"signed by {signers}\n"
-    return f"nothing was appended, so nothing was signed; the newest commit is {f'signed by {signers}' if signers else 'unsigned'}\n"
+        return [f"signed by {printable.value(signers)}"]
+    return [f"nothing was appended, so nothing was signed; the newest commit is {f'signed by {printable.value(signers)}' if signers else 'unsigned'}"]
 
 
 def verify(
@@ -116,8 +125,8 @@ def verify(
     from fsar_ledger.ledger.verify import verify as check
     from fsar_ledger.ledger.verify_notes import read_anchor
 
-    from .replay import replayed, verdict_json, verdict_text
-    from .witness import seen_of, with_seen
+    from .replay import replayed, verdict_json, verdict_lines
+    from .witness import seen_of
 
     if quick and replay:
         raise UsageError("--quick and --replay: expected one of them; a quick look reads no rows, a replay all of them")
@@ -131,15 +140,15 @@ def verify(
         report = check(ledger, workers_of(workers), progress, asked)
     again = replayed(ledger, report, workers_of(workers)) if replay else None
     if as_json:
-        show(with_seen(verdict_json(report, again), seen))
+        show(verdict_json(report, again, seen.json() if seen is not None else None))
     if not report.ok:
-        raise LedgerCorrupted(verdict_text(ledger, report, again))
+        raise LedgerCorrupted(*verdict_lines(ledger, report, again))
     if again is not None and not again.ok:
-        raise ReplayMismatch(verdict_text(ledger, report, again))
+        raise ReplayMismatch(*verdict_lines(ledger, report, again))
     if seen is not None and not seen.is_enough:
-        raise LedgerCorrupted(seen.text(ledger, report.events))
+        raise LedgerCorrupted(seen.doubt(ledger))
     if not as_json:
-        show(verdict_text(ledger, report, again) + (seen.text(ledger, report.events) if seen is not None else ""))
+        show(printable.lines(*verdict_lines(ledger, report, again), *(seen.lines(report.events) if seen is not None else ())))
 
 
 def prove(
@@ -164,7 +173,7 @@ def prove(
     from .proofs import proof_of, write_proof
 
     if out is None:
-        show(str(proof_of(ledger, event)))
+        show(Shown(str(proof_of(ledger, event))), raw=True)
     else:
         show(write_proof(ledger, event, out))
 

@@ -6,12 +6,14 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import typer
 
+from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted, NotCosigned, UsageError
+from fsar_ledger.printable import Shown
 
 from .options import LedgerArgument, examples
 from .terminal import say, show
@@ -45,8 +47,10 @@ def witness_new(
     from fsar_ledger.ledger.place import require_outside
     from fsar_ledger.witness.state import new_state
 
+    from .trust import short
+
     require_outside(state, f"STATE {state}")
-    show(f"{new_state(state, name)}\n")
+    show(printable.line(str(new_state(state, short("--name", name)))))
 
 
 @witnesses.command(
@@ -75,10 +79,10 @@ def witness_serve(
 
     logs = [read_log_key(key) for key in log]
     with opened(state) as found, WitnessServer(host, port, Service(found, logs, _clock(context), _tell), time.monotonic) as server:
-        _serve(server, f"{found.cosigner.key}\n{server.url}\n")
+        _serve(server, printable.lines(str(found.cosigner.key), server.url))
 
 
-def _serve(server: "WitnessServer", greeting: str) -> None:
+def _serve(server: "WitnessServer", greeting: Shown) -> None:
     """The server has served until SIGTERM or Ctrl-C."""
 
     def end(*_: object) -> None:
@@ -127,19 +131,17 @@ def witness_ask(
     if out is not None:
         require_outside(out, f"--out {out}")
     found = cosign(ledger, read)
-    refusals = "; ".join(f"{name}: {reason}" for name, reason in found.silent.items())
+    refusals = [f"{name}: {reason}" for name, reason in found.silent.items()]
     if not read.is_met(set(found.times)):
-        raise NotCosigned(
-            f"{policy}: found {_listed(found.times) or 'no cosignature'} ({refusals}), expected {read.rule()}; nothing was written, try again or look into it"
-        )
-    for name, reason in found.silent.items():
-        say(f"{name}: {reason}")
+        cosigned = _listed(found.times) or "no cosignature"
+        raise NotCosigned(f"{policy}: found {cosigned} ({'; '.join(refusals)}), expected {read.rule()}; nothing was written, try again or look into it")
+    say(*refusals)
     if out is None:
-        show(str(found.note))
+        show(Shown(str(found.note)), raw=True)
         return
     write_text(out, str(found.note))
     tree = found.note.checkpoint
-    show(f"{out}: {tree.size:,} events, cosigned by {_listed(found.times)}\nroot {tree.root.hex()}\n")
+    show(printable.lines(f"{out}: {tree.size:,} events, cosigned by {_listed(found.times)}", f"root {tree.root.hex()}"))
 
 
 class Seen(msgspec.Struct, frozen=True):
@@ -159,20 +161,25 @@ class Seen(msgspec.Struct, frozen=True):
         """Whether enough of them saw anything."""
         return self.evidence.size > 0
 
-    def text(self, ledger: Path, events: int) -> str:
+    def lines(self, events: int) -> list[str]:
         """What they saw, for people; `events` is the ledger's number."""
         size, words = self.evidence.size, self.evidence.words
-        heard = {word.witness: word.time_s for word in words if word.time_s is not None}
-        silent = [f"witness {word.witness}: its word does not count: {word.reason}" for word in words if word.reason is not None]
-        if not self.is_enough:
-            said = _listed(heard) or "no cosignature that counts"
-            reasons = "; ".join(f"{word.witness}: {word.reason}" for word in words if word.reason is not None)
-            return (
-                f"{self.policy.file}: found {said} ({reasons}), expected {self.policy.rule()}; {ledger} may be consistent, "
-                "but whether it is what they saw nobody knows: ask again, or find out why they are silent"
-            )
         rest = "" if size >= events else f"; fewer saw the newest {events - size:,}"
-        return "\n".join([f"witnessed: {min(size, events):,} of {events:,} events, by {_listed(heard)} (enough: {self.policy.rule()}){rest}", *silent, ""])
+        return [
+            f"witnessed: {min(size, events):,} of {events:,} events, by {self._heard()} (enough: {self.policy.rule()}){rest}",
+            *(f"witness {word.witness}: its word does not count: {word.reason}" for word in words if word.reason is not None),
+        ]
+
+    def doubt(self, ledger: Path) -> str:
+        """That too few of them saw anything."""
+        reasons = "; ".join(f"{word.witness}: {word.reason}" for word in self.evidence.words if word.reason is not None)
+        return (
+            f"{self.policy.file}: found {self._heard() or 'no cosignature that counts'} ({reasons}), expected {self.policy.rule()}; {ledger} may be "
+            "consistent, but whether it is what they saw nobody knows: ask again, or find out why they are silent"
+        )
+
+    def _heard(self) -> str:
+        return _listed({word.witness: word.time_s for word in self.evidence.words if word.time_s is not None})
 
     def json(self) -> dict[str, object]:
         """What they saw, for programs."""
@@ -220,15 +227,6 @@ def _logs_of(policy: "Policy", trusted: "VerifierKey | None") -> tuple["Verifier
     if trusted is not None and policy.logs and trusted not in policy.logs:
         raise UsageError(f"--trusted-key: found {trusted.key}, expected a log of {policy.file}")
     return policy.logs if trusted is None else (trusted,)
-
-
-def with_seen(document: str, seen: Seen | None) -> str:
-    """The JSON of a verdict with what the witnesses saw in it; `ok` is true when both found nothing."""
-    if seen is None:
-        return document
-    verdict: dict[str, Any] = msgspec.json.decode(document)
-    both = {**verdict, "ok": verdict["ok"] and seen.is_enough, "witnessed": seen.json()}
-    return msgspec.json.format(msgspec.json.encode(both), indent=2).decode() + "\n"
 
 
 def _clock(context: typer.Context) -> Callable[[], int]:

@@ -18,10 +18,12 @@ from pathlib import Path
 from types import TracebackType
 
 import msgspec
+import pyarrow as pa
 
 from fsar_ledger.errors import NotALedger, SequenceConflict, UsageError, WriteFailed
 from fsar_ledger.ledger import canonical, disk, segment
 from fsar_ledger.ledger.bounds import MAX_ROWS, MAX_SEGMENT_BYTES, MAX_TEXT_BYTES, text_bytes
+from fsar_ledger.ledger.check import unprintable
 from fsar_ledger.ledger.codec import RunRecord, encode_hashed
 from fsar_ledger.ledger.derived import catch_up, check_folders, write_derived
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
@@ -70,12 +72,20 @@ def stage(ledger: Path, runs: Sequence[RunRecord]) -> Staged:
     removes what is staged and not committed. The same runs give the same file.
 
     Raises:
-        ValueError: There are no runs, or more than one commit may hold (see `bounds`), or one of them cannot be encoded (see `codec.encode`).
+        ValueError: There are no runs, or more than one commit may hold (see `bounds`), or one of them cannot be encoded (see `codec.encode`)
+            or has a name that cannot be printed (see `check.unprintable`).
         WriteFailed: The disk refused; nothing is left behind.
     """
     if not runs:
         raise ValueError("found no runs to stage, expected at least 1")
     table, leaves = encode_hashed(runs)
+    if flaw := unprintable(table):
+        raise ValueError(f"{flaw}; give it another name")
+    return stage_rows(ledger, runs, table, leaves)
+
+
+def stage_rows(ledger: Path, runs: Sequence[RunRecord], table: pa.Table, leaves: bytes) -> Staged:
+    """As `stage`, of runs that were encoded, whatever their names; what 0.1.0 staged. Raises: as `stage`."""
     data = segment.to_parquet(table)
     for found, most, what in (
         (table.num_rows, MAX_ROWS, "events"),

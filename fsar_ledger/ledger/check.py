@@ -7,6 +7,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from fsar_ledger import printable
 from fsar_ledger.ledger.arrow import Mask, coded, places, validity, whole
 from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, ENVELOPE, MAX_INTEGER, PAYLOAD, SCHEMA, STORED, Field
 
@@ -27,7 +28,7 @@ class Flaw(msgspec.Struct, frozen=True):
     expected: str
 
     def __str__(self) -> str:
-        place = [f"run {self.run}, seq {self.seq}"] if self.run is not None else []
+        place = [f"run {printable.value(self.run)}, seq {self.seq}"] if self.run is not None else []
         place += [f"field {self.field}"] if self.field is not None else []
         return f"{', '.join(place) or 'table'}: found {self.found}, expected {self.expected}"
 
@@ -66,6 +67,25 @@ def first_flaw(table: pa.Table) -> Flaw | None:
     row, field, expected = first
     found = columns[field][row].as_py()
     return Flaw(row, columns["run_id"][row].as_py(), columns["seq"][row].as_py(), field, "NULL" if found is None else f"{found!r:.80}", expected)
+
+
+def unprintable(table: pa.Table) -> Flaw | None:
+    """A text that no writer stores: one with a character that is not printed, such as a control or a bidirectional one. None if there is none.
+
+    Readers accept it, because 0.1.0 stored it, and show it escaped. The table has the columns of `CODED_SCHEMA`; each different text is looked at once.
+    """
+    for name, kind in COLUMNS.items():
+        if kind not in ("string", "strings"):
+            continue
+        column = whole(table.column(name))
+        texts = (column.dictionary if kind == "string" else column.flatten().unique()).to_pylist()
+        if "".join(filter(None, texts)).isprintable():
+            continue
+        bad = {text for text in texts if text is not None and not text.isprintable()}
+        held = ([value] if kind == "string" else value or () for value in column.to_pylist())
+        row, found = next((at, text) for at, values in enumerate(held) for text in values if text in bad)
+        return Flaw(row, table.column("run_id")[row].as_py(), table.column("seq")[row].as_py(), name, f"{found!r:.80}", "characters that can be printed")
+    return None
 
 
 def run_starts(run_ids: pa.Array) -> Integers:

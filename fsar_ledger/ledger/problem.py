@@ -4,6 +4,7 @@ from pathlib import Path
 
 import msgspec
 
+from fsar_ledger import printable
 from fsar_ledger.errors import FsarLedgerError
 
 MAX_TEXT = 600
@@ -31,7 +32,7 @@ class Problem(msgspec.Struct, frozen=True):
                 msgspec.structs.force_setattr(self, name, _printable(text))
 
     def __str__(self) -> str:
-        run = None if self.run is None else _printable(self.run)
+        run = None if self.run is None else printable.value(self.run, MAX_TEXT)
         place = [f"{name} {value}" for name, value in (("commit", self.commit), ("run", run), ("seq", self.seq), ("field", self.field)) if value is not None]
         return f"{': '.join([self.where, ', '.join(place)] if place else [self.where])}: found {self.found}, expected {self.expected}"
 

@@ -1,6 +1,7 @@
-"""Files that somebody made to harm whoever reads them: JSON, notes and Parquet."""
+"""Files that somebody made to harm whoever reads them: JSON, notes and Parquet, and ledgers with any text in them."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 
 import msgspec
 import numpy as np
@@ -8,8 +9,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from fsar_ledger.ledger import canonical, segment
+from fsar_ledger.ledger.append import Staged, stage_rows
+from fsar_ledger.ledger.codec import RunRecord, encode_hashed
 from fsar_ledger.ledger.record import CommitRecord
-from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, MAX_INTEGER, SCHEMA
+from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, LAYOUTS, MAX_INTEGER, SCHEMA
 
 MIB = 1 << 20
 
@@ -155,3 +158,19 @@ def _zigzag(number: int) -> bytes:
         found.append(rest & 0x7F | 0x80)
         rest >>= 7
     return bytes([*found, rest])
+
+
+def stage_anything(path: Path, runs: Sequence[RunRecord]) -> Staged:
+    """The runs are staged as 0.1.0 staged them: whatever their names."""
+    return stage_rows(path, runs, *encode_hashed(runs))
+
+
+def relabelled(run: RunRecord, name: Callable[[str], str]) -> RunRecord:
+    """The same run with another text in every field that takes any but `parameters`; what was the same text is the same text again."""
+    events = []
+    for event in run.events:
+        free = [field for field in LAYOUTS[str(event.__struct_config__.tag)].fields if field.values is None and field.name != "parameters"]
+        changes: dict[str, object] = {field.name: name(getattr(event, field.name)) for field in free if isinstance(getattr(event, field.name), str)}
+        changes |= {field.name: tuple(map(name, getattr(event, field.name))) for field in free if isinstance(getattr(event, field.name), tuple)}
+        events.append(msgspec.structs.replace(event, **changes))
+    return RunRecord(name(run.run_id), run.times_us, run.caused_by, events)
