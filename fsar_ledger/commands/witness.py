@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
-import msgspec
 import typer
 
 from fsar_ledger import printable
@@ -144,7 +143,7 @@ def witness_ask(
     show(printable.lines(f"{out}: {tree.size:,} events, cosigned by {_listed(found.times)}", f"root {tree.root.hex()}"))
 
 
-class Seen(msgspec.Struct, frozen=True):
+class Seen(NamedTuple):
     """What the witnesses of a policy saw of a ledger; one of the keys must have signed what they cosigned."""
 
     policy: "Policy"
