@@ -17,7 +17,7 @@ def main() -> None:
             show(printable.line(f"fsar-ledger {__version__}"))
         return
     if os.name != "posix":
-        sys.stderr.write(f"fsar-ledger: found an operating system that is not POSIX ({os.name}), expected Linux or macOS; on Windows use WSL\n")
+        say(f"found an operating system that is not POSIX ({os.name}), expected Linux or macOS; on Windows use WSL")
         sys.exit(2)
     try:
         from .cli import run

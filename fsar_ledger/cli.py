@@ -356,7 +356,9 @@ def run(arguments: Sequence[str]) -> int:
     """The command has run; returns its exit code. What a user can cause is one message on stderr, never a traceback."""
     try:
         _require_text(arguments)
-        code = typer.main.get_command(app).main(args=list(arguments) or ["--help"], prog_name="fsar-ledger", standalone_mode=False, obj=_now)
+        code = typer.main.get_command(app).main(
+            args=list(arguments) or ["--help"], prog_name="fsar-ledger", standalone_mode=False, obj=lambda: int(time.time())
+        )
     except Enough:
         return 0
     except FsarLedgerError as problem:
@@ -376,11 +378,6 @@ def run(arguments: Sequence[str]) -> int:
     if code == INTERRUPTED:
         _say(f"interrupted; {AFTER_INTERRUPTION.get(next(iter(arguments), ''), 'nothing was changed')}")
     return code if isinstance(code, int) else 0
-
-
-def _now() -> int:
-    """The time in seconds since 1970, for commands that must know it."""
-    return int(time.time())
 
 
 def _require_text(arguments: Sequence[str]) -> None:

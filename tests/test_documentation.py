@@ -14,7 +14,9 @@ import pytest
 import typer
 
 from fsar_ledger.cli import app, run
+from fsar_ledger.ledger.note import parse_note, read_verifier
 from fsar_ledger.metrics.library import library
+from fsar_ledger.witness.cosignature import Cosigner
 from tests.cli.conftest import SMALL
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -24,7 +26,7 @@ LABELS = set((ROOT / "tests" / "paper_labels.txt").read_text().split())
 COMMANDS = {command.name or command.callback.__name__: command for command in app.registered_commands if command.callback} | {
     f"{group.name} {command.name}": command for group in app.registered_groups if group.typer_instance for command in group.typer_instance.registered_commands
 }
-LONG = {"reproduce", "calibrate"}
+LONG = {"reproduce", "calibrate", "witness serve", "witness ask"}  # the last two need each other: tests/witness/test_processes.py
 
 
 def sources() -> Iterator[Path]:
@@ -170,7 +172,7 @@ def test_every_example_is_a_call_that_parses(name: str, example: str) -> None:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder in which out/ledger is a small ledger, signed, out/workflows one of the workflows, question.sql a SELECT, and what was kept before."""
+    """A folder in which out/ledger is a small ledger, cosigned, out/workflows one of the workflows, question.sql a SELECT, and what was kept before."""
     path = tmp_path_factory.mktemp("examples")
     (path / "question.sql").write_text("SELECT count(*) AS events FROM events\n")
     key, ledger = str(path / "out" / "fleet.key"), path / "out" / "ledger"
@@ -179,6 +181,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     assert run(["verify", str(ledger)]) == 0  # else each answer says that its rows were not compared with the root
     assert run(["prove", str(ledger), "1234", "--out", str(path / "out" / "event.tlog-proof")]) == 0
     shutil.copy(ledger / "checkpoint", path / "monday")
+    note, cosigner = parse_note("note", (ledger / "checkpoint").read_text()), Cosigner("example.org/w1", bytes(32))
+    (path / "out" / "cosigned").write_text(f"{note}{cosigner.cosign(note.checkpoint, 1_795_000_000).line()}")
+    (path / "witnesses.policy").write_text(f"log {read_verifier(key + '.pub')}\nwitness w1 {cosigner.key}\nquorum w1\n")
     names = [part for name in ("door-relay", "layered-recovery", "human-supervision") for part in ("--workflow", name)]
     assert run(["simulate", str(path / "out" / "workflows"), *names]) == 0
     return path

@@ -1,5 +1,6 @@
 """`verify --replay`: the runs are played again where `verify` found nothing, and both findings are one answer."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,6 +41,10 @@ def verdict_lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | N
     return [*map(str, again.differences), f"{ledger}: consistent, but replay doubts {count}; do not rely on what they say happened and was decided"]
 
 
-def verdict_json(report: "VerifyReport", again: "ReplayReport | None") -> Shown:
-    """What was found, for programs: with a replay, `ok` is true when both found nothing, and `replay` holds the differences."""
-    return output.verdict_json(report) if again is None else output.verdict_json(report, ok=report.ok and again.ok, replay=again)
+def verdict_json(report: "VerifyReport", again: "ReplayReport | None", witnessed: Mapping[str, object] | None = None) -> Shown:
+    """What was found, for programs: `ok` is true when nobody found anything, `replay` holds the differences and `witnessed` what witnesses saw, where asked."""
+    more: dict[str, object] = {} if again is None else {"replay": again}
+    if witnessed is not None:
+        more["witnessed"] = witnessed
+    ok = report.ok and (again is None or again.ok) and (witnessed is None or bool(witnessed["ok"]))
+    return output.verdict_json(report, ok=ok, **more)

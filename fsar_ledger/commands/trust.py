@@ -138,7 +138,7 @@ def verify(
     from fsar_ledger.metrics.verified import whole_look
 
     from .replay import replayed, verdict_json, verdict_lines
-    from .witness import seen_of, with_seen
+    from .witness import seen_of
 
     if quick and replay:
         raise UsageError("--quick and --replay: expected one of them; a quick look reads no rows, a replay all of them")
@@ -152,16 +152,15 @@ def verify(
         report = whole_look(ledger, workers_of(workers), progress, asked)
     again = replayed(ledger, report, workers_of(workers)) if replay else None
     if as_json:
-        show(with_seen(verdict_json(report, again), seen))
+        show(verdict_json(report, again, seen.json() if seen is not None else None))
     if not report.ok:
         raise LedgerCorrupted(*verdict_lines(ledger, report, again))
     if again is not None and not again.ok:
         raise ReplayMismatch(*verdict_lines(ledger, report, again))
     if seen is not None and not seen.is_enough:
-        raise LedgerCorrupted(*seen.lines(ledger, report.events))
+        raise LedgerCorrupted(seen.doubt(ledger))
     if not as_json:
-        seen_lines = seen.lines(ledger, report.events) if seen is not None else []
-        show(printable.lines(*verdict_lines(ledger, report, again), *seen_lines))
+        show(printable.lines(*verdict_lines(ledger, report, again), *(seen.lines(report.events) if seen is not None else ())))
 
 
 def prove(

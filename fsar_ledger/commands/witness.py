@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -46,8 +46,10 @@ def witness_new(
     from fsar_ledger.ledger.place import require_outside
     from fsar_ledger.witness.state import new_state
 
+    from .trust import short
+
     require_outside(state, f"STATE {state}")
-    show(printable.line(str(new_state(state, name))))
+    show(printable.line(str(new_state(state, short("--name", name)))))
 
 
 @witnesses.command(
@@ -128,15 +130,13 @@ def witness_ask(
     if out is not None:
         require_outside(out, f"--out {out}")
     found = cosign(ledger, read)
-    refusals = "; ".join(f"{name}: {reason}" for name, reason in found.silent.items())
+    refusals = [f"{name}: {reason}" for name, reason in found.silent.items()]
     if not read.is_met(set(found.times)):
-        raise NotCosigned(
-            f"{policy}: found {_listed(found.times) or 'no cosignature'} ({refusals}), expected {read.rule()}; nothing was written, try again or look into it"
-        )
-    for name, reason in found.silent.items():
-        say(f"{name}: {reason}")
+        cosigned = _listed(found.times) or "no cosignature"
+        raise NotCosigned(f"{policy}: found {cosigned} ({'; '.join(refusals)}), expected {read.rule()}; nothing was written, try again or look into it")
+    say(*refusals)
     if out is None:
-        show(printable.lines(*str(found.note).splitlines()))
+        show(Shown(str(found.note)), raw=True)
         return
     write_text(out, str(found.note))
     tree = found.note.checkpoint
@@ -160,20 +160,25 @@ class Seen(NamedTuple):
         """Whether enough of them saw anything."""
         return self.evidence.size > 0
 
-    def lines(self, ledger: Path, events: int) -> list[str]:
-        """What they saw, for people, a line each; `events` is the ledger's number."""
+    def lines(self, events: int) -> list[str]:
+        """What they saw, for people; `events` is the ledger's number."""
         size, words = self.evidence.size, self.evidence.words
-        heard = {word.witness: word.time_s for word in words if word.time_s is not None}
-        silent = [f"witness {word.witness}: its word does not count: {word.reason}" for word in words if word.reason is not None]
-        if not self.is_enough:
-            said = _listed(heard) or "no cosignature that counts"
-            reasons = "; ".join(f"{word.witness}: {word.reason}" for word in words if word.reason is not None)
-            return [
-                f"{self.policy.file}: found {said} ({reasons}), expected {self.policy.rule()}; {ledger} may be consistent, "
-                "but whether it is what they saw nobody knows: ask again, or find out why they are silent"
-            ]
         rest = "" if size >= events else f"; fewer saw the newest {events - size:,}"
-        return [f"witnessed: {min(size, events):,} of {events:,} events, by {_listed(heard)} (enough: {self.policy.rule()}){rest}", *silent]
+        return [
+            f"witnessed: {min(size, events):,} of {events:,} events, by {self._heard()} (enough: {self.policy.rule()}){rest}",
+            *(f"witness {word.witness}: its word does not count: {word.reason}" for word in words if word.reason is not None),
+        ]
+
+    def doubt(self, ledger: Path) -> str:
+        """That too few of them saw anything."""
+        reasons = "; ".join(f"{word.witness}: {word.reason}" for word in self.evidence.words if word.reason is not None)
+        return (
+            f"{self.policy.file}: found {self._heard() or 'no cosignature that counts'} ({reasons}), expected {self.policy.rule()}; {ledger} may be "
+            "consistent, but whether it is what they saw nobody knows: ask again, or find out why they are silent"
+        )
+
+    def _heard(self) -> str:
+        return _listed({word.witness: word.time_s for word in self.evidence.words if word.time_s is not None})
 
     def json(self) -> dict[str, object]:
         """What they saw, for programs."""
@@ -221,17 +226,6 @@ def _logs_of(policy: "Policy", trusted: "VerifierKey | None") -> tuple["Verifier
     if trusted is not None and policy.logs and trusted not in policy.logs:
         raise UsageError(f"--trusted-key: found {trusted.key}, expected a log of {policy.file}")
     return policy.logs if trusted is None else (trusted,)
-
-
-def with_seen(document: Shown, seen: Seen | None) -> Shown:
-    """The JSON of a verdict with what the witnesses saw in it; `ok` is true when both found nothing."""
-    if seen is None:
-        return document
-    import msgspec
-
-    verdict: dict[str, Any] = msgspec.json.decode(document)
-    both = {**verdict, "ok": verdict["ok"] and seen.is_enough, "witnessed": seen.json()}
-    return printable.ascii_json(msgspec.json.format(msgspec.json.encode(both), indent=2).decode() + "\n")
 
 
 def _clock(context: typer.Context) -> Callable[[], int]:

@@ -14,7 +14,9 @@ import pytest
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.ledger.append import Writer
+from fsar_ledger.ledger.note import Signer
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from fsar_ledger.witness.cosignature import Cosigner
 from tests.cli.conftest import Call
 from tests.ledger.hostile import relabelled, stage_anything
 from tests.terminal import CLAIM, PAINT, POISON, painted, screen_of
@@ -63,6 +65,16 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("prove", ledger, EVIL),
     )
     yield from (("key", "new", key, "--name", EVIL), ("key", "new", key, "--name", "x/\u05d0"), ("recover", ledger, "--workers", 1))
+    policy, state = place / "policy\x1b[2J", place / "witness\x1b[2J"
+    yield from (("witness", "new", state, "--name", "x/\u05d0"), ("witness", "new", state, "--name", EVIL), ("witness", "new", state, "--name", ORIGIN))
+    yield "witness", "serve", state, "--log", EVIL
+    cosigner = Cosigner(ORIGIN, bytes(32)).key
+    policy.write_text(f"log {Signer(ORIGIN, bytes(32)).verifier}\nwitness {ORIGIN} {cosigner} http://127.0.0.1:9/\u202e\nquorum {ORIGIN}\n")
+    yield from (
+        ("verify", ledger, "--witness-policy", policy),
+        ("witness", "ask", ledger, "--policy", policy),
+        ("witness", "ask", ledger, "--policy", state / "none"),
+    )
     yield from (("simulate", ledger, "--runs", 1), ("simulate", out, "--scenario", EVIL), ("simulate", out, "--origin", EVIL), ("reproduce", "--out", ledger))
     yield from (("report", ledger, "--out", ledger / "x.pdf"), ("calibrate", "--out", out, "--workers", EVIL), (EVIL,), (f"--{EVIL}",))
 
@@ -97,7 +109,7 @@ def drive(all_calls: Iterator[tuple[object, ...]], call: Call) -> tuple[set[str]
         called = call(*arguments)
         assert (painted(called.out), painted(called.err)) == ([], []), arguments
         assert "Traceback" not in called.err
-        seen.add(" ".join(map(str, arguments[: 2 if arguments[0] == "key" else 1])))
+        seen.add(" ".join(map(str, arguments[: 2 if arguments[0] in ("key", "witness") else 1])))
         codes.add(called.code)
     return seen, codes
 

@@ -14,7 +14,7 @@ from fsar_ledger.ledger.record import segment_path
 from fsar_ledger.ledger.tiles import node_of, tile_reader
 from fsar_ledger.ledger.verify import Asked, VerifyReport, verify
 from fsar_ledger.ledger.verify_derived import BEHIND
-from fsar_ledger.ledger.verify_notes import read_anchor
+from fsar_ledger.ledger.verify_notes import Anchor, read_anchor
 from tests.ledger.forgery import changed, examined_once, forge, forge_segment, record_of, table_of
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run
 
@@ -317,3 +317,22 @@ def test_verify_changes_nothing(path: Path) -> None:
     anchored(path, note_of(path, 0), is_quick=False, key=SIGNER)
     anchored(path, note_of(path, 0), is_quick=True, key=SIGNER)
     assert contents(path) == before
+
+
+# --- what witnesses show ---
+
+
+def test_a_ledger_begins_with_each_checkpoint_that_witnesses_show(path: Path, tmp_path: Path, is_quick: bool) -> None:
+    """Beside an anchor or without one; each that does not fit is a problem of its own, and none counts as the anchor."""
+    kept = [Anchor(f"witness w{number}", note_of(path, number)) for number in range(3)]
+    false = Anchor("witness liar", Note(Checkpoint(ORIGIN, 30, bytes(32))))
+    larger = Anchor("witness ahead", Note(Checkpoint(ORIGIN, 99, bytes(32))))
+    none = Anchor("witness dumb", None, "nothing that can be read")
+    (tmp_path / "anchor").write_text(str(note_of(path, 0)))
+    for anchor, size in ((None, None), (read_anchor(tmp_path / "anchor"), 24)):
+        report = verify(path, asked=Asked(is_quick, KEY, anchor, tuple(kept)))
+        assert (report.ok, report.anchored) == (True, size), report.problems
+        report = verify(path, asked=Asked(is_quick, None, anchor, (kept[0], false, kept[1], larger, none)))
+        assert not report.ok
+        assert [str(problem) for problem in report.problems if "witness w" in str(problem)] == []
+        assert ["witness liar" in str(report.problems[0]), "witness ahead" in str(report.problems[1]), "witness dumb" in str(report.problems[2])] == [True] * 3
