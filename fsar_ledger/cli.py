@@ -9,12 +9,14 @@ the errors of `errors.py`; `run` turns it into one message on stderr and its exi
 
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from .commands import judging, recover, trust
+from .commands.memory import bounded, reading
 from .commands.options import (
     AdoptOption,
     ArchitectureOption,
@@ -32,6 +34,7 @@ from .commands.options import (
     OriginOption,
     ParameterOption,
     PdfOption,
+    QueryMemoryOption,
     RequestOption,
     RunOption,
     RunsOption,
@@ -120,6 +123,7 @@ def simulate(
 
 
 @app.command(epilog=examples("fsar-ledger info out/ledger", "fsar-ledger info out/ledger --json"))
+@reading
 def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: JsonOption = False) -> None:
     """Show what a ledger holds, and whether it is complete.
 
@@ -138,8 +142,8 @@ def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: Json
         _show("\n" + table_text(found.groups, list(found.groups[0])))
 
 
-app.command(epilog=judging.METRICS)(judging.metrics)
-app.command(epilog=judging.STATISTICS)(judging.statistics)
+app.command(epilog=judging.METRICS)(reading(judging.metrics))
+app.command(epilog=judging.STATISTICS)(reading(judging.statistics))
 
 
 @app.command(
@@ -161,12 +165,12 @@ def query(
     limit: LimitOption = SHOWN_ROWS,
     verified: VerifiedOption = False,
     seconds: SecondsOption = None,
-    memory: MemoryOption = None,
+    memory: QueryMemoryOption = None,
 ) -> None:
     """Answer a question that has a name, or that stands in a file.
 
     The questions are the SQL files that come with the package; each says in its header what its rows and its NULLs mean. A file of
-    your own is answered as `sql` answers, locked down; a name is not, and takes as long as it takes.
+    your own is answered as `sql` answers, locked down; a name is not, and takes as long as it takes, within --memory.
     """
     from .commands.output import queries_text
     from .commands.questions import answer_query
@@ -175,8 +179,9 @@ def query(
         _show(queries_text(as_json=as_json, as_csv=as_csv))
         return
     own = {"--seconds": seconds, "--memory": memory}
-    for piece in answer_query((name, ledger), file, parameters_of(param), own, as_json=as_json, as_csv=as_csv, limit=limit, verified=verified):
-        _show(piece)
+    with nullcontext() if file else bounded(memory, ledger):
+        for piece in answer_query((name, ledger), file, parameters_of(param), own, as_json=as_json, as_csv=as_csv, limit=limit, verified=verified):
+            _show(piece)
 
 
 @app.command(
@@ -213,6 +218,7 @@ def sql(
         "fsar-ledger export out/ledger --query metrics/run_metrics --out out/run_metrics.csv",
     )
 )
+@reading
 def export(
     ledger: LedgerArgument,
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="A .csv or .parquet file; replaced if it exists.", show_default=False)],
@@ -231,6 +237,7 @@ def export(
 
 
 @app.command(epilog=examples("fsar-ledger audit out/ledger --architecture fsar", "fsar-ledger audit out/ledger --architecture fsar --invariant i4 --json"))
+@reading
 def audit(
     ledger: LedgerArgument,
     invariant: InvariantOption = None,
@@ -250,11 +257,11 @@ def audit(
         raise typer.Exit(1)
 
 
-app.command(epilog=trust.VERIFY)(trust.verify)
-app.command(epilog=trust.PROVE)(trust.prove)
+app.command(epilog=trust.VERIFY)(reading(trust.verify))
+app.command(epilog=trust.PROVE)(reading(trust.prove))
 app.command("verify-proof", epilog=trust.VERIFY_PROOF)(trust.verify_proof)
 app.add_typer(trust.keys, name="key")
-app.command(epilog=recover.RECOVER)(recover.recover)
+app.command(epilog=recover.RECOVER)(reading(recover.recover))
 
 
 @app.command(
@@ -265,6 +272,7 @@ app.command(epilog=recover.RECOVER)(recover.recover)
         "fsar-ledger explain out/ledger --run fsar.full.failure-recovery-chain --json",
     )
 )
+@reading
 def explain(
     ledger: LedgerArgument,
     run: RunOption = None,
@@ -288,6 +296,7 @@ def explain(
 @app.command(
     epilog=examples("fsar-ledger report out/ledger --out out/report.pdf", "fsar-ledger report out/ledger --workflows out/workflows --out out/report.pdf")
 )
+@reading
 def report(
     ledger: LedgerArgument,
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The PDF; replaced if it exists.", show_default=False)],
@@ -353,6 +362,9 @@ def run(arguments: Sequence[str]) -> int:
         context = getattr(problem, "ctx", None)
         _say(f"{problem.format_message()} (see `{context.command_path if context else 'fsar-ledger'} --help`)")
         return problem.exit_code
+    except MemoryError:
+        _say("memory: the system gave no more of it; close other programs, or do less at once")
+        return 1
     except OSError as problem:
         if problem.filename is None:
             raise

@@ -93,6 +93,8 @@ def _read(path: Path, columns: list[str] | None, footer: Footer | None) -> pa.Ta
         target = CODED_SCHEMA if footer else SCHEMA
         found = found.cast(pa.schema([target.field(name) for name in found.column_names]))
         return widened(found, columns or SCHEMA.names, target)
+    except pa.ArrowMemoryError:
+        raise  # the machine's fault
     except (OSError, pa.ArrowException) as error:
         raise LedgerCorrupted(f"{path}: the segment cannot be read ({error}); expected a Parquet file with valid page checksums; restore it") from error
 
