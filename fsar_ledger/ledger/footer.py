@@ -1,97 +1,120 @@
-"""What the footer and the page headers of a Parquet file say, read without trust (Thrift compact protocol).
+"""Why a footer or a page header is none of ours, for a message: what `grammar` did not match is read once more, field by field (Thrift compact protocol).
 
-pyarrow ends the process where a footer contradicts itself in some ways (another type in a column than in the schema, for one),
-so what a verifier looks at is read here, from bytes, before pyarrow looks.
+Nothing is decided here: a file that gets this far is refused, whatever is found.
 """
 
-import msgspec
+from collections.abc import Iterator
+
+import pyarrow as pa
+
+from fsar_ledger.ledger.schema import COLUMNS, Kind
 
 TYPES = ("BOOLEAN", "INT32", "INT64", "INT96", "FLOAT", "DOUBLE", "BYTE_ARRAY", "FIXED_LEN_BYTE_ARRAY")
 _TRUE, _FALSE, _BYTE, _I16, _I32, _I64, _DOUBLE, _BINARY, _LIST, _SET, _MAP, _STRUCT = range(1, 13)
 _NUMBERS = (_I16, _I32, _I64)
-_DATA, _INDEX, _DICTIONARY, _DATA_V2 = range(4)
 _MAX_DEPTH = 8
+_MAX_HEADER_BYTES = 1 << 14
+_OTHERWISE = "fields in another order, of another kind, or with other values than a segment has"
+_FOOTER = {5: "key-value metadata", 8: "an encryption", 9: "an encryption"}
+_GROUP = {4: "a declared order of rows"}
+_CHUNK = {1: "a column in another file", **dict.fromkeys((4, 5, 6, 7), "an index or a Bloom filter"), **dict.fromkeys((8, 9), "a column that is encrypted")}
+_ABOUT = {8: "key-value metadata", 10: "an index page", **dict.fromkeys((14, 15), "an index or a Bloom filter")}
 
 Struct = dict[int, "Value"]
 Value = int | bytes | list["Value"] | Struct
 
-
-class Column(msgspec.Struct, frozen=True):
-    """One column of the only row group. Units: `at`, `stored_bytes` bytes. `nulls`, `least` and `most` are the statistics; None where there are none.
-
-    `least` and `most` hold each bound once for each way in which it is stated, as the file holds it. `has_index` is true where a page index or a
-    Bloom filter stands somewhere.
-    """
-
-    path: str
-    type: str
-    at: int
-    stored_bytes: int
-    nulls: int | None
-    least: tuple[bytes, ...]
-    most: tuple[bytes, ...]
-    has_index: bool
+_ENCODINGS: dict[Kind, list[Value]] = {"string": [0, 3, 8], "strings": [0, 3, 8], "integer": [3, 5], "boolean": [3, 0]}
 
 
-class Page(msgspec.Struct, frozen=True):
-    """One page. Units: `stored_bytes` and `unpacked_bytes` without the header, bytes."""
+def explain_footer(data: bytes, schema: pa.Schema) -> str:
+    """Why these bytes are not the footer of a segment with these columns."""
+    try:
+        footer, end = read_struct(data, 0)
+        found = next(_faults(footer, schema), None)
+    except IndexError:
+        return "the footer: half of it, expected all"
+    except (ValueError, RecursionError) as error:
+        return f"the footer: {error}"
+    if found is None:
+        found = f"{len(data) - end} bytes after its end, expected none" if end != len(data) else f"{_OTHERWISE}, expected those of its format"
+    return f"the footer: {found}"
 
-    values: int
-    encoding: int
-    stored_bytes: int
-    unpacked_bytes: int
-    is_data: bool
+
+def explain_page(data: bytes, at: int) -> str:
+    """Why no page of ours begins here."""
+    try:
+        header, _ = read_struct(data[at : at + _MAX_HEADER_BYTES], 0)
+        for field in (2, 3):
+            _count(header, field)
+        about = next((_struct(header[field]) for field in (5, 7, 8) if field in header), None)
+        if about is None or 8 in header:
+            return f"a page of kind {header.get(1)!r:.40}, expected data (0) or a dictionary (2)"
+        _count(about, 1)
+        encoding = about.get(2)
+    except IndexError:
+        return f"half a page header at byte {at}, expected all of it"
+    except (ValueError, RecursionError) as error:
+        return f"a page at byte {at}: {error}"
+    if 4 not in header:
+        return f"a page at byte {at} without a checksum, expected one"
+    return f"a page in encoding {encoding!r:.40} with {_OTHERWISE} (byte {at}), expected PLAIN, RLE_DICTIONARY for text, DELTA_BINARY_PACKED for integers"
 
 
-def read_footer(data: bytes) -> tuple[tuple[Column, ...], bool]:
-    """The columns of the file with this footer, and whether it declares an order of its rows.
-
-    Raises:
-        ValueError or IndexError: It is none, has not exactly one row group, or leads elsewhere.
-    """
-    footer, _ = read_struct(data, 0)
+def _faults(footer: Struct, schema: pa.Schema) -> Iterator[str]:
+    """What is wrong with a footer; perhaps nothing that is seen here."""
+    yield from _extra(footer, {1, 2, 3, 4, 6, 7}, _FOOTER)
     groups = _list(footer, 4)
     if len(groups) != 1:
-        raise ValueError(f"{len(groups)} row groups, expected 1")
-    group = _as_struct(groups[0])
-    return tuple(map(_column, _list(group, 1))), bool(group.get(4))
+        yield f"{len(groups)} row groups, expected 1"
+    group = _struct(groups[0])
+    yield from _extra(group, {1, 2, 3, 5, 6}, _GROUP)
+    chunks = [_struct(chunk) for chunk in _list(group, 1)]
+    names = [_path(chunk) for chunk in chunks]
+    for at in range(max(len(chunks), len(schema))):
+        found, expected = names[at] if at < len(names) else None, _expected(schema, at)
+        if found != expected:
+            yield f"column {at} as {found}, expected {expected} as in the columns of a release"
+    for (name, _), chunk in zip(names, chunks, strict=True):
+        yield from _faults_of_column(name, chunk, schema)
 
 
-def _column(chunk: Value) -> Column:
-    chunk = _as_struct(chunk)
-    if chunk.keys() & {1, 8, 9}:
-        raise ValueError("a column in another file or encrypted, expected it in this one")
-    about = _as_struct(chunk.get(3, {}))
-    kind = count_in(about, 1)
-    if kind >= len(TYPES):
-        raise ValueError(f"a column of type {kind}, expected one of Parquet's")
-    starts = [count_in(about, field) for field in (9, 11) if field in about]
-    stated = _as_struct(about.get(12, {}))
-    least, most = (tuple(value for field in fields if isinstance(value := stated.get(field), bytes)) for fields in ((6, 2), (5, 1)))
-    return Column(
-        ".".join(_text(part) for part in _list(about, 3)),
-        TYPES[kind],
-        min(starts, default=0),
-        count_in(about, 7),
-        count_in(stated, 3) if 3 in stated else None,
-        least,
-        most,
-        bool(chunk.keys() & {4, 5, 6, 7} or about.keys() & {14, 15}),
-    )
+def _faults_of_column(name: str, chunk: Struct, schema: pa.Schema) -> Iterator[str]:
+    about = _struct(chunk.get(3, {}))
+    yield from _extra(chunk, {2, 3}, _CHUNK, f" of column {name}")
+    yield from _extra(about, {1, 2, 3, 4, 5, 6, 7, 9, 11, 12, 13, 16}, _ABOUT, f" of column {name}")
+    for field in (4, 5, 6, 7, 9):
+        _count(about, field)
+    if about[4] != 6:
+        yield f"column {name} in codec {about[4]!r}, expected 6 (zstd)"
+    encodings = _ENCODINGS[COLUMNS[name.partition(".")[0]]]
+    if _list(about, 2) != encodings:
+        yield f"column {name} in encodings {about[2]!r:.40}, expected {encodings}"
+    if 12 in about and name not in schema.names[:3]:
+        yield f"statistics of column {name}, expected none but of {', '.join(schema.names[:3])}"
+    if nulls := _struct(about.get(12, {})).get(3):
+        yield f"statistics that say {nulls!r:.40} NULL of column {name}, expected none"
 
 
-def read_page(data: bytes) -> tuple[Page, int]:
-    """The page whose header these bytes begin with, and the length of the header. Raises: ValueError or IndexError if they are none."""
-    header, length = read_struct(data, 0)
-    kind, unpacked, stored = (count_in(header, field) for field in (1, 2, 3))
-    fields = {_DATA: (5, 1, 2), _DICTIONARY: (7, 1, 2), _DATA_V2: (8, 1, 4)}.get(kind)
-    if fields is None or fields[0] not in header:
-        raise ValueError(f"a page of kind {kind}, expected data or a dictionary")
-    part = _as_struct(header[fields[0]])
-    return Page(count_in(part, fields[1]), count_in(part, fields[2]), stored, unpacked, kind != _DICTIONARY), length
+def _path(chunk: Struct) -> tuple[str, str]:
+    """The path and the type of a column."""
+    about = _struct(chunk.get(3, {}))
+    kind = _count(about, 1)
+    return ".".join(_text(part) for part in _list(about, 3)), TYPES[kind] if kind < len(TYPES) else f"type {kind}"
 
 
-def count_in(struct: Struct, field: int) -> int:
+def _expected(schema: pa.Schema, at: int) -> tuple[str, str] | None:
+    if at >= len(schema):
+        return None
+    name = schema.names[at]
+    return {"string": (name, TYPES[6]), "strings": (f"{name}.list.element", TYPES[6]), "integer": (name, TYPES[2]), "boolean": (name, TYPES[0])}[COLUMNS[name]]
+
+
+def _extra(struct: Struct, known: set[int], names: dict[int, str], where: str = "") -> Iterator[str]:
+    for field in sorted(struct.keys() - known):
+        yield f"{names.get(field, f'field {field}')}{where}, expected none: readers may read other rows by it"
+
+
+def _count(struct: Struct, field: int) -> int:
     """The field, which counts something. Raises: ValueError if it does not."""
     value = struct.get(field)
     if not isinstance(value, int) or value < 0:
@@ -99,7 +122,7 @@ def count_in(struct: Struct, field: int) -> int:
     return value
 
 
-def _as_struct(value: Value) -> Struct:
+def _struct(value: Value) -> Struct:
     if not isinstance(value, dict):
         raise ValueError(f"{value!r:.40}, expected a struct")
     return value
@@ -131,6 +154,8 @@ def read_struct(data: bytes, at: int, depth: int = 0) -> tuple[Struct, int]:
             field += step
         else:
             field, at = _zigzag(data, at)
+        if field in found:
+            raise ValueError(f"field {field} twice in one struct, expected it once")
         if kind in (_TRUE, _FALSE):
             found[field] = int(kind == _TRUE)
         else:
@@ -149,13 +174,15 @@ def _value(data: bytes, at: int, kind: int, depth: int) -> tuple[Value, int]:
     if kind == _STRUCT:
         return read_struct(data, at, depth + 1)
     if kind == _LIST:
-        return _values(data, at, depth)
+        return _values(data, at, depth + 1)
     if kind in (_BYTE, _TRUE, _FALSE):
         return data[at], at + 1
     raise ValueError(f"a field of type {kind}, expected numbers, bytes, lists and structs")
 
 
 def _values(data: bytes, at: int, depth: int) -> tuple[list[Value], int]:
+    if depth > _MAX_DEPTH:
+        raise ValueError(f"more than {_MAX_DEPTH} structs in each other, expected fewer")
     size, kind = data[at] >> 4, data[at] & 15
     at += 1
     if size == 15:
@@ -164,7 +191,7 @@ def _values(data: bytes, at: int, depth: int) -> tuple[list[Value], int]:
         raise ValueError(f"a list of {size}, expected at most the {len(data) - at} bytes that are left")
     found: list[Value] = []
     for _ in range(size):
-        value, at = _value(data, at, kind, depth + 1)
+        value, at = _value(data, at, kind, depth)
         found.append(value)
     return found, at
 
@@ -176,6 +203,8 @@ def _varint(data: bytes, at: int) -> tuple[int, int]:
         shift, at = shift + 7, at + 1
         if shift > 63:
             raise ValueError("a number of more than 64 bits, expected a shorter one")
+    if shift and not byte:
+        raise ValueError("a number written longer than it need be, expected it as short as it can be")
     return value | byte << shift, at + 1
 
 

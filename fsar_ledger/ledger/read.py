@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger
 from fsar_ledger.ledger import canonical, codec, disk, merkle, segment
-from fsar_ledger.ledger.bounds import check_bounds
+from fsar_ledger.ledger.layout import check_bounds
 from fsar_ledger.ledger.merkle import Frontier
 from fsar_ledger.ledger.place import require_created
 from fsar_ledger.ledger.record import (

@@ -16,8 +16,8 @@ import pyarrow.parquet as pq
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger import canonical
 from fsar_ledger.ledger.arrow import places, whole
-from fsar_ledger.ledger.bounds import Footer, check_bounds
 from fsar_ledger.ledger.check import first_flaw, run_starts
+from fsar_ledger.ledger.layout import Layout, check_layout, read_file
 from fsar_ledger.ledger.problem import Problem, refusal, unexpected
 from fsar_ledger.ledger.record import COMMITS, CommitRecord
 from fsar_ledger.ledger.releases import FINGERPRINTS
@@ -86,29 +86,30 @@ def _examine(file: str, place: str, number: int, record: CommitRecord) -> Segmen
         return SegmentFacts(file, (Problem(file, str(found), str(expected), commit=number, field=field),))
 
     path = Path(place)
+    data = read_file(path)
+    if hashlib.sha256(data).hexdigest() != record.segment_sha256:
+        return fail("another file than a moment ago", "one file", "segment_sha256")
     try:
-        footer = check_bounds(path)
+        layout = check_layout(path, data)
     except LedgerCorrupted as error:
         return fail(f"no segment {refusal(path, error)}", "one as it is written", "segment_sha256")
-    metadata = footer.metadata
-    if metadata.num_rows != record.rows:
-        return fail(metadata.num_rows, f"{record.rows}, {says}", "rows")
-    table = read_coded(path, footer)
-    columns = metadata.schema.to_arrow_schema()
-    if fingerprint(columns) != record.schema_sha256:
-        return fail(fingerprint(columns), f"{record.schema_sha256}, {says}", "schema_sha256")
+    if layout.rows != record.rows:
+        return fail(layout.rows, f"{record.rows}, {says}", "rows")
+    if fingerprint(layout.schema) != record.schema_sha256:
+        return fail(fingerprint(layout.schema), f"{record.schema_sha256}, {says}", "schema_sha256")
+    table = read_coded(path, data, layout)
     flaw = first_flaw(table)
     problems = () if flaw is None else (Problem(file, flaw.found, flaw.expected, number, flaw.run, flaw.seq, flaw.field),)
     run_ids = whole(table.column("run_id"))
     runs = tuple(run_ids.take(run_starts(run_ids)).to_pylist())
-    misleading = _misleading(path, footer, table.select(columns.names))
+    misleading = _misleading(data, layout, table.select(layout.schema.names))
     if misleading is not None:
         problems = (*problems, Problem(file, *misleading, commit=number, field="segment_sha256"))
     leaves = b"".join(canonical.hashes(canonical.from_table(table)))
     return SegmentFacts(file, problems, table.num_rows, runs, leaves)
 
 
-def _misleading(path: Path, footer: Footer, table: pa.Table) -> tuple[str, str] | None:
+def _misleading(data: bytes, layout: Layout, table: pa.Table) -> tuple[str, str] | None:
     """What in the file beside its rows (found, expected) could make a reader see other rows than those; None if nothing.
 
     A query engine skips rows by the statistics in the footer, and no leaf covers those. The same version of pyarrow
@@ -116,29 +117,21 @@ def _misleading(path: Path, footer: Footer, table: pa.Table) -> tuple[str, str] 
     """
     is_ours = all(_is_sorted(whole(table.column(name))) for name in table.column_names)  # else writing them again repeats what is not ours
     again = to_parquet(table)
-    if is_ours and again.equals(pa.py_buffer(path.read_bytes())):
+    if is_ours and again.equals(pa.py_buffer(data)):
         return None
-    if footer.metadata.created_by == pq.read_metadata(pa.BufferReader(again)).created_by:
+    if layout.created_by == pq.read_metadata(pa.BufferReader(again)).created_by:
         return "other bytes", "those that these rows are written as"
-    if footer.has_order:
-        return "a declared order of rows", "none: readers skip rows by it, and nothing vouches for it"
-    for column in footer.columns:
-        if column.has_index:
-            return f"an index or a Bloom filter of column {column.path}", "none: readers skip rows by them, and nothing vouches for what they say"
-        values = table.column(column.path).cast(SCHEMA.field(column.path).type) if column.path in table.column_names else None
-        nulls = values.null_count if values is not None else None
-        least, most = map(_stored, pc.min_max(values).as_py().values()) if values is not None else (None, None)
-        if {*column.least} - {least} or {*column.most} - {most} or column.nulls not in (None, nulls):
-            said = f"{[*column.least]} to {[*column.most]} and {column.nulls} NULL"
-            return f"statistics {said} of column {column.path}", f"{least!r} to {most!r} and {nulls} NULL, as its rows are"
+    for said in layout.statistics:
+        values = table.column(said.name).cast(SCHEMA.field(said.name).type)
+        least, most = map(_stored, pc.min_max(values).as_py().values())
+        if (said.least, said.most) != (least, most):
+            return f"statistics {said.least!r} to {said.most!r} of column {said.name}", f"{least!r} to {most!r}, as its rows are"
     return None
 
 
-def _stored(value: bool | int | str | None) -> bytes | None:
+def _stored(value: int | str) -> bytes:
     """A value as the statistics of Parquet hold it."""
-    if isinstance(value, str):
-        return value.encode()
-    return None if value is None else value.to_bytes(1 if isinstance(value, bool) else 8, "little", signed=not isinstance(value, bool))
+    return value.encode() if isinstance(value, str) else value.to_bytes(8, "little", signed=True)
 
 
 def _is_sorted(column: pa.Array) -> bool:

@@ -20,6 +20,7 @@ CHECKED: dict[str, tuple[str, ...] | None] = {
     "record.py": None,
     "segment.py": ("_read",),
     "bounds.py": None,
+    "layout.py": None,
     "footer.py": None,
     "disk.py": ("read_document",),
     "note.py": ("is_name", "has_signed", "parse_note", "_parse_signature"),

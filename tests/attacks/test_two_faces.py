@@ -1,0 +1,70 @@
+"""One segment with two contents: readers begin a column where its data, or where its dictionary begins, and these are two places."""
+
+import json
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pytest
+
+from fsar_ledger.ledger import segment
+from fsar_ledger.ledger.schema import SCHEMA
+from tests.attacks.conftest import Attack
+from tests.cli.conftest import Called
+from tests.ledger.forgery import forge_segment, table_of
+from tests.ledger.parts import two_faced
+
+
+def without_policy(table: pa.Table) -> pa.Table:
+    """The same rows, but every policy window and rule is about a robot that does not exist."""
+    is_policy = pc.is_in(table["type"], pa.array(["PolicyWindowOpened.v1", "PolicyRuleSet.v1"]))
+    at = SCHEMA.get_field_index("robot")
+    return table.set_column(at, SCHEMA.field(at), pc.if_else(is_policy, "nobody", table["robot"]))
+
+
+@pytest.fixture
+def ledger(command: Attack, tmp_path: Path) -> Path:
+    """A ledger of one run with violations of policy, signed."""
+    call = ("--runs", "1", "--architecture", "dhma", "--scenario", "mixed-trust-inspection", "--key", "key", "--origin", "example.org/fleet")
+    assert command("key", "new", "key", "--name", "example.org/fleet").code == 0
+    assert command("simulate", "ledger", *call).code == 0
+    return tmp_path / "ledger"
+
+
+def violations(answer: Called) -> float:
+    """The policy violations in an answer of `metrics`."""
+    (value,) = [row["mean"] for row in json.loads(answer.out)["rows"] if row["metric"] == "policy_violations"]
+    return float(value)
+
+
+@pytest.fixture
+def forged(ledger: Path) -> Path:
+    """The ledger with the same records, notes and root, and a segment that has two contents."""
+    table = table_of(ledger, 0)
+    honest, other = (bytes(segment.to_parquet(rows)) for rows in (table, without_policy(table)))
+    forge_segment(ledger, 0, two_faced(honest, other, "robot"))
+    return ledger
+
+
+def test_a_segment_with_two_contents_is_not_consistent(command: Attack, forged: Path) -> None:
+    called = command("verify", forged)
+    assert called.code == 3, called.out
+    assert "segments/000000000000.parquet" in called.err
+
+
+def test_a_segment_with_two_contents_gives_no_other_metrics(command: Attack, ledger: Path, request: pytest.FixtureRequest) -> None:
+    honest = command("metrics", ledger, "--json")
+    assert honest.code == 0, honest.err
+    assert violations(honest) > 0
+    forged = request.getfixturevalue("forged")
+    called = command("metrics", forged, "--json")
+    assert called.code in (2, 3), f"found {violations(called)} policy violations under the same root, expected a refusal"
+    assert "segments/000000000000.parquet" in called.err
+
+
+@pytest.mark.parametrize("verb", [("query", "metrics/policy_violations"), ("audit",), ("sql",)], ids=lambda verb: verb[0])
+def test_a_segment_with_two_contents_is_refused_by_every_answer(command: Attack, forged: Path, verb: tuple[str, ...]) -> None:
+    more = ("SELECT count(*) FROM policy_windows",) if verb == ("sql",) else ()
+    called = command(*verb, forged, *more)
+    assert called.code in (2, 3), called.out[:500]
+    assert "segments/000000000000.parquet" in called.err
