@@ -33,6 +33,26 @@ own AS (
     WHERE $run IN ('all', run_id) AND $action IN ('all', action_id)
 ),
 
+steps AS (
+    -- From each record to what caused it, and to what it caused, where that names no action.
+    SELECT
+        effects.run_id,
+        effects.seq AS from_seq,
+        known.seq,
+        known.caused_by
+    FROM known AS effects
+    INNER JOIN known ON effects.run_id = known.run_id AND effects.caused_by = known.seq
+    WHERE known.action_id IS NULL AND known.is_told
+    UNION ALL
+    SELECT
+        run_id,
+        caused_by AS from_seq,
+        seq,
+        caused_by
+    FROM known
+    WHERE action_id IS NULL AND is_told
+),
+
 chain AS (
     SELECT
         run_id,
@@ -42,16 +62,15 @@ chain AS (
         TRUE AS is_tied
     FROM own
     UNION
-    -- What caused it, and what it caused, as long as the record names no action.
     SELECT
-        known.run_id,
+        chain.run_id,
         chain.action_id,
-        known.seq,
-        known.caused_by,
+        steps.seq,
+        steps.caused_by,
         FALSE AS is_tied
     FROM chain
-    INNER JOIN known ON chain.run_id = known.run_id AND (chain.caused_by = known.seq OR chain.seq = known.caused_by)
-    WHERE known.action_id IS NULL AND known.is_told
+    INNER JOIN steps ON chain.run_id = steps.run_id AND chain.seq = steps.from_seq
+    WHERE chain.seq = steps.caused_by OR chain.caused_by = steps.seq
 )
 
 SELECT
