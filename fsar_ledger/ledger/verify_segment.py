@@ -105,7 +105,7 @@ def _examine(file: str, place: str, number: int, record: CommitRecord) -> Segmen
     misleading = _misleading(data, layout, table.select(layout.schema.names))
     if misleading is not None:
         problems = (*problems, Problem(file, *misleading, commit=number, field="segment_sha256"))
-    leaves = b"".join(canonical.hashes(canonical.from_table(table)))
+    leaves = canonical.leaves(table)
     return SegmentFacts(file, problems, table.num_rows, runs, leaves)
 
 

@@ -235,7 +235,8 @@ def _check_columns(names: Sequence[str], kinds: Sequence[str]) -> None:
 def plain_rows(table: pa.Table) -> list[dict[str, Any]]:
     """The rows as dictionaries. DuckDB's sums of integers are decimals in Arrow; here they are integers again."""
     whole = [field.name for field in table.schema if pa.types.is_decimal(field.type) and field.type.scale == 0]
-    rows: list[dict[str, Any]] = table.to_pylist()
+    # Some at a time: between two parts whoever watches over the memory of this process has its turn.
+    rows: list[dict[str, Any]] = [row for part in table.to_batches(max_chunksize=BATCH_ROWS) for row in part.to_pylist()]
     for row in rows if whole else ():
         row.update({name: None if row[name] is None else int(row[name]) for name in whole})
     return rows
