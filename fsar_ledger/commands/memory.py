@@ -16,8 +16,8 @@ from .options import ReadingMemoryOption
 from .terminal import say
 
 LEAST_MIB = 256
-BASE_BYTES = 768 << 20
-PER_BYTE = 24
+BASE_BYTES = 640 << 20
+PER_BYTE = 16
 """By default a command may take so much, and so many bytes for each that the segments take on disk: `audit` needs 300 MiB and 10, and no other more."""
 
 MACHINE_SHARE = 0.8

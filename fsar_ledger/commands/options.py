@@ -41,7 +41,7 @@ MemoryOption = Annotated[
 ReadingMemoryOption = Annotated[
     int | None,
     typer.Option(
-        "--memory", metavar="MIB", help="The most memory that this may take.", show_default="768, and 24 times what the ledger's segments take on disk"
+        "--memory", metavar="MIB", help="The most memory that this may take.", show_default="640, and 16 times what the ledger's segments take on disk"
     ),
 ]
 QueryMemoryOption = Annotated[
@@ -50,7 +50,7 @@ QueryMemoryOption = Annotated[
         "--memory",
         metavar="MIB",
         help="The most memory that this may take; for a SELECT of your own at least 1024.",
-        show_default="4096 for a SELECT of your own; else 768, and 24 times what the ledger's segments take on disk",
+        show_default="4096 for a SELECT of your own; else 640, and 16 times what the ledger's segments take on disk",
     ),
 ]
 ParameterOption = Annotated[
