@@ -34,43 +34,30 @@ own AS (
 ),
 
 steps AS (
-    -- From each record to what caused it, and to what it caused, where that names no action.
-    SELECT
-        effects.run_id,
-        effects.seq AS from_seq,
-        known.seq,
-        known.caused_by
-    FROM known AS effects
-    INNER JOIN known ON effects.run_id = known.run_id AND effects.caused_by = known.seq
-    WHERE known.action_id IS NULL AND known.is_told
-    UNION ALL
     SELECT
         run_id,
-        caused_by AS from_seq,
-        seq,
-        caused_by
+        unnest([seq, caused_by]) AS from_seq,
+        unnest([caused_by, seq]) AS to_seq
     FROM known
-    WHERE action_id IS NULL AND is_told
 ),
 
 chain AS (
     SELECT
-        run_id,
-        action_id,
-        seq,
-        caused_by,
+        own.*,
         TRUE AS is_tied
     FROM own
     UNION
+    -- What caused it, and what it caused, as long as the record names no action.
     SELECT
-        chain.run_id,
+        known.run_id,
         chain.action_id,
-        steps.seq,
-        steps.caused_by,
+        known.seq,
+        known.caused_by,
         FALSE AS is_tied
     FROM chain
     INNER JOIN steps ON chain.run_id = steps.run_id AND chain.seq = steps.from_seq
-    WHERE chain.seq = steps.caused_by OR chain.caused_by = steps.seq
+    INNER JOIN known ON steps.run_id = known.run_id AND steps.to_seq = known.seq
+    WHERE known.action_id IS NULL AND known.is_told AND (chain.caused_by = known.seq OR chain.seq = known.caused_by)
 )
 
 SELECT
