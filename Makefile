@@ -14,14 +14,14 @@ BIN := .venv/bin
 READY := .venv/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test check soak soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement bench docs clean
+.PHONY: help setup reproduce test check soak soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips bench docs clean
 
 help:
 	@echo "make setup      a .venv with the command fsar-ledger in it"
 	@echo "make reproduce  simulate the paper's experiment, measure it, typeset the report into $(OUT)/"
 	@echo "make test       every check and every test"
 	@echo "make check      the checks without the tests: style, types, imports, SQL"
-	@echo "make soak       the long tests, about an hour: make soak-tests, -federation, -crash, -damage, -verifier, -agreement are its parts"
+	@echo "make soak       the long tests, about an hour: make soak-tests, -federation, -crash, -damage, -verifier, -agreement, -flips are its parts"
 	@echo "make bench      the benchmarks, as ratios"
 	@echo "make docs       write the pages that hold real output again"
 	@echo "make clean      remove what the other targets made"
@@ -49,7 +49,7 @@ check: setup
 test: check
 	$(BIN)/pytest -n $(JOBS) --dist worksteal
 
-soak: soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement
+soak: soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips
 
 # The tests that make test leaves out because they take minutes.
 soak-tests: setup
@@ -74,6 +74,10 @@ soak-verifier: setup
 # The verifier that shares nothing with the package, and verify, on 1,200 good and damaged ledgers.
 soak-agreement: setup
 	$(BIN)/python -m tests.ledger.agreement_soak 1200
+
+# 2,000 single bits flipped over all files of a ledger, and then every command that answers from it: refused, or the right answer.
+soak-flips: setup
+	$(BIN)/python -m tests.ledger.flips_soak 2000
 
 bench: setup
 	$(BIN)/python benchmarks/command_line.py

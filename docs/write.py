@@ -54,9 +54,8 @@ def answered(block: str, folder: Path) -> Iterator[str]:
         yield command
         text = "\n".join(line[2:] for line in command.splitlines())
         path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-        done = subprocess.run(
-            ["sh", "-c", text], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False, env={**os.environ, "PATH": path}
-        )
+        surroundings = {**os.environ, "PATH": path, "XDG_CACHE_HOME": f"{folder}/.cache"}  # nothing is remembered of other ledgers
+        done = subprocess.run(["sh", "-c", text], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False, env=surroundings)
         yield done.stdout
 
 

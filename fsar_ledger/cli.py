@@ -137,7 +137,8 @@ def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: Json
         answer = {"groups": found.groups, "models": found.models, "runs": found.run_count, "is_complete": found.is_complete}
         _show(json_text(head, {"ledger": str(ledger), "commits": head.commits, **answer}, found.rows_verified))
         return
-    _show(f"{ledger}: {head.size:,} events in {head.commits:,} commits\nroot {head.root}\n{found.summary()}\n")
+    standing = "" if found.rows_verified else " (the rows were not compared with it)"
+    _show(f"{ledger}: {head.size:,} events in {head.commits:,} commits\nroot {head.root}{standing}\n{found.summary()}\n")
     if found.groups:
         _show("\n" + table_text(found.groups, list(found.groups[0])))
 

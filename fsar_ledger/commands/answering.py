@@ -30,7 +30,7 @@ def answering(ledger: Path, *, verified: bool) -> Iterator["Database"]:
         warn(ledger, rows_verified=bool(database.rows_verified))
 
 
-def demanded_head(ledger: Path, *, verified: bool, workers: int | None = None) -> str | None:
+def demanded_head(ledger: Path, *, verified: bool) -> str | None:
     """The newest record whose rows are compared with its root, remembered or by a whole look now, if that is demanded.
 
     Raises:
@@ -40,7 +40,7 @@ def demanded_head(ledger: Path, *, verified: bool, workers: int | None = None) -
     if not verified:
         return None
     newest = open_for_answers(ledger).record_sha256
-    return newest if is_remembered(newest) else looked_head(ledger, workers_of(workers))
+    return newest if is_remembered(newest) else looked_head(ledger, workers_of(None))
 
 
 def looked_head(ledger: Path, workers: int) -> str:

@@ -74,7 +74,8 @@ def csv_text(rows: Sequence[Row], columns: Sequence[str]) -> str:
 def verdict_text(ledger: Path, report: "VerifyReport") -> str:
     """What `verify` found, for people: one line for each problem, or that there is none and what that covers."""
     if not report.ok:
-        return report.refusal(ledger)
+        count = f"{len(report.problems)} problem{'' if len(report.problems) == 1 else 's'}{' at a quick look' if report.is_quick else ''}"
+        return "\n".join([*map(str, report.problems), f"{ledger}: {count}; do not rely on this ledger, restore it from a copy that verifies"])
     counts = f"{report.events:,} events{'' if report.is_quick else f' of {report.runs:,} runs'} in {report.commits:,} commits"
     looked = "consistent at a quick look, which reads no rows" if report.is_quick else "consistent"
     lines = [f"{ledger}: {looked}, {signature_text(report.signature, report.signer)}: {counts}", f"root {report.root}"]

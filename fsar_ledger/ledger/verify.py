@@ -69,11 +69,6 @@ class VerifyReport(msgspec.Struct, frozen=True):
     remarks: tuple[str, ...] = ()
     record_sha256: str | None = None
 
-    def refusal(self, ledger: Path) -> str:
-        """What was found, for people: one line for each problem, and what to do."""
-        count = f"{len(self.problems)} problem{'' if len(self.problems) == 1 else 's'}{' at a quick look' if self.is_quick else ''}"
-        return "\n".join([*map(str, self.problems), f"{ledger}: {count}; do not rely on this ledger, restore it from a copy that verifies"])
-
 
 def verify(path: Path, workers: int = 1, progress: Progress | None = None, asked: Asked | None = None) -> VerifyReport:
     """Every field of every record was derived again, and every difference is a problem of the report.

@@ -9,6 +9,7 @@ from fsar_ledger.errors import UnknownQuery, UsageError
 
 from .database import Database
 from .library import Query, library
+from .results import typed
 
 
 class AuditRow(msgspec.Struct, frozen=True):
@@ -62,7 +63,7 @@ def audit_rows(database: Database, queries: Sequence[Query], architectures: Sequ
     rows = [row for query in queries for row in database.rows(_counts(query), {"architectures": wanted})]
     if not rows:
         raise UsageError(f"audit: found no runs of {' or '.join(architectures) or 'any architecture'}; `fsar-ledger info` shows what a ledger holds")
-    return msgspec.convert(rows, list[AuditRow])
+    return typed(rows, AuditRow)
 
 
 def _counts(query: Query) -> str:

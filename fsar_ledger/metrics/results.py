@@ -1,8 +1,14 @@
 """The answers of the metric and statistics queries as typed rows, in the order of the paper's tables."""
 
+from typing import Any, TypeVar
+
 import msgspec
 
+from fsar_ledger.errors import LedgerCorrupted
+
 from .database import Database
+
+_Row = TypeVar("_Row", bound=msgspec.Struct)
 
 
 class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
@@ -67,7 +73,7 @@ def metric_rows(database: Database, by_scenario: bool = False) -> list[MetricRow
         WHERE scenario IS {"NOT NULL" if by_scenario else "NULL"}
         ORDER BY configuration <> 'full', configuration, fleet_size, position, scenario, list_position(['fsar', 'cfc', 'dhma'], architecture)
     """)
-    return msgspec.convert(rows, list[MetricRow])
+    return typed(rows, MetricRow)
 
 
 def statistic_rows(database: Database, defined_only: bool = False) -> list[StatisticRow]:
@@ -81,4 +87,12 @@ def statistic_rows(database: Database, defined_only: bool = False) -> list[Stati
         FROM {relation}
         ORDER BY configuration <> 'full', configuration, fleet_size, position, metric, list_position(['fsar-cfc', 'fsar-dhma', 'cfc-dhma'], comparison)
     """)
-    return msgspec.convert(rows, list[StatisticRow])
+    return typed(rows, StatisticRow)
+
+
+def typed(rows: list[dict[str, Any]], kind: type[_Row]) -> list[_Row]:
+    """The rows as structs. Raises: LedgerCorrupted where a value is none that an event as `verify` accepts it leads to."""
+    try:
+        return msgspec.convert(rows, list[kind])  # type: ignore[valid-type]
+    except msgspec.ValidationError as error:
+        raise LedgerCorrupted(f"the answer: found a row that no events give ({error}), expected what {kind.__name__} holds; run fsar-ledger verify") from error

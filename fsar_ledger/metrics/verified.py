@@ -18,6 +18,7 @@ from pathlib import Path
 
 from fsar_ledger import __version__
 from fsar_ledger.errors import LedgerCorrupted, SequenceConflict, UsageError
+from fsar_ledger.ledger import disk
 from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.ledger.read import LedgerView
 from fsar_ledger.ledger.verify import Asked, VerifyReport, verify
@@ -37,12 +38,14 @@ def required_look(ledger: Path, workers: int = 1, progress: Callable[[int, int],
     """The SHA-256 of the newest record of this ledger, after a whole look that doubts nothing; for `is_verified`.
 
     Raises:
-        LedgerCorrupted: The look doubts something; the message names every problem.
+        LedgerCorrupted: The look doubts something; the message names the first problem.
         NotALedger: As `verify`.
     """
     report = whole_look(ledger, workers, progress)
     if report.record_sha256 is None:
-        raise LedgerCorrupted(report.refusal(ledger))
+        first, *others = report.problems
+        more = f" ({len(others)} more of these)" if others else ""
+        raise LedgerCorrupted(f"{ledger}: {first}{more}; no answer is given from rows that are not those under the root, run fsar-ledger verify")
     return report.record_sha256
 
 
@@ -66,13 +69,11 @@ def is_remembered(record_sha256: str) -> bool:
     folder = _folder()
     if folder is None or not _is_own(folder):
         return False
+    file = folder / _name(record_sha256)
     try:
-        handle = os.open(folder / _name(record_sha256), os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
+        return _is_safe(file.lstat()) and disk.read_document(file) == _line(record_sha256)
     except OSError:
         return False
-    with open(handle, "rb") as file:
-        status = os.fstat(handle)
-        return stat.S_ISREG(status.st_mode) and _is_safe(status) and file.read(len(record_sha256) + 2) == _line(record_sha256)
 
 
 def _remember(record_sha256: str) -> None:

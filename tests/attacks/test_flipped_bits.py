@@ -21,12 +21,12 @@ from tests.ledger.forgery import changed, forge_segment, table_of
 from .conftest import Attack
 
 NUMBER = 0
-"""The commit that is attacked: the run of the first architecture."""
+"""The commit that is attacked: the runs of the first architecture."""
 
 
 @pytest.fixture(scope="module")
 def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A ledger of one run of each architecture, which tests copy."""
+    """A ledger of three runs of each architecture, which tests copy."""
     path = tmp_path_factory.mktemp("honest") / "ledger"
     write_runs(path)
     return path
@@ -69,11 +69,7 @@ def read_by_duckdb(segment: Path, column: str) -> list[tuple[object, ...]]:
     ("verb", "column"),
     [
         (("metrics",), "time_us"),
-        (("metrics", "--by", "scenario", "--json"), "scenario"),
-        (("statistics", "--csv"), "scenario"),
-        (("audit",), "architecture"),
         (("explain",), "action_id"),
-        (("info",), "seed"),
     ],
 )
 def test_no_answer_comes_from_a_segment_with_a_flipped_bit(command: Attack, ledger: Path, verb: tuple[str, ...], column: str) -> None:
@@ -89,9 +85,9 @@ def test_no_answer_comes_from_a_segment_with_a_flipped_bit(command: Attack, ledg
 
 def test_a_look_before_the_bit_was_flipped_excuses_nothing(command: Attack, ledger: Path) -> None:
     assert command("verify", ledger).code == 0
-    flip_unnoticed(segment_path(ledger, NUMBER), "time_us")
+    flip_unnoticed(segment_path(ledger, NUMBER), "scenario")
 
-    answer = command("metrics", ledger, "--json")
+    answer = command("statistics", ledger, "--csv")
 
     assert (answer.code, answer.out) == (3, "")
 

@@ -9,7 +9,7 @@ from typing import NamedTuple, get_args
 
 from fsar_ledger import cli
 from fsar_ledger.constants import Constants
-from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.ledger.damage import files_of, kind_of
@@ -24,7 +24,7 @@ VERBS: dict[str, tuple[str, ...]] = {
     "explain": ("explain", "LEDGER"),
     "info": ("info", "LEDGER", "--json"),
     "prove": ("prove", "LEDGER", "700"),
-    "prove by name": ("prove", "LEDGER", "cfc.full:9"),
+    "prove by name": ("prove", "LEDGER", "cfc.full.door-relay:9"),
     "export": ("export", "LEDGER", "--out", "OUT/events.csv"),
     "export of a query": ("export", "LEDGER", "--query", "metrics/run_metrics", "--out", "OUT/metrics.parquet"),
     "replay": ("verify", "LEDGER", "--replay", "--workers", "1", "--json"),
@@ -32,7 +32,9 @@ VERBS: dict[str, tuple[str, ...]] = {
 }
 """Every command that answers from a ledger; one call of each."""
 
-KINDS = {"segments": 75, "records": 10, "ledger.json": 5, "checkpoint": 5, "full tiles": 2, "partial tiles": 3}
+SCENARIOS: tuple[Scenario, ...] = ("door-relay", "failure-recovery-chain", "fleet-contention")
+
+KINDS = {"segments": 75, "records": 12, "ledger.json": 5, "checkpoint": 5, "full tiles": 1, "partial tiles": 2}
 """Of a hundred flips, so many in files of each kind: most bytes that an answer rests on are in segments."""
 
 
@@ -53,11 +55,11 @@ class Answer(NamedTuple):
 
 
 def write_runs(path: Path) -> None:
-    """There is a ledger of one run of each architecture, each in a commit of its own."""
+    """There is a ledger of three runs of each architecture, those of one in a commit: segments of which most is data, as in a large ledger."""
     with Writer(path, "example.org/flips") as writer:
         for architecture in get_args(Architecture):
-            spec = RunSpec(7, architecture, "full", "door-relay", 4, 0)
-            writer.append(stage(path, [simulate_run(spec, Constants())]))
+            specs = [RunSpec(7, architecture, "full", scenario, 4, 0) for scenario in SCENARIOS]
+            writer.append(stage(path, [simulate_run(spec, Constants()) for spec in specs]))
 
 
 def chosen(path: Path, count: int, seed: int, kinds: dict[str, int] = KINDS) -> Iterator[Flip]:

@@ -1,0 +1,136 @@
+"""Every answer from rows says whether they were compared with the root: `rows_verified` in JSON, a line on stderr where they were not."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.record import segment_path
+from tests.ledger.damage import flips
+from tests.ledger.forgery import changed, forge_segment, table_of
+from tests.metrics.conftest import record
+
+from .conftest import Call, one_message
+
+WITH_JSON = ("metrics", "statistics", "audit", "info", "explain", "query runs", "sql")
+ANSWERS = (*WITH_JSON, "export")
+
+
+@pytest.fixture(autouse=True)
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is remembered yet."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+
+
+def grow(path: Path, *numbers: int) -> None:
+    """The ledger has a commit more for each of these runs."""
+    with Writer(path, "test") as writer:
+        for number in numbers:
+            writer.append(stage(path, [record("fsar", number)]))
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    """A ledger of three runs of three events."""
+    path = tmp_path / "small"
+    with Writer(path, "test") as writer:
+        writer.append(stage(path, [record(architecture, 0) for architecture in ("fsar", "cfc", "dhma")]))
+    return path
+
+
+def words(verb: str, ledger: Path, *options: str) -> list[object]:
+    """The call of this verb."""
+    own = ["SELECT count(*) AS events FROM events"] if verb == "sql" else ["--out", str(ledger.parent / "events.csv")] if verb == "export" else []
+    return [*verb.split(), ledger, *own, *options]
+
+
+@pytest.mark.parametrize("verb", [pytest.param(verb, marks=pytest.mark.slow if verb in ("statistics", "audit", "query runs") else ()) for verb in ANSWERS])
+def test_an_answer_says_whether_its_rows_were_compared_with_the_root(call: Call, small: Path, verb: str) -> None:
+    options = ("--json",) if verb in WITH_JSON else ()
+    before = call(*words(verb, small, *options))
+    assert before.code in (0, 1)
+    assert before.err == (
+        f"fsar-ledger: the rows of {small} were not compared with its root; `fsar-ledger verify {small}` does that, and --verified demands it\n"
+    )
+    after = call(*words(verb, small, *options, "--verified"))
+    assert (after.code, after.err) == (before.code, "")
+    if options:
+        assert [json.loads(answer.out).pop("rows_verified") for answer in (before, after)] == [False, True]
+        assert before.out.replace('"rows_verified": false', '"rows_verified": true') == after.out
+    else:
+        assert before.out == after.out
+
+
+@pytest.mark.parametrize("verb", [*ANSWERS, "prove"])
+def test_rows_that_are_not_those_under_the_root_are_refused_where_that_is_demanded(call: Call, small: Path, verb: str) -> None:
+    forge_segment(small, 0, changed(table_of(small, 0), "time_us", 1, 4))
+    own = ("7",) if verb == "prove" else ()
+    one_message(call(*words(verb, small, *own, "--verified")), 3, f"{small}: segments/000000000000.parquet: commit 0, field tree_root: found Merkle root")
+    assert not (small.parent / "events.csv").exists()
+
+
+def test_a_report_is_not_made_from_rows_that_are_not_those_under_the_root(call: Call, small: Path, tmp_path: Path) -> None:
+    forge_segment(small, 0, changed(table_of(small, 0), "time_us", 1, 4))
+    one_message(call("report", small, "--out", tmp_path / "report.pdf"), 3, "found Merkle root", "run fsar-ledger verify")
+    assert not (tmp_path / "report.pdf").exists()
+
+
+def test_a_report_whose_workflows_are_not_those_under_their_root_is_not_made(call: Call, small: Path, tmp_path: Path) -> None:
+    workflows = Path(shutil.copytree(small, tmp_path / "workflows"))
+    forge_segment(workflows, 0, changed(table_of(workflows, 0), "time_us", 1, 4))
+    one_message(call("report", small, "--workflows", workflows, "--out", tmp_path / "report.pdf"), 3, f"{workflows}: segments/")
+
+
+def test_verify_is_what_is_remembered_and_a_quick_look_is_not(call: Call, small: Path) -> None:
+    assert call("verify", small, "--quick").code == 0
+    assert json.loads(call("metrics", small, "--json").out)["rows_verified"] is False
+    assert call("verify", small).code == 0
+    assert json.loads(call("metrics", small, "--json").out)["rows_verified"] is True
+
+
+def test_info_says_beside_the_root_that_the_rows_were_not_compared_with_it(call: Call, small: Path) -> None:
+    root = next(line for line in call("info", small).out.splitlines() if line.startswith("root "))
+    assert root.endswith(" (the rows were not compared with it)")
+    call("verify", small)
+    assert f"\n{root.removesuffix(' (the rows were not compared with it)')}\n" in call("info", small).out
+
+
+def test_a_proof_needs_no_look_at_all_rows(call: Call, small: Path) -> None:
+    proof = call("prove", small, "7")
+    assert (proof.code, proof.err) == (0, "")
+    assert call("prove", small, "7", "--verified") == proof
+
+
+def test_a_proof_is_of_the_event_that_was_asked_for_or_is_not_made(call: Call, small: Path) -> None:
+    forge_segment(small, 0, changed(table_of(small, 0), "run_id", 2, "run-0-cfc"))  # so that this run seems to begin an event too early
+    one_message(call("prove", small, "run-0-cfc:1"), 3, "event 3: found run run-0-cfc seq 0, expected run-0-cfc:1 there")
+
+
+def test_rows_that_no_events_give_are_damage_and_no_traceback(call: Call, small: Path) -> None:
+    forge_segment(small, 0, changed(table_of(small, 0), "architecture", 0, None))
+    one_message(call("metrics", small), 3, "found a row that no events give", "run fsar-ledger verify")
+
+
+def test_a_flipped_bit_is_refused_by_every_answer(call: Call, small: Path) -> None:
+    segment = segment_path(small, 0)
+    segment.write_bytes(next(flips(segment.read_bytes(), 5000)))
+    for verb in ANSWERS:
+        one_message(call(*words(verb, small)), 3, str(segment), "found SHA-256", "expected", "restore the file")
+    one_message(call("prove", small, "7"), 3, str(segment), "found SHA-256")
+
+
+def test_a_ledger_whose_newest_commit_was_taken_away_answers_nothing(call: Call, small: Path) -> None:
+    grow(small, 1, 2)
+    for name in ("commits/000000000002.json", "segments/000000000002.parquet"):
+        (small / name).unlink()
+    for verb in ANSWERS:
+        one_message(call(*words(verb, small)), 3, f"{small}/checkpoint", "commits were removed")
+
+
+def test_a_checkpoint_one_commit_behind_is_no_damage(call: Call, small: Path) -> None:
+    before = (small / "checkpoint").read_bytes()
+    grow(small, 1)
+    (small / "checkpoint").write_bytes(before)
+    assert call("info", small).code == 0
