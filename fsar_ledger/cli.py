@@ -9,6 +9,7 @@ the errors of `errors.py`; `run` turns it into one message on stderr and its exi
 
 import time
 from collections.abc import Sequence
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated
 
@@ -16,6 +17,7 @@ import typer
 
 from . import printable
 from .commands import judging, recover, trust, witness
+from .commands.memory import bounded, reading
 from .commands.options import (
     AdoptOption,
     ArchitectureOption,
@@ -33,6 +35,7 @@ from .commands.options import (
     OriginOption,
     ParameterOption,
     PdfOption,
+    QueryMemoryOption,
     RawOption,
     RequestOption,
     RunOption,
@@ -122,6 +125,7 @@ def simulate(
 
 
 @app.command(epilog=examples("fsar-ledger info out/ledger", "fsar-ledger info out/ledger --json"))
+@reading
 def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: JsonOption = False) -> None:
     """Show what a ledger holds, and whether it is complete.
 
@@ -141,8 +145,8 @@ def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: Json
         _show(printable.joined(printable.line(""), table_text(found.groups, list(found.groups[0]))))
 
 
-app.command(epilog=judging.METRICS)(judging.metrics)
-app.command(epilog=judging.STATISTICS)(judging.statistics)
+app.command(epilog=judging.METRICS)(reading(judging.metrics))
+app.command(epilog=judging.STATISTICS)(reading(judging.statistics))
 
 
 @app.command(
@@ -165,12 +169,12 @@ def query(
     limit: LimitOption = SHOWN_ROWS,
     verified: VerifiedOption = False,
     seconds: SecondsOption = None,
-    memory: MemoryOption = None,
+    memory: QueryMemoryOption = None,
 ) -> None:
     """Answer a question that has a name, or that stands in a file.
 
     The questions are the SQL files that come with the package; each says in its header what its rows and its NULLs mean. A file of
-    your own is answered as `sql` answers, locked down; a name is not, and takes as long as it takes.
+    your own is answered as `sql` answers, locked down; a name is not, and takes as long as it takes, within --memory.
     """
     from .commands.output import queries_text
     from .commands.questions import answer_query
@@ -179,9 +183,10 @@ def query(
         _show(queries_text(as_json=as_json, as_csv=as_csv, raw=raw), raw=raw)
         return
     own = {"--seconds": seconds, "--memory": memory}
-    asked = answer_query((name, ledger), file, parameters_of(param), own, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit, verified=verified)
-    for piece in asked:
-        _show(piece, raw=raw)
+    with nullcontext() if file else bounded(memory, ledger):
+        places = (name, ledger)
+        for piece in answer_query(places, file, parameters_of(param), own, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit, verified=verified):
+            _show(piece, raw=raw)
 
 
 @app.command(
@@ -219,6 +224,7 @@ def sql(
         "fsar-ledger export out/ledger --query metrics/run_metrics --out out/run_metrics.csv",
     )
 )
+@reading
 def export(
     ledger: LedgerArgument,
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="A .csv or .parquet file; replaced if it exists.", show_default=False)],
@@ -240,6 +246,7 @@ def export(
 
 
 @app.command(epilog=examples("fsar-ledger audit out/ledger --architecture fsar", "fsar-ledger audit out/ledger --architecture fsar --invariant i4 --json"))
+@reading
 def audit(
     ledger: LedgerArgument,
     invariant: InvariantOption = None,
@@ -259,12 +266,12 @@ def audit(
         raise typer.Exit(1)
 
 
-app.command(epilog=trust.VERIFY)(trust.verify)
-app.command(epilog=trust.PROVE)(trust.prove)
+app.command(epilog=trust.VERIFY)(reading(trust.verify))
+app.command(epilog=trust.PROVE)(reading(trust.prove))
 app.command("verify-proof", epilog=trust.VERIFY_PROOF)(trust.verify_proof)
 app.add_typer(trust.keys, name="key")
 app.add_typer(witness.witnesses, name="witness")
-app.command(epilog=recover.RECOVER)(recover.recover)
+app.command(epilog=recover.RECOVER)(reading(recover.recover))
 
 
 @app.command(
@@ -275,6 +282,7 @@ app.command(epilog=recover.RECOVER)(recover.recover)
         "fsar-ledger explain out/ledger --run fsar.full.failure-recovery-chain --json",
     )
 )
+@reading
 def explain(
     ledger: LedgerArgument,
     run: RunOption = None,
@@ -298,6 +306,7 @@ def explain(
 @app.command(
     epilog=examples("fsar-ledger report out/ledger --out out/report.pdf", "fsar-ledger report out/ledger --workflows out/workflows --out out/report.pdf")
 )
+@reading
 def report(
     ledger: LedgerArgument,
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The PDF; replaced if it exists.", show_default=False)],
@@ -368,6 +377,9 @@ def run(arguments: Sequence[str]) -> int:
         context = getattr(problem, "ctx", None)
         _say(f"{problem.format_message()} (see `{context.command_path if context else 'fsar-ledger'} --help`)")
         return problem.exit_code
+    except MemoryError:
+        _say("memory: the system gave no more of it; close other programs, or do less at once")
+        return 1
     except OSError as problem:
         if problem.filename is None:
             raise

@@ -6,6 +6,7 @@ FsarLedgerError            every error that a user can meet          exit code
 │   ├── InvalidExperiment      unknown or impossible parameters
 │   ├── UnknownQuery           no query of that name
 │   ├── QueryFailed            SQL or its parameters are wrong
+│   ├── LimitReached           more memory is needed than was allowed
 │   ├── NotALedger             the path exists and is no ledger, or does not exist
 │   └── FormatVersionMismatch  the ledger was written in another format
 ├── NotCosigned            too few witnesses cosigned                1
@@ -44,6 +45,10 @@ class UnknownQuery(UsageError):
 
 class QueryFailed(UsageError):
     """DuckDB refused a query or its parameters."""
+
+
+class LimitReached(UsageError):
+    """What was asked for needs more memory than it may take."""
 
 
 class NotALedger(UsageError):

@@ -18,7 +18,7 @@ WITH meant AS (
     SELECT
         seed,
         fleet_size,
-        count(DISTINCT scenario) * (max(run) + 1) AS run_count
+        count(DISTINCT scenario)::HUGEINT * (max(run)::HUGEINT + 1) AS run_count
     FROM runs
     GROUP BY seed, fleet_size
 ),

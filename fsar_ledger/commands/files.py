@@ -19,6 +19,7 @@ from fsar_ledger.errors import UsageError, WriteFailed
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.ledger.schema import SCHEMA
+from fsar_ledger.memory import unfinished
 from fsar_ledger.metrics.verified import is_verified
 
 from .answering import answering, demanded_head, warn
@@ -128,6 +129,7 @@ def _harmless_chunk(texts: pa.Array) -> pa.Array:
 @contextmanager
 def _whole_file(out: Path) -> Iterator[Path]:
     temporary = out.with_name(f".{out.name}.{os.getpid()}.part")
+    unfinished.add(temporary)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
@@ -139,3 +141,4 @@ def _whole_file(out: Path) -> Iterator[Path]:
     finally:
         with suppress(OSError):  # where it could not be made, it cannot be taken away either
             temporary.unlink(missing_ok=True)
+        unfinished.discard(temporary)

@@ -40,6 +40,21 @@ SecondsOption = Annotated[int | None, typer.Option("--seconds", metavar="N", hel
 MemoryOption = Annotated[
     int | None, typer.Option("--memory", metavar="MIB", help="The most memory that a SELECT of your own may take; at least 1024.", show_default="4096")
 ]
+ReadingMemoryOption = Annotated[
+    int | None,
+    typer.Option(
+        "--memory", metavar="MIB", help="The most memory that this may take.", show_default="640, and 16 times what the ledger's segments take on disk"
+    ),
+]
+QueryMemoryOption = Annotated[
+    int | None,
+    typer.Option(
+        "--memory",
+        metavar="MIB",
+        help="The most memory that this may take; for a SELECT of your own at least 1024.",
+        show_default="4096 for a SELECT of your own; else 640, and 16 times what the ledger's segments take on disk",
+    ),
+]
 ParameterOption = Annotated[
     list[str] | None, typer.Option("--param", metavar="NAME=VALUE", help="A parameter of the query; may be repeated.", show_default=False)
 ]

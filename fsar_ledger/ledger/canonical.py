@@ -14,10 +14,12 @@ import numpy as np
 import pyarrow as pa
 
 from fsar_ledger.ledger.arrow import coded, numbers, places, validity, whole
-from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, STORED, Layout
+from fsar_ledger.ledger.bounds import text_bytes
+from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, SCHEMA, STORED, Layout
 
 _ENCODER = msgspec.json.Encoder()
 _SORTING_ENCODER = msgspec.json.Encoder(order="sorted")
+_MOST_ROWS, _MOST_TEXT = 1 << 16, 1 << 26  # of a segment, at once; a commit of 25 runs has some ten thousand rows and 10 MB of text
 _ROWS_AT_ONCE = 256
 _PIVOT = "run_id"  # a column that is never NULL, so the commas can lean on it
 
@@ -126,3 +128,12 @@ def hashes(rows: Sequence[bytes]) -> list[bytes]:
     """The RFC 6962 leaf hash of each row, given after its 0x00."""
     sha256 = hashlib.sha256
     return [sha256(row).digest() for row in rows]
+
+
+def leaves(table: pa.Table) -> bytes:
+    """The packed RFC 6962 leaf hashes of the rows, of which only so many are written out at once as a batch of runs has."""
+    most = max(1, min(_MOST_ROWS, _MOST_TEXT * len(table) // (text_bytes(table) + 1)))
+    if most >= len(table):
+        return b"".join(hashes(from_table(table)))
+    plain = pa.schema([SCHEMA.field(name) for name in table.column_names])  # a part of a dictionary would come with all of it
+    return b"".join(b"".join(hashes(from_table(table.slice(at, most).cast(plain)))) for at in range(0, len(table), most))

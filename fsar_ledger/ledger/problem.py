@@ -48,5 +48,7 @@ def refusal(place: str | Path, error: FsarLedgerError) -> str:
 
 
 def unexpected(where: str, commit: int | None, error: BaseException) -> Problem:
-    """A check stopped with an exception: that is a finding, not an accident."""
+    """A check stopped with an exception: that is a finding, not an accident. Raises: MemoryError as it is, for that is no fault of the ledger's."""
+    if isinstance(error, MemoryError):
+        raise error
     return Problem(where, f"{type(error).__name__}: {error!s:.300}", "data that can be checked", commit=commit)

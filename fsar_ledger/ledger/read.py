@@ -175,7 +175,7 @@ class LedgerView(msgspec.Struct, frozen=True):
 
     def leaves(self, number: int) -> bytes:
         """The packed RFC 6962 leaf hashes of the rows of this commit. Raises: LedgerCorrupted for a segment that cannot be read."""
-        return b"".join(canonical.hashes(canonical.from_table(self._table(number))))
+        return canonical.leaves(self._table(number))
 
     def runs(self) -> Iterator[codec.RunRecord]:
         """Every run, in order, its events as their newest versions. Raises: LedgerCorrupted or UnknownEventTag where a segment does not hold valid events."""

@@ -88,5 +88,7 @@ def _read(path: Path, data: bytes, layout: Layout, columns: list[str] | None, ta
             )
         found = found.cast(pa.schema([target.field(name) for name in found.column_names]))
         return widened(found, columns or SCHEMA.names, target)
+    except pa.ArrowMemoryError:
+        raise  # the machine's fault
     except (OSError, pa.ArrowException) as error:
         raise LedgerCorrupted(f"{path}: the segment cannot be read ({error}); expected a Parquet file with valid page checksums; restore it") from error

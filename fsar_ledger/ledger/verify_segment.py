@@ -111,7 +111,7 @@ def _examine(second_reader: SecondReader | None, file: str, place: str, number: 
     is_as_written, misleading = _misleading(data, layout, stored)
     again = second_reader(place, stored, is_as_written) if second_reader is not None else None
     problems = (*problems, *(Problem(file, *other, commit=number, field="segment_sha256") for other in (misleading, again) if other is not None))
-    leaves = b"".join(canonical.hashes(canonical.from_table(table)))
+    leaves = canonical.leaves(table)
     return SegmentFacts(file, problems, table.num_rows, runs, leaves)
 
 

@@ -13,7 +13,8 @@ from typing import Any
 import duckdb
 import pyarrow as pa
 
-from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted, QueryFailed
+from fsar_ledger import memory
+from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted, LimitReached, QueryFailed
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.ledger.read import Head
 from fsar_ledger.ledger.schema import SCHEMA
@@ -36,6 +37,9 @@ LOCK = (
     "allow_persistent_secrets = false",
     "enable_external_access = false",
 )
+DUCKDB_SHARE = 0.75
+"""Of the memory that a process may take, what DuckDB may."""
+
 BATCH_ROWS = 10_000
 SHOWN = 200
 """Characters of a name, or of a line, that a message repeats."""
@@ -86,6 +90,10 @@ class Database:
         # The wide relation is read again and again: opening its files once is enough. UTC and no progress bar: the answer is the same anywhere.
         for setting in (f"parquet_metadata_cache = {str(caches_files).lower()}", "TimeZone = 'UTC'", "enable_progress_bar = false"):
             self._connection.execute(f"SET {setting}")
+        # Who reads a ledger writes nothing: by default DuckDB would spill into `.tmp` of the working folder. What it does not count is for the process.
+        self._connection.execute("SET temp_directory = ''")
+        if (most := memory.limit()) is not None:
+            self._connection.execute(f"SET memory_limit = '{int(most * DUCKDB_SHARE)} bytes'")
         register(self._connection)
 
     def __enter__(self) -> "Database":
@@ -216,6 +224,8 @@ class Database:
 
     def _failure(self, error: Exception) -> FsarLedgerError:
         """What failed, for a user: the SQL, or, where the error may come from the data, the first segment that cannot be read."""
+        if isinstance(error, OUT_OF_MEMORY) and memory.limit() is not None:
+            return LimitReached(memory.too_little())
         damage = None if isinstance(error, FAULTS_OF_SQL) else first_damage(self._segments)
         return damage or QueryFailed(f"SQL: {_first_lines(str(error))}")
 
@@ -244,7 +254,8 @@ def _check_columns(names: Sequence[str], kinds: Sequence[str]) -> None:
 def plain_rows(table: pa.Table) -> list[dict[str, Any]]:
     """The rows as dictionaries. DuckDB's sums of integers are decimals in Arrow; here they are integers again."""
     whole = [field.name for field in table.schema if pa.types.is_decimal(field.type) and field.type.scale == 0]
-    rows: list[dict[str, Any]] = table.to_pylist()
+    # Some at a time: between two parts whoever watches over the memory of this process has its turn.
+    rows: list[dict[str, Any]] = [row for part in table.to_batches(max_chunksize=BATCH_ROWS) for row in part.to_pylist()]
     for row in rows if whole else ():
         row.update({name: None if row[name] is None else int(row[name]) for name in whole})
     return rows

@@ -25,6 +25,9 @@ QUERIES = (
     "tables/architecture_features",
 )  # what the report reads; the rest is what these read
 
+MAX_SPANS = 20
+"""Ranges of seeds that a cell of a table lists."""
+
 RUNS_SQL = """
     SELECT
         configuration,
@@ -131,7 +134,7 @@ def _others(rows: Iterable[MetricRow]) -> tuple[Row, ...]:
 
 def _runs(database: Database) -> tuple[Row, ...]:
     rows = database.rows(RUNS_SQL)
-    return tuple(row | {"seeds": _ranges(row["seeds"]), "numbers": _ranges(range(row["first"], row["last"] + 1))} for row in rows)
+    return tuple(row | {"seeds": _ranges(row["seeds"]), "numbers": _span(row["first"], row["last"])} for row in rows)
 
 
 def _ranges(numbers: Iterable[int]) -> str:
@@ -142,7 +145,13 @@ def _ranges(numbers: Iterable[int]) -> str:
             spans[-1][1] = one
         else:
             spans.append([one, one])
-    return ", ".join(str(low) if low == high else f"{low} to {high}" for low, high in spans)
+    told = [_span(low, high) for low, high in spans[:MAX_SPANS]]
+    return ", ".join(told if len(spans) <= MAX_SPANS else [*told, f"and {printing.integer(len(spans) - MAX_SPANS)} more"])
+
+
+def _span(low: int, high: int) -> str:
+    """All whole numbers from one to the other, as text, however many."""
+    return str(low) if low == high else f"{low} to {high}"
 
 
 def _models(database: Database) -> tuple[tuple[Row, ...], dict[str, str]]:

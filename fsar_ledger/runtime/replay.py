@@ -191,6 +191,8 @@ def replay_run(record: RunRecord) -> Difference | None:
 
 
 def _told(error: Exception) -> str:
+    if isinstance(error, MemoryError):
+        raise error  # no fault of the ledger's
     return f"{type(error).__name__}: {error!s:.300}"
 
 

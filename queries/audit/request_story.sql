@@ -33,12 +33,17 @@ own AS (
     WHERE $run IN ('all', run_id) AND $action IN ('all', action_id)
 ),
 
-chain AS (
+steps AS (
     SELECT
         run_id,
-        action_id,
-        seq,
-        caused_by,
+        unnest([seq, caused_by]) AS from_seq,
+        unnest([caused_by, seq]) AS to_seq
+    FROM known
+),
+
+chain AS (
+    SELECT
+        own.*,
         TRUE AS is_tied
     FROM own
     UNION
@@ -50,8 +55,9 @@ chain AS (
         known.caused_by,
         FALSE AS is_tied
     FROM chain
-    INNER JOIN known ON chain.run_id = known.run_id AND (chain.caused_by = known.seq OR chain.seq = known.caused_by)
-    WHERE known.action_id IS NULL AND known.is_told
+    INNER JOIN steps ON chain.run_id = steps.run_id AND chain.seq = steps.from_seq
+    INNER JOIN known ON steps.run_id = known.run_id AND steps.to_seq = known.seq
+    WHERE known.action_id IS NULL AND known.is_told AND (chain.caused_by = known.seq OR chain.seq = known.caused_by)
 )
 
 SELECT

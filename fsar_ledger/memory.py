@@ -1,0 +1,98 @@
+"""The memory that this process may take: watched while it works, so that what needs more ends with a message and not the machine.
+
+Counted is what the process and those it started hold themselves, without the libraries that they share with others. Address space is not memory: the
+libraries reserve ten times what they use, so a limit of the operating system comes only as a net, far above, for what grows between two looks.
+"""
+
+import os
+import resource
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+LOOK_S = 0.02
+"""Seconds between two looks: memory is filled with some GiB a second."""
+
+NET_BYTES = 4 << 30
+"""Beyond the limit, what the operating system lets a process reserve; libraries take 1.6 GiB of it before they begin."""
+
+_PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
+_PEAK_UNIT = 1024 if os.uname().sysname == "Linux" else 1  # of ru_maxrss
+
+unfinished: set[Path] = set()
+"""Files that are taken away when the process is ended because of its memory."""
+
+_limit: int | None = None
+
+
+def limit() -> int | None:
+    """The bytes that this process may take, None while nobody limits it."""
+    return _limit
+
+
+def too_little() -> str:
+    """The message that the limit is not enough."""
+    return f"memory: this needs more than {(_limit or 0) >> 20:,} MiB, its limit; if the ledger is what you think it is, raise that with --memory MIB"
+
+
+@contextmanager
+def held(most: int, excess: Callable[[], None]) -> Iterator[None]:
+    """Within, the process takes no more than so many bytes: `excess` is called once when it does, in a thread of its own, and shall end it.
+
+    Where the operating system does not say what a process holds (macOS), its peak so far counts, without the processes that it started.
+    """
+    global _limit
+    before, _limit = _limit, most
+    stopped = threading.Event()
+    soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
+    net = min([most + NET_BYTES, *(one for one in (soft, hard) if one != resource.RLIM_INFINITY)])
+    with suppress(OSError, ValueError):
+        resource.setrlimit(resource.RLIMIT_DATA, (net, hard))
+    threading.Thread(target=_watch, args=(most, excess, stopped), name="memory", daemon=True).start()
+    try:
+        yield
+    finally:
+        stopped.set()
+        _limit = before
+        with suppress(OSError, ValueError):
+            resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
+
+
+def _watch(most: int, excess: Callable[[], None], stopped: threading.Event) -> None:
+    while not stopped.wait(LOOK_S):
+        if used() > most:
+            excess()
+            return
+
+
+def used() -> int:
+    """The bytes that this process and those it started hold."""
+    own = _held_by("self")
+    if own is None:
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _PEAK_UNIT
+    return own + sum(_held_by(child) or 0 for child in children())
+
+
+def children() -> list[str]:
+    """The numbers of the processes that this one started, where the system lists them."""
+    found: list[str] = []
+    with suppress(OSError):
+        for thread in os.listdir("/proc/self/task"):
+            with suppress(OSError), open(f"/proc/self/task/{thread}/children", encoding="ascii") as file:
+                found += file.read().split()
+    return found
+
+
+def _held_by(process: str) -> int | None:
+    try:
+        with open(f"/proc/{process}/statm", encoding="ascii") as file:
+            _, resident, shared, *_ = map(int, file.read().split())
+    except (OSError, ValueError):
+        return None
+    return (resident - shared) * _PAGE_BYTES
+
+
+def installed() -> int:
+    """The bytes of memory that the machine has."""
+    return os.sysconf("SC_PHYS_PAGES") * _PAGE_BYTES

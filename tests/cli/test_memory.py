@@ -1,0 +1,100 @@
+"""Commands that read take the memory that they state, and say so when it is not enough; nothing of it is the ledger's fault."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from fsar_ledger import memory
+from fsar_ledger.commands.memory import BASE_BYTES, PER_BYTE, bounded, default_bytes
+from fsar_ledger.errors import LimitReached, UsageError
+from fsar_ledger.ledger.problem import unexpected
+from fsar_ledger.metrics.database import from_rows
+from tests.ledger.bomb_trial import cost_of
+
+from .conftest import Call, one_message
+
+LITTLE = "memory: this needs more than 256 MiB, its limit"
+HUNGRY = """
+import sys
+from pathlib import Path
+from fsar_ledger import memory
+from fsar_ledger.commands.memory import bounded
+Path("part").touch()
+memory.unfinished.add(Path("part"))
+with bounded(256, Path("ledger")):
+    kept = []
+    for number in range(4000):
+        kept.append(bytearray(b"x") * (1 << 20))
+print("done")
+"""
+
+
+@pytest.mark.parametrize("verb", ["info", "metrics", "statistics", "audit", "explain", "verify", "recover"])
+def test_every_command_that_reads_states_its_memory(call: Call, ledger: Path, verb: str) -> None:
+    one_message(call(verb, ledger, "--memory", "255"), 2, "--memory 255", "at least 256")
+
+
+def test_a_query_with_a_name_states_it_too(call: Call, ledger: Path) -> None:
+    one_message(call("query", "failures", ledger, "--memory", "100"), 2, "--memory 100", "at least 256")
+    assert call("query", "failures", ledger, "--memory", "2000").code == 0
+
+
+def test_what_takes_more_is_ended_with_one_message_and_leaves_no_half_file(tmp_path: Path) -> None:
+    done = subprocess.run([sys.executable, "-c", HUNGRY], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"fsar-ledger: {LITTLE}; ")
+    assert len(done.stderr.splitlines()) == 1
+    assert not (tmp_path / "part").exists()
+
+
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="only Linux says what a process and those that it started hold")
+def test_the_processes_that_it_starts_count_too(tmp_path: Path) -> None:
+    grow = "kept = bytearray(b'x') * (400 << 20); import time; time.sleep(60)"
+    within = f"import subprocess, sys\nwith bounded(256, Path('ledger')):\n    subprocess.run([sys.executable, '-c', {grow!r}])\n"
+    code = f"from pathlib import Path\nfrom fsar_ledger.commands.memory import bounded\n{within}"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 2
+    assert LITTLE in done.stderr
+
+
+def test_what_is_asked_for_at_once_is_refused_by_the_system(tmp_path: Path) -> None:
+    code = "from pathlib import Path\nfrom fsar_ledger.commands.memory import bounded\nwith bounded(256, Path('ledger')):\n    bytearray(64 << 30)\n"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert "LimitReached: memory: this needs more than 256 MiB" in done.stderr
+
+
+def test_duckdb_counts_for_itself_and_spills_nowhere(tmp_path: Path) -> None:
+    with bounded(256, tmp_path), from_rows([]) as database:
+        settings = {row["name"]: row["value"] for row in database.rows("SELECT name, value FROM duckdb_settings()")}
+        assert (settings["temp_directory"], settings["memory_limit"]) == ("", "192.0 MiB")
+        with pytest.raises(LimitReached, match=LITTLE):
+            database.rows("SELECT i FROM range(100000000) AS t(i) ORDER BY hash(i)")
+    assert memory.limit() is None
+
+
+def test_the_default_grows_with_what_the_segments_take(ledger: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert default_bytes(tmp_path) == default_bytes(None) == BASE_BYTES
+    stored = sum(file.stat().st_size for file in (ledger / "segments").iterdir())
+    assert default_bytes(ledger) - BASE_BYTES == PER_BYTE * stored
+    (tmp_path / "segments").mkdir()
+    (tmp_path / "segments" / "sparse").touch()
+    os.truncate(tmp_path / "segments" / "sparse", 1 << 40)
+    assert default_bytes(tmp_path) == BASE_BYTES
+    monkeypatch.setattr(memory, "installed", lambda: 1 << 29)
+    assert default_bytes(ledger) == int(0.8 * (1 << 29))
+
+
+def test_too_little_memory_is_no_damage() -> None:
+    with pytest.raises(MemoryError):
+        unexpected("segments/000000000000.parquet", 0, MemoryError())
+    with pytest.raises(UsageError), bounded(1):
+        pass
+
+
+def test_a_command_over_a_ledger_of_its_size_stays_within_it(ledger: Path, tmp_path: Path) -> None:
+    cost = cost_of(["metrics", str(ledger), "--memory", "256"], tmp_path)
+    assert cost.code == 0
+    assert cost.memory_mib < 512

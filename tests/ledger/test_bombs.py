@@ -1,0 +1,55 @@
+"""Each of thirty bombs, and each command that touches it: a clear error or a right answer, within ten seconds of processor and a gibibyte.
+
+Seconds of processor, for those of the wall depend on what else runs. The small ones are tried with every run of the tests, the rest with the long ones.
+"""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from tests.ledger.bomb_trial import cost_of
+from tests.ledger.bombs import BOMBS, LEDGER, base_ledger
+
+PROCESSOR_S = 10
+MEMORY_MIB = 1024
+ENOUGH = ("numbers as large as there are", "a parameter of 100 kB")
+"""Bombs that are tried each time: with two calls each."""
+
+
+@pytest.fixture(scope="module")
+def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("intact") / "ledger"
+    base_ledger(path)
+    return path
+
+
+def explode(name: str, intact: Path, place: Path, most: int | None = None) -> None:
+    """The bomb is laid, and its first calls (None: all) are made."""
+    shutil.copytree(intact, place / "ledger")
+    bomb = BOMBS[name]
+    bomb.lay(place / "ledger")
+    for call in bomb.calls[:most]:
+        cost = cost_of([word.replace(LEDGER, "ledger") for word in call], place)
+        assert cost.code in (0, 1, 2, 3), (call, cost)
+        assert "Traceback" not in cost.said, (call, cost)
+        assert cost.said.startswith("fsar-ledger: ") or cost.code in (0, 1) or call[0] == "recover", (call, cost)
+        assert len(cost.said) < 200_000, (call, len(cost.said))
+        assert cost.processor_s < PROCESSOR_S, (call, cost)
+        assert cost.memory_mib < MEMORY_MIB, (call, cost)
+        assert call[0] != "verify" or cost.code != 0 or "beside" in call, (call, cost)
+
+
+def test_there_are_thirty() -> None:
+    assert len(BOMBS) == 30
+
+
+@pytest.mark.parametrize("name", ENOUGH)
+def test_a_bomb_ends_in_a_clear_error_in_little_time_and_memory(intact: Path, tmp_path: Path, name: str) -> None:
+    explode(name, intact, tmp_path, 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", BOMBS)
+def test_every_bomb_and_every_command(intact: Path, tmp_path: Path, name: str) -> None:
+    explode(name, intact, tmp_path)
