@@ -143,7 +143,7 @@ def read_layout(data: bytes) -> Layout:
     if not data.startswith(known.group, at):
         raise ValueError(explain_footer(data[footer_at:-8], (known or _footers()[-1]).schema))
     at += len(known.group)
-    place, unpacked, statistics = len(MAGIC), 0, []
+    place, unpacked, elements, statistics = len(MAGIC), 0, 0, []
     for column in known.columns:
         found_chunk = _chunk(data, column, at)
         if found_chunk is None:
@@ -152,6 +152,9 @@ def read_layout(data: bytes) -> Layout:
         statistics += [said] if said else []
         _check_chunk(chunk, rows, place)
         unpacked += chunk.unpacked
+        elements += chunk.values - rows
+        if elements > bounds.MAX_LIST_VALUES:
+            raise ValueError(f"column {column.name}: {elements} elements of lists with those before, expected at most {bounds.MAX_LIST_VALUES}")
         if unpacked > bounds.MAX_UNPACKED_BYTES:
             raise ValueError(f"column {column.name}: pages that unpack to {unpacked} bytes with those before, expected at most {bounds.MAX_UNPACKED_BYTES}")
         place = _check_pages(data, chunk, place)
@@ -229,8 +232,8 @@ def _check_chunk(chunk: _Chunk, rows: int, place: int) -> None:
     """The chunk has a value for each row and begins at this place. Raises: ValueError if not."""
     name, kind = chunk.column.name, chunk.column.kind
     if kind == "strings":
-        if not rows <= chunk.values <= bounds.MAX_LIST_VALUES:
-            raise ValueError(f"column {name}: {chunk.values} values, expected {rows} to {bounds.MAX_LIST_VALUES}")
+        if chunk.values < rows:
+            raise ValueError(f"column {name}: {chunk.values} values, expected at least {rows}")
     elif chunk.values != rows:
         raise ValueError(f"column {name}: {chunk.values} values, expected {rows}")
     has_dictionary = kind in ("string", "strings")
