@@ -26,6 +26,7 @@ from fsar_ledger.ledger.bounds import MAX_ROWS, MAX_SEGMENT_BYTES, MAX_TEXT_BYTE
 from fsar_ledger.ledger.check import unprintable
 from fsar_ledger.ledger.codec import RunRecord, encode_hashed
 from fsar_ledger.ledger.derived import catch_up, check_folders, write_derived
+from fsar_ledger.ledger.layout import read_layout
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.note import Note, Signer, VerifierKey, checkpoint_of, is_name
 from fsar_ledger.ledger.place import is_unfinished, require_outside
@@ -94,6 +95,10 @@ def stage_rows(ledger: Path, runs: Sequence[RunRecord], table: pa.Table, leaves:
     ):
         if found > most:
             raise ValueError(f"found {found} {what} in {len(runs)} runs, expected at most {most} in one commit; commit fewer runs at once")
+    try:
+        read_layout(data.to_pybytes())
+    except ValueError as error:
+        raise ValueError(f"found {error} in a segment of {len(runs)} runs, so no reader would take it; commit fewer runs at once") from error
     staged = Staged(sha256_hex(data), data.size, table.num_rows, runs[0].run_id, runs[-1].run_id, leaves)
     path = staged_path(ledger, staged.segment_sha256)
     with disk.refusals(path, "writing a segment"):

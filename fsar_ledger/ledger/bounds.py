@@ -9,15 +9,15 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 MAX_ROWS = 1 << 20
-"""Events in one commit; a batch of 25 runs has some ten thousand."""
-MAX_SEGMENT_BYTES = 1 << 28
-"""One event takes 17 bytes; so many rows of 256 bytes still fit."""
-MAX_UNPACKED_BYTES = 1 << 29
-"""All pages of a segment, unpacked."""
+"""Events in one commit; a batch of 25 runs has some ten thousand. So many take `verify` a gigabyte: 122 columns of 4 to 8 bytes, and work."""
+MAX_SEGMENT_BYTES = 1 << 27
+"""One event takes 10 to 17 bytes; so many rows of 128 bytes still fit."""
+MAX_UNPACKED_BYTES = 1 << 27
+"""All pages of a segment, unpacked: 13 bytes an event as we write them."""
 MAX_TEXT_BYTES = 1 << 29
-"""All strings of a segment, each written out where it stands; its canonical rows are a little more."""
-MAX_LIST_VALUES = 1 << 23
-"""Elements of one column of lists: 8 for each of the most rows."""
+"""All strings of a segment, each written out where it stands, some 150 bytes an event; its canonical rows are a little more, a part of them at once."""
+MAX_LIST_VALUES = 1 << 22
+"""Elements of all columns of lists, beyond one a row and column that says that there is none: 4 for each of the most rows."""
 
 MAX_FOOTER_BYTES = 1 << 20
 MAX_PAGES = 1 << 10

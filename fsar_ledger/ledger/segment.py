@@ -14,6 +14,8 @@ from fsar_ledger.ledger.layout import Layout, check_layout, read_file
 from fsar_ledger.ledger.releases import widened
 from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, SCHEMA
 
+_FEW_ROWS, _FEW_COLUMNS = 1 << 17, 8
+
 
 def to_parquet(table: pa.Table) -> pa.Buffer:
     """The bytes of a segment: one row group, zstd-3, a dictionary for each column of strings, a checksum on each page.
@@ -81,7 +83,7 @@ def _read(path: Path, data: bytes, layout: Layout, columns: list[str] | None, ta
     strings = [path_of(name) for name in layout.schema.names if COLUMNS[name] in ("string", "strings")]
     try:
         with pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True, read_dictionary=strings) as file:
-            found = file.read(columns=columns, use_threads=False)
+            found = _columns(file, columns or layout.schema.names, layout.rows)
         if has_more_text_than(found, MAX_TEXT_BYTES):
             raise LedgerCorrupted(
                 f"{path}: found strings of {text_bytes(found)} bytes in {found.num_rows} rows, expected at most {MAX_TEXT_BYTES}; restore the file"
@@ -92,3 +94,12 @@ def _read(path: Path, data: bytes, layout: Layout, columns: list[str] | None, ta
         raise  # the machine's fault
     except (OSError, pa.ArrowException) as error:
         raise LedgerCorrupted(f"{path}: the segment cannot be read ({error}); expected a Parquet file with valid page checksums; restore it") from error
+
+
+def _columns(file: pq.ParquetFile, names: list[str], rows: int) -> pa.Table:
+    """These columns of the file, a few at a time where there are many rows: what a column takes while it is decoded is then free for the next."""
+    if rows <= _FEW_ROWS:
+        return file.read(columns=names, use_threads=False)
+    parts = [file.read(columns=names[first : first + _FEW_COLUMNS], use_threads=False) for first in range(0, len(names), _FEW_COLUMNS)]
+    columns = [column for part in parts for column in part.columns]
+    return pa.Table.from_arrays(columns, schema=pa.schema([field for part in parts for field in part.schema]))

@@ -21,7 +21,7 @@ CHECKED: dict[str, tuple[str, ...] | None] = {
     "segment.py": ("_read",),
     "bounds.py": None,
     "layout.py": None,
-    "footer.py": None,
+    "footer.py": ("read_struct", "_value", "_values", "_varint", "_count", "_struct", "_list", "_text"),
     "disk.py": ("read_document",),
     "note.py": ("__post_init__", "is_name", "has_signed", "parse_note", "_parse_signature"),
     "proof.py": ("parse_proof", "check_proof", "_event"),

@@ -26,6 +26,7 @@ TESTS = tuple(
         "test_places",
         "test_bounds",
         "test_footer",
+        "test_layout",
         "test_codec",
         "test_verify_notes",
         "test_proof",

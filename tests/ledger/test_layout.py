@@ -185,7 +185,7 @@ CHANGES: dict[str, tuple[Change, str]] = {
     "another encoding of a chunk": (lambda parts: put(parts.about(1), 2, Listed(I32, [3, 0])), "column seq in encodings [3, 0]"),
     "columns in another order": (lambda parts: parts.chunks().insert(1, parts.chunks().pop(2)), "column 1 as ('time_us', 'INT64')"),
     "fewer values": (lambda parts: add(about(parts, "seq"), 5, -1), "column seq: 119 values, expected 120"),
-    "a list with fewer values than rows": (lambda parts: put(about(parts, "achieved"), 5, 119), "column achieved: 119 values, expected 120 to"),
+    "a list with fewer values than rows": (lambda parts: put(about(parts, "achieved"), 5, 119), "column achieved: 119 values, expected at least 120"),
     "a list of more values than its pages": (lambda parts: add(about(parts, "achieved"), 5, 1), "column achieved: pages of "),
     "other unpacked bytes": (lambda parts: add(about(parts, "seq"), 6, 1), "column seq: pages that unpack to"),
     "more stored bytes": (lambda parts: add(about(parts, "seq"), 7, 1), "column seq: "),
