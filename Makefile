@@ -14,14 +14,14 @@ BIN := .venv/bin
 READY := .venv/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test check soak soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement bench docs clean
+.PHONY: help setup reproduce test check soak soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-readers bench docs clean
 
 help:
 	@echo "make setup      a .venv with the command fsar-ledger in it"
 	@echo "make reproduce  simulate the paper's experiment, measure it, typeset the report into $(OUT)/"
 	@echo "make test       every check and every test"
 	@echo "make check      the checks without the tests: style, types, imports, SQL"
-	@echo "make soak       the long tests, about an hour: make soak-tests, -federation, -crash, -damage, -verifier, -agreement are its parts"
+	@echo "make soak       the long tests, about an hour: make soak-tests, -federation, -crash, -damage, -verifier, -agreement, -readers are its parts"
 	@echo "make bench      the benchmarks, as ratios"
 	@echo "make docs       write the pages that hold real output again"
 	@echo "make clean      remove what the other targets made"
@@ -49,7 +49,7 @@ check: setup
 test: check
 	$(BIN)/pytest -n $(JOBS) --dist worksteal
 
-soak: soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement
+soak: soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-readers
 
 # The tests that make test leaves out because they take minutes.
 soak-tests: setup
@@ -74,6 +74,10 @@ soak-verifier: setup
 # The verifier that shares nothing with the package, and verify, on 1,200 good and damaged ledgers.
 soak-agreement: setup
 	$(BIN)/python -m tests.ledger.agreement_soak 1200
+
+# 100,000 segments whose footer or page headers say something else: each is refused, or read alike by pyarrow, DuckDB and Polars.
+soak-readers: setup
+	$(BIN)/python -m tests.ledger.readers_soak
 
 bench: setup
 	$(BIN)/python benchmarks/command_line.py

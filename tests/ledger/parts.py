@@ -70,8 +70,8 @@ class Parts:
             put(about, 6, unpacked)
             put(about, 7, at - start)
             if has(about, 11):
-                put(about, 11, places[0])
-            put(about, 9, places[1 if has(about, 11) else 0], I64)
+                put(about, 11, (places or [at])[0])
+            put(about, 9, (places or [at])[-1 if len(places) < 2 else int(has(about, 11))], I64)
             all_unpacked += unpacked
         put(self.group(), 2, all_unpacked)
         put(self.group(), 6, at - begin)
