@@ -22,7 +22,7 @@ from tests.ledger.damage import kind_of
 from tests.ledger.flips import KINDS, VERBS, Flip, chosen, outcomes, undamaged, write_runs
 
 COUNT = 2_000
-PARTS = 8
+PARTS = 4
 """Each part is tried on a copy of the ledger of its own."""
 
 OUTCOMES = ("refused", "same", "wrong")
