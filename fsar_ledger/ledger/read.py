@@ -141,7 +141,7 @@ class LedgerView(msgspec.Struct, frozen=True):
             with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as opened:
                 if not stat.S_ISREG(os.fstat(opened.fileno()).st_mode):
                     raise OSError(0, "it is not a regular file")
-                data = opened.read()  # as many bytes as the record says, see `_found`
+                data = opened.read(self.records[number].segment_bytes + 1)
             if (found := sha256_hex(data)) != expected:
                 raise LedgerCorrupted(f"{path}: commit {number}: found SHA-256 {found}, expected {expected} as committed; restore the file")
             check_layout(path, data)
