@@ -38,7 +38,7 @@ def too_little() -> str:
 
 @contextmanager
 def held(most: int, excess: Callable[[], None]) -> Iterator[None]:
-    """Within, the process takes no more than so many bytes: `excess` is called once when it does, in a thread of its own, and shall end it.
+    """Within, the process takes no more than so many bytes more: `excess` is called once when it does, in a thread of its own, and shall end it.
 
     Where the operating system does not say what a process holds (macOS), its peak so far counts, without the processes that it started.
     """
@@ -49,7 +49,7 @@ def held(most: int, excess: Callable[[], None]) -> Iterator[None]:
     net = min([most + NET_BYTES, *(one for one in (soft, hard) if one != resource.RLIM_INFINITY)])
     with suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_DATA, (net, hard))
-    threading.Thread(target=_watch, args=(most, excess, stopped), name="memory", daemon=True).start()
+    threading.Thread(target=_watch, args=(used() + most, excess, stopped), name="memory", daemon=True).start()
     try:
         yield
     finally:
