@@ -69,7 +69,7 @@ def test_answers_come_in_order_from_as_many_processes_as_were_asked_for() -> Non
         assert any("in worker process" in note for note in raised.value.__notes__)
         with pytest.raises(RuntimeError, match="Untransportable: this and that"):
             pool.submit(failing, "other").result()
-        with pytest.raises(RuntimeError, match="pickle"):
+        with pytest.raises(TypeError, match="pickle"):
             pool.submit(os.scandir).result()
         assert pool.submit(squared, 5).result() == 25
 

@@ -41,5 +41,5 @@ def reproduce(out: Path, workers: int, signer: Signer | None = None, *, adopts: 
     write_text(out / "statistics.csv", csv_text(statistics, list(statistics[0])))
     workflows = out / "workflows"
     simulate(workflows, workflow_experiment(SEED), 1, origin=WORKFLOWS_ORIGIN)
-    write_report(ledger, out / "report.pdf", workflows, workers)
+    write_report(ledger, out / "report.pdf", workflows, workers, demanded=demanded)
     return table_text(metrics, SHOWN), head

@@ -10,14 +10,21 @@ from pathlib import Path
 __all__ = ["result_figure_png", "result_figure_svg", "write_report"]
 
 
-def write_report(ledger: Path, out: Path, workflows: Path | None = None, workers: int = 1, progress: Callable[[int, int], None] | None = None) -> None:
+def write_report(
+    ledger: Path,
+    out: Path,
+    workflows: Path | None = None,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+    demanded: str | None = None,
+) -> None:
     """The PDF about the ledger's present head, and about a ledger of workflows, is at `out`, after a whole look at both.
 
     Arguments and errors: as `fsar_ledger.report.build.write_report`.
     """
     from fsar_ledger.report import build
 
-    build.write_report(ledger, out, workflows, workers, progress)
+    build.write_report(ledger, out, workflows, workers, progress, demanded)
 
 
 def result_figure_svg(ledger: Path, out: Path) -> None:

@@ -10,7 +10,14 @@ from fsar_ledger.report.calibration import recorded
 from fsar_ledger.report.gather import gather
 
 
-def write_report(ledger: Path, out: Path, workflows: Path | None = None, workers: int = 1, progress: Callable[[int, int], None] | None = None) -> None:
+def write_report(
+    ledger: Path,
+    out: Path,
+    workflows: Path | None = None,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+    demanded: str | None = None,
+) -> None:
     """The PDF about the ledger's present head, and about that of a ledger of workflows, is at `out`, complete or not at all.
 
     First every row of both is compared with its root. Same heads and versions, same bytes.
@@ -21,6 +28,7 @@ def write_report(ledger: Path, out: Path, workflows: Path | None = None, workers
         workflows: The folder of the ledger of workflows.
         workers: Processes that compare rows.
         progress: Told of segments compared, done and in all.
+        demanded: The newest record of the ledger, if a whole look just saw it (`required_look`); None looks now.
 
     Raises:
         UsageError: The ledger of workflows holds no workflow, or `out` lies inside a ledger.
@@ -29,7 +37,7 @@ def write_report(ledger: Path, out: Path, workflows: Path | None = None, workers
         WriteFailed: `out` cannot be written.
     """
     require_outside(out, f"--out {out}")
-    demanded = required_look(ledger, workers, progress)
+    demanded = demanded or required_look(ledger, workers, progress)
     findings = gather(ledger, workflows, demanded, None if workflows is None else required_look(workflows, workers, progress))
     laid_out = document.encoded(document.data(findings, recorded()))
     typeset.publish(out, typeset.pdf(laid_out, document.drawings(findings)))
