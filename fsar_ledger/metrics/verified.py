@@ -13,7 +13,7 @@ import secrets
 import stat
 from collections.abc import Callable
 from contextlib import suppress
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import msgspec
@@ -73,10 +73,9 @@ def is_verified(view: LedgerView, demanded: str | None = None) -> bool:
 
 def is_remembered(record_sha256: str) -> bool:
     """Whether a whole look by this user, with these versions, found nothing in a ledger whose newest record has this hash."""
-    folder = _folder()
-    if folder is None or not _is_own(folder):
+    file = _place(record_sha256)
+    if file is None or not _is_own(file.parent):
         return False
-    file = folder / _name(record_sha256)
     try:
         return _is_safe(file.lstat()) and disk.read_document(file) == _line(record_sha256)
     except OSError:
@@ -85,9 +84,10 @@ def is_remembered(record_sha256: str) -> bool:
 
 def _remember(record_sha256: str) -> None:
     """The head is remembered, if it can be: without memory the next answer only says less."""
-    folder = _folder()
-    if folder is None:
+    file = _place(record_sha256)
+    if file is None:
         return
+    folder = file.parent
     temporary = folder / f"{secrets.token_hex(8)}.part"
     with suppress(OSError, UsageError):
         require_outside(temporary, "the cache")
@@ -95,9 +95,9 @@ def _remember(record_sha256: str) -> None:
         if not _is_own(folder):
             return
         try:
-            with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600), "wb") as file:
-                file.write(_line(record_sha256))
-            os.replace(temporary, folder / _name(record_sha256))
+            with open(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW, 0o600), "wb") as written:
+                written.write(_line(record_sha256))
+            os.replace(temporary, file)
         finally:
             temporary.unlink(missing_ok=True)
 
@@ -126,10 +126,14 @@ def _is_safe(status: os.stat_result) -> bool:
     return status.st_uid == os.geteuid() and not status.st_mode & _BY_OTHERS
 
 
-def _name(record_sha256: str) -> str:
-    """The name under which a head is remembered."""
-    read_by = (f"fsar-ledger {__version__}", *(f"{name} {version(name)}" for name in ("pyarrow", "duckdb")))
-    return hashlib.sha256("\n".join([record_sha256, *read_by]).encode()).hexdigest()
+def _place(record_sha256: str) -> Path | None:
+    """The file by which a head is remembered; None where there is no cache, or nobody knows which versions read the rows."""
+    folder = _folder()
+    try:
+        read_by = (f"fsar-ledger {__version__}", *(f"{name} {version(name)}" for name in ("pyarrow", "duckdb")))
+    except PackageNotFoundError:
+        return None
+    return folder and folder / hashlib.sha256("\n".join([record_sha256, *read_by]).encode()).hexdigest()
 
 
 def _line(record_sha256: str) -> bytes:
