@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 
 from fsar_ledger.ledger.arrow import coded, numbers, places, validity, whole
-from fsar_ledger.ledger.bounds import text_bytes
+from fsar_ledger.ledger.bounds import has_more_text_than, text_bytes
 from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, SCHEMA, STORED, Layout
 
 _ENCODER = msgspec.json.Encoder()
@@ -132,8 +132,8 @@ def hashes(rows: Sequence[bytes]) -> list[bytes]:
 
 def leaves(table: pa.Table) -> bytes:
     """The packed RFC 6962 leaf hashes of the rows, of which only so many are written out at once as a batch of runs has."""
-    most = max(1, min(_MOST_ROWS, _MOST_TEXT * len(table) // (text_bytes(table) + 1)))
-    if most >= len(table):
+    if len(table) <= _MOST_ROWS and not has_more_text_than(table, _MOST_TEXT):
         return b"".join(hashes(from_table(table)))
+    most = max(1, min(_MOST_ROWS, _MOST_TEXT * len(table) // (text_bytes(table) + 1)))
     plain = pa.schema([SCHEMA.field(name) for name in table.column_names])  # a part of a dictionary would come with all of it
     return b"".join(b"".join(hashes(from_table(table.slice(at, most).cast(plain)))) for at in range(0, len(table), most))

@@ -148,6 +148,8 @@ def _is_sorted(column: pa.Array) -> bool:
     if not isinstance(column, pa.DictionaryArray):
         return True
     texts = column.dictionary
+    if column.null_count == len(column):  # most columns of a segment
+        return not len(texts)
     is_used = np.zeros(len(texts) + 1, bool)
     is_used[places(column)] = True
     return bool(is_used[:-1].all()) and pc.all(pc.less(texts[:-1], texts[1:])).as_py() is not False
