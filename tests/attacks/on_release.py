@@ -41,7 +41,7 @@ def main(revision: str, tests: list[str]) -> int:
         check_out(revision, Path(place))
         os.environ[ATTACKED] = place
         outcomes = Outcomes()
-        pytest.main(["-q", "--tb=line", "-p", "no:cacheprovider", *(tests or ["tests/attacks"])], plugins=[outcomes])
+        pytest.main(["-q", "--tb=line", "-p", "no:cacheprovider", "-m", "", *(tests or ["tests/attacks"])], plugins=[outcomes])
     for outcome in ("passed", "broken"):
         for name in sorted(outcomes.of[outcome]):
             print(f"{name}: {'the attack fails on' if outcome == 'passed' else 'cannot be tried on'} {revision} too")

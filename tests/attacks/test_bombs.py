@@ -42,6 +42,7 @@ def test_the_largest_number_of_a_run_does_not_hang_the_report(tmp_path: Path) ->
     assert cost.processor_s < PROCESSOR_S
 
 
+@pytest.mark.slow
 def test_who_asks_for_a_long_answer_holds_a_part_of_it(tmp_path: Path) -> None:
     base_ledger(tmp_path / "ledger")
     select = "SELECT [x, x] AS l FROM range(200000) AS t(x)"
@@ -50,6 +51,7 @@ def test_who_asks_for_a_long_answer_holds_a_part_of_it(tmp_path: Path) -> None:
     assert cost.memory_mib < PART_MIB  # an idle one takes 130
 
 
+@pytest.mark.slow
 def test_the_memory_of_whoever_reads_is_stated_and_held(tmp_path: Path) -> None:
     cost = exploded(tmp_path, "eight million names in lists", "verify", "ledger", "--workers", "1")
     assert cost.memory_mib < MEMORY_MIB

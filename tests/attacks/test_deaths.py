@@ -123,6 +123,7 @@ def test_a_simulation_whose_worker_is_killed_says_so_and_continues_when_it_is_ca
     assert (ledger / "checkpoint").read_bytes() == (whole / "checkpoint").read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("options", [("verify",), pytest.param(("recover",), marks=pytest.mark.slow)], ids=" ".join)
 def test_a_look_that_could_not_finish_calls_a_ledger_neither_good_nor_bad(tmp_path: Path, whole: Path, options: tuple[str, ...]) -> None:
     ledger = shutil.copytree(whole, tmp_path / "ledger")
@@ -133,6 +134,7 @@ def test_a_look_that_could_not_finish_calls_a_ledger_neither_good_nor_bad(tmp_pa
     assert not any(word in err for word in ("consistent", "damaged", "do not rely"))
 
 
+@pytest.mark.slow
 def test_after_a_recovery_without_room_a_simulation_goes_on_by_itself(tmp_path: Path, command: Attack, whole: Path) -> None:
     """The second commit was made, and then there was no room for what is derived from it."""
     ledger = tmp_path / "ledger"

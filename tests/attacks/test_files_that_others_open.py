@@ -32,6 +32,7 @@ def test_no_cell_of_csv_is_a_formula(tmp_path: Path, command: Attack) -> None:
     assert [cell for row in rows for cell in row if cell.startswith("=")] == []
 
 
+@pytest.mark.slow
 def test_no_cell_of_an_exported_file_is_a_formula(tmp_path: Path, command: Attack) -> None:
     ledger = ledger_of(tmp_path / "ledger", FORMULA, "")
     assert command("export", ledger, "--out", tmp_path / "events.csv").code == 0
@@ -50,6 +51,7 @@ def test_a_figure_is_well_formed_whatever_a_name_holds(tmp_path: Path, command: 
     ElementTree.fromstring((tmp_path / "story.svg").read_bytes())
 
 
+@pytest.mark.slow
 def test_a_figure_is_small_however_long_a_name(tmp_path: Path, command: Attack) -> None:
     behind = " w" * 5_000
     ledger = ledger_of(tmp_path / "ledger", "", behind)

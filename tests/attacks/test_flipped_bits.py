@@ -83,6 +83,7 @@ def test_no_answer_comes_from_a_segment_with_a_flipped_bit(command: Attack, ledg
     assert "SHA-256" in answer.err
 
 
+@pytest.mark.slow
 def test_a_look_before_the_bit_was_flipped_excuses_nothing(command: Attack, ledger: Path) -> None:
     assert command("verify", ledger).code == 0
     flip_unnoticed(segment_path(ledger, NUMBER), "scenario")
@@ -92,6 +93,7 @@ def test_a_look_before_the_bit_was_flipped_excuses_nothing(command: Attack, ledg
     assert (answer.code, answer.out) == (3, "")
 
 
+@pytest.mark.slow
 def test_no_number_stands_under_a_root_that_is_not_that_of_its_rows(command: Attack, ledger: Path) -> None:
     rows = table_of(ledger, NUMBER)
     forge_segment(ledger, NUMBER, changed(rows, "architecture", 0, "dhma"))  # the hashes are mended, the root is the old one

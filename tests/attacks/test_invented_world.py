@@ -9,6 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import pytest
+
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Architecture
@@ -118,6 +120,7 @@ def test_a_world_without_trouble_for_one_architecture_is_not_taken_for_the_one_t
     is_found(command, evil)
 
 
+@pytest.mark.slow
 def test_a_run_that_was_spared_one_kind_of_trouble_or_ends_too_soon_is_found(command: Attack, tmp_path: Path) -> None:
     evil = ledger_of(tmp_path, spared)
     assert len(evil.places) == 4

@@ -48,16 +48,19 @@ def test_a_story_is_told_in_the_order_that_it_happened(junk: Path, command: Atta
     nothing_is_painted(command("explain", junk))
 
 
+@pytest.mark.slow
 def test_a_replay_that_fails_does_not_show_that_all_is_well(junk: Path, command: Attack) -> None:
     called = command("verify", junk, "--replay", "--workers", 1)
     nothing_is_painted(called)
     assert called.code == 3
 
 
+@pytest.mark.slow
 def test_recovery_says_what_it_found_and_nothing_else(junk: Path, command: Attack) -> None:
     nothing_is_painted(command("recover", junk, "--workers", 1))
 
 
+@pytest.mark.slow
 def test_an_answer_of_sql_is_its_rows(junk: Path, command: Attack) -> None:
     nothing_is_painted(command("sql", junk, "SELECT DISTINCT run_id, robot FROM events WHERE robot IS NOT NULL"))
 

@@ -62,6 +62,7 @@ def test_a_segment_with_two_contents_gives_no_other_metrics(command: Attack, led
     assert "segments/000000000000.parquet" in called.err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("verb", [("query", "metrics/policy_violations"), ("audit",), ("sql",)], ids=lambda verb: verb[0])
 def test_a_segment_with_two_contents_is_refused_by_every_answer(command: Attack, forged: Path, verb: tuple[str, ...]) -> None:
     more = ("SELECT count(*) FROM policy_windows",) if verb == ("sql",) else ()

@@ -36,6 +36,7 @@ def test_a_signature_without_a_secret_does_not_make_a_ledger_signed(unsigned: Pa
         one_message(called, 2, "--trusted-key", "found a point", "expected an Ed25519 public key")
 
 
+@pytest.mark.slow
 def test_a_signature_without_a_secret_does_not_make_a_proof_signed(unsigned: Path, tmp_path: Path, command: Attack) -> None:
     path, forger = signed_by_nobody(unsigned, tmp_path, "order 2")
     assert command("prove", path, "3", "--out", tmp_path / "3.tlog-proof").code == 0

@@ -45,6 +45,7 @@ def test_dropped_tails_are_found_without_an_anchor(command: Attack, folder: Path
     assert "found 280 events, expected at least 340" in called.err
 
 
+@pytest.mark.slow
 def test_a_rewrite_with_the_same_key_is_found_without_an_anchor(command: Attack, folder: Path) -> None:
     shutil.copytree(folder / "1", folder / "other")
     with Writer(folder / "other", ORIGIN, SIGNER) as writer:

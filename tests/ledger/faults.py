@@ -27,7 +27,7 @@ HARMLESS = frozenset(
 NEED_ROOM = ("write", "link", "rename", "replace", "mkdir", "fsync")
 """What a full disk refuses, beside creating a file."""
 
-ONLY_READS = "fsar_ledger.ledger.verify"
+ONLY_READS = ("fsar_ledger.ledger.verify", "fsar_ledger.ledger.read")
 
 REFUSED = {"no-space": errno.ENOSPC, "io-error": errno.EIO, "quota": errno.EDQUOT}
 KINDS = (*REFUSED, "disk-full", "disk-gone", "io-error-after", "short-write", "short-write-no-space", "killed", "killed-in-write")

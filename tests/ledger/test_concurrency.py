@@ -21,7 +21,7 @@ from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 BATCHES = made_up_batches(4)
 
 
-@pytest.mark.parametrize(("writers", "batches"), [(2, 4), (8, 1)])
+@pytest.mark.parametrize(("writers", "batches"), [(2, 4), pytest.param(8, 1, marks=pytest.mark.slow)])
 def test_what_several_writers_append_at_once_is_there_once_and_readers_see_whole_commits(tmp_path: Path, writers: int, batches: int) -> None:
     path = tmp_path / "ledger"
     with Nursery() as nursery:

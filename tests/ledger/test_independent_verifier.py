@@ -62,6 +62,7 @@ def test_a_disagreement_is_found(path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert "the independent verifier (('commits/000000000000.json'" in judged(case).difference
 
 
+@pytest.mark.slow
 def test_tiles_of_level_two_are_the_same_to_both(tmp_path: Path) -> None:
     path = tmp_path / "ledger"
     append_all(path, [[long_run("long", 65_530)], [made_up_run("more", 20, 2)]])
