@@ -21,15 +21,6 @@ def exploded(place: Path, name: str, *call: str) -> Cost:
     return cost_of(call, place, 60, attacked())
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("call", [("metrics", "ledger"), ("info", "ledger")])
-def test_fifty_million_rows_in_36_megabytes_end_in_one_message(tmp_path: Path, call: tuple[str, ...]) -> None:
-    cost = exploded(tmp_path, "fifty million rows", *call)
-    assert cost.code in (0, 2, 3)
-    assert cost.processor_s < PROCESSOR_S
-    assert cost.memory_mib < MEMORY_MIB
-
-
 def test_open_claims_cost_no_more_than_their_number(tmp_path: Path) -> None:
     cost = exploded(tmp_path, "200,000 open claims", "query", "conflicts", "ledger")
     assert cost.code == 0
