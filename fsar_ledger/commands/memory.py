@@ -12,13 +12,16 @@ from typing import Any
 from fsar_ledger import memory
 from fsar_ledger.errors import LimitReached, UsageError
 
-from .options import ReadingMemoryOption
+from .options import ReadingMemoryOption, workers_of
 from .terminal import say
 
 LEAST_MIB = 256
 BASE_BYTES = 640 << 20
 PER_BYTE = 16
 """By default a command may take so much, and so many bytes for each that the segments take on disk: `audit` needs 300 MiB and 10, and no other more."""
+
+PER_WORKER_BYTES = 192 << 20
+"""And so much for each core or worker beyond two, which have processes or threads with buffers of their own: `verify` takes 150 MiB for each."""
 
 MACHINE_SHARE = 0.8
 
@@ -28,7 +31,7 @@ def reading(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def limited(memory: int | None, **given: Any) -> None:
-        with bounded(memory, given["ledger"], given.get("workflows")):
+        with bounded(memory, given["ledger"], given.get("workflows"), workers=given.get("workers")):
             command(**given)
 
     option = inspect.Parameter("memory", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=ReadingMemoryOption)
@@ -39,7 +42,7 @@ def reading(command: Callable[..., None]) -> Callable[..., None]:
 
 
 @contextmanager
-def bounded(asked_mib: int | None, *ledgers: Path | None) -> Iterator[None]:
+def bounded(asked_mib: int | None, *ledgers: Path | None, workers: int | None = None) -> Iterator[None]:
     """Within, the command takes no more memory than was asked for, or than ledgers of this size need; else it ends with one message and exit code 2.
 
     Raises:
@@ -48,7 +51,7 @@ def bounded(asked_mib: int | None, *ledgers: Path | None) -> Iterator[None]:
     """
     if asked_mib is not None and asked_mib < LEAST_MIB:
         raise UsageError(f"--memory {asked_mib}: expected at least {LEAST_MIB} (MiB)")
-    most = default_bytes(*ledgers) if asked_mib is None else asked_mib << 20
+    most = default_bytes(*ledgers, workers=workers) if asked_mib is None else asked_mib << 20
 
     def end() -> None:
         say(memory.too_little())
@@ -67,12 +70,13 @@ def bounded(asked_mib: int | None, *ledgers: Path | None) -> Iterator[None]:
             raise LimitReached(memory.too_little()) from error
 
 
-def default_bytes(*ledgers: Path | None) -> int:
-    """What a command over these ledgers may take: in proportion to what their segments take on disk, and never all of the machine."""
+def default_bytes(*ledgers: Path | None, workers: int | None = None) -> int:
+    """What a command over these ledgers may take, given its workers: in proportion to what their segments take on disk, and never all of the machine."""
     from fsar_ledger.ledger.record import SEGMENTS, STAGING
 
     stored = sum(_stored(ledger / folder) for ledger in ledgers if ledger is not None for folder in (SEGMENTS, STAGING))
-    return min(BASE_BYTES + PER_BYTE * stored, int(MACHINE_SHARE * memory.installed()))
+    more = max(0, (workers_of(None) if workers is None else workers) - 2)
+    return min(BASE_BYTES + PER_WORKER_BYTES * more + PER_BYTE * stored, int(MACHINE_SHARE * memory.installed()))
 
 
 def _stored(folder: Path) -> int:

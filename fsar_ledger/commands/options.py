@@ -43,7 +43,10 @@ MemoryOption = Annotated[
 ReadingMemoryOption = Annotated[
     int | None,
     typer.Option(
-        "--memory", metavar="MIB", help="The most memory that this may take.", show_default="640, and 16 times what the ledger's segments take on disk"
+        "--memory",
+        metavar="MIB",
+        help="The most memory that this may take.",
+        show_default="640, 192 for each core or worker beyond two, and 16 times what the segments take on disk",
     ),
 ]
 QueryMemoryOption = Annotated[

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger import memory
-from fsar_ledger.commands.memory import BASE_BYTES, PER_BYTE, bounded, default_bytes
+from fsar_ledger.commands.memory import BASE_BYTES, PER_BYTE, PER_WORKER_BYTES, bounded, default_bytes
 from fsar_ledger.errors import LimitReached, UsageError
 from fsar_ledger.ledger.problem import unexpected
 from fsar_ledger.metrics.database import from_rows
@@ -76,15 +76,15 @@ def test_duckdb_counts_for_itself_and_spills_nowhere(tmp_path: Path) -> None:
 
 
 def test_the_default_grows_with_what_the_segments_take(ledger: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert default_bytes(tmp_path) == default_bytes(None) == BASE_BYTES
+    assert default_bytes(tmp_path, workers=2) == default_bytes(None, workers=2) == BASE_BYTES
     stored = sum(file.stat().st_size for file in (ledger / "segments").iterdir())
-    assert default_bytes(ledger) - BASE_BYTES == PER_BYTE * stored
+    assert default_bytes(ledger, workers=2) - BASE_BYTES == PER_BYTE * stored
     (tmp_path / "segments").mkdir()
     (tmp_path / "segments" / "sparse").touch()
     os.truncate(tmp_path / "segments" / "sparse", 1 << 40)
-    assert default_bytes(tmp_path) == BASE_BYTES
+    assert default_bytes(tmp_path, workers=2) == BASE_BYTES
     monkeypatch.setattr(memory, "installed", lambda: 1 << 29)
-    assert default_bytes(ledger) == int(0.8 * (1 << 29))
+    assert default_bytes(ledger, workers=2) == int(0.8 * (1 << 29))
 
 
 def test_too_little_memory_is_no_damage() -> None:
@@ -98,3 +98,13 @@ def test_a_command_over_a_ledger_of_its_size_stays_within_it(ledger: Path, tmp_p
     cost = cost_of(["metrics", str(ledger), "--memory", "256"], tmp_path)
     assert cost.code == 0
     assert cost.memory_mib < 512
+
+
+def test_more_workers_may_take_more(tmp_path: Path) -> None:
+    assert default_bytes(tmp_path, workers=1) == default_bytes(tmp_path, workers=2)
+    assert default_bytes(tmp_path, workers=10) - default_bytes(tmp_path, workers=2) == 8 * PER_WORKER_BYTES
+
+
+def test_eight_workers_verify_a_ledger_without_more_memory_than_is_theirs(ledger: Path, call: Call) -> None:
+    called = call("verify", ledger, "--workers", 8)
+    assert called.code == 0, called.err
