@@ -16,7 +16,7 @@ import pyarrow as pa
 from fsar_ledger.errors import NotALedger
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.ledger import canonical, segment
-from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.append import Writer
 from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.ledger.merkle import Frontier
 from fsar_ledger.ledger.note import Note, Signer, VerifierKey, checkpoint_of
@@ -26,6 +26,7 @@ from fsar_ledger.ledger.schema import LAYOUTS, SCHEMA, Field
 from fsar_ledger.ledger.tiles import WIDTH, Edge, Tile
 from fsar_ledger.ledger.verify import Asked, verify
 from fsar_ledger.ledger.verify_notes import read_anchor
+from tests.ledger.hostile import stage_anything
 from tests.ledger.samples import ORIGIN, made_up_run
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -89,7 +90,7 @@ def write(path: Path, batches: Sequence[Sequence[RunRecord]], signers: Sequence[
         pass
     for batch, signer in zip(batches, signers, strict=True):
         with Writer(path, ORIGIN, signer, adopts=True) as writer:
-            writer.append(stage(path, batch))
+            writer.append(stage_anything(path, batch))
     return path
 
 
