@@ -16,7 +16,7 @@ from .options import ReadingMemoryOption, workers_of
 from .terminal import say
 
 LEAST_MIB = 256
-BASE_BYTES = 640 << 20
+BASE_BYTES = 576 << 20
 PER_BYTE = 16
 """By default a command may take so much, and so many bytes for each that the segments take on disk: `audit` needs 300 MiB and 10, and no other more."""
 

@@ -46,7 +46,7 @@ ReadingMemoryOption = Annotated[
         "--memory",
         metavar="MIB",
         help="The most memory that this may take.",
-        show_default="640, 192 for each core or worker beyond two, and 16 times what the segments take on disk",
+        show_default="576, 192 for each core or worker beyond two, and 16 times what the segments take on disk",
     ),
 ]
 QueryMemoryOption = Annotated[
