@@ -2,9 +2,9 @@
 -- Paper: sec:evaluation:metrics (audit attributability)
 -- Grain: one row per event of a coordination type
 -- Units: time_us microseconds of run time
--- NULL: a principal that the row itself does not record; action_id when the record is not correlated with an action
+-- NULL: a principal that the row itself does not record; action_id when the record is not correlated with an action; part_of when it names no robot
 -- Example: fsar-ledger query facts/coordination_events LEDGER
-WITH records AS (
+WITH classified AS (
     SELECT
         events.run_id,
         events.seq,
@@ -16,34 +16,44 @@ WITH records AS (
         events.requested_by,
         events.executed_by,
         events.supervised_by,
-        events.requested_by IS NULL AND event_classes.requires_origin AS lacks_origin,
-        events.executed_by IS NULL AND event_classes.requires_executor AS lacks_executor,
-        events.supervised_by IS NULL AND event_classes.requires_supervisor AS lacks_supervisor
+        event_classes.requires_origin,
+        event_classes.requires_executor,
+        event_classes.requires_supervisor,
+        CASE event_classes.part
+            WHEN 'requester' THEN events.requested_by
+            ELSE coalesce(
+                events.executed_by,
+                events.robot,
+                'robot/' || nullif(regexp_extract(events.decided_by, '^(?:robot|agent)/([^/]+)', 1), ''),
+                events.requested_by
+            )
+        END AS part_of
     FROM events
     INNER JOIN event_classes ON events.type = event_classes.type
-    WHERE event_classes.record_kind IS NOT NULL
 ),
 
-action_principals AS (
+parts AS (
     SELECT
         run_id,
         action_id,
+        part_of,
         count(requested_by) > 0 AS has_origin,
         count(executed_by) > 0 AS has_executor,
         count(supervised_by) > 0 AS has_supervisor
-    FROM events
-    WHERE action_id IS NOT NULL
-    GROUP BY run_id, action_id
+    FROM classified
+    WHERE action_id IS NOT NULL AND part_of IS NOT NULL
+    GROUP BY run_id, action_id, part_of
 ),
 
 judged AS (
     SELECT
         records.*,
-        NOT records.lacks_origin OR coalesce(action_principals.has_origin, FALSE) AS has_origin,
-        NOT records.lacks_executor OR coalesce(action_principals.has_executor, FALSE) AS has_executor,
-        NOT records.lacks_supervisor OR coalesce(action_principals.has_supervisor, FALSE) AS has_supervisor
-    FROM records
-    LEFT JOIN action_principals ON records.run_id = action_principals.run_id AND records.action_id = action_principals.action_id
+        records.requested_by IS NOT NULL OR NOT records.requires_origin OR coalesce(parts.has_origin, FALSE) AS has_origin,
+        records.executed_by IS NOT NULL OR NOT records.requires_executor OR coalesce(parts.has_executor, FALSE) AS has_executor,
+        records.supervised_by IS NOT NULL OR NOT records.requires_supervisor OR coalesce(parts.has_supervisor, FALSE) AS has_supervisor
+    FROM classified AS records
+    LEFT JOIN parts ON records.run_id = parts.run_id AND records.action_id = parts.action_id AND records.part_of = parts.part_of
+    WHERE records.record_kind IS NOT NULL
 )
 
 SELECT
@@ -54,6 +64,7 @@ SELECT
     record_kind,
     task_id,
     action_id,
+    part_of,
     requested_by,
     executed_by,
     supervised_by,

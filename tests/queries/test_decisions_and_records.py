@@ -57,25 +57,44 @@ def test_a_record_with_all_principals_is_attributable_without_any_other() -> Non
 def test_a_record_that_lacks_one_principal_is_not_attributable(lacking: str) -> None:
     ((*_, whole),) = judged(event("GapDetected", **(WHOLE | {lacking: None})))
     assert whole is False
-    ((*_, whole),) = judged(*[event(name, action_id="t1/1", **(WHOLE | {lacking: None})) for name in ("GapDetected", "ExecutionQueued")])
-    assert whole is False, "the other event of the action lacks it too"
+    judgements = judged(*[event(name, action_id="t1/1", **(WHOLE | {lacking: None})) for name in ("GapDetected", "RequestIssued")])
+    assert [whole for *_, whole in judgements] == [False, False], "the other record of the action lacks it too"
 
 
-def test_a_principal_is_recoverable_from_any_event_of_the_same_action() -> None:
+def test_a_principal_is_recoverable_from_a_record_of_the_same_robots_part_in_the_same_action() -> None:
     gap = event("GapDetected", action_id="t1/1", requested_by="robot/A1", supervised_by="supervisor/A1")
-    queued = event("ExecutionQueued", action_id="t1/1", executed_by="robot/B1")
-    assert judged(gap, queued) == [(True, True, True, True)]
+    issued = event("RequestIssued", action_id="t1/1", requested_by="robot/A1", executed_by="robot/B1", supervised_by="supervisor/A1")
+    assert judged(gap, issued) == [(True, True, True, True)] * 2
+
+
+def test_a_losing_bidder_is_not_credited_with_the_winner() -> None:
+    asked = {"action_id": "t1/1", "requested_by": "robot/A1"}
+    lost = event("RequestAdmitted", decided_by="agent/B2/execution", supervised_by="supervisor/B2", **asked)
+    won = event("RequestAdmitted", decided_by="agent/B1/execution", supervised_by="supervisor/B1", **asked)
+    accepted = event("RequestAccepted", decided_by="agent/B1/execution", executed_by="robot/B1", supervised_by="supervisor/B1", **asked)
+    assert judged(lost, won, accepted) == [(True, False, True, False), (True, True, True, True), (True, True, True, True)]
+
+
+def test_a_supervisor_is_not_credited_with_another_robots_shift() -> None:
+    asked = {"action_id": "t1/1", "requested_by": "robot/A1", "executed_by": "robot/B1"}
+    issued = event("RequestIssued", decided_by="robot/A1", supervised_by=None, **asked)
+    accepted = event("RequestAccepted", decided_by="robot/B1", supervised_by="supervisor/B1", **asked)
+    assert judged(issued, accepted) == [(True, True, False, False), (True, True, True, True)]
+
+
+def test_a_record_that_names_no_robot_recovers_nothing() -> None:
+    answered = event("SupervisorResponded", action_id="t1/1", decided_by="supervisor/fleet", supervised_by="supervisor/fleet")
+    assert judged(answered, event("RequestIssued", action_id="t1/1", **WHOLE))[0] == (False, False, True, False)
 
 
 def test_a_principal_is_not_recoverable_from_another_action_another_run_or_without_an_action() -> None:
     gap = event("GapDetected", action_id="t1/1", requested_by="robot/A1", supervised_by="supervisor/A1")
-    other = event("ExecutionQueued", action_id="t1/2", executed_by="robot/B1")
-    loose = event("ExecutionQueued", executed_by="robot/B1")
-    same = event("ExecutionQueued", action_id="t1/1", executed_by="robot/B1")
-    assert judged(gap, other, loose) == [(True, False, True, False)]
-    assert answer("facts/coordination_events", run(gap), run(same, run_id="r2"), columns=("has_executor",)) == [(False,)]
+    whole = {"requested_by": "robot/A1", "executed_by": "robot/B1", "supervised_by": "supervisor/A1"}
+    other, loose, same = event("RequestIssued", action_id="t1/2", **whole), event("RequestIssued", **whole), event("RequestIssued", action_id="t1/1", **whole)
+    assert judged(gap, other, loose)[0] == (True, False, True, False)
+    assert answer("facts/coordination_events", run(gap), run(same, run_id="r2"), columns=("run_id", "has_executor"))[0] == ("r1", False)
     uncorrelated = event("InternalHandoff", executed_by="robot/B1", supervised_by="supervisor/B1")
-    assert judged(uncorrelated, event("ExecutionQueued", requested_by="robot/A1")) == [(False, True, True, False)]
+    assert judged(uncorrelated, loose)[0] == (False, True, True, False)
 
 
 def test_an_off_shift_supervisor_is_required_and_lacking() -> None:

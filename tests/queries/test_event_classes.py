@@ -4,12 +4,22 @@ from fsar_ledger.ledger.schema import LAYOUTS
 from tests.queries.histories import answer
 
 PRINCIPALS = {"requested_by", "executed_by", "supervised_by"}
-CLASSES = {row[0]: row[1:] for row in answer("facts/event_classes")}
+ROWS = answer("facts/event_classes")
+CLASSES = {row[0]: row[1:] for row in ROWS}
 UNJUDGED = {"ExecutionQueued.v1"}  # it repeats the principals that the execution will record
 
 
 def fields(tag: str) -> set[str]:
     return {field.name for field in LAYOUTS[tag].fields}
+
+
+def test_a_type_has_one_class() -> None:
+    assert sorted(row[0] for row in ROWS) == sorted(CLASSES), "each row more is a decision and a record more for each event of its type"
+
+
+def test_every_record_is_somebodys_part_in_the_action() -> None:
+    for tag, (*_, part) in CLASSES.items():
+        assert part == "executor" or (part == "requester" and "requested_by" in fields(tag))
 
 
 def test_every_class_is_of_an_event_type() -> None:
@@ -21,7 +31,7 @@ def test_decisions_are_the_types_with_a_path_and_a_decider() -> None:
 
 
 def test_every_record_has_the_principals_that_it_requires() -> None:
-    for tag, (_, record, *required) in CLASSES.items():
+    for tag, (_, record, *required, _part) in CLASSES.items():
         assert all(required) == any(required) == (record is not None)
         assert record is None or fields(tag) >= PRINCIPALS
 
