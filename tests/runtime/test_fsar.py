@@ -116,6 +116,18 @@ def test_without_policy_composition_only_the_executors_policy_counts() -> None:
     assert isinstance(evaluate_request(state, EvaluateRequest("A1-1/2.1"))[0], RequestAdmitted)
 
 
+def test_without_policy_composition_a_robots_own_steps_and_routine_keep_the_fleet_rule() -> None:
+    heard = (ARRIVED, OWN_STEP, FleetRuleLearned("robot/A1", "deny", 1))
+    for configuration in ("full", "without-policy-composition"):
+        state = given("fsar", *heard, configuration=configuration)
+        assert types(decide_routine(state, DecideRoutine("robot/A1", "motion"))) == ["RoutineWithheld"]
+        for event in decide_own_step(state, DecideOwnStep("A1-1/1.1")):
+            apply(state, event)
+        [held] = start(state, StartAction("A1-1/1.1", now_us=5, drawn=7))
+        assert isinstance(held, ExecutionHeld)
+        assert held.reason == "fleet-rule"
+
+
 def test_a_review_goes_to_the_fleet_supervisor() -> None:
     assert types(evaluate_request(given("fsar", *REQUESTED, window("robot/B1", "review")), EvaluateRequest("A1-1/2.1"))) == ["SupervisorCalled"]
 

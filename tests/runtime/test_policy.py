@@ -157,9 +157,10 @@ def test_without_a_mandate_or_without_a_denial_there_is_no_conflict(happened: tu
     assert conflict(given("fsar", *happened), "A1-1", "A1-1/2.1", A, B, DOOR) == ()
 
 
-def test_without_policy_composition_nobody_sees_the_mandate() -> None:
+def test_without_policy_composition_a_requester_does_not_see_the_mandate() -> None:
     state = given("fsar", rule("deny"), rule("allow", scope="fleet"), configuration="without-policy-composition")
     assert conflict(state, "A1-1", "A1-1/2.1", A, B, DOOR) == ()
+    assert types(conflict(state, "A1-1", "A1-1/2.1", B, B, DOOR)) == ["PolicyConflictEscalated"], "its own step is not composed between robots"
 
 
 def test_a_start_that_a_rule_held_goes_on_when_the_rule_is_replaced() -> None:

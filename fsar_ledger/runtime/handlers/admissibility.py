@@ -148,6 +148,4 @@ def _came_later(state: State, action: Action, later: Later) -> tuple[PolicyOutco
     for window, outcome in state.world.local.get(action.robot, ()):
         if window in later.windows:
             own = stricter(own, outcome)
-    if state.fleet.configuration == "without-policy-composition":
-        return own, "allow"
     return own, stricter(later.heard.get(action.robot, "allow"), ruled(rules, "fleet", *about) or "allow")

@@ -32,15 +32,17 @@ def own_policy(state: State, robot: str, capability: str | None, context: str | 
 
 
 def fleet_policy(state: State, robot: str, capability: str | None, context: str | None) -> PolicyOutcome:
-    """The fleet's rules for the robot, and that for its zone as it last heard it; without policy composition nobody asks."""
-    if state.fleet.configuration == "without-policy-composition":
-        return "allow"
+    """The fleet's rules for the robot, and that for its zone as it last heard it."""
     heard = state.knowledge.fleet_rule.get(robot, "allow")
     return stricter(heard, ruled(state.policy, "fleet", robot, capability, context) or "allow") if state.policy else heard
 
 
 def compose(state: State, carried: PolicyOutcome, executor: str, capability: str, context: str | None) -> PolicyOutcome:
-    """Pi: requester's policy (as the request carried it), the executor's own and the fleet's together. Paper: eq:policy."""
+    """Pi: requester's policy (as the request carried it), the executor's own and the fleet's together. Paper: eq:policy.
+
+    Without policy composition the executor's own alone: what the ablation removes is composition between robots, so a robot's own
+    steps and routine keep the fleet's rule.
+    """
     own = own_policy(state, executor, capability, context)
     if state.fleet.configuration == "without-policy-composition":
         return own
@@ -59,7 +61,8 @@ def conflict(
     state: State, task_id: str | None, action_id: str | None, requester: str | None, executor: str, capability: str
 ) -> tuple[PolicyConflictEscalated, ...]:
     """The escalation when the fleet mandates what the executor's own policy denies; the denial stands. Paper: sec:architecture:fleet."""
-    if state.fleet.configuration == "without-policy-composition" or ruled(state.policy, "fleet", executor, capability, task_id) is None:
+    is_uncomposed = state.fleet.configuration == "without-policy-composition" and requester != executor
+    if is_uncomposed or ruled(state.policy, "fleet", executor, capability, task_id) is None:
         return ()
     own, fleet = own_policy(state, executor, capability, task_id), fleet_policy(state, executor, capability, task_id)
     if (own, fleet) != ("deny", "allow"):
