@@ -1,6 +1,8 @@
 """DHMA's handlers: given events, when a command, then events."""
 
+from fsar_ledger.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.knowledge import BidReceived, PlannerEngaged, SnapshotTaken
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import AwardMade, InternalHandoff
@@ -31,6 +33,7 @@ from fsar_ledger.runtime.architectures.dhma.request import (
 )
 from fsar_ledger.runtime.handlers.commands import CloseExecution, DecideRoutine, DetectObstruction, EndAttempt, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.execution import approach, detect_obstruction
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
 
 ACTION = "A1-1/2.1"
@@ -175,6 +178,23 @@ def test_an_outsider_runs_unchecked_and_nobody_is_on_record() -> None:
     events = run_outsider(given("dhma", injected), RunOutsider("injected-1-1"))
     assert types(events) == ["RequestIssued", "RequestAdmitted", "ExecutionQueued"]
     assert all(event.executed_by is None and event.supervised_by is None for event in events)  # type: ignore[attr-defined]
+
+
+def test_an_outsider_has_no_contract_to_be_questioned_or_voided() -> None:
+    state = given("dhma", OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.private_zone"))
+    for event in run_outsider(state, RunOutsider("injected-1-1")):
+        apply(state, event)
+    for robot in ("robot/C1", "robot/D1"):
+        assert types(engage_planner(state, EngagePlanner(robot, now_us=5_000_000))) == ["PlannerEngaged"]
+
+
+def test_every_outsider_runs_in_every_world() -> None:
+    """Paper: sec:evaluation:qualitative, case 1 (all 20 runs proceed)."""
+    for seed in range(3):
+        for run in range(20):
+            events = simulate_run(RunSpec(seed, "dhma", "full", "mixed-trust-inspection", 4, run), Constants()).events
+            injected = {event.task_id for event in events if isinstance(event, OutsiderRequestInjected)}
+            assert injected == {event.action_id for event in events if isinstance(event, ExecutionStarted)} & injected
 
 
 def test_claims_end_with_the_execution() -> None:

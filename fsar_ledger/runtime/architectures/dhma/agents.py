@@ -78,9 +78,11 @@ def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
 
 def _has_started(state: State, request: Request) -> bool:
     """True when no contract is left to question: the action runs, has ended, or is an outsider's, which has none."""
+    if request.step == 0:
+        return True
     action = state.execution.actions.get(request.action_id)
     if action is None:
-        return request.step == 0 or request.is_accepted
+        return request.is_accepted
     return action.stage not in ("queued", "approaching")
 
 
