@@ -98,6 +98,18 @@ def foreign_places(root: Path, files: list[Path]) -> list[str]:
     return [f"{path.relative_to(root)}: {match.group()}" for path in files for match in pattern.finditer(path.read_text("utf-8"))]
 
 
+def architectures_named(root: Path) -> list[str]:
+    """Places in what all architectures share that look at which one it is; docstrings may speak of them."""
+    found = []
+    for path in code_files(root / "fsar_ledger", ".py", ("runtime/handlers", "projections")):
+        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
+            is_name = isinstance(node, ast.Constant) and node.value in ("fsar", "cfc", "dhma")
+            is_asked = isinstance(node, ast.Attribute) and node.attr == "architecture"
+            if isinstance(node, ast.Constant | ast.Attribute) and (is_name or is_asked):
+                found.append(f"{path.relative_to(root)}:{node.lineno}")
+    return found
+
+
 def contracts(root: Path) -> subprocess.CompletedProcess[str]:
     command = [str(Path(sys.executable).with_name("lint-imports")), "--no-cache", "--no-logo"]
     return subprocess.run(command, cwd=root, capture_output=True, text=True, check=False, env={**os.environ, "COLUMNS": "500"})
@@ -178,6 +190,16 @@ def test_nothing_names_a_registry_or_a_machine() -> None:
 def test_a_named_registry_is_found(tmp_path: Path) -> None:
     (tmp_path / "requirements.txt").write_text("--index-url https://pypi.example/simple\n")
     assert foreign_places(tmp_path, [tmp_path / "requirements.txt"]) == ["requirements.txt: --index-url", "requirements.txt: https://pypi"]
+
+
+def test_shared_handlers_and_projections_do_not_know_which_architecture_it_is() -> None:
+    assert architectures_named(ROOT) == []
+
+
+def test_a_shared_handler_that_asks_for_the_architecture_is_found(tmp_path: Path) -> None:
+    (tmp_path / "fsar_ledger" / "projections").mkdir(parents=True)
+    (tmp_path / "fsar_ledger" / "projections" / "curious.py").write_text('"""It is CFC."""\nX = "cfc"\nY = state.fleet.architecture\n')
+    assert architectures_named(tmp_path) == ["fsar_ledger/projections/curious.py:2", "fsar_ledger/projections/curious.py:3"]
 
 
 def test_imports_go_one_way(tree: Path) -> None:

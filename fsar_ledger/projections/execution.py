@@ -43,7 +43,8 @@ INTERRUPTING = rank("hard-preempt")  # from this level on a request takes the ro
 class Action(msgspec.Struct, frozen=True, gc=False):
     """One action at its robot. Units: `ends_us` run time of the planned end, `remaining_us` execution left.
 
-    `has_begun` says of a preempted one whether it had begun to execute.
+    `has_begun` says of a preempted one whether it had begun to execute. `supervised_by` is the supervisor on record when it was
+    queued, None if none was.
     """
 
     task_id: str
@@ -67,6 +68,7 @@ class Action(msgspec.Struct, frozen=True, gc=False):
     override: OverrideLevel = "none"
     preemptions: int = 0
     has_begun: bool = False
+    supervised_by: str | None = None
 
 
 class Execution(msgspec.Struct, frozen=True, gc=False):
@@ -134,6 +136,7 @@ def _queued(state: Execution, event: ExecutionQueued) -> Execution:
         failures=known.failures if known else 0,
         segments=known.segments if known else 0,
         override=event.override,
+        supervised_by=event.supervised_by,
     )
     actions = {**state.actions, event.action_id: action}
     if event.robot in state.current:

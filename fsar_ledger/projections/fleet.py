@@ -24,7 +24,6 @@ class Robot(msgspec.Struct, frozen=True, gc=False):
 class Fleet(msgspec.Struct, frozen=True, gc=False):
     """The run's structure and its robots by name, in order of joining; `teams` is the highest number of a team."""
 
-    architecture: str = ""
     configuration: str = ""
     size: int = 0
     structure: Structure = Structure()
@@ -39,7 +38,7 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
     """The fleet after the event."""
     match event:
         case RunStarted():
-            return Fleet(event.architecture, event.configuration, event.fleet_size, _structure(event.parameters), state.robots)
+            return Fleet(event.configuration, event.fleet_size, _structure(event.parameters), state.robots)
         case RobotJoined():
             robot = Robot(event.robot, event.role, event.team, event.supervisor, event.domain)
             return msgspec.structs.replace(state, robots={**state.robots, event.robot: robot}, teams=max(state.teams, event.team))

@@ -5,7 +5,7 @@ from types import ModuleType
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.runtime.handlers.commands import Command, Decide, React
+from fsar_ledger.runtime.handlers.commands import Command, Decide, Decides, React
 
 
 class Wiring(msgspec.Struct, frozen=True, eq=False):
@@ -15,8 +15,8 @@ class Wiring(msgspec.Struct, frozen=True, eq=False):
     reacts: dict[type[Event], tuple[React, ...]]
 
 
-def wire(*handlers: ModuleType) -> Wiring:
-    """The wiring of the handler modules' `DECIDES` and `REACTS`.
+def wire(*handlers: ModuleType, own: Decides | None = None) -> Wiring:
+    """The wiring of the handler modules' `DECIDES` and `REACTS`; `own` are commands of shared modules that the architecture decides in its own way.
 
     Raises:
         ValueError: two modules decide the same command.
@@ -30,4 +30,4 @@ def wire(*handlers: ModuleType) -> Wiring:
             decides[command] = decide
         for event, react in module.REACTS.items():
             reacts[event] = (*reacts.get(event, ()), react)
-    return Wiring(decides, reacts)
+    return Wiring(decides | (own or {}), reacts)

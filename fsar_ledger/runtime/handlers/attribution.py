@@ -20,10 +20,10 @@ def on_shift(state: State, robot: str) -> str | None:
 
 
 def supervisor_of(state: State, action: Action) -> str | None:
-    """The supervisor that the architecture can name for an execution."""
+    """The supervisor whom a record of the execution names: H_F if it was queued under H_F, else the robot's own while on shift."""
     if not action.is_supervised:
         return None
-    return FLEET_SUPERVISOR if state.fleet.architecture == "cfc" else on_shift(state, action.robot)
+    return FLEET_SUPERVISOR if action.supervised_by == FLEET_SUPERVISOR else on_shift(state, action.robot)
 
 
 def principals(state: State, action: Action) -> dict[str, Any]:

@@ -1,10 +1,13 @@
 """Supervisors decide what is put before them, and how often that is; H_i for its robot, H_F for the fleet. Paper: eq:supervision."""
 
+from collections.abc import Callable
+
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.supervision import ActuatorServiced, SupervisionDensitySet, SupervisorCalled, SupervisorResponded
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import density
 
 from .commands import Decides, Draw, PublicCommand, Reacts, Respond, Scheduled
@@ -44,15 +47,24 @@ def is_due_for_review(state: State, executor: str) -> bool:
     return every > 0 and (state.supervision.admissions.get(executor, 0) + 1) % every == 0
 
 
-def respond(state: State, command: Respond) -> tuple[Event, ...]:
+def requester_of(request: Request) -> str | None:
+    """The requester, whom a record of the answer names."""
+    return request.requester
+
+
+NameRequester = Callable[[Request], str | None]
+"""Which requester an architecture has on record before anything is executed."""
+
+
+def respond(state: State, command: Respond, name_requester: NameRequester = requester_of) -> tuple[Event, ...]:
     """The supervisor who was called has approved the review, ordered the commands, or resolved the failure; nothing if that is settled."""
     call = state.supervision.calls.get(command.call)
     if call is None or (call.action_id not in state.request and call.action_id not in state.execution.actions):
         return ()
-    return _responded(state, call, True, first_in_order(state, call))
+    return _responded(state, call, True, first_in_order(state, call), name_requester)
 
 
-def respond_to_call(state: State, command: RespondToCall) -> tuple[Event, ...]:
+def respond_to_call(state: State, command: RespondToCall, name_requester: NameRequester = requester_of) -> tuple[Event, ...]:
     """The open call is answered by the supervisor it went to."""
     unknown = not_in_charge(state, command.supervisor, None)
     if unknown is not None:
@@ -65,7 +77,7 @@ def respond_to_call(state: State, command: RespondToCall) -> tuple[Event, ...]:
     refused = _unfit(call, command)
     if refused is not None:
         return rejected(command, command.action_id, refused, command.supervisor)
-    return _responded(state, call, command.approves, command.preferred)
+    return _responded(state, call, command.approves, command.preferred, name_requester)
 
 
 def _unfit(call: SupervisorCalled, command: RespondToCall) -> str | None:
@@ -78,15 +90,14 @@ def _unfit(call: SupervisorCalled, command: RespondToCall) -> str | None:
     return None
 
 
-def _responded(state: State, call: SupervisorCalled, approves: bool, preferred: str | None) -> tuple[Event, ...]:
+def _responded(state: State, call: SupervisorCalled, approves: bool, preferred: str | None, name_requester: NameRequester) -> tuple[Event, ...]:
     """The answer is on record; a failure that was put before the supervisor is over, a degraded robot serviced."""
     action, request = state.execution.actions.get(call.action_id), state.request.get(call.action_id)
     requested_by = executed_by = None
     if action is not None:
         requested_by, executed_by = action.requested_by, action.executed_by
     elif request is not None:
-        executed_by = request.target
-        requested_by = None if state.fleet.architecture == "cfc" else request.requester
+        requested_by, executed_by = name_requester(request), request.target
     by = call.supervisor
     responded = SupervisorResponded(call.task_id, call.action_id, by, requested_by, executed_by, by, (by,), call.purpose, approves, preferred)
     recovery = state.recovery.get(call.action_id)

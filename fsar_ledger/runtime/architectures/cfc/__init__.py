@@ -4,6 +4,6 @@ from fsar_ledger.runtime.architectures.wiring import Wiring, wire
 from fsar_ledger.runtime.handlers import execution as bodies
 from fsar_ledger.runtime.handlers import supervision, task
 
-from . import coordinator, execution, recovery, request
+from . import answers, coordinator, execution, recovery, request
 
-CFC: Wiring = wire(task, bodies, supervision, coordinator, request, execution, recovery)
+CFC: Wiring = wire(task, bodies, supervision, coordinator, request, execution, recovery, own=answers.OWN)

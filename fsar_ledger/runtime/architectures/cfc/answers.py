@@ -1,0 +1,25 @@
+"""CFC: who asked is not on the coordinator's record of what a supervisor answered. Paper: sec:evaluation:baselines."""
+
+from fsar_ledger.events import Event
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.request import Request
+from fsar_ledger.runtime.handlers import supervision
+from fsar_ledger.runtime.handlers.commands import Decides, Respond
+from fsar_ledger.runtime.handlers.supervision import RespondToCall
+
+
+def _nobody(_request: Request) -> None:
+    return None
+
+
+def respond(state: State, command: Respond) -> tuple[Event, ...]:
+    """The supervisor who was called has answered the coordinator, which does not know the requester."""
+    return supervision.respond(state, command, _nobody)
+
+
+def respond_to_call(state: State, command: RespondToCall) -> tuple[Event, ...]:
+    """The open call is answered by the supervisor it went to."""
+    return supervision.respond_to_call(state, command, _nobody)
+
+
+OWN: Decides = {Respond: respond, RespondToCall: respond_to_call}
