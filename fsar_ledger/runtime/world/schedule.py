@@ -6,6 +6,7 @@ another draw in one stream moves no other.
 
 from functools import lru_cache
 from itertools import combinations
+from math import inf
 
 from fsar_ledger.constants import WorldConstants
 from fsar_ledger.events import Event
@@ -86,8 +87,15 @@ def _apart(facts: list[Fact]) -> tuple[Fact, ...]:
     return tuple(apart)
 
 
+def _mean_s(rate_per_s: float) -> float:
+    """The mean distance of what happens at this rate; infinite where it never happens."""
+    return 1 / rate_per_s if rate_per_s else inf
+
+
 def _arrivals(stream: Stream, mean_s: float, until_s: float) -> list[int]:
     """The instants of a Poisson process with this mean distance. Units: microseconds."""
+    if mean_s == inf:
+        return []
     instants, time_us, until_us = [], stream.exponential_us(mean_s), round(until_s * 1e6)
     while time_us < until_us:
         instants.append(time_us)
@@ -102,7 +110,7 @@ def _window(world: WorldConstants, stream: Stream, robot: str, scope: PolicyScop
 
 
 def _contexts(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
-    instants = _arrivals(Stream(key, f"context/{robot}"), 1 / world.context_rate_per_s, world.horizon_s)
+    instants = _arrivals(Stream(key, f"context/{robot}"), _mean_s(world.context_rate_per_s), world.horizon_s)
     marks = Stream(key, f"context-window/{robot}")
     facts: list[Fact] = []
     for ordinal, time_us in enumerate(instants):
@@ -117,7 +125,7 @@ def _contexts(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
 
 def _fleet_rules(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
     facts: list[Fact] = []
-    for ordinal, time_us in enumerate(_arrivals(Stream(key, f"fleet-rule/{robot}"), 1 / world.fleet_rule_rate_per_s, world.horizon_s)):
+    for ordinal, time_us in enumerate(_arrivals(Stream(key, f"fleet-rule/{robot}"), _mean_s(world.fleet_rule_rate_per_s), world.horizon_s)):
         name = f"fleet/{robot[6:]}/{ordinal}"
         facts += _window(world, Stream(key, f"window/{name}"), robot, "fleet", name, time_us)
     return facts
@@ -126,7 +134,7 @@ def _fleet_rules(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
 def _obstructions(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
     lengths = Stream(key, f"obstruction-length/{robot}")
     facts: list[Fact] = []
-    for ordinal, time_us in enumerate(_arrivals(Stream(key, f"obstruction/{robot}"), 1 / world.obstruction_rate_per_s, world.horizon_s)):
+    for ordinal, time_us in enumerate(_arrivals(Stream(key, f"obstruction/{robot}"), _mean_s(world.obstruction_rate_per_s), world.horizon_s)):
         name = f"obstruction/{robot[6:]}/{ordinal}"
         facts.append((time_us, ObstructionAppeared(robot, name)))
         facts.append((time_us + lengths.exponential_us(world.obstruction_mean_s), ObstructionCleared(robot, name)))
@@ -135,7 +143,7 @@ def _obstructions(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
 
 def _routine(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
     marks = Stream(key, f"routine-operation/{robot}")
-    instants = _arrivals(Stream(key, f"routine/{robot}"), 1 / world.routine_rate_per_s, world.routine_until_s)
+    instants = _arrivals(Stream(key, f"routine/{robot}"), _mean_s(world.routine_rate_per_s), world.routine_until_s)
     return [(time_us, RoutineDue(robot, "motion" if marks.uniform() < world.motion_share else "sensing")) for time_us in instants]
 
 
