@@ -3,8 +3,10 @@
 -- Grain: one row per architecture, configuration, fleet size, metric, and scenario or all scenarios
 -- Units: mean, sd (per run), ci_low, ci_high in the metric's unit; n runs; denominator: what the metric counts, summed over runs.
 --        Containment and latency are pooled: mean is the sum of numerators over the sum of denominators.
---        95 % intervals are Student's t, for human_intervention Wilson
--- NULL: scenario for all scenarios; mean where the metric is undefined in all runs; sd and Student's interval also for a single run
+--        95 % intervals keep within the scale: Wilson for human_intervention; Student's t on the logit of a share and on the logarithm of a count
+--        or time; at a share of 0 or 1 and a count of 0 the exact one-sided bound of n runs that all agree
+-- NULL: scenario for all scenarios; mean where the metric is undefined in all runs; sd also for a single run, and the interval but Wilson's;
+--       the interval of a time of 0
 -- Example: fsar-ledger query metrics/metric_summary LEDGER
 WITH moments AS (
     -- Sums of floats in a fixed order are the same bits on any number of threads.
@@ -26,21 +28,35 @@ WITH moments AS (
 
 quantiles AS (
     SELECT
-        *,
-        metric = 'human_intervention' AS is_share_of_runs,
-        t_quantile(0.975, nullif(n - 1, 0)::DOUBLE) AS t,
-        norm_quantile(0.975) AS z
+        moments.*,
+        definitions.scale,
+        norm_quantile(0.975) AS z,
+        t_quantile(0.975, nullif(moments.n - 1, 0)::DOUBLE) * moments.sd / sqrt(moments.n) AS half_width,
+        CASE WHEN moments.n > 1 THEN pow(0.025, 1.0 / moments.n) END AS agreement
     FROM moments
+    INNER JOIN metric_definitions AS definitions ON moments.metric = definitions.metric
 ),
 
 intervals AS (
     SELECT
         *,
-        CASE WHEN is_share_of_runs THEN (mean + z * z / (2 * n)) / (1 + z * z / n) ELSE mean END AS centre,
         CASE
-            WHEN is_share_of_runs THEN z * sqrt(mean * (1 - mean) / n + z * z / (4 * n * n)) / (1 + z * z / n)
-            ELSE t * sd / sqrt(n)
-        END AS half_width
+            WHEN scale = 'yes-no'
+                THEN (mean + z * z / (2 * n) - z * sqrt(mean * (1 - mean) / n + z * z / (4 * n * n))) / (1 + z * z / n)
+            WHEN scale = 'share' AND mean >= 1 THEN agreement
+            WHEN mean <= 0 THEN CASE WHEN scale <> 'seconds' AND n > 1 THEN 0.0 END
+            WHEN scale = 'share' THEN 1 / (1 + (1 - mean) / mean * exp(half_width / (mean * (1 - mean))))
+            ELSE mean * exp(-half_width / mean)
+        END AS ci_low,
+        CASE
+            WHEN scale = 'yes-no'
+                THEN (mean + z * z / (2 * n) + z * sqrt(mean * (1 - mean) / n + z * z / (4 * n * n))) / (1 + z * z / n)
+            WHEN scale = 'share' AND mean >= 1 THEN CASE WHEN n > 1 THEN 1.0 END
+            WHEN scale = 'share' AND mean <= 0 THEN 1 - agreement
+            WHEN mean <= 0 THEN CASE WHEN scale = 'count' THEN -ln(agreement) END
+            WHEN scale = 'share' THEN 1 / (1 + (1 - mean) / mean * exp(-half_width / (mean * (1 - mean))))
+            ELSE mean * exp(half_width / mean)
+        END AS ci_high
     FROM quantiles
 )
 
@@ -54,8 +70,8 @@ SELECT
     mean,
     sd,
     n,
-    centre - half_width AS ci_low,
-    centre + half_width AS ci_high,
+    ci_low,
+    ci_high,
     denominator,
     published_convention_mean
 FROM intervals

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import special, stats
 
 from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.metrics.results import MetricRow, metric_rows
@@ -28,10 +28,10 @@ def failing(contained: int, lost: int, number: int, scenario: str = "door-relay"
     return run(*events, run_id=f"{scenario}-{number}", run=number, scenario=scenario)
 
 
-def test_plain_metrics_are_means_over_runs_with_students_interval() -> None:
+def test_a_count_is_a_mean_over_runs_with_students_interval_on_its_logarithm() -> None:
     claims = [event("AuthorityClaimed", 1, claimant=claimant, dimension="audit", action_id="t1/1") for claimant in ("a", "b")]
     row = summary([run(*claims, run_id="r0"), run(run_id="r1"), run(run_id="r2")])["authority_conflicts", "fsar", None]
-    low, high = stats.t.interval(0.95, 2, loc=1 / 3, scale=stats.sem([1, 0, 0]))
+    low, high = np.exp(stats.t.interval(0.95, 2, loc=math.log(1 / 3), scale=3 * stats.sem([1, 0, 0])))
     assert (row.n, row.denominator) == (3, 3)
     assert (row.mean, row.sd, row.ci_low, row.ci_high) == pytest.approx((1 / 3, plain.stdev([1, 0, 0]), low, high), rel=1e-12)
 
@@ -42,9 +42,9 @@ def test_containment_is_pooled_over_failures_and_its_sd_is_linearised() -> None:
     contained, failures = np.array([won for won, _ in runs]), np.array([won + lost for won, lost in runs])
     ratio = contained.sum() / failures.sum()
     sd = np.std((contained - ratio * failures) / failures.mean(), ddof=1)
-    half_width = stats.t.ppf(0.975, 4) * sd / math.sqrt(5)
+    low, high = special.expit(stats.t.interval(0.95, 4, loc=special.logit(ratio), scale=sd / math.sqrt(5) / (ratio * (1 - ratio))))
     assert (row.n, row.denominator) == (5, 14)
-    assert (row.mean, row.sd, row.ci_low, row.ci_high) == pytest.approx((ratio, sd, ratio - half_width, ratio + half_width), rel=1e-12)
+    assert (row.mean, row.sd, row.ci_low, row.ci_high) == pytest.approx((ratio, sd, low, high), rel=1e-12)
     assert row.published_convention_mean == pytest.approx((2 / 3 + 1 + 0 + 1 + 1 / 2) / 5)
 
 
