@@ -108,10 +108,20 @@ class Structure(msgspec.Struct, frozen=True):
 
 
 class Constants(msgspec.Struct, frozen=True):
-    """All constants of a run, as `RunStarted.parameters` holds them."""
+    """All constants of a run, as `RunStarted.parameters` holds them.
+
+    Groups that a later release adds are optional: `GROUP: Group | None = None`. An absent group is left out of the parameters,
+    so runs without it keep their parameters, their ids and their roots.
+    """
 
     world: WorldConstants = WorldConstants()
     structure: Structure = Structure()
+
+
+def write_constants(constants: Constants) -> str:
+    """Return the constants as `RunStarted.parameters` holds them: JSON in the order of the fields, without absent groups."""
+    groups = {name: group for name in constants.__struct_fields__ if (group := getattr(constants, name)) is not None}
+    return msgspec.json.encode(groups, order="deterministic").decode()
 
 
 class BadParameters(ValueError):

@@ -7,7 +7,7 @@ from typing import get_args
 
 import msgspec
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Architecture, Configuration, Scenario, Workflow
 from fsar_ledger.events.fleet import RunStarted
@@ -20,7 +20,7 @@ from .world.draws import Draws, run_key
 from .world.scenarios import founding
 from .world.schedule import schedule
 
-MODEL_VERSION = "1"
+MODEL_VERSION = "2"
 
 ARCHITECTURES: tuple[Architecture, ...] = get_args(Architecture)
 CONFIGURATIONS: tuple[Configuration, ...] = get_args(Configuration)
@@ -38,9 +38,7 @@ class RunSpec(msgspec.Struct, frozen=True):
     run: int
 
 
-@lru_cache(maxsize=8)
-def _parameters(constants: Constants) -> str:
-    return msgspec.json.encode(constants, order="deterministic").decode()
+_parameters = lru_cache(maxsize=8)(write_constants)
 
 
 def wiring(architecture: Architecture) -> Wiring:

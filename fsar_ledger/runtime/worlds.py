@@ -71,9 +71,9 @@ def _differences(parameters: str) -> Iterator[str]:
     constants = read_constants(parameters)
     for part in Constants.__struct_fields__:
         actual, own = getattr(constants, part), getattr(Constants(), part)
-        for name in own.__struct_fields__:
-            if getattr(actual, name) != getattr(own, name):
-                yield f"{part}.{name} {_short(getattr(actual, name))} (here {_short(getattr(own, name))})"
+        for name in (actual or own).__struct_fields__ if actual != own else ():
+            if getattr(actual, name, None) != getattr(own, name, None):
+                yield f"{part}.{name} {_short(getattr(actual, name, None))} (here {_short(getattr(own, name, None))})"
 
 
 def _short(value: object) -> str:
