@@ -16,7 +16,8 @@ from fsar_ledger.projections.authority import LEVELS, Right
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 
-from .commands import Command, Decides, PublicCommand, Reacts, Scheduled
+from .actors import named, nobody
+from .commands import Actors, Command, Decides, PublicCommand, Reacts, Scheduled
 from .rejection import expired_context, rejected, unknown_capability, unknown_robot, unknown_supervisor, unknown_word
 from .trust import trusts
 
@@ -210,4 +211,5 @@ DECIDES: Decides = {
     ExpireContext: expire_context,
     RevokeDistrusted: revoke_distrusted,
 }
+ACTORS: Actors = {ExpireContext: nobody, RevokeDistrusted: named}
 REACTS: Reacts = {TaskCompleted: _on_end, TaskAbandoned: _on_end, TrustSet: _on_trust}
