@@ -1,12 +1,12 @@
 """Tasks go through their steps, whoever governs them. Paper: sec:evaluation:scenarios."""
 
-from fsar_ledger.constants import END_US
 from fsar_ledger.events import Event
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import possesses
+from fsar_ledger.projections.task import given_up_us
 
 from .actors import acting, next_in_task, nobody, requester
 from .commands import Actors, BeginStep, CompleteStep, Decides, ExpireTask, PublicCommand, Reacts, Scheduled, at_once
@@ -126,8 +126,8 @@ def _begin(state: State, event: StepCompleted, _now_us: int) -> tuple[Scheduled,
 
 def _on_arrival(state: State, event: TaskArrived, now_us: int) -> tuple[Scheduled, ...]:
     """The first step begins; after so many budgets, and at the end of the run, the task is given up."""
-    expires_us = event.due_us + (state.fleet.structure.expiry_budgets - 1) * event.budget_us
-    return (Scheduled(BeginStep(event.task_id)), Scheduled(ExpireTask(event.task_id), max(1, min(expires_us, END_US) - now_us) + 1))
+    left_us = max(1, given_up_us(event, state.fleet.structure.expiry_budgets) - now_us)
+    return (Scheduled(BeginStep(event.task_id)), Scheduled(ExpireTask(event.task_id), left_us + 1))
 
 
 DECIDES: Decides = {SubmitTask: submit_task, BeginStep: begin_step, CompleteStep: complete_step, ExpireTask: expire_task}
