@@ -1,7 +1,7 @@
 """Trust by role and domain: the handlers and the queries find the same entry, and no row is made for each pair."""
 
 from itertools import permutations
-from random import Random  # noqa: TID251  (a fixed seed: the same histories every time)
+from random import Random
 
 import msgspec
 import pytest
