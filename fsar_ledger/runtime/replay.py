@@ -223,7 +223,7 @@ class _Replay(Kernel):
         events, founded = founding_of(spec, constants)
         self._stored, self._count = record, len(record.events)
         self._deciding: Callable[..., object] = founding
-        self._facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size)
+        self._facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size, constants.outages)
         self._silent: list[tuple[int, Decide]] = []  # when, and who had a turn since the last event and made nothing
         for seq, event in enumerate(events):
             self._require(seq, event, 0, None if seq == 0 else 0)
@@ -339,7 +339,7 @@ def _parameters(run: str, started: RunStarted, event_count: int) -> tuple[RunSpe
     if own != started:
         raise refused("parameters", "all constants of the model, in the form in which it writes them", f"{started.parameters!r:.300}")
     most = FACTS_PER_ROBOT * spec.fleet_size + event_count
-    if not arrivals_expected(constants.world, spec.fleet_size) <= most:
+    if not arrivals_expected(constants.world, spec.fleet_size, constants.outages) <= most:
         raise refused("parameters", f"rates of the world that make at most {most} facts", "more than that to be expected")
     return spec, constants
 
