@@ -25,6 +25,7 @@ from .commands.options import (
     CsvOption,
     FailureOption,
     FileOption,
+    FleetSizeOption,
     InvariantOption,
     JsonOption,
     KeyOption,
@@ -43,6 +44,8 @@ from .commands.options import (
     ScenarioOption,
     SecondsOption,
     SvgOption,
+    TaskSetsOption,
+    TeamsWorkingOption,
     VerifiedOption,
     WithoutOption,
     WorkersOption,
@@ -92,7 +95,7 @@ def _version(version: Annotated[bool, typer.Option("--version", help="Show the v
         "fsar-ledger simulate out/workflows --workflow door-relay --workflow layered-recovery --workflow human-supervision",
         "fsar-ledger simulate out/signed --scenario door-relay --runs 1 --key out/fleet.key",
         "fsar-ledger simulate out/named --scenario door-relay --runs 1 --origin example.org/fleet",
-        "fsar-ledger simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 --runs 2",
+        "fsar-ledger simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 --teams-working 2 --runs 2",
     )
 )
 def simulate(
@@ -102,7 +105,9 @@ def simulate(
     workflow: WorkflowOption = None,
     runs: RunsOption = None,
     seed: Annotated[int, typer.Option(metavar="N", help="Decides every draw of the world.")] = 42,
-    fleet_size: Annotated[int, typer.Option(metavar="N", help="Robots; a multiple of 4.")] = 4,
+    fleet_size: FleetSizeOption = 4,
+    teams_working: TeamsWorkingOption = None,
+    task_sets: TaskSetsOption = 1,
     without: WithoutOption = None,
     origin: OriginOption = None,
     key: KeyOption = None,
@@ -117,7 +122,8 @@ def simulate(
     from .commands.output import json_text
     from .runtime.experiment import simulate as run_experiment
 
-    experiment, signer = experiment_of(architecture, scenario, runs, seed, fleet_size, without, workflow), trust.signer_of(key, adopts=adopt)
+    load = (teams_working, task_sets)
+    experiment, signer = experiment_of(architecture, scenario, runs, seed, fleet_size, without, workflow, load), trust.signer_of(key, adopts=adopt)
     with Progress("simulated", "batches") as progress:
         head = run_experiment(out, experiment, workers_of(workers), progress, signer, trust.origin_of(origin), adopts=adopt)
     lines = [f"{out}: {head.size:,} events in {head.commits:,} commits", f"root {head.root}", *trust.signed_lines(out, signer)]

@@ -211,7 +211,7 @@ class _Replay(Kernel):
         events, founded = founding_of(spec, constants)
         self._stored, self._count = record, len(record.events)
         self._deciding: Callable[..., object] = founding
-        self._facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size)
+        self._facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size, constants.load)
         self._silent: list[tuple[int, Decide]] = []  # when, and who had a turn since the last event and made nothing
         for seq, event in enumerate(events):
             self._require(seq, event, 0, None if seq == 0 else 0)
@@ -314,17 +314,17 @@ def _parameters(run: str, started: RunStarted, event_count: int) -> tuple[RunSpe
         raise refused("model_version", f"{MODEL_VERSION!r}; replay it with the version that wrote it", repr(started.model_version))
     spec = RunSpec(started.seed, started.architecture, started.configuration, started.scenario, started.fleet_size, started.run)
     try:
-        Experiment((spec.architecture,), (spec.scenario,), spec.run + 1, spec.seed, spec.fleet_size, (spec.configuration,))
-    except InvalidExperiment as error:
-        raise refused(None, "a run that can be simulated", str(error)) from error
-    try:
         constants = _constants(started.parameters)
     except BadParameters as error:
         raise refused("parameters", "the constants of the model", str(error).removeprefix("found ")) from error
+    try:
+        Experiment((spec.architecture,), (spec.scenario,), spec.run + 1, spec.seed, spec.fleet_size, (spec.configuration,), constants)
+    except InvalidExperiment as error:
+        raise refused(None, "a run that can be simulated", str(error)) from error
     if run_started(spec, constants) != started:
         raise refused("parameters", "all constants of the model, in the form in which it writes them", f"{started.parameters!r:.300}")
     most = FACTS_PER_ROBOT * spec.fleet_size + event_count
-    if not arrivals_expected(constants.world, spec.fleet_size) <= most:
+    if not arrivals_expected(constants.world, spec.fleet_size, constants.load) <= most:
         raise refused("parameters", f"rates of the world that make at most {most} facts", "more than that to be expected")
     return spec, constants
 
