@@ -105,9 +105,7 @@ FleetSizeOption = Annotated[int, typer.Option("--fleet-size", metavar="N", help=
 TeamsWorkingOption = Annotated[
     int | None, typer.Option("--teams-working", metavar="N", help="Teams that have tasks; the others stand by and can be asked.", show_default="all")
 ]
-TaskSetsOption = Annotated[
-    int, typer.Option("--task-sets", metavar="N", help="How often each team that works gets the tasks of its scenario, 30 s apart.")
-]
+TaskSetsOption = Annotated[int, typer.Option("--task-sets", metavar="N", help="How often each team that works gets the tasks of its scenario, 30 s apart.")]
 RunsOption = Annotated[int | None, typer.Option(metavar="N", help="Runs per scenario (or workflow) and architecture.", show_default="20; with --workflow, 1")]
 RunOption = Annotated[
     str | None, typer.Option("--run", metavar="RUN", help="A run, or the beginning of its name: the first such run.", show_default="the first run")
@@ -206,9 +204,7 @@ def experiment_of(
     )
 
 
-def _workflows_of(
-    asked: list[str], runs: int | None, seed: int, others: dict[str, Any], architectures: list[str] | None, fleet_size: int
-) -> "Experiment":
+def _workflows_of(asked: list[str], runs: int | None, seed: int, others: dict[str, Any], architectures: list[str] | None, fleet_size: int) -> "Experiment":
     """The workflows that were asked for: FSAR's, with one robot of each role, and nothing beside them."""
     from typing import get_args
 
@@ -279,3 +275,10 @@ def parameters_of(pairs: Sequence[str] | None) -> dict[str, str]:
             raise QueryFailed(f"--param {pair!r}: {name} already has the value {values[name]!r}, expected one value for each name")
         values[name] = value
     return values
+
+
+def require_text(arguments: Sequence[str]) -> None:
+    """Raises: UsageError if an argument, perhaps a path, is not UTF-8: neither DuckDB nor JSON can name it."""
+    for argument in arguments:
+        if argument.encode("utf-8", "replace").decode() != argument:
+            raise UsageError(f"{argument}: found bytes that are not UTF-8, expected UTF-8 in every path and option; give it another name")
