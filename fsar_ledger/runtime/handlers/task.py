@@ -6,6 +6,7 @@ from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, Tas
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import possesses
+from fsar_ledger.projections.task import Task
 
 from .commands import BeginStep, CompleteStep, Decides, PublicCommand, Reacts, Scheduled
 from .rejection import rejected, unknown_capability, unknown_robot
@@ -70,7 +71,7 @@ def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
         return ()
     if task.step == len(task.steps):
         return (TaskCompleted(task.task_id),)
-    if command.now_us > task.due_us + (state.fleet.structure.expiry_budgets - 1) * task.budget_us:
+    if command.now_us > expires_us(state, task):
         return (TaskAbandoned(task.task_id),)
     actor, capability, *target = task.steps[task.step].split(" ")
     attempt = task.attempt + 1
@@ -85,6 +86,11 @@ def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
             target[0] if target else None,
         ),
     )
+
+
+def expires_us(state: State, task: Task) -> int:
+    """The run time at which a task that is late is given up. Units: microseconds."""
+    return task.due_us + (state.fleet.structure.expiry_budgets - 1) * task.budget_us
 
 
 def complete_step(state: State, command: CompleteStep) -> tuple[Event, ...]:
