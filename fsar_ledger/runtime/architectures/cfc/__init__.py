@@ -2,8 +2,8 @@
 
 from fsar_ledger.runtime.architectures.wiring import Wiring, wire
 from fsar_ledger.runtime.handlers import execution as bodies
-from fsar_ledger.runtime.handlers import supervision, task
+from fsar_ledger.runtime.handlers import assistance, supervision, task
 
 from . import answers, coordinator, execution, recovery, request
 
-CFC: Wiring = wire(task, bodies, supervision, coordinator, request, execution, recovery, own=answers.OWN)
+CFC: Wiring = wire(task, bodies, assistance, supervision, coordinator, request, execution, recovery, own=answers.OWN)
