@@ -1,8 +1,8 @@
 """Centralized fleet controller: one coordinator decides everything on synced copies; robots only execute."""
 
 from fsar_ledger.runtime.architectures.wiring import Wiring, wire
-from fsar_ledger.runtime.handlers import execution as bodies
 from fsar_ledger.runtime.handlers import assistance, supervision, task
+from fsar_ledger.runtime.handlers import execution as bodies
 
 from . import answers, coordinator, execution, recovery, request
 
