@@ -51,4 +51,4 @@ def test_without_the_comparison_of_hashes_wrong_answers_are_found(ledger: Ledger
     good = undamaged(*ledger, ("query",))
     monkeypatch.setattr(LedgerView, "_require_committed", lambda *_: None)
 
-    assert tried(ledger, good, 24, {"segments": 1})["wrong"] > 0
+    assert tried(ledger, good, 12, {"segments": 1})["wrong"] > 0
