@@ -9,7 +9,7 @@ import pyarrow.compute as pc
 
 from fsar_ledger import printable
 from fsar_ledger.ledger.arrow import Mask, coded, places, validity, whole
-from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, ENVELOPE, MAX_INTEGER, PAYLOAD, SCHEMA, STORED, Field
+from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, ENVELOPE, MAX_INTEGER, PAYLOAD, SCHEMA, STANDS_ALONE, STORED, Field
 
 Integers: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 
@@ -60,7 +60,7 @@ def first_flaw(table: pa.Table) -> Flaw | None:
         return None
     columns = {name: whole(table.column(name)) for name in COLUMNS}
     valid = {name: validity(column) for name, column in columns.items()}
-    suspects = [*_envelope(columns, valid), *_payload(columns, valid)]
+    suspects = [*_envelope(columns, valid), *_payload(columns, valid), *_company(columns)]
     first = min(suspects, key=lambda suspect: suspect[0], default=None)
     if first is None:
         return None
@@ -94,6 +94,13 @@ def run_starts(run_ids: pa.Array) -> Integers:
     return np.flatnonzero(np.concatenate([np.ones(min(1, len(codes)), bool), codes[1:] != codes[:-1]]))
 
 
+def standing_alone(types: pa.Array) -> Mask:
+    """Which rows have a type that is the only event of its run."""
+    tags = coded(types)
+    found: Mask = np.array([*(tag in STANDS_ALONE for tag in tags.dictionary.to_pylist()), False])[places(tags)]
+    return found
+
+
 def _first(bad: Mask, field: str, expected: str) -> list[tuple[int, str, str]]:
     """Nothing, or the first bad row as a suspect."""
     return [(int(np.argmax(bad)), field, expected)] if bad.any() else []
@@ -125,6 +132,16 @@ def _envelope(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tupl
             values = columns[name].fill_null(0).to_numpy()
             suspects += _first((values > MAX_INTEGER) | (values < -MAX_INTEGER), name, "an integer of at most 2^53 - 1 in size")
     return suspects
+
+
+def _company(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
+    """The rows of types that stand alone in their run, where there is another row in it."""
+    is_alone = standing_alone(columns["type"])
+    if not is_alone.any():
+        return []
+    sizes = np.diff(run_starts(columns["run_id"]), append=len(is_alone))
+    has_company = np.repeat(sizes > 1, sizes)
+    return _first(is_alone & has_company, "type", "the only event of its run, as this type is")
 
 
 def _payload(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tuple[int, str, str]]:

@@ -17,7 +17,7 @@ import msgspec
 import pyarrow as pa
 from msgspec import inspect
 
-from fsar_ledger.events import EVENT_TYPES, RETIRED_TYPES, Event
+from fsar_ledger.events import ALONE, EVENT_TYPES, RETIRED_TYPES, Event
 
 Kind = Literal["string", "integer", "boolean", "strings"]
 
@@ -112,6 +112,9 @@ RETIRED: dict[str, Layout] = {one.tag: one for one in map(layout, RETIRED_TYPES)
 
 STORED: dict[str, Layout] = LAYOUTS | RETIRED
 """How each event type that a ledger may hold is stored, by its tag."""
+
+STANDS_ALONE: frozenset[str] = frozenset(tag for tag, one in STORED.items() if one.cls in ALONE)
+"""The tags of events that are the only one of their run."""
 
 COLUMNS: dict[str, Kind] = columns(tuple(STORED.values()))
 """The kind of every column, in stored order. One that only retired types have stays."""

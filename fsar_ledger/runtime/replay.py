@@ -6,6 +6,7 @@
 | what the world did by itself (`events/world.py`), and when | made again (`world/schedule.py`), and compared: none is left out, added or another |
 | who founds the fleet, with which capabilities and trust | made again for the recorded fleet size, and compared |
 | every decision: what, by whom, when, caused by which event | made again by the handlers, and compared |
+| what was planned (`ExperimentPlanned`, which is no run) | as recorded; its name is a digest of it |
 | how long messages, ways, attempts, answers and executions take; whether a degraded actuator holds | drawn again under the recorded seed |
 
 So a simulated run has one record only, and nothing in it is taken on trust but its first event, which its name is a digest of. The
@@ -30,7 +31,7 @@ import msgspec
 
 from fsar_ledger.constants import BadParameters, Constants, read_constants
 from fsar_ledger.errors import InvalidExperiment
-from fsar_ledger.events import Event
+from fsar_ledger.events import ALONE, Event
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger import segment
@@ -43,6 +44,7 @@ from fsar_ledger.workers import WorkerPool
 from .experiment import Experiment
 from .handlers.commands import Command, Decide
 from .kernel import Kernel
+from .plan import misnamed
 from .simulation import MODEL_VERSION, RunSpec, founding_of, run_id, run_started, wiring
 from .world.draws import Draws, run_key
 from .world.scenarios import founding
@@ -86,7 +88,7 @@ class Difference(msgspec.Struct, frozen=True):
 
 
 class ReplayReport(msgspec.Struct, frozen=True):
-    """What `replay` found. Units: `commits`, `runs` and `events` are counts of what is as made again, to the last event.
+    """What `replay` found. Units: `commits`, `runs` and `events` (of runs) are counts of what is as made again, to the last event.
 
     `remarks` are no doubts: constants that are not this version's.
     """
@@ -163,6 +165,8 @@ def replay_commit(path: str, number: int, file: str) -> CommitReport:
     try:
         for record in decode(segment.read_table(Path(path) / file)):
             difference = replay_run(record)
+            if difference is None and type(record.events[0]) in ALONE:
+                continue
             if difference is None:
                 runs, events = runs + 1, events + len(record.events)
                 starts += [event for event in record.events[:1] if isinstance(event, RunStarted)]
@@ -175,10 +179,18 @@ def replay_commit(path: str, number: int, file: str) -> CommitReport:
     return CommitReport(tuple(found), played(starts), runs, events)
 
 
+def _replay_plan(record: RunRecord) -> Difference | None:
+    """The first field in which a plan is not as it is committed, None if there is none: what was meant is taken as recorded, its name is a digest of it."""
+    found = misnamed(record)
+    return None if found is None else Difference(record.run_id, 0, found[0], "plan.plan_record", found[2], found[1])
+
+
 def replay_run(record: RunRecord) -> Difference | None:
     """The first difference of the record from what the world and the handlers make, None if there is none. Never raises."""
     one: _Replay | None = None
     try:
+        if type(record.events[0]) in ALONE:
+            return _replay_plan(record)
         one = _begun(record)
         one.run()
         one.require_end()
