@@ -2,35 +2,18 @@
 
 from typing import TypeAlias
 
-import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from fsar_ledger import printable
-from fsar_ledger.ledger.arrow import Mask, coded, places, validity, whole
-from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, ENVELOPE, MAX_INTEGER, PAYLOAD, SCHEMA, STORED, Field
+from fsar_ledger.ledger.arrow import Mask, coded, numbers, places, validity, whole
+from fsar_ledger.ledger.runs import Flaw
+from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, ENVELOPE, MAX_INTEGER, OPENINGS, PAYLOAD, SCHEMA, STORED, Field
 
 Integers: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 
 _TAGS = tuple(STORED)
 _UNKNOWN = len(_TAGS)  # the code of every type that is not in STORED
-
-
-class Flaw(msgspec.Struct, frozen=True):
-    """The first thing that is wrong with some rows. `row` counts from 0 within the table; -1 is the table as a whole."""
-
-    row: int
-    run: str | None
-    seq: int | None
-    field: str | None
-    found: str
-    expected: str
-
-    def __str__(self) -> str:
-        place = [f"run {printable.value(self.run)}, seq {self.seq}"] if self.run is not None else []
-        place += [f"field {self.field}"] if self.field is not None else []
-        return f"{', '.join(place) or 'table'}: found {self.found}, expected {self.expected}"
 
 
 def _holders(name: str, *, required: bool) -> Mask:
@@ -86,6 +69,27 @@ def unprintable(table: pa.Table) -> Flaw | None:
         row, found = next((at, text) for at, values in enumerate(held) for text in values if text in bad)
         return Flaw(row, table.column("run_id")[row].as_py(), table.column("seq")[row].as_py(), name, f"{found!r:.80}", "characters that can be printed")
     return None
+
+
+def disordered(table: pa.Table) -> Flaw | None:
+    """An order of events that no writer stores: a run that does not begin with its start, or has another; time that runs backwards. None if there is none.
+
+    Readers accept it, because 0.1.0 stored it. The rows have the columns of `CODED_SCHEMA`, each run in one block.
+    """
+    run_ids, types, times_us = whole(table.column("run_id")), coded(whole(table.column("type"))), numbers(whole(table.column("time_us")))
+    is_first = np.zeros(len(table), bool)
+    is_first[run_starts(run_ids)] = True
+    is_opening = pc.is_in(types.dictionary, pa.array(OPENINGS, pa.string())).to_numpy(zero_copy_only=False)[numbers(types.indices)]
+    is_earlier = np.diff(times_us, prepend=times_us[:1]) < 0
+    is_wrong = (is_opening != is_first) | (is_earlier & ~is_first)
+    if not is_wrong.any():
+        return None
+    row = int(np.argmax(is_wrong))
+    if is_opening[row] == is_first[row]:
+        field, expected = "time_us", f"{times_us[row - 1]} or later, as the event before"
+    else:
+        field, expected = "type", f"one of {sorted(OPENINGS)}, with which a run begins" if is_first[row] else "no second beginning of a run"
+    return Flaw(row, run_ids[row].as_py(), table.column("seq")[row].as_py(), field, f"{table.column(field)[row].as_py()!r:.80}", expected)
 
 
 def run_starts(run_ids: pa.Array) -> Integers:

@@ -113,6 +113,9 @@ RETIRED: dict[str, Layout] = {one.tag: one for one in map(layout, RETIRED_TYPES)
 STORED: dict[str, Layout] = LAYOUTS | RETIRED
 """How each event type that a ledger may hold is stored, by its tag."""
 
+OPENINGS: tuple[str, ...] = tuple(tag for tag in STORED if tag.partition(".v")[0] == "RunStarted")
+"""The types, whatever their version, of which event 0 of a run is one, and no other event."""
+
 COLUMNS: dict[str, Kind] = columns(tuple(STORED.values()))
 """The kind of every column, in stored order. One that only retired types have stays."""
 
