@@ -199,6 +199,8 @@ class Writer:
             disk.remove(staged_path(self._path, staged.segment_sha256))
             return self._head
         number = self._head.commits
+        if number >= disk.MAX_NAMES:
+            raise WriteFailed(f"{self._path}: found {number} commits, expected at most {disk.MAX_NAMES}; begin another ledger")
         if self._held is None:
             self._held = HeldRuns(self._opened)
         held = self._held
