@@ -203,10 +203,13 @@ def runs_of(where: str, rows: list[Row], number: int, types: Row | None) -> list
     """The runs, in order, of rows that are all right."""
     runs: list[str] = []
     place = 0
-    for row in rows:
+    alone = {name for name, own in types["types"].items() if own.get("alone")} if types is not None else set[str]()
+    for at, row in enumerate(rows):
         is_new = row["run_id"] not in runs[-1:]
         place = 0 if is_new else place + 1
         flaw = flaw_of(row, place, is_new and row["run_id"] in runs, types)
+        if flaw is None and row["type"] in alone and (place > 0 or row["run_id"] in [other["run_id"] for other in rows[at + 1 : at + 2]]):
+            flaw = "type", "the only event of its run"
         if flaw is not None:
             raise ProblemError(where, f"{flaw[0]} {row.get(flaw[0], 'NULL')!r}", flaw[1], number, row["run_id"], row["seq"])
         runs += [row["run_id"]] * is_new

@@ -37,7 +37,7 @@ def verdict_lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | N
         return [*lines, f"{ledger}: not replayed, as its rows are in doubt"]
     if again.ok:
         return [*lines, f"replayed: all {again.events:,} events of {again.runs:,} runs are as the world and the handlers make them", *again.remarks]
-    count = f"{report.runs - again.runs:,} of {report.runs:,} runs"
+    count = f"{report.runs - again.runs:,} of {report.runs:,} runs" if report.runs > again.runs else "what was planned"
     return [*map(str, again.differences), f"{ledger}: consistent, but replay doubts {count}; do not rely on what they say happened and was decided"]
 
 

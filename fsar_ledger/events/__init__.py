@@ -6,6 +6,7 @@ from .authority import AuthorityEvent
 from .command import CommandEvent
 from .envelope import Event
 from .execution import ExecutionEvent
+from .experiment import ExperimentEvent, ExperimentPlanned
 from .fleet import FleetEvent
 from .knowledge import KnowledgeEvent
 from .policy import PolicyEvent
@@ -33,6 +34,7 @@ AnyEvent = (
     | SupervisionEvent
     | KnowledgeEvent
     | CommandEvent
+    | ExperimentEvent
 )
 
 EVENT_TYPES: tuple[type[Event], ...] = get_args(AnyEvent)
@@ -40,4 +42,7 @@ EVENT_TYPES: tuple[type[Event], ...] = get_args(AnyEvent)
 UPCASTS: Chains = chains(EVENT_TYPES, RETIRED_TYPES, UPCASTERS)
 """How an event of each retired type becomes one of today; made, and thereby checked, when the package starts."""
 
-__all__ = ["EVENT_TYPES", "RETIRED_TYPES", "UPCASTS", "AnyEvent", "Event"]
+ALONE: frozenset[type[Event]] = frozenset({ExperimentPlanned})
+"""The types of events that are the only one of their run: they are about runs, and happen in none. Event 0 of any other run is `RunStarted`."""
+
+__all__ = ["ALONE", "EVENT_TYPES", "RETIRED_TYPES", "UPCASTS", "AnyEvent", "Event"]

@@ -8,7 +8,7 @@ import pyarrow.compute as pc
 
 from fsar_ledger.ledger.arrow import Mask, coded, numbers, places, validity, whole
 from fsar_ledger.ledger.runs import Flaw
-from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, ENVELOPE, MAX_INTEGER, OPENINGS, PAYLOAD, SCHEMA, STORED, Field
+from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, ENVELOPE, MAX_INTEGER, OPENINGS, PAYLOAD, SCHEMA, STANDS_ALONE, STORED, Field
 
 Integers: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 
@@ -43,7 +43,7 @@ def first_flaw(table: pa.Table) -> Flaw | None:
         return None
     columns = {name: whole(table.column(name)) for name in COLUMNS}
     valid = {name: validity(column) for name, column in columns.items()}
-    suspects = [*_envelope(columns, valid), *_payload(columns, valid)]
+    suspects = [*_envelope(columns, valid), *_payload(columns, valid), *_company(columns)]
     first = min(suspects, key=lambda suspect: suspect[0], default=None)
     if first is None:
         return None
@@ -72,30 +72,39 @@ def unprintable(table: pa.Table) -> Flaw | None:
 
 
 def disordered(table: pa.Table) -> Flaw | None:
-    """An order of events that no writer stores: a run that does not begin with its start, or has another; time that runs backwards. None if there is none.
+    """An order of events that no writer stores: a run that does not begin as one does, or begins again; time that runs backwards. None if there is none.
 
-    Readers accept it, because 0.1.0 stored it. The rows have the columns of `CODED_SCHEMA`, each run in one block.
+    Readers accept both, because 0.1.0 stored them; what stands alone in company they do not. The rows have the columns of `CODED_SCHEMA`, each run in
+    one block.
     """
-    run_ids, types, times_us = whole(table.column("run_id")), coded(whole(table.column("type"))), numbers(whole(table.column("time_us")))
+    columns = {name: whole(table.column(name)) for name in ("run_id", "type", "time_us")}
     is_first = np.zeros(len(table), bool)
-    is_first[run_starts(run_ids)] = True
-    is_opening = pc.is_in(types.dictionary, pa.array(OPENINGS, pa.string())).to_numpy(zero_copy_only=False)[numbers(types.indices)]
-    is_earlier = np.diff(times_us, prepend=times_us[:1]) < 0
-    is_wrong = (is_opening != is_first) | (is_earlier & ~is_first)
-    if not is_wrong.any():
+    is_first[run_starts(columns["run_id"])] = True
+    types, times_us = columns["type"], numbers(columns["time_us"])
+    is_opening = np.array([tag in OPENINGS for tag in types.dictionary.to_pylist()])[numbers(types.indices)]
+    suspects = [
+        *_first(is_first & ~is_opening, "type", f"one of {sorted(OPENINGS)}, with which a run begins"),
+        *_first(is_opening & ~is_first, "type", "no second beginning of a run"),
+        *_first((np.diff(times_us, prepend=times_us[:1]) < 0) & ~is_first, "time_us", "no less than at the event before"),
+        *_company(columns),
+    ]
+    if not suspects:
         return None
-    row = int(np.argmax(is_wrong))
-    if is_opening[row] == is_first[row]:
-        field, expected = "time_us", f"{times_us[row - 1]} or later, as the event before"
-    else:
-        field, expected = "type", f"one of {sorted(OPENINGS)}, with which a run begins" if is_first[row] else "no second beginning of a run"
-    return Flaw(row, run_ids[row].as_py(), table.column("seq")[row].as_py(), field, f"{table.column(field)[row].as_py()!r:.80}", expected)
+    row, field, expected = min(suspects, key=lambda suspect: suspect[0])
+    return Flaw(row, columns["run_id"][row].as_py(), table.column("seq")[row].as_py(), field, f"{columns[field][row].as_py()!r:.80}", expected)
 
 
 def run_starts(run_ids: pa.Array) -> Integers:
     """The rows at which another run begins than in the row before."""
     codes = places(coded(run_ids))
     return np.flatnonzero(np.concatenate([np.ones(min(1, len(codes)), bool), codes[1:] != codes[:-1]]))
+
+
+def standing_alone(types: pa.Array) -> Mask:
+    """Which rows have a type that is the only event of its run."""
+    tags = coded(types)
+    found: Mask = np.array([*(tag in STANDS_ALONE for tag in tags.dictionary.to_pylist()), False])[places(tags)]
+    return found
 
 
 def _first(bad: Mask, field: str, expected: str) -> list[tuple[int, str, str]]:
@@ -129,6 +138,16 @@ def _envelope(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tupl
             values = columns[name].fill_null(0).to_numpy()
             suspects += _first((values > MAX_INTEGER) | (values < -MAX_INTEGER), name, "an integer of at most 2^53 - 1 in size")
     return suspects
+
+
+def _company(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
+    """The rows of types that stand alone in their run, where there is another row in it."""
+    is_alone = standing_alone(columns["type"])
+    if not is_alone.any():
+        return []
+    sizes = np.diff(run_starts(columns["run_id"]), append=len(is_alone))
+    has_company = np.repeat(sizes > 1, sizes)
+    return _first(is_alone & has_company, "type", "the only event of its run, as this type is")
 
 
 def _payload(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tuple[int, str, str]]:

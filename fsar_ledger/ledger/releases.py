@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from fsar_ledger.ledger.schema import SCHEMA, described, fingerprint
 
-RELEASE = "0.1.0"
+RELEASE = "0.3.0"
 """The first release with the event types of today. Any change to them makes it the number of the release to come."""
 
 

@@ -17,7 +17,7 @@ import msgspec
 import pyarrow as pa
 from msgspec import inspect
 
-from fsar_ledger.events import EVENT_TYPES, RETIRED_TYPES, Event
+from fsar_ledger.events import ALONE, EVENT_TYPES, RETIRED_TYPES, Event
 
 Kind = Literal["string", "integer", "boolean", "strings"]
 
@@ -113,8 +113,11 @@ RETIRED: dict[str, Layout] = {one.tag: one for one in map(layout, RETIRED_TYPES)
 STORED: dict[str, Layout] = LAYOUTS | RETIRED
 """How each event type that a ledger may hold is stored, by its tag."""
 
-OPENINGS: tuple[str, ...] = tuple(tag for tag in STORED if tag.partition(".v")[0] == "RunStarted")
-"""The types, whatever their version, of which event 0 of a run is one, and no other event."""
+STANDS_ALONE: frozenset[str] = frozenset(tag for tag, one in STORED.items() if one.cls in ALONE)
+"""The tags of events that are the only one of their run."""
+
+OPENINGS: frozenset[str] = STANDS_ALONE.union(tag for tag in STORED if tag.partition(".v")[0] == "RunStarted")
+"""The tags, whatever their version, of which event 0 of a run has one, and no other event."""
 
 COLUMNS: dict[str, Kind] = columns(tuple(STORED.values()))
 """The kind of every column, in stored order. One that only retired types have stays."""

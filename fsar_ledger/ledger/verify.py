@@ -134,6 +134,7 @@ class _Verification:
         self.path, self.asked = path, asked
         self.problems: list[Problem] = []
         self.runs: set[str] = set()
+        self.alone: set[str] = set()  # of these, what is no run but an event that stands alone
         self.commits = self.events = 0
         self.edge: Edge | None = None if asked.is_quick else Edge()  # None: not known, because some rows were not read
         self.tree: Frontier | None = Frontier()  # None: not known, because a record or segment before could not be read
@@ -173,7 +174,7 @@ class _Verification:
             tuple(self.problems[:MAX_PROBLEMS]),
             self.commits,
             self.events,
-            len(self.runs),
+            len(self.runs - self.alone),
             root,
             signature=signed.state,
             signer=signed.signer,
@@ -234,6 +235,7 @@ class _Verification:
         if again is not None:
             self.problems.append(Problem(facts.file, f"run {again} once more", "each run in one commit", commit=number, run=again, seq=0, field="run_id"))
         self.runs.update(facts.runs)
+        self.alone |= facts.alone
 
     def _check_derived(self, records: list[CommitRecord]) -> tuple[str, ...]:
         """What is derived is compared only where all it is derived from is beyond doubt; the remarks on it."""

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger import canonical
 from fsar_ledger.ledger.arrow import places, whole
-from fsar_ledger.ledger.check import first_flaw, run_starts
+from fsar_ledger.ledger.check import first_flaw, run_starts, standing_alone
 from fsar_ledger.ledger.layout import Layout, check_layout, read_file, read_layout
 from fsar_ledger.ledger.problem import Problem, refusal, unexpected
 from fsar_ledger.ledger.record import COMMITS, CommitRecord
@@ -26,13 +26,17 @@ from fsar_ledger.ledger.segment import read_coded, to_parquet
 
 
 class SegmentFacts(msgspec.Struct, frozen=True):
-    """What a segment holds. `runs` and `leaves` (packed leaf hashes) are None where the rows cannot be trusted to be as written."""
+    """What a segment holds. `runs` and `leaves` (packed leaf hashes) are None where the rows cannot be trusted to be as written.
+
+    `alone` are those of `runs` that are no runs but one event which stands alone.
+    """
 
     file: str
     problems: tuple[Problem, ...] = ()
     rows: int = 0
     runs: tuple[str, ...] | None = None
     leaves: bytes | None = None
+    alone: frozenset[str] = frozenset()
 
 
 SecondReader = Callable[[str, pa.Table, bool], tuple[str, str] | None]
@@ -112,7 +116,8 @@ def _examine(second_reader: SecondReader | None, file: str, place: str, number: 
     again = second_reader(place, stored, is_as_written) if second_reader is not None else None
     problems = (*problems, *(Problem(file, *other, commit=number, field="segment_sha256") for other in (misleading, again) if other is not None))
     leaves = canonical.leaves(table)
-    return SegmentFacts(file, problems, table.num_rows, runs, leaves)
+    alone = frozenset(run_ids.filter(pa.array(standing_alone(whole(table.column("type"))))).to_pylist())
+    return SegmentFacts(file, problems, table.num_rows, runs, leaves, alone)
 
 
 def _misleading(data: bytes, layout: Layout, table: pa.Table) -> tuple[bool, tuple[str, str] | None]:

@@ -4,19 +4,21 @@ import gc
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from itertools import islice
+from itertools import filterfalse, islice
 from pathlib import Path
-from typing import get_args
+from typing import TypeAlias, get_args
 
 import msgspec
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events.envelope import Architecture, Configuration, Scenario, Workflow
+from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.ledger.append import Staged, Writer, stage
 from fsar_ledger.ledger.note import Signer
-from fsar_ledger.ledger.read import Head, LedgerView, open_ledger
-from fsar_ledger.runtime.simulation import RunSpec, run_id, run_started, simulate_run
+from fsar_ledger.ledger.read import Head, open_ledger
+from fsar_ledger.runtime.plan import commits_of, plan_record, standing
+from fsar_ledger.runtime.simulation import MODEL_VERSION, RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.workers import WorkerPool
 
 from .world.workflows import FLEET_SIZE, WORKFLOWS
@@ -27,6 +29,7 @@ BATCH_RUNS = 25  # runs in a commit, whatever the number of workers
 IN_FLIGHT = 2  # batches per worker that may be under way, so that memory stays flat
 
 Progress = Callable[[int, int], None]
+Batch: TypeAlias = tuple[RunSpec, ...]
 
 
 class Experiment(msgspec.Struct, frozen=True):
@@ -80,10 +83,28 @@ class Experiment(msgspec.Struct, frozen=True):
                     for configuration in self.configurations:
                         yield RunSpec(self.seed, architecture, configuration, scenario, self.fleet_size, run)
 
-    def batches(self) -> list[tuple[RunSpec, ...]]:
-        """The runs of each commit."""
-        specs = self.specs()
+    @property
+    def size(self) -> int:
+        """How many runs there are."""
+        return len(self.scenarios) * self.runs * len(self.architectures) * len(self.configurations)
+
+    def batches(self, is_there: Callable[[RunSpec], bool] | None = None) -> list[Batch]:
+        """The runs of each commit, without those that are there."""
+        specs = self.specs() if is_there is None else filterfalse(is_there, self.specs())
         return list(iter(lambda: tuple(islice(specs, BATCH_RUNS)), ()))
+
+    def plan(self) -> ExperimentPlanned:
+        """What goes on record before the first run."""
+        return ExperimentPlanned(
+            architectures=self.architectures,
+            configurations=self.configurations,
+            scenarios=self.scenarios,
+            run_count=self.runs,
+            seed=self.seed,
+            fleet_size=self.fleet_size,
+            model_version=MODEL_VERSION,
+            parameters=write_constants(self.constants),
+        )
 
 
 def _require_known(what: str, found: tuple[str, ...], expected: tuple[str, ...]) -> None:
@@ -97,6 +118,18 @@ def workflow_experiment(seed: int = 42, runs: int = 1, workflows: tuple[Workflow
     return Experiment(("fsar",), workflows, runs, seed, FLEET_SIZE)
 
 
+class Made(msgspec.Struct, frozen=True):
+    """What `carry_out` did: the head that the ledger has now, and counts of runs.
+
+    `asked` were asked for, `made` of them now, the others were there before. `held` are in the ledger now, also of other experiments.
+    """
+
+    head: Head
+    asked: int
+    made: int
+    held: int
+
+
 def simulate(
     out: Path,
     experiment: Experiment,
@@ -107,52 +140,65 @@ def simulate(
     *,
     adopts: bool = False,
 ) -> Head:
-    """Every run of the experiment is in the ledger; batches that were there already are not made again.
+    """As `carry_out`; returns the head of the ledger."""
+    return carry_out(out, experiment, workers, progress, signer, origin, adopts=adopts).head
 
-    The bytes of the ledger do not depend on `workers`. `progress` is told batches done and batches in all. What is committed now carries a signature
-    of `signer`, whose key stays in this process; with `adopts` also where another or none signed what is there.
+
+def carry_out(
+    out: Path,
+    experiment: Experiment,
+    workers: int,
+    progress: Progress | None = None,
+    signer: Signer | None = None,
+    origin: str | None = None,
+    *,
+    adopts: bool = False,
+) -> Made:
+    """Every run of the experiment is in the ledger, after its plan; runs that were there already are not made again.
+
+    Where all runs are there, nothing is done. Else the plan is committed first, unless it is on record: a larger one than before makes the
+    ledger larger, run by run as if it had been asked for at once. What its batches hold follows from what was there before the plan, so neither
+    `workers` nor an interruption changes a byte. `progress` is told batches done and batches in all. What is committed now carries a
+    signature of `signer`, whose key stays in this process; with `adopts` also where another or none signed what is there.
     A new ledger has this origin, else the name of the signer, else `ORIGIN`.
 
     Raises:
-        InvalidExperiment: the ledger holds some of these runs in batches of another experiment.
         SequenceConflict: another process commits to the ledger meanwhile; the same call again makes what is missing then.
         NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError, WriteFailed: see `Writer`.
     """
-    batches = experiment.batches()
+    constants, plan = experiment.constants, plan_record(experiment.plan())
     name = origin or (signer.verifier.name if signer is not None else ORIGIN)
     with Writer(out, name, signer, adopts=adopts) as writer:
-        missing = _missing(open_ledger(out), batches, experiment.constants)
+        found = standing(plan.run_id, commits_of(open_ledger(out)))
+        batches = experiment.batches(lambda spec: _id(spec, constants) in found.before) if found.before else experiment.batches()
+        missing = _missing(batches, found.held, constants)
+        to_make, asked = sum(map(len, missing)), experiment.size
+        if to_make and not found.is_recorded:
+            writer.append(stage(out, [plan]))
         done = len(batches) - len(missing)
         if progress is not None:
             progress(done, len(batches))
-        for staged in _staged(out, missing, experiment.constants, min(workers, len(missing))):
+        for staged in _staged(out, missing, constants, min(workers, len(missing))):
             writer.append(staged)
             done += 1
             if progress is not None:
                 progress(done, len(batches))
-        return writer.head
+        return Made(writer.head, asked, to_make, len(found.held) + to_make)
 
 
 def _id(spec: RunSpec, constants: Constants) -> str:
     return run_id(run_started(spec, constants))
 
 
-def _missing(ledger: LedgerView, batches: list[tuple[RunSpec, ...]], constants: Constants) -> list[tuple[RunSpec, ...]]:
-    """The batches that the ledger lacks, after a check that it holds none of their runs otherwise."""
-    held = {(record.first_run, record.last_run) for record in ledger.records}
-    missing = [batch for batch in batches if (_id(batch[0], constants), _id(batch[-1], constants)) not in held]
-    if missing and held:
-        wanted = {_id(spec, constants) for batch in missing for spec in batch}
-        for table in ledger.tables(["run_id"]):
-            found = wanted.intersection(table.column("run_id").unique().to_pylist())
-            if found:
-                raise InvalidExperiment(
-                    f"run {min(found)} is in the ledger already, in a batch of an experiment of another shape; give a new folder for this one"
-                )
-    return missing
+def _missing(batches: list[Batch], held: frozenset[str], constants: Constants) -> list[Batch]:
+    """What the ledger lacks of the batches: all of one, unless other experiments made some of its runs since it was planned."""
+    if not held:
+        return batches
+    lacking = (tuple(spec for spec in batch if _id(spec, constants) not in held) for batch in batches)
+    return [batch for batch in lacking if batch]
 
 
-def _stage(out: Path, batch: tuple[RunSpec, ...], constants: Constants) -> Staged:
+def _stage(out: Path, batch: Batch, constants: Constants) -> Staged:
     """The batch is simulated and staged; meanwhile nothing looks for cyclic garbage, for a run makes none."""
     gc.disable()
     try:
@@ -161,7 +207,7 @@ def _stage(out: Path, batch: tuple[RunSpec, ...], constants: Constants) -> Stage
         gc.enable()
 
 
-def _staged(out: Path, batches: list[tuple[RunSpec, ...]], constants: Constants, workers: int) -> Iterator[Staged]:
+def _staged(out: Path, batches: list[Batch], constants: Constants, workers: int) -> Iterator[Staged]:
     """The staged batches in order, made by this process or by `workers` others."""
     if workers <= 1:
         for batch in batches:

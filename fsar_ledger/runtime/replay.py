@@ -6,6 +6,7 @@
 | what the world did by itself (`events/world.py`), and when | made again (`world/schedule.py`), and compared: none is left out, added or another |
 | who founds the fleet, with which capabilities and trust | made again for the recorded fleet size, and compared |
 | every decision: what, by whom, when, caused by which event | made again by the handlers, and compared |
+| what was planned (`ExperimentPlanned`, which is no run) | as recorded; its name is a digest of it |
 | how long messages, ways, attempts, answers and executions take; whether a degraded actuator holds | drawn again under the recorded seed |
 
 So a simulated run has one record only, and nothing in it is taken on trust but its first event, which its name is a digest of. The
@@ -30,7 +31,7 @@ import msgspec
 
 from fsar_ledger.constants import BadParameters, Constants, read_constants
 from fsar_ledger.errors import InvalidExperiment
-from fsar_ledger.events import Event
+from fsar_ledger.events import ALONE, Event
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger import segment
@@ -43,6 +44,7 @@ from fsar_ledger.workers import WorkerPool
 from .experiment import Experiment
 from .handlers.commands import Command, Decide
 from .kernel import Kernel
+from .plan import misnamed
 from .simulation import MODEL_VERSION, RunSpec, founding_of, run_id, run_started, wiring
 from .world.draws import Draws, run_key
 from .world.scenarios import founding
@@ -86,7 +88,7 @@ class Difference(msgspec.Struct, frozen=True):
 
 
 class ReplayReport(msgspec.Struct, frozen=True):
-    """What `replay` found. Units: `commits`, `runs` and `events` are counts of what is as made again, to the last event.
+    """What `replay` found. Units: `commits`, `runs` and `events` (of runs) are counts of what is as made again, to the last event.
 
     `remarks` are no doubts: constants that are not this version's.
     """
@@ -163,6 +165,8 @@ def replay_commit(path: str, number: int, file: str) -> CommitReport:
     try:
         for record in decode(segment.read_table(Path(path) / file)):
             difference = replay_run(record)
+            if difference is None and type(record.events[0]) in ALONE:
+                continue
             if difference is None:
                 runs, events = runs + 1, events + len(record.events)
                 starts += [event for event in record.events[:1] if isinstance(event, RunStarted)]
@@ -175,10 +179,18 @@ def replay_commit(path: str, number: int, file: str) -> CommitReport:
     return CommitReport(tuple(found), played(starts), runs, events)
 
 
+def _replay_plan(record: RunRecord) -> Difference | None:
+    """The first field in which a plan is not as it is committed, None if there is none: what was meant is taken as recorded, its name is a digest of it."""
+    found = misnamed(record)
+    return None if found is None else Difference(record.run_id, 0, found[0], "plan.plan_record", found[2], found[1])
+
+
 def replay_run(record: RunRecord) -> Difference | None:
     """The first difference of the record from what the world and the handlers make, None if there is none. Never raises."""
     one: _Replay | None = None
     try:
+        if type(record.events[0]) in ALONE:
+            return _replay_plan(record)
         one = _begun(record)
         one.run()
         one.require_end()
@@ -295,7 +307,7 @@ def _begun(record: RunRecord) -> _Replay:
     """The run at its founding. Raises: _Differs if it cannot be replayed, or its founding or name is another one."""
     started = record.events[0]
     if not isinstance(started, RunStarted):
-        raise _Differs(record.run_id, 0, "type", None, "RunStarted.v1", _at(started, record.times_us[0]))
+        raise _Differs(record.run_id, 0, "type", None, "RunStarted.v2", _at(started, record.times_us[0]))
     spec, constants = _parameters(record.run_id, started, len(record.events))
     if run_id(started) != record.run_id:
         raise _Differs(record.run_id, 0, "run_id", None, repr(run_id(started)), repr(record.run_id))
@@ -308,20 +320,23 @@ def _parameters(run: str, started: RunStarted, event_count: int) -> tuple[RunSpe
     def refused(field: str | None, expected: str, actual: str) -> _Differs:
         return _Differs(run, 0, field, None, expected, f"{actual}, so the run cannot be replayed")
 
-    if started.kind != "simulated" or started.scenario == "live":
+    if started.kind != "simulated":
         raise refused("kind", "a simulated run", f"a {started.kind} run, whose commands are not stored")
     if started.model_version != MODEL_VERSION:
         raise refused("model_version", f"{MODEL_VERSION!r}; replay it with the version that wrote it", repr(started.model_version))
-    spec = RunSpec(started.seed, started.architecture, started.configuration, started.scenario, started.fleet_size, started.run)
     try:
+        spec = msgspec.convert({name: getattr(started, name) for name in RunSpec.__struct_fields__}, RunSpec)
         Experiment((spec.architecture,), (spec.scenario,), spec.run + 1, spec.seed, spec.fleet_size, (spec.configuration,))
-    except InvalidExperiment as error:
+    except (InvalidExperiment, msgspec.ValidationError) as error:
         raise refused(None, "a run that can be simulated", str(error)) from error
     try:
-        constants = _constants(started.parameters)
+        constants = _constants(started.parameters or "")
     except BadParameters as error:
         raise refused("parameters", "the constants of the model", str(error).removeprefix("found ")) from error
-    if run_started(spec, constants) != started:
+    own = run_started(spec, constants)
+    if started.observes != own.observes:
+        raise refused("observes", repr(own.observes), repr(started.observes))
+    if own != started:
         raise refused("parameters", "all constants of the model, in the form in which it writes them", f"{started.parameters!r:.300}")
     most = FACTS_PER_ROBOT * spec.fleet_size + event_count
     if not arrivals_expected(constants.world, spec.fleet_size) <= most:

@@ -22,12 +22,12 @@ from fsar_ledger.ledger.merkle import Frontier
 from fsar_ledger.ledger.note import Note, Signer, VerifierKey, checkpoint_of
 from fsar_ledger.ledger.problem import Problem
 from fsar_ledger.ledger.record import CommitRecord, commit_path, segment_path, sha256_hex
-from fsar_ledger.ledger.schema import LAYOUTS, SCHEMA, Field
+from fsar_ledger.ledger.schema import SCHEMA, Field
 from fsar_ledger.ledger.tiles import WIDTH, Edge, Tile
 from fsar_ledger.ledger.verify import Asked, verify
 from fsar_ledger.ledger.verify_notes import read_anchor
 from tests.ledger.hostile import stage_anything
-from tests.ledger.samples import ORIGIN, made_up_run
+from tests.ledger.samples import IN_RUNS, ORIGIN, made_up_run
 
 ROOT = Path(__file__).resolve().parents[2]
 KEY, STRANGER = Signer(ORIGIN, b"\1" * 32), Signer(ORIGIN, b"\2" * 32)
@@ -73,7 +73,7 @@ def odd_run(run_id: str, size: int, draw: random.Random) -> RunRecord:
         }
         return kinds[field.kind]()
 
-    layouts = [draw.choice(list(LAYOUTS.values())) for _ in range(size)]
+    layouts = [draw.choice(list(IN_RUNS.values())) for _ in range(size)]
     events = [layout.cls(*map(value, layout.fields)) for layout in layouts]
     causes = [None, *(draw.randrange(seq) for seq in range(1, size))]
     return RunRecord(run_id, [draw.choice([0, -5, 2**53 - 1, 77]) for _ in events], causes, events)

@@ -17,6 +17,8 @@ from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.note import Signer
 from fsar_ledger.ledger.releases import RELEASE
 from fsar_ledger.ledger.schema import LAYOUTS, SCHEMA, Field, Layout, described
+from fsar_ledger.runtime.experiment import Experiment
+from fsar_ledger.runtime.plan import plan_record
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.ledger.samples import run_of_every_type
 
@@ -52,12 +54,13 @@ def write_ledger(path: Path) -> Kept:
     """A small ledger is at the path: made-up events of every type, then runs as they are simulated; its notes are signed."""
     signer = Signer(ORIGIN, SECRET)
     specs = (RunSpec(7, "fsar", "full", "failure-recovery-chain", 4, 0), RunSpec(7, "cfc", "full", "door-relay", 4, 0))
-    batches = [[run_of_every_type("made-up", seed=1)], *([simulate_run(spec, Constants())] for spec in specs)]
+    runs = [run_of_every_type("made-up", seed=1), *(simulate_run(spec, Constants()) for spec in specs)]
+    plan = plan_record(Experiment(("fsar", "cfc"), ("failure-recovery-chain", "door-relay"), 1, 7).plan())
     with Writer(path, ORIGIN, signer) as writer:
-        for batch in batches:
-            writer.append(stage(path, batch))
+        for run in (plan, *runs):
+            writer.append(stage(path, [run]))
         head = writer.head
-    return Kept(head.commits, head.size, tuple(run.run_id for batch in batches for run in batch), head.root, str(signer.verifier))
+    return Kept(head.commits, head.size, tuple(run.run_id for run in runs), head.root, str(signer.verifier))
 
 
 def keep(version: str, ledgers: Path = LEDGERS, columns: Path = COLUMNS) -> None:

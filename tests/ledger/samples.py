@@ -12,9 +12,11 @@ from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.ledger.note import Signer
 from fsar_ledger.ledger.read import Head
-from fsar_ledger.ledger.schema import LAYOUTS, MAX_INTEGER, Field, Layout
+from fsar_ledger.ledger.schema import LAYOUTS, MAX_INTEGER, STANDS_ALONE, Field, Layout
 
 ORIGIN = "example.org/fsar-test"
+IN_RUNS = {tag: layout for tag, layout in LAYOUTS.items() if tag not in STANDS_ALONE}
+"""How the events are stored that a run may have beside others."""
 
 
 def _value(field: Field, draw: random.Random) -> object:
@@ -36,7 +38,7 @@ def _value(field: Field, draw: random.Random) -> object:
 def made_up_run(run_id: str, size: int, seed: int) -> RunRecord:
     """A run of this many events of all types, each caused by an earlier one."""
     draw = random.Random(seed)
-    layouts = list(LAYOUTS.values())
+    layouts = list(IN_RUNS.values())
     chosen = [layouts[0], *(draw.choice(layouts[1:]) for _ in range(size - 1))]
     events = [layout.cls(*[_value(field, draw) for field in layout.fields]) for layout in chosen]
     times = sorted(draw.randrange(60_000_000) for _ in range(size))
@@ -46,7 +48,7 @@ def made_up_run(run_id: str, size: int, seed: int) -> RunRecord:
 def run_of_every_type(run_id: str, seed: int) -> RunRecord:
     """A run with one start and two events of every other type."""
     draw = random.Random(seed)
-    first, *others = LAYOUTS.values()
+    first, *others = IN_RUNS.values()
     layouts = [first, *(layout for layout in others for _ in range(2))]
     events = [layout.cls(*[_value(field, draw) for field in layout.fields]) for layout in layouts]
     return RunRecord(run_id, list(range(0, 1000 * len(events), 1000)), [None, *range(len(events) - 1)], events)
@@ -92,7 +94,8 @@ def any_event_of(layout: Layout) -> st.SearchStrategy[Event]:
     return st.builds(layout.cls, **{field.name: _any_value(field) for field in layout.fields})
 
 
-any_event = st.one_of([any_event_of(layout) for layout in LAYOUTS.values()])
+any_event = st.one_of([any_event_of(layout) for layout in IN_RUNS.values()])
+any_plan = st.one_of([any_event_of(LAYOUTS[tag]) for tag in sorted(STANDS_ALONE)]).map(lambda event: [event])
 
 
 @st.composite
@@ -101,7 +104,7 @@ def any_runs(draw: st.DrawFn) -> list[RunRecord]:
     ids = draw(st.lists(_TEXT, min_size=1, max_size=3, unique=True))
     runs = []
     for run_id in ids:
-        events = draw(st.lists(any_event, min_size=1, max_size=6))
+        events = draw(st.lists(any_event, min_size=1, max_size=6) | any_plan)
         times = [draw(_INTEGERS) for _ in events]
         runs.append(RunRecord(run_id, times, [None, *(draw(st.integers(0, seq - 1)) for seq in range(1, len(events)))], events))
     return runs

@@ -13,13 +13,14 @@ import msgspec
 import pytest
 
 from fsar_ledger.errors import InvalidRun, LedgerCorrupted, SequenceConflict, UsageError, WriteFailed
+from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.ledger import disk
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.check import first_flaw
 from fsar_ledger.ledger.codec import RunRecord, encode
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.record import segment_path, staged_path
-from fsar_ledger.ledger.schema import LAYOUTS, OPENINGS, STORED, Layout
+from fsar_ledger.ledger.schema import LAYOUTS, OPENINGS, STANDS_ALONE, STORED, Layout
 from fsar_ledger.ledger.verify import verify
 from tests.ledger.forgery import changed
 from tests.ledger.hostile import append_again, stage_anything
@@ -103,8 +104,7 @@ def test_a_time_that_is_none_is_refused(path: Path, time: Any, said: str) -> Non
 
 def test_time_that_runs_backwards_is_refused(path: Path) -> None:
     times = [*RUN.times_us[:5], RUN.times_us[4] - 1, *RUN.times_us[6:]]
-    expected = f"expected {RUN.times_us[4]} or later"
-    refused(path, [BATCHES[2][0], msgspec.structs.replace(RUN, times_us=times)], rf"run run-1, seq 5, field time_us: found {times[5]}, {expected}")
+    refused(path, [BATCHES[2][0], msgspec.structs.replace(RUN, times_us=times)], f"run run-1, seq 5, field time_us: found {times[5]}, expected no less")
     same = [*RUN.times_us[:5], RUN.times_us[4], *RUN.times_us[6:]]
     assert stage(path, [BATCHES[2][0], msgspec.structs.replace(RUN, times_us=same)]).rows == len(BATCHES[2][0].events) + len(RUN.events)
 
@@ -116,11 +116,17 @@ def test_a_cause_that_is_no_earlier_event_is_refused(path: Path, seq: int, cause
 
 
 def test_a_run_begins_with_its_start_and_has_no_other(path: Path) -> None:
-    assert {LAYOUTS[tag].cls for tag in OPENINGS if tag in LAYOUTS} == {type(RUN.events[0])}
-    assert {tag for tag in STORED if tag.startswith("RunStarted")} == set(OPENINGS)
+    assert {tag for tag in STORED if tag.startswith("RunStarted.v")} | STANDS_ALONE == OPENINGS
     headless = RunRecord("run-1", RUN.times_us[1:], [None, *[0] * (len(RUN.events) - 2)], RUN.events[1:])
-    refused(path, [BATCHES[2][0], headless], r"run run-1, seq 0, field type: found '\w+\.v\d+', expected one of \['RunStarted")
+    refused(path, [BATCHES[2][0], headless], r"run run-1, seq 0, field type: found '\w+\.v\d+', expected one of \['ExperimentPlanned.*RunStarted")
     refused(path, [with_event(RUN, 5, RUN.events[0])], "run run-1, seq 5, field type: found 'RunStarted.*, expected no second beginning of a run")
+
+
+def test_what_stands_alone_is_in_no_run(path: Path) -> None:
+    plan = ExperimentPlanned(("fsar",), ("full",), ("door-relay",), 20, 42, 4, "2", "{}")
+    assert stage(path, [RunRecord("plan", [0], [None], [plan])]).rows == 1
+    refused(path, [with_event(RUN, 0, plan)], r"run run-1, seq 0, field type: found 'ExperimentPlanned.v1', expected the only event of its run")
+    refused(path, [with_event(RUN, 7, plan)], "run run-1, seq 7, field type: found 'ExperimentPlanned.v1', expected no second beginning")
 
 
 @pytest.mark.parametrize("name", [None, 1, b"run", Word.LIVE, Posing("run"), ("run",), ["run"]])

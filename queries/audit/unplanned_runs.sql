@@ -1,0 +1,21 @@
+-- Title: Runs that no plan names
+-- Paper: sec:evaluation:setup
+-- Grain: one row per such run
+-- Units: fleet_size robots
+-- NULL: never
+-- Example: fsar-ledger query audit/unplanned_runs LEDGER
+-- Live runs are never planned; ledgers from before plans were recorded have none. Whether such runs are all that was meant, nothing in a ledger says.
+SELECT
+    runs.run_id,
+    runs.kind,
+    runs.seed,
+    runs.fleet_size,
+    runs.architecture,
+    runs.configuration,
+    runs.scenario,
+    runs.run,
+    runs.model_version,
+    runs.parameters_sha256
+FROM runs
+LEFT JOIN planned_runs ON runs.run_id = planned_runs.run_id
+WHERE planned_runs.run_id IS NULL

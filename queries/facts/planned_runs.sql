@@ -1,0 +1,24 @@
+-- Title: Runs, and the plans that name them
+-- Paper: sec:evaluation:setup
+-- Grain: one row per plan and run of the ledger that it names
+-- Units: none
+-- NULL: never
+-- Example: fsar-ledger query facts/planned_runs LEDGER
+-- A run that no plan names is not here: one that was not simulated, or of a ledger from before plans were recorded.
+SELECT
+    plans.plan,
+    runs.run_id,
+    runs.architecture,
+    runs.configuration,
+    runs.scenario,
+    runs.run
+FROM plans
+INNER JOIN runs
+    ON
+        plans.seed = runs.seed AND plans.fleet_size = runs.fleet_size
+        AND plans.model_version = runs.model_version AND plans.parameters_sha256 = runs.parameters_sha256
+WHERE
+    runs.kind = 'simulated' AND runs.run >= 0 AND plans.run_count > runs.run
+    AND list_contains(plans.architectures, runs.architecture)
+    AND list_contains(plans.configurations, runs.configuration)
+    AND list_contains(plans.scenarios, runs.scenario)
