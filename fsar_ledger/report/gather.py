@@ -14,6 +14,7 @@ import msgspec
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.models import models
+from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
 from fsar_ledger.report import marks, printing, specs
 from fsar_ledger.report.findings import ARCHITECTURES, COMPARISONS, MAIN_CONFIGURATION, MAIN_FLEET_SIZE, SCENARIOS, Findings, Row, Source, with_agreement
@@ -22,6 +23,8 @@ QUERIES = (
     "metrics/metric_summary",
     "statistics/pairwise_tests",
     "staging/runs",
+    "audit/experiments",
+    "audit/unplanned_runs",
     "tables/architecture_features",
 )  # what the report reads; the rest is what these read
 
@@ -231,5 +234,6 @@ def gather(ledger: Path, workflows: Path | None = None, demanded: str | None = N
             sources=tuple(Source(name=query.name, sha256=query.sha256) for query in sorted(needed, key=lambda query: query.name) if _is_file(query.name)),
             features=marks.features(graded),
             evidence=tuple(graded),
+            completeness=completeness(database).sentence(),
             workflows=None if workflows is None else marks.workflows(workflows, demanded_of_workflows),
         )
