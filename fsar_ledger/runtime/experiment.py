@@ -34,7 +34,7 @@ Batch: TypeAlias = tuple[RunSpec, ...]
 
 
 class Experiment(msgspec.Struct, frozen=True):
-    """Which runs to make: `runs` per scenario (or workflow), architecture and configuration.
+    """Which runs to make: `runs` per scenario (or workflow), architecture and configuration, whose names are put in canonical order.
 
     Raises:
         InvalidExperiment: a name is unknown, a number impossible, or a workflow meant for anything but FSAR and its fleet of four.
@@ -62,6 +62,7 @@ class Experiment(msgspec.Struct, frozen=True):
             asked = ", ".join(self.architectures)
             raise InvalidExperiment(f"mechanisms are taken out of FSAR only: found architectures {asked}, expected fsar; leave out --architecture")
         self._require_workflows_as_written()
+        self._put_in_order()
 
     def _require_workflows_as_written(self) -> None:
         """The workflows are those of the paper: FSAR's, in full, with one robot of each role."""
@@ -75,6 +76,12 @@ class Experiment(msgspec.Struct, frozen=True):
             raise InvalidExperiment(f"{about}: found {', '.join(self.architectures)} ({', '.join(self.configurations)}), expected fsar (full)")
         if self.fleet_size != FLEET_SIZE:
             raise InvalidExperiment(f"{about}: found fleet size {self.fleet_size}, expected {FLEET_SIZE}")
+
+    def _put_in_order(self) -> None:
+        """The names stand in one order, whatever the order in which they were asked for: the same question is the same plan."""
+        orders = {"architectures": get_args(Architecture), "scenarios": get_args(Scenario) + get_args(Workflow), "configurations": get_args(Configuration)}
+        for field, names in orders.items():
+            msgspec.structs.force_setattr(self, field, tuple(sorted(getattr(self, field), key=names.index)))
 
     def specs(self) -> Iterator[RunSpec]:
         """The runs in canonical order: scenario, run, architecture, configuration."""
@@ -159,8 +166,9 @@ def carry_out(
 
     Where all runs are there, nothing is done. Else the plan is committed first, unless it is on record: a larger one than before makes the
     ledger larger, run by run as if it had been asked for at once. The missing runs come in canonical order, `BATCH_RUNS` a commit: each commit
-    follows from those before it, so neither `workers` nor an interruption changes a byte. `progress` is told batches done and batches in all. What is committed now carries a
-    signature of `signer`, whose key stays in this process; with `adopts` also where another or none signed what is there.
+    follows from those before it, so neither `workers` nor an interruption changes a byte. `progress` is told batches done and batches in all.
+    What is committed now carries a signature of `signer`, whose key stays in this process; with `adopts` also where another or none signed
+    what is there.
     A new ledger has this origin, else the name of the signer, else `ORIGIN`.
 
     Raises:
