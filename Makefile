@@ -14,14 +14,14 @@ BIN := .venv/bin
 READY := .venv/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test check soak soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers bench docs sbom clean
+.PHONY: help setup reproduce test check soak soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers soak-reverts bench docs sbom clean
 
 help:
 	@echo "make setup      a .venv with the command fsar-ledger in it"
 	@echo "make reproduce  simulate the paper's experiment, measure it, typeset the report into $(OUT)/"
 	@echo "make test       every check and every test"
 	@echo "make check      the checks without the tests: style, types, imports, SQL"
-	@echo "make soak       the long tests, over an hour: make soak-tests, -federation, -crash, -damage, -verifier, -agreement, -flips, -readers are its parts"
+	@echo "make soak       the long tests, over an hour: make soak-tests, -federation, -crash, -damage, -verifier, -agreement, -flips, -readers, -reverts are its parts"
 	@echo "make bench      the benchmarks, as ratios"
 	@echo "make docs       write the pages that hold real output again"
 	@echo "make sbom       the software bill of materials, CycloneDX 1.6, into dist/fsar-ledger.cdx.json"
@@ -50,7 +50,7 @@ check: setup
 test: check
 	$(BIN)/pytest -n $(JOBS) --dist worksteal
 
-soak: soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers
+soak: soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers soak-reverts
 
 # The tests that make test leaves out because they take minutes.
 soak-tests: setup
@@ -83,6 +83,10 @@ soak-flips: setup
 # 100,000 segments whose footer or page headers say something else: each is refused, or read alike by pyarrow, DuckDB and Polars.
 soak-readers: setup
 	$(BIN)/python -m tests.ledger.readers_soak
+
+# Each fix that is on record in tests/reverts taken out alone: its test fails by its own assertion.
+soak-reverts: setup
+	$(BIN)/python -m tests.reverts.soak
 
 bench: setup
 	$(BIN)/python benchmarks/command_line.py

@@ -121,7 +121,7 @@ class Constants(msgspec.Struct, frozen=True):
 def write_constants(constants: Constants) -> str:
     """Return the constants as `RunStarted.parameters` holds them: JSON in the order of the fields, without absent groups."""
     groups = {name: group for name in constants.__struct_fields__ if (group := getattr(constants, name)) is not None}
-    return msgspec.json.encode(groups, order="deterministic").decode()
+    return msgspec.json.encode(groups).decode()
 
 
 class BadParameters(ValueError):

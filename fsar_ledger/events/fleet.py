@@ -2,24 +2,29 @@
 
 from typing import Literal
 
-from .envelope import Architecture, Configuration, Event, Setting
+from .envelope import Event
 
 
-class RunStarted(Event, frozen=True):
+class RunStarted(Event, frozen=True, tag="RunStarted.v2"):
     """A run has begun; event 0 of every run, with everything that another run would do differently.
 
-    `parameters` is the canonical JSON of all world and structural constants.
+    A run is simulated, live (commands from outside, decided by our handlers) or foreign (recorded by another system, named by `source`).
+    `observes` names the concerns that its source records, some of `CONCERNS`: of any other one, no event means nothing.
+    Architecture, configuration and scenario (or workflow) are open text; whoever simulates checks them. None: the run has no such thing.
+    `parameters` is JSON, an object of groups of constants; a group that the run does not have is left out.
     """
 
-    kind: Literal["simulated", "live"]
-    seed: int
-    architecture: Architecture
-    configuration: Configuration
-    scenario: Setting
-    fleet_size: int
-    run: int
-    model_version: str
-    parameters: str
+    kind: Literal["simulated", "live", "foreign"]
+    observes: tuple[str, ...]
+    architecture: str | None = None
+    configuration: str | None = None
+    scenario: str | None = None
+    seed: int | None = None
+    fleet_size: int | None = None
+    run: int | None = None
+    model_version: str | None = None
+    parameters: str | None = None
+    source: str | None = None
 
 
 class RobotJoined(Event, frozen=True):

@@ -3,7 +3,7 @@
 `failure` is the number of the failure within the action, as in `ExecutionFailed`.
 """
 
-from .envelope import Event, RecoveryLevel, Result
+from .envelope import Event, FailureCause, RecoveryLevel, Result
 
 
 class RecoveryBudgetSet(Event, frozen=True):
@@ -65,7 +65,10 @@ class RecoveryEscalated(Event, frozen=True):
 
 
 class AssistanceRequested(Event, frozen=True):
-    """`helper` has been asked to help `robot`. Paper: sec:model:recovery, level 2."""
+    """`helper` has been asked to help `robot`. Paper: sec:model:recovery, level 2.
+
+    Units: `since_us` run time at which recovery turned to this level, None where the level has no budget of its own.
+    """
 
     task_id: str
     action_id: str | None
@@ -79,6 +82,7 @@ class AssistanceRequested(Event, frozen=True):
     failure: int
     level: RecoveryLevel
     failed_action: str
+    since_us: int | None = None
 
 
 class AssistanceAdmitted(Event, frozen=True):
@@ -108,13 +112,24 @@ class AssistanceDeclined(Event, frozen=True):
 
 
 class AssistanceEnded(Event, frozen=True):
-    """The helper is free again."""
+    """The helper has helped, and is free again."""
 
     task_id: str
     action_id: str
     robot: str
     helper: str
     failure: int
+
+
+class AssistanceFailed(Event, frozen=True):
+    """The helper could not help, and is free again: its own way was blocked, or its actuator did not hold either. Paper: sec:model:recovery, level 2."""
+
+    task_id: str
+    action_id: str
+    robot: str
+    helper: str
+    failure: int
+    cause: FailureCause
 
 
 class ReassignmentDecided(Event, frozen=True):
@@ -167,6 +182,7 @@ RecoveryEvent = (
     | AssistanceAdmitted
     | AssistanceDeclined
     | AssistanceEnded
+    | AssistanceFailed
     | ReassignmentDecided
     | TaskStateTransferred
     | FailureResolved

@@ -1,17 +1,77 @@
-"""Event types as they once were. Ledgers keep rows of them for ever, so they are never edited and never go; none is retired yet.
+"""Event types as they once were. Ledgers keep rows of them for ever, so they are never edited and never go.
 
 An event type that changes by more than a new optional field gets the next version: `class StepBegan(Event, frozen=True,
 tag="StepBegan.v2")`. What it was moves here as `class StepBeganV1(Event, frozen=True, tag="StepBegan.v1")`, with an
 upcaster to the next version. Rows stay stored, checked and hashed as they are; who reads events meets the newest version only.
 """
 
-from typing import Any
+from typing import Any, Literal
 
 from .envelope import Event
+from .fleet import RunStarted
 from .upcasting import Upcaster
 
-RETIRED_TYPES: tuple[type[Event], ...] = ()
+
+class RunStartedV1(Event, frozen=True, tag="RunStarted.v1"):
+    """As it was until 0.2.0: a run of ours, simulated or live, that observes everything without saying so."""
+
+    kind: Literal["simulated", "live"]
+    seed: int
+    architecture: Literal["fsar", "cfc", "dhma"]
+    configuration: Literal["full", "without-trust-evaluation", "without-policy-composition", "without-layered-recovery", "without-shared-registry"]
+    scenario: Literal[
+        "door-relay",
+        "collaborative-delivery",
+        "failure-recovery-chain",
+        "mixed-trust-inspection",
+        "fleet-contention",
+        "workflow-door-relay",
+        "workflow-layered-recovery",
+        "workflow-human-supervision",
+        "live",
+    ]
+    fleet_size: int
+    run: int
+    model_version: str
+    parameters: str
+
+
+# The concerns of 0.2.0, by name: one that a later release adds was not observed then.
+_OBSERVED_BY_V1 = (
+    "fleet",
+    "registry",
+    "trust",
+    "policy",
+    "task",
+    "request",
+    "authority",
+    "execution",
+    "recovery",
+    "supervision",
+    "knowledge",
+    "command",
+    "world",
+)
+
+
+def _run_started(event: RunStartedV1) -> RunStarted:
+    """Both kinds of run were made by our own handlers, which record all that they decide, are told and meet."""
+    return RunStarted(
+        kind=event.kind,
+        observes=_OBSERVED_BY_V1,
+        architecture=event.architecture,
+        configuration=event.configuration,
+        scenario=event.scenario,
+        seed=event.seed,
+        fleet_size=event.fleet_size,
+        run=event.run,
+        model_version=event.model_version,
+        parameters=event.parameters,
+    )
+
+
+RETIRED_TYPES: tuple[type[Event], ...] = (RunStartedV1,)
 """Every type that was current in a release and is so no more."""
 
-UPCASTERS: tuple[Upcaster[Any, Any], ...] = ()
+UPCASTERS: tuple[Upcaster[Any, Any], ...] = (Upcaster(RunStartedV1, RunStarted, _run_started),)
 """For each retired type the step to its next version."""

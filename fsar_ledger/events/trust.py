@@ -20,6 +20,23 @@ class TrustSet(Event, frozen=True):
     reason: str = "founding"
 
 
+class RoleTrustSet(Event, frozen=True):
+    """Every robot of `role` trusts every robot of `peer_role` with this scope from now on, also those that join later. Paper: eq:trust.
+
+    Both must be in the `domain` or below it; empty is the whole fleet. `capability`, `context` and `decided_by` are as in
+    `TrustSet`. An entry about the very pair goes before every entry about their roles, and that of a smaller domain before that of a larger one.
+    """
+
+    role: str
+    peer_role: str
+    scope: TrustScope
+    domain: str = ""
+    capability: str | None = None
+    context: str | None = None
+    decided_by: str | None = None
+    reason: str = "founding"
+
+
 class TrustThresholdsSet(Event, frozen=True):
     """From now on trust follows the record: so many successes in a row promote it, failures downgrade it; 0 is never. Paper: sec:model:trust."""
 
@@ -28,4 +45,4 @@ class TrustThresholdsSet(Event, frozen=True):
     decided_by: str | None
 
 
-TrustEvent = TrustSet | TrustThresholdsSet
+TrustEvent = TrustSet | RoleTrustSet | TrustThresholdsSet

@@ -17,7 +17,7 @@ from fsar_ledger.events.execution import (
     ExecutionStarted,
     ExecutionWithdrawn,
 )
-from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceEnded
+from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceEnded, AssistanceFailed
 
 from .authority import rank
 
@@ -34,9 +34,11 @@ HANDLES = (
     | ExecutionWithdrawn
     | AssistanceAdmitted
     | AssistanceEnded
+    | AssistanceFailed
 )
 
 Stage = Literal["queued", "approaching", "held", "polling", "running", "paused", "failed", "withdrawn", "preempted"]
+HELPING = "assist:"  # what holds a robot that helps with an action
 INTERRUPTING = rank("hard-preempt")  # from this level on a request takes the robot from a weaker one
 
 
@@ -111,8 +113,8 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
             queue = tuple(name for name in state.queues.get(event.robot, ()) if name != event.action_id)
             return Execution(withdrawn.current, {**state.queues, event.robot: queue}, withdrawn.actions)
         case AssistanceAdmitted():
-            return Execution({**state.current, event.helper: "assist:" + event.action_id}, state.queues, state.actions)
-        case AssistanceEnded():
+            return Execution({**state.current, event.helper: HELPING + event.action_id}, state.queues, state.actions)
+        case AssistanceEnded() | AssistanceFailed():
             return _freed(state, event.helper)
         case _:
             assert_never(event)

@@ -38,7 +38,7 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
     """The fleet after the event."""
     match event:
         case RunStarted():
-            return Fleet(event.configuration, event.fleet_size, _structure(event.parameters), state.robots)
+            return Fleet(event.configuration or "", event.fleet_size or 0, _structure(event.parameters), state.robots)
         case RobotJoined():
             robot = Robot(event.robot, event.role, event.team, event.supervisor, event.domain)
             return msgspec.structs.replace(state, robots={**state.robots, event.robot: robot}, teams=max(state.teams, event.team))
@@ -47,6 +47,6 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
 
 
 @lru_cache(maxsize=4)
-def _structure(parameters: str) -> Structure:
-    """The structural constants of a run; all runs of an experiment have the same."""
-    return read_constants(parameters).structure
+def _structure(parameters: str | None) -> Structure:
+    """The structural constants of a run, ours if it records none; all runs of an experiment have the same."""
+    return Structure() if parameters is None else read_constants(parameters).structure

@@ -15,7 +15,8 @@ HANDLES = ExecutionFailed | RecoveryAttempted | RecoveryEscalated | AssistanceRe
 class Recovery(msgspec.Struct, frozen=True, gc=False):
     """The open failure of one action: the attempts it took, the helpers that were asked and how often a supervisor was called.
 
-    Units: `detected_us` run time, `deadline_us` run time at which the local level's budget ends.
+    Units: `detected_us` run time, `deadline_us` run time at which the local level's budget ends, `since_us` run time at which recovery turned to
+    whoever was asked for help last.
     """
 
     robot: str
@@ -27,6 +28,7 @@ class Recovery(msgspec.Struct, frozen=True, gc=False):
     deadline_us: int = 0
     tried: tuple[str, ...] = ()
     calls: int = 0
+    since_us: int = 0
 
 
 Recoveries = dict[str, Recovery]  # action -> open failure
@@ -46,7 +48,7 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
             return {**state, event.failed_action: msgspec.structs.replace(state[event.failed_action], level=event.to_level)}
         case AssistanceRequested():
             known = state[event.failed_action]
-            return {**state, event.failed_action: msgspec.structs.replace(known, tried=(*known.tried, event.helper))}
+            return {**state, event.failed_action: msgspec.structs.replace(known, tried=(*known.tried, event.helper), since_us=event.since_us or 0)}
         case SupervisorCalled():
             called = state.get(event.action_id)
             if called is None or event.purpose != "recovery":

@@ -1,22 +1,27 @@
 """Trust scopes between robots, explicit, scope-aware and queryable, and the record on which trust can move. Paper: eq:trust."""
 
+from collections.abc import Iterator
 from typing import assert_never
 
 import msgspec
+from msgspec.structs import replace
 
 from fsar_ledger.events.authority import AuthorityRevoked
 from fsar_ledger.events.envelope import TrustScope
 from fsar_ledger.events.execution import ExecutionFailed
+from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
-from fsar_ledger.events.trust import TrustSet, TrustThresholdsSet
+from fsar_ledger.events.trust import RoleTrustSet, TrustSet, TrustThresholdsSet
 from fsar_ledger.events.world import OutsiderRequestInjected
 
 Result = RequestIssued | OutsiderRequestInjected | RequestDenied | RequestClosed | ExecutionFailed | AuthorityRevoked
-HANDLES = TrustSet | TrustThresholdsSet | Result
+HANDLES = RobotJoined | TrustSet | RoleTrustSet | TrustThresholdsSet | Result
 
 SCOPES: tuple[TrustScope, ...] = ("none", "capability", "task", "session", "persistent")  # from narrow to broad
 VIOLATIONS = ("trust", "authority", "advertisement")  # refusals that are the requester's own doing
 About = tuple[str | None, str | None]  # capability, context; None: all of them
+Entries = dict[About, TrustScope]
+Member = tuple[str, str]  # role, domain
 Asked = tuple[str, str, str, str | None]  # executor, requester, capability, context
 Key = tuple[str, str, str, str | None]  # robot, peer, capability, and the context if trust is set for that one
 
@@ -31,13 +36,16 @@ class Record(msgspec.Struct, frozen=True, gc=False):
 class Trust(msgspec.Struct, frozen=True, gc=False):
     """Who trusts whom, and how each has fared with the other.
 
-    `entries`: (robot, peer) -> what about -> scope; `promote_after`, `downgrade_after`: results in a row, 0 is never;
+    `entries`: (robot, peer) -> what about -> scope, for single pairs; `of_roles`: (role, role of the peer, domain) -> the same,
+    for all of them; `members`: robot -> its role and domain; `promote_after`, `downgrade_after`: results in a row, 0 is never;
     `contexts`: those that some entry is limited to. While a threshold is
     set, `asked`: action -> each direct request that is open; `records`: what each robot has seen of its peer, by what
     its trust is set for; `judged`: the records that the last result changed.
     """
 
-    entries: dict[tuple[str, str], dict[About, TrustScope]] = {}
+    entries: dict[tuple[str, str], Entries] = {}
+    of_roles: dict[tuple[str, str, str], Entries] = {}
+    members: dict[str, Member] = {}
     promote_after: int = 0
     downgrade_after: int = 0
     contexts: frozenset[str] = frozenset()
@@ -51,13 +59,42 @@ INITIAL = Trust()
 
 def scope_of(state: Trust, robot: str, peer: str, capability: str | None = None, context: str | None = None) -> TrustScope:
     """How far the robot trusts the peer; the most specific entry holds, and without any there is none."""
+    return _holding(state, robot, peer, capability, context)[1]
+
+
+def _holding(state: Trust, robot: str, peer: str, capability: str | None, context: str | None) -> tuple[About, TrustScope]:
+    """What the entry is about that holds between the two, and its scope: of those about the pair, else about their roles in the smallest domain."""
     entries = state.entries.get((robot, peer))
-    if entries is None:
-        return "none"
-    for about in ((capability, context), (capability, None), (None, context)):
+    if entries is not None and (found := _most_specific(entries, capability, context)) is not None:
+        return found
+    if state.of_roles and robot in state.members and peer in state.members:
+        (role, domain), (peer_role, peer_domain) = state.members[robot], state.members[peer]
+        for around in _around_both(domain, peer_domain):
+            entries = state.of_roles.get((role, peer_role, around))
+            if entries is not None and (found := _most_specific(entries, capability, context)) is not None:
+                return found
+    return (None, None), "none"
+
+
+def _most_specific(entries: Entries, capability: str | None, context: str | None) -> tuple[About, TrustScope] | None:
+    for about in ((capability, context), (capability, None), (None, context), (None, None)):
         if about in entries:
-            return entries[about]
-    return entries.get((None, None), "none")
+            return about, entries[about]
+    return None
+
+
+def _around_both(domain: str, other: str) -> Iterator[str]:
+    """The domains that both lie in, the smallest first; at last the whole fleet."""
+    while domain:
+        if is_within(other, domain):
+            yield domain
+        domain = domain.rpartition("/")[0]
+    yield ""
+
+
+def is_within(domain: str, around: str) -> bool:
+    """True when the one domain is the other or lies below it; everything lies in the fleet's own, the empty one."""
+    return around in ("", domain) or domain.startswith(around + "/")
 
 
 def covers(scope: TrustScope, required: TrustScope) -> bool:
@@ -73,26 +110,45 @@ def follows_record(state: Trust) -> bool:
 def evolve(state: Trust, event: HANDLES) -> Trust:
     """Trust after the event."""
     match event:
+        case RobotJoined():
+            return replace(state, members={**state.members, event.robot: (event.role, event.domain)})
         case TrustSet():
-            return _set(state, event)
+            pair = (event.robot, event.peer)
+            entries = {**state.entries, pair: {**state.entries.get(pair, {}), (event.capability, event.context): event.scope}}
+            return _set(replace(state, entries=entries), event)
+        case RoleTrustSet():
+            roles = (event.role, event.peer_role, event.domain)
+            of_roles = {**state.of_roles, roles: {**state.of_roles.get(roles, {}), (event.capability, event.context): event.scope}}
+            return _set(replace(state, of_roles=of_roles), event)
         case TrustThresholdsSet():
-            thresholds = (event.promote_after, event.downgrade_after)
-            if not any(thresholds):
-                return Trust(state.entries, contexts=state.contexts)
-            return Trust(state.entries, *thresholds, state.contexts, state.asked, state.records)
+            if not event.promote_after and not event.downgrade_after:
+                return Trust(state.entries, state.of_roles, state.members, contexts=state.contexts)
+            return replace(state, promote_after=event.promote_after, downgrade_after=event.downgrade_after, judged=())
         case _:
             return _noted(state, event) if follows_record(state) else state
 
 
-def _set(state: Trust, event: TrustSet) -> Trust:
-    """What was set holds; the rows of results that it is about begin again."""
-    pair = (event.robot, event.peer)
-    entries = {**state.entries, pair: {**state.entries.get(pair, {}), (event.capability, event.context): event.scope}}
+def _set(state: Trust, event: TrustSet | RoleTrustSet) -> Trust:
+    """The rows of results that the entry is about begin again."""
     contexts = state.contexts if event.context is None else state.contexts | {event.context}
     if not state.records:
-        return msgspec.structs.replace(state, entries=entries, contexts=contexts)
-    records = {key: record for key, record in state.records.items() if key[:2] != pair or event.capability not in (None, key[2]) or event.context != key[3]}
-    return msgspec.structs.replace(state, entries=entries, contexts=contexts, records=records)
+        return replace(state, contexts=contexts)
+    records = {
+        key: record
+        for key, record in state.records.items()
+        if event.capability not in (None, key[2]) or event.context != key[3] or not is_about(state, event, key[0], key[1])
+    }
+    return replace(state, contexts=contexts, records=records)
+
+
+def is_about(state: Trust, event: TrustSet | RoleTrustSet, robot: str, peer: str) -> bool:
+    """True when the entry is about how far this robot trusts that one."""
+    if isinstance(event, TrustSet):
+        return (event.robot, event.peer) == (robot, peer)
+    if robot not in state.members or peer not in state.members:
+        return False
+    (role, domain), (peer_role, peer_domain) = state.members[robot], state.members[peer]
+    return (event.role, event.peer_role) == (role, peer_role) and is_within(domain, event.domain) and is_within(peer_domain, event.domain)
 
 
 def _noted(state: Trust, event: Result) -> Trust:
@@ -127,11 +183,11 @@ def _noted(state: Trust, event: Result) -> Trust:
 
 
 def _asking(state: Trust, action_id: str, asked: Asked) -> Trust:
-    return msgspec.structs.replace(state, asked={**state.asked, action_id: asked}, judged=())
+    return replace(state, asked={**state.asked, action_id: asked}, judged=())
 
 
 def _closed(state: Trust, action_id: str | None) -> Trust:
-    return msgspec.structs.replace(state, asked={name: asked for name, asked in state.asked.items() if name != action_id})
+    return replace(state, asked={name: asked for name, asked in state.asked.items() if name != action_id})
 
 
 def _changed(state: Trust, *results: tuple[Asked, bool | None] | None) -> Trust:
@@ -143,11 +199,10 @@ def _changed(state: Trust, *results: tuple[Asked, bool | None] | None) -> Trust:
         judged.append(key)
         known = records.get(key, Record())
         records[key] = Record(known.successes + 1, 0) if is_success else Record(0, known.failures + (is_success is False))
-    return msgspec.structs.replace(state, records=records, judged=tuple(judged))
+    return replace(state, records=records, judged=tuple(judged))
 
 
 def _row(state: Trust, robot: str, peer: str, capability: str, context: str | None) -> Key:
     """Where a result between the two counts: for the trust that holds there, be it that of the context or that of all of them."""
-    entries = state.entries.get((robot, peer), {})
-    is_of_context = (capability, context) in entries or ((None, context) in entries and (capability, None) not in entries)
-    return robot, peer, capability, context if is_of_context else None
+    (_, of_context), _ = _holding(state, robot, peer, capability, context)
+    return robot, peer, capability, of_context

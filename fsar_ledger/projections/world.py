@@ -5,7 +5,7 @@ from typing import assert_never
 import msgspec
 
 from fsar_ledger.events.envelope import PolicyOutcome
-from fsar_ledger.events.recovery import FailureResolved, RecoveryAttemptFailed
+from fsar_ledger.events.recovery import AssistanceEnded, FailureResolved, RecoveryAttemptFailed
 from fsar_ledger.events.supervision import ActuatorServiced
 from fsar_ledger.events.world import (
     ActuatorDegraded,
@@ -27,6 +27,7 @@ HANDLES = (
     | ActuatorServiced
     | SupervisorLeft
     | SupervisorReturned
+    | AssistanceEnded
     | FailureResolved
     | RecoveryAttemptFailed
 )
@@ -82,10 +83,10 @@ def evolve(state: World, event: HANDLES) -> World:
         case ObstructionCleared():
             inside = tuple(name for name in state.obstructions.get(event.robot, ()) if name != event.obstruction)
             return msgspec.structs.replace(state, obstructions={**state.obstructions, event.robot: inside})
-        case FailureResolved():  # whoever helped has cleared the way; a robot that helped itself found it clear
-            if event.level == "local":
-                return state
-            return msgspec.structs.replace(state, obstructions={**state.obstructions, event.robot: ()})
+        case AssistanceEnded():  # whoever helped has cleared the way
+            return _cleared(state, event.robot)
+        case FailureResolved():  # so has a supervisor; a robot that helped itself found it clear, one whose step another took over stays where it is
+            return _cleared(state, event.robot) if event.level == "human" else state
         case ActuatorDegraded():
             return msgspec.structs.replace(state, degraded={**state.degraded, event.robot: event.grade})
         case ActuatorServiced():
@@ -101,6 +102,10 @@ def evolve(state: World, event: HANDLES) -> World:
             return msgspec.structs.replace(state, off_shift=state.off_shift - {event.supervisor})
         case _:
             assert_never(event)
+
+
+def _cleared(state: World, robot: str) -> World:
+    return msgspec.structs.replace(state, obstructions={**state.obstructions, robot: ()})
 
 
 def _with_windows(state: World, scope: str, windows: Windows) -> World:

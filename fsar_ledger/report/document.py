@@ -16,6 +16,7 @@ from fsar_ledger.report.printing import Table
 PACKAGES = ("duckdb", "pyarrow", "numpy", "scipy", "msgspec", "matplotlib", "typst")
 POOLED = ("recovery_containment", "reassignment_latency_s")  # metrics that a run without failures does not define
 MISS_SE = 2  # a cell misses beyond this many standard errors at n = 100
+MAX_VERSIONS = 5  # of models, named in a sentence
 SHOWN_WEIGHTS = 3  # constants named for each direction of the fit
 
 
@@ -139,7 +140,18 @@ def _contradictions() -> list[dict[str, Any]]:
     ]
 
 
-def _fit(record: Record | None) -> dict[str, Any] | None:
+def _changed(findings: Findings, record: Record | None) -> str | None:
+    """That the record of the fit is of another model than these runs, in words; None where it is of theirs, or there is nothing to say it of."""
+    versions = sorted({row["model_version"] for row in findings.models} - {None})
+    if record is None or not versions or versions == [record.model_version]:
+        return None
+    named = [printing.words(one) for one in versions[:MAX_VERSIONS]] + ([f"{len(versions) - MAX_VERSIONS:,} more"] if len(versions) > MAX_VERSIONS else [])
+    ran = f"of version {named[0]}" if len(versions) == 1 else f"of versions {', '.join(named[:-1])} and {named[-1]}"
+    fitted = "a model whose version is not on record" if record.model_version is None else f"model version {printing.words(record.model_version)}"
+    return f"The model has changed since the fit: the constants were fitted to {fitted}, and these runs are {ran}."
+
+
+def _fit(findings: Findings, record: Record | None) -> dict[str, Any] | None:
     if record is None:
         return None
     objective = None if record.objective is None else msgspec.structs.asdict(record.objective)
@@ -153,12 +165,13 @@ def _fit(record: Record | None) -> dict[str, Any] | None:
         "constants": len(record.parameters),
         "identified": sum(one.identified for one in record.directions),
         "directions": len(record.directions),
+        "changed": _changed(findings, record),
     }
 
 
-def _misses(findings: Findings) -> list[dict[str, Any]]:
-    """The cells that miss the paper by more than two standard errors, worst first, with the reason on record."""
-    reasons = {passage.id: passage.text for passage in specs.passages("reasons")}
+def _misses(findings: Findings, record: Record | None) -> list[dict[str, Any]]:
+    """The cells that miss the paper by more than two standard errors, worst first, with the reason on record if it is one for this model."""
+    reasons = {} if _changed(findings, record) else {passage.id: passage.text for passage in specs.passages("reasons")}
     missing = sorted(
         (row for row in findings.cells if row["distance_se"] is not None and abs(row["distance_se"]) > MISS_SE), key=lambda row: -abs(row["distance_se"])
     )
@@ -192,8 +205,8 @@ def data(findings: Findings, record: Record | None) -> dict[str, Any]:
         "mechanisms": specs.passages("mechanisms"),
         "readings": specs.passages("readings"),
         "contradictions": _contradictions(),
-        "misses": _misses(findings),
-        "fit": _fit(record),
+        "misses": _misses(findings, record),
+        "fit": _fit(findings, record),
         "version": fsar_ledger.__version__,
     }
 

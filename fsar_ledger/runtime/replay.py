@@ -307,7 +307,7 @@ def _begun(record: RunRecord) -> _Replay:
     """The run at its founding. Raises: _Differs if it cannot be replayed, or its founding or name is another one."""
     started = record.events[0]
     if not isinstance(started, RunStarted):
-        raise _Differs(record.run_id, 0, "type", None, "RunStarted.v1", _at(started, record.times_us[0]))
+        raise _Differs(record.run_id, 0, "type", None, "RunStarted.v2", _at(started, record.times_us[0]))
     spec, constants = _parameters(record.run_id, started, len(record.events))
     if run_id(started) != record.run_id:
         raise _Differs(record.run_id, 0, "run_id", None, repr(run_id(started)), repr(record.run_id))
@@ -320,20 +320,23 @@ def _parameters(run: str, started: RunStarted, event_count: int) -> tuple[RunSpe
     def refused(field: str | None, expected: str, actual: str) -> _Differs:
         return _Differs(run, 0, field, None, expected, f"{actual}, so the run cannot be replayed")
 
-    if started.kind != "simulated" or started.scenario == "live":
+    if started.kind != "simulated":
         raise refused("kind", "a simulated run", f"a {started.kind} run, whose commands are not stored")
     if started.model_version != MODEL_VERSION:
         raise refused("model_version", f"{MODEL_VERSION!r}; replay it with the version that wrote it", repr(started.model_version))
-    spec = RunSpec(started.seed, started.architecture, started.configuration, started.scenario, started.fleet_size, started.run)
     try:
+        spec = msgspec.convert({name: getattr(started, name) for name in RunSpec.__struct_fields__}, RunSpec)
         Experiment((spec.architecture,), (spec.scenario,), spec.run + 1, spec.seed, spec.fleet_size, (spec.configuration,))
-    except InvalidExperiment as error:
+    except (InvalidExperiment, msgspec.ValidationError) as error:
         raise refused(None, "a run that can be simulated", str(error)) from error
     try:
-        constants = _constants(started.parameters)
+        constants = _constants(started.parameters or "")
     except BadParameters as error:
         raise refused("parameters", "the constants of the model", str(error).removeprefix("found ")) from error
-    if run_started(spec, constants) != started:
+    own = run_started(spec, constants)
+    if started.observes != own.observes:
+        raise refused("observes", repr(own.observes), repr(started.observes))
+    if own != started:
         raise refused("parameters", "all constants of the model, in the form in which it writes them", f"{started.parameters!r:.300}")
     most = FACTS_PER_ROBOT * spec.fleet_size + event_count
     if not arrivals_expected(constants.world, spec.fleet_size) <= most:

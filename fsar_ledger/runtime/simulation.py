@@ -9,6 +9,7 @@ import msgspec
 
 from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.events import Event
+from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.envelope import Architecture, Configuration, Scenario, Workflow
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.codec import RunRecord
@@ -51,15 +52,16 @@ def wiring(architecture: Architecture) -> Wiring:
 def run_started(spec: RunSpec, constants: Constants) -> RunStarted:
     """Event 0 of the run."""
     return RunStarted(
-        "simulated",
-        spec.seed,
-        spec.architecture,
-        spec.configuration,
-        spec.scenario,
-        spec.fleet_size,
-        spec.run,
-        MODEL_VERSION,
-        _parameters(constants),
+        kind="simulated",
+        observes=CONCERNS,
+        architecture=spec.architecture,
+        configuration=spec.configuration,
+        scenario=spec.scenario,
+        seed=spec.seed,
+        fleet_size=spec.fleet_size,
+        run=spec.run,
+        model_version=MODEL_VERSION,
+        parameters=_parameters(constants),
     )
 
 

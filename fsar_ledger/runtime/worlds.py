@@ -16,7 +16,7 @@ from fsar_ledger.events.fleet import RunStarted
 MAX_NAMED = 5
 """A remark names so many constants or groups of runs, and counts the others."""
 
-World = tuple[int, str, int, int]  # seed, scenario, fleet size, run
+World = tuple[int | None, str | None, int | None, int | None]  # seed, scenario, fleet size, run
 
 
 class Played(msgspec.Struct, frozen=True):
@@ -32,7 +32,8 @@ def played(starts: Iterable[RunStarted]) -> tuple[Played, ...]:
     """What these runs met, in the order in which it was first met."""
     groups: dict[tuple[str, str, str], list[World]] = {}
     for one in starts:
-        groups.setdefault((one.parameters, one.architecture, one.configuration), []).append((one.seed, one.scenario, one.fleet_size, one.run))
+        kind = (one.parameters or "", one.architecture or "", one.configuration or "")  # all there of a run that was replayed
+        groups.setdefault(kind, []).append((one.seed, one.scenario, one.fleet_size, one.run))
     return tuple(Played(*kind, tuple(worlds)) for kind, worlds in groups.items())
 
 

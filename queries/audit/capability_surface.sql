@@ -25,22 +25,25 @@ trusted AS (
         surfaces.robot,
         surfaces.capability,
         surfaces.trust_required,
-        trust.peer,
+        peers.robot AS peer,
         arg_max(trust.scope, trust.precedence) AS scope
     FROM surfaces
+    INNER JOIN trust_parties AS trusting ON surfaces.run_id = trusting.run_id AND surfaces.robot = trusting.robot AND trusting.is_trusting
+    INNER JOIN trust_parties AS trusted ON trusting.run_id = trusted.run_id AND trusting.seq = trusted.seq AND NOT trusted.is_trusting
     INNER JOIN trust_precedence AS trust
         ON
-            surfaces.run_id = trust.run_id AND surfaces.robot = trust.robot AND trust.context IS NULL AND trust.time_us <= $at_us::BIGINT
+            trusting.run_id = trust.run_id AND trusting.seq = trust.seq AND trust.context IS NULL AND trust.time_us <= $at_us::BIGINT
             AND (trust.capability IS NULL OR surfaces.capability = trust.capability)
-    INNER JOIN robot_joined AS peers ON trust.run_id = peers.run_id AND trust.peer = peers.robot AND peers.time_us <= $at_us::BIGINT
+    INNER JOIN robot_joined AS peers ON trusted.run_id = peers.run_id AND trusted.robot = peers.robot AND peers.time_us <= $at_us::BIGINT
     INNER JOIN robot_joined AS owners ON surfaces.run_id = owners.run_id AND surfaces.robot = owners.robot
     WHERE
-        (len(surfaces.visible_to) = 0 OR list_contains(surfaces.visible_to, peers.role))
+        surfaces.robot <> trusted.robot
+        AND (len(surfaces.visible_to) = 0 OR list_contains(surfaces.visible_to, peers.role))
         AND (
             coalesce(surfaces.visibility, '') <> 'domain' OR coalesce(owners.domain, '') IN ('', peers.domain)
             OR starts_with(peers.domain, owners.domain || '/')
         )
-    GROUP BY surfaces.run_id, surfaces.robot, surfaces.capability, surfaces.trust_required, trust.peer
+    GROUP BY surfaces.run_id, surfaces.robot, surfaces.capability, surfaces.trust_required, peers.robot
 ),
 
 admissible AS (

@@ -51,9 +51,13 @@ ends AS (
         arg_max(trust.scope, trust.precedence) AS end_scope
     FROM chains
     INNER JOIN request_issued AS asked ON chains.run_id = asked.run_id AND chains.seq = asked.seq
+    INNER JOIN trust_parties AS trusting
+        ON chains.run_id = trusting.run_id AND asked.executed_by = trusting.robot AND trusting.is_trusting AND chains.seq > trusting.seq
+    INNER JOIN trust_parties AS trusted
+        ON trusting.run_id = trusted.run_id AND trusting.seq = trusted.seq AND chains.first_requester = trusted.robot AND NOT trusted.is_trusting
     INNER JOIN trust_precedence AS trust
         ON
-            chains.run_id = trust.run_id AND asked.executed_by = trust.robot AND chains.first_requester = trust.peer AND chains.seq > trust.seq
+            trusted.run_id = trust.run_id AND trusted.seq = trust.seq
             AND coalesce(asked.capability = trust.capability, trust.capability IS NULL) AND coalesce(asked.task_id = trust.context, trust.context IS NULL)
     GROUP BY chains.run_id, chains.chain, chains.seq
 )

@@ -37,7 +37,7 @@ considered AS (
         any_value(surfaces.visible_to) AS visible_to,
         any_value(surfaces.visibility) AS visibility,
         count(surfaces.robot) > 0 AS is_offered,
-        arg_max(trust.scope, [(trust.capability IS NOT NULL)::BIGINT, (trust.context IS NOT NULL)::BIGINT, trust.seq]) AS trust_scope
+        arg_max(trust.scope, trust.precedence) AS trust_scope
     FROM registry_queried AS queries
     INNER JOIN robot_joined AS others ON queries.run_id = others.run_id AND queries.requested_by <> others.robot AND queries.seq > others.seq
     LEFT JOIN robot_joined AS requesters ON queries.run_id = requesters.run_id AND queries.requested_by = requesters.robot
@@ -46,9 +46,13 @@ considered AS (
             queries.run_id = surfaces.run_id AND others.robot = surfaces.robot AND surfaces.is_shown
             AND (queries.capability = surfaces.capability OR (queries.capability LIKE '%.*' AND starts_with(surfaces.capability, queries.capability[:-2])))
             AND queries.seq > surfaces.since_seq AND (surfaces.until_seq IS NULL OR queries.seq < surfaces.until_seq)
-    LEFT JOIN trust_set AS trust
+    LEFT JOIN trust_parties AS trusting
+        ON queries.run_id = trusting.run_id AND others.robot = trusting.robot AND trusting.is_trusting AND queries.seq > trusting.seq
+    LEFT JOIN trust_parties AS trusted
+        ON trusting.run_id = trusted.run_id AND trusting.seq = trusted.seq AND queries.requested_by = trusted.robot AND NOT trusted.is_trusting
+    LEFT JOIN trust_precedence AS trust
         ON
-            queries.run_id = trust.run_id AND others.robot = trust.robot AND queries.requested_by = trust.peer AND queries.seq > trust.seq
+            trusted.run_id = trust.run_id AND trusted.seq = trust.seq
             AND (trust.capability IS NULL OR queries.capability = trust.capability) AND (trust.context IS NULL OR queries.task_id = trust.context)
     WHERE $run IN ('all', queries.run_id) AND $action IN ('all', queries.action_id) AND $robot IN ('all', others.robot)
     GROUP BY ALL

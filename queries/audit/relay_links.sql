@@ -40,14 +40,23 @@ links AS (
 ),
 
 judged AS (
+    -- Each link between its own two ends, and the ends of the whole chain beside it.
     SELECT
         links.*,
-        arg_max(scopes.scope, scopes.precedence) FILTER (WHERE links.receiver = scopes.robot AND links.sender = scopes.peer) AS link_scope,
-        arg_max(scopes.scope, scopes.precedence) FILTER (WHERE links.executed_by = scopes.robot AND links.requested_by = scopes.peer) AS direct_scope
+        arg_max(scopes.scope, scopes.precedence) FILTER (WHERE links.receiver = trusting.robot AND links.sender = trusted.robot) AS link_scope,
+        arg_max(scopes.scope, scopes.precedence) FILTER (WHERE links.executed_by = trusting.robot AND links.requested_by = trusted.robot) AS direct_scope
     FROM links
+    LEFT JOIN trust_parties AS trusting
+        ON
+            links.run_id = trusting.run_id AND trusting.is_trusting AND coalesce(links.seq, links.asked_seq) > trusting.seq
+            AND trusting.robot IN (links.receiver, links.executed_by)
+    LEFT JOIN trust_parties AS trusted
+        ON
+            trusting.run_id = trusted.run_id AND trusting.seq = trusted.seq AND NOT trusted.is_trusting
+            AND trusted.robot IN (links.sender, links.requested_by)
     LEFT JOIN trust_precedence AS scopes
         ON
-            links.run_id = scopes.run_id AND coalesce(links.seq, links.asked_seq) > scopes.seq
+            trusted.run_id = scopes.run_id AND trusted.seq = scopes.seq
             AND coalesce(links.capability = scopes.capability, scopes.capability IS NULL)
             AND coalesce(links.context = scopes.context, scopes.context IS NULL)
     GROUP BY ALL

@@ -18,7 +18,8 @@ WITH doings (type, doing) AS (
     ('AssistanceAdmitted.v1', 'helping'),
     ('ExecutionFinished.v1', NULL),
     ('ExecutionWithdrawn.v1', NULL),
-    ('AssistanceEnded.v1', NULL)
+    ('AssistanceEnded.v1', NULL),
+    ('AssistanceFailed.v1', NULL)
 ),
 
 latest AS (

@@ -32,9 +32,9 @@ in_hand AS (
         min(seq) AS since_seq,
         arg_max(type, seq) AS last_type
     FROM past
-    WHERE starts_with(type, 'Execution') OR type IN ('ApproachStarted.v1', 'AssistanceAdmitted.v1', 'AssistanceEnded.v1')
+    WHERE starts_with(type, 'Execution') OR type IN ('ApproachStarted.v1', 'AssistanceAdmitted.v1', 'AssistanceEnded.v1', 'AssistanceFailed.v1')
     GROUP BY run_id, coalesce(helper, robot), action_id, helper IS NOT NULL
-    HAVING last_type NOT IN ('ExecutionFinished.v1', 'ExecutionWithdrawn.v1', 'AssistanceEnded.v1')
+    HAVING last_type NOT IN ('ExecutionFinished.v1', 'ExecutionWithdrawn.v1', 'AssistanceEnded.v1', 'AssistanceFailed.v1')
 ),
 
 held AS (

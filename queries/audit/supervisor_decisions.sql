@@ -22,6 +22,7 @@ WITH decided AS (
         CASE WHEN type = 'SupervisorResponded.v1' THEN purpose END AS purpose,
         CASE type
             WHEN 'SupervisorResponded.v1' THEN CASE WHEN approves = FALSE THEN 'disapproved' ELSE coalesce('first ' || preferred, 'approved') END
+            WHEN 'RoleTrustSet.v1' THEN role || ' to ' || peer_role || ' ' || scope || coalesce(' in ' || context, '')
             WHEN 'TrustSet.v1' THEN peer || ' ' || scope || coalesce(' in ' || context, '')
             WHEN 'TrustThresholdsSet.v1' THEN 'promote after ' || promote_after || ', downgrade after ' || downgrade_after
             WHEN 'PolicyRuleSet.v1' THEN scope || ' ' || outcome || coalesce(' in ' || context, '')

@@ -42,9 +42,13 @@ scopes AS (
         links.link.is_direct,
         coalesce(arg_max(trust.scope, trust.precedence), 'none') <> 'none' AS is_trusted
     FROM links
+    LEFT JOIN trust_parties AS trusting
+        ON links.run_id = trusting.run_id AND links.link.trusting = trusting.robot AND trusting.is_trusting AND links.seq > trusting.seq
+    LEFT JOIN trust_parties AS trusted
+        ON trusting.run_id = trusted.run_id AND trusting.seq = trusted.seq AND links.link.trusted = trusted.robot AND NOT trusted.is_trusting
     LEFT JOIN trust_precedence AS trust
         ON
-            links.run_id = trust.run_id AND links.link.trusting = trust.robot AND links.link.trusted = trust.peer AND links.seq > trust.seq
+            trusted.run_id = trust.run_id AND trusted.seq = trust.seq
             AND links.capability = coalesce(trust.capability, links.capability) AND links.task_id = coalesce(trust.context, links.task_id)
     GROUP BY links.run_id, links.seq, links.action_id, links.link
 )

@@ -50,6 +50,7 @@ WITH words (type, part, sender, receiver, words, detail) AS (
     ('AssistanceAdmitted.v1', 1, 'helper', 'robot', 'agrees to help', NULL),
     ('AssistanceDeclined.v1', 1, 'helper', 'robot', 'is busy', NULL),
     ('AssistanceEnded.v1', 1, 'helper', 'robot', 'has helped', NULL),
+    ('AssistanceFailed.v1', 1, 'helper', 'robot', 'could not help', 'cause'),
     ('ReassignmentDecided.v1', 1, 'decider', 'helper', 'reassigns', 'checkpoint'),
     ('TaskStateTransferred.v1', 1, 'robot', 'helper', 'state of the task', 'checkpoint'),
     ('FailureResolved.v1', 1, 'robot', 'robot', 'failure resolved', 'level')

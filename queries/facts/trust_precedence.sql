@@ -1,21 +1,42 @@
 -- Title: Entries of trust, and which of those that apply holds
 -- Paper: eq:trust
--- Grain: one row per TrustSet event
--- Units: time_us microseconds of run time; precedence orders the entries of one robot about one peer
--- NULL: capability, context when the entry is about all of them; set_by for what the fleet was founded with
+-- Grain: one row per TrustSet or RoleTrustSet event
+-- Units: time_us microseconds of run time; precedence orders the entries that apply to one robot about one peer
+-- NULL: robot, peer of an entry about roles; role, peer_role, domain of one about a pair (an empty domain is the whole fleet); capability, context when
+--   the entry is about all of them; set_by for what the fleet was founded with
 -- Example: fsar-ledger query facts/trust_precedence LEDGER
--- Of the entries that apply to a capability and a context, that of the greatest precedence holds: both named, then the capability, then the context,
--- then neither; of equals the last.
+-- Of the entries that apply to a pair (see trust_parties), a capability and a context, that of the greatest precedence holds: about the very pair before
+-- about roles, of roles the smallest domain; then both capability and context named, then the capability, then the context, then neither; of equals the last.
+WITH entries AS (
+    SELECT
+        *,
+        NULL AS role,
+        NULL AS peer_role,
+        NULL AS domain,
+        1024 AS nearness
+    FROM trust_set
+    UNION ALL BY NAME
+    SELECT
+        *,
+        NULL AS robot,
+        NULL AS peer,
+        CASE domain WHEN '' THEN 0 ELSE least(len(string_split(domain, '/')), 1023) END AS nearness
+    FROM role_trust_set
+)
+
 SELECT
     run_id,
     seq,
     time_us,
     robot,
     peer,
+    role,
+    peer_role,
+    domain,
     capability,
     context,
     scope,
     decided_by AS set_by,
     reason,
-    ((capability IS NOT NULL)::BIGINT * 2 + (context IS NOT NULL)::BIGINT) * 1000000000 + seq AS precedence
-FROM trust_set
+    (nearness::BIGINT * 4 + (capability IS NOT NULL)::BIGINT * 2 + (context IS NOT NULL)::BIGINT) * 1000000000 + seq AS precedence
+FROM entries

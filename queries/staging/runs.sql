@@ -2,12 +2,13 @@
 -- Paper: sec:evaluation:setup
 -- Grain: one row per run
 -- Units: fleet_size robots; run counts from 0 within seed and scenario; parameters_sha256 the digest of all constants of the world and of structure
--- NULL: never
+-- NULL: what the run does not have; source but of a foreign run
 -- Example: fsar-ledger query staging/runs LEDGER
 -- Stored: every metric reads it
 SELECT
     run_id,
     kind,
+    observes,
     seed,
     architecture,
     configuration,
@@ -15,5 +16,6 @@ SELECT
     fleet_size,
     run,
     model_version,
-    sha256(parameters) AS parameters_sha256
+    sha256(parameters) AS parameters_sha256,
+    source
 FROM run_started

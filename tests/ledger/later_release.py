@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[2]
-RELEASE = "0.2.0"
+RELEASE = "0.4.0"
 
-RETIRED = '''
+STEPS = '''
 class StepBeganV1(Event, frozen=True, tag="StepBegan.v1"):
-    """As it was until 0.1.0."""
+    """As it was until 0.3.0."""
 
     task_id: str
     action_id: str
@@ -48,20 +48,19 @@ def _third(event: StepBeganV2) -> StepBegan:
     return StepBegan(event.task_id, event.action_id, event.robot, event.step, event.attempt, event.capability, not event.is_own, event.target_role)
 
 
-RETIRED_TYPES: tuple[type[Event], ...] = (StepBeganV1, StepBeganV2)
-
-UPCASTERS: tuple[Upcaster[Any, Any], ...] = (Upcaster(StepBeganV1, StepBeganV2, _second), Upcaster(StepBeganV2, StepBegan, _third))
 '''
+
+UPCASTERS = "Upcaster(StepBeganV1, StepBeganV2, _second), Upcaster(StepBeganV2, StepBegan, _third)"
 
 EDITS = (
     ("events/task.py", "class StepBegan(Event, frozen=True):", 'class StepBegan(Event, frozen=True, tag="StepBegan.v3"):'),
     ("events/task.py", "    capability: str\n    target_role", "    capability: str\n    is_delegated: bool\n    target_role"),
     ("runtime/handlers/task.py", "            capability,\n            target[0]", "            capability,\n            bool(target),\n            target[0]"),
-    ("events/retired.py", "from .envelope import Event\n", "from .envelope import Event\nfrom .task import StepBegan\n"),
-    ("events/retired.py", "RETIRED_TYPES: tuple[type[Event], ...] = ()\n", ""),
-    ("events/retired.py", "UPCASTERS: tuple[Upcaster[Any, Any], ...] = ()\n", RETIRED),
+    ("events/retired.py", "from .upcasting import Upcaster\n", f"from .task import StepBegan\nfrom .upcasting import Upcaster\n{STEPS}"),
+    ("events/retired.py", "] = (RunStartedV1,)\n", "] = (RunStartedV1, StepBeganV1, StepBeganV2)\n"),
+    ("events/retired.py", "] = (Upcaster(RunStartedV1", f"] = ({UPCASTERS}, Upcaster(RunStartedV1"),
     ("events/fleet.py", '    domain: str = ""\n', '    domain: str = ""\n    depot: str | None = None\n'),
-    ("ledger/releases.py", 'RELEASE = "0.1.0"', f'RELEASE = "{RELEASE}"'),
+    ("ledger/releases.py", 'RELEASE = "0.3.0"', f'RELEASE = "{RELEASE}"'),
     ("queries/facts/cross_robot_records.sql", "'StepBegan.v1'", "'StepBegan.v3'"),
 )
 

@@ -18,7 +18,8 @@ from tests.ledger.keep_release import LEDGERS, ORIGIN
 from tests.ledger.later_release import LaterRelease
 from tests.ledger.samples import append_all, made_up_batches
 
-OLD = LEDGERS / "0.1.0" / "ledger"
+KEPT = "0.1.0"
+OLD = LEDGERS / KEPT / "ledger"
 
 DECODE = """
 import json, sys
@@ -128,15 +129,15 @@ def test_a_ledger_of_this_release_is_exported_as_it_is_stored(later: LaterReleas
 def test_the_records_of_each_commit_name_its_release(later: LaterRelease, mixed: Path) -> None:
     code = "import json, sys; from pathlib import Path; from fsar_ledger.ledger.read import open_ledger\n"
     records = later.run(code + "print(json.dumps([[r.release, r.schema_sha256] for r in open_ledger(Path(sys.argv[1])).records]))", mixed)
-    assert [release for release, _ in records] == [RELEASE] * 3 + [later_release.RELEASE]
-    assert {fingerprint for _, fingerprint in records[:3]} == {FINGERPRINTS[RELEASE]} != {records[3][1]}
+    assert [release for release, _ in records] == [KEPT] * 3 + [later_release.RELEASE]
+    assert {fingerprint for _, fingerprint in records[:3]} == {FINGERPRINTS[KEPT]} != {records[3][1]}
 
 
 # --- this release, and what a later one wrote ---
 
 
 def test_a_ledger_of_a_later_release_is_refused_by_its_name(mixed: Path) -> None:
-    message = rf"000000000003\.json: field release: found 0\.2\.0, expected at most {RELEASE}; read it with fsar-ledger 0\.2\.0 or later"
+    message = rf"000000000003\.json: field release: found 0\.4\.0, expected at most {RELEASE}; read it with fsar-ledger 0\.4\.0 or later"
     with pytest.raises(FormatVersionMismatch, match=message):
         open_ledger(mixed)
     with pytest.raises(FormatVersionMismatch, match=message):
@@ -145,7 +146,7 @@ def test_a_ledger_of_a_later_release_is_refused_by_its_name(mixed: Path) -> None
 
 def test_verify_names_the_release_that_it_cannot_judge_and_nothing_else(mixed: Path) -> None:
     [problem] = verify(mixed).problems
-    assert (problem.where, problem.field, problem.found) == ("commits/000000000003.json", "release", "'0.2.0'")
+    assert (problem.where, problem.field, problem.found) == ("commits/000000000003.json", "release", "'0.4.0'")
     assert verify(mixed).commits == 3
 
 
@@ -165,7 +166,7 @@ def test_each_command_says_which_version_is_needed(mixed: Path, tmp_path: Path, 
     places = {"LEDGER": str(mixed), "OUT": str(tmp_path / "events.csv")}
     assert cli.run([places.get(word, word) for word in call]) == code
     printed = "".join(capsys.readouterr())
-    assert "read it with fsar-ledger 0.2.0 or later" in printed
+    assert "read it with fsar-ledger 0.4.0 or later" in printed
     assert "Traceback" not in printed
 
 

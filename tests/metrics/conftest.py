@@ -4,6 +4,7 @@ from pathlib import Path
 
 import pytest
 
+from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.ledger.append import Writer, stage
@@ -14,8 +15,9 @@ def record(architecture: str, number: int) -> RunRecord:
     """A run of three events."""
     started = RunStarted(
         kind="simulated",
+        observes=CONCERNS,
         seed=42,
-        architecture=architecture,  # type: ignore[arg-type]
+        architecture=architecture,
         configuration="full",
         scenario="door-relay",
         fleet_size=4,

@@ -208,7 +208,7 @@ def test_what_never_ends_is_ended_in_time(surrounded: Path, escape: str) -> None
 ALLOWED = {
     "a name of one's own": "WITH events AS (SELECT 1 AS seq) SELECT seq FROM events",
     "the source first": "FROM events SELECT count(*) AS n",
-    "a pivot that lists its values": "PIVOT events ON type IN ('RunStarted.v1') USING count(*)",
+    "a pivot that lists its values": "PIVOT events ON type IN ('RunStarted.v2') USING count(*)",
     "a summary": "SUMMARIZE events",
     "a description": "DESCRIBE run_started",
     "a plan with times": "EXPLAIN ANALYZE SELECT count(*) FROM events",

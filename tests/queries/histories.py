@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.metrics.database import Value, from_rows
 
 Row = Mapping[str, Value]
@@ -19,6 +20,7 @@ def run(*events: Row, run_id: str = "r1", **dimensions: Value) -> list[Row]:
     """The rows of one run: RunStarted, then these events in this order."""
     started: dict[str, Value] = {
         "kind": "simulated",
+        "observes": list(CONCERNS),
         "seed": 42,
         "architecture": "fsar",
         "configuration": "full",
@@ -28,7 +30,7 @@ def run(*events: Row, run_id: str = "r1", **dimensions: Value) -> list[Row]:
         "model_version": "test",
         "parameters": "{}",
     }
-    rows = [{"type": "RunStarted.v1", "time_us": 0, **started, **dimensions}, *events]
+    rows = [{"type": "RunStarted.v2", "time_us": 0, **started, **dimensions}, *events]
     return [{"run_id": run_id, "seq": seq, "caused_by": seq - 1 if seq else None, **row} for seq, row in enumerate(rows)]
 
 

@@ -33,6 +33,36 @@ def test_a_type_that_decides_nothing_is_no_decision() -> None:
     assert answer("facts/decisions", run(event("GapDetected", decided_by="robot/A1", path=["robot/A1"]))) == []
 
 
+def denied(task: str | None = "t1", action: str | None = None, reason: str = "policy", by: str = "coordinator") -> Row:
+    return event("RequestDenied", task_id=task, action_id=action, decided_by=by, path=[by], reason=reason)
+
+
+def decided(*events: Row) -> list[str]:
+    return [row[0] for row in answer("facts/decisions", run(*events), columns=("type",))]
+
+
+def test_a_denial_that_still_stands_when_looked_at_again_is_not_decided_again() -> None:
+    assert len(decided(denied(), denied(), denied())) == 1
+    assert len(decided(denied(action="t1/1.1"), denied(action="t1/1.2"))) == 1, "a new number for the same step asks nobody anew"
+
+
+def test_a_denial_of_something_else_or_by_somebody_else_is_decided() -> None:
+    assert len(decided(denied(), denied("t2"))) == 2
+    assert len(decided(denied(), denied(reason="review"))) == 2
+    assert len(decided(denied(), denied(by="robot/B1"))) == 2
+    assert len(decided(denied(None), denied(None))) == 2, "nothing says that these were about the same"
+
+
+def test_who_asks_again_decides_to_ask_and_the_answer_is_a_decision() -> None:
+    asked = event("RequestIssued", task_id="t1", decided_by="robot/A1", path=["robot/A1"])
+    assert decided(asked, denied(by="robot/B1"), asked, denied(by="robot/B1")) == ["RequestIssued.v1", "RequestDenied.v1"] * 2
+
+
+def test_what_is_no_denial_is_decided_each_time() -> None:
+    considered = event("CandidateMatched", task_id="t1", decided_by="coordinator", path=["coordinator"])
+    assert len(decided(considered, considered)) == 2
+
+
 def test_locality_is_the_share_of_local_decisions() -> None:
     local = event("RequestIssued", decided_by="robot/A1", path=["robot/A1"])
     closing = event("RequestClosed", decided_by="service/coordination", path=["service/coordination"])

@@ -40,7 +40,7 @@ def history() -> tuple[Row, ...]:
 def where(rows: list[Row], name: str, **fields: Any) -> list[int]:
     """The positions of the events of this type with these values (a callable: that satisfy it), in order."""
     matches = {key: value if callable(value) else (lambda found, value=value: found == value) for key, value in fields.items()}
-    return [at for at, row in enumerate(rows) if row["type"] == f"{name}.v1" and all(match(row[key]) for key, match in matches.items())]
+    return [at for at, row in enumerate(rows) if row["type"].partition(".")[0] == name and all(match(row[key]) for key, match in matches.items())]
 
 
 def robots(name: str | None) -> bool:

@@ -7,6 +7,7 @@ import pytest
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Architecture, Configuration, RecoveryLevel, Scenario
 from fsar_ledger.events.execution import ExecutionFailed, OwnStepDecided, RoutinePerformed
 from fsar_ledger.events.fleet import RunStarted
@@ -30,6 +31,7 @@ def _events(architecture: Architecture, configuration: Configuration, scenario: 
         0,
         RunStarted(
             kind="simulated",
+            observes=CONCERNS,
             seed=42,
             architecture=architecture,
             configuration=configuration,

@@ -6,10 +6,11 @@ from typing import Any
 
 import msgspec
 import pytest
+import typst
 
 from fsar_ledger.errors import FsarLedgerError
-from fsar_ledger.report import document, typeset
-from fsar_ledger.report.calibration import recorded
+from fsar_ledger.report import document, specs, typeset
+from fsar_ledger.report.calibration import Parameter, Record, recorded
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.gather import gather
 
@@ -58,6 +59,58 @@ def test_record_is_quoted_with_its_numbers(tmp_path: Path, findings: Findings) -
     assert [cell["printed"] for cell in data["tables"]["calibrated-parameters"]["rows"][0]][:5] == ["world.motion_share", "0.2", "0.24", "share", "no"]
     assert data["tables"]["directions"]["rows"][0][3]["printed"] == "b \u22120.90, c 0.30, a 0.10"
     assert [cell["printed"] for cell in data["tables"]["switch-offs"]["rows"][0]][3:] == ["0.947", "0.991"]
+
+
+def said_of_the_fit(folder: Path, findings: Findings, record: Record | None) -> list[str]:
+    """The sentences, as they are typeset, that say that the record of the fit is of another model."""
+    (folder / "report.typ").write_text(specs.text("templates", "report.typ"))
+    (folder / "data.json").write_bytes(document.encoded(document.data(findings, record)))
+    for name, svg in document.drawings(findings).items():
+        (folder / name).write_bytes(svg)
+    return [json.dumps(one, ensure_ascii=False) for one in json.loads(typst.query(folder / "report.typ", "<changed>"))]
+
+
+def test_a_fit_of_another_model_is_named_at_the_answer_at_the_numbers_and_at_the_calibration(tmp_path: Path, findings: Findings) -> None:
+    said = said_of_the_fit(tmp_path, findings, Record(model_version="0", parameters=[Parameter("world.motion_share", "share", 0.2, 0.24)]))
+    assert len(said) == 3
+    for passage in said:
+        assert "The model has changed since the fit: the constants were fitted to model version 0, and these runs are of version 1." in passage
+        assert "So no cell counts as fitted." in passage
+
+
+@pytest.mark.parametrize("record", [None, Record(model_version="1")])
+def test_a_fit_of_these_runs_model_is_not_doubted(tmp_path: Path, findings: Findings, record: Record | None) -> None:
+    assert said_of_the_fit(tmp_path, findings, record) == []
+
+
+@pytest.mark.parametrize(
+    ("fitted", "ran", "said"),
+    [
+        (None, ["2"], "a model whose version is not on record, and these runs are of version 2."),
+        ("1", ["2", "1", "2"], "model version 1, and these runs are of versions 1 and 2."),
+        ("1", list("8765432"), "model version 1, and these runs are of versions 2, 3, 4, 5, 6 and 2 more."),
+        ("1", ["\x1b[31m"], r"model version 1, and these runs are of version \x1b[31m."),
+        ("1", [], None),
+    ],
+)
+def test_every_model_of_the_runs_counts(findings: Findings, fitted: str | None, ran: list[str], said: str | None) -> None:
+    several = msgspec.structs.replace(findings, models=tuple({**findings.models[0], "model_version": one} for one in ran))
+    changed = document.data(several, Record(model_version=fitted))["fit"]["changed"]
+    assert changed == (said and f"The model has changed since the fit: the constants were fitted to {said}")
+
+
+def test_reasons_that_were_found_with_another_model_are_not_given(findings: Findings) -> None:
+    miss = {"metric": "authority_conflicts", "architecture": "fsar", "distance_se": 3.0}
+    cells = tuple(row | miss if (row["metric"], row["architecture"]) == ("authority_conflicts", "fsar") else row for row in findings.cells)
+    missing = msgspec.structs.replace(findings, cells=cells)
+
+    def reason(fitted: str) -> str | None:
+        misses = document.data(missing, Record(model_version=fitted))["misses"]
+        found: str | None = next(one["reason"] for one in misses if one["title"] == "Authority conflicts (per run), FSAR")
+        return found
+
+    assert reason("1") is not None
+    assert reason("0") is None
 
 
 @pytest.mark.parametrize("content", ["{", '{"seeds": "many"}', '{"parameters": [{"name": "x"}]}'])

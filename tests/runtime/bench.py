@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from fsar_ledger.constants import DURATIONS, Constants, Range, WorldConstants
 from fsar_ledger.events import AnyEvent, Event
+from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled
 from fsar_ledger.events.trust import TrustSet
@@ -86,7 +87,7 @@ def founding(fleet: Sequence[tuple[str, int, bool, str, frozenset[str]]], trust:
     """
     names = [f"robot/{role}{team}" for role, team, *_ in fleet]
     parameters = msgspec.json.encode(Constants(), order="deterministic").decode()
-    events: list[Event] = [RunStarted("live", 0, "fsar", "full", "live", len(fleet), 0, "1", parameters)]
+    events: list[Event] = [RunStarted("live", CONCERNS, "fsar", "full", fleet_size=len(fleet), parameters=parameters)]
     for name, (role, team, has_supervisor, domain, _) in zip(names, fleet, strict=True):
         events.append(RobotJoined(name, role, team, f"supervisor/{role}{team}" if has_supervisor else None, domain))
     for name, (*_, capabilities) in zip(names, fleet, strict=True):

@@ -15,7 +15,7 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.recovery import FailureResolved, RecoveryAttempted
 from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, RequestDenied, RequestIssued
 from fsar_ledger.events.task import StepBegan
-from fsar_ledger.events.trust import TrustSet
+from fsar_ledger.events.trust import RoleTrustSet, TrustSet
 from fsar_ledger.events.world import ObstructionAppeared, RoutineDue
 from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.runtime.simulation import RunSpec, run_id, simulate_run
@@ -98,7 +98,7 @@ class Forgery(NamedTuple):
     handler: str | None
 
 
-TRUST, ADMITTED, ACCEPTED, STARTED = seq_of(TrustSet), seq_of(RequestAdmitted), seq_of(RequestAccepted), seq_of(ExecutionStarted)
+TRUST, ADMITTED, ACCEPTED, STARTED = seq_of(RoleTrustSet), seq_of(RequestAdmitted), seq_of(RequestAccepted), seq_of(ExecutionStarted)
 ISSUED, FAILED, RESOLVED, REFUSED = seq_of(RequestIssued), seq_of(ExecutionFailed), seq_of(FailureResolved), seq_of(RequestDenied)
 FINISHED, DUE, WITHHELD, LAST = seq_of(ExecutionFinished), seq_of(RoutineDue), seq_of(RoutineWithheld), len(HONEST.events) - 1
 PERFORMED, ATTEMPT, OBSTRUCTED = seq_of(RoutinePerformed), seq_of(RecoveryAttempted), seq_of(ObstructionAppeared)
@@ -118,7 +118,7 @@ FORGERIES = {
     "an admission rests on more trust": Forgery(restated(ADMITTED, trust="persistent"), ADMITTED, "trust", "fsar.request.evaluate_request"),
     "the fleet is founded with more trust": Forgery(restated(TRUST, scope="persistent"), TRUST, "scope", "world.scenarios.founding"),
     "a robot trusts one robot more at the founding": Forgery(
-        added(HONEST, TRUST, TrustSet("robot/A1", "robot/C1", "task"), 0, 0), TRUST, "peer", "world.scenarios.founding"
+        added(HONEST, TRUST, TrustSet("robot/A1", "robot/C1", "task"), 0, 0), TRUST, "type", "world.scenarios.founding"
     ),
     "an execution starts early": Forgery(changed(HONEST, STARTED, time_us=HONEST.times_us[STARTED] - 1), STARTED, "time_us", "fsar.execution.start"),
     "an execution takes longer": Forgery(restated(STARTED, ends_us=HONEST.times_us[FINISHED] + 1), STARTED, "ends_us", "fsar.execution.start"),

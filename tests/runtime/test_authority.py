@@ -15,7 +15,7 @@ from fsar_ledger.events.policy import PolicyRuleSet
 from fsar_ledger.events.request import RequestAdmitted, RequestClosed, RequestDenied
 from fsar_ledger.events.supervision import SupervisionDensitySet, SupervisorResponded
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
-from fsar_ledger.events.trust import TrustSet
+from fsar_ledger.events.trust import RoleTrustSet, TrustSet
 from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.runtime.architectures.fsar import FSAR
@@ -177,6 +177,19 @@ def test_trust_that_falls_below_what_is_required_revokes_what_the_peer_holds_adm
     assert "RequestAccepted" in types(play(state, TakeTurn("q1"))), "what was admitted goes on"
     apply(state, TrustSet("robot/B1", "robot/A1", "task"))
     assert evaluated(state).reason == "authority", "trust regained does not give back what was revoked"
+
+
+def test_trust_of_the_roles_that_falls_revokes_what_their_pairs_hold_admitted() -> None:
+    state = given("fsar")
+    play(state, ASK, EvaluateRequest("q1"))
+    assert scheduled(state, RoleTrustSet("B", "A", "none", "hall")) == [], "they are in no hall"
+    assert scheduled(state, RoleTrustSet("B", "D", "none")) == [], "others"
+    state = given("fsar", TrustSet("robot/B1", "robot/A1", "task"))
+    play(state, ASK, EvaluateRequest("q1"))
+    assert scheduled(state, RoleTrustSet("B", "A", "none")) == [], "the pair is an exception"
+    state = given("fsar")
+    play(state, ASK, EvaluateRequest("q1"))
+    assert scheduled(state, RoleTrustSet("B", "A", "none")) == [RevokeDistrusted("robot/B1", "robot/A1")]
 
 
 def test_trust_that_falls_while_nothing_is_admitted_revokes_nothing() -> None:

@@ -6,7 +6,7 @@ from fsar_ledger.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
 from fsar_ledger.events.execution import ApproachStarted, ExecutionHeld, ExecutionStarted
 from fsar_ledger.events.knowledge import FleetRuleLearned
-from fsar_ledger.events.recovery import FailureResolved
+from fsar_ledger.events.recovery import AssistanceEnded, FailureResolved
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, RequestDenied, RequestIssued, RequestUnanswered
 from fsar_ledger.events.task import StepBegan
@@ -282,10 +282,14 @@ def test_an_execution_that_starts_in_the_way_of_something_finishes_if_that_goes_
 
 def test_a_local_recovery_clears_nothing_but_what_was_clear() -> None:
     resolved = FailureResolved("A1-1", "A1-1/1.1", "robot/A1", 1, "local")
-    helped = FailureResolved("A1-1", "A1-1/1.1", "robot/A1", 1, "peer")
+    taken_over = FailureResolved("A1-1", "A1-1/1.1", "robot/A1", 1, "fleet")
+    helped = AssistanceEnded("A1-1", "A1-1/1.1", "robot/A1", "robot/B1", 1)
+    cleared_by_hand = FailureResolved("A1-1", "A1-1/1.1", "robot/A1", 1, "human")
     in_the_way = ObstructionAppeared("robot/A1", "o")
     assert given("fsar", in_the_way, resolved).world.obstructions["robot/A1"] == ("o",)
+    assert given("fsar", in_the_way, taken_over).world.obstructions["robot/A1"] == ("o",)
     assert given("fsar", in_the_way, helped).world.obstructions["robot/A1"] == ()
+    assert given("fsar", in_the_way, cleared_by_hand).world.obstructions["robot/A1"] == ()
 
 
 def test_the_relay_is_the_nearest_teams() -> None:

@@ -12,7 +12,7 @@ from typing import Any, get_args
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Structure, WorldConstants
+from fsar_ledger.constants import Constants, Structure, WorldConstants, write_constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.fleet import RunStarted
@@ -252,18 +252,25 @@ ENDLESS = {
     "a rate below nothing": WorldConstants(context_rate_per_s=-1.0),
     "robots meet all the time": WorldConstants(encounter_mean_s=1e-9),
     "robots meet before they met": WorldConstants(encounter_mean_s=-90.0),
-    "a rate of nothing": WorldConstants(fleet_rule_rate_per_s=0.0),
-    "hardly ever": WorldConstants(routine_rate_per_s=5e-324),
 }
+EMPTY = {"a rate of nothing": WorldConstants(fleet_rule_rate_per_s=0.0), "hardly ever": WorldConstants(routine_rate_per_s=5e-324)}
 
 
 @pytest.mark.parametrize("name", list(ENDLESS))
 def test_a_world_that_nobody_can_make_is_a_finding_at_once(name: str) -> None:
     record = honest(SPECS[0])
-    parameters = msgspec.json.encode(Constants(ENDLESS[name]), order="deterministic").decode()
-    difference = replay_run(renamed(changed(record, 0, msgspec.structs.replace(record.events[0], parameters=parameters))))
+    difference = replay_run(renamed(changed(record, 0, msgspec.structs.replace(record.events[0], parameters=write_constants(Constants(ENDLESS[name]))))))
     assert difference is not None
-    assert difference.seq == 0
+    assert (difference.seq, difference.field) == (0, "parameters")
+
+
+@pytest.mark.parametrize("name", list(EMPTY))
+def test_a_world_in_which_something_never_happens_is_made_and_differs_where_it_did(name: str) -> None:
+    record = honest(SPECS[0])
+    difference = replay_run(renamed(changed(record, 0, msgspec.structs.replace(record.events[0], parameters=write_constants(Constants(EMPTY[name]))))))
+    assert difference is not None
+    assert difference.seq > 0
+    assert difference.actual.endswith("which the world of this run does not have")
 
 
 @pytest.mark.parametrize("fleet_size", [4, 64])

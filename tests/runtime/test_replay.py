@@ -223,8 +223,11 @@ def parameters(constants: Constants) -> str:
 
 
 UNCHECKED = {
-    "a live run": (restarted(kind="live", scenario="live"), "kind", "commands are not stored"),
-    "a simulated run of no scenario": (restarted(scenario="live"), "kind", "cannot be replayed"),
+    "a live run": (restarted(kind="live", scenario=None), "kind", "commands are not stored"),
+    "a simulated run of no scenario": (restarted(scenario=None), None, "Expected `str`, got `null` - at `$.scenario`"),
+    "a scenario of somebody else's": (restarted(scenario="my-hall"), None, "Invalid enum value 'my-hall' - at `$.scenario`"),
+    "a run without a seed": (restarted(seed=None), None, "got `null` - at `$.seed`"),
+    "another observation": (restarted(observes=("fleet",)), "observes", "('fleet',), so the run cannot be replayed"),
     "another model": (restarted(model_version="0"), "model_version", "'0', so the run cannot be replayed"),
     "an impossible fleet": (restarted(fleet_size=10**12), None, "fleet size: found 1000000000000"),
     "a baseline without a mechanism": (restarted(architecture="cfc", configuration="without-trust-evaluation"), None, "cfc"),
@@ -318,7 +321,7 @@ def test_a_forged_decision_ends_the_command_with_3(call: Call, tmp_path: Path) -
 
 def test_commands_given_from_outside_cannot_be_replayed_and_end_with_3(call: Call, tmp_path: Path) -> None:  # noqa: F811
     live = commanded()
-    started = msgspec.structs.replace(live.events[0], kind="live", scenario="live")
+    started = msgspec.structs.replace(live.events[0], kind="live", scenario=None)
     record = renamed(RunRecord("", live.times_us, live.caused_by, [started, *live.events[1:]]))
     called = call("verify", committed(tmp_path / "ledger", record), "--replay")
     assert called.code == 3

@@ -9,9 +9,10 @@ from fsar_ledger.events.authority import AuthorityRevoked
 from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.events.envelope import TRUST
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued
+from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
 from fsar_ledger.events.task import TaskCompleted
-from fsar_ledger.events.trust import TrustSet, TrustThresholdsSet
+from fsar_ledger.events.trust import RoleTrustSet, TrustSet, TrustThresholdsSet
 from fsar_ledger.events.world import OutsiderRequestInjected
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.projections.trust import scope_of
@@ -20,10 +21,12 @@ from fsar_ledger.runtime.handlers.commands import Command
 from fsar_ledger.runtime.handlers.trust import (
     AssessTrust,
     ExpireTrust,
+    SetRoleTrust,
     SetTrust,
     SetTrustThresholds,
     assess_trust,
     expire_trust,
+    set_role_trust,
     set_trust,
     set_trust_thresholds,
     trusts,
@@ -84,6 +87,54 @@ def test_the_robots_own_supervisor_and_the_fleets_may_set_its_trust(supervisor: 
 def test_trust_that_cannot_be_set_is_rejected(command: SetTrust, reason: str) -> None:
     state = given("fsar", ARRIVED, TaskCompleted("A1-1"))
     assert refusal(set_trust(state, command)).startswith(reason)
+
+
+def test_the_fleet_supervisor_sets_trust_by_role_and_a_pair_stays_an_exception() -> None:
+    state = given("fsar", TrustSet(B, D, "none"), RobotJoined("robot/B9", "B", 9, None, "yard"), RobotJoined("robot/D9", "D", 9, None, "yard/gate"))
+    [event] = set_role_trust(state, SetRoleTrust(H_F, "B", "D", "task", capability=DOOR))
+    assert event == RoleTrustSet("B", "D", "task", "", DOOR, None, H_F, "operator")
+    apply(state, event)
+    assert (trusts(state, B, D, DOOR), trusts(state, B, "robot/D9", DOOR), trusts(state, "robot/B9", D, DOOR)) == (False, True, True)
+    [event] = set_role_trust(state, SetRoleTrust(H_F, "B", "D", "none", "yard"))
+    apply(state, event)
+    assert (trusts(state, "robot/B9", "robot/D9", DOOR), trusts(state, "robot/B9", D, DOOR)) == (False, True)
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"),
+    [
+        (SetRoleTrust(H_B, "B", "D", "task"), "supervisor/B1 supervises one robot"),
+        (SetRoleTrust(H_F, "X", "D", "task"), "unknown role X"),
+        (SetRoleTrust(H_F, "B", "b", "task"), "unknown role b, expected one of A, B, C, D"),
+        (SetRoleTrust(H_F, "B", "D", "task", "hall"), "unknown domain hall"),
+        (SetRoleTrust(H_F, "B", "D", "task", capability="fly"), "unknown capability fly"),
+        (SetRoleTrust(H_F, "B", "D", "task", context="A1-1"), "task A1-1 is over"),
+        (SetRoleTrust(H_F, "B", "D", "total"), "unknown scope total"),  # type: ignore[arg-type]
+    ],
+)
+def test_trust_by_role_that_cannot_be_set_is_rejected(command: SetRoleTrust, reason: str) -> None:
+    state = given("fsar", ARRIVED, TaskCompleted("A1-1"))
+    assert refusal(set_role_trust(state, command)).startswith(reason)
+
+
+def test_the_record_moves_the_pair_and_not_its_roles() -> None:
+    state = results("trust", downgrade=1)
+    [downgraded] = assess_trust(state, AssessTrust(B, A, DOOR))
+    apply(state, downgraded)
+    assert (scope_of(state.trust, B, A, DOOR), scope_of(state.trust, B, A)) == ("capability", "task")
+    assert state.trust.of_roles == given("fsar").trust.of_roles
+
+
+def test_trust_by_role_in_a_context_ends_with_it_and_begins_the_rows_again() -> None:
+    state = given("fsar", RoleTrustSet("B", "D", "task", "", DOOR, "A1-1"))
+    assert "A1-1" in state.trust.contexts
+    assert expire_trust(state, ExpireTrust("A1-1")) == (RoleTrustSet("B", "D", "none", "", DOOR, "A1-1", TRUST, "context expired"),)
+    rows = results("success", promote=2)
+    assert (B, A, DOOR, None) in rows.trust.records
+    apply(rows, RoleTrustSet("B", "A", "session", "hall"))
+    assert (B, A, DOOR, None) in rows.trust.records, "they are in no hall"
+    apply(rows, RoleTrustSet("B", "A", "session"))
+    assert (B, A, DOOR, None) not in rows.trust.records
 
 
 def test_only_the_fleet_supervisor_has_trust_follow_the_record() -> None:

@@ -11,10 +11,11 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted, AuthorityReleased, AuthorityRevoked, RevocationReason
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST, Dimension, OverrideLevel
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
-from fsar_ledger.events.trust import TrustSet
+from fsar_ledger.events.trust import RoleTrustSet, TrustSet
 from fsar_ledger.projections.authority import LEVELS, Right
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.trust import is_about
 
 from .commands import Command, Decides, PublicCommand, Reacts, Scheduled
 from .rejection import expired_context, rejected, unknown_capability, unknown_robot, unknown_supervisor, unknown_word
@@ -210,4 +211,15 @@ DECIDES: Decides = {
     ExpireContext: expire_context,
     RevokeDistrusted: revoke_distrusted,
 }
-REACTS: Reacts = {TaskCompleted: _on_end, TaskAbandoned: _on_end, TrustSet: _on_trust}
+
+
+def _on_role_trust(state: State, event: RoleTrustSet, _now_us: int) -> tuple[Scheduled, ...]:
+    """As `_on_trust`, for each pair of the roles in which something is in hand."""
+    asking = [(action, state.request.get(action.action_id)) for action in state.execution.actions.values() if action.is_delegated]
+    pairs = {(action.robot, request.relay or request.requester): None for action, request in asking if request is not None}
+    return tuple(
+        Scheduled(RevokeDistrusted(robot, peer)) for robot, peer in pairs if is_about(state.trust, event, robot, peer) and _distrusted(state, robot, peer)
+    )
+
+
+REACTS: Reacts = {TaskCompleted: _on_end, TaskAbandoned: _on_end, TrustSet: _on_trust, RoleTrustSet: _on_role_trust}

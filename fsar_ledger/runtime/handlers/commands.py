@@ -139,7 +139,15 @@ class EndAttempt(Command):
 
 
 class EndAssistance(Command):
-    """The helper is done."""
+    """The helper is done with this failure; asks whether a degraded actuator of its own holds (1) or not (0)."""
+
+    action_id: str
+    helper: str
+    failure: int
+
+
+class StopAssistance(Command):
+    """Something is in the way of the robot that helps."""
 
     action_id: str
     helper: str

@@ -13,7 +13,7 @@ from fsar_ledger.events.execution import (
     ExecutionStarted,
     ExecutionWithdrawn,
 )
-from fsar_ledger.events.recovery import AssistanceEnded, FailureResolved
+from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.world import ContextChanged, ObstructionAppeared, RoutineDue
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
@@ -130,10 +130,6 @@ def _on_queue(state: State, event: ExecutionQueued | ExecutionFinished | Executi
     return next_turn(state, event.robot)
 
 
-def _on_assistance_ended(state: State, event: AssistanceEnded, _now_us: int) -> tuple[Scheduled, ...]:
-    return next_turn(state, event.helper)
-
-
 def _on_running(state: State, event: ExecutionStarted | ExecutionResumed, now_us: int) -> tuple[Scheduled, ...]:
     segment = state.execution.actions[event.action_id].segments
     ask = Draw("reliability", f"{event.action_id}/{segment}")
@@ -174,7 +170,6 @@ REACTS: Reacts = {
     ExecutionQueued: _on_queue,
     ExecutionFinished: _on_queue,
     ExecutionWithdrawn: _on_queue,
-    AssistanceEnded: _on_assistance_ended,
     ExecutionStarted: _on_running,
     ExecutionResumed: _on_running,
     ObstructionAppeared: _on_obstruction,

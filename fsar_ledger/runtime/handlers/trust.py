@@ -6,10 +6,10 @@ from fsar_ledger.events.envelope import TRUST, TrustScope
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.request import RequestClosed, RequestDenied
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
-from fsar_ledger.events.trust import TrustSet, TrustThresholdsSet
+from fsar_ledger.events.trust import RoleTrustSet, TrustSet, TrustThresholdsSet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement
-from fsar_ledger.projections.trust import SCOPES, covers, follows_record, scope_of
+from fsar_ledger.projections.trust import SCOPES, covers, follows_record, is_within, scope_of
 
 from .commands import Command, Decides, PublicCommand, Reacts, Scheduled
 from .rejection import expired_context, not_in_charge, rejected, unknown_capability, unknown_robot, unknown_word
@@ -24,6 +24,19 @@ class SetTrust(PublicCommand):
     robot: str
     peer: str
     scope: TrustScope
+    capability: str | None = None
+    context: str | None = None
+    reason: str = "operator"
+
+
+class SetRoleTrust(PublicCommand):
+    """H_F has every robot of the role trust every robot of the other with this scope, in a domain or (empty) in the whole fleet."""
+
+    issued_by: str
+    role: str
+    peer_role: str
+    scope: TrustScope
+    domain: str = ""
     capability: str | None = None
     context: str | None = None
     reason: str = "operator"
@@ -73,6 +86,23 @@ def set_trust(state: State, command: SetTrust) -> tuple[Event, ...]:
     return (TrustSet(command.robot, command.peer, command.scope, command.capability, command.context, command.issued_by, command.reason),)
 
 
+def set_role_trust(state: State, command: SetRoleTrust) -> tuple[Event, ...]:
+    """The robots of the role trust those of the other so far from now on, where nothing is set for the very pair. Paper: eq:trust."""
+    members = state.fleet.robots.values()
+    inside = [robot for robot in members if is_within(robot.domain, command.domain)]
+    refused = not_in_charge(state, command.issued_by, None, is_fleet_matter=True)
+    if refused is None and not inside:
+        refused = f"unknown domain {command.domain}, expected one that a member is in"
+    for role in (command.role, command.peer_role):
+        refused = refused or unknown_word("role", role, sorted({robot.role for robot in inside}))
+    refused = refused or unknown_capability(state, command.capability) or expired_context(state, command.context)
+    refused = refused or unknown_word("scope", command.scope, SCOPES)
+    if refused is not None:
+        return rejected(command, command.role, refused, command.issued_by)
+    about = (command.capability, command.context, command.issued_by, command.reason)
+    return (RoleTrustSet(command.role, command.peer_role, command.scope, command.domain, *about),)
+
+
 def set_trust_thresholds(state: State, command: SetTrustThresholds) -> tuple[Event, ...]:
     """Trust follows the record from now on, by word of H_F. Paper: sec:model:trust."""
     refused = not_in_charge(state, command.issued_by, None, is_fleet_matter=True)
@@ -100,12 +130,20 @@ def assess_trust(state: State, command: AssessTrust) -> tuple[Event, ...]:
 
 def expire_trust(state: State, command: ExpireTrust) -> tuple[Event, ...]:
     """Task-scoped trust that was given in the context of the finished task has ended. Paper: sec:model:trust."""
-    return tuple(
-        TrustSet(robot, peer, "none", capability, context, TRUST, "context expired")
+    ended = (command.task_id, TRUST, "context expired")
+    of_pairs = [
+        TrustSet(robot, peer, "none", capability, *ended)
         for (robot, peer), entries in state.trust.entries.items()
         for (capability, context), scope in entries.items()
         if context == command.task_id and scope == "task"
-    )
+    ]
+    of_roles = [
+        RoleTrustSet(role, peer_role, "none", domain, capability, *ended)
+        for (role, peer_role, domain), entries in state.trust.of_roles.items()
+        for (capability, context), scope in entries.items()
+        if context == command.task_id and scope == "task"
+    ]
+    return (*of_pairs, *of_roles)
 
 
 def _on_result(state: State, _event: RequestClosed | RequestDenied | ExecutionFailed | AuthorityRevoked, _now_us: int) -> tuple[Scheduled, ...]:
@@ -119,7 +157,13 @@ def _on_task_over(state: State, event: TaskCompleted | TaskAbandoned, _now_us: i
     return (Scheduled(ExpireTrust(event.task_id)),) if event.task_id in state.trust.contexts else ()
 
 
-DECIDES: Decides = {SetTrust: set_trust, SetTrustThresholds: set_trust_thresholds, AssessTrust: assess_trust, ExpireTrust: expire_trust}
+DECIDES: Decides = {
+    SetTrust: set_trust,
+    SetRoleTrust: set_role_trust,
+    SetTrustThresholds: set_trust_thresholds,
+    AssessTrust: assess_trust,
+    ExpireTrust: expire_trust,
+}
 REACTS: Reacts = {
     RequestClosed: _on_result,
     RequestDenied: _on_result,

@@ -6,7 +6,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Scenario, TrustScope, local_supervisor
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled
-from fsar_ledger.events.trust import TrustSet
+from fsar_ledger.events.trust import RoleTrustSet
 
 CAPABILITIES: dict[str, tuple[str, ...]] = {
     "A": ("navigate.indoor", "carry.package", "handover.dropoff"),
@@ -112,8 +112,5 @@ def founding(fleet_size: int) -> tuple[Event, ...]:
         for name, capability in possessed
     ]
     for one, other, scope in TRUST:
-        for left, left_role, _ in members:
-            for right, right_role, _ in members:
-                if (left_role, right_role) == (one, other):
-                    joined += [TrustSet(left, right, scope), TrustSet(right, left, scope)]
+        joined += [RoleTrustSet(one, other, scope), RoleTrustSet(other, one, scope)]
     return tuple(joined)

@@ -49,7 +49,7 @@ def schedule(world: WorldConstants, seed: int, scenario: Scenario | Workflow, ru
 def arrivals_expected(world: WorldConstants, fleet_size: int) -> float:
     """How many arrivals one may expect in a run with such rates: nearly all of its facts, but for some of each robot, task and window."""
     rates = (world.context_rate_per_s, world.fleet_rule_rate_per_s, world.obstruction_rate_per_s)
-    one_robot = sum(_expected(1 / rate, world.horizon_s) for rate in rates) + _expected(1 / world.routine_rate_per_s, world.routine_until_s)
+    one_robot = sum(_expected(_mean_s(rate), world.horizon_s) for rate in rates) + _expected(_mean_s(world.routine_rate_per_s), world.routine_until_s)
     return fleet_size * one_robot + fleet_size * (fleet_size - 1) / 2 * _expected(world.encounter_mean_s, world.horizon_s)
 
 

@@ -8,7 +8,7 @@ from fsar_ledger.events.execution import ExecutionFailed, ReplanOrdered
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
     AssistanceDeclined,
-    AssistanceEnded,
+    AssistanceFailed,
     AssistanceRequested,
     FailureResolved,
     RecoveryAttempted,
@@ -19,6 +19,7 @@ from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
+from fsar_ledger.runtime.handlers import assistance
 from fsar_ledger.runtime.handlers.attribution import helpers, is_idle
 from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, message
 from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
@@ -113,16 +114,11 @@ def reach_helper(state: State, command: ReachHelper) -> tuple[Event, ...]:
 
 
 def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
-    """The helper has resolved the failure and is free again."""
-    failure = open_failure(state, command.action_id)
-    if failure is None:
-        return ()
-    action, recovery = failure
-    about = (action.task_id, action.action_id, action.robot)
-    return (AssistanceEnded(*about, command.helper, recovery.failure), FailureResolved(*about, recovery.failure, "fleet"))
+    """The helper has resolved the failure and is free again, or could not."""
+    return assistance.end_assistance(state, command, "fleet")
 
 
-def _key(event: ExecutionFailed | AssistanceDeclined | AssistanceRequested, action_id: str) -> str:
+def _key(event: ExecutionFailed | AssistanceDeclined | AssistanceFailed | AssistanceRequested, action_id: str) -> str:
     return f"{action_id}/{event.failure}"
 
 
@@ -150,7 +146,11 @@ def _on_decline(_state: State, event: AssistanceDeclined, _now_us: int) -> tuple
 
 
 def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(EndAssistance(event.action_id, event.helper), state.fleet.structure.assistance_us),)
+    return (assistance.end_of(event, state.fleet.structure.assistance_us),)
+
+
+def _on_no_help(_state: State, event: AssistanceFailed, _now_us: int) -> tuple[Scheduled, ...]:
+    return (to_coordinator(event.action_id, "no help", message(_key(event, event.action_id), f"no help/{event.helper}")),)
 
 
 DECIDES: Decides = {EndAttempt: end_attempt, ReachHelper: reach_helper, EndAssistance: end_assistance}
@@ -161,4 +161,5 @@ REACTS: Reacts = {
     AssistanceRequested: _on_order,
     AssistanceDeclined: _on_decline,
     AssistanceAdmitted: _on_assistance,
+    AssistanceFailed: _on_no_help,
 }

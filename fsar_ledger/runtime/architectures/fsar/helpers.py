@@ -39,11 +39,11 @@ class Candidate(NamedTuple):
 
 
 def peer(state: State, action: Action, recovery: Recovery) -> Found:
-    """The nearest peer that can help, is trusted to, whose policy and the asking robot's allow it, and that is idle."""
+    """The nearest peer not asked before that can help, is trusted to, whose policy and the asking robot's allow it, and that is idle."""
     if state.fleet.configuration == "without-shared-registry":
         return None, "no shared registry"
     found = _bodies(state, action) if recovery.cause == "obstruction" else _stand_ins(state, action, action.robot)
-    return _first(state, action, action.robot, found, "peer")
+    return _first(state, action, action.robot, [one for one in found if one.robot not in recovery.tried], "peer")
 
 
 def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event, ...]:

@@ -10,7 +10,7 @@ from fsar_ledger.events.envelope import FLEET_SUPERVISOR, RECOVERY, RecoveryLeve
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionWithdrawn
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
-    AssistanceEnded,
+    AssistanceFailed,
     AssistanceRequested,
     FailureResolved,
     ReassignmentDecided,
@@ -24,6 +24,7 @@ from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.task import checkpoint
+from fsar_ledger.runtime.handlers import assistance
 from fsar_ledger.runtime.handlers import recovery as shared
 from fsar_ledger.runtime.handlers.attribution import is_cross_robot, on_shift, principals
 from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, message
@@ -145,7 +146,7 @@ def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
             admitting = {**_context(state, action, helper), "supervised_by": on_shift(state, helper)}
             return (
                 *query,
-                AssistanceRequested(**_context(state, action, action.robot), **about, level="peer", failed_action=action.action_id),
+                AssistanceRequested(**_context(state, action, action.robot), **about, level="peer", failed_action=action.action_id, since_us=command.since_us),
                 AssistanceAdmitted(**admitting, **about, level="peer"),
             )
         case _:
@@ -153,13 +154,8 @@ def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
 
 
 def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
-    """The peer has resolved the failure and is free again."""
-    match open_failure(state, command.action_id):
-        case action, recovery:
-            about = (action.task_id, action.action_id, action.robot)
-            return (AssistanceEnded(*about, command.helper, recovery.failure), FailureResolved(*about, recovery.failure, "peer"))
-        case _:
-            return ()
+    """The peer has resolved the failure and is free again, or could not."""
+    return assistance.end_assistance(state, command, "peer")
 
 
 def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[Event, ...]:
@@ -238,7 +234,14 @@ def _on_escalation(_state: State, event: RecoveryEscalated, now_us: int) -> tupl
 
 def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
     answer = message(f"{event.action_id}/{event.failure}", "answer")
-    return (Scheduled(EndAssistance(event.action_id, event.helper), state.fleet.structure.assistance_us, (answer,)),)
+    return (assistance.end_of(event, state.fleet.structure.assistance_us, (answer,)),)
+
+
+def _on_no_help(state: State, event: AssistanceFailed, _now_us: int) -> tuple[Scheduled, ...]:
+    """The robot is told, and turns to the next peer as long as the budget of the level lasts."""
+    recovery, key = state.recovery[event.action_id], f"{event.action_id}/{event.failure}"
+    told = (message(key, f"no help/{event.helper}"), message(key, f"peer/{len(recovery.tried)}"))
+    return (Scheduled(AskPeers(event.action_id, recovery.since_us), 0, told),)
 
 
 def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
@@ -264,5 +267,6 @@ REACTS: Reacts = {
     RecoveryAttempted: _on_attempt,
     RecoveryEscalated: _on_escalation,
     AssistanceAdmitted: _on_assistance,
+    AssistanceFailed: _on_no_help,
     SupervisorCalled: _on_call,
 }

@@ -1,0 +1,81 @@
+"""A helper's work is work: something can be in its way, and an actuator that stands in can fail as well. Paper: sec:model:recovery."""
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import FailureCause, RecoveryLevel
+from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceEnded, AssistanceFailed, FailureResolved
+from fsar_ledger.events.world import ObstructionAppeared
+from fsar_ledger.projections.execution import HELPING, Action
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.recovery import Recovery
+
+from .commands import Decides, Draw, EndAssistance, Reacts, Scheduled, StopAssistance
+from .execution import next_turn
+from .recovery import actuator_holds, open_failure
+
+
+def end_assistance(state: State, command: EndAssistance, level: RecoveryLevel) -> tuple[Event, ...]:
+    """The helper has resolved the failure by means of this level, or could not; either way it is free again."""
+    match _helped(state, command.action_id, command.helper):
+        case action, recovery if recovery.failure == command.failure:
+            cause = _hindrance(state, recovery, command)
+            if cause is not None:
+                return (_failed(action, recovery, command.helper, cause),)
+            about = (action.task_id, action.action_id, action.robot)
+            return (AssistanceEnded(*about, command.helper, recovery.failure), FailureResolved(*about, recovery.failure, level))
+        case _:
+            return ()
+
+
+def stop_assistance(state: State, command: StopAssistance) -> tuple[Event, ...]:
+    """The helper has given up, because something is in its own way."""
+    match _helped(state, command.action_id, command.helper):
+        case action, recovery if state.world.obstructions.get(command.helper):
+            return (_failed(action, recovery, command.helper, "obstruction"),)
+        case _:
+            return ()
+
+
+def end_of(event: AssistanceAdmitted, after_us: int, draws: tuple[Draw, ...] = ()) -> Scheduled:
+    """The end of the help that was admitted; a helper whose actuator is degraded meets the same draw under every architecture."""
+    ask = Draw("reliability", f"assist/{event.action_id}/{event.failure}/{event.helper}")
+    return Scheduled(EndAssistance(event.action_id, event.helper, event.failure), after_us, draws, ask)
+
+
+def _helped(state: State, action_id: str, helper: str) -> tuple[Action, Recovery] | None:
+    """The action that the robot helps with, and its failure; None when it does not."""
+    return open_failure(state, action_id) if state.execution.current.get(helper) == HELPING + action_id else None
+
+
+def _hindrance(state: State, recovery: Recovery, command: EndAssistance) -> FailureCause | None:
+    """What keeps the helper from helping. Clearing a way takes a body that moves; standing in for an actuator takes one that holds, too."""
+    if state.world.obstructions.get(command.helper):
+        return "obstruction"
+    if recovery.cause == "degradation" and not actuator_holds(state, command.helper, command.drawn):
+        return "degradation"
+    return None
+
+
+def _failed(action: Action, recovery: Recovery, helper: str, cause: FailureCause) -> AssistanceFailed:
+    return AssistanceFailed(action.task_id, action.action_id, action.robot, helper, recovery.failure, cause)
+
+
+def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(StopAssistance(event.action_id, event.helper)),) if state.world.obstructions.get(event.helper) else ()
+
+
+def _on_obstruction(state: State, event: ObstructionAppeared, _now_us: int) -> tuple[Scheduled, ...]:
+    holding = state.execution.current.get(event.robot, "")
+    return (Scheduled(StopAssistance(holding.removeprefix(HELPING), event.robot)),) if holding.startswith(HELPING) else ()
+
+
+def _on_end(state: State, event: AssistanceEnded | AssistanceFailed, _now_us: int) -> tuple[Scheduled, ...]:
+    return next_turn(state, event.helper)
+
+
+DECIDES: Decides = {StopAssistance: stop_assistance}
+REACTS: Reacts = {
+    AssistanceAdmitted: _on_assistance,
+    ObstructionAppeared: _on_obstruction,
+    AssistanceEnded: _on_end,
+    AssistanceFailed: _on_end,
+}

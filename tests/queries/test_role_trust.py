@@ -1,0 +1,116 @@
+"""Trust by role and domain: the handlers and the queries find the same entry, and no row is made for each pair."""
+
+from itertools import permutations
+from random import Random
+
+import msgspec
+import pytest
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import TrustScope
+from fsar_ledger.events.fleet import RobotJoined
+from fsar_ledger.events.trust import RoleTrustSet, TrustSet
+from fsar_ledger.metrics.database import from_rows
+from fsar_ledger.projections import trust
+from fsar_ledger.runtime.world.scenarios import founding
+from tests.queries.histories import Row, answer, event, run
+
+DOOR, LIFT = "door.open.secure", "carry.heavy"
+DOMAINS = ("", "hall", "hall/cell", "hall/cell/bay", "hallway", "yard")
+MEMBERS = [
+    RobotJoined(f"robot/{role}{team}", role, team, None, DOMAINS[(team * 3 + offset) % len(DOMAINS)]) for team in (1, 2) for offset, role in enumerate("AB")
+]
+ROBOTS = tuple(one.robot for one in MEMBERS)
+ASKED = [(robot, peer, capability, context) for robot, peer in permutations(ROBOTS, 2) for capability in (DOOR, LIFT) for context in ("t1", "t2")]
+
+
+def row(one: Event, time_us: int = 0) -> Row:
+    """The event as a row."""
+    return event(type(one).__name__, time_us, **{name: value for name, value in msgspec.structs.asdict(one).items() if value is not None})
+
+
+def history(seed: int) -> list[Event]:
+    """A fleet whose robots join before, between and after random entries of trust, about pairs and about roles."""
+    draw = Random(seed)
+    events: list[Event] = []
+    for _ in range(draw.randint(1, 9)):
+        scope: TrustScope = draw.choice(trust.SCOPES)
+        about = (draw.choice((None, None, DOOR, LIFT)), draw.choice((None, None, "t1", "t2")))
+        if draw.random() < 0.3:
+            robot, peer = draw.sample(ROBOTS, 2)
+            events.append(TrustSet(robot, peer, scope, *about))
+        else:
+            events.append(RoleTrustSet(draw.choice("AB"), draw.choice("AB"), scope, draw.choice(DOMAINS), *about))
+    for member in MEMBERS:
+        events.insert(draw.randint(0, len(events)), member)
+    return events
+
+
+def folded(events: list[Event]) -> trust.Trust:
+    state = trust.INITIAL
+    for one in events:
+        state = trust.evolve(state, one)  # type: ignore[arg-type]
+    return state
+
+
+def test_handlers_and_queries_find_the_same_entry_of_pair_role_domain_capability_and_context() -> None:
+    runs, expected, began = [], {}, {}
+    for seed in range(60):
+        events = history(seed)
+        state = folded(events)
+        rows = [row(one) for one in events]
+        for robot, peer, capability, context in ASKED:
+            began[f"r{seed}", len(rows) + 1] = (robot, peer, capability, context)
+            expected[f"r{seed}", robot, peer, capability, context] = trust.scope_of(state, robot, peer, capability, context)
+            action = {"task_id": context, "action_id": f"{context}/{len(rows)}", "capability": capability}
+            rows.append(event("ExecutionStarted", 5, robot=robot, on_behalf_of=peer, ends_us=9, **action))
+        runs.append(run(*rows, run_id=f"r{seed}"))
+    assert set(expected.values()) == set(trust.SCOPES)
+    with from_rows([one for rows in runs for one in rows]) as database:
+        direct = {(one["run_id"], one["seq"]): one["is_direct"] for one in database.query("facts/delegated_trust").to_pylist()}
+        assert direct == {(run_id, seq): expected[(run_id, *about)] != "none" for (run_id, seq), about in began.items()}
+        for capability, context in ((DOOR, "t1"), (DOOR, "t2"), (LIFT, "t1"), (LIFT, "t2")):
+            found = database.query("audit/trust_at", {"capability": capability, "context": context}).to_pylist()
+            scopes = {(one["run_id"], one["robot"], one["peer"]): one["trust_scope"] for one in found}
+            assert len(scopes) == len(found)
+            for (run_id, robot, peer, *about), scope in expected.items():
+                if about == [capability, context]:
+                    assert scopes.get((run_id, robot, peer), "none") == scope, (run_id, robot, peer, capability, context)
+
+
+@pytest.mark.parametrize(
+    ("entries", "scope"),
+    [
+        ((RoleTrustSet("B", "A", "task"),), "task"),
+        ((RoleTrustSet("A", "B", "task"),), "none"),
+        ((TrustSet("robot/B1", "robot/A1", "none"), RoleTrustSet("B", "A", "task")), "none"),
+        ((TrustSet("robot/B1", "robot/A1", "none", LIFT), RoleTrustSet("B", "A", "task")), "task"),
+        ((RoleTrustSet("B", "A", "session", "hall"), RoleTrustSet("B", "A", "task", "", DOOR, "t1")), "session"),
+        ((RoleTrustSet("B", "A", "session", "yard"), RoleTrustSet("B", "A", "task")), "task"),
+        ((RoleTrustSet("B", "A", "session", "hal"), RoleTrustSet("B", "A", "task")), "task"),
+        ((RoleTrustSet("B", "A", "task", "", DOOR), RoleTrustSet("B", "A", "none")), "task"),
+    ],
+)
+def test_the_pair_goes_before_its_roles_and_the_smaller_domain_before_the_larger(entries: tuple[Event, ...], scope: str) -> None:
+    joined = (RobotJoined("robot/A1", "A", 1, None, "hall/cell"), RobotJoined("robot/B1", "B", 1, None, "hall"))
+    state = folded([*joined, *entries])
+    assert trust.scope_of(state, "robot/B1", "robot/A1", DOOR, "t1") == scope
+    rows = run(*(row(one) for one in (*joined, *entries)))
+    with from_rows(rows) as database:
+        found = database.query("audit/trust_at", {"robot": "robot/B1", "capability": DOOR, "context": "t1"}).to_pylist()
+    assert [one["trust_scope"] for one in found] == ([] if scope == "none" and len(entries) == 1 else [scope])
+
+
+def test_a_robot_that_is_no_member_is_trusted_only_by_name() -> None:
+    state = folded([MEMBERS[0], RoleTrustSet("A", "A", "task"), TrustSet("robot/A1", "robot/X9", "session")])
+    assert trust.scope_of(state, "robot/A1", "robot/X9") == "session"
+    assert trust.scope_of(state, "robot/A1", "robot/X8") == "none"
+    assert trust.scope_of(state, "robot/X9", "robot/A1") == "none"
+
+
+@pytest.mark.parametrize("fleet_size", [4, 16])
+def test_the_trust_of_a_fleet_is_six_entries_whatever_its_size(fleet_size: int) -> None:
+    rows = run(*(row(one) for one in founding(fleet_size)))
+    assert len(answer("facts/trust_precedence", rows)) == len(answer("facts/trust_in_force", rows)) == 6
+    assert len(answer("facts/trust_parties", rows)) == 3 * fleet_size
+    assert len(answer("audit/trust_at", rows)) == 6 * (fleet_size // 4) ** 2, "of pairs only where pairs are asked for"

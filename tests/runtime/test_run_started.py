@@ -1,0 +1,82 @@
+"""Event 0: what it says of runs that are simulated, live or foreign, and that groups of constants added later change nothing."""
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from fsar_ledger.constants import Constants, read_constants, write_constants
+from fsar_ledger.events import UPCASTS
+from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.retired import RunStartedV1
+from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.read import open_ledger
+from fsar_ledger.ledger.verify import verify
+from fsar_ledger.metrics.database import connect
+from fsar_ledger.projections import fleet
+from fsar_ledger.runtime.simulation import RunSpec, run_id, run_started, simulate_run
+from tests.ledger.keep_release import LEDGERS
+from tests.ledger.samples import append_all
+
+SPEC = RunSpec(42, "fsar", "full", "door-relay", 4, 0)
+
+
+class Lift(msgspec.Struct, frozen=True):
+    """A group of constants that does not exist yet."""
+
+    capacity_count: int = 2
+
+
+class LaterConstants(Constants, frozen=True):
+    """The constants of a later release, with one group more."""
+
+    lift: Lift | None = None
+
+
+def test_a_group_of_constants_added_later_changes_neither_run_ids_nor_the_root(tmp_path: Path) -> None:
+    roots, ids = [], []
+    for constants in (Constants(), LaterConstants()):
+        record = simulate_run(SPEC, constants)
+        roots.append(append_all(tmp_path / type(constants).__name__, [[record]]).root)
+        ids.append(record.run_id)
+    assert len(set(ids)) == len(set(roots)) == 1
+
+
+def test_a_group_that_is_there_makes_another_run_and_is_recorded() -> None:
+    later = LaterConstants(lift=Lift())
+    assert write_constants(later) == write_constants(Constants())[:-1] + ',"lift":{"capacity_count":2}}'
+    assert run_id(run_started(SPEC, later)) != run_id(run_started(SPEC, Constants()))
+    assert read_constants(write_constants(later)) == Constants()
+
+
+def test_a_simulated_run_observes_every_concern() -> None:
+    assert run_started(SPEC, Constants()).observes == CONCERNS
+    assert len(set(CONCERNS)) == len(CONCERNS)
+
+
+@pytest.mark.parametrize("version", ["0.1.0", "0.2.0"])
+def test_runs_of_earlier_releases_observe_all_that_there_was(version: str) -> None:
+    started = [run.events[0] for run in open_ledger(LEDGERS / version / "ledger").runs()]
+    assert [event.observes for event in started if isinstance(event, RunStarted)] == [CONCERNS] * 3
+
+
+def test_a_retired_start_keeps_all_that_it_said() -> None:
+    values = {"kind": "live", "seed": 7, "architecture": "cfc", "configuration": "full", "scenario": "live", "fleet_size": 8, "run": 3, "model_version": "1"}
+    event = RunStartedV1(**values, parameters="{}")  # type: ignore[arg-type]
+    [change] = UPCASTS[RunStartedV1]
+    assert change(event) == RunStarted(**values, parameters="{}", observes=CONCERNS)  # type: ignore[arg-type]
+
+
+def test_a_run_from_outside_is_stored_with_what_it_has(tmp_path: Path) -> None:
+    started = RunStarted("foreign", ("fleet", "execution"), architecture="open-rmf", scenario="Ward 3, night", source="traffic log of a hospital")
+    append_all(tmp_path / "ledger", [[RunRecord("night", [0], [None], [started])]])
+    assert verify(tmp_path / "ledger").ok
+    [record] = open_ledger(tmp_path / "ledger").runs()
+    assert record.events == [started]
+    assert fleet.evolve(fleet.INITIAL, started) == fleet.INITIAL
+    with connect(tmp_path / "ledger") as database:
+        [row] = database.query("staging/runs").to_pylist()
+    missing = {"seed", "configuration", "fleet_size", "run", "model_version", "parameters_sha256"}
+    assert {name for name, value in row.items() if value is None} == missing
+    assert (row["kind"], row["observes"], row["source"]) == ("foreign", ["fleet", "execution"], "traffic log of a hospital")

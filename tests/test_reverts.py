@@ -1,0 +1,27 @@
+"""The fixes of `tests/reverts` still stand where their files say, and each names a test that exists."""
+
+import re
+
+import pytest
+
+from tests.reverts import ROOT, reverted, reverts
+
+FIXES = reverts()
+LINES = {*(f"1.{number}" for number in range(1, 10)), *(f"2.{number}" for number in range(1, 8))}
+
+
+@pytest.mark.parametrize("name", FIXES)
+def test_a_fix_stands_once_where_it_can_be_taken_out(name: str) -> None:
+    for change in FIXES[name].change:
+        text = (ROOT / change.file).read_text("utf-8")
+        assert reverted(text, change) != text
+
+
+@pytest.mark.parametrize("name", FIXES)
+def test_a_fix_names_a_test_that_exists(name: str) -> None:
+    file, *_, test = FIXES[name].test.split("::")
+    assert re.search(rf"^( {{4}})?def {test.partition('[')[0]}\(", (ROOT / file).read_text("utf-8"), re.MULTILINE)
+
+
+def test_every_line_of_the_right_answers_has_a_fix() -> None:
+    assert {fix.line for fix in FIXES.values()} == LINES
