@@ -16,47 +16,53 @@ from fsar_ledger.metrics.models import Model, differing, models
 from .answering import answering
 from .plans import Shown, plans, shape
 
-# Grain: one row per model (kind of run, model version, constants), seed, fleet size, architecture and configuration.
-# A rectangle has, for each scenario of its model, seed and fleet size, all runs from 0 to the highest number there.
+# Grain: one row per model (kind of run, model version, constants), seed, fleet size, architecture and configuration; NULL where runs have none.
+# A rectangle has, for each scenario of its model, seed and fleet size, all runs from 0 to the highest number there; runs without a number make none.
 GROUPS = """
-WITH rectangles AS (
-    SELECT
-        kind,
-        model_version,
-        parameters_sha256,
-        seed,
-        fleet_size,
-        count(DISTINCT scenario)::HUGEINT * (max(run)::HUGEINT + 1) AS run_count
-    FROM runs
-    GROUP BY ALL
-),
-
-sizes AS (
+WITH sizes AS (
     SELECT run_id, count(*) AS event_count FROM events GROUP BY run_id
 ),
 
 planned AS (
     SELECT DISTINCT run_id FROM planned_runs
+),
+
+groups AS (
+    SELECT
+        runs.kind,
+        runs.model_version,
+        runs.parameters_sha256,
+        runs.seed,
+        runs.fleet_size,
+        runs.architecture,
+        runs.configuration,
+        coalesce(list(DISTINCT runs.scenario) FILTER (runs.scenario IS NOT NULL), []) AS scenarios,
+        max(runs.run) AS last,
+        count(DISTINCT (runs.scenario, runs.run)) FILTER (runs.scenario IS NOT NULL AND runs.run IS NOT NULL) AS numbered,
+        count(*) AS runs,
+        count(*) FILTER (planned.run_id IS NULL) AS runs_unplanned,
+        sum(sizes.event_count)::BIGINT AS events
+    FROM runs
+    INNER JOIN sizes ON runs.run_id = sizes.run_id
+    LEFT JOIN planned ON runs.run_id = planned.run_id
+    GROUP BY runs.kind, runs.model_version, runs.parameters_sha256, runs.seed, runs.fleet_size, runs.architecture, runs.configuration
 )
 
 SELECT
-    runs.kind,
-    runs.model_version,
-    runs.parameters_sha256,
-    runs.seed,
-    runs.fleet_size,
-    runs.architecture,
-    runs.configuration,
-    count(DISTINCT runs.scenario) AS scenarios,
-    count(*) AS runs,
-    count(*) FILTER (planned.run_id IS NULL) AS runs_unplanned,
-    any_value(rectangles.run_count) - count(DISTINCT (runs.scenario, runs.run)) AS runs_to_rectangle,
-    sum(sizes.event_count)::BIGINT AS events
-FROM runs
-INNER JOIN rectangles USING (kind, model_version, parameters_sha256, seed, fleet_size)
-INNER JOIN sizes USING (run_id)
-LEFT JOIN planned USING (run_id)
-GROUP BY runs.kind, runs.model_version, runs.parameters_sha256, runs.seed, runs.fleet_size, runs.architecture, runs.configuration
+    kind,
+    model_version,
+    parameters_sha256,
+    seed,
+    fleet_size,
+    architecture,
+    configuration,
+    len(scenarios) AS scenarios,
+    runs,
+    runs_unplanned,
+    len(list_distinct(flatten(list(scenarios) OVER world)))::HUGEINT * (max(last) OVER world + 1)::HUGEINT - numbered AS runs_to_rectangle,
+    events
+FROM groups
+WINDOW world AS (PARTITION BY kind, model_version, parameters_sha256, seed, fleet_size)
 ORDER BY ALL
 """
 
@@ -145,17 +151,19 @@ class Contents(msgspec.Struct, frozen=True):
         """What can be said of the shape, where no plan says what is missing: for a comparison, and where there is no plan."""
         if self.is_complete is False:
             return []
-        missing = sum(group["runs_to_rectangle"] for group in self.groups)
+        measured = [group["runs_to_rectangle"] for group in self.groups if group["runs_to_rectangle"] is not None]
+        missing = sum(measured)
         if missing:
             return [f"not a rectangle: {missing:,} runs less than if each group had all runs of all scenarios of its model, seed and fleet size"]
-        return ["a rectangle: each group has all runs of all scenarios of its model, seed and fleet size"] if self.groups and not self.plans else []
+        return ["a rectangle: each group has all runs of all scenarios of its model, seed and fleet size"] if measured and not self.plans else []
 
     def _models(self) -> list[str]:
         lines = []
         for model in self.models[:MODELS]:
-            about = f"{printable.value(model['kind'])}, model {printable.value(model['model_version'])}"
+            version = model["model_version"]
+            about = f"{printable.value(model['kind'])}, {'no model' if version is None else f'model {printable.value(version)}'}"
             others = ", ".join(map(printable.value, model["differs_in"][:MODELS])) + (", ..." if len(model["differs_in"]) > MODELS else "")
-            unlike = f", other constants than model 1: {others}" if others else ""
+            unlike = f", other constants than model 1: {others}" if others and model["parameters"] else ""
             lines.append(about if len(self.models) == 1 else f"model {model['number']}: {about}, {model['runs']:,} runs{unlike}")
         more = len(self.models) - MODELS
         return [*lines, f"and {more:,} more, --json names all"] if more > 0 else lines
@@ -174,7 +182,7 @@ def contents(ledger: Path, *, verified: bool = False) -> tuple[Head, Contents]:
     """
     with answering(ledger, verified=verified) as database:
         assert database.head is not None  # only a database over rows in memory has none
-        found = sorted(models(database), key=lambda one: (-one.runs, one.model_version, one.text))
+        found = sorted(models(database), key=lambda one: (-one.runs, one.model_version or "", one.text or ""))
         numbers = {(one.kind, one.model_version, one.sha256): number for number, one in enumerate(found, 1)}
         groups = [{"model": numbers[row["kind"], row["model_version"], row["parameters_sha256"]], **row} for row in database.rows(GROUPS)]
         shown = plans(database, Shown(ledger, open_ledger(ledger)))

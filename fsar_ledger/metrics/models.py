@@ -19,19 +19,22 @@ MODELS = """
 
 
 class Model(msgspec.Struct, frozen=True):
-    """The runs of one kind and model version under the same constants: their text as recorded and what it says, their number, the first one's name."""
+    """The runs of one kind and model version under the same constants: their text as recorded and what it says, their number, the first one's name.
+
+    Runs that were not simulated may have neither a model nor constants.
+    """
 
     kind: str
-    model_version: str
-    text: str
+    model_version: str | None
+    text: str | None
     parameters: dict[str, Any]
     runs: int
     first: str
 
     @property
-    def sha256(self) -> str:
+    def sha256(self) -> str | None:
         """The digest of the constants, as `runs.parameters_sha256` has it."""
-        return sha256(self.text.encode()).hexdigest()
+        return None if self.text is None else sha256(self.text.encode()).hexdigest()
 
 
 def models(database: Database) -> tuple[Model, ...]:
@@ -56,7 +59,9 @@ def _differing(above: str, first: Mapping[str, Any], other: Mapping[str, Any]) -
             yield f"{above}{name}"
 
 
-def _read(run: str, parameters: str) -> dict[str, Any]:
+def _read(run: str, parameters: str | None) -> dict[str, Any]:
+    if parameters is None:
+        return {}
     try:
         return read_parameters(parameters)
     except BadParameters as error:

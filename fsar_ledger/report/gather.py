@@ -4,7 +4,6 @@ All numbers come from packaged queries through `fsar_ledger.metrics`; here they 
 with the paper's.
 """
 
-import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -165,7 +164,7 @@ def _models(database: Database) -> tuple[tuple[Row, ...], dict[str, str]]:
             "model_version": one.model_version,
             "kind": one.kind,
             "runs": one.runs,
-            "parameters_sha256": hashlib.sha256(one.text.encode()).hexdigest(),
+            "parameters_sha256": one.sha256,
         }
         for one in found
     )

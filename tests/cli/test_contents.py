@@ -11,6 +11,7 @@ import pytest
 
 from fsar_ledger.constants import Constants, WorldConstants
 from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.ledger.note import read_signer
@@ -154,6 +155,17 @@ def test_runs_that_were_not_simulated_are_in_no_plan_and_nothing_is_said_of_what
     text = said(call, tmp_path / "ledger")
     assert "planned runs: complete" in text
     assert "other runs: 2 live; no plan names them, so nothing says whether they are all that was meant" in text
+
+
+def test_runs_of_another_system_have_no_model_and_no_rectangle(call: Call, tmp_path: Path) -> None:
+    appended(tmp_path / "ledger", RunRecord("night", (0,), (None,), (RunStarted(kind="foreign", observes=(), source="example.org"),)))
+    found = info(call, tmp_path / "ledger")
+    assert (found["is_complete"], found["runs"], found["runs_unplanned"]) == (None, 1, {"foreign": 1})
+    assert [(group["scenarios"], group["seed"], group["runs_to_rectangle"], group["events"]) for group in found["groups"]] == [(0, None, None, 1)]
+    text = said(call, tmp_path / "ledger")
+    assert "1 runs; no plan is on record" in text
+    assert "foreign, no model\n" in text
+    assert "rectangle:" not in text
 
 
 @pytest.mark.parametrize(("numbers", "shape"), [((0, 1), "a rectangle"), ((0, 2), "not a rectangle: 1 runs less")])
