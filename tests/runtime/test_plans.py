@@ -85,8 +85,7 @@ def enlarged(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Head]:
 def test_the_plan_is_on_record_before_the_first_run(tmp_path: Path) -> None:
     interrupted(tmp_path / "ledger", SMALL, 0)
     view = open_ledger(tmp_path / "ledger")
-    [run] = view.runs()
-    assert (run.run_id, *run.events) == (plan_record(SMALL.plan()).run_id, SMALL.plan())
+    assert [(run.run_id, *run.events) for run in view.runs()] == [(plan_record(SMALL.plan()).run_id, SMALL.plan())]
     assert (view.head.commits, view.head.size) == (1, 1)
     assert verify(tmp_path / "ledger").ok
 
