@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import msgspec
 
 _T = TypeVar("_T")
+END_US = 1_800_000_000  # run time: no fact of the world is later, and no task is open longer [chosen]
 MAX_LEVELS = 16
 """Of nesting in recorded parameters; those of this model take five."""
 
@@ -111,6 +112,20 @@ class Structure(msgspec.Struct, frozen=True):
     renegotiation_us: int = 4_530_000  # replanning a delegated action takes this much more [calibrated]
 
 
+class Outages(msgspec.Struct, frozen=True):
+    """What else may happen to robots and their links, whoever governs them. Rates are per robot and second in which it is on, or linked; all are [chosen].
+
+    The paper injects none of these, so the group is absent by default, and no published number rests on it.
+    """
+
+    off_rate_per_s: float = 0.0  # robots that go off, exponential time until then
+    off_mean_s: float = 30.0  # how long they are off, exponential
+    link_rate_per_s: float = 0.0  # links that go down, exponential time until then
+    link_mean_s: float = 10.0  # how long they are down, exponential
+    loss_rate_per_s: float = 0.0  # actuators that are lost until they are serviced, Poisson
+    from_s: float = 0.0  # none of these before then
+
+
 class Load(msgspec.Struct, frozen=True):
     """How much there is to do. Without it every team has the tasks of its scenario, once."""
 
@@ -128,6 +143,7 @@ class Constants(msgspec.Struct, frozen=True):
 
     world: WorldConstants = WorldConstants()
     structure: Structure = Structure()
+    outages: Outages | None = None
     load: Load | None = None
 
 

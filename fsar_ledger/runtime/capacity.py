@@ -61,7 +61,7 @@ def expected(cell: Cell, fleet_size: int, constants: Constants) -> Expected:
     delegated = sum(step.count(" ") == 2 for script in TASKS[scenario] for step in script.steps)  # type: ignore[index]
     asked = sets * delegated * teams
     polling = POLLING_PER_ROBOT if configuration == "without-shared-registry" else 0
-    facts = FACTS_PER_ARRIVAL * arrivals_expected(constants.world, fleet_size, load)
+    facts = FACTS_PER_ARRIVAL * arrivals_expected(constants.world, fleet_size, constants.outages, load)
     return Expected(
         facts + (FOUNDING_PER_ROBOT + growth.of_robot + polling) * fleet_size + growth.of_team * sets + growth.of_candidate * asked,
         growth.list_of_robot * fleet_size + growth.list_of_team * sets + growth.list_of_candidate * asked,

@@ -223,7 +223,7 @@ class _Replay(Kernel):
         events, founded = founding_of(spec, constants)
         self._stored, self._count = record, len(record.events)
         self._deciding: Callable[..., object] = founding
-        self._facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size, constants.load)
+        self._facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size, constants.outages, constants.load)
         self._silent: list[tuple[int, Decide]] = []  # when, and who had a turn since the last event and made nothing
         for seq, event in enumerate(events):
             self._require(seq, event, 0, None if seq == 0 else 0)
@@ -328,7 +328,7 @@ def _parameters(run: str, started: RunStarted, event_count: int) -> tuple[RunSpe
         spec = msgspec.convert({name: getattr(started, name) for name in RunSpec.__struct_fields__}, RunSpec)
         constants = _constants(started.parameters or "")
         most = FACTS_PER_ROBOT * spec.fleet_size + event_count
-        if not arrivals_expected(constants.world, spec.fleet_size, constants.load) <= most:
+        if not arrivals_expected(constants.world, spec.fleet_size, constants.outages, constants.load) <= most:
             raise refused("parameters", f"rates of the world that make at most {most} facts", "more than that to be expected")
         Experiment((spec.architecture,), (spec.scenario,), spec.run + 1, spec.seed, spec.fleet_size, (spec.configuration,), constants)
     except BadParameters as error:

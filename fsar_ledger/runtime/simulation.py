@@ -74,7 +74,7 @@ def run_id(started: RunStarted) -> str:
 
 def kernel(spec: RunSpec, constants: Constants, structure: Wiring | None = None) -> Kernel:
     """The run at its founding, before the world has done anything; `structure` replaces the architecture's own wiring."""
-    facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size, constants.load)
+    facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size, constants.outages, constants.load)
     draws = Draws(run_key(spec.seed, spec.scenario, spec.run), constants.world)
     return Kernel(structure or wiring(spec.architecture), facts, draws, *founding_of(spec, constants))
 

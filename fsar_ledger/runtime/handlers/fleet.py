@@ -12,7 +12,7 @@ from fsar_ledger.events.registry import CapabilityInstalled, CapabilityRemoved
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Contract, path_of, possesses, surface
 
-from .commands import Decides, PublicCommand, Reacts
+from .commands import Actors, Decides, PublicCommand, Reacts
 from .matching import contradiction, version_of
 from .rejection import rejected, unknown_robot
 
@@ -138,4 +138,5 @@ def in_use(state: State, robot: str, capability: str) -> str | None:
 
 
 DECIDES: Decides = {JoinFleet: join_fleet, InstallCapability: install_capability, RemoveCapability: remove_capability}
+ACTORS: Actors = {}
 REACTS: Reacts = {}

@@ -9,8 +9,9 @@ from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.world import SyncPhaseSet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import in_force
+from fsar_ledger.runtime.handlers.actors import nobody
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle
-from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, Reacts, Scheduled
+from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, Reacts, Scheduled
 from fsar_ledger.runtime.handlers.task import expires_us
 
 
@@ -72,18 +73,23 @@ def candidates_of(state: State, action_id: str) -> tuple[str, ...]:
 
 
 def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
-    """The copies show the robots as they are now."""
-    robots = state.fleet.robots
+    """The copies show the robots as they are now; of one that does not answer, as they were."""
+    robots, copy = state.fleet.robots, state.knowledge.copy
+    silent = state.world.off | state.world.unlinked
     local = {robot: in_force(state.world.local, robot) for robot in state.world.local}
     fleet = {robot: in_force(state.world.fleet, robot) for robot in state.world.fleet}
+
+    def shown(before: tuple[str, ...], now: list[str]) -> tuple[str, ...]:
+        return tuple(robot for robot in robots if robot in (before if robot in silent else now)) if silent else tuple(now)
+
     return (
         CopySynced(
-            tuple(robot for robot in robots if local.get(robot) == "deny"),
-            tuple(robot for robot in robots if local.get(robot) == "review"),
-            tuple(robot for robot in robots if fleet.get(robot) == "deny"),
-            tuple(robot for robot in robots if fleet.get(robot) == "review"),
-            tuple(robot for robot in robots if not is_idle(state, robot)),
-            tuple(robot for robot in robots if robot in state.world.degraded),
+            shown(copy.local_deny, [robot for robot in robots if local.get(robot) == "deny"]),
+            shown(copy.local_review, [robot for robot in robots if local.get(robot) == "review"]),
+            shown(copy.fleet_deny, [robot for robot in robots if fleet.get(robot) == "deny"]),
+            shown(copy.fleet_review, [robot for robot in robots if fleet.get(robot) == "review"]),
+            shown(copy.busy, [robot for robot in robots if not is_idle(state, robot)]),
+            shown(copy.degraded, [robot for robot in robots if robot in state.world.degraded]),
         ),
     )
 
@@ -129,4 +135,9 @@ def _on_work(_state: State, event: WorkQueued, now_us: int) -> tuple[Scheduled, 
 
 
 DECIDES: Decides = {Sync: sync, ReachCoordinator: reach_coordinator}
+ACTORS: Actors = {
+    Sync: nobody,
+    ReachCoordinator: nobody,
+    ProcessWork: nobody,
+}
 REACTS: Reacts = {SyncPhaseSet: _first_sync, CopySynced: _next_sync, WorkQueued: _on_work}

@@ -10,7 +10,8 @@ from fsar_ledger.events.request import RequestAdmitted, RequestIssued
 from fsar_ledger.events.world import OutsiderRequestInjected
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
-from fsar_ledger.runtime.handlers.commands import Command, Decides, Reacts, Scheduled, hop, hops, message
+from fsar_ledger.runtime.handlers.actors import body, target
+from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled, hop, hops, message
 
 from .agents import handoff, path, released
 
@@ -105,7 +106,7 @@ def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple
     if event.reason == "double booking":
         if event.claimant != agent(request.target, "execution"):
             return ()
-        settled = (*hops(state, key, "settle", 3), message(key, "settle"), message(key, "settled"))
+        settled = (*hops(state, key, "settle", 3), message(request.target, key, "settle"), message(request.requester, key, "settled"))
         return (Scheduled(SettleBooking(event.action_id), 0, settled),)
     contract = (event.action_id, request.round)
     to_planning = Scheduled(PassExecution(*contract, "communication", "planning"), 0, (hop(state, key, "planning"),))
@@ -122,7 +123,7 @@ def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple
 
 
 def _on_outsider(state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
-    way = (hop(state, event.task_id, "query"), message(event.task_id, 0))
+    way = (hop(state, event.task_id, "query"), message(event.robot, event.task_id, 0))
     return (Scheduled(RunOutsider(event.task_id), 0, way),)
 
 
@@ -131,5 +132,11 @@ DECIDES: Decides = {
     AcknowledgeExecution: acknowledge_execution,
     SettleBooking: settle_booking,
     RunOutsider: run_outsider,
+}
+ACTORS: Actors = {
+    PassExecution: body,
+    AcknowledgeExecution: body,
+    SettleBooking: body,
+    RunOutsider: target,
 }
 REACTS: Reacts = {AuthorityClaimed: _on_acceptance, OutsiderRequestInjected: _on_outsider}

@@ -18,8 +18,10 @@ from fsar_ledger.events.request import ContractVoided, RequestDenied
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.handlers.actors import body, requester
 from fsar_ledger.runtime.handlers.attribution import on_shift
 from fsar_ledger.runtime.handlers.commands import (
+    Actors,
     BeginStep,
     Command,
     DecideRoutine,
@@ -29,6 +31,7 @@ from fsar_ledger.runtime.handlers.commands import (
     Scheduled,
     StartAction,
     TakeTurn,
+    at_once,
     hop,
     hops,
     message,
@@ -134,7 +137,7 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     request = state.request.get(event.action_id)
     if event.purpose != "review" or request is None or request.is_delegated:
         return ()
-    return (Scheduled(PlanOwnStep(event.action_id)),)
+    return (Scheduled(PlanOwnStep(event.action_id), 1, (at_once(event.decided_by),)),)
 
 
 def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Scheduled, ...]:
@@ -150,7 +153,7 @@ def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Sched
     talk = Scheduled(TalkReplan(event.action_id))
     if not action.is_delegated:
         return (talk, Scheduled(ResumeAction(event.action_id), structure.replan_us, hops(state, key, "own", 3)))
-    way = (*hops(state, key, "own", 3), message(key, 0), message(key, 1), *hops(state, key, "other", 4))
+    way = (*hops(state, key, "own", 3), message(event.robot, key, 0), message(action.on_behalf_of, key, 1), *hops(state, key, "other", 4))
     return (talk, Scheduled(ResumeAction(event.action_id), structure.replan_us + structure.renegotiation_us, way))
 
 
@@ -161,6 +164,11 @@ DECIDES: Decides = {
     StartAction: start,
     TalkReplan: talk_replan,
     DecideRoutine: decide_routine,
+}
+ACTORS: Actors = {
+    PlanOwnStep: requester,
+    QueueOwnStep: requester,
+    TalkReplan: body,
 }
 REACTS: Reacts = {
     StepBegan: _on_step,

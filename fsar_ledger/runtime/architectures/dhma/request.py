@@ -24,8 +24,10 @@ from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
+from fsar_ledger.runtime.handlers.actors import named, requester, target
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, on_shift, pending_of_other_task
 from fsar_ledger.runtime.handlers.commands import (
+    Actors,
     BeginStep,
     CloseExecution,
     CloseRequest,
@@ -35,6 +37,7 @@ from fsar_ledger.runtime.handlers.commands import (
     Draw,
     Reacts,
     Scheduled,
+    at_once,
     hop,
     hops,
     message,
@@ -201,7 +204,7 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
 def call(state: State, request: Request, robot: str, before: tuple[Draw, ...] = ()) -> Scheduled:
     """The call reaches the candidate and goes from its communication agent to its planner; `before` comes first."""
     key = f"{request.action_id}/{request.round}/{robot}"
-    return Scheduled(EvaluateBid(request.action_id, robot), 0, (*before, message(key, "call"), *hops(state, key, "evaluate", 2)))
+    return Scheduled(EvaluateBid(request.action_id, robot), 0, (*before, message(request.requester, key, "call"), *hops(state, key, "evaluate", 2)))
 
 
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
@@ -225,7 +228,7 @@ def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled,
         return ()
     key = f"{request.action_id}/{request.round}/{event.robot}"
     received = ReceiveBid(request.action_id, event.robot, event.outcome)
-    return (Scheduled(received, 0, (message(key, "bid"), hop(state, key, "relay"))),)
+    return (Scheduled(received, 0, (message(event.robot, key, "bid"), hop(state, key, "relay"))),)
 
 
 def _on_bid_received(state: State, event: BidReceived, _now_us: int) -> tuple[Scheduled, ...]:
@@ -241,19 +244,22 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     request = state.request.get(event.action_id)
     if event.purpose != "review" or request is None or not request.is_delegated:
         return ()
-    return (Scheduled(Award(event.action_id)),)
+    return (Scheduled(Award(event.action_id), 1, (at_once(event.decided_by),)),)
 
 
 def _on_award(state: State, event: AwardMade, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request[state.task[event.task_id].action_id]
-    return (Scheduled(AcceptAward(request.action_id), 0, (message(request.action_id, f"award/{request.round}"),)),)
+    task = state.task.get(event.task_id)
+    if task is None:  # given up meanwhile
+        return ()
+    request = state.request[task.action_id]
+    return (Scheduled(AcceptAward(request.action_id), 0, (message(request.requester, request.action_id, f"award/{request.round}"),)),)
 
 
 def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Scheduled, ...]:
     """Both sides' agents agree that it is void and negotiate again, under the same action."""
     request = state.request[event.action_id]
     key = f"{request.action_id}/{request.round}/void"
-    agreed = (*hops(state, key, "void", 3), message(key, "void"), hop(state, key, "again"))
+    agreed = (*hops(state, key, "void", 3), message(event.robot, key, "void"), hop(state, key, "again"))
     return tuple(call(state, request, robot, agreed) for robot in request.candidates)
 
 
@@ -265,7 +271,7 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
     back = hop(state, event.action_id, "result")
     if not request.is_delegated:
         return (close, Scheduled(CompleteStep(event.action_id), 0, (back,)))
-    return (close, Scheduled(CloseRequest(event.action_id), 0, (back, message(event.action_id, 4))))
+    return (close, Scheduled(CloseRequest(event.action_id), 0, (back, message(event.robot, event.action_id, 4))))
 
 
 def _on_close(_state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
@@ -280,6 +286,15 @@ DECIDES: Decides = {
     Award: award,
     AcceptAward: accept_award,
     CloseRequest: close_request,
+}
+ACTORS: Actors = {
+    DetectGap: requester,
+    CallForProposals: requester,
+    EvaluateBid: named,
+    ReceiveBid: requester,
+    Award: requester,
+    AcceptAward: target,
+    CloseRequest: requester,
 }
 REACTS: Reacts = {
     StepBegan: _on_step,
