@@ -112,7 +112,7 @@ def test_another_load_is_another_run_of_the_same_world() -> None:
         (8, Constants(load=Load(3)), "teams working: found 3, expected 1 to 2, the teams of a fleet of 8"),
         (8, Constants(load=Load(0)), "teams working: found 0"),
         (8, Constants(load=Load(task_sets=0)), "task sets: found 0, expected 1 to 5"),
-        (8, Constants(load=Load(task_sets=6)), "task sets: found 6, expected 1 to 5: one every 30 s"),
+        (8, Constants(load=Load(task_sets=6)), "task sets: found 6, expected 1 to 5, one each 30 s"),
         (8, Constants(load=Load(interval_s=0.0)), "interval of task sets: found 0.0 s"),
         (8, Constants(WorldConstants(floor_teams=0)), "teams of a floor: found 0, expected at least 1"),
     ],
