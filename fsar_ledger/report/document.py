@@ -207,7 +207,13 @@ def data(findings: Findings, record: Record | None) -> dict[str, Any]:
     tables = _ledger_tables(findings) | _fit_tables(findings, record) | _workflow_tables(findings)
     tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()}
     return {
-        "head": {"commits": findings.commits, "size": printing.integer(findings.size), "root": findings.root, "runs": printing.integer(findings.run_count)},
+        "head": {
+            "commits": findings.commits,
+            "size": printing.integer(findings.size),
+            "root": findings.root,
+            "runs": printing.integer(findings.run_count),
+            "completeness": findings.completeness,
+        },
         "answer": _sayable(answer(findings)),
         "tables": tables,
         "figures": {name: _figure(findings, name) for name in ("evaluation-results", "distances")}

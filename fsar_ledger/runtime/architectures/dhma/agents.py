@@ -12,9 +12,10 @@ from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import in_force
+from fsar_ledger.runtime.handlers.actors import named, nobody
 from fsar_ledger.runtime.handlers.attribution import is_injected
 from fsar_ledger.runtime.handlers.authority import released as end_claims
-from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, Decides, Reacts, Scheduled
+from fsar_ledger.runtime.handlers.commands import Actors, CloseExecution, Command, Decides, Reacts, Scheduled
 from fsar_ledger.runtime.handlers.execution import pause_running
 
 
@@ -104,4 +105,9 @@ def _on_context(state: State, event: ContextChanged, now_us: int) -> tuple[Sched
 
 
 DECIDES: Decides = {TakeSnapshot: take_snapshot, EngagePlanner: engage_planner, CloseExecution: close_execution}
+ACTORS: Actors = {
+    TakeSnapshot: named,
+    EngagePlanner: named,
+    CloseExecution: nobody,
+}
 REACTS: Reacts = {SnapshotPhaseSet: _first_snapshot, SnapshotTaken: _next_snapshot, ContextChanged: _on_context}

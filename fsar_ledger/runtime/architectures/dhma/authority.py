@@ -10,7 +10,8 @@ from fsar_ledger.events.request import RequestAdmitted, RequestIssued
 from fsar_ledger.events.world import OutsiderRequestInjected
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
-from fsar_ledger.runtime.handlers.commands import Command, Decides, Reacts, Scheduled, message
+from fsar_ledger.runtime.handlers.actors import body, target
+from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled, message
 
 from .agents import released
 from .talk import CALL, FROM_EXECUTION, FROM_PLANNING, SETTLEMENT, TO_EXECUTION, TO_PLANNING, Said, path, talk
@@ -104,7 +105,7 @@ def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple
     match event.reason:
         case "double booking" if event.claimant == agent(robot, "execution"):
             said, record = talk(state, robot, SETTLEMENT, key, "settle")
-            return (Scheduled(SettleBooking(event.action_id), 0, (*said, message(key, "settle"), message(key, "settled"))), record)
+            return (Scheduled(SettleBooking(event.action_id), 0, (*said, message(robot, key, "settle"), message(request.requester, key, "settled"))), record)
         case "acceptance":
             return _heard(talk(state, robot, TO_PLANNING, key, "planning"), PassExecution(*contract, *TO_PLANNING))
         case "planning":
@@ -124,7 +125,7 @@ def _heard(said: Said, command: Command) -> tuple[Scheduled, ...]:
 
 def _on_outsider(state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
     said, record = talk(state, event.robot, CALL, event.task_id, "query")
-    return (Scheduled(RunOutsider(event.task_id), 0, (*said, message(event.task_id, 0))), record)
+    return (Scheduled(RunOutsider(event.task_id), 0, (*said, message(event.robot, event.task_id, 0))), record)
 
 
 DECIDES: Decides = {
@@ -132,5 +133,11 @@ DECIDES: Decides = {
     AcknowledgeExecution: acknowledge_execution,
     SettleBooking: settle_booking,
     RunOutsider: run_outsider,
+}
+ACTORS: Actors = {
+    PassExecution: body,
+    AcknowledgeExecution: body,
+    SettleBooking: body,
+    RunOutsider: target,
 }
 REACTS: Reacts = {AuthorityClaimed: _on_acceptance, OutsiderRequestInjected: _on_outsider}

@@ -18,8 +18,10 @@ from fsar_ledger.events.request import ContractVoided, RequestDenied
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.handlers.actors import requester
 from fsar_ledger.runtime.handlers.attribution import on_shift
 from fsar_ledger.runtime.handlers.commands import (
+    Actors,
     BeginStep,
     Command,
     DecideRoutine,
@@ -29,6 +31,7 @@ from fsar_ledger.runtime.handlers.commands import (
     Scheduled,
     StartAction,
     TakeTurn,
+    at_once,
     message,
 )
 from fsar_ledger.runtime.handlers.execution import approach, started
@@ -116,7 +119,7 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     request = state.request.get(event.action_id)
     if event.purpose != "review" or request is None or request.is_delegated:
         return ()
-    return (Scheduled(PlanOwnStep(event.action_id)),)
+    return (Scheduled(PlanOwnStep(event.action_id), 1, (at_once(event.decided_by),)),)
 
 
 def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Scheduled, ...]:
@@ -133,7 +136,7 @@ def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Sched
     said, record = talk(state, action.robot, REPLANNING, key, "own")
     if not action.is_delegated:
         return (Scheduled(ResumeAction(event.action_id), structure.replan_us, said), record)
-    agreed, other = talk(state, action.on_behalf_of, RENEGOTIATION, key, "other", (*said, message(key, 0), message(key, 1)))
+    agreed, other = talk(state, action.on_behalf_of, RENEGOTIATION, key, "other", (*said, message(event.robot, key, 0), message(action.on_behalf_of, key, 1)))
     return (Scheduled(ResumeAction(event.action_id), structure.replan_us + structure.renegotiation_us, agreed), record, other)
 
 
@@ -143,6 +146,10 @@ DECIDES: Decides = {
     TakeTurn: approach,
     StartAction: start,
     DecideRoutine: decide_routine,
+}
+ACTORS: Actors = {
+    PlanOwnStep: requester,
+    QueueOwnStep: requester,
 }
 REACTS: Reacts = {
     StepBegan: _on_step,

@@ -11,8 +11,9 @@ from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
+from fsar_ledger.runtime.handlers.actors import body
 from fsar_ledger.runtime.handlers.attribution import principals
-from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, EndAttempt, Reacts, Scheduled
+from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, EndAttempt, Reacts, Scheduled
 from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
 
 from .agents import claims, planner, released
@@ -142,6 +143,12 @@ def _on_attempt_failed(state: State, event: RecoveryAttemptFailed, _now_us: int)
 
 
 DECIDES: Decides = {Dispute: dispute, StartRecovery: start_recovery, EndAttempt: end_attempt, Escalate: escalate}
+ACTORS: Actors = {
+    Dispute: body,
+    StartRecovery: body,
+    EndAttempt: body,
+    Escalate: body,
+}
 REACTS: Reacts = {
     ExecutionFailed: _on_failure,
     PlannerEngaged: _on_engagement,

@@ -24,8 +24,10 @@ from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
+from fsar_ledger.runtime.handlers.actors import named, requester, target
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, on_shift, pending_of_other_task
 from fsar_ledger.runtime.handlers.commands import (
+    Actors,
     BeginStep,
     CloseExecution,
     CloseRequest,
@@ -35,6 +37,7 @@ from fsar_ledger.runtime.handlers.commands import (
     Draw,
     Reacts,
     Scheduled,
+    at_once,
     message,
 )
 
@@ -199,7 +202,7 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
 def call(state: State, request: Request, robot: str, before: tuple[Draw, ...] = ()) -> tuple[Scheduled, ...]:
     """The call reaches the candidate, whose agents work out a bid; `before` comes first."""
     key = f"{request.action_id}/{request.round}/{robot}"
-    said, record = talk(state, robot, EVALUATION, key, "evaluate", (*before, message(key, "call")))
+    said, record = talk(state, robot, EVALUATION, key, "evaluate", (*before, message(request.requester, key, "call")))
     return (Scheduled(EvaluateBid(request.action_id, robot), 0, said), record)
 
 
@@ -225,7 +228,7 @@ def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled,
         return ()
     key = f"{request.action_id}/{request.round}/{event.robot}"
     received = ReceiveBid(request.action_id, event.robot, event.outcome)
-    said, record = talk(state, request.requester, RELAY, key, "relay", (message(key, "bid"),))
+    said, record = talk(state, request.requester, RELAY, key, "relay", (message(event.robot, key, "bid"),))
     return (Scheduled(received, 0, said), record)
 
 
@@ -242,12 +245,15 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     request = state.request.get(event.action_id)
     if event.purpose != "review" or request is None or not request.is_delegated:
         return ()
-    return (Scheduled(Award(event.action_id)),)
+    return (Scheduled(Award(event.action_id), 1, (at_once(event.decided_by),)),)
 
 
 def _on_award(state: State, event: AwardMade, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request[state.task[event.task_id].action_id]
-    return (Scheduled(AcceptAward(request.action_id), 0, (message(request.action_id, f"award/{request.round}"),)),)
+    task = state.task.get(event.task_id)
+    if task is None:  # given up meanwhile
+        return ()
+    request = state.request[task.action_id]
+    return (Scheduled(AcceptAward(request.action_id), 0, (message(request.requester, request.action_id, f"award/{request.round}"),)),)
 
 
 def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Scheduled, ...]:
@@ -255,7 +261,7 @@ def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Schedul
     request = state.request[event.action_id]
     key = f"{request.action_id}/{request.round}/void"
     said, record = talk(state, event.robot, VOIDING, key, "void")
-    agreed, other = talk(state, request.requester, RELAY, key, "again", (*said, message(key, "void")))
+    agreed, other = talk(state, request.requester, RELAY, key, "again", (*said, message(event.robot, key, "void")))
     calls = tuple(scheduled for robot in request.candidates for scheduled in call(state, request, robot, agreed))
     return (*calls, record, other)
 
@@ -268,7 +274,7 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
     said, record = talk(state, event.robot, RESULT if request.is_delegated else OWN_RESULT, event.action_id, "result")
     if not request.is_delegated:
         return (close, Scheduled(CompleteStep(event.action_id), 0, said), record)
-    return (close, Scheduled(CloseRequest(event.action_id), 0, (*said, message(event.action_id, 4))), record)
+    return (close, Scheduled(CloseRequest(event.action_id), 0, (*said, message(event.robot, event.action_id, 4))), record)
 
 
 def _on_close(_state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
@@ -283,6 +289,15 @@ DECIDES: Decides = {
     Award: award,
     AcceptAward: accept_award,
     CloseRequest: close_request,
+}
+ACTORS: Actors = {
+    DetectGap: requester,
+    CallForProposals: requester,
+    EvaluateBid: named,
+    ReceiveBid: requester,
+    Award: requester,
+    AcceptAward: target,
+    CloseRequest: requester,
 }
 REACTS: Reacts = {
     StepBegan: _on_step,

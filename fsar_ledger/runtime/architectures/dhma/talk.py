@@ -9,8 +9,9 @@ from typing import Any
 from fsar_ledger.events.envelope import agent
 from fsar_ledger.events.request import InternalHandoff
 from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.handlers.actors import named
 from fsar_ledger.runtime.handlers.attribution import on_shift
-from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, Reacts, Scheduled, hop, hops
+from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, Reacts, Scheduled, hop, hops
 
 Talk = tuple[str, ...]
 Said = tuple[tuple[Draw, ...], Scheduled]
@@ -60,4 +61,5 @@ def path(robot: str, agents: Talk) -> dict[str, Any]:
 
 
 DECIDES: Decides = {HandOver: hand_over}
+ACTORS: Actors = {HandOver: named}
 REACTS: Reacts = {}
