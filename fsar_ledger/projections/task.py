@@ -51,9 +51,9 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
             assert_never(event)
 
 
-def given_up_us(arrived: TaskArrived, budgets: int) -> int:
+def given_up_us(task: TaskArrived | Task, budgets: int) -> int:
     """Run time at which the task is given up, whatever it waits for: after so many budgets, at the latest when the run ends."""
-    return min(arrived.due_us + (budgets - 1) * arrived.budget_us, END_US)
+    return min(task.due_us + (budgets - 1) * task.budget_us, END_US)
 
 
 def checkpoint(state: Tasks, task_id: str, step: int) -> str | None:

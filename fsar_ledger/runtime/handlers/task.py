@@ -72,7 +72,7 @@ def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
         return ()
     if task.step == len(task.steps):
         return (TaskCompleted(task.task_id),)
-    if command.now_us > task.due_us + (state.fleet.structure.expiry_budgets - 1) * task.budget_us:
+    if command.now_us > given_up_us(task, state.fleet.structure.expiry_budgets):
         return (TaskAbandoned(task.task_id),)
     actor, capability, *target = task.steps[task.step].split(" ")
     attempt = task.attempt + 1

@@ -5,8 +5,10 @@ from typing import Any
 from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, PolicyOutcome
 from fsar_ledger.events.knowledge import CopySynced, WorkQueued
 from fsar_ledger.events.request import GapDetected
+from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.world import SyncPhaseSet
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.task import given_up_us
 from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.actors import nobody
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle
@@ -92,8 +94,12 @@ def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
     )
 
 
-def reach_coordinator(state: State, command: ReachCoordinator) -> tuple[GapDetected | WorkQueued, ...]:
-    """The item waits for the coordinator; a gap is on record without who has it."""
+def reach_coordinator(state: State, command: ReachCoordinator) -> tuple[GapDetected | WorkQueued | TaskAbandoned, ...]:
+    """The item waits for the coordinator; a gap is on record without who has it.
+
+    The coordinator knows its own queue: a step that it would come to only after the task is given up is given up at once, so that a queue
+    that grows faster than it is served stays as long as tasks last.
+    """
     action = state.execution.actions.get(command.action_id)
     request = state.request.get(command.action_id)
     if request is None and action is None:
@@ -105,7 +111,9 @@ def reach_coordinator(state: State, command: ReachCoordinator) -> tuple[GapDetec
     service_us = structure.service_us * state.fleet.size // 4
     service_us += service_us * candidates * structure.candidate_cost_ppm // 1_000_000
     ready_us = max(state.knowledge.ready_us, command.now_us) + service_us
-    queued = WorkQueued(task_id, command.action_id, command.item, ready_us)
+    task = state.task.get(task_id)
+    is_hopeless = is_matching and task is not None and ready_us > given_up_us(task, state.fleet.structure.expiry_budgets)
+    queued = TaskAbandoned(task_id) if is_hopeless else WorkQueued(task_id, command.action_id, command.item, ready_us)
     if command.item == "step" and request is not None and request.is_delegated:
         return (GapDetected(task_id, None, None, None, FLEET_SUPERVISOR, request.capability), queued)
     return (queued,)
