@@ -20,8 +20,8 @@ class Model(msgspec.Struct, frozen=True):
     """The runs of one kind and model version under the same constants: their text as recorded and what it says, their number, the first one's name."""
 
     kind: str
-    model_version: str
-    text: str
+    model_version: str | None
+    text: str | None
     parameters: dict[str, Any]
     runs: int
     first: str
@@ -35,7 +35,9 @@ def models(database: Database) -> tuple[Model, ...]:
     )
 
 
-def _read(run: str, parameters: str) -> dict[str, Any]:
+def _read(run: str, parameters: str | None) -> dict[str, Any]:
+    if parameters is None:
+        return {}
     try:
         return read_parameters(parameters)
     except BadParameters as error:

@@ -122,7 +122,7 @@ def _rule() -> tuple[Row, ...]:
 
 def _others(rows: Iterable[MetricRow]) -> tuple[Row, ...]:
     """One row per other configuration, fleet size and architecture, with a column per metric."""
-    found: dict[tuple[str, int, str], Row] = {}
+    found: dict[tuple[str | None, int | None, str | None], Row] = {}
     for row in rows:
         if not _is_main(row):
             key = (row.configuration, row.fleet_size, row.architecture)
@@ -162,7 +162,7 @@ def _models(database: Database) -> tuple[tuple[Row, ...], dict[str, str]]:
             "model_version": one.model_version,
             "kind": one.kind,
             "runs": one.runs,
-            "parameters_sha256": hashlib.sha256(one.text.encode()).hexdigest(),
+            "parameters_sha256": hashlib.sha256(one.text.encode()).hexdigest() if one.text is not None else None,
         }
         for one in found
     )

@@ -2,7 +2,7 @@
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run
 -- Units: numerator decisions that a robot or named supervisor took by itself; denominator decisions; value share
--- NULL: value of a run without decisions
+-- NULL: value of a run without decisions; numbers of a run that does not observe what the metric rests on; not_observed of one that does
 -- Example: fsar-ledger query metrics/governance_locality LEDGER
 WITH judged AS (
     SELECT
@@ -15,8 +15,10 @@ WITH judged AS (
 
 SELECT
     runs.run_id,
-    coalesce(judged.numerator, 0)::BIGINT AS numerator,
-    coalesce(judged.denominator, 0)::BIGINT AS denominator,
-    judged.numerator / nullif(judged.denominator, 0) AS value
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator, 0)::BIGINT END AS numerator,
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.denominator, 0)::BIGINT END AS denominator,
+    CASE WHEN hidden.run_id IS NULL THEN judged.numerator / nullif(judged.denominator, 0) END AS value,
+    hidden.not_observed
 FROM runs
 LEFT JOIN judged ON runs.run_id = judged.run_id
+LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND hidden.judge = 'governance_locality'

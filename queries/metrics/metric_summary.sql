@@ -1,11 +1,13 @@
 -- Title: The eight metrics over runs, with intervals
 -- Paper: tab:results
 -- Grain: one row per architecture, configuration, fleet size, metric, and scenario or all scenarios
--- Units: mean, sd (per run), ci_low, ci_high in the metric's unit; n runs; denominator: what the metric counts, summed over runs.
+-- Units: mean, sd (per run), ci_low, ci_high in the metric's unit; n runs; denominator: what the metric counts, summed over runs;
+--        runs_not_observed runs that do not observe what the metric rests on, which no other column counts.
 --        Containment and latency are pooled: mean is the sum of numerators over the sum of denominators.
 --        95 % intervals keep within the scale: Wilson for human_intervention; Student's t on the logit of a share and on the logarithm of a count
 --        or time; at a share of 0 or 1 and a count of 0 the exact one-sided bound of n runs that all agree
--- NULL: scenario for all scenarios; mean where the metric is undefined in all runs; sd also for a single run, and the interval but Wilson's;
+-- NULL: scenario for all scenarios; mean where the metric is undefined or not observable in all runs, denominator where it is not observable;
+--       sd also for a single run, and the interval but Wilson's;
 --       the interval of a time of 0
 -- Example: fsar-ledger query metrics/metric_summary LEDGER
 WITH moments AS (
@@ -20,6 +22,7 @@ WITH moments AS (
         coalesce(max(pooled_mean), avg(x ORDER BY run_id)) AS mean,
         stddev_samp(x ORDER BY run_id) AS sd,
         count(x) AS n,
+        count(not_observed) AS runs_not_observed,
         sum(denominator)::BIGINT AS denominator,
         avg(published_convention_value ORDER BY run_id) AS published_convention_mean
     FROM summary_values
@@ -73,5 +76,6 @@ SELECT
     ci_low,
     ci_high,
     denominator,
-    published_convention_mean
+    published_convention_mean,
+    runs_not_observed
 FROM intervals

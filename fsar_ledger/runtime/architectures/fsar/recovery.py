@@ -146,9 +146,7 @@ def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
             admitting = {**_context(state, action, helper), "supervised_by": on_shift(state, helper)}
             return (
                 *query,
-                AssistanceRequested(
-                    **_context(state, action, action.robot), **about, level="peer", failed_action=action.action_id, since_us=command.since_us
-                ),
+                AssistanceRequested(**_context(state, action, action.robot), **about, level="peer", failed_action=action.action_id, since_us=command.since_us),
                 AssistanceAdmitted(**admitting, **about, level="peer"),
             )
         case _:
