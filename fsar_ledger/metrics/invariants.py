@@ -95,7 +95,7 @@ def _counts(query: Query) -> str:
                 hidden.not_observed,
                 CASE WHEN NOT coalesce(hidden.hides_offences, FALSE) THEN offences.events END AS events,
                 offences.first,
-                CASE WHEN hidden.run_id IS NULL THEN coalesce(looked.cases, 0) END AS cases
+                CASE WHEN NOT coalesce(hidden.hides_offences, FALSE) THEN coalesce(looked.cases, 0) END AS cases
             FROM runs
             LEFT JOIN offences ON runs.run_id = offences.run_id
             LEFT JOIN invariant_cases AS looked ON runs.run_id = looked.run_id AND looked.invariant = '{query.relation}'
@@ -124,7 +124,7 @@ def _counts(query: Query) -> str:
             configuration,
             runs,
             CASE WHEN events > 0 THEN FALSE WHEN runs_not_observed = 0 THEN TRUE END AS holds,
-            cases,
+            CASE WHEN events > 0 OR runs_not_observed < runs THEN cases END AS cases,
             runs_not_observed,
             not_observed,
             CASE WHEN events > 0 OR runs_not_observed < runs THEN coalesce(events, 0) END AS events,
