@@ -1,6 +1,5 @@
 """What a writer refuses, before anything is in the ledger: what `verify` would condemn, and what breaks a run. Each is named with run, seq and field."""
 
-import os
 import pickle
 import re
 from collections.abc import Callable
@@ -198,7 +197,8 @@ def test_of_two_writers_with_the_same_run_in_other_batches_one_commits_it(path: 
 
 def test_a_commit_that_another_writer_made_alike_is_known_to_hold_its_runs(path: Path) -> None:
     with Writer(path, ORIGIN) as one, Writer(path, ORIGIN) as two:
-        assert two.append(stage(path, BATCHES[2])) == one.append(stage(path, BATCHES[2]))
+        staged = stage(path, BATCHES[2])
+        assert one.append(staged) == two.append(staged)  # which finds it committed, and staged no more
         with pytest.raises(InvalidRun, match="commit 2 holds"):
             two.append(stage(path, [RUN, BATCHES[2][0]]))
         with pytest.raises(InvalidRun, match="commit 2 holds"):
@@ -265,7 +265,9 @@ def test_a_staged_file_of_the_same_size_but_other_bytes_is_not_committed(path: P
     with Writer(path, ORIGIN) as writer:
         staged = pickle.loads(pickle.dumps(stage(path, [RUN])))
         file = staged_path(path, staged.segment_sha256)
-        file.write_bytes(os.urandom(staged.segment_bytes))
+        data = bytearray(file.read_bytes())
+        data[len(data) // 2] ^= 1
+        file.write_bytes(data)
         with pytest.raises(WriteFailed, match="found another file than was staged"):
             writer.append(staged)
         file.unlink()
