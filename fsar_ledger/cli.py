@@ -92,6 +92,7 @@ def _version(version: Annotated[bool, typer.Option("--version", help="Show the v
     epilog=examples(
         "fsar-ledger simulate out/ledger",
         "fsar-ledger simulate out/doors --architecture fsar --scenario door-relay --runs 3 --seed 7",
+        "fsar-ledger simulate out/doors --architecture fsar --scenario door-relay --runs 5 --seed 7    # enlarges it",
         "fsar-ledger simulate out/untrusting --without trust-evaluation --runs 2",
         "fsar-ledger simulate out/workflows --workflow door-relay --workflow layered-recovery --workflow human-supervision",
         "fsar-ledger simulate out/signed --scenario door-relay --runs 1 --key out/fleet.key",
@@ -118,17 +119,16 @@ def simulate(
 ) -> None:
     """Simulate fleets; every event is appended to the ledger OUT.
 
-    An interrupted simulation continues where it stopped when it is called again.
+    An interrupted simulation continues where it stopped when it is called again; with more --runs, or other scenarios, it enlarges what is there.
     """
-    from .commands.output import json_text
-    from .runtime.experiment import simulate as run_experiment
+    from .commands.simulated import simulated_text
+    from .runtime.experiment import carry_out
 
     experiment = experiment_of(architecture, scenario, runs, seed, fleet_size, without, workflow, (teams_working, task_sets))
     signer = trust.signer_of(key, adopts=adopt)
     with Progress("simulated", "batches") as progress:
-        head = run_experiment(out, experiment, workers_of(workers), progress, signer, trust.origin_of(origin), adopts=adopt)
-    lines = [f"{out}: {head.size:,} events in {head.commits:,} commits", f"root {head.root}", *trust.signed_lines(out, signer)]
-    _show(json_text(head, {"ledger": str(out), "commits": head.commits}) if as_json else printable.lines(*lines))
+        made = carry_out(out, experiment, workers_of(workers), progress, signer, trust.origin_of(origin), adopts=adopt)
+    _show(simulated_text(out, made, trust.signed_lines(out, signer), as_json=as_json))
 
 
 @app.command(epilog=examples("fsar-ledger info out/ledger", "fsar-ledger info out/ledger --json"))
@@ -136,20 +136,20 @@ def simulate(
 def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: JsonOption = False) -> None:
     """Show what a ledger holds, and whether it is complete.
 
-    Its head, its runs by seed, fleet size, architecture and configuration, and (with --json) the parameters of its worlds.
+    Its head, what was planned and what of it is there, its runs by model, seed, fleet size, architecture and configuration, and (with --json) the
+    parameters of its worlds. Without a plan on record nothing says what is missing.
     """
     from .commands.contents import contents
     from .commands.output import json_text, table_text
 
     head, found = contents(ledger, verified=verified)
     if as_json:
-        answer = {"groups": found.groups, "models": found.models, "runs": found.run_count, "is_complete": found.is_complete}
-        _show(json_text(head, {"ledger": str(ledger), "commits": head.commits, **answer}, found.rows_verified))
+        _show(json_text(head, {"ledger": str(ledger), "commits": head.commits, **found.answer()}, found.rows_verified))
         return
     standing = "" if found.rows_verified else " (the rows were not compared with it)"
     _show(printable.lines(f"{ledger}: {head.size:,} events in {head.commits:,} commits", f"root {head.root}{standing}", *found.summary()))
-    if found.groups:
-        _show(printable.joined(printable.line(""), table_text(found.groups, list(found.groups[0]))))
+    if rows := found.rows():
+        _show(printable.joined(printable.line(""), table_text(rows, list(rows[0]))))
 
 
 app.command(epilog=judging.METRICS)(reading(judging.metrics))

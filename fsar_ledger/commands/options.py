@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 _Name = TypeVar("_Name", bound=str)
 
 LedgerArgument = Annotated[Path, typer.Argument(metavar="LEDGER", help="The folder of a ledger.", show_default=False)]
-NewLedgerArgument = Annotated[
-    Path, typer.Argument(metavar="OUT", help="The folder of the ledger: new, or one that the same command began.", show_default=False)
-]
+NewLedgerArgument = Annotated[Path, typer.Argument(metavar="OUT", help="The folder of the ledger: new, or one to continue or to enlarge.", show_default=False)]
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer as JSON, with the head (size, root) of the ledger.")]
 CsvOption = Annotated[bool, typer.Option("--csv", help="Answer as comma-separated values.")]
 RawOption = Annotated[bool, typer.Option("--raw", help="In CSV give text as it is, with control characters, and what a spreadsheet reads as a formula.")]

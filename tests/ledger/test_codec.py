@@ -299,7 +299,7 @@ def test_a_segment_of_other_columns_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LedgerCorrupted, match="column"):
         segment.read_table(tmp_path / "other.parquet")
     pq.write_table(table.append_column("more", pa.nulls(table.num_rows, pa.int64())), tmp_path / "more.parquet", store_schema=False)
-    with pytest.raises(LedgerCorrupted, match=rf"column {len(SCHEMA.names)} as \('more', 'INT64'\), expected None as in the columns of a release"):
+    with pytest.raises(LedgerCorrupted, match=rf"column {len(SCHEMA)} as \('more', 'INT64'\), expected None as in the columns of a release"):
         segment.read_table(tmp_path / "more.parquet")
     (tmp_path / "none.parquet").write_bytes(b"PAR1 nothing PAR1")
     with pytest.raises(LedgerCorrupted, match="cannot be read"):
