@@ -20,6 +20,7 @@ from fsar_ledger.report.findings import ARCHITECTURES, COMPARISONS, MAIN_CONFIGU
 
 QUERIES = (
     "metrics/metric_summary",
+    "metrics/background",
     "statistics/pairwise_tests",
     "staging/runs",
     "audit/experiments",
@@ -120,6 +121,11 @@ def _rule() -> tuple[Row, ...]:
         {"metric": spec.name, "margin": verdicts.MARGINS[spec.name]} | {name: published[spec.name, name].implied_sd for name in ARCHITECTURES}
         for spec in specs.metrics()
     )
+
+
+def _background(rows: Iterable[Row]) -> tuple[Row, ...]:
+    """How much of the main runs' numbers is routine, for each architecture."""
+    return tuple(row for row in rows if (row["configuration"], row["fleet_size"]) == (MAIN_CONFIGURATION, MAIN_FLEET_SIZE))
 
 
 def _others(rows: Iterable[MetricRow]) -> tuple[Row, ...]:
@@ -233,6 +239,7 @@ def gather(ledger: Path, workflows: Path | None = None, demanded: str | None = N
             sources=tuple(Source(name=query.name, sha256=query.sha256) for query in sorted(needed, key=lambda query: query.name) if _is_file(query.name)),
             features=marks.features(graded),
             evidence=tuple(graded),
+            background=_background(database.rows("SELECT * FROM background")),
             completeness=completeness(database).sentence(),
             workflows=None if workflows is None else marks.workflows(workflows, demanded_of_workflows),
         )

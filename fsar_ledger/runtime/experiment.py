@@ -62,7 +62,28 @@ class Experiment(msgspec.Struct, frozen=True):
             asked = ", ".join(self.architectures)
             raise InvalidExperiment(f"mechanisms are taken out of FSAR only: found architectures {asked}, expected fsar; leave out --architecture")
         self._require_workflows_as_written()
+        self._require_possible_load()
         self._put_in_order()
+
+    def _require_possible_load(self) -> None:
+        """Each floor holds a team, and what there is to do falls to teams that exist, while the world still happens."""
+        world, load = self.constants.world, self.constants.load
+        if world.floor_teams < 1:
+            raise InvalidExperiment(f"teams of a floor: found {world.floor_teams}, expected at least 1")
+        if load is None:
+            return
+        teams, working = self.fleet_size // 4, load.teams_working
+        if working is not None and not 1 <= working <= teams:
+            raise InvalidExperiment(f"teams working: found {working}, expected 1 to {teams}, the teams of a fleet of {self.fleet_size}")
+        if load.interval_s <= 0:
+            raise InvalidExperiment(f"interval of task sets: found {load.interval_s} s, expected more than 0")
+        most = int(world.horizon_s / 2 / load.interval_s) + 1
+        if not 1 <= load.task_sets <= most:
+            raise InvalidExperiment(
+                f"task sets: found {load.task_sets}, expected 1 to {most}, one each {load.interval_s:g} s in half the world's {world.horizon_s:g} s"
+            )
+        if any(name in WORKFLOWS for name in self.scenarios):
+            raise InvalidExperiment(f"workflow {self.scenarios[0]}: found another load, expected the tasks of its script alone")
 
     def _require_workflows_as_written(self) -> None:
         """The workflows are those of the paper: FSAR's, in full, with one robot of each role."""

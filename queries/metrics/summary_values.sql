@@ -3,7 +3,8 @@
 -- Grain: one row per run, metric, and scenario or all scenarios
 -- Units: x and pooled_mean in the metric's unit. For a pooled metric
 --        x = ratio + residual / mean denominator, whose mean is the pooled ratio and sd(x) / sqrt(n) its standard error
--- NULL: scenario for all scenarios; x where the metric is undefined; pooled_mean for metrics that are not pooled
+-- NULL: scenario for all scenarios; x where the metric is undefined; pooled_mean for metrics that are not pooled;
+--       value_without_routine as in run_metrics
 -- Example: fsar-ledger query metrics/summary_values LEDGER
 WITH cells AS (
     SELECT * REPLACE (NULL::VARCHAR AS scenario)
@@ -43,6 +44,7 @@ SELECT
     metric,
     run_id,
     denominator,
+    value_without_routine,
     published_convention_value,
     CASE WHEN is_pooled THEN (ratio + (numerator - ratio * denominator) / mean_denominator) / numerator_units ELSE value END AS x,
     CASE WHEN is_pooled THEN ratio / numerator_units END AS pooled_mean

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fsar_ledger.errors import LedgerCorrupted, UnknownEventTag
+from fsar_ledger.errors import InvalidRun, LedgerCorrupted, UnknownEventTag
 from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.ledger import canonical, merkle, schema, segment
 from fsar_ledger.ledger.check import first_flaw
@@ -180,7 +180,7 @@ def test_encode_refuses_values_of_another_type(kind: str, value: object) -> None
 
 
 def test_encode_refuses_text_that_is_not_unicode() -> None:
-    with pytest.raises(UnicodeEncodeError):
+    with pytest.raises(InvalidRun, match=r"seq 0, field \w+: found .*ud800"):
         encode([run_with("string", "\ud800")])
 
 
