@@ -18,13 +18,14 @@ BROKEN_WITHOUT: dict[Configuration, set[str]] = {
     "without-layered-recovery": {"i4"},  # every failure skips to a human
     "without-shared-registry": {"i5"},  # requests that find nobody name no executor
 }
-OURS = Constants()
 FOUND_BY_SEARCH = (  # runs in which an invariant once broke
     RunSpec(7, "fsar", "full", "mixed-trust-inspection", 4, 13),
 )
 
+DEFAULTS = Constants()
 
-def broken(specs: Iterable[RunSpec], constants: Constants = OURS) -> set[tuple[str, str | None]]:
+
+def broken(specs: Iterable[RunSpec], constants: Constants = DEFAULTS) -> set[tuple[str, str | None]]:
     """The invariants that these runs break, each with the first finding."""
     with from_table(encode([simulate_run(spec, constants) for spec in specs])) as database:
         return {
