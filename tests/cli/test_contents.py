@@ -9,7 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, WorldConstants
+from fsar_ledger.constants import Constants, Load, WorldConstants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.append import Writer, stage
@@ -97,7 +97,7 @@ def test_an_interrupted_experiment_is_not_complete_and_the_call_that_goes_on_is_
     [
         small("fsar", configurations=("without-policy-composition", "without-trust-evaluation")),
         small("fsar", scenarios=("workflow-layered-recovery", "workflow-door-relay"), seed=6),
-        small("fsar", "cfc", "dhma", fleet_size=8),
+        small("fsar", "cfc", fleet_size=8, runs=1, constants=Constants(load=Load(teams_working=1, task_sets=2))),
     ],
 )
 def test_the_call_that_goes_on_plans_nothing_new(call: Call, tmp_path: Path, experiment: Experiment) -> None:
