@@ -11,6 +11,7 @@ from fsar_ledger.ledger.read import LedgerView
 from fsar_ledger.metrics.plans import EXPERIMENTS
 
 from .options import RUNS, experiment_of
+from .simulated import runs
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
@@ -36,7 +37,7 @@ def plans(database: "Database", ledger: Shown) -> list[dict[str, Any]]:
 
 def shape(plan: Mapping[str, Any]) -> str:
     """What a plan names: `door-relay x 20 runs x fsar, cfc (full), seed 42, 4 robots`."""
-    parts = (_some(plan["scenarios"], "scenarios"), f"{plan['run_count']:,} runs", _some(plan["architectures"], "architectures"))
+    parts = (_some(plan["scenarios"], "scenarios"), runs(plan["run_count"]), _some(plan["architectures"], "architectures"))
     configurations = "" if plan["configurations"] == ["full"] else f" ({_some(plan['configurations'], 'configurations')})"
     return f"{' x '.join(parts)}{configurations}, seed {plan['seed']}, {plan['fleet_size']} robots"
 
