@@ -148,9 +148,15 @@ class Constants(msgspec.Struct, frozen=True):
 
 
 def write_constants(constants: Constants) -> str:
-    """Return the constants as `RunStarted.parameters` holds them: JSON in the order of the fields, without absent groups."""
+    """Return the constants as `RunStarted.parameters` holds them: JSON in the order of the fields, without absent groups.
+
+    Raises:
+        BadParameters: JSON has no word for one of them, as for a length without end; a very long one does as well.
+    """
     groups = {name: group for name in constants.__struct_fields__ if (group := getattr(constants, name)) is not None}
-    return msgspec.json.encode(groups).decode()
+    text = msgspec.json.encode(groups).decode()
+    read_constants(text)
+    return text
 
 
 class BadParameters(ValueError):
