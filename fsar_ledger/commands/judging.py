@@ -32,7 +32,7 @@ def metrics(
     """
     from fsar_ledger.metrics.results import metric_rows
 
-    from .answering import answering
+    from .answering import answering, warn_of_missing
     from .output import answer_text, plain
 
     if by not in (None, "scenario"):
@@ -42,6 +42,7 @@ def metrics(
         columns = [name for name in rows[0] if by or name != "scenario"] if rows else []
         chosen = [{name: row[name] for name in columns} for row in rows]
         show(answer_text(database.head, chosen, rows_verified=database.rows_verified, as_json=as_json, as_csv=as_csv, raw=raw), raw=raw)
+        warn_of_missing(ledger, database)
 
 
 def statistics(
@@ -53,9 +54,10 @@ def statistics(
     """
     from fsar_ledger.metrics.results import statistic_rows
 
-    from .answering import answering
+    from .answering import answering, warn_of_missing
     from .output import answer_text, plain
 
     with answering(ledger, verified=verified) as database:
         rows = plain(statistic_rows(database))
         show(answer_text(database.head, rows, rows_verified=database.rows_verified, as_json=as_json, as_csv=as_csv, raw=raw), raw=raw)
+        warn_of_missing(ledger, database)

@@ -51,6 +51,8 @@ class Findings(msgspec.Struct, frozen=True):
     parameters: the constants of the runs by dotted name (of the first run; `models` counts the different sets).
     features: one row per architectural feature: the paper's grade and ours for each architecture, its grades of the systems that were not run, the verdict.
     evidence: one row per feature and architecture: grade and what it rests on.
+    background: one row per architecture: how much of what is counted is routine, how much of what is not attributable is a supervisor off shift.
+    completeness: whether all that was planned is there, as a clause.
     workflows: what another ledger says of the paper's workflows; None without one.
     """
 
@@ -69,6 +71,8 @@ class Findings(msgspec.Struct, frozen=True):
     sources: tuple[Source, ...]
     features: tuple[Row, ...] = ()
     evidence: tuple[Row, ...] = ()
+    background: tuple[Row, ...] = ()
+    completeness: str = ""
     workflows: Workflows | None = None
 
 

@@ -4,7 +4,6 @@ All numbers come from packaged queries through `fsar_ledger.metrics`; here they 
 with the paper's.
 """
 
-import hashlib
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
@@ -14,14 +13,18 @@ import msgspec
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.models import models
+from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
 from fsar_ledger.report import marks, printing, specs
 from fsar_ledger.report.findings import ARCHITECTURES, COMPARISONS, MAIN_CONFIGURATION, MAIN_FLEET_SIZE, SCENARIOS, Findings, Row, Source, with_agreement
 
 QUERIES = (
     "metrics/metric_summary",
+    "metrics/background",
     "statistics/pairwise_tests",
     "staging/runs",
+    "audit/experiments",
+    "audit/unplanned_runs",
     "tables/architecture_features",
 )  # what the report reads; the rest is what these read
 
@@ -120,6 +123,11 @@ def _rule() -> tuple[Row, ...]:
     )
 
 
+def _background(rows: Iterable[Row]) -> tuple[Row, ...]:
+    """How much of the main runs' numbers is routine, for each architecture."""
+    return tuple(row for row in rows if (row["configuration"], row["fleet_size"]) == (MAIN_CONFIGURATION, MAIN_FLEET_SIZE))
+
+
 def _others(rows: Iterable[MetricRow]) -> tuple[Row, ...]:
     """One row per other configuration, fleet size and architecture, with a column per metric."""
     found: dict[tuple[str | None, int | None, str | None], Row] = {}
@@ -162,7 +170,7 @@ def _models(database: Database) -> tuple[tuple[Row, ...], dict[str, str]]:
             "model_version": one.model_version,
             "kind": one.kind,
             "runs": one.runs,
-            "parameters_sha256": hashlib.sha256(one.text.encode()).hexdigest() if one.text is not None else None,
+            "parameters_sha256": one.sha256,
         }
         for one in found
     )
@@ -231,5 +239,7 @@ def gather(ledger: Path, workflows: Path | None = None, demanded: str | None = N
             sources=tuple(Source(name=query.name, sha256=query.sha256) for query in sorted(needed, key=lambda query: query.name) if _is_file(query.name)),
             features=marks.features(graded),
             evidence=tuple(graded),
+            background=_background(database.rows("SELECT * FROM background")),
+            completeness=completeness(database).sentence(),
             workflows=None if workflows is None else marks.workflows(workflows, demanded_of_workflows),
         )

@@ -1,14 +1,15 @@
 -- Title: The eight metrics over runs, with intervals
 -- Paper: tab:results
 -- Grain: one row per architecture, configuration, fleet size, metric, and scenario or all scenarios
--- Units: mean, sd (per run), ci_low, ci_high in the metric's unit; n runs; denominator: what the metric counts, summed over runs;
+-- Units: mean, mean_without_routine (routine operations left out), sd (per run), ci_low, ci_high in the metric's unit;
+--        n runs; denominator: what the metric counts, summed over runs;
 --        runs_not_observed runs that do not observe what the metric rests on, which no other column counts.
 --        Containment and latency are pooled: mean is the sum of numerators over the sum of denominators.
 --        95 % intervals keep within the scale: Wilson for human_intervention; Student's t on the logit of a share and on the logarithm of a count
 --        or time; at a share of 0 or 1 and a count of 0 the exact one-sided bound of n runs that all agree
--- NULL: scenario for all scenarios; mean where the metric is undefined or not observable in all runs, denominator where it is not observable;
---       sd also for a single run, and the interval but Wilson's;
---       the interval of a time of 0
+-- NULL: scenario for all scenarios; mean where the metric is undefined or not observable in all runs, denominator where it is not
+--       observable; sd also for a single run, and the interval but Wilson's;
+--       the interval of a time of 0; mean_without_routine of a metric that counts no routine operations
 -- Example: fsar-ledger query metrics/metric_summary LEDGER
 WITH moments AS (
     -- Sums of floats in a fixed order are the same bits on any number of threads.
@@ -20,6 +21,7 @@ WITH moments AS (
         position,
         metric,
         coalesce(max(pooled_mean), avg(x ORDER BY run_id)) AS mean,
+        avg(value_without_routine ORDER BY run_id) AS mean_without_routine,
         stddev_samp(x ORDER BY run_id) AS sd,
         count(x) AS n,
         count(not_observed) AS runs_not_observed,
@@ -71,6 +73,7 @@ SELECT
     position,
     metric,
     mean,
+    mean_without_routine,
     sd,
     n,
     ci_low,

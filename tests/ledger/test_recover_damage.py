@@ -20,6 +20,7 @@ from fsar_ledger.ledger.recover_prefix import FITS, NO_RECORD, NO_SEGMENT
 from fsar_ledger.ledger.verify import Asked, verify
 from fsar_ledger.ledger.verify_notes import read_anchor
 from tests.ledger.forgery import examined_once
+from tests.ledger.hostile import append_again
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 from tests.ledger.test_recover import aside
 
@@ -140,7 +141,9 @@ def test_an_altered_record_gives_no_hash_to_restore_by(path: Path) -> None:
 
 
 def test_a_run_in_two_commits_ends_what_can_be_trusted(tmp_path: Path) -> None:
-    append_all(tmp_path / "ledger", [*BATCHES[:2], BATCHES[0][:1], *BATCHES[2:]])
+    append_all(tmp_path / "ledger", BATCHES[:2])
+    append_again(tmp_path / "ledger", BATCHES[0][:1])
+    append_all(tmp_path / "ledger", BATCHES[2:])
     assert (recover(tmp_path / "ledger").head.commits, verify(tmp_path / "ledger").ok) == (2, False)
 
 

@@ -15,10 +15,12 @@ from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections import execution, world
 from fsar_ledger.projections.fold import ROUTES, STATELESS, State, apply, fold
 from fsar_ledger.projections.world import in_force, stricter
+from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 from tests.runtime.commanded import commanded
 
 RECORDS_ONLY = {
+    "ExperimentPlanned",  # of no run
     "AssistanceDeclined",
     "BidSubmitted",
     "CandidateMatched",
@@ -53,7 +55,8 @@ def emitted() -> set[type[Event]]:
     specs += [RunSpec(8, "fsar", configuration, scenario, 4, 0) for configuration in get_args(Configuration)[1:] for scenario in SCENARIOS]
     specs += [RunSpec(8, "fsar", "full", workflow, 4, 0) for workflow in get_args(Workflow)]
     specs.append(RunSpec(42, "fsar", "full", "mixed-trust-inspection", 4, 82))  # one of the few in which a task changes hands
-    return {type(event) for events in (*(simulate_run(spec, Constants()).events for spec in specs), commanded().events) for event in events}
+    planned = [Experiment(("fsar",), SCENARIOS, 12, 8).plan()]
+    return {type(event) for events in (*(simulate_run(spec, Constants()).events for spec in specs), commanded().events, planned) for event in events}
 
 
 def test_every_event_type_is_emitted_by_some_run(emitted: set[type[Event]]) -> None:

@@ -12,7 +12,7 @@ from fsar_ledger.events.registry import CapabilityInstalled, CapabilityRemoved
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Contract, path_of, possesses, surface
 
-from .commands import Decides, PublicCommand, Reacts
+from .commands import Actors, Decides, PublicCommand, Reacts
 from .matching import contradiction, version_of
 from .rejection import rejected, unknown_robot
 
@@ -27,6 +27,7 @@ class JoinFleet(PublicCommand):
     team: int
     supervisor: str | None = None
     domain: str = ""
+    place: str | None = None
     issued_by: str | None = None
 
 
@@ -83,9 +84,11 @@ def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
         wrong = f"supervisor {command.supervisor}, expected {local_supervisor(robot)} or none"
     elif not all(path_of(command.domain)):
         wrong = f"domain {command.domain!r} is no path, expected one such as hall/cell, or nothing for the fleet's own"
+    elif command.place == "":
+        wrong = "an empty place, expected a name such as floor/2, or none for a fleet of one place"
     if wrong is not None:
         return rejected(command, robot, wrong, command.issued_by)
-    return (RobotJoined(robot, command.role, command.team, command.supervisor, command.domain),)
+    return (RobotJoined(robot, command.role, command.team, command.supervisor, command.domain, command.place),)
 
 
 def _is_robots_name(name: str) -> bool:
@@ -135,4 +138,5 @@ def in_use(state: State, robot: str, capability: str) -> str | None:
 
 
 DECIDES: Decides = {JoinFleet: join_fleet, InstallCapability: install_capability, RemoveCapability: remove_capability}
+ACTORS: Actors = {}
 REACTS: Reacts = {}

@@ -6,4 +6,4 @@ from fsar_ledger.runtime.handlers import execution as bodies
 
 from . import answers, coordinator, execution, recovery, request
 
-CFC: Wiring = wire(task, bodies, assistance, supervision, coordinator, request, execution, recovery, own=answers.OWN)
+CFC: Wiring = wire(task, bodies, assistance, supervision, coordinator, request, execution, recovery, own=answers.OWN, instead=answers.INSTEAD)
