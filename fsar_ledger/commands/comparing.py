@@ -8,7 +8,6 @@ from fsar_ledger.metrics.results import StatisticRow, statistic_rows
 
 from .output import Row, plain
 
-
 NOTHING = "nothing to compare; that takes runs of two architectures, or of one with and without a mechanism, that met the same world"
 
 

@@ -20,7 +20,7 @@ import duckdb
 import msgspec
 import numpy as np
 import pyarrow as pa
-from duckdb.func import PythonUDFType
+from duckdb.func import FunctionNullHandling, PythonUDFType
 from numpy.typing import NDArray
 
 from fsar_ledger.constants import BadParameters, read_parameters
@@ -133,4 +133,4 @@ def register(connection: duckdb.DuckDBPyConnection) -> None:
     for name, binary in BINARY.items():
         connection.create_function(name, _binary(binary), ["DOUBLE", "DOUBLE"], "DOUBLE", type=PythonUDFType.ARROW)
     kind = "STRUCT(name VARCHAR, value VARCHAR)[]"
-    connection.create_function("constants_of", _read, ["VARCHAR"], kind, type=PythonUDFType.ARROW, null_handling="special")
+    connection.create_function("constants_of", _read, ["VARCHAR"], kind, type=PythonUDFType.ARROW, null_handling=FunctionNullHandling.SPECIAL)
