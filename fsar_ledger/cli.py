@@ -25,6 +25,7 @@ from .commands.options import (
     CsvOption,
     FailureOption,
     FileOption,
+    FleetSizeOption,
     InvariantOption,
     JsonOption,
     KeyOption,
@@ -43,6 +44,8 @@ from .commands.options import (
     ScenarioOption,
     SecondsOption,
     SvgOption,
+    TaskSetsOption,
+    TeamsWorkingOption,
     VerifiedOption,
     WithoutOption,
     WorkersOption,
@@ -50,13 +53,14 @@ from .commands.options import (
     examples,
     experiment_of,
     parameters_of,
+    require_text,
     workers_of,
 )
 from .commands.progress import Progress
 from .commands.terminal import Enough
 from .commands.terminal import say as _say
 from .commands.terminal import show as _show
-from .errors import FsarLedgerError, UsageError
+from .errors import FsarLedgerError
 
 INTERRUPTED = 130
 CONTINUES = "what is committed stays, and the same command continues there"
@@ -87,11 +91,12 @@ def _version(version: Annotated[bool, typer.Option("--version", help="Show the v
     epilog=examples(
         "fsar-ledger simulate out/ledger",
         "fsar-ledger simulate out/doors --architecture fsar --scenario door-relay --runs 3 --seed 7",
+        "fsar-ledger simulate out/doors --architecture fsar --scenario door-relay --runs 5 --seed 7    # enlarges it",
         "fsar-ledger simulate out/untrusting --without trust-evaluation --runs 2",
         "fsar-ledger simulate out/workflows --workflow door-relay --workflow layered-recovery --workflow human-supervision",
         "fsar-ledger simulate out/signed --scenario door-relay --runs 1 --key out/fleet.key",
         "fsar-ledger simulate out/named --scenario door-relay --runs 1 --origin example.org/fleet",
-        "fsar-ledger simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 --runs 2",
+        "fsar-ledger simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 --teams-working 2 --runs 2",
     )
 )
 def simulate(
@@ -101,7 +106,9 @@ def simulate(
     workflow: WorkflowOption = None,
     runs: RunsOption = None,
     seed: Annotated[int, typer.Option(metavar="N", help="Decides every draw of the world.")] = 42,
-    fleet_size: Annotated[int, typer.Option(metavar="N", help="Robots; a multiple of 4.")] = 4,
+    fleet_size: FleetSizeOption = 4,
+    teams_working: TeamsWorkingOption = None,
+    task_sets: TaskSetsOption = 1,
     without: WithoutOption = None,
     origin: OriginOption = None,
     key: KeyOption = None,
@@ -111,16 +118,16 @@ def simulate(
 ) -> None:
     """Simulate fleets; every event is appended to the ledger OUT.
 
-    An interrupted simulation continues where it stopped when it is called again.
+    An interrupted simulation continues where it stopped when it is called again; with more --runs, or other scenarios, it enlarges what is there.
     """
-    from .commands.output import json_text
-    from .runtime.experiment import simulate as run_experiment
+    from .commands.simulated import simulated_text
+    from .runtime.experiment import carry_out
 
-    experiment, signer = experiment_of(architecture, scenario, runs, seed, fleet_size, without, workflow), trust.signer_of(key, adopts=adopt)
+    experiment = experiment_of(architecture, scenario, runs, seed, fleet_size, without, workflow, (teams_working, task_sets))
+    signer = trust.signer_of(key, adopts=adopt)
     with Progress("simulated", "batches") as progress:
-        head = run_experiment(out, experiment, workers_of(workers), progress, signer, trust.origin_of(origin), adopts=adopt)
-    lines = [f"{out}: {head.size:,} events in {head.commits:,} commits", f"root {head.root}", *trust.signed_lines(out, signer)]
-    _show(json_text(head, {"ledger": str(out), "commits": head.commits}) if as_json else printable.lines(*lines))
+        made = carry_out(out, experiment, workers_of(workers), progress, signer, trust.origin_of(origin), adopts=adopt)
+    _show(simulated_text(out, made, trust.signed_lines(out, signer), as_json=as_json))
 
 
 @app.command(epilog=examples("fsar-ledger info out/ledger", "fsar-ledger info out/ledger --json"))
@@ -128,20 +135,20 @@ def simulate(
 def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: JsonOption = False) -> None:
     """Show what a ledger holds, and whether it is complete.
 
-    Its head, its runs by seed, fleet size, architecture and configuration, and (with --json) the parameters of its worlds.
+    Its head, what was planned and what of it is there, its runs by model, seed, fleet size, architecture and configuration, and (with --json) the
+    parameters of its worlds. Without a plan on record nothing says what is missing.
     """
     from .commands.contents import contents
     from .commands.output import json_text, table_text
 
     head, found = contents(ledger, verified=verified)
     if as_json:
-        answer = {"groups": found.groups, "models": found.models, "runs": found.run_count, "is_complete": found.is_complete}
-        _show(json_text(head, {"ledger": str(ledger), "commits": head.commits, **answer}, found.rows_verified))
+        _show(json_text(head, {"ledger": str(ledger), "commits": head.commits, **found.answer()}, found.rows_verified))
         return
     standing = "" if found.rows_verified else " (the rows were not compared with it)"
     _show(printable.lines(f"{ledger}: {head.size:,} events in {head.commits:,} commits", f"root {head.root}{standing}", *found.summary()))
-    if found.groups:
-        _show(printable.joined(printable.line(""), table_text(found.groups, list(found.groups[0]))))
+    if rows := found.rows():
+        _show(printable.joined(printable.line(""), table_text(rows, list(rows[0]))))
 
 
 app.command(epilog=judging.METRICS)(reading(judging.metrics))
@@ -344,7 +351,7 @@ def reproduce(
 def run(arguments: Sequence[str]) -> int:
     """The command has run; returns its exit code. What a user can cause is one message on stderr, never a traceback."""
     try:
-        _require_text(arguments)
+        require_text(arguments)
         code = typer.main.get_command(app).main(
             args=list(arguments) or ["--help"], prog_name="fsar-ledger", standalone_mode=False, obj=lambda: int(time.time())
         )
@@ -370,10 +377,3 @@ def run(arguments: Sequence[str]) -> int:
     if code == INTERRUPTED:
         _say(f"interrupted; {AFTER_INTERRUPTION.get(next(iter(arguments), ''), 'nothing was changed')}")
     return code if isinstance(code, int) else 0
-
-
-def _require_text(arguments: Sequence[str]) -> None:
-    """Raises: UsageError if an argument, perhaps a path, is not UTF-8: neither DuckDB nor JSON can name it."""
-    for argument in arguments:
-        if argument.encode("utf-8", "replace").decode() != argument:
-            raise UsageError(f"{argument}: found bytes that are not UTF-8, expected UTF-8 in every path and option; give it another name")

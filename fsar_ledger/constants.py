@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import msgspec
 
 _T = TypeVar("_T")
+END_US = 1_800_000_000  # run time: no fact of the world is later, and no task is open longer [chosen]
 MAX_LEVELS = 16
 """Of nesting in recorded parameters; those of this model take five."""
 
@@ -57,6 +58,10 @@ class WorldConstants(msgspec.Struct, frozen=True):
     degradation_onset_s: float = 10.0  # onset uniform from 0 [chosen]
     degraded_reliability: float = 0.6  # success of an attempt with a degraded actuator [paper]
     encounter_mean_s: float = 90.0  # time between encounters of a pair of robots, exponential [chosen]
+    floor_teams: int = 4  # teams that share a floor; a larger fleet spreads over floors, and robots of different floors never meet [chosen]
+    # Each robot of another team on its floor is in a robot's way this often: they come within some 10 m of each other every `encounter_mean_s`,
+    # and within the 0.7 m that a passing robot keeps free beside itself in 7 % of those encounters. It lasts as any obstruction does. [chosen]
+    crowding_rate_per_s: float = 0.0008
     durations: tuple[tuple[str, Range], ...] = DURATIONS
     message: Range = Range(0.05, 0.5)  # latency of a message between principals [paper]
     approach: Range = Range(3.0, 8.0)  # a delegated executor first moves to the place [chosen]
@@ -107,6 +112,28 @@ class Structure(msgspec.Struct, frozen=True):
     renegotiation_us: int = 4_530_000  # replanning a delegated action takes this much more [calibrated]
 
 
+class Outages(msgspec.Struct, frozen=True):
+    """What else may happen to robots and their links, whoever governs them. Rates are per robot and second in which it is on, or linked; all are [chosen].
+
+    The paper injects none of these, so the group is absent by default, and no published number rests on it.
+    """
+
+    off_rate_per_s: float = 0.0  # robots that go off, exponential time until then
+    off_mean_s: float = 30.0  # how long they are off, exponential
+    link_rate_per_s: float = 0.0  # links that go down, exponential time until then
+    link_mean_s: float = 10.0  # how long they are down, exponential
+    loss_rate_per_s: float = 0.0  # actuators that are lost until they are serviced, Poisson
+    from_s: float = 0.0  # none of these before then
+
+
+class Load(msgspec.Struct, frozen=True):
+    """How much there is to do. Without it every team has the tasks of its scenario, once."""
+
+    teams_working: int | None = None  # teams 1 to this have tasks and routine; the others stand by and can be asked; None: all
+    task_sets: int = 1  # how often each of them gets the tasks of the scenario
+    interval_s: float = 30.0  # from one set to the next [chosen]
+
+
 class Constants(msgspec.Struct, frozen=True):
     """All constants of a run, as `RunStarted.parameters` holds them.
 
@@ -116,12 +143,20 @@ class Constants(msgspec.Struct, frozen=True):
 
     world: WorldConstants = WorldConstants()
     structure: Structure = Structure()
+    outages: Outages | None = None
+    load: Load | None = None
 
 
 def write_constants(constants: Constants) -> str:
-    """Return the constants as `RunStarted.parameters` holds them: JSON in the order of the fields, without absent groups."""
+    """Return the constants as `RunStarted.parameters` holds them: JSON in the order of the fields, without absent groups.
+
+    Raises:
+        BadParameters: JSON has no word for one of them, as for a length without end; a very long one does as well.
+    """
     groups = {name: group for name in constants.__struct_fields__ if (group := getattr(constants, name)) is not None}
-    return msgspec.json.encode(groups).decode()
+    text = msgspec.json.encode(groups).decode()
+    read_constants(text)
+    return text
 
 
 class BadParameters(ValueError):

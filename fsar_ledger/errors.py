@@ -4,6 +4,7 @@
 FsarLedgerError            every error that a user can meet          exit code
 ├── UsageError             what was asked for does not make sense    2
 │   ├── InvalidExperiment      unknown or impossible parameters
+│   ├── InvalidRun             a run that no ledger may hold; also a ValueError
 │   ├── UnknownQuery           no query of that name
 │   ├── QueryFailed            SQL or its parameters are wrong
 │   ├── LimitReached           more memory is needed than was allowed
@@ -37,6 +38,10 @@ class UsageError(FsarLedgerError):
 
 class InvalidExperiment(UsageError):
     """Unknown or impossible parameters of an experiment."""
+
+
+class InvalidRun(UsageError, ValueError):
+    """A run that `verify` would condemn, or no reader take; it was not written."""
 
 
 class UnknownQuery(UsageError):

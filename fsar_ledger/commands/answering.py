@@ -30,6 +30,14 @@ def answering(ledger: Path, *, verified: bool) -> Iterator["Database"]:
         warn(ledger, rows_verified=bool(database.rows_verified))
 
 
+def warn_of_missing(ledger: Path, database: "Database") -> None:
+    """One line on stderr if runs that were planned are missing: what was judged is not the experiment."""
+    from fsar_ledger.metrics.plans import completeness
+
+    if (found := completeness(database).warning()) is not None:
+        say(f"{ledger}: {found}; `fsar-ledger info {ledger}` says how to go on")
+
+
 def demanded_head(ledger: Path, *, verified: bool) -> str | None:
     """The newest record whose rows are compared with its root, remembered or by a whole look now, if that is demanded.
 

@@ -1,4 +1,8 @@
-"""What a ledger holds, in short: which worlds met which architectures, and what is missing for a fair comparison."""
+"""What a ledger holds, in short: what was planned and what of it is there, which worlds met which architectures.
+
+A plan that is on record says what is missing. Where there is none (live runs, ledgers from before plans were recorded) nothing in a ledger does:
+then the shape of what is there is told, and never that it is complete.
+"""
 
 from pathlib import Path
 from typing import Any
@@ -6,56 +10,78 @@ from typing import Any
 import msgspec
 
 from fsar_ledger import printable
-from fsar_ledger.ledger.read import Head
-from fsar_ledger.metrics.models import models
+from fsar_ledger.ledger.read import Head, open_ledger
+from fsar_ledger.metrics.models import Model, differing, models
 
 from .answering import answering
+from .plans import Shown, plans, shape
 
-# Grain: one row per seed, fleet size, architecture and configuration.
-# A scenario was meant to have the runs 0 to the highest run number that its seed and fleet size have in this ledger.
+# Grain: one row per model (kind of run, model version, constants), seed, fleet size, architecture and configuration; NULL where runs have none.
+# A rectangle has, for each scenario of its model, seed and fleet size, all runs from 0 to the highest number there; runs without a number make none.
 GROUPS = """
-WITH meant AS (
-    SELECT
-        seed,
-        fleet_size,
-        count(DISTINCT scenario)::HUGEINT * (max(run)::HUGEINT + 1) AS run_count
-    FROM runs
-    GROUP BY seed, fleet_size
+WITH sizes AS (
+    SELECT run_id, count(*) AS event_count FROM events GROUP BY run_id
 ),
 
-sizes AS (
-    SELECT run_id, count(*) AS event_count FROM events GROUP BY run_id
+planned AS (
+    SELECT DISTINCT run_id FROM planned_runs
+),
+
+groups AS (
+    SELECT
+        runs.kind,
+        runs.model_version,
+        runs.parameters_sha256,
+        runs.seed,
+        runs.fleet_size,
+        runs.architecture,
+        runs.configuration,
+        coalesce(list(DISTINCT runs.scenario) FILTER (runs.scenario IS NOT NULL), []) AS scenarios,
+        max(runs.run) AS last,
+        count(DISTINCT (runs.scenario, runs.run)) FILTER (runs.scenario IS NOT NULL AND runs.run IS NOT NULL) AS numbered,
+        count(*) AS runs,
+        count(*) FILTER (planned.run_id IS NULL) AS runs_unplanned,
+        sum(sizes.event_count)::BIGINT AS events
+    FROM runs
+    INNER JOIN sizes ON runs.run_id = sizes.run_id
+    LEFT JOIN planned ON runs.run_id = planned.run_id
+    GROUP BY runs.kind, runs.model_version, runs.parameters_sha256, runs.seed, runs.fleet_size, runs.architecture, runs.configuration
 )
 
 SELECT
-    runs.seed,
-    runs.fleet_size,
-    runs.architecture,
-    runs.configuration,
-    count(DISTINCT runs.scenario) AS scenarios,
-    count(*) AS runs,
-    any_value(meant.run_count) - count(*) AS runs_missing,
-    sum(sizes.event_count)::BIGINT AS events
-FROM runs
-INNER JOIN meant ON runs.seed = meant.seed AND runs.fleet_size = meant.fleet_size
-INNER JOIN sizes ON runs.run_id = sizes.run_id
-GROUP BY runs.seed, runs.fleet_size, runs.architecture, runs.configuration
-ORDER BY runs.seed, runs.fleet_size, runs.architecture, runs.configuration
+    kind,
+    model_version,
+    parameters_sha256,
+    seed,
+    fleet_size,
+    architecture,
+    configuration,
+    len(scenarios) AS scenarios,
+    runs,
+    runs_unplanned,
+    len(list_distinct(flatten(list(scenarios) OVER world)))::HUGEINT * (max(last) OVER world + 1)::HUGEINT - numbered AS runs_to_rectangle,
+    events
+FROM groups
+WINDOW world AS (PARTITION BY kind, model_version, parameters_sha256, seed, fleet_size)
+ORDER BY ALL
 """
-
 
 MODELS = 5
 """So many models are named to people; a ledger of one simulation has one."""
 
+COLUMNS = ("model", "seed", "fleet_size", "architecture", "configuration", "scenarios", "runs", "runs_unplanned", "runs_to_rectangle", "events")
+"""Of `groups`, what people are shown."""
+
 
 class Contents(msgspec.Struct, frozen=True):
-    """The runs of a ledger: `groups` by seed, fleet size, architecture and configuration; `models` by model version and parameters.
+    """The runs of a ledger: `groups` by model, seed, fleet size, architecture and configuration; `models` numbered from 1; `plans` by what they name.
 
     `rows_verified` is that of the `Database` they come from.
     """
 
     groups: list[dict[str, Any]]
     models: list[dict[str, Any]]
+    plans: list[dict[str, Any]]
     rows_verified: bool | None = None
 
     @property
@@ -64,29 +90,116 @@ class Contents(msgspec.Struct, frozen=True):
         return sum(group["runs"] for group in self.groups)
 
     @property
-    def is_complete(self) -> bool:
-        """Whether every group has every run of every scenario that its worlds have; an empty ledger is not complete."""
-        return bool(self.groups) and not any(group["runs_missing"] for group in self.groups)
+    def unplanned(self) -> dict[str, int]:
+        """How many runs no plan names, by kind."""
+        found: dict[str, int] = {}
+        for group in self.groups:
+            found[group["kind"]] = found.get(group["kind"], 0) + group["runs_unplanned"]
+        return {kind: count for kind, count in found.items() if count}
+
+    @property
+    def is_complete(self) -> bool | None:
+        """Whether every run of every plan is there; None where that says nothing of some run, or there is no plan."""
+        if any(plan["missing_count"] for plan in self.plans):
+            return False
+        return None if self.unplanned or not self.plans else True
+
+    def answer(self) -> dict[str, object]:
+        """All of it, for programs."""
+        return {
+            "groups": self.groups,
+            "models": self.models,
+            "plans": self.plans,
+            "runs": self.run_count,
+            "runs_unplanned": self.unplanned,
+            "is_complete": self.is_complete,
+        }
 
     def summary(self) -> list[str]:
-        """One or two lines for people; the parameters are too many for that."""
-        if not self.groups:
-            return ["no runs yet"]
-        missing = sum(group["runs_missing"] for group in self.groups)
-        state = "complete" if self.is_complete else f"not complete ({missing:,} missing; the `simulate` that began this ledger continues it)"
-        models = "; ".join(f"{printable.value(model['kind'])}, model {printable.value(model['model_version'])}" for model in self.models[:MODELS])
-        more = f"; and {len(self.models) - MODELS:,} more, --json names all" if len(self.models) > MODELS else ""
-        return [f"{self.run_count:,} runs, {state}", f"{models}{more}"]
+        """Some lines for people; the parameters are too many for that."""
+        return [*self._standing(), *self._unfinished(), *self._enlarged(), *self._unlike(), *self._models()]
+
+    def _standing(self) -> list[str]:
+        runs = f"{self.run_count:,} runs"
+        if not self.plans:
+            nothing = "no plan is on record, so nothing says whether they are all that was meant"
+            return [f"{runs}; {nothing}" if self.groups else "no runs yet, and no plan on record"]
+        of_plans = "not complete" if self.is_complete is False else "complete: all that was planned is there"
+        if not self.unplanned:
+            return [f"{runs}, {of_plans}"]
+        kinds = ", ".join(f"{count:,} {printable.value(kind)}" for kind, count in self.unplanned.items())
+        return [f"{runs}", f"planned runs: {of_plans}", f"other runs: {kinds}; no plan names them, so nothing says whether they are all that was meant"]
+
+    def _unfinished(self) -> list[str]:
+        """A line for each plan that lacks runs, but for those that a larger one covers."""
+        lines = []
+        for plan in self.plans:
+            if plan["missing_count"] and not plan["larger_plans"]:
+                of_plan = f"{plan['there_count']:,} of {plan['planned_count']:,} runs of {shape(plan)}"
+                further = f"go on with: {plan['continues_with']}" if plan["continues_with"] else "go on with the version and the constants that began it"
+                lines.append(f"interrupted, or still at work: {of_plan}; {further}")
+        return lines
+
+    def _enlarged(self) -> list[str]:
+        smaller = sum(bool(plan["larger_plans"]) for plan in self.plans)
+        if not smaller:
+            return []
+        of_all = f"{smaller:,} of {len(self.plans):,} plans {'is' if smaller == 1 else 'are'} part of a larger one"
+        return [f"enlarged: {of_all}; runs, run ids and metrics are as if it had been planned so large at once, the root is not"]
+
+    def _unlike(self) -> list[str]:
+        """What can be said of the shape, where no plan says what is missing: for a comparison, and where there is no plan."""
+        if self.is_complete is False:
+            return []
+        measured = [group["runs_to_rectangle"] for group in self.groups if group["runs_to_rectangle"] is not None]
+        missing = sum(measured)
+        if missing:
+            return [f"not a rectangle: {missing:,} runs less than if each group had all runs of all scenarios of its model, seed and fleet size"]
+        return ["a rectangle: each group has all runs of all scenarios of its model, seed and fleet size"] if measured and not self.plans else []
+
+    def _models(self) -> list[str]:
+        lines = []
+        for model in self.models[:MODELS]:
+            version = model["model_version"]
+            about = f"{printable.value(model['kind'])}, {'no model' if version is None else f'model {printable.value(version)}'}"
+            others = ", ".join(map(printable.value, model["differs_in"][:MODELS])) + (", ..." if len(model["differs_in"]) > MODELS else "")
+            unlike = f", other constants than model 1: {others}" if others and model["parameters"] else ""
+            lines.append(about if len(self.models) == 1 else f"model {model['number']}: {about}, {model['runs']:,} runs{unlike}")
+        more = len(self.models) - MODELS
+        return [*lines, f"and {more:,} more, --json names all"] if more > 0 else lines
+
+    def rows(self) -> list[dict[str, Any]]:
+        """The groups as people are shown them: only columns that say something."""
+        is_dull = {"model": len(self.models) == 1, "runs_unplanned": not self.plans or not self.unplanned}
+        return [{name: group[name] for name in COLUMNS if not is_dull.get(name)} for group in self.groups]
 
 
 def contents(ledger: Path, *, verified: bool = False) -> tuple[Head, Contents]:
-    """The head of the ledger and its runs, counted by SQL.
+    """The head of the ledger, its plans and its runs, counted by SQL.
 
     Raises:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `answering`, and `models`.
     """
     with answering(ledger, verified=verified) as database:
         assert database.head is not None  # only a database over rows in memory has none
-        found = sorted(models(database), key=lambda one: (-one.runs, one.model_version, one.text))
-        shown = [{"kind": one.kind, "model_version": one.model_version, "parameters": one.parameters, "runs": one.runs} for one in found]
-        return database.head, Contents(groups=database.rows(GROUPS), models=shown, rows_verified=database.rows_verified)
+        found = sorted(models(database), key=lambda one: (-one.runs, one.model_version or "", one.text or ""))
+        numbers = {(one.kind, one.model_version, one.sha256): number for number, one in enumerate(found, 1)}
+        groups = [{"model": numbers[row["kind"], row["model_version"], row["parameters_sha256"]], **row} for row in database.rows(GROUPS)]
+        shown = plans(database, Shown(ledger, open_ledger(ledger)))
+        return database.head, Contents(groups, _numbered(found), shown, database.rows_verified)
+
+
+def _numbered(found: list[Model]) -> list[dict[str, Any]]:
+    """The models, each with the names of the constants in which it differs from the first."""
+    return [
+        {
+            "number": number,
+            "kind": one.kind,
+            "model_version": one.model_version,
+            "parameters": one.parameters,
+            "parameters_sha256": one.sha256,
+            "runs": one.runs,
+            "differs_in": differing(found[0].parameters, one.parameters),
+        }
+        for number, one in enumerate(found, 1)
+    ]

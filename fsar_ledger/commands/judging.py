@@ -41,7 +41,7 @@ def metrics(
     """
     from fsar_ledger.metrics.results import metric_rows
 
-    from .answering import answering
+    from .answering import answering, warn_of_missing
     from .output import answer_text, plain
 
     if by not in (None, "scenario"):
@@ -53,6 +53,7 @@ def metrics(
         chosen = [{name: row[name] for name in columns} for row in rows]
         shown = columns if as_json or as_csv else _telling(chosen)
         show(answer_text(database.head, chosen, shown, rows_verified=database.rows_verified, as_json=as_json, as_csv=as_csv, raw=raw), raw=raw)
+        warn_of_missing(ledger, database)
 
 
 def _telling(rows: "Sequence[Row]") -> list[str]:
@@ -74,7 +75,7 @@ def statistics(
     architectures, or over those of all ablations. Runs that did not meet the same world are named first, and left out: exit code 1 where facts differ
     that an experiment makes alike. What cannot be compared is said, and why.
     """
-    from .answering import answering
+    from .answering import answering, warn_of_missing
     from .comparing import compared
     from .output import check_form, csv_text, json_text, table_text
 
@@ -92,5 +93,6 @@ def statistics(
             table = table_text(found.rows, _telling(found.rows)) if found.rows else printable.lines()
             above, below = [*found.before, *([""] if found.before and found.rows else [])], ["", *found.after] if found.after else []
             show(printable.joined(printable.lines(*above), table, printable.lines(*below)))
+        warn_of_missing(ledger, database)
     if any(one.is_fault for one in found.differing):
         raise typer.Exit(1)

@@ -4,7 +4,7 @@ import os
 from collections.abc import Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -17,9 +17,7 @@ if TYPE_CHECKING:
 _Name = TypeVar("_Name", bound=str)
 
 LedgerArgument = Annotated[Path, typer.Argument(metavar="LEDGER", help="The folder of a ledger.", show_default=False)]
-NewLedgerArgument = Annotated[
-    Path, typer.Argument(metavar="OUT", help="The folder of the ledger: new, or one that the same command began.", show_default=False)
-]
+NewLedgerArgument = Annotated[Path, typer.Argument(metavar="OUT", help="The folder of the ledger: new, or one to continue or to enlarge.", show_default=False)]
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer as JSON, with the head (size, root) of the ledger.")]
 CsvOption = Annotated[bool, typer.Option("--csv", help="Answer as comma-separated values.")]
 RawOption = Annotated[bool, typer.Option("--raw", help="In CSV give text as it is, with control characters, and what a spreadsheet reads as a formula.")]
@@ -102,6 +100,11 @@ WorkflowOption = Annotated[
         show_default=False,
     ),
 ]
+FleetSizeOption = Annotated[int, typer.Option("--fleet-size", metavar="N", help="Robots; a multiple of 4, teams of four roles.")]
+TeamsWorkingOption = Annotated[
+    int | None, typer.Option("--teams-working", metavar="N", help="Teams that have tasks; the others stand by and can be asked.", show_default="all")
+]
+TaskSetsOption = Annotated[int, typer.Option("--task-sets", metavar="N", help="How often each team that works gets the tasks of its scenario, 30 s apart.")]
 RunsOption = Annotated[int | None, typer.Option(metavar="N", help="Runs per scenario (or workflow) and architecture.", show_default="20; with --workflow, 1")]
 RunOption = Annotated[
     str | None, typer.Option("--run", metavar="RUN", help="A run, or the beginning of its name: the first such run.", show_default="the first run")
@@ -167,17 +170,22 @@ def experiment_of(
     fleet_size: int,
     without: list[str] | None,
     workflows: list[str] | None = None,
+    load: tuple[int | None, int] = (None, 1),
 ) -> "Experiment":
     """The experiment that the options of `simulate` name; the ablations are FSAR's, so with them the default architecture is FSAR alone.
+
+    `load` is how many teams work (None: all), and how many sets of tasks each of them gets.
 
     Raises:
         InvalidExperiment: a name is unknown, or a number impossible.
         UsageError: a workflow was asked for together with what it does not have.
     """
     if workflows:
-        return _workflows_of(workflows, runs, seed, {"--scenario": scenarios, "--without": without}, architectures, fleet_size)
+        others = {"--scenario": scenarios, "--without": without, "--teams-working": load[0], "--task-sets": load[1] if load[1] != 1 else None}
+        return _workflows_of(workflows, runs, seed, others, architectures, fleet_size)
     from typing import get_args
 
+    from fsar_ledger.constants import Constants, Load
     from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
     from fsar_ledger.runtime.experiment import Experiment
 
@@ -191,12 +199,11 @@ def experiment_of(
         runs=RUNS if runs is None else runs,
         seed=seed,
         fleet_size=fleet_size,
+        constants=Constants() if load in ((None, 1), (fleet_size // 4, 1)) else Constants(load=Load(*load)),
     )
 
 
-def _workflows_of(
-    asked: list[str], runs: int | None, seed: int, others: dict[str, list[str] | None], architectures: list[str] | None, fleet_size: int
-) -> "Experiment":
+def _workflows_of(asked: list[str], runs: int | None, seed: int, others: dict[str, Any], architectures: list[str] | None, fleet_size: int) -> "Experiment":
     """The workflows that were asked for: FSAR's, with one robot of each role, and nothing beside them."""
     from typing import get_args
 
@@ -204,8 +211,9 @@ def _workflows_of(
     from fsar_ledger.runtime.experiment import workflow_experiment
 
     for option, found in others.items():
-        if found:
-            raise UsageError(f"--workflow and {option} {found[0]}: expected one or the other")
+        if found is not None and found != []:
+            shown = found[0] if isinstance(found, list) else found
+            raise UsageError(f"--workflow and {option} {shown}: expected one or the other")
     for name in architectures or ():
         if name != "fsar":
             raise UsageError(f"--workflow and --architecture {name}: expected fsar; the workflows are FSAR's")
@@ -273,3 +281,10 @@ def parameters_of(pairs: Sequence[str] | None) -> dict[str, str]:
             raise QueryFailed(f"--param {pair!r}: {name} already has the value {values[name]!r}, expected one value for each name")
         values[name] = value
     return values
+
+
+def require_text(arguments: Sequence[str]) -> None:
+    """Raises: UsageError if an argument, perhaps a path, is not UTF-8: neither DuckDB nor JSON can name it."""
+    for argument in arguments:
+        if argument.encode("utf-8", "replace").decode() != argument:
+            raise UsageError(f"{argument}: found bytes that are not UTF-8, expected UTF-8 in every path and option; give it another name")

@@ -92,6 +92,15 @@ class ExecutionPaused(Event, frozen=True):
     remaining_us: int
 
 
+class ExecutionHalted(Event, frozen=True):
+    """The robot went off while it executed; the rest goes on when it is back. Units: `remaining_us` microseconds of execution left."""
+
+    task_id: str
+    action_id: str
+    robot: str
+    remaining_us: int
+
+
 class ExecutionPreempted(Event, frozen=True):
     """A request of a higher override level has taken the robot; this action goes on after it. Paper: eq:override.
 
@@ -204,6 +213,7 @@ ExecutionEvent = (
     | ExecutionHeld
     | ExecutionStarted
     | ExecutionPaused
+    | ExecutionHalted
     | ExecutionPreempted
     | ReplanOrdered
     | ExecutionResumed

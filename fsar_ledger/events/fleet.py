@@ -31,6 +31,7 @@ class RobotJoined(Event, frozen=True):
     """A robot is part of the fleet, under its own supervisor H_i, if it has one. Paper: eq:fleet, eq:runtime.
 
     `domain` is the path of the registry that the robot advertises in (`hall/cell`); empty is the fleet's own.
+    `place` is where it works (`floor/2`): robots meet, and are in each other's way, where they are; None: the fleet has one place.
     """
 
     robot: str
@@ -38,6 +39,7 @@ class RobotJoined(Event, frozen=True):
     team: int
     supervisor: str | None
     domain: str = ""
+    place: str | None = None
 
 
 FleetEvent = RunStarted | RobotJoined

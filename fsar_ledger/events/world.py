@@ -72,6 +72,30 @@ class ActuatorDegraded(Event, frozen=True):
     grade: Grade = "unreliable"
 
 
+class RobotWentOff(Event, frozen=True):
+    """The robot is off from now on: it executes, hears, decides and answers nothing; what it was at stops, and goes on when it is back."""
+
+    robot: str
+
+
+class RobotCameBack(Event, frozen=True):
+    """The robot is on again."""
+
+    robot: str
+
+
+class LinkWentDown(Event, frozen=True):
+    """No message reaches or leaves the robot from now on; it goes on by itself. What is sent meanwhile waits."""
+
+    robot: str
+
+
+class LinkCameUp(Event, frozen=True):
+    """Messages reach and leave the robot again."""
+
+    robot: str
+
+
 class SupervisorLeft(Event, frozen=True):
     """The local supervisor is off shift from now on."""
 
@@ -135,6 +159,10 @@ WorldEvent = (
     | ObstructionAppeared
     | ObstructionCleared
     | ActuatorDegraded
+    | RobotWentOff
+    | RobotCameBack
+    | LinkWentDown
+    | LinkCameUp
     | SupervisorLeft
     | SupervisorReturned
     | RoutineDue

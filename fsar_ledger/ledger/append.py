@@ -20,13 +20,14 @@ from types import TracebackType
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger.errors import NotALedger, SequenceConflict, UsageError, WriteFailed
+from fsar_ledger.errors import InvalidRun, NotALedger, SequenceConflict, UsageError, WriteFailed
 from fsar_ledger.ledger import canonical, disk, segment
-from fsar_ledger.ledger.bounds import MAX_ROWS, MAX_SEGMENT_BYTES, MAX_TEXT_BYTES, text_bytes
-from fsar_ledger.ledger.check import unprintable
+from fsar_ledger.ledger.bounds import MAX_NAME_BYTES, MAX_ROWS, MAX_SEGMENT_BYTES, MAX_TEXT_BYTES, text_bytes
+from fsar_ledger.ledger.check import disordered, unprintable
 from fsar_ledger.ledger.codec import RunRecord, encode_hashed
 from fsar_ledger.ledger.derived import catch_up, check_folders, write_derived
-from fsar_ledger.ledger.layout import read_layout
+from fsar_ledger.ledger.held import HeldRuns, runs_of
+from fsar_ledger.ledger.layout import read_file, read_layout
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.note import Note, Signer, VerifierKey, checkpoint_of, is_name
 from fsar_ledger.ledger.place import is_unfinished, require_outside
@@ -47,6 +48,7 @@ from fsar_ledger.ledger.record import (
     staged_path,
 )
 from fsar_ledger.ledger.releases import RELEASE
+from fsar_ledger.ledger.runs import Flaw, refusal
 from fsar_ledger.ledger.schema import FINGERPRINT
 from fsar_ledger.ledger.tiles import Tile
 from fsar_ledger.ledger.verify_notes import doubt
@@ -73,20 +75,22 @@ def stage(ledger: Path, runs: Sequence[RunRecord]) -> Staged:
     removes what is staged and not committed. The same runs give the same file.
 
     Raises:
-        ValueError: There are no runs, or more than one commit may hold (see `bounds`), or one of them cannot be encoded (see `codec.encode`)
-            or has a name that cannot be printed (see `check.unprintable`).
+        InvalidRun: There are no runs, or more than one commit may hold (see `bounds`), or one of them cannot be encoded (see `codec.encode`),
+            has a name that cannot be printed (see `check.unprintable`) or events in another order (see `check.disordered`). Nothing was written.
         WriteFailed: The disk refused; nothing is left behind.
     """
     if not runs:
-        raise ValueError("found no runs to stage, expected at least 1")
+        raise InvalidRun("found no runs to stage, expected at least 1")
     table, leaves = encode_hashed(runs)
     if flaw := unprintable(table):
-        raise ValueError(f"{flaw}; give it another name")
+        raise InvalidRun(f"{flaw}; give it another name")
+    if flaw := disordered(table):
+        raise refusal(flaw)
     return stage_rows(ledger, runs, table, leaves)
 
 
 def stage_rows(ledger: Path, runs: Sequence[RunRecord], table: pa.Table, leaves: bytes) -> Staged:
-    """As `stage`, of runs that were encoded, whatever their names; what 0.1.0 staged. Raises: as `stage`."""
+    """As `stage`, of runs that were encoded, whatever their names and their order; what 0.1.0 staged. Raises: as `stage`."""
     data = segment.to_parquet(table)
     for found, most, what in (
         (table.num_rows, MAX_ROWS, "events"),
@@ -94,11 +98,14 @@ def stage_rows(ledger: Path, runs: Sequence[RunRecord], table: pa.Table, leaves:
         (text_bytes(table), MAX_TEXT_BYTES, "bytes of text"),
     ):
         if found > most:
-            raise ValueError(f"found {found} {what} in {len(runs)} runs, expected at most {most} in one commit; commit fewer runs at once")
+            raise InvalidRun(f"found {found} {what} in {len(runs)} runs, expected at most {most} in one commit; commit fewer runs at once")
+    for run in runs:
+        if len(run.run_id.encode()) > MAX_NAME_BYTES:
+            raise refusal(Flaw(-1, run.run_id, 0, "run_id", f"a name of {len(run.run_id.encode())} bytes", f"at most {MAX_NAME_BYTES}"))
     try:
         read_layout(data.to_pybytes())
     except ValueError as error:
-        raise ValueError(f"found {error} in a segment of {len(runs)} runs, so no reader would take it; commit fewer runs at once") from error
+        raise InvalidRun(f"found {error} in a segment of {len(runs)} runs, so no reader would take it; commit fewer runs at once") from error
     staged = Staged(sha256_hex(data), data.size, table.num_rows, runs[0].run_id, runs[-1].run_id, leaves)
     path = staged_path(ledger, staged.segment_sha256)
     with disk.refusals(path, "writing a segment"):
@@ -126,6 +133,8 @@ class Writer:
             raise UsageError(
                 f"found a key named {signer.verifier.name}, expected {origin}, the ledger's origin; make one with fsar-ledger key new FILE --name {origin}"
             )
+        if len(origin.encode(errors="replace")) > MAX_NAME_BYTES:
+            raise ValueError(f"found an origin of {len(origin)} characters, expected at most {MAX_NAME_BYTES} bytes")
         if not is_name(origin):
             raise ValueError(f"found origin {origin!r}, expected a printable name without spaces and plus signs")
         if not os.path.lexists(ledger / MANIFEST):
@@ -154,6 +163,8 @@ class Writer:
         self._path, self._origin, self._signer, self._head = ledger, origin, signer, view.head
         self._last = view.records[-1] if view.records else None
         self._previous = sha256_hex(canonical.document(self._last)) if self._last else view.manifest_sha256
+        self._opened = view
+        self._held: HeldRuns | None = None  # read when the first batch is appended
         self._is_broken = False
 
     @property
@@ -177,6 +188,7 @@ class Writer:
         """The staged segment is part of the ledger, durably. Appending the newest segment once more changes nothing.
 
         Raises:
+            InvalidRun: The ledger holds one of the runs; what was staged is gone, and the ledger as it was.
             SequenceConflict: Another writer took the number, or has gone on after the same commit; open the ledger again and append what it lacks.
             LedgerCorrupted: A folder of the tiles is a link.
             WriteFailed: The disk refused. The ledger is as it was, unless the message says otherwise.
@@ -187,6 +199,12 @@ class Writer:
             disk.remove(staged_path(self._path, staged.segment_sha256))
             return self._head
         number = self._head.commits
+        if number >= disk.MAX_NAMES:
+            raise WriteFailed(f"{self._path}: found {number} commits, expected at most {disk.MAX_NAMES}; begin another ledger")
+        if self._held is None:
+            self._held = HeldRuns(self._opened)
+        held = self._held
+        runs = self._new_runs(staged, held)
         edge, tiles = self._edge.extend(staged.leaves)
         check_folders(self._path, tiles)
         record = self._record(staged, number, edge.frontier())
@@ -199,7 +217,29 @@ class Writer:
         self._is_broken = False
         self._last, self._edge, self._previous = record, edge, sha256_hex(data)
         self._head = Head(number + 1, edge.size, record.tree_root, record.last_run)
+        held.add(number, segment_path(self._path, number), staged.rows, runs)
         return self._head
+
+    def _new_runs(self, staged: Staged, held: HeldRuns) -> list[str] | None:
+        """The runs of what was staged, none of which the ledger holds; None if it is there no more, as where another writer made this very commit.
+
+        Raises:
+            InvalidRun, LedgerCorrupted, WriteFailed: As `append`.
+        """
+        path = staged_path(self._path, staged.segment_sha256)
+        with disk.refusals(path, "reading what was staged"):
+            try:
+                data = read_file(path)
+            except FileNotFoundError:
+                return None
+        if sha256_hex(data) != staged.segment_sha256 or len(data) != staged.segment_bytes or staged.rows * HASH_BYTES != len(staged.leaves):
+            raise WriteFailed(f"{path}: found another file than was staged, expected {staged.segment_bytes} bytes of that SHA-256; stage it again")
+        runs = runs_of(path, staged.rows, data)
+        if (again := held.first_of(runs)) is not None:
+            disk.remove(path)
+            run, number = again
+            raise refusal(Flaw(-1, run, 0, "run_id", f"a run that commit {number} holds", "each run in one commit"))
+        return runs
 
     def _record(self, staged: Staged, number: int, tree: Frontier) -> CommitRecord:
         checkpoint = checkpoint_of(self._origin, tree)

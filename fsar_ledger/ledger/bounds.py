@@ -24,6 +24,8 @@ MAX_PAGES = 1 << 10
 """Of one column: pyarrow begins a new page after 20,000 rows or 1 MiB."""
 MAX_BOUND_BYTES = 1 << 12
 """A longer `run_id` is no bound in statistics."""
+MAX_NAME_BYTES = MAX_BOUND_BYTES
+"""Of the `run_id` of a new run and the origin of a new ledger, which stand in every record, and a record is a small file."""
 
 
 def text_bytes(table: pa.Table) -> int:

@@ -2,35 +2,18 @@
 
 from typing import TypeAlias
 
-import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from fsar_ledger import printable
-from fsar_ledger.ledger.arrow import Mask, coded, places, validity, whole
-from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, ENVELOPE, MAX_INTEGER, PAYLOAD, SCHEMA, STANDS_ALONE, STORED, Field
+from fsar_ledger.ledger.arrow import Mask, coded, numbers, places, validity, whole
+from fsar_ledger.ledger.runs import Flaw
+from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, ENVELOPE, MAX_INTEGER, OPENINGS, PAYLOAD, SCHEMA, STANDS_ALONE, STORED, Field
 
 Integers: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 
 _TAGS = tuple(STORED)
 _UNKNOWN = len(_TAGS)  # the code of every type that is not in STORED
-
-
-class Flaw(msgspec.Struct, frozen=True):
-    """The first thing that is wrong with some rows. `row` counts from 0 within the table; -1 is the table as a whole."""
-
-    row: int
-    run: str | None
-    seq: int | None
-    field: str | None
-    found: str
-    expected: str
-
-    def __str__(self) -> str:
-        place = [f"run {printable.value(self.run)}, seq {self.seq}"] if self.run is not None else []
-        place += [f"field {self.field}"] if self.field is not None else []
-        return f"{', '.join(place) or 'table'}: found {self.found}, expected {self.expected}"
 
 
 def _holders(name: str, *, required: bool) -> Mask:
@@ -86,6 +69,29 @@ def unprintable(table: pa.Table) -> Flaw | None:
         row, found = next((at, text) for at, values in enumerate(held) for text in values if text in bad)
         return Flaw(row, table.column("run_id")[row].as_py(), table.column("seq")[row].as_py(), name, f"{found!r:.80}", "characters that can be printed")
     return None
+
+
+def disordered(table: pa.Table) -> Flaw | None:
+    """An order of events that no writer stores: a run that does not begin as one does, or begins again; time that runs backwards. None if there is none.
+
+    Readers accept both, because 0.1.0 stored them; what stands alone in company they do not. The rows have the columns of `CODED_SCHEMA`, each run in
+    one block.
+    """
+    columns = {name: whole(table.column(name)) for name in ("run_id", "type", "time_us")}
+    is_first = np.zeros(len(table), bool)
+    is_first[run_starts(columns["run_id"])] = True
+    types, times_us = columns["type"], numbers(columns["time_us"])
+    is_opening = np.array([tag in OPENINGS for tag in types.dictionary.to_pylist()])[numbers(types.indices)]
+    suspects = [
+        *_first(is_first & ~is_opening, "type", f"one of {sorted(OPENINGS)}, with which a run begins"),
+        *_first(is_opening & ~is_first, "type", "no second beginning of a run"),
+        *_first((np.diff(times_us, prepend=times_us[:1]) < 0) & ~is_first, "time_us", "no less than at the event before"),
+        *_company(columns),
+    ]
+    if not suspects:
+        return None
+    row, field, expected = min(suspects, key=lambda suspect: suspect[0])
+    return Flaw(row, columns["run_id"][row].as_py(), table.column("seq")[row].as_py(), field, f"{columns[field][row].as_py()!r:.80}", expected)
 
 
 def run_starts(run_ids: pa.Array) -> Integers:

@@ -6,6 +6,7 @@ Events are taken by type and by column, never row by row: that is what makes it 
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import chain, count, pairwise
 from typing import Any, NamedTuple, TypeAlias
 
@@ -14,12 +15,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from fsar_ledger.errors import LedgerCorrupted, UnknownEventTag
-from fsar_ledger.events import EVENT_TYPES, UPCASTS, Event
+from fsar_ledger.errors import InvalidRun, LedgerCorrupted, UnknownEventTag
+from fsar_ledger.events import EVENT_TYPES, UPCASTS
 from fsar_ledger.ledger import canonical
 from fsar_ledger.ledger.check import first_flaw, run_starts
 from fsar_ledger.ledger.merkle import HASH_BYTES
-from fsar_ledger.ledger.schema import ARROW_TYPES, CODED_SCHEMA, COLUMNS, ENVELOPE, LAYOUTS, MAX_INTEGER, PAYLOAD, RETIRED, SCHEMA, STORED, Field, Layout
+from fsar_ledger.ledger.runs import ALLOWED, INT, INT_OR_NONE, RunRecord, are_allowed, first_unfit, refusal, require_runs
+from fsar_ledger.ledger.schema import ARROW_TYPES, CODED_SCHEMA, COLUMNS, ENVELOPE, LAYOUTS, MAX_INTEGER, PAYLOAD, RETIRED, SCHEMA, STORED, Layout
 
 __all__ = ["SCHEMA", "RunRecord", "decode", "encode", "encode_hashed", "upcast_rows"]
 
@@ -33,20 +35,9 @@ _TAGS = tuple(LAYOUTS)
 _PLACE = frozenset(field.name for field in ENVELOPE if field.name != "type")  # where an event stands, whatever its version
 
 
-class RunRecord(msgspec.Struct, frozen=True):
-    """One finished run in memory, columns beside structs. The seq of an event is its position."""
-
-    run_id: str
-    times_us: Sequence[int]
-    caused_by: Sequence[int | None]
-    events: Sequence[Event]
-
-
 class _Part(NamedTuple):
     """What the events of one type put in one column: values, and the rows that they belong to."""
 
-    layout: Layout
-    field: Field
     at: Positions
     values: Sequence[object]
 
@@ -62,11 +53,7 @@ class _Texts:
         return np.fromiter(map(self._codes.__getitem__, texts), np.int32, size)
 
     def sorted(self) -> tuple[Values, Codes]:
-        """All strings in order, behind a None, and for each code the place of its string there; 0 for None.
-
-        Raises:
-            TypeError: One of them is not a string.
-        """
+        """All strings in order, behind a None, and for each code the place of its string there; 0 for None."""
         _, *texts = self._codes
         order = sorted(range(len(texts)), key=texts.__getitem__)  # type: ignore[arg-type]
         places = np.zeros(len(texts) + 1, np.int32)
@@ -75,18 +62,17 @@ class _Texts:
 
 
 class _Rows:
-    """The rows of several runs, envelope in order and events sorted by type."""
+    """The rows of several runs, envelope in order and events sorted by type. Raises: InvalidRun, or another error for a value that `first_unfit` names."""
 
     def __init__(self, runs: Sequence[RunRecord]):
+        require_runs(runs)
         self.sizes = [len(run.events) for run in runs]
-        for run, size in zip(runs, self.sizes, strict=True):
-            if not size == len(run.times_us) == len(run.caused_by) or not size:
-                found = f"{size} events, {len(run.times_us)} times and {len(run.caused_by)} causes"
-                raise ValueError(f"run {run.run_id}: found {found}; expected as many of each, at least 1")
         self.size = sum(self.sizes)
         self.runs = [run.run_id for run in runs]
         self.times_us = list(chain.from_iterable(run.times_us for run in runs))
         self.causes = list(chain.from_iterable(run.caused_by for run in runs))
+        if not INT.issuperset(map(type, self.times_us)) or not INT_OR_NONE.issuperset(map(type, self.causes)):
+            raise ValueError("found times or causes that are no integers, expected integers")
         self.seqs = np.concatenate([np.empty(0, np.int64), *map(np.arange, self.sizes)])
         events = list(chain.from_iterable(run.events for run in runs))
         self.codes = np.fromiter(map(_CODES.__getitem__, map(type, events)), np.uint16, self.size)
@@ -97,7 +83,10 @@ class _Rows:
         for layout, rows in zip(_LAYOUTS, np.bincount(self.codes, minlength=len(_LAYOUTS)).tolist(), strict=True):
             if rows:
                 block = slice(start, start + rows)
-                self.blocks.append((layout, block, tuple(zip(*map(msgspec.structs.astuple, events[block]), strict=True))))
+                columns = tuple(zip(*map(msgspec.structs.astuple, events[block]), strict=True))
+                if not all(map(are_allowed, columns, ALLOWED[layout.tag])):
+                    raise ValueError(f"found values in events {layout.tag} that no row can hold, expected those of its fields")
+                self.blocks.append((layout, block, columns))
                 start += rows
 
     def table(self) -> pa.Table:
@@ -106,7 +95,7 @@ class _Rows:
         for layout, block, columns in self.blocks:
             at = self.order[block]
             for field, values in zip(layout.fields, columns, strict=True):
-                parts[field.name].append(_Part(layout, field, at, values))
+                parts[field.name].append(_Part(at, values))
         arrays = self._strings({name: parts[name] for name in PAYLOAD if COLUMNS[name] == "string"})
         arrays |= {name: self._lists(parts[name]) for name in PAYLOAD if COLUMNS[name] == "strings"}
         arrays |= {name: self._numbers(name, parts[name]) for name in PAYLOAD if COLUMNS[name] in ("integer", "boolean")}
@@ -116,17 +105,10 @@ class _Rows:
     def _integers(self) -> dict[str, pa.Array]:
         """The integers of the envelope. Raises: ValueError unless every event but the first of a run was caused by an earlier one."""
         times_us, causes = pa.array(self.times_us, pa.int64()), pa.array(self.causes, pa.int64())
-        if times_us.null_count:
-            raise ValueError("column time_us: found None, expected a value in every row")
         numbers = causes.fill_null(-1).to_numpy()
         _require_exact("time_us", times_us.to_numpy())
-        _require_exact("caused_by", numbers)
-        is_wrong = np.where(self.seqs == 0, np.asarray(causes.is_valid()), (numbers < 0) | (numbers >= self.seqs))
-        if is_wrong.any():
-            at = int(np.argmax(is_wrong))
-            run = np.repeat(np.arange(len(self.runs)), self.sizes)[at]
-            found = f"run {self.runs[run]}, seq {self.seqs[at]}: found caused_by {self.causes[at]}"
-            raise ValueError(f"{found}, expected None at seq 0, else an earlier seq")
+        if np.where(self.seqs == 0, np.asarray(causes.is_valid()), (numbers < 0) | (numbers >= self.seqs)).any():
+            raise ValueError("found causes that are no earlier events, expected None at seq 0, else an earlier seq")
         return {"seq": pa.array(self.seqs), "time_us": times_us, "caused_by": causes}
 
     def _strings(self, columns: dict[str, list[_Part]]) -> dict[str, pa.DictionaryArray]:
@@ -138,8 +120,6 @@ class _Rows:
         for name, parts in columns.items():
             at = _positions(parts)
             found[name] = (at, texts.codes(chain.from_iterable(part.values for part in parts), len(at)))
-            if not found[name][1].all():
-                _require_values(parts)
         dictionary, places = texts.sorted()
         return {name: self._coded(at, places[codes], dictionary) for name, (at, codes) in found.items()}
 
@@ -198,11 +178,8 @@ def _positions(parts: list[_Part]) -> Positions:
 
 
 def _joined(parts: list[_Part], kind: pa.DataType) -> tuple[Positions, pa.Array]:
-    """The rows and the values of all parts. Raises: ValueError for None in a field that must have a value."""
-    column = pa.array(list(chain.from_iterable(part.values for part in parts)), kind)
-    if column.null_count:
-        _require_values(parts)
-    return _positions(parts), column
+    """The rows and the values of all parts."""
+    return _positions(parts), pa.array(list(chain.from_iterable(part.values for part in parts)), kind)
 
 
 def _bits(is_set: Values) -> pa.Buffer:
@@ -216,13 +193,6 @@ def _array(values: Values, is_valid: Values) -> pa.Array:
     return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [_bits(is_valid), data])
 
 
-def _require_values(parts: list[_Part]) -> None:
-    """Raises: ValueError for None in a field that must have a value."""
-    for part in parts:
-        if not part.field.is_nullable and None in part.values:
-            raise ValueError(f"{part.layout.tag}: field {part.field.name} is None, expected a value in every event")
-
-
 def _require_exact(name: str, numbers: Values) -> None:
     """Raises: ValueError for an integer beyond 2^53 - 1, which JSON readers may round."""
     least, most = int(numbers.min(initial=0)), int(numbers.max(initial=0))
@@ -230,21 +200,37 @@ def _require_exact(name: str, numbers: Values) -> None:
         raise ValueError(f"column {name}: found integers from {least} to {most}, expected at most 2^53 - 1 in size")
 
 
+@contextmanager
+def _refusals(runs: Sequence[RunRecord]) -> Iterator[None]:
+    """What goes wrong inside becomes InvalidRun and names the first value that is at fault; it stays as it is if there is none."""
+    try:
+        yield
+    except InvalidRun:
+        raise
+    except (LookupError, TypeError, ValueError, OverflowError) as error:
+        flaw = first_unfit(runs)
+        if flaw is None:
+            raise
+        raise refusal(flaw) from error
+
+
 def encode(runs: Sequence[RunRecord]) -> pa.Table:
     """The rows of these runs in order (run, seq), with the columns of `SCHEMA`.
 
     Raises:
-        ValueError: A run has no events, or not as many times and causes as events; an event other than the first
-            is not caused by an earlier one; a field that must have a value is None; an integer lies beyond 2^53 - 1.
-        TypeError: A field of strings holds something else.
+        InvalidRun: A run has no events, or not as many times and causes as events, or is there twice; an event other than the first is not
+            caused by an earlier one; an event is of no type of today; a value is not exactly of the class of its field (msgspec constructors
+            do not check), not in its closed list, an integer beyond 2^53 - 1, or text with surrogates.
     """
-    return _Rows(runs).table().cast(SCHEMA)
+    with _refusals(runs):
+        return _Rows(runs).table().cast(SCHEMA)
 
 
 def encode_hashed(runs: Sequence[RunRecord]) -> tuple[pa.Table, bytes]:
     """As `encode`, but with the columns of `CODED_SCHEMA`, and with the packed RFC 6962 leaf hash of each row."""
-    rows = _Rows(runs)
-    return rows.table(), rows.leaves()
+    with _refusals(runs):
+        rows = _Rows(runs)
+        return rows.table(), rows.leaves()
 
 
 def decode(table: pa.Table) -> Iterator[RunRecord]:

@@ -34,6 +34,8 @@ from fsar_ledger.ledger.releases import SCHEMAS
 
 MIN_ENTRY_BYTES = 4
 """The length of a string, as a dictionary holds it."""
+_MAX_DICTIONARY_BYTES = 1 << 22
+"""pyarrow begins no new entry after 1 MiB."""
 
 
 class Said(NamedTuple):
@@ -174,6 +176,41 @@ def read_layout(data: bytes) -> Layout:
     if place != footer_at:
         raise ValueError(f"{footer_at - place} bytes between the last page and the footer, expected none")
     return Layout(rows, known.schema, end[5].decode(), tuple(statistics), tuple(of_pages), tuple(sizes))
+
+
+def dictionary_of_runs(data: bytes, rows: int) -> list[str] | None:
+    """The strings in the dictionary of `run_id`: all runs of a segment of so many rows, and perhaps others, since a dictionary may hold more than is used.
+
+    `run_id` is the first column, so the beginning of a segment will do. None if it was cut off too early, lies otherwise than a segment does, or has
+    rows whose strings are in no dictionary.
+    """
+    header = DICTIONARY_PAGE.match(data, len(MAGIC))
+    if header is None or _number[header[1]] > _MAX_DICTIONARY_BYTES:
+        return None
+    at, values = header.end() + _number[header[2]], 0
+    try:
+        _check_sum(data, "run_id", header.end(), _number[header[2]], header[3])
+        while values < rows:
+            page = _footers()[-1].columns[0].page.match(data, at)
+            if page is None or page[5] == b"\x00":
+                return None
+            _, body = _page_bounds(data, "run_id", page)
+            at, values = body + _number[page[2]], values + _number[page[4]]
+        return _strings(pa.decompress(data[header.end() : header.end() + _number[header[2]]], _number[header[1]], "zstd", asbytes=True), _number[header[4]])
+    except (ValueError, OSError):
+        return None
+
+
+def _strings(data: bytes, count: int) -> list[str]:
+    """So many strings, each after its length. Raises: ValueError if there are others."""
+    found, at = [], 0
+    for _ in range(count):
+        end = at + MIN_ENTRY_BYTES + int.from_bytes(data[at : at + MIN_ENTRY_BYTES], "little")
+        found.append(data[at + MIN_ENTRY_BYTES : end].decode())
+        at = end
+    if at != len(data):
+        raise ValueError(f"{count} strings of {at} bytes, expected {len(data)}")
+    return found
 
 
 def _footer_at(data: bytes) -> int:

@@ -116,6 +116,9 @@ STORED: dict[str, Layout] = LAYOUTS | RETIRED
 STANDS_ALONE: frozenset[str] = frozenset(tag for tag, one in STORED.items() if one.cls in ALONE)
 """The tags of events that are the only one of their run."""
 
+OPENINGS: frozenset[str] = STANDS_ALONE.union(tag for tag in STORED if tag.partition(".v")[0] == "RunStarted")
+"""The tags, whatever their version, of which event 0 of a run has one, and no other event."""
+
 COLUMNS: dict[str, Kind] = columns(tuple(STORED.values()))
 """The kind of every column, in stored order. One that only retired types have stays."""
 

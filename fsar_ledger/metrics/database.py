@@ -120,7 +120,7 @@ class Database:
         """The rows of one SELECT over files and what this connection holds; names in it are never those of packaged queries. Raises: as `table`."""
         try:
             return self._connection.execute(sql).fetchall()  # a relation would plan it twice
-        except duckdb.Error as error:
+        except (duckdb.Error, UnicodeDecodeError) as error:  # what a damaged file holds as text may be none
             raise self._failure(error) from error
 
     def define(self, name: str, sql: str) -> None:
@@ -286,7 +286,7 @@ def connect(ledger: Path, threads: int | None = None, demanded: str | None = Non
     try:
         if segments:
             parts = relation.native_parts(segments, [record.release for record in view.records])
-            relation.hold_events(database, parts, relation.upcast(segments))
+            relation.hold_events(database, parts, relation.upcast(database, segments))
         else:
             database.hold("events", SCHEMA.empty_table())
     except BaseException:

@@ -1,5 +1,7 @@
 """The models of a ledger: with which constants its runs were played, as they record it."""
 
+from collections.abc import Iterator, Mapping
+from hashlib import sha256
 from typing import Any
 
 import msgspec
@@ -17,14 +19,22 @@ MODELS = """
 
 
 class Model(msgspec.Struct, frozen=True):
-    """The runs of one kind and model version under the same constants: their text as recorded and what it says, their number, the first one's name."""
+    """The runs of one kind and model version under the same constants: their text as recorded and what it says, their number, the first one's name.
+
+    Runs that were not simulated may have neither a model nor constants.
+    """
 
     kind: str
-    model_version: str
-    text: str
+    model_version: str | None
+    text: str | None
     parameters: dict[str, Any]
     runs: int
     first: str
+
+    @property
+    def sha256(self) -> str | None:
+        """The digest of the constants, as `runs.parameters_sha256` has it."""
+        return None if self.text is None else sha256(self.text.encode()).hexdigest()
 
 
 def models(database: Database) -> tuple[Model, ...]:
@@ -35,7 +45,23 @@ def models(database: Database) -> tuple[Model, ...]:
     )
 
 
-def _read(run: str, parameters: str) -> dict[str, Any]:
+def differing(first: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
+    """The names of the constants in which two sets of parameters differ, `group.constant`, one that only one of them has too."""
+    return list(_differing("", first, other))
+
+
+def _differing(above: str, first: Mapping[str, Any], other: Mapping[str, Any]) -> Iterator[str]:
+    for name in dict.fromkeys((*first, *other)):
+        one, two = first.get(name), other.get(name)
+        if isinstance(one, Mapping) and isinstance(two, Mapping) and not above:
+            yield from _differing(f"{name}.", one, two)
+        elif one != two or (name in first) != (name in other):
+            yield f"{above}{name}"
+
+
+def _read(run: str, parameters: str | None) -> dict[str, Any]:
+    if parameters is None:
+        return {}
     try:
         return read_parameters(parameters)
     except BadParameters as error:

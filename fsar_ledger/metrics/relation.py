@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
-import pyarrow.compute as pc
 
-from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
 from fsar_ledger.ledger.codec import upcast_rows
 from fsar_ledger.ledger.releases import FINGERPRINTS, SCHEMAS
 from fsar_ledger.ledger.schema import COLUMNS, RETIRED, Kind
@@ -34,24 +33,43 @@ def native_parts(segments: Sequence[Path], releases: Sequence[str]) -> list[str]
 
 
 def _select(paths: Sequence[Path], present: frozenset[str]) -> str:
-    files = ", ".join("'" + str(path).replace("'", "''") + "'" for path in paths)
     columns = ", ".join(f'"{name}"' if name in present else f'CAST(NULL AS {_SQL_TYPES[kind]}) AS "{name}"' for name, kind in COLUMNS.items())
-    return f"SELECT {columns} FROM read_parquet([{files}], hive_partitioning = false)"
+    return f"SELECT {columns} FROM {_parquet(paths)}"
 
 
-def upcast(segments: Sequence[Path]) -> pa.Table | None:
-    """The rows of retired types in these segments, as their newest versions; None if there are none.
+def _parquet(paths: Sequence[Path], *options: str) -> str:
+    """These files as SQL reads them."""
+    files = ", ".join("'" + str(path).replace("'", "''") + "'" for path in paths)
+    return f"read_parquet([{files}], {', '.join(('hive_partitioning = false', *options))})"
+
+
+def upcast(database: "Database", segments: Sequence[Path]) -> pa.Table | None:
+    """The rows of retired types in these segments, as their newest versions; None if there are none. The database looks which segments hold some.
 
     Raises:
         LedgerCorrupted: A segment that holds some cannot be read, or does not hold valid events.
     """
-    tables = [rows for path in segments if (rows := _upcast_segment(path)) is not None] if RETIRED else []
+    if not RETIRED or not segments:
+        return None
+    tables = [rows for path in _holding(database, segments) if (rows := _upcast_segment(path)) is not None]
     return pa.concat_tables(tables) if tables else None
 
 
+def _holding(database: "Database", segments: Sequence[Path]) -> Sequence[Path]:
+    """The segments that hold rows of retired types; all of them where one cannot be read, so that reading it says what is wrong."""
+    try:
+        found = database.direct(f"SELECT DISTINCT filename FROM {_parquet(segments, 'filename = true')} WHERE type IN ({_tags()})")
+    except FsarLedgerError:
+        return segments
+    return [path for path in segments if (str(path),) in found]
+
+
+def _tags() -> str:
+    """The retired types as SQL lists them."""
+    return ", ".join(f"'{tag}'" for tag in RETIRED)
+
+
 def _upcast_segment(path: Path) -> pa.Table | None:
-    if not pc.any(pc.is_in(read_table(path, ["type"]).column("type"), pa.array(list(RETIRED), pa.string()))).as_py():
-        return None
     try:
         return upcast_rows(read_table(path))
     except LedgerCorrupted as error:
@@ -62,8 +80,7 @@ def hold_events(database: "Database", parts: Sequence[str], newest: pa.Table | N
     """The database's `events` are the rows of these SELECTs, but those of retired types are the ones given as their newest versions."""
     if newest is not None:
         database.hold(_UPCAST, newest)
-        tags = ", ".join(f"'{tag}'" for tag in RETIRED)
-        parts = [*(f"SELECT * FROM ({part}) WHERE type NOT IN ({tags})" for part in parts), f"SELECT * FROM {_UPCAST}"]
+        parts = [*(f"SELECT * FROM ({part}) WHERE type NOT IN ({_tags()})" for part in parts), f"SELECT * FROM {_UPCAST}"]
     database.define("events", "\nUNION ALL\n".join(parts))
 
 

@@ -19,7 +19,9 @@ class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
 
     `constants` names those that other runs of the same model in this ledger have otherwise, None where there are none.
     Units: `mean`, `sd` (per run) and the 95 % interval in the metric's unit (share, count, seconds); `n` runs of `seeds` seeds;
-    `denominator` what the metric counts, summed over runs. None: undefined, what the runs do not have, or `scenario` (`seed`) for all of them together.
+    `denominator` what the metric counts, summed over runs;
+    `mean_without_routine` where it counts routine operations, too. Reading: R42.
+    None: undefined, what the runs do not have, or `scenario` (`seed`) for all of them together.
     """
 
     architecture: str | None
@@ -34,6 +36,7 @@ class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
     metric: str
     seeds: int
     mean: float | None
+    mean_without_routine: float | None
     sd: float | None
     n: int
     ci_low: float | None

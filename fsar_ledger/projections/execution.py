@@ -9,6 +9,7 @@ from fsar_ledger.events.execution import (
     ApproachStarted,
     ExecutionFailed,
     ExecutionFinished,
+    ExecutionHalted,
     ExecutionHeld,
     ExecutionPaused,
     ExecutionPreempted,
@@ -27,6 +28,7 @@ HANDLES = (
     | ExecutionHeld
     | ExecutionStarted
     | ExecutionPaused
+    | ExecutionHalted
     | ExecutionPreempted
     | ExecutionResumed
     | ExecutionFailed
@@ -37,7 +39,7 @@ HANDLES = (
     | AssistanceFailed
 )
 
-Stage = Literal["queued", "approaching", "held", "polling", "running", "paused", "failed", "withdrawn", "preempted"]
+Stage = Literal["queued", "approaching", "held", "polling", "running", "paused", "halted", "failed", "withdrawn", "preempted"]
 HELPING = "assist:"  # what holds a robot that helps with an action
 INTERRUPTING = rank("hard-preempt")  # from this level on a request takes the robot from a weaker one
 
@@ -100,6 +102,8 @@ def evolve(state: Execution, event: HANDLES) -> Execution:
             return _held(state, event)
         case ExecutionPaused():
             return _staged(state, event.action_id, "paused", remaining_us=event.remaining_us)
+        case ExecutionHalted():
+            return _staged(state, event.action_id, "halted", remaining_us=event.remaining_us)
         case ExecutionPreempted():
             return _preempted(state, event)
         case ExecutionResumed():

@@ -19,6 +19,7 @@ class Robot(msgspec.Struct, frozen=True, gc=False):
     team: int
     supervisor: str | None
     domain: str = ""
+    place: str | None = None
 
 
 class Fleet(msgspec.Struct, frozen=True, gc=False):
@@ -40,7 +41,7 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
         case RunStarted():
             return Fleet(event.configuration or "", event.fleet_size or 0, _structure(event.parameters), state.robots)
         case RobotJoined():
-            robot = Robot(event.robot, event.role, event.team, event.supervisor, event.domain)
+            robot = Robot(event.robot, event.role, event.team, event.supervisor, event.domain, event.place)
             return msgspec.structs.replace(state, robots={**state.robots, event.robot: robot}, teams=max(state.teams, event.team))
         case _:
             assert_never(event)

@@ -1,4 +1,4 @@
-"""How the world stands: open policy windows, obstructions, degraded actuators, absent supervisors."""
+"""How the world stands: open policy windows, obstructions, degraded actuators, robots that are off, links that are down, absent supervisors."""
 
 from typing import assert_never
 
@@ -10,10 +10,14 @@ from fsar_ledger.events.supervision import ActuatorServiced
 from fsar_ledger.events.world import (
     ActuatorDegraded,
     Grade,
+    LinkCameUp,
+    LinkWentDown,
     ObstructionAppeared,
     ObstructionCleared,
     PolicyWindowClosed,
     PolicyWindowOpened,
+    RobotCameBack,
+    RobotWentOff,
     SupervisorLeft,
     SupervisorReturned,
 )
@@ -25,6 +29,10 @@ HANDLES = (
     | ObstructionCleared
     | ActuatorDegraded
     | ActuatorServiced
+    | RobotWentOff
+    | RobotCameBack
+    | LinkWentDown
+    | LinkCameUp
     | SupervisorLeft
     | SupervisorReturned
     | AssistanceEnded
@@ -38,7 +46,7 @@ Windows = dict[str, tuple[tuple[str, PolicyOutcome], ...]]  # robot -> open wind
 class World(msgspec.Struct, frozen=True, gc=False):
     """The true state of the world; deciders may read only what is local to them or what they were told.
 
-    `degraded`: robot -> how far its actuator has gone.
+    `degraded`: robot -> how far its actuator has gone; `off`: robots that are off; `unlinked`: robots whose link is down.
     """
 
     local: Windows = {}
@@ -46,6 +54,8 @@ class World(msgspec.Struct, frozen=True, gc=False):
     obstructions: dict[str, tuple[str, ...]] = {}
     degraded: dict[str, Grade] = {}
     off_shift: frozenset[str] = frozenset()
+    off: frozenset[str] = frozenset()
+    unlinked: frozenset[str] = frozenset()
 
 
 INITIAL = World()
@@ -64,6 +74,11 @@ def in_force(windows: Windows, robot: str) -> PolicyOutcome:
     for _, found in windows.get(robot, ()):
         outcome = stricter(outcome, found)
     return outcome
+
+
+def is_linked(state: World, principal: str) -> bool:
+    """True when messages reach and leave the principal: whoever is no robot always, a robot while it is on and its link is up."""
+    return principal not in state.off and principal not in state.unlinked
 
 
 def evolve(state: World, event: HANDLES) -> World:
@@ -96,6 +111,14 @@ def evolve(state: World, event: HANDLES) -> World:
             if event.result != "partial" or state.degraded.get(event.robot) != "slipping":
                 return state
             return msgspec.structs.replace(state, degraded={**state.degraded, event.robot: "lost"})
+        case RobotWentOff():
+            return msgspec.structs.replace(state, off=state.off | {event.robot})
+        case RobotCameBack():
+            return msgspec.structs.replace(state, off=state.off - {event.robot})
+        case LinkWentDown():
+            return msgspec.structs.replace(state, unlinked=state.unlinked | {event.robot})
+        case LinkCameUp():
+            return msgspec.structs.replace(state, unlinked=state.unlinked - {event.robot})
         case SupervisorLeft():
             return msgspec.structs.replace(state, off_shift=state.off_shift | {event.supervisor})
         case SupervisorReturned():

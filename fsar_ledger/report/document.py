@@ -52,6 +52,7 @@ def _versions() -> list[Row]:
 def _ledger_tables(findings: Findings) -> dict[str, Table]:
     rows: dict[str, Sequence[Row]] = {
         "evaluation-results": findings.cells,
+        "background": findings.background,
         "published-convention": [row for row in findings.cells if row["metric"] in POOLED],
         "verdict-rule": findings.rule,
         "statistical-significance": findings.tests,
@@ -170,6 +171,22 @@ def _fit(findings: Findings, record: Record | None) -> dict[str, Any] | None:
     }
 
 
+def _background(findings: Findings) -> list[dict[str, str]]:
+    """How much of each architecture's decisions and records is routine, and of its losses absence, in percent; only where there is anything to share."""
+    shares = {
+        "decisions": "routine_share_of_decisions",
+        "local": "routine_share_of_local_decisions",
+        "records": "routine_share_of_coordination_events",
+        "absent": "off_shift_share_of_unattributable_events",
+    }
+    return [
+        {"architecture": row["architecture"].upper(), "lost": printing.integer(row["unattributable_events"])}
+        | {name: "" if row[key] is None else printing.significant(100 * row[key], 3) for name, key in shares.items()}
+        for row in findings.background
+        if row["routine_share_of_decisions"] is not None and row["routine_share_of_coordination_events"] is not None
+    ]
+
+
 def _misses(findings: Findings, record: Record | None) -> list[dict[str, Any]]:
     """The cells that miss the paper by more than two standard errors, worst first, with the reason on record if it is one for this model."""
     reasons = {} if _changed(findings, record) else {passage.id: passage.text for passage in specs.passages("reasons")}
@@ -191,7 +208,13 @@ def data(findings: Findings, record: Record | None) -> dict[str, Any]:
     tables = _ledger_tables(findings) | _fit_tables(findings, record) | _workflow_tables(findings)
     tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()}
     return {
-        "head": {"commits": findings.commits, "size": printing.integer(findings.size), "root": findings.root, "runs": printing.integer(findings.run_count)},
+        "head": {
+            "commits": findings.commits,
+            "size": printing.integer(findings.size),
+            "root": findings.root,
+            "runs": printing.integer(findings.run_count),
+            "completeness": findings.completeness,
+        },
         "shown": findings.shown and printing.words(findings.shown),
         "differing": [printing.words(one, MAX_DIFFERING) for one in findings.differing],
         "answer": _sayable(answer(findings)),
@@ -202,6 +225,7 @@ def data(findings: Findings, record: Record | None) -> dict[str, Any]:
         "mechanisms": specs.passages("mechanisms"),
         "readings": specs.passages("readings"),
         "contradictions": _contradictions(),
+        "background": _background(findings),
         "misses": _misses(findings, record),
         "fit": _fit(findings, record),
         "version": fsar_ledger.__version__,

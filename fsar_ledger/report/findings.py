@@ -51,6 +51,8 @@ class Findings(msgspec.Struct, frozen=True):
     parameters: the constants of the runs by dotted name (of the first run; `models` counts the different sets).
     features: one row per architectural feature: the paper's grade and ours for each architecture, its grades of the systems that were not run, the verdict.
     evidence: one row per feature and architecture: grade and what it rests on.
+    background: one row per architecture: how much of what is counted is routine, how much of what is not attributable is a supervisor off shift.
+    completeness: whether all that was planned is there, as a clause.
     workflows: what another ledger says of the paper's workflows; None without one.
     model_version: that of the runs in the tables; shown: which runs these are, where the ledger holds others of their configuration and fleet size.
     differing: in words, the pairs of runs that are left out since they met different worlds.
@@ -71,6 +73,8 @@ class Findings(msgspec.Struct, frozen=True):
     sources: tuple[Source, ...]
     features: tuple[Row, ...] = ()
     evidence: tuple[Row, ...] = ()
+    background: tuple[Row, ...] = ()
+    completeness: str = ""
     workflows: Workflows | None = None
     model_version: str | None = None
     shown: str | None = None

@@ -4,7 +4,6 @@ All numbers come from packaged queries through `fsar_ledger.metrics`; here they 
 with the paper's.
 """
 
-import hashlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.resources import files
@@ -17,15 +16,19 @@ from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.comparing import differing_worlds
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.models import models
+from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
 from fsar_ledger.report import marks, printing, specs
 from fsar_ledger.report.findings import ARCHITECTURES, COMPARISONS, MAIN_CONFIGURATION, MAIN_FLEET_SIZE, SCENARIOS, Findings, Row, Source, with_agreement
 
 QUERIES = (
     "metrics/metric_summary",
+    "metrics/background",
     "statistics/pairwise_tests",
     "statistics/differing_worlds",
     "staging/runs",
+    "audit/experiments",
+    "audit/unplanned_runs",
     "tables/architecture_features",
 )  # what the report reads; the rest is what these read
 
@@ -43,6 +46,7 @@ DIFFERING_SQL = """
     INNER JOIN parameter_sets AS sets ON texts.model = sets.model AND texts.parameter_set = sets.parameter_set
     GROUP BY texts.parameters
 """
+BACKGROUND_SQL = "SELECT * FROM background"
 CHOSEN_SQL = """
     SELECT runs.run_id
     FROM runs
@@ -165,6 +169,11 @@ def _rule() -> tuple[Row, ...]:
     )
 
 
+def _background(rows: Iterable[Row]) -> tuple[Row, ...]:
+    """How much of the main runs' numbers is routine, for each architecture."""
+    return tuple(row for row in rows if (row["configuration"], row["fleet_size"]) == (MAIN_CONFIGURATION, MAIN_FLEET_SIZE))
+
+
 def _others(rows: Iterable[MetricRow], main: Setting | None) -> tuple[Row, ...]:
     """One row per other setting and architecture, with a column per metric."""
     found: dict[tuple[Setting, str | None], Row] = {}
@@ -210,7 +219,7 @@ def _models(database: Database) -> tuple[tuple[Row, ...], dict[str, str]]:
             "kind": one.kind,
             "runs": one.runs,
             "constants": named.get(one.text),
-            "parameters_sha256": hashlib.sha256(one.text.encode()).hexdigest(),
+            "parameters_sha256": one.sha256,
         }
         for one in found
     )
@@ -268,7 +277,7 @@ def gather(
         names = (*QUERIES, *(marks.QUERIES if workflows is not None else ()))
         needed = database.library.needs(database.library.find(name).relation for name in names)
         others = _others(every, main)
-        graded = _graded(ledger, demanded, database, main, alone=not others)
+        graded, background = _of_main(ledger, demanded, database, main, alone=not others)
         runs = _runs(database)
         return Findings(
             commits=head.commits if head else 0,
@@ -286,6 +295,8 @@ def gather(
             sources=tuple(Source(name=query.name, sha256=query.sha256) for query in sorted(needed, key=lambda query: query.name) if _is_file(query.name)),
             features=marks.features(graded),
             evidence=tuple(graded),
+            background=background,
+            completeness=completeness(database).sentence(),
             workflows=None if workflows is None else marks.workflows(workflows, demanded_of_workflows),
             model_version=main[5] if main else None,
             shown=_shown(main, others),
@@ -302,14 +313,14 @@ def _shown(main: Setting | None, others: tuple[Row, ...]) -> str | None:
     return f"The tables are of {', '.join(filter(None, named))}; runs made otherwise are never taken together with these."
 
 
-def _graded(ledger: Path, demanded: str | None, database: Database, main: Setting | None, *, alone: bool) -> list[Row]:
-    """The marks of the runs that the tables are of; what else the ledger holds has no part in them."""
+def _of_main(ledger: Path, demanded: str | None, database: Database, main: Setting | None, *, alone: bool) -> tuple[list[Row], tuple[Row, ...]]:
+    """The marks and the background of the runs that the tables are of; what else the ledger holds has no part in them."""
     if alone or main is None:
-        return marks.graded(database)
+        return marks.graded(database), _background(database.rows(BACKGROUND_SQL))
     names = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
     chosen = database.table(CHOSEN_SQL, dict(zip(names, main, strict=True)))
     with connect(ledger, demanded=demanded) as narrowed:
         narrowed.hold("chosen_runs", chosen)
         narrowed.prepare("SELECT * FROM run_started")
         narrowed.define("runs", f"SELECT * FROM ({narrowed.library.find('staging/runs').sql}) WHERE run_id IN (SELECT run_id FROM chosen_runs)")
-        return marks.graded(narrowed)
+        return marks.graded(narrowed), _background(narrowed.rows(BACKGROUND_SQL))

@@ -5,6 +5,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
 from itertools import filterfalse, islice
+from math import ceil
 from pathlib import Path
 from typing import TypeAlias, get_args
 
@@ -15,12 +16,14 @@ from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events.envelope import Architecture, Configuration, Scenario, Workflow
 from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.ledger.append import Staged, Writer, stage
+from fsar_ledger.ledger.bounds import MAX_ROWS
 from fsar_ledger.ledger.note import Signer
 from fsar_ledger.ledger.read import Head, open_ledger
-from fsar_ledger.runtime.plan import commits_of, plan_record, standing
+from fsar_ledger.runtime.plan import held, plan_record
 from fsar_ledger.runtime.simulation import MODEL_VERSION, RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.workers import WorkerPool
 
+from .capacity import fits, largest_fleet
 from .world.workflows import FLEET_SIZE, WORKFLOWS
 
 ORIGIN = "fsar-ledger/simulated"
@@ -33,7 +36,7 @@ Batch: TypeAlias = tuple[RunSpec, ...]
 
 
 class Experiment(msgspec.Struct, frozen=True):
-    """Which runs to make: `runs` per scenario (or workflow), architecture and configuration.
+    """Which runs to make: `runs` per scenario (or workflow), architecture and configuration, whose names are put in canonical order.
 
     Raises:
         InvalidExperiment: a name is unknown, a number impossible, or a workflow meant for anything but FSAR and its fleet of four.
@@ -55,12 +58,51 @@ class Experiment(msgspec.Struct, frozen=True):
             raise InvalidExperiment(f"runs: found {self.runs}, expected 1 to 9999")
         if not 0 <= self.seed < 2**53:
             raise InvalidExperiment(f"seed: found {self.seed}, expected 0 to {2**53 - 1}")
-        if self.fleet_size < 4 or self.fleet_size % 4 or self.fleet_size > 256:
-            raise InvalidExperiment(f"fleet size: found {self.fleet_size}, expected a multiple of 4 (teams of four roles) from 4 to 256")
+        if self.fleet_size < 4 or self.fleet_size % 4:
+            raise InvalidExperiment(f"fleet size: found {self.fleet_size}, expected a multiple of 4 (teams of four roles) from 4")
         if self.configurations != ("full",) and self.architectures != ("fsar",):
             asked = ", ".join(self.architectures)
             raise InvalidExperiment(f"mechanisms are taken out of FSAR only: found architectures {asked}, expected fsar; leave out --architecture")
         self._require_workflows_as_written()
+        self._require_possible_load()
+        self._put_in_order()
+        self.require_fits(1)
+
+    def require_fits(self, runs_at_once: int = BATCH_RUNS) -> None:
+        """A commit holds so many runs of such a fleet, or all there are. Raises: InvalidExperiment, with the largest fleet of which it does."""
+        at_once = min(runs_at_once, self.size)
+        cells = [
+            tuple((scenario, architecture, configuration) for architecture in self.architectures for configuration in self.configurations)
+            for scenario in self.scenarios
+        ]
+        if fits(cells, at_once, self.fleet_size, self.constants):
+            return
+        largest = largest_fleet(cells, at_once, self.constants)
+        many = "one run" if at_once == 1 else f"{at_once} runs at once"
+        raise InvalidExperiment(
+            f"fleet size: found {self.fleet_size}, expected at most {largest}: a commit holds {many} and {MAX_ROWS:,} events, and those of so large a "
+            f"fleet are more; take a smaller fleet, {'' if at_once == 1 else 'fewer runs or architectures, '}or fewer --teams-working"
+        )
+
+    def _require_possible_load(self) -> None:
+        """Each floor holds a team, and what there is to do falls to teams that exist, while the world still happens."""
+        world, load = self.constants.world, self.constants.load
+        if world.floor_teams < 1:
+            raise InvalidExperiment(f"teams of a floor: found {world.floor_teams}, expected at least 1")
+        if load is None:
+            return
+        teams, working = self.fleet_size // 4, load.teams_working
+        if working is not None and not 1 <= working <= teams:
+            raise InvalidExperiment(f"teams working: found {working}, expected 1 to {teams}, the teams of a fleet of {self.fleet_size}")
+        if load.interval_s <= 0:
+            raise InvalidExperiment(f"interval of task sets: found {load.interval_s} s, expected more than 0")
+        most = int(world.horizon_s / 2 / load.interval_s) + 1
+        if not 1 <= load.task_sets <= most:
+            raise InvalidExperiment(
+                f"task sets: found {load.task_sets}, expected 1 to {most}, one each {load.interval_s:g} s in half the world's {world.horizon_s:g} s"
+            )
+        if any(name in WORKFLOWS for name in self.scenarios):
+            raise InvalidExperiment(f"workflow {self.scenarios[0]}: found another load, expected the tasks of its script alone")
 
     def _require_workflows_as_written(self) -> None:
         """The workflows are those of the paper: FSAR's, in full, with one robot of each role."""
@@ -74,6 +116,12 @@ class Experiment(msgspec.Struct, frozen=True):
             raise InvalidExperiment(f"{about}: found {', '.join(self.architectures)} ({', '.join(self.configurations)}), expected fsar (full)")
         if self.fleet_size != FLEET_SIZE:
             raise InvalidExperiment(f"{about}: found fleet size {self.fleet_size}, expected {FLEET_SIZE}")
+
+    def _put_in_order(self) -> None:
+        """The names stand in one order, whatever the order in which they were asked for: the same question is the same plan."""
+        orders = {"architectures": get_args(Architecture), "scenarios": get_args(Scenario) + get_args(Workflow), "configurations": get_args(Configuration)}
+        for field, names in orders.items():
+            msgspec.structs.force_setattr(self, field, tuple(sorted(getattr(self, field), key=names.index)))
 
     def specs(self) -> Iterator[RunSpec]:
         """The runs in canonical order: scenario, run, architecture, configuration."""
@@ -157,45 +205,35 @@ def carry_out(
     """Every run of the experiment is in the ledger, after its plan; runs that were there already are not made again.
 
     Where all runs are there, nothing is done. Else the plan is committed first, unless it is on record: a larger one than before makes the
-    ledger larger, run by run as if it had been asked for at once. What its batches hold follows from what was there before the plan, so neither
-    `workers` nor an interruption changes a byte. `progress` is told batches done and batches in all. What is committed now carries a
-    signature of `signer`, whose key stays in this process; with `adopts` also where another or none signed what is there.
+    ledger larger, run by run as if it had been asked for at once. The missing runs come in canonical order, `BATCH_RUNS` a commit: each commit
+    follows from those before it, so neither `workers` nor an interruption changes a byte. `progress` is told batches done and batches in all.
+    What is committed now carries a signature of `signer`, whose key stays in this process; with `adopts` also where another or none signed
+    what is there.
     A new ledger has this origin, else the name of the signer, else `ORIGIN`.
 
     Raises:
+        InvalidExperiment: a commit does not hold so many runs of so large a fleet.
         SequenceConflict: another process commits to the ledger meanwhile; the same call again makes what is missing then.
         NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError, WriteFailed: see `Writer`.
     """
+    experiment.require_fits()
     constants, plan = experiment.constants, plan_record(experiment.plan())
     name = origin or (signer.verifier.name if signer is not None else ORIGIN)
     with Writer(out, name, signer, adopts=adopts) as writer:
-        found = standing(plan.run_id, commits_of(open_ledger(out)))
-        batches = experiment.batches(lambda spec: _id(spec, constants) in found.before) if found.before else experiment.batches()
-        missing = _missing(batches, found.held, constants)
-        to_make, asked = sum(map(len, missing)), experiment.size
-        if to_make and not found.is_recorded:
+        found = held(open_ledger(out))
+        missing = experiment.batches(lambda spec: run_id(run_started(spec, constants)) in found.runs) if found.runs else experiment.batches()
+        if missing and plan.run_id not in found.plans:
             writer.append(stage(out, [plan]))
-        done = len(batches) - len(missing)
+        batches, made = ceil(experiment.size / BATCH_RUNS), sum(map(len, missing))
+        done = batches - len(missing)
         if progress is not None:
-            progress(done, len(batches))
+            progress(done, batches)
         for staged in _staged(out, missing, constants, min(workers, len(missing))):
             writer.append(staged)
             done += 1
             if progress is not None:
-                progress(done, len(batches))
-        return Made(writer.head, asked, to_make, len(found.held) + to_make)
-
-
-def _id(spec: RunSpec, constants: Constants) -> str:
-    return run_id(run_started(spec, constants))
-
-
-def _missing(batches: list[Batch], held: frozenset[str], constants: Constants) -> list[Batch]:
-    """What the ledger lacks of the batches: all of one, unless other experiments made some of its runs since it was planned."""
-    if not held:
-        return batches
-    lacking = (tuple(spec for spec in batch if _id(spec, constants) not in held) for batch in batches)
-    return [batch for batch in lacking if batch]
+                progress(done, batches)
+        return Made(writer.head, experiment.size, made, len(found.runs) + made)
 
 
 def _stage(out: Path, batch: Batch, constants: Constants) -> Staged:
@@ -203,6 +241,10 @@ def _stage(out: Path, batch: Batch, constants: Constants) -> Staged:
     gc.disable()
     try:
         return stage(out, [simulate_run(spec, constants) for spec in batch])
+    except ValueError as error:
+        if "in one commit" not in str(error):
+            raise
+        raise InvalidExperiment(f"fleet size {batch[0].fleet_size}: {error}, or a smaller fleet") from error
     finally:
         gc.enable()
 

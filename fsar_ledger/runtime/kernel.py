@@ -4,24 +4,33 @@ Facts of the world come before commands of the same instant. A command never run
 it was scheduled, and two commands of one cause never share an instant; so (caused_by, time_us) of the first
 event of a batch names the command that made it, and a run can be resumed from its events alone. The further
 events of a batch are caused by its first.
+
+What a robot should do while it is off, and what a message should bring over a link that is down, is kept until the
+fact that brings the robot or the link back, and is due then: a message at once, what the robot was at after the time
+that was left. So the world binds whoever governs; which robot does a command is data of the wiring.
 """
 
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from heapq import heappop, heappush
+from heapq import heapify, heappop, heappush
 from typing import Any
 
+from fsar_ledger.constants import END_US
 from fsar_ledger.events import EVENT_TYPES, Event
+from fsar_ledger.events.world import LinkCameUp, RobotCameBack, RobotWentOff
 from fsar_ledger.projections.fold import ROUTES, State, apply
+from fsar_ledger.projections.world import is_linked
 
 from .architectures.wiring import Wiring
-from .handlers.commands import Command, Draw, React
+from .handlers.commands import React, Scheduled
 from .world.draws import Draws
 from .world.schedule import Fact
 
 _Plan = dict[type[Event], tuple[tuple[tuple[str, Callable[[Any, Any], Any]], ...], tuple[React, ...]]]
+_Pending = tuple[int, int, int, Scheduled]  # when it is due (or, of what is kept, after how long then), serial, cause, command
 
-LATEST_US = 3_600_000_000  # no run of the model takes an hour of run time; one that does is a bug
+LATEST_US = 2 * END_US  # a run is this long at most; one that still does things a moment apart by then is a bug
+MOMENT_US = 60_000_000
 
 
 @lru_cache(maxsize=32)
@@ -40,11 +49,13 @@ class Kernel:
         self.events: list[Event] = []
         self.state = State()
         self._decides = wiring.decides
+        self._actors = wiring.actors
         self._plan = _plan(wiring)
         self._facts = facts
         self._next_fact = 0
         self._draws = draws
-        self._pending: list[tuple[int, int, int, Command, Draw | None]] = []
+        self._pending: list[_Pending] = []
+        self._kept: list[_Pending] = []
         self._serial = 0
         if founded is None:
             self._batch(founding, 0, None)
@@ -68,11 +79,16 @@ class Kernel:
             if position < count and (not pending or facts[position][0] <= pending[0][0]):
                 time_us, fact = facts[position]
                 position += 1
-                self._record(fact, time_us, 0)
+                self._happened(fact, time_us)
             elif pending:
-                time_us, _, cause, command, ask = heappop(pending)
+                time_us, _, cause, scheduled = pending[0]
                 if time_us > LATEST_US:
-                    raise RuntimeError(f"the run does not end: {command} is due at {time_us} microseconds, caused by event {cause}")
+                    self._require_end(time_us, cause, scheduled)
+                    pending.clear()
+                    continue
+                if self._keep(heappop(pending)):
+                    continue
+                command, ask = scheduled.command, scheduled.ask
                 command.now_us = time_us
                 if ask is not None:
                     command.drawn = self._draws.value(ask.stream, ask.key)
@@ -82,6 +98,11 @@ class Kernel:
             else:
                 self._next_fact = position
                 return
+
+    def _require_end(self, time_us: int, cause: int, scheduled: Scheduled) -> None:
+        """What is due so late was waited for long. Raises: RuntimeError if it was not."""
+        if time_us - self.times_us[cause] < MOMENT_US:
+            raise RuntimeError(f"the run does not end: {scheduled.command} is due at {time_us} microseconds, caused by event {cause}")
 
     def restore(self, times_us: Sequence[int], caused_by: Sequence[int | None], events: Sequence[Event]) -> None:
         """The run stands before the last batch of these recorded events; `run` makes that batch again and goes on.
@@ -95,7 +116,10 @@ class Kernel:
             cause = caused_by[seq]
             if not _is_same_batch(times_us, caused_by, seq):
                 self._discard_until(times_us[seq], cause)
-            self._record(events[seq], times_us[seq], cause)
+            if cause == 0 and times_us[seq] > 0:
+                self._happened(events[seq], times_us[seq])
+            else:
+                self._record(events[seq], times_us[seq], cause)
         if end < len(events):
             self._discard_before(times_us[end], caused_by[end])
 
@@ -104,14 +128,14 @@ class Kernel:
         if cause == 0:
             self._next_fact += 1
             while self._pending and self._pending[0][0] < time_us:
-                heappop(self._pending)
+                self._keep(heappop(self._pending))
             return
         self._discard_before(time_us, cause)
         heappop(self._pending)
 
     def _discard_before(self, time_us: int, cause: int | None) -> None:
         while self._pending and (self._pending[0][0] < time_us or (cause != 0 and self._pending[0][0] == time_us and self._pending[0][2] != cause)):
-            heappop(self._pending)
+            self._keep(heappop(self._pending))
 
     def _batch(self, events: Sequence[Event], time_us: int, cause: int | None) -> None:
         first = len(self.events)
@@ -142,7 +166,56 @@ class Kernel:
                     due_us += 1
                 taken = (*taken, due_us)
                 self._serial += 1
-                heappush(self._pending, (due_us, self._serial, seq, scheduled.command, scheduled.ask))
+                if not self._keep((due_us, self._serial, seq, scheduled), due_us - time_us):
+                    heappush(self._pending, (due_us, self._serial, seq, scheduled))
+
+    def _keep(self, one: _Pending, after_us: int = 1) -> bool:
+        """True when this cannot be done now, because a robot is off or a link down; it is due so long after they are back."""
+        world = self.state.world
+        if not world.off and not world.unlinked:
+            return False
+        scheduled = one[3]
+        actor = self._actor(scheduled)
+        senders = [draw.sender for draw in scheduled.draws if draw.sender is not None]
+        ends = (*senders, actor) if senders and actor is not None else senders
+        if actor in world.off or not all(is_linked(world, end) for end in ends):
+            self._kept.append((after_us, *one[1:]))
+            return True
+        return False
+
+    def _actor(self, scheduled: Scheduled) -> str | None:
+        actor = self._actors.get(type(scheduled.command))
+        return None if actor is None else actor(self.state, scheduled.command)
+
+    def _happened(self, fact: Event, time_us: int) -> None:
+        """The world does this; what it stops is kept, and what it brings back is due again."""
+        self._record(fact, time_us, 0)
+        if isinstance(fact, RobotWentOff):
+            stopped = [one for one in self._pending if self._actor(one[3]) == fact.robot and not _is_message(one[3])]
+            self._kept += [(due_us - time_us, serial, cause, scheduled) for due_us, serial, cause, scheduled in sorted(stopped, key=lambda one: one[:2])]
+            self._pending[:] = [one for one in self._pending if one not in stopped]
+            heapify(self._pending)
+        elif isinstance(fact, RobotCameBack | LinkCameUp):
+            self._release(time_us)
+
+    def _release(self, now_us: int) -> None:
+        """All that is kept is due again, or kept on; no two of it at the same instant, nor at that of another command of its cause."""
+        kept, self._kept = self._kept, []
+        taken = {(due_us, cause) for due_us, _, cause, _ in self._pending}
+        instants: set[int] = set()
+        for after_us, serial, cause, scheduled in kept:
+            if self._keep((0, serial, cause, scheduled), after_us):
+                continue
+            due_us = now_us + after_us
+            while due_us in instants or (due_us, cause) in taken:
+                due_us += 1
+            instants.add(due_us)
+            heappush(self._pending, (due_us, serial, cause, scheduled))
+
+
+def _is_message(scheduled: Scheduled) -> bool:
+    """True for what only travels: it goes on its way while who receives it is off, and waits there."""
+    return scheduled.after_us <= 1 and bool(scheduled.draws) and all(draw.sender is not None for draw in scheduled.draws)
 
 
 def _is_same_batch(times_us: Sequence[int], caused_by: Sequence[int | None], seq: int) -> bool:

@@ -1,6 +1,5 @@
-"""A plan in a ledger: the name it goes by, where it stands, and which batches are still to be made under it."""
+"""A plan in a ledger: the name it goes by, and what of it is there."""
 
-from collections.abc import Iterable, Iterator
 from hashlib import sha256
 
 import msgspec
@@ -33,36 +32,18 @@ def misnamed(record: RunRecord) -> tuple[str, str, str] | None:
     return next(((field, f"{found!r:.300}", repr(right)) for field, found, right in pairs if found != right), None)
 
 
-class Commit(msgspec.Struct, frozen=True):
-    """The names of the runs of a commit, and of its plans."""
+class Held(msgspec.Struct, frozen=True):
+    """The names of the runs that a ledger holds, and of its plans."""
 
     runs: frozenset[str]
     plans: frozenset[str]
 
 
-def commits_of(ledger: LedgerView) -> Iterator[Commit]:
-    """What each commit holds, in order. Raises: LedgerCorrupted for a segment that cannot be read."""
+def held(ledger: LedgerView) -> Held:
+    """What the ledger holds. Raises: LedgerCorrupted for a segment that cannot be read."""
+    names: set[str] = set()
+    plans: set[str] = set()
     for table in ledger.tables(["run_id", "type"]):
-        names = table.column("run_id")
-        plans = frozenset(names.filter(pa.array(standing_alone(whole(table.column("type"))))).to_pylist())
-        yield Commit(frozenset(names.unique().to_pylist()) - plans, plans)
-
-
-class Standing(msgspec.Struct, frozen=True):
-    """What a ledger holds of a plan: whether the plan is on record, the names of all runs, and of those from before it was."""
-
-    is_recorded: bool
-    held: frozenset[str]
-    before: frozenset[str]
-
-
-def standing(plan: str, commits: Iterable[Commit]) -> Standing:
-    """How the plan of this name stands among the commits; one that is not on record would come after all."""
-    held: set[str] = set()
-    before: frozenset[str] | None = None
-    for commit in commits:
-        if plan in commit.plans:
-            before = frozenset(held)
-        held |= commit.runs
-    everything = frozenset(held)
-    return Standing(before is not None, everything, everything if before is None else before)
+        names.update(table.column("run_id").unique().to_pylist())
+        plans.update(table.column("run_id").filter(pa.array(standing_alone(whole(table.column("type"))))).to_pylist())
+    return Held(frozenset(names - plans), frozenset(plans))

@@ -223,7 +223,7 @@ class _Replay(Kernel):
         events, founded = founding_of(spec, constants)
         self._stored, self._count = record, len(record.events)
         self._deciding: Callable[..., object] = founding
-        self._facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size)
+        self._facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size, constants.outages, constants.load)
         self._silent: list[tuple[int, Decide]] = []  # when, and who had a turn since the last event and made nothing
         for seq, event in enumerate(events):
             self._require(seq, event, 0, None if seq == 0 else 0)
@@ -326,21 +326,20 @@ def _parameters(run: str, started: RunStarted, event_count: int) -> tuple[RunSpe
         raise refused("model_version", f"{MODEL_VERSION!r}; replay it with the version that wrote it", repr(started.model_version))
     try:
         spec = msgspec.convert({name: getattr(started, name) for name in RunSpec.__struct_fields__}, RunSpec)
-        Experiment((spec.architecture,), (spec.scenario,), spec.run + 1, spec.seed, spec.fleet_size, (spec.configuration,))
-    except (InvalidExperiment, msgspec.ValidationError) as error:
-        raise refused(None, "a run that can be simulated", str(error)) from error
-    try:
         constants = _constants(started.parameters or "")
+        most = FACTS_PER_ROBOT * spec.fleet_size + event_count
+        if not arrivals_expected(constants.world, spec.fleet_size, constants.outages, constants.load) <= most:
+            raise refused("parameters", f"rates of the world that make at most {most} facts", "more than that to be expected")
+        Experiment((spec.architecture,), (spec.scenario,), spec.run + 1, spec.seed, spec.fleet_size, (spec.configuration,), constants)
     except BadParameters as error:
         raise refused("parameters", "the constants of the model", str(error).removeprefix("found ")) from error
+    except (InvalidExperiment, msgspec.ValidationError) as error:
+        raise refused(None, "a run that can be simulated", str(error)) from error
     own = run_started(spec, constants)
     if started.observes != own.observes:
         raise refused("observes", repr(own.observes), repr(started.observes))
     if own != started:
         raise refused("parameters", "all constants of the model, in the form in which it writes them", f"{started.parameters!r:.300}")
-    most = FACTS_PER_ROBOT * spec.fleet_size + event_count
-    if not arrivals_expected(constants.world, spec.fleet_size) <= most:
-        raise refused("parameters", f"rates of the world that make at most {most} facts", "more than that to be expected")
     return spec, constants
 
 

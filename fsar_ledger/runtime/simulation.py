@@ -74,23 +74,24 @@ def run_id(started: RunStarted) -> str:
 
 def kernel(spec: RunSpec, constants: Constants, structure: Wiring | None = None) -> Kernel:
     """The run at its founding, before the world has done anything; `structure` replaces the architecture's own wiring."""
-    facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size)
+    facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size, constants.outages, constants.load)
     draws = Draws(run_key(spec.seed, spec.scenario, spec.run), constants.world)
     return Kernel(structure or wiring(spec.architecture), facts, draws, *founding_of(spec, constants))
 
 
 def founding_of(spec: RunSpec, constants: Constants) -> tuple[tuple[Event, ...], State]:
     """The events that the run begins with, and the state that all of them but the first make."""
-    return (run_started(spec, constants), *_founding(spec.fleet_size)), _founded(spec.fleet_size)
+    fleet = (spec.fleet_size, constants.world.floor_teams)
+    return (run_started(spec, constants), *_founding(*fleet)), _founded(*fleet)
 
 
 _founding = lru_cache(maxsize=4)(founding)
 
 
 @lru_cache(maxsize=4)
-def _founded(fleet_size: int) -> State:
+def _founded(fleet_size: int, floor_teams: int) -> State:
     """The state of a fleet of which only the run is not known yet."""
-    return fold(_founding(fleet_size))
+    return fold(_founding(fleet_size, floor_teams))
 
 
 def simulate_run(spec: RunSpec, constants: Constants, structure: Wiring | None = None) -> RunRecord:

@@ -34,7 +34,7 @@ class Switch(NamedTuple):
     def structure(self) -> Wiring:
         """The architecture's wiring without the mechanism."""
         whole = wiring(self.architecture)
-        return Wiring({**whole.decides, **self.decides}, whole.reacts)
+        return Wiring({**whole.decides, **self.decides}, whole.reacts, whole.actors)
 
 
 def _nothing(_state: State, _command: Command) -> tuple[Event, ...]:

@@ -1,14 +1,17 @@
 -- Title: Governance locality
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run
--- Units: numerator decisions that a robot or named supervisor took by itself; denominator decisions; value share
+-- Units: numerator decisions that a robot or named supervisor took by itself; denominator decisions; value share;
+--        *_without_routine the same without decisions on routine operations, which no request made (R42)
 -- NULL: value of a run without decisions
 -- Example: fsar-ledger query metrics/governance_locality LEDGER
 WITH judged AS (
     SELECT
         run_id,
         count(*) AS denominator,
-        count(*) FILTER (WHERE is_local) AS numerator
+        count(*) FILTER (WHERE is_local) AS numerator,
+        count(*) FILTER (WHERE decision_kind <> 'routine') AS denominator_without_routine,
+        count(*) FILTER (WHERE is_local AND decision_kind <> 'routine') AS numerator_without_routine
     FROM decisions
     GROUP BY run_id
 )
@@ -17,6 +20,9 @@ SELECT
     runs.run_id,
     coalesce(judged.numerator, 0)::BIGINT AS numerator,
     coalesce(judged.denominator, 0)::BIGINT AS denominator,
-    judged.numerator / nullif(judged.denominator, 0) AS value
+    judged.numerator / nullif(judged.denominator, 0) AS value,
+    coalesce(judged.numerator_without_routine, 0)::BIGINT AS numerator_without_routine,
+    coalesce(judged.denominator_without_routine, 0)::BIGINT AS denominator_without_routine,
+    judged.numerator_without_routine / nullif(judged.denominator_without_routine, 0) AS value_without_routine
 FROM runs
 LEFT JOIN judged ON runs.run_id = judged.run_id

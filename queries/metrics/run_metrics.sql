@@ -2,7 +2,9 @@
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run and metric
 -- Units: setting and constants as in run_settings; value share, count or seconds, as the metric says; numerator and denominator as in the metric's own query
--- NULL: value where the metric is undefined for the run; published_convention_value then is what the paper counts (containment 1, latency 0 s), else NULL
+--        value_without_routine the same without routine operations, where the metric counts them
+-- NULL: value where the metric is undefined for the run; published_convention_value then is what the paper counts (containment 1, latency 0 s), else NULL;
+--       value_without_routine where the metric counts no routine operations, and where it counts nothing else
 -- Example: fsar-ledger query metrics/run_metrics LEDGER
 -- Stored: the summary and every statistic read it several times
 WITH measured AS (
@@ -10,37 +12,37 @@ WITH measured AS (
         'coordination_success' AS metric,
         *
     FROM coordination_success
-    UNION ALL
+    UNION ALL BY NAME
     SELECT
         'governance_locality' AS metric,
         *
     FROM governance_locality
-    UNION ALL
+    UNION ALL BY NAME
     SELECT
         'recovery_containment' AS metric,
         *
     FROM recovery_containment
-    UNION ALL
+    UNION ALL BY NAME
     SELECT
         'authority_conflicts' AS metric,
         *
     FROM authority_conflicts
-    UNION ALL
+    UNION ALL BY NAME
     SELECT
         'policy_violations' AS metric,
         *
     FROM policy_violations
-    UNION ALL
+    UNION ALL BY NAME
     SELECT
         'reassignment_latency_s' AS metric,
         *
     FROM reassignment_latency_s
-    UNION ALL
+    UNION ALL BY NAME
     SELECT
         'human_intervention' AS metric,
         *
     FROM human_intervention
-    UNION ALL
+    UNION ALL BY NAME
     SELECT
         'audit_attributability' AS metric,
         *
@@ -56,6 +58,7 @@ SELECT
     measured.value,
     measured.numerator,
     measured.denominator,
+    measured.value_without_routine,
     coalesce(measured.value, definitions.published_value) AS published_convention_value
 FROM runs
 INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id

@@ -4,7 +4,7 @@
 -- Units: setting and constants as in run_settings; x and pooled_mean in the metric's unit. For a pooled metric
 --        x = ratio + residual / mean denominator, whose mean is the pooled ratio and sd(x) / sqrt(n) its standard error
 -- NULL: scenario for all scenarios; seed for all seeds, and of runs that have none; what the run does not have; x where the metric is undefined;
---       pooled_mean for metrics that are not pooled
+--       pooled_mean for metrics that are not pooled; value_without_routine as in run_metrics
 -- Example: fsar-ledger query metrics/summary_values LEDGER
 WITH scenarios AS (
     SELECT * REPLACE (NULL::VARCHAR AS scenario)
@@ -69,6 +69,7 @@ SELECT
     run_id,
     run_seed,
     denominator,
+    value_without_routine,
     published_convention_value,
     CASE WHEN is_pooled THEN (ratio + (numerator - ratio * denominator) / mean_denominator) / numerator_units ELSE value END AS x,
     CASE WHEN is_pooled THEN ratio / numerator_units END AS pooled_mean

@@ -48,17 +48,17 @@ def test_simulate_says_what_was_committed(call: Call, ledger: Path, tmp_path: Pa
 
 def test_info_tells_a_complete_ledger_from_one_that_lacks_runs(call: Call, ledger: Path, tmp_path: Path) -> None:
     whole = json.loads(call("info", ledger, "--json").out)
-    assert (whole["is_complete"], whole["runs"], {group["runs_missing"] for group in whole["groups"]}) == (True, 12, {0})
-    assert sum(group["events"] for group in whole["groups"]) == whole["head"]["size"]
+    assert (whole["is_complete"], whole["runs"], {group["runs_to_rectangle"] for group in whole["groups"]}) == (True, 12, {0})
+    assert sum(group["events"] for group in whole["groups"]) + len(whole["plans"]) == whole["head"]["size"]
     assert whole["models"][0]["parameters"]
     assert "12 runs, complete" in call("info", ledger).out
     uneven = tmp_path / "uneven"
     for architecture, runs in (("fsar", "3"), ("cfc", "2")):
         call("simulate", uneven, "--architecture", architecture, "--scenario", "door-relay", "--runs", runs, "--workers", "1")
     partial = json.loads(call("info", uneven, "--json").out)
-    assert partial["is_complete"] is False
-    assert {group["architecture"]: group["runs_missing"] for group in partial["groups"]} == {"fsar": 0, "cfc": 1}
-    assert "5 runs, not complete (1 missing; " in call("info", uneven).out
+    assert partial["is_complete"] is True  # each was planned so
+    assert {group["architecture"]: group["runs_to_rectangle"] for group in partial["groups"]} == {"fsar": 0, "cfc": 1}
+    assert "not a rectangle: 1 runs less than if each group had all runs" in call("info", uneven).out
 
 
 def test_metrics_have_the_agreed_columns_in_every_format(call: Call, ledger: Path) -> None:

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from fsar_ledger.ledger.append import Writer, stage
@@ -27,10 +28,11 @@ def test_a_name_that_is_not_printed_is_refused_before_anything_is_written(tmp_pa
 
 
 def test_the_field_is_named(tmp_path: Path) -> None:
-    for field, change in (("robot", "robot-0\x1b"), ("achieved", "robot/A1\x1b")):
-        run = relabelled(RUN, lambda text, change=change: change if text == change[:-1] else text)  # type: ignore[misc]
-        with pytest.raises(ValueError, match=f"field {field}: found '{change[:-1]}"):
-            stage(tmp_path / "ledger", [run])
+    for field, value in (("robot", "robot-0\x1b"), ("achieved", ("robot/A1\x1b",))):
+        at = next(at for at, event in enumerate(RUN.events) if field in event.__struct_fields__)
+        events = [*RUN.events[:at], msgspec.structs.replace(RUN.events[at], **{field: value}), *RUN.events[at + 1 :]]
+        with pytest.raises(ValueError, match=f"seq {at}, field {field}: found 'robot.*x1b'"):
+            stage(tmp_path / "ledger", [RunRecord(RUN.run_id, RUN.times_us, RUN.caused_by, events)])
 
 
 def test_letters_of_any_script_are_names(tmp_path: Path) -> None:

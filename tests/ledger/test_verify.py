@@ -19,6 +19,7 @@ from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.record import CommitRecord, Manifest, commit_path, segment_path
 from fsar_ledger.ledger.verify import MAX_PROBLEMS, verify
 from tests.ledger.forgery import changed, examined_once, forge, forge_segment, record_of, table_of
+from tests.ledger.hostile import append_again
 from tests.ledger.samples import ORIGIN, append_all, made_up_batches, made_up_run
 
 BATCHES = made_up_batches(3)
@@ -271,7 +272,8 @@ def test_a_segment_in_several_row_groups_is_found(path: Path) -> None:
 
 def test_a_run_in_two_commits_is_found(tmp_path: Path) -> None:
     again = made_up_run("run-0000", 12, seed=9)
-    append_all(tmp_path / "ledger", [*BATCHES[:2], [again]])
+    append_all(tmp_path / "ledger", BATCHES[:2])
+    append_again(tmp_path / "ledger", [again])
     problem = first_problem(tmp_path / "ledger")
     assert (problem.commit, problem.run, problem.field) == (2, "run-0000", "run_id")
 

@@ -28,6 +28,7 @@ def row(metric: str, architecture: str, mean: float | None, sd: float | None, n:
         ci_high=None,
         denominator=n,
         published_convention_mean=mean,
+        mean_without_routine=None,
     )
 
 

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.events.envelope import Architecture, Configuration, Workflow
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionWithdrawn
@@ -15,10 +15,12 @@ from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections import execution, world
 from fsar_ledger.projections.fold import ROUTES, STATELESS, State, apply, fold
 from fsar_ledger.projections.world import in_force, stricter
+from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 from tests.runtime.commanded import commanded
 
 RECORDS_ONLY = {
+    "ExperimentPlanned",  # of no run
     "AssistanceDeclined",
     "BidSubmitted",
     "CandidateMatched",
@@ -53,7 +55,10 @@ def emitted() -> set[type[Event]]:
     specs += [RunSpec(8, "fsar", configuration, scenario, 4, 0) for configuration in get_args(Configuration)[1:] for scenario in SCENARIOS]
     specs += [RunSpec(8, "fsar", "full", workflow, 4, 0) for workflow in get_args(Workflow)]
     specs.append(RunSpec(42, "fsar", "full", "mixed-trust-inspection", 4, 82))  # one of the few in which a task changes hands
-    return {type(event) for events in (*(simulate_run(spec, Constants()).events for spec in specs), commanded().events) for event in events}
+    away = simulate_run(RunSpec(8, "fsar", "full", "fleet-contention", 4, 0), Constants(outages=Outages(0.05, 8.0, 0.03, 6.0))).events
+    planned = [Experiment(("fsar",), SCENARIOS, 12, 8).plan()]
+    runs = (simulate_run(spec, Constants()).events for spec in specs)
+    return {type(event) for events in (*runs, commanded().events, away, planned) for event in events}
 
 
 def test_every_event_type_is_emitted_by_some_run(emitted: set[type[Event]]) -> None:

@@ -10,8 +10,8 @@ from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.metrics.library import KEYS, REQUIRED_KEYS, Library, Query, library, parse, view_name
 
 FILES = sorted(Path(str(files("fsar_ledger.queries"))).rglob("*.sql"))
-MADE = {"staging/world_facts", *(f"staging/{view_name(tag)}" for tag in LAYOUTS)}
-PACKAGED = [name for name in library().queries if name not in MADE]
+GENERATED = {"staging/world_facts", *(f"staging/{view_name(tag)}" for tag in LAYOUTS)}
+PACKAGED = [name for name in library().queries if name not in GENERATED]
 HEADER = "".join(f"-- {key}: something\n" for key in REQUIRED_KEYS)
 
 

@@ -184,3 +184,16 @@ def test_nested_constants_become_dotted_names() -> None:
         ("b.carry", "\u221250"),
         ("b.nav", "2 to 6.5 s"),
     ]
+
+
+def test_what_stands_behind_the_numbers_is_said_where_they_stand(ledger: Path, printed: dict[str, Any]) -> None:
+    with connect(ledger) as database:
+        rows = [row for row in database.rows("SELECT * FROM background") if (row["configuration"], row["fleet_size"]) == ("full", 4)]
+        beside = {(row.metric, row.architecture): row.mean_without_routine for row in metric_rows(database)}
+    keys = zip(values(printed, "evaluation-results", "metric"), values(printed, "evaluation-results", "architecture"), strict=True)
+    assert values(printed, "evaluation-results", "mean_without_routine") == [beside[key] for key in keys]
+    for name in ("routine_share_of_decisions", "routine_share_of_local_decisions", "off_shift_share_of_unattributable_events"):
+        assert values(printed, "background", name) == [row[name] for row in rows]
+    assert [(one["architecture"].lower(), one["decisions"]) for one in printed["background"]] == [
+        (row["architecture"], f"{100 * row['routine_share_of_decisions']:.1f}") for row in rows
+    ]

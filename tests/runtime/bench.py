@@ -57,7 +57,8 @@ class Bench(Kernel):
         """The next pending command is decided; False when none is pending."""
         if not self._pending:
             return False
-        due_us, _, cause, command, ask = heappop(self._pending)
+        due_us, _, cause, scheduled = heappop(self._pending)
+        command, ask = scheduled.command, scheduled.ask
         self.now_us = max(self.now_us + 1, due_us)
         command.now_us = self.now_us
         if ask is not None:

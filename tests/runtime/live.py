@@ -7,7 +7,7 @@ from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.architectures.fsar import FSAR
-from fsar_ledger.runtime.handlers.commands import Command
+from fsar_ledger.runtime.handlers.commands import Command, Scheduled
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.world.draws import Draws, run_key
 from tests.runtime.histories import started
@@ -23,7 +23,7 @@ def played(commands: Iterable[tuple[int, Command]], *before: Event, facts: Itera
     constants = Constants()
     one = Kernel(FSAR, sorted(facts, key=lambda fact: fact[0]), Draws(run_key(1, "door-relay", 0), constants.world), (*started("fsar"), *before))
     for serial, (time_us, command) in enumerate(commands):
-        heappush(one._pending, (time_us, serial - 1_000, 0, command, None))
+        heappush(one._pending, (time_us, serial - 1_000, 0, Scheduled(command)))
     one.run()
     return one
 

@@ -5,10 +5,11 @@ from functools import cache
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Structure
+from fsar_ledger.constants import Constants, Structure, WorldConstants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.codec import encode
 from fsar_ledger.metrics.database import from_table
+from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 
 RUNS = 3
@@ -65,3 +66,29 @@ def test_a_coordinator_that_syncs_thirty_times_as_often_neither_decides_nor_reco
     assert often.decisions <= seldom.decisions * 1.01
     assert often.records <= seldom.records * 1.01
     assert often.locality >= seldom.locality - 0.01
+
+
+def attributability(architecture: Architecture, absence_s: float) -> tuple[float | None, int]:
+    """The mean of the runs, and how many records in all are not attributable."""
+    constants = Constants(world=msgspec.structs.replace(WorldConstants(), absence_s=absence_s))
+    records = [simulate_run(RunSpec(42, architecture, "full", scenario, 4, run), constants) for scenario in SCENARIOS for run in range(RUNS)]
+    with from_table(encode(records), threads=1) as database:
+        [mean] = [row.mean for row in metric_rows(database) if row.metric == "audit_attributability"]
+        [lost] = database.rows("SELECT count(*) AS n FROM coordination_events WHERE NOT is_attributable")
+    return mean, lost["n"]
+
+
+def test_under_fsar_absences_of_supervisors_are_all_that_is_ever_missing() -> None:
+    """So the cell says how long the absences are that we added to the world. Reading: R8."""
+    assert attributability("fsar", 0.0) == (1.0, 0)
+    mean, lost = attributability("fsar", WorldConstants().absence_s)
+    assert mean is not None
+    assert mean < 1.0
+    assert lost > 0
+
+
+@pytest.mark.parametrize("architecture", ["cfc", "dhma"])
+def test_under_the_baselines_more_is_missing_than_supervisors(architecture: Architecture) -> None:
+    mean, _ = attributability(architecture, 0.0)
+    assert mean is not None
+    assert mean < 0.9

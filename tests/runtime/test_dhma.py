@@ -5,7 +5,7 @@ from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.knowledge import BidReceived, PlannerEngaged, SnapshotTaken
 from fsar_ledger.events.registry import RegistryQueried
-from fsar_ledger.events.request import AwardMade, InternalHandoff
+from fsar_ledger.events.request import AwardMade
 from fsar_ledger.events.world import ObstructionAppeared, OutsiderRequestInjected
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.architectures.dhma.agents import EngagePlanner, TakeSnapshot, close_execution, engage_planner, take_snapshot
@@ -63,8 +63,8 @@ def claimants(state: State, dimension: str) -> set[str]:
 
 def test_a_call_names_no_executor_before_the_award() -> None:
     events = call_for_proposals(given("dhma", ARRIVED, DELEGATED_STEP), CallForProposals(ACTION))
-    assert types(events) == ["InternalHandoff", "RegistryQueried", "RequestIssued"]
-    assert [event.executed_by for event in events[1:]] == [None, None]  # type: ignore[attr-defined]
+    assert types(events) == ["RegistryQueried", "RequestIssued"]
+    assert [event.executed_by for event in events] == [None, None]  # type: ignore[attr-defined]
 
 
 def test_a_bid_follows_the_planners_snapshot_and_not_the_true_policy() -> None:
@@ -120,17 +120,15 @@ def test_a_context_change_questions_a_contract_that_has_not_started() -> None:
         apply(state, event)
     voided = start(state, StartAction(ACTION, now_us=9_000_000, drawn=1))
     assert "ContractVoided" in types(voided)
-    assert types(voided).count("InternalHandoff") == 4
 
 
 def test_a_context_change_during_execution_leaves_the_contract_standing() -> None:
     assert "ContractQuestioned" not in types(engage_planner(running(), EngagePlanner("robot/B1", now_us=9_500_000)))
 
 
-def test_an_own_step_goes_through_two_agents() -> None:
-    decided, handed = plan_own_step(given("dhma", ARRIVED, OWN_STEP), PlanOwnStep("A1-1/1.1"))
-    assert decided.path == ("agent/A1/planning", "agent/A1/execution")  # type: ignore[attr-defined]
-    assert isinstance(handed, InternalHandoff)
+def test_an_own_step_is_the_planners_decision() -> None:
+    [decided] = plan_own_step(given("dhma", ARRIVED, OWN_STEP), PlanOwnStep("A1-1/1.1"))
+    assert decided.path == ("agent/A1/planning",)  # type: ignore[attr-defined]
 
 
 def test_a_motion_is_two_half_records_and_engages_the_planner() -> None:

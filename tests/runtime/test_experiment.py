@@ -9,7 +9,7 @@ from fsar_ledger.constants import Constants, WorldConstants
 from fsar_ledger.errors import InvalidExperiment, NotALedger, SequenceConflict
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.verify import verify
-from fsar_ledger.runtime.experiment import BATCH_RUNS, Experiment, simulate
+from fsar_ledger.runtime.experiment import BATCH_RUNS, Experiment, carry_out, simulate
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, run_id, run_started
 
 SMALL = Experiment(ARCHITECTURES, SCENARIOS[:2], runs=5, seed=3)
@@ -69,7 +69,7 @@ def test_an_interrupted_experiment_goes_on_at_the_first_missing_batch(tmp_path: 
 
     with pytest.raises(Stop):
         simulate(tmp_path / "ledger", SMALL, 1, stop_after_one)
-    assert open_ledger(tmp_path / "ledger").head.commits == 1
+    assert open_ledger(tmp_path / "ledger").head.commits == 2
     told.clear()
     head = simulate(tmp_path / "ledger", SMALL, 1, lambda done, total: told.append((done, total)))
     assert told == [(1, 2), (2, 2)]
@@ -85,21 +85,21 @@ def test_an_experiment_that_another_process_finishes_meanwhile_stops_and_takes_n
     with pytest.raises(SequenceConflict, match="run the same command again"):
         simulate(tmp_path / "ledger", SMALL, 1, finish_elsewhere)
     assert verify(tmp_path / "ledger").ok
-    assert simulate(tmp_path / "ledger", SMALL, 1).commits == 2
+    assert simulate(tmp_path / "ledger", SMALL, 1).commits == 3
     assert verify(tmp_path / "ledger").ok
 
 
 def test_another_experiment_can_join_a_ledger_if_it_shares_no_run(tmp_path: Path) -> None:
     simulate(tmp_path / "ledger", SMALL, 1)
     joined = simulate(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], runs=2, seed=4), 1)
-    assert joined.commits == 3
+    assert joined.commits == 5
     assert verify(tmp_path / "ledger").ok
 
 
-def test_runs_that_are_there_in_other_batches_are_refused_and_nothing_changes(tmp_path: Path) -> None:
+def test_runs_that_are_there_in_other_batches_are_not_made_again_and_nothing_changes(tmp_path: Path) -> None:
     head = simulate(tmp_path / "ledger", SMALL, 1)
-    with pytest.raises(InvalidExperiment, match="is in the ledger already"):
-        simulate(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], runs=2, seed=3), 1)
+    made = carry_out(tmp_path / "ledger", Experiment(("fsar",), SCENARIOS[:1], runs=2, seed=3), 1)
+    assert (made.asked, made.made, made.held, made.head) == (2, 0, 30, head)
     assert open_ledger(tmp_path / "ledger").head == head
 
 

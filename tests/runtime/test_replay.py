@@ -30,6 +30,7 @@ from fsar_ledger.runtime.replay import NOT_REPLAYED, ReplayReport, replay, repla
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run, wiring
 from fsar_ledger.runtime.switches import SWITCHES, Switch
 from tests.cli.conftest import Call, call, one_message  # noqa: F401
+from tests.ledger.hostile import stage_anything
 from tests.runtime import governed
 from tests.runtime.commanded import commanded
 from tests.runtime.forgeries import FORGERIES, HONEST, LATE, added, changed, dropped, renamed, seq_of
@@ -43,7 +44,7 @@ DECIDED = [seq for seq, event in enumerate(HONEST.events) if HONEST.times_us[seq
 def committed(path: Path, *runs: RunRecord) -> Path:
     """A ledger of one commit with these runs, which verifies."""
     with Writer(path, ORIGIN) as writer:
-        writer.append(stage(path, runs))
+        writer.append(stage_anything(path, runs))
     assert verify(path).ok
     return path
 

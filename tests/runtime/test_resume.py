@@ -11,9 +11,10 @@ from typing import get_args
 import pyarrow.parquet as pq
 import pytest
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
+from fsar_ledger.events.world import LinkCameUp, LinkWentDown, RobotCameBack, RobotWentOff
 from fsar_ledger.ledger.codec import RunRecord, decode, encode
 from fsar_ledger.projections.fold import State, fold
 from fsar_ledger.runtime.architectures.fsar.execution import decide_routine
@@ -22,6 +23,7 @@ from fsar_ledger.runtime.handlers.commands import DecideRoutine
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, kernel, simulate_run, wiring
 
 CONSTANTS = Constants()
+OUTAGES = Constants(outages=Outages(0.02, 8.0, 0.03, 6.0, 0.002))
 
 
 def stored(record: RunRecord) -> RunRecord:
@@ -32,8 +34,8 @@ def stored(record: RunRecord) -> RunRecord:
     return back
 
 
-def resumed(spec: RunSpec, record: RunRecord, position: int) -> tuple[list[int], list[int | None], list[object]]:
-    one = kernel(spec, CONSTANTS)
+def resumed(spec: RunSpec, record: RunRecord, position: int, constants: Constants) -> tuple[list[int], list[int | None], list[object]]:
+    one = kernel(spec, constants)
     one.restore(record.times_us[:position], record.caused_by[:position], record.events[:position])
     one.run()
     return one.times_us, one.caused_by, list(one.events)
@@ -46,11 +48,11 @@ def positions(length: int, founding: int, places: int) -> Iterator[int]:
     yield length
 
 
-def assert_resumes(spec: RunSpec, places: int) -> None:
-    record = stored(simulate_run(spec, CONSTANTS))
+def assert_resumes(spec: RunSpec, places: int, constants: Constants = CONSTANTS) -> None:
+    record = stored(simulate_run(spec, constants))
     founding = sum(time == 0 for time in record.times_us)
     for position in positions(len(record.events), founding, places):
-        times, causes, events = resumed(spec, record, position)
+        times, causes, events = resumed(spec, record, position, constants)
         assert (times, causes, events) == (list(record.times_us), list(record.caused_by), list(record.events)), f"stopped at {position}"
 
 
@@ -70,6 +72,16 @@ def test_an_ablated_run_resumes_anywhere(configuration: Configuration) -> None:
 @pytest.mark.parametrize("architecture", get_args(Architecture))
 def test_a_run_resumes_at_every_single_position(architecture: Architecture) -> None:
     assert_resumes(RunSpec(6, architecture, "full", "failure-recovery-chain", 4, 3), 10_000)
+
+
+@pytest.mark.parametrize("architecture", get_args(Architecture))
+@pytest.mark.parametrize("run", range(2))
+def test_a_run_with_outages_resumes_anywhere(architecture: Architecture, run: int) -> None:
+    """What is kept for a robot that is off, or for a link that is down, follows from the events as well."""
+    spec = RunSpec(5, architecture, "full", "fleet-contention", 4, run)
+    types = {type(event) for event in simulate_run(spec, OUTAGES).events}
+    assert types >= {RobotWentOff, RobotCameBack, LinkWentDown, LinkCameUp}
+    assert_resumes(spec, 60, OUTAGES)
 
 
 def test_a_larger_fleet_resumes_anywhere() -> None:

@@ -5,29 +5,34 @@ from types import ModuleType
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.runtime.handlers.commands import Command, Decide, Decides, React
+from fsar_ledger.runtime.handlers.commands import Actor, Actors, Command, Decide, Decides, React
 
 
 class Wiring(msgspec.Struct, frozen=True, eq=False):
-    """Handlers by command type (exactly one each) and reactions by event type (in order)."""
+    """Handlers by command type (exactly one each), reactions by event type (in order), and who does each command that no outsider gives."""
 
     decides: dict[type[Command], Decide]
     reacts: dict[type[Event], tuple[React, ...]]
+    actors: dict[type[Command], Actor] = {}
 
 
-def wire(*handlers: ModuleType, own: Decides | None = None) -> Wiring:
-    """The wiring of the handler modules' `DECIDES` and `REACTS`; `own` are commands of shared modules that the architecture decides in its own way.
+def wire(*handlers: ModuleType, own: Decides | None = None, instead: dict[React, React] | None = None) -> Wiring:
+    """The wiring of the handler modules' `DECIDES`, `REACTS` and `ACTORS`.
+
+    `own` are commands of shared modules that the architecture decides in its own way, `instead` its own reactions by the shared ones they replace.
 
     Raises:
         ValueError: two modules decide the same command.
     """
     decides: dict[type[Command], Decide] = {}
     reacts: dict[type[Event], tuple[React, ...]] = {}
+    actors: Actors = {}
     for module in handlers:
         for command, decide in module.DECIDES.items():
             if command in decides:
                 raise ValueError(f"{module.__name__}: {command.__name__} is decided twice")
             decides[command] = decide
         for event, react in module.REACTS.items():
-            reacts[event] = (*reacts.get(event, ()), react)
-    return Wiring(decides | (own or {}), reacts)
+            reacts[event] = (*reacts.get(event, ()), (instead or {}).get(react, react))
+        actors |= module.ACTORS
+    return Wiring(decides | (own or {}), reacts, actors)

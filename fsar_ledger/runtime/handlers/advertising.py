@@ -12,7 +12,8 @@ from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertise
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Advertisement, Contract, Module, advertisement, surface
 
-from .commands import Command, Decides, PublicCommand, Reacts, Scheduled
+from .actors import named
+from .commands import Actors, Command, Decides, PublicCommand, Reacts, Scheduled
 from .fleet import in_use, not_possessed
 from .matching import contradiction, version_of, weaker
 from .rejection import rejected, unknown_robot
@@ -261,4 +262,5 @@ DECIDES: Decides = {
     UpgradeCapability: upgrade_capability,
     FinishRollOut: finish_roll_out,
 }
+ACTORS: Actors = {FinishRollOut: named}
 REACTS: Reacts = {CapabilityInstalled: _on_installation}

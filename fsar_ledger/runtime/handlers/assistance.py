@@ -8,7 +8,8 @@ from fsar_ledger.projections.execution import HELPING, Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 
-from .commands import Decides, Draw, EndAssistance, Reacts, Scheduled, StopAssistance
+from .actors import helping
+from .commands import Actors, Decides, Draw, EndAssistance, Reacts, Scheduled, StopAssistance
 from .execution import next_turn
 from .recovery import actuator_holds, open_failure
 
@@ -41,9 +42,9 @@ def end_of(event: AssistanceAdmitted, after_us: int, draws: tuple[Draw, ...] = (
     return Scheduled(EndAssistance(event.action_id, event.helper, event.failure), after_us, draws, ask)
 
 
-def _helped(state: State, action_id: str, helper: str) -> tuple[Action, Recovery] | None:
+def _helped(state: State, action_id: str, who: str) -> tuple[Action, Recovery] | None:
     """The action that the robot helps with, and its failure; None when it does not."""
-    return open_failure(state, action_id) if state.execution.current.get(helper) == HELPING + action_id else None
+    return open_failure(state, action_id) if state.execution.current.get(who) == HELPING + action_id else None
 
 
 def _hindrance(state: State, recovery: Recovery, command: EndAssistance) -> FailureCause | None:
@@ -55,8 +56,8 @@ def _hindrance(state: State, recovery: Recovery, command: EndAssistance) -> Fail
     return None
 
 
-def _failed(action: Action, recovery: Recovery, helper: str, cause: FailureCause) -> AssistanceFailed:
-    return AssistanceFailed(action.task_id, action.action_id, action.robot, helper, recovery.failure, cause)
+def _failed(action: Action, recovery: Recovery, who: str, cause: FailureCause) -> AssistanceFailed:
+    return AssistanceFailed(action.task_id, action.action_id, action.robot, who, recovery.failure, cause)
 
 
 def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
@@ -73,6 +74,7 @@ def _on_end(state: State, event: AssistanceEnded | AssistanceFailed, _now_us: in
 
 
 DECIDES: Decides = {StopAssistance: stop_assistance}
+ACTORS: Actors = {StopAssistance: helping, EndAssistance: helping}
 REACTS: Reacts = {
     AssistanceAdmitted: _on_assistance,
     ObstructionAppeared: _on_obstruction,

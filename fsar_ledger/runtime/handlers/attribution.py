@@ -42,10 +42,15 @@ def is_idle(state: State, robot: str) -> bool:
 
 
 def nearest_first(state: State, robots: list[str], near: str) -> tuple[str, ...]:
-    """The robots in order of team distance: the same team first, then cyclic."""
-    teams = state.fleet.teams
-    home = state.fleet.robots[near].team
-    return tuple(sorted(robots, key=lambda name: ((state.fleet.robots[name].team - home) % teams, name)))
+    """The robots in order of distance: the same team first, then those of the same place, then the others; among equals by team, cyclic."""
+    teams, members = state.fleet.teams, state.fleet.robots
+    home, place = members[near].team, members[near].place
+
+    def distance(name: str) -> tuple[bool, bool, int, str]:
+        robot = members[name]
+        return robot.team != home, robot.place != place, (robot.team - home) % teams, name
+
+    return tuple(sorted(robots, key=distance))
 
 
 def capable(state: State, capability: str, requester: str) -> tuple[str, ...]:

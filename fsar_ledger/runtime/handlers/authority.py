@@ -17,7 +17,8 @@ from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.trust import is_about
 
-from .commands import Command, Decides, PublicCommand, Reacts, Scheduled
+from .actors import named, nobody
+from .commands import Actors, Command, Decides, PublicCommand, Reacts, Scheduled
 from .rejection import expired_context, rejected, unknown_capability, unknown_robot, unknown_supervisor, unknown_word
 from .trust import trusts
 
@@ -222,4 +223,5 @@ def _on_role_trust(state: State, event: RoleTrustSet, _now_us: int) -> tuple[Sch
     )
 
 
+ACTORS: Actors = {ExpireContext: nobody, RevokeDistrusted: named}
 REACTS: Reacts = {TaskCompleted: _on_end, TaskAbandoned: _on_end, TrustSet: _on_trust, RoleTrustSet: _on_role_trust}

@@ -26,11 +26,15 @@ class PublicCommand(Command, kw_only=True):
 
 
 class Draw(msgspec.Struct, frozen=True, gc=False):
-    """A draw from the world: which law, what it serves, and which share of it counts (parts per million)."""
+    """A draw from the world: which law, what it serves, and which share of it counts (parts per million).
+
+    The latency of a message has a `sender`, which must be linked, as must be who receives it: the actor of the command.
+    """
 
     stream: str
     key: str
     share_ppm: int = 1_000_000
+    sender: str | None = None
 
 
 class Scheduled(msgspec.Struct, frozen=True, gc=False):
@@ -46,11 +50,19 @@ Decide = Callable[[State, Any], tuple[Event, ...]]
 React = Callable[[State, Any, int], tuple[Scheduled, ...]]
 Decides = dict[type[Command], Decide]
 Reacts = dict[type[Event], React]
+Actor = Callable[[State, Any], str | None]
+"""Which robot does a command, as things stand when it is due; None is whoever is never off: the world, a service, the coordinator, a human."""
+Actors = dict[type[Command], Actor]
 
 
-def message(key: str, hop: int | str) -> Draw:
-    """The latency of one message between principals, in service of `key`. Paper: sec:evaluation:simulator."""
-    return Draw("message", f"{key}/{hop}")
+def message(sender: str | None, key: str, hop: int | str) -> Draw:
+    """The latency of one message from the sender to another principal, in service of `key`. Paper: sec:evaluation:simulator."""
+    return Draw("message", f"{key}/{hop}", 1_000_000, sender or "")
+
+
+def at_once(sender: str | None) -> Draw:
+    """A message to which the model gives no time."""
+    return Draw("message", "", 0, sender or "")
 
 
 def hop(state: State, key: str, ordinal: int | str) -> Draw:
@@ -70,6 +82,12 @@ class BeginStep(Command):
     after: str = ""
 
 
+class ExpireTask(Command):
+    """The time after which a task is given up is over."""
+
+    task_id: str
+
+
 class CompleteStep(Command):
     """The acting robot learns that the step is done."""
 
@@ -84,6 +102,12 @@ class TakeTurn(Command):
 
 class StartAction(Command):
     """The robot is where it must be; asks for the duration."""
+
+    action_id: str
+
+
+class HaltAction(Command):
+    """The executing robot is off."""
 
     action_id: str
 

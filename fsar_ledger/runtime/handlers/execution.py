@@ -7,6 +7,7 @@ from fsar_ledger.events.execution import (
     ApproachStarted,
     ExecutionFailed,
     ExecutionFinished,
+    ExecutionHalted,
     ExecutionPaused,
     ExecutionQueued,
     ExecutionResumed,
@@ -14,12 +15,27 @@ from fsar_ledger.events.execution import (
     ExecutionWithdrawn,
 )
 from fsar_ledger.events.recovery import FailureResolved
-from fsar_ledger.events.world import ContextChanged, ObstructionAppeared, RoutineDue
+from fsar_ledger.events.world import ContextChanged, ObstructionAppeared, RobotCameBack, RobotWentOff, RoutineDue
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 
+from .actors import body, named, nobody
 from .attribution import is_injected, principals
-from .commands import DecideRoutine, Decides, DetectObstruction, Draw, FinishAttempt, PauseAction, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn
+from .commands import (
+    Actors,
+    DecideRoutine,
+    Decides,
+    DetectObstruction,
+    Draw,
+    FinishAttempt,
+    HaltAction,
+    PauseAction,
+    Reacts,
+    ResumeAction,
+    Scheduled,
+    StartAction,
+    TakeTurn,
+)
 from .recovery import actuator_holds
 
 NAVIGATION = "navigate.indoor"
@@ -86,10 +102,18 @@ def pause_action(state: State, command: PauseAction) -> tuple[Event, ...]:
     return (ExecutionPaused(action.task_id, action.action_id, action.robot, action.ends_us - command.now_us),)
 
 
+def halt_action(state: State, command: HaltAction) -> tuple[Event, ...]:
+    """The execution has stopped, because its robot is off."""
+    action = state.execution.actions.get(command.action_id)
+    if action is None or action.stage != "running":
+        return ()
+    return (ExecutionHalted(action.task_id, action.action_id, action.robot, max(0, action.ends_us - command.now_us)),)
+
+
 def resume_action(state: State, command: ResumeAction) -> tuple[Event, ...]:
     """The rest of the execution runs; without a rest it has finished."""
     action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage not in ("paused", "failed", "preempted") or command.action_id in state.recovery:
+    if action is None or action.stage not in ("paused", "halted", "failed", "preempted") or command.action_id in state.recovery:
         return ()
     if action.stage == "preempted" and not (action.has_begun and holds_robot(state, action)):
         return ()
@@ -154,18 +178,42 @@ def _on_resolved(_state: State, event: FailureResolved, _now_us: int) -> tuple[S
     return (Scheduled(ResumeAction(event.action_id)),)
 
 
-def _on_routine(_state: State, event: RoutineDue, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(DecideRoutine(event.robot, event.operation)),)
+def _on_routine(state: State, event: RoutineDue, _now_us: int) -> tuple[Scheduled, ...]:
+    """A robot that is off misses it."""
+    return () if event.robot in state.world.off else (Scheduled(DecideRoutine(event.robot, event.operation)),)
+
+
+def _on_off(state: State, event: RobotWentOff, _now_us: int) -> tuple[Scheduled, ...]:
+    action = state.execution.actions.get(state.execution.current.get(event.robot, ""))
+    return (Scheduled(HaltAction(action.action_id)),) if action is not None and action.stage == "running" else ()
+
+
+def _on_back(state: State, event: RobotCameBack, _now_us: int) -> tuple[Scheduled, ...]:
+    action = state.execution.actions.get(state.execution.current.get(event.robot, ""))
+    return (Scheduled(ResumeAction(action.action_id)),) if action is not None and action.stage == "halted" else ()
 
 
 DECIDES: Decides = {
     FinishAttempt: finish_attempt,
     DetectObstruction: detect_obstruction,
+    HaltAction: halt_action,
     PauseAction: pause_action,
     ResumeAction: resume_action,
 }
+ACTORS: Actors = {
+    TakeTurn: body,
+    StartAction: body,
+    FinishAttempt: body,
+    DetectObstruction: body,
+    HaltAction: nobody,
+    PauseAction: body,
+    ResumeAction: body,
+    DecideRoutine: named,
+}
 REACTS: Reacts = {
     RoutineDue: _on_routine,
+    RobotWentOff: _on_off,
+    RobotCameBack: _on_back,
     ApproachStarted: start_after_approach,
     ExecutionQueued: _on_queue,
     ExecutionFinished: _on_queue,

@@ -12,11 +12,11 @@ from fsar_ledger.events.registry import CapabilityInstalled, CapabilityRemoved
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import Contract, path_of, possesses, surface
 
-from .commands import Decides, PublicCommand, Reacts
+from .commands import Actors, Decides, PublicCommand, Reacts
 from .matching import contradiction, version_of
 from .rejection import rejected, unknown_robot
 
-ExecutionState = Literal["idle", "executing", "degraded", "failed"]
+ExecutionState = Literal["off", "idle", "executing", "degraded", "failed"]
 
 
 class JoinFleet(PublicCommand):
@@ -27,6 +27,7 @@ class JoinFleet(PublicCommand):
     team: int
     supervisor: str | None = None
     domain: str = ""
+    place: str | None = None
     issued_by: str | None = None
 
 
@@ -51,11 +52,13 @@ class RemoveCapability(PublicCommand):
 
 
 def execution_state(state: State, robot: str) -> ExecutionState:
-    """What the robot is in: failed before degraded before executing before idle. Paper: sec:evaluation:simulator (robot state).
+    """What the robot is in: off before failed before degraded before executing before idle. Paper: sec:evaluation:simulator (robot state).
 
     Failed: what it has in hand failed and has not gone on since, or is being recovered by others. Degraded: its
     actuator is, or it says so of something it advertises. Executing: it has anything in hand, from its turn on.
     """
+    if robot in state.world.off:
+        return "off"
     held = state.execution.current.get(robot, "")
     action, recovery = state.execution.actions.get(held), state.recovery.get(held)
     if (action is not None and action.stage == "failed") or (recovery is not None and recovery.level != "local"):
@@ -83,9 +86,11 @@ def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
         wrong = f"supervisor {command.supervisor}, expected {local_supervisor(robot)} or none"
     elif not all(path_of(command.domain)):
         wrong = f"domain {command.domain!r} is no path, expected one such as hall/cell, or nothing for the fleet's own"
+    elif command.place == "":
+        wrong = "an empty place, expected a name such as floor/2, or none for a fleet of one place"
     if wrong is not None:
         return rejected(command, robot, wrong, command.issued_by)
-    return (RobotJoined(robot, command.role, command.team, command.supervisor, command.domain),)
+    return (RobotJoined(robot, command.role, command.team, command.supervisor, command.domain, command.place),)
 
 
 def _is_robots_name(name: str) -> bool:
@@ -135,4 +140,5 @@ def in_use(state: State, robot: str, capability: str) -> str | None:
 
 
 DECIDES: Decides = {JoinFleet: join_fleet, InstallCapability: install_capability, RemoveCapability: remove_capability}
+ACTORS: Actors = {}
 REACTS: Reacts = {}

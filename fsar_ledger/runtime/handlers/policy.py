@@ -9,7 +9,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import ruled
 from fsar_ledger.projections.world import in_force, stricter
 
-from .commands import Decides, PublicCommand, Reacts
+from .commands import Actors, Decides, PublicCommand, Reacts
 from .rejection import expired_context, not_in_charge, rejected, unknown_capability, unknown_robot
 from .supervision import supervisor_for
 
@@ -96,4 +96,5 @@ def _unfit(state: State, command: SetPolicyRule) -> str | None:
 
 
 DECIDES: Decides = {SetPolicyRule: set_policy_rule}
+ACTORS: Actors = {}
 REACTS: Reacts = {}

@@ -11,7 +11,7 @@ from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 
-from .commands import Decides, EndAttempt, PublicCommand, Reacts
+from .commands import Actors, Decides, EndAttempt, PublicCommand, Reacts
 from .rejection import not_in_charge, rejected, unknown_robot
 
 LEVELS: tuple[RecoveryLevel, ...] = get_args(RecoveryLevel)
@@ -122,4 +122,5 @@ def attempt_result(state: State, action: Action, recovery: Recovery) -> tuple[Re
 
 
 DECIDES: Decides = {SetRecoveryBudget: set_recovery_budget, ReportFailure: report_failure}
+ACTORS: Actors = {}
 REACTS: Reacts = {}

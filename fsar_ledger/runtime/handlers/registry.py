@@ -17,7 +17,7 @@ from fsar_ledger.projections.registry import Advertisement, Offers, enclosing, o
 from fsar_ledger.projections.trust import covers, scope_of
 
 from .attribution import is_idle, nearest_first, on_shift
-from .commands import Decides, PublicCommand, Reacts
+from .commands import Actors, Decides, PublicCommand, Reacts
 from .matching import is_in_range, is_range, is_suitable
 from .rejection import rejected, unknown_robot
 
@@ -258,4 +258,5 @@ def cache_registry(state: State, command: CacheRegistry) -> tuple[Event, ...]:
 
 
 DECIDES: Decides = {ConsultRegistry: consult_registry, CacheRegistry: cache_registry}
+ACTORS: Actors = {}
 REACTS: Reacts = {}

@@ -15,7 +15,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 
 from .attribution import on_shift, principals
-from .commands import Decides, PublicCommand, Reacts
+from .commands import Actors, Decides, PublicCommand, Reacts
 from .policy import own_policy
 from .rejection import expired_context, rejected, unknown_capability, unknown_robot, unknown_word
 
@@ -192,4 +192,5 @@ def _not_reportable(state: State, action: Action, command: ReportResult) -> str 
 
 
 DECIDES: Decides = {RequestCapability: request_capability, AnswerOffer: answer_offer, ReportResult: report_result}
+ACTORS: Actors = {}
 REACTS: Reacts = {}

@@ -10,7 +10,8 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import density
 
-from .commands import Decides, Draw, PublicCommand, Reacts, Respond, Scheduled
+from .actors import nobody
+from .commands import Actors, Decides, Draw, PublicCommand, Reacts, Respond, Scheduled, at_once
 from .rejection import not_in_charge, rejected, unknown_robot
 from .task import first_in_order
 
@@ -120,13 +121,23 @@ def set_supervision_density(state: State, command: SetSupervisionDensity) -> tup
     return (SupervisionDensitySet(command.robot, command.review_every, command.issued_by, command.reason),)
 
 
-def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
+def on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
+    """The robot that the matter is about calls: the executor, before there is one the robot whose step it is."""
+    action, request = state.execution.actions.get(event.action_id), state.request.get(event.action_id)
+    if action is not None:
+        return awaiting(state, event, action.robot)
+    return awaiting(state, event, None if request is None else request.target or request.requester)
+
+
+def awaiting(state: State, event: SupervisorCalled, caller: str | None) -> tuple[Scheduled, ...]:
+    """The response to the call; there is none while the caller is not linked."""
     action = state.execution.actions.get(event.action_id)
     ordinal = action.failures if action is not None else 0
     share = state.fleet.structure.ordering_response_ppm if event.purpose == "ordering" else 1_000_000
     response = Draw("response", f"{event.action_id}/{event.purpose}/{ordinal}", share)
-    return (Scheduled(Respond(state.supervision.called), 0, (response,)),)
+    return (Scheduled(Respond(state.supervision.called), 0, (response, at_once(caller))),)
 
 
 DECIDES: Decides = {Respond: respond, RespondToCall: respond_to_call, SetSupervisionDensity: set_supervision_density}
-REACTS: Reacts = {SupervisorCalled: _on_call}
+ACTORS: Actors = {Respond: nobody}
+REACTS: Reacts = {SupervisorCalled: on_call}

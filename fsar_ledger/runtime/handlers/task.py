@@ -6,8 +6,10 @@ from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, Tas
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import possesses
+from fsar_ledger.projections.task import given_up_us
 
-from .commands import BeginStep, CompleteStep, Decides, PublicCommand, Reacts, Scheduled
+from .actors import acting, next_in_task, nobody, requester
+from .commands import Actors, BeginStep, CompleteStep, Decides, ExpireTask, PublicCommand, Reacts, Scheduled, at_once
 from .rejection import rejected, unknown_capability, unknown_robot
 
 
@@ -70,7 +72,7 @@ def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
         return ()
     if task.step == len(task.steps):
         return (TaskCompleted(task.task_id),)
-    if command.now_us > task.due_us + (state.fleet.structure.expiry_budgets - 1) * task.budget_us:
+    if command.now_us > given_up_us(task, state.fleet.structure.expiry_budgets):
         return (TaskAbandoned(task.task_id),)
     actor, capability, *target = task.steps[task.step].split(" ")
     attempt = task.attempt + 1
@@ -87,10 +89,15 @@ def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
     )
 
 
+def expire_task(state: State, command: ExpireTask) -> tuple[Event, ...]:
+    """The task has been given up, whatever it waits for; who waited for an answer gets none."""
+    return () if state.task.get(command.task_id) is None else (TaskAbandoned(command.task_id),)
+
+
 def complete_step(state: State, command: CompleteStep) -> tuple[Event, ...]:
-    """The step is done, unless it was already."""
+    """The step is done, unless it was already or its task was given up."""
     request = state.request.get(command.action_id)
-    return () if request is None else (StepCompleted(request.task_id, request.action_id),)
+    return () if request is None or request.task_id not in state.task else (StepCompleted(request.task_id, request.action_id),)
 
 
 def is_critical(state: State, task_id: str) -> bool:
@@ -108,9 +115,21 @@ def first_in_order(state: State, call: SupervisorCalled) -> str | None:
     return call.competing if comes_before else call.action_id
 
 
-def _begin(_state: State, event: TaskArrived | StepCompleted, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(BeginStep(event.task_id)),)
+def _begin(state: State, event: StepCompleted, _now_us: int) -> tuple[Scheduled, ...]:
+    """Where another robot acts in the next step, the one that acted in this one tells it."""
+    task = state.task[event.task_id]
+    is_last = task.step == len(task.steps)
+    before = acting(task, task.step - 1)
+    told = () if is_last or acting(task, task.step) == before else (at_once(before),)
+    return (Scheduled(BeginStep(event.task_id), 1, told),)
 
 
-DECIDES: Decides = {SubmitTask: submit_task, BeginStep: begin_step, CompleteStep: complete_step}
-REACTS: Reacts = {TaskArrived: _begin, StepCompleted: _begin}
+def _on_arrival(state: State, event: TaskArrived, now_us: int) -> tuple[Scheduled, ...]:
+    """The first step begins; after so many budgets, and at the end of the run, the task is given up."""
+    left_us = max(1, given_up_us(event, state.fleet.structure.expiry_budgets) - now_us)
+    return (Scheduled(BeginStep(event.task_id)), Scheduled(ExpireTask(event.task_id), left_us + 1))
+
+
+DECIDES: Decides = {SubmitTask: submit_task, BeginStep: begin_step, CompleteStep: complete_step, ExpireTask: expire_task}
+ACTORS: Actors = {BeginStep: next_in_task, CompleteStep: requester, ExpireTask: nobody}
+REACTS: Reacts = {TaskArrived: _on_arrival, StepCompleted: _begin}

@@ -11,7 +11,8 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement
 from fsar_ledger.projections.trust import SCOPES, covers, follows_record, is_within, scope_of
 
-from .commands import Command, Decides, PublicCommand, Reacts, Scheduled
+from .actors import named, nobody
+from .commands import Actors, Command, Decides, PublicCommand, Reacts, Scheduled
 from .rejection import expired_context, not_in_charge, rejected, unknown_capability, unknown_robot, unknown_word
 
 BROADEST_BY_RECORD: TrustScope = "session"  # persistent trust is for an operator to give
@@ -164,6 +165,7 @@ DECIDES: Decides = {
     AssessTrust: assess_trust,
     ExpireTrust: expire_trust,
 }
+ACTORS: Actors = {AssessTrust: named, ExpireTrust: nobody}
 REACTS: Reacts = {
     RequestClosed: _on_result,
     RequestDenied: _on_result,

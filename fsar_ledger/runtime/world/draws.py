@@ -10,6 +10,7 @@ from math import log
 
 from fsar_ledger.constants import Range, WorldConstants
 
+FOREVER_US = 10**15  # some 30 years; a longer length of time is this long, so that every time is an integer that is stored as it is
 _SHARE = 2.0**-53
 _BLOCK = struct.Struct("<8Q")
 _ONE = struct.Struct("<Q")
@@ -40,11 +41,11 @@ class Stream:
 
     def within_us(self, law: Range) -> int:
         """A uniform length of time. Units: microseconds."""
-        return round((law.low_s + (law.high_s - law.low_s) * self.uniform()) * 1e6)
+        return round(min((law.low_s + (law.high_s - law.low_s) * self.uniform()) * 1e6, FOREVER_US))
 
     def exponential_us(self, mean_s: float) -> int:
         """An exponential length of time, at least one microsecond."""
-        return max(1, round(-log(1.0 - self.uniform()) * mean_s * 1e6))
+        return max(1, round(min(-log(1.0 - self.uniform()) * mean_s * 1e6, FOREVER_US)))
 
 
 class Draws:
@@ -66,5 +67,5 @@ class Draws:
         if stream == "reliability":
             return int(word * _SHARE < self._reliability)
         low_us, scale = self._laws[stream]
-        length_us = round(low_us + scale * word)
+        length_us = round(min(low_us + scale * word, FOREVER_US))
         return length_us if share_ppm == 1_000_000 else length_us * share_ppm // 1_000_000

@@ -2,6 +2,7 @@
 
 from typing import NamedTuple
 
+from fsar_ledger.constants import WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Scenario, TrustScope, local_supervisor
 from fsar_ledger.events.fleet import RobotJoined
@@ -18,6 +19,7 @@ POSTCONDITIONS: dict[str, tuple[str, ...]] = {  # what holds after an ECM, in th
     "grasp.robust": ("load.gripped", "load.held"),
 }
 VISIBLE_TO: dict[str, tuple[str, ...]] = {"inspect.private_zone": ("B",)}
+FLOOR_TEAMS = WorldConstants().floor_teams
 TRUST: tuple[tuple[str, str, TrustScope], ...] = (("A", "B", "task"), ("A", "D", "capability"), ("B", "C", "session"))
 
 
@@ -101,10 +103,22 @@ def robots(fleet_size: int) -> tuple[tuple[str, str, int], ...]:
     return tuple((f"robot/{role}{team}", role, team) for team in range(1, fleet_size // 4 + 1) for role in CAPABILITIES)
 
 
-def founding(fleet_size: int) -> tuple[Event, ...]:
-    """The events that found the fleet: members, advertisements, trust. Paper: sec:prototype:design."""
+def floor_of(team: int, floor_teams: int) -> int:
+    """The floor on which the team works, from 1; as many teams as that share one."""
+    return (team - 1) // floor_teams + 1
+
+
+def founding(fleet_size: int, floor_teams: int = FLOOR_TEAMS) -> tuple[Event, ...]:
+    """The events that found the fleet: members, advertisements, trust. Paper: sec:prototype:design.
+
+    Trust is given by role, so there are six entries of it in any fleet; a fleet that needs one floor names no place.
+    """
     members = robots(fleet_size)
-    joined: list[Event] = [RobotJoined(name, role, team, local_supervisor(name)) for name, role, team in members]
+    has_floors = fleet_size > 4 * floor_teams
+    joined: list[Event] = [
+        RobotJoined(name, role, team, local_supervisor(name), place=f"floor/{floor_of(team, floor_teams)}" if has_floors else None)
+        for name, role, team in members
+    ]
     possessed = [(name, capability) for name, role, _ in members for capability in CAPABILITIES[role]]
     joined += [CapabilityInstalled(name, capability, "1.0.0", (), POSTCONDITIONS.get(capability, ())) for name, capability in possessed]
     joined += [

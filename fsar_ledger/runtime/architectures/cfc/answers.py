@@ -1,10 +1,12 @@
-"""CFC: who asked is not on the coordinator's record of what a supervisor answered. Paper: sec:evaluation:baselines."""
+"""CFC: the coordinator calls supervisors, and who asked is not on its record of what they answered. Paper: sec:evaluation:baselines."""
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import COORDINATOR
+from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.runtime.handlers import supervision
-from fsar_ledger.runtime.handlers.commands import Decides, Respond
+from fsar_ledger.runtime.handlers.commands import Decides, React, Respond, Scheduled
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
 
 
@@ -22,4 +24,9 @@ def respond_to_call(state: State, command: RespondToCall) -> tuple[Event, ...]:
     return supervision.respond_to_call(state, command, _nobody)
 
 
+def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:
+    return supervision.awaiting(state, event, COORDINATOR)
+
+
+INSTEAD: dict[React, React] = {supervision.on_call: _on_call}
 OWN: Decides = {Respond: respond, RespondToCall: respond_to_call}

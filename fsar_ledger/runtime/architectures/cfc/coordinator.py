@@ -5,11 +5,14 @@ from typing import Any
 from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, PolicyOutcome
 from fsar_ledger.events.knowledge import CopySynced, WorkQueued
 from fsar_ledger.events.request import GapDetected
+from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.world import SyncPhaseSet
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.task import given_up_us
 from fsar_ledger.projections.world import in_force
+from fsar_ledger.runtime.handlers.actors import nobody
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle
-from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, Reacts, Scheduled
+from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, Reacts, Scheduled
 
 
 class Sync(Command):
@@ -70,24 +73,33 @@ def candidates_of(state: State, action_id: str) -> tuple[str, ...]:
 
 
 def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
-    """The copies show the robots as they are now."""
-    robots = state.fleet.robots
+    """The copies show the robots as they are now; of one that does not answer, as they were."""
+    robots, copy = state.fleet.robots, state.knowledge.copy
+    silent = state.world.off | state.world.unlinked
     local = {robot: in_force(state.world.local, robot) for robot in state.world.local}
     fleet = {robot: in_force(state.world.fleet, robot) for robot in state.world.fleet}
+
+    def shown(before: tuple[str, ...], now: list[str]) -> tuple[str, ...]:
+        return tuple(robot for robot in robots if robot in (before if robot in silent else now)) if silent else tuple(now)
+
     return (
         CopySynced(
-            tuple(robot for robot in robots if local.get(robot) == "deny"),
-            tuple(robot for robot in robots if local.get(robot) == "review"),
-            tuple(robot for robot in robots if fleet.get(robot) == "deny"),
-            tuple(robot for robot in robots if fleet.get(robot) == "review"),
-            tuple(robot for robot in robots if not is_idle(state, robot)),
-            tuple(robot for robot in robots if robot in state.world.degraded),
+            shown(copy.local_deny, [robot for robot in robots if local.get(robot) == "deny"]),
+            shown(copy.local_review, [robot for robot in robots if local.get(robot) == "review"]),
+            shown(copy.fleet_deny, [robot for robot in robots if fleet.get(robot) == "deny"]),
+            shown(copy.fleet_review, [robot for robot in robots if fleet.get(robot) == "review"]),
+            shown(copy.busy, [robot for robot in robots if not is_idle(state, robot)]),
+            shown(copy.degraded, [robot for robot in robots if robot in state.world.degraded]),
         ),
     )
 
 
-def reach_coordinator(state: State, command: ReachCoordinator) -> tuple[GapDetected | WorkQueued, ...]:
-    """The item waits for the coordinator; a gap is on record without who has it."""
+def reach_coordinator(state: State, command: ReachCoordinator) -> tuple[GapDetected | WorkQueued | TaskAbandoned, ...]:
+    """The item waits for the coordinator; a gap is on record without who has it.
+
+    The coordinator knows its own queue: a step that it would come to only after the task is given up is given up at once, so that a queue
+    that grows faster than it is served stays as long as tasks last.
+    """
     action = state.execution.actions.get(command.action_id)
     request = state.request.get(command.action_id)
     if request is None and action is None:
@@ -99,7 +111,9 @@ def reach_coordinator(state: State, command: ReachCoordinator) -> tuple[GapDetec
     service_us = structure.service_us * state.fleet.size // 4
     service_us += service_us * candidates * structure.candidate_cost_ppm // 1_000_000
     ready_us = max(state.knowledge.ready_us, command.now_us) + service_us
-    queued = WorkQueued(task_id, command.action_id, command.item, ready_us)
+    task = state.task.get(task_id)
+    is_hopeless = is_matching and task is not None and ready_us > given_up_us(task, state.fleet.structure.expiry_budgets)
+    queued = TaskAbandoned(task_id) if is_hopeless else WorkQueued(task_id, command.action_id, command.item, ready_us)
     if command.item == "step" and request is not None and request.is_delegated:
         return (GapDetected(task_id, None, None, None, FLEET_SUPERVISOR, request.capability), queued)
     return (queued,)
@@ -121,4 +135,9 @@ def _on_work(_state: State, event: WorkQueued, now_us: int) -> tuple[Scheduled, 
 
 
 DECIDES: Decides = {Sync: sync, ReachCoordinator: reach_coordinator}
+ACTORS: Actors = {
+    Sync: nobody,
+    ReachCoordinator: nobody,
+    ProcessWork: nobody,
+}
 REACTS: Reacts = {SyncPhaseSet: _first_sync, CopySynced: _next_sync, WorkQueued: _on_work}

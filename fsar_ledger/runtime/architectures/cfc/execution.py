@@ -6,9 +6,22 @@ from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, local_sup
 from fsar_ledger.events.execution import ExecutionPaused, ReplanOrdered, RoutinePerformed, RoutineWithheld
 from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed
 from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.handlers.actors import named, nobody
 from fsar_ledger.runtime.handlers.attribution import on_shift
 from fsar_ledger.runtime.handlers.authority import released
-from fsar_ledger.runtime.handlers.commands import Command, DecideRoutine, Decides, Reacts, ResumeAction, Scheduled, StartAction, TakeTurn, message
+from fsar_ledger.runtime.handlers.commands import (
+    Actors,
+    Command,
+    DecideRoutine,
+    Decides,
+    Reacts,
+    ResumeAction,
+    Scheduled,
+    StartAction,
+    TakeTurn,
+    at_once,
+    message,
+)
 from fsar_ledger.runtime.handlers.execution import approach, pause_running, started
 
 from .coordinator import ReachCoordinator, copied_policy, copied_rule, until_next_sync_us
@@ -93,13 +106,16 @@ def _on_window_closed(state: State, event: PolicyWindowClosed, _now_us: int) -> 
 
 def _on_pause(state: State, event: ExecutionPaused, now_us: int) -> tuple[Scheduled, ...]:
     """The coordinator learns of it with the next sync."""
-    return (Scheduled(ReachCoordinator(event.action_id, "replan"), until_next_sync_us(state, now_us)),)
+    return (Scheduled(ReachCoordinator(event.action_id, "replan"), until_next_sync_us(state, now_us), (at_once(event.robot),)),)
 
 
 def _on_replan(state: State, event: ReplanOrdered, _now_us: int) -> tuple[Scheduled, ...]:
-    action_id = state.task[event.task_id].action_id
-    segment = state.execution.actions[action_id].segments
-    return (Scheduled(ResumeAction(action_id), state.fleet.structure.replan_us, (message(action_id, f"replan{segment}"),)),)
+    task = state.task.get(event.task_id)
+    if task is None:  # given up meanwhile
+        return ()
+    segment = state.execution.actions[task.action_id].segments
+    plan = message(COORDINATOR, task.action_id, f"replan{segment}")
+    return (Scheduled(ResumeAction(task.action_id), state.fleet.structure.replan_us, (plan,)),)
 
 
 DECIDES: Decides = {
@@ -108,6 +124,10 @@ DECIDES: Decides = {
     SafeStop: safe_stop,
     EndWatch: end_watch,
     DecideRoutine: decide_routine,
+}
+ACTORS: Actors = {
+    SafeStop: named,
+    EndWatch: nobody,
 }
 REACTS: Reacts = {
     ContextChanged: _on_context,

@@ -20,8 +20,9 @@ from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.runtime.handlers import assistance
+from fsar_ledger.runtime.handlers.actors import body, helping
 from fsar_ledger.runtime.handlers.attribution import helpers, is_idle
-from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, message
+from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, message
 from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
 
 from .coordinator import ProcessWork, by_coordinator, copied_policy, to_coordinator
@@ -123,26 +124,26 @@ def _key(event: ExecutionFailed | AssistanceDeclined | AssistanceFailed | Assist
 
 
 def _on_failure(_state: State, event: ExecutionFailed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (to_coordinator(event.action_id, "failure", message(_key(event, event.action_id), "report")),)
+    return (to_coordinator(event.action_id, "failure", message(event.robot, _key(event, event.action_id), "report")),)
 
 
 def _on_attempt(_state: State, event: RecoveryAttempted, _now_us: int) -> tuple[Scheduled, ...]:
     key = f"{event.failed_action}/{event.failure}/{event.number}"
-    order = (message(key, "order"), Draw("retry", key))
+    order = (message(COORDINATOR, key, "order"), Draw("retry", key))
     return (Scheduled(EndAttempt(event.failed_action, event.number), 0, order, Draw("reliability", "retry/" + key)),)
 
 
 def _on_attempt_failed(_state: State, event: RecoveryAttemptFailed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (to_coordinator(event.action_id, "retry-failed", message(f"{event.action_id}/{event.failure}", "retry-report")),)
+    return (to_coordinator(event.action_id, "retry-failed", message(event.robot, f"{event.action_id}/{event.failure}", "retry-report")),)
 
 
 def _on_order(_state: State, event: AssistanceRequested, _now_us: int) -> tuple[Scheduled, ...]:
-    order = message(_key(event, event.failed_action), f"order/{event.helper}")
+    order = message(COORDINATOR, _key(event, event.failed_action), f"order/{event.helper}")
     return (Scheduled(ReachHelper(event.failed_action, event.helper), 0, (order,)),)
 
 
 def _on_decline(_state: State, event: AssistanceDeclined, _now_us: int) -> tuple[Scheduled, ...]:
-    return (to_coordinator(event.action_id, "declined", message(_key(event, event.action_id), f"decline/{event.helper}")),)
+    return (to_coordinator(event.action_id, "declined", message(event.helper, _key(event, event.action_id), f"decline/{event.helper}")),)
 
 
 def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
@@ -150,10 +151,14 @@ def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tup
 
 
 def _on_no_help(_state: State, event: AssistanceFailed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (to_coordinator(event.action_id, "no help", message(_key(event, event.action_id), f"no help/{event.helper}")),)
+    return (to_coordinator(event.action_id, "no help", message(event.helper, _key(event, event.action_id), f"no help/{event.helper}")),)
 
 
 DECIDES: Decides = {EndAttempt: end_attempt, ReachHelper: reach_helper, EndAssistance: end_assistance}
+ACTORS: Actors = {
+    EndAttempt: body,
+    ReachHelper: helping,
+}
 REACTS: Reacts = {
     ExecutionFailed: _on_failure,
     RecoveryAttempted: _on_attempt,

@@ -20,9 +20,10 @@ from fsar_ledger.events.world import OutsiderRequestInjected
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import in_force, stricter
+from fsar_ledger.runtime.handlers.actors import nobody, target
 from fsar_ledger.runtime.handlers.attribution import pending_of_other_task
 from fsar_ledger.runtime.handlers.authority import released
-from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, CompleteStep, Decides, Reacts, Scheduled, message
+from fsar_ledger.runtime.handlers.commands import Actors, CloseExecution, Command, CompleteStep, Decides, Reacts, Scheduled, at_once, message
 
 from . import recovery
 from .coordinator import ProcessWork, ReachCoordinator, by_coordinator, candidates_of, copied_policy, to_coordinator, until_next_sync_us
@@ -68,7 +69,7 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
 def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
     """The coordinator has picked a robot by its copy and gated the step on the executor's copied policy and the fleet's rule."""
     request = state.request.get(command.action_id)
-    if request is None:
+    if request is None or request.task_id not in state.task:
         return ()
     candidates = candidates_of(state, command.action_id)
     idle = [robot for robot in candidates if robot not in state.knowledge.copy.busy]
@@ -183,7 +184,7 @@ def deny_outsider(state: State, command: DenyOutsider) -> tuple[Event, ...]:
 
 
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
-    return (to_coordinator(event.action_id, "step", message(event.action_id, 0)),)
+    return (to_coordinator(event.action_id, "step", message(event.robot, event.action_id, 0)),)
 
 
 def _on_denial(state: State, event: RequestDenied, now_us: int) -> tuple[Scheduled, ...]:
@@ -196,31 +197,34 @@ def _on_denial(state: State, event: RequestDenied, now_us: int) -> tuple[Schedul
 def _on_response(_state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
     if event.purpose == "review":
         return (Scheduled(CommandReviewed(event.action_id)),)
-    return (Scheduled(QueueOrdered(event.action_id)),) if event.purpose == "ordering" else ()
+    return (Scheduled(QueueOrdered(event.action_id), 1, (at_once(event.decided_by),)),) if event.purpose == "ordering" else ()
 
 
 def _on_command(_state: State, event: CommandIssued, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(ReceiveCommand(event.action_id), 0, (message(event.action_id, 1),)),)
+    return (Scheduled(ReceiveCommand(event.action_id), 0, (message(COORDINATOR, event.action_id, 1),)),)
 
 
 def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Scheduled, ...]:
-    action_id = state.task[event.task_id].action_id
-    return (Scheduled(ReceiveCommand(action_id), 0, (message(action_id, 1),)),)
+    task = state.task.get(event.task_id)
+    if task is None:  # given up meanwhile
+        return ()
+    action_id = task.action_id
+    return (Scheduled(ReceiveCommand(action_id), 0, (message(COORDINATOR, action_id, 1),)),)
 
 
 def _on_finish(_state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
     close = Scheduled(CloseExecution(event.action_id))
-    return (close, to_coordinator(event.action_id, "completion", message(event.action_id, 4)))
+    return (close, to_coordinator(event.action_id, "completion", message(event.robot, event.action_id, 4)))
 
 
 def _on_release(_state: State, event: AuthorityReleased, _now_us: int) -> tuple[Scheduled, ...]:
     if (event.dimension, event.claimant) != ("override", COORDINATOR):
         return ()
-    return (Scheduled(CompleteStep(event.action_id)),)
+    return (Scheduled(CompleteStep(event.action_id), 1, (at_once(COORDINATOR),)),)
 
 
 def _on_outsider(_state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(DenyOutsider(event.task_id), 0, (message(event.task_id, 0),)),)
+    return (Scheduled(DenyOutsider(event.task_id), 0, (message(event.robot, event.task_id, 0),)),)
 
 
 DECIDES: Decides = {
@@ -230,6 +234,13 @@ DECIDES: Decides = {
     QueueOrdered: queue_ordered,
     CloseExecution: close_execution,
     DenyOutsider: deny_outsider,
+}
+ACTORS: Actors = {
+    CommandReviewed: nobody,
+    ReceiveCommand: target,
+    QueueOrdered: target,
+    CloseExecution: nobody,
+    DenyOutsider: nobody,
 }
 REACTS: Reacts = {
     StepBegan: _on_step,

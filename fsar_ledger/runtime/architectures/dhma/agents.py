@@ -6,15 +6,16 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
 from fsar_ledger.events.envelope import PolicyOutcome, agent
 from fsar_ledger.events.knowledge import PlannerEngaged, SnapshotTaken
-from fsar_ledger.events.request import ContractQuestioned, InternalHandoff
+from fsar_ledger.events.request import ContractQuestioned
 from fsar_ledger.events.world import ContextChanged, SnapshotPhaseSet
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.world import in_force
-from fsar_ledger.runtime.handlers.attribution import is_injected, on_shift
+from fsar_ledger.runtime.handlers.actors import named, nobody
+from fsar_ledger.runtime.handlers.attribution import is_injected
 from fsar_ledger.runtime.handlers.authority import released as end_claims
-from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, Decides, Reacts, Scheduled
+from fsar_ledger.runtime.handlers.commands import Actors, CloseExecution, Command, Decides, Reacts, Scheduled
 from fsar_ledger.runtime.handlers.execution import pause_running
 
 
@@ -33,22 +34,6 @@ class EngagePlanner(Command):
 def planner(robot: str) -> str:
     """The robot's planning agent."""
     return agent(robot, "planning")
-
-
-def path(robot: str, *kinds: Any) -> dict[str, Any]:
-    """The keywords of a decision that went through these agents of the robot; the last one decided."""
-    traversed = tuple(agent(robot, kind) for kind in kinds)
-    return {"decided_by": traversed[-1], "path": traversed}
-
-
-def handoff(state: State, robot: str, sender: Any, receiver: Any) -> InternalHandoff:
-    """One agent has passed work to another of the same robot; the message does not say for whom."""
-    return InternalHandoff(None, robot, on_shift(state, robot), agent(robot, sender), agent(robot, receiver))
-
-
-def round_trip(state: State, robot: str, one: Any, other: Any, count: int) -> tuple[InternalHandoff, ...]:
-    """Two agents have talked to and fro, one message a hop."""
-    return tuple(handoff(state, robot, *((one, other) if ordinal % 2 == 0 else (other, one))) for ordinal in range(count))
 
 
 def snapshot(state: State, robot: str) -> PolicyOutcome:
@@ -100,10 +85,8 @@ def released(state: State, action_id: str, reason: str | None = None) -> tuple[A
 
 
 def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
-    """Authority over the finished execution has ended; the result goes from agent to agent."""
-    request = state.request.get(command.action_id)
-    back = (handoff(state, request.target, "execution", "communication"),) if request is not None and request.target and request.step else ()
-    return (*released(state, command.action_id), *back)
+    """Authority over the finished execution has ended."""
+    return released(state, command.action_id)
 
 
 def _first_snapshot(state: State, event: SnapshotPhaseSet, _now_us: int) -> tuple[Scheduled, ...]:
@@ -122,4 +105,9 @@ def _on_context(state: State, event: ContextChanged, now_us: int) -> tuple[Sched
 
 
 DECIDES: Decides = {TakeSnapshot: take_snapshot, EngagePlanner: engage_planner, CloseExecution: close_execution}
+ACTORS: Actors = {
+    TakeSnapshot: named,
+    EngagePlanner: named,
+    CloseExecution: nobody,
+}
 REACTS: Reacts = {SnapshotPhaseSet: _first_snapshot, SnapshotTaken: _next_snapshot, ContextChanged: _on_context}

@@ -10,9 +10,11 @@ from fsar_ledger.events.request import RequestAdmitted, RequestIssued
 from fsar_ledger.events.world import OutsiderRequestInjected
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
-from fsar_ledger.runtime.handlers.commands import Command, Decides, Reacts, Scheduled, hop, hops, message
+from fsar_ledger.runtime.handlers.actors import body, target
+from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled, message
 
-from .agents import handoff, path, released
+from .agents import released
+from .talk import CALL, FROM_EXECUTION, FROM_PLANNING, SETTLEMENT, TO_EXECUTION, TO_PLANNING, Said, path, talk
 
 
 class PassExecution(Command):
@@ -58,10 +60,7 @@ def pass_execution(state: State, command: PassExecution) -> tuple[Event, ...]:
     if action is None:
         return ()
     receiver = agent(action.robot, command.receiver)  # type: ignore[arg-type]
-    return (
-        AuthorityClaimed(action.task_id, action.action_id, "execution", receiver, command.receiver),
-        handoff(state, action.robot, command.sender, command.receiver),
-    )
+    return (AuthorityClaimed(action.task_id, action.action_id, "execution", receiver, command.receiver),)
 
 
 def acknowledge_execution(state: State, command: AcknowledgeExecution) -> tuple[Event, ...]:
@@ -90,8 +89,8 @@ def run_outsider(state: State, command: RunOutsider) -> tuple[Event, ...]:
     task_id, robot, peer = request.task_id, request.requester, request.target
     nobody: dict[str, Any] = {"requested_by": robot, "executed_by": None, "supervised_by": None}
     return (
-        RequestIssued(task_id, task_id, task_id, **path(robot, "planning", "communication"), **nobody, capability=request.capability),
-        RequestAdmitted(task_id, task_id, task_id, **path(peer, "communication", "planning", "execution"), **nobody, outcome="allow"),
+        RequestIssued(task_id, task_id, task_id, **path(robot, CALL), **nobody, capability=request.capability),
+        RequestAdmitted(task_id, task_id, task_id, **path(peer, ("communication",)), **nobody, outcome="allow"),
         ExecutionQueued(task_id, task_id, robot, None, None, peer, robot, request.capability, 0, 1, False, False, False),
     )
 
@@ -101,29 +100,32 @@ def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple
     request = state.request.get(event.action_id)
     if request is None or request.target is None:
         return ()
-    key = f"{event.action_id}/{request.round}"
-    if event.reason == "double booking":
-        if event.claimant != agent(request.target, "execution"):
-            return ()
-        settled = (*hops(state, key, "settle", 3), message(key, "settle"), message(key, "settled"))
-        return (Scheduled(SettleBooking(event.action_id), 0, settled),)
+    key, robot = f"{event.action_id}/{request.round}", request.target
     contract = (event.action_id, request.round)
-    to_planning = Scheduled(PassExecution(*contract, "communication", "planning"), 0, (hop(state, key, "planning"),))
-    to_execution = Scheduled(PassExecution(*contract, "planning", "execution"), 0, (hop(state, key, "execution"),))
     match event.reason:
+        case "double booking" if event.claimant == agent(robot, "execution"):
+            said, record = talk(state, robot, SETTLEMENT, key, "settle")
+            return (Scheduled(SettleBooking(event.action_id), 0, (*said, message(robot, key, "settle"), message(request.requester, key, "settled"))), record)
         case "acceptance":
-            return (to_planning,)
+            return _heard(talk(state, robot, TO_PLANNING, key, "planning"), PassExecution(*contract, *TO_PLANNING))
         case "planning":
-            return (Scheduled(AcknowledgeExecution(*contract, "communication"), 0, (hop(state, key, "acknowledged"),)), to_execution)
+            acknowledged = _heard(talk(state, robot, FROM_PLANNING, key, "acknowledged"), AcknowledgeExecution(*contract, "communication"))
+            return (*acknowledged, *_heard(talk(state, robot, TO_EXECUTION, key, "execution"), PassExecution(*contract, *TO_EXECUTION)))
         case "execution":
-            return (Scheduled(AcknowledgeExecution(*contract, "planning"), 0, (hop(state, key, "confirmed"),)),)
+            return _heard(talk(state, robot, FROM_EXECUTION, key, "confirmed"), AcknowledgeExecution(*contract, "planning"))
         case _:
             return ()
 
 
+def _heard(said: Said, command: Command) -> tuple[Scheduled, ...]:
+    """What follows when the agents have talked, and the record of it."""
+    lengths, record = said
+    return (Scheduled(command, 0, lengths), record)
+
+
 def _on_outsider(state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
-    way = (hop(state, event.task_id, "query"), message(event.task_id, 0))
-    return (Scheduled(RunOutsider(event.task_id), 0, way),)
+    said, record = talk(state, event.robot, CALL, event.task_id, "query")
+    return (Scheduled(RunOutsider(event.task_id), 0, (*said, message(event.robot, event.task_id, 0))), record)
 
 
 DECIDES: Decides = {
@@ -131,5 +133,11 @@ DECIDES: Decides = {
     AcknowledgeExecution: acknowledge_execution,
     SettleBooking: settle_booking,
     RunOutsider: run_outsider,
+}
+ACTORS: Actors = {
+    PassExecution: body,
+    AcknowledgeExecution: body,
+    SettleBooking: body,
+    RunOutsider: target,
 }
 REACTS: Reacts = {AuthorityClaimed: _on_acceptance, OutsiderRequestInjected: _on_outsider}

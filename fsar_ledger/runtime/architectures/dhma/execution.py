@@ -18,8 +18,10 @@ from fsar_ledger.events.request import ContractVoided, RequestDenied
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.handlers.actors import requester
 from fsar_ledger.runtime.handlers.attribution import on_shift
 from fsar_ledger.runtime.handlers.commands import (
+    Actors,
     BeginStep,
     Command,
     DecideRoutine,
@@ -29,13 +31,13 @@ from fsar_ledger.runtime.handlers.commands import (
     Scheduled,
     StartAction,
     TakeTurn,
-    hop,
-    hops,
+    at_once,
     message,
 )
 from fsar_ledger.runtime.handlers.execution import approach, started
 
-from .agents import handoff, path, released, round_trip, snapshot
+from .agents import released, snapshot
+from .talk import OWN_STEP, RENEGOTIATION, REPLANNING, path, talk
 
 
 class PlanOwnStep(Command):
@@ -50,27 +52,21 @@ class QueueOwnStep(Command):
     action_id: str
 
 
-class TalkReplan(Command):
-    """A paused action needs a new plan."""
-
-    action_id: str
-
-
 def plan_own_step(state: State, command: PlanOwnStep) -> tuple[Event, ...]:
-    """The planner has handed the step to the execution agent, or its snapshot forbids it for now."""
+    """The planner has decided to do the step, or its snapshot forbids it for now."""
     request = state.request.get(command.action_id)
     if request is None:
         return ()
     robot, outcome = request.requester, snapshot(state, request.requester)
     supervisor = on_shift(state, robot)
     context: dict[str, Any] = {"task_id": request.task_id, "action_id": request.action_id}
-    context |= {"requested_by": robot, "executed_by": robot, "supervised_by": supervisor, **path(robot, "planning", "execution")}
+    context |= {"requested_by": robot, "executed_by": robot, "supervised_by": supervisor, **path(robot, ("planning",))}
     if command.action_id not in state.supervision.approved:
         if outcome == "deny":
             return (RequestDenied(**context, request_id=None, reason="own step"),)
         if outcome == "review":
             return (SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "review"),)
-    return (OwnStepDecided(**context, capability=request.capability), handoff(state, robot, "planning", "execution"))
+    return (OwnStepDecided(**context, capability=request.capability),)
 
 
 def queue_own_step(state: State, command: QueueOwnStep) -> tuple[Event, ...]:
@@ -91,27 +87,16 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is not None and request.is_questioned and command.action_id not in state.supervision.approved:
         about = (action.task_id, action.action_id, action.robot)
-        talk = round_trip(state, action.robot, "execution", "communication", 3)
-        back = handoff(state, action.on_behalf_of, "communication", "planning")
-        return (*released(state, action.action_id), ContractVoided(*about), ExecutionWithdrawn(*about), *talk, back)
+        return (*released(state, action.action_id), ContractVoided(*about), ExecutionWithdrawn(*about))
     return (started(state, action, command),)
 
 
-def talk_replan(state: State, command: TalkReplan) -> tuple[Event, ...]:
-    """The agents have passed the new plan on: three hops in the robot, four more in the other where the action is delegated."""
-    action = state.execution.actions.get(command.action_id)
-    if action is None:
-        return ()
-    own = (*round_trip(state, action.robot, "execution", "planning", 2), handoff(state, action.robot, "planning", "execution"))
-    return (*own, *round_trip(state, action.on_behalf_of, "communication", "planning", 4)) if action.is_delegated else own
-
-
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
-    """Sensing is one agent's; a motion crosses two, each of which records its half, and engages the planner."""
+    """Sensing is one agent's; a motion is the planner's decision, of which it and the execution agent each record a half, and engages it."""
     robot, supervisor = command.robot, on_shift(state, command.robot)
     if command.operation == "sensing":
         return (RoutinePerformed(robot, robot, robot, supervisor, (robot,), robot, "sensing"),)
-    decided = {**path(robot, "planning", "execution"), "requested_by": robot, "executed_by": None, "supervised_by": supervisor}
+    decided = {**path(robot, ("planning",)), "requested_by": robot, "executed_by": None, "supervised_by": supervisor}
     kind = RoutinePerformed if snapshot(state, robot) == "allow" else RoutineWithheld
     return (
         kind(**decided, robot=robot, operation="motion"),
@@ -134,12 +119,13 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     request = state.request.get(event.action_id)
     if event.purpose != "review" or request is None or request.is_delegated:
         return ()
-    return (Scheduled(PlanOwnStep(event.action_id)),)
+    return (Scheduled(PlanOwnStep(event.action_id), 1, (at_once(event.decided_by),)),)
 
 
 def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.action_id is not None
-    return (Scheduled(QueueOwnStep(event.action_id), 0, (hop(state, event.action_id, "own"),)),)
+    said, record = talk(state, state.request[event.action_id].requester, OWN_STEP, event.action_id, "own")
+    return (Scheduled(QueueOwnStep(event.action_id), 0, said), record)
 
 
 def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
@@ -147,11 +133,11 @@ def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Sched
     structure = state.fleet.structure
     action = state.execution.actions[event.action_id]
     key = f"{event.action_id}/replan{action.segments}"
-    talk = Scheduled(TalkReplan(event.action_id))
+    said, record = talk(state, action.robot, REPLANNING, key, "own")
     if not action.is_delegated:
-        return (talk, Scheduled(ResumeAction(event.action_id), structure.replan_us, hops(state, key, "own", 3)))
-    way = (*hops(state, key, "own", 3), message(key, 0), message(key, 1), *hops(state, key, "other", 4))
-    return (talk, Scheduled(ResumeAction(event.action_id), structure.replan_us + structure.renegotiation_us, way))
+        return (Scheduled(ResumeAction(event.action_id), structure.replan_us, said), record)
+    agreed, other = talk(state, action.on_behalf_of, RENEGOTIATION, key, "other", (*said, message(event.robot, key, 0), message(action.on_behalf_of, key, 1)))
+    return (Scheduled(ResumeAction(event.action_id), structure.replan_us + structure.renegotiation_us, agreed), record, other)
 
 
 DECIDES: Decides = {
@@ -159,8 +145,11 @@ DECIDES: Decides = {
     QueueOwnStep: queue_own_step,
     TakeTurn: approach,
     StartAction: start,
-    TalkReplan: talk_replan,
     DecideRoutine: decide_routine,
+}
+ACTORS: Actors = {
+    PlanOwnStep: requester,
+    QueueOwnStep: requester,
 }
 REACTS: Reacts = {
     StepBegan: _on_step,

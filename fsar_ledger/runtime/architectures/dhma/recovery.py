@@ -11,11 +11,13 @@ from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
+from fsar_ledger.runtime.handlers.actors import body
 from fsar_ledger.runtime.handlers.attribution import principals
-from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, EndAttempt, Reacts, Scheduled, hops
+from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, EndAttempt, Reacts, Scheduled
 from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
 
-from .agents import claims, handoff, path, planner, released, round_trip
+from .agents import claims, planner, released
+from .talk import RECOVERY, Talk, path, talk
 
 DISPUTE = "dispute"
 
@@ -38,9 +40,8 @@ class Escalate(Command):
     action_id: str
 
 
-def _context(state: State, action: Action) -> dict[str, Any]:
-    agents = path(action.robot, "recovery", "planning", "execution")
-    return {"task_id": action.task_id, "action_id": action.action_id, **agents, **principals(state, action)}
+def _context(state: State, action: Action, heard: Talk = RECOVERY) -> dict[str, Any]:
+    return {"task_id": action.task_id, "action_id": action.action_id, **path(action.robot, heard), **principals(state, action)}
 
 
 def _is_disputed(state: State, action_id: str) -> bool:
@@ -61,8 +62,7 @@ def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
     """The first attempt to recover has begun."""
     match open_failure(state, command.action_id):
         case action, recovery:
-            told = (handoff(state, action.robot, "execution", "recovery"), *round_trip(state, action.robot, "recovery", "planning", 2))
-            return (*told, _attempted(state, action, recovery))
+            return (_attempted(state, action, recovery),)
         case _:
             return ()
 
@@ -84,14 +84,13 @@ def end_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
     match open_failure(state, command.action_id):
         case action, recovery if recovery.number == command.number and recovery.level == "local":
             about = (action.task_id, action.action_id, action.robot, recovery.failure)
-            reported = (*round_trip(state, action.robot, "recovery", "planning", 2), handoff(state, action.robot, "recovery", "execution"))
             if attempt_succeeds(state, recovery, command):
-                return (FailureResolved(*about, "local"), *released(state, action.action_id, DISPUTE), *reported)
+                return (FailureResolved(*about, "local"), *released(state, action.action_id, DISPUTE))
             if _is_disputed(state, action.action_id):
-                return (RecoveryAttemptFailed(*about, command.number), *reported)
+                return (RecoveryAttemptFailed(*about, command.number),)
             if recovery.number < state.fleet.structure.local_attempts:
-                return (*reported, _attempted(state, action, recovery))
-            return (*reported, *_escalated(state, action, recovery))
+                return (_attempted(state, action, recovery),)
+            return _escalated(state, action, recovery)
         case _:
             return ()
 
@@ -100,25 +99,26 @@ def escalate(state: State, command: Escalate) -> tuple[Event, ...]:
     """H_F has been called."""
     match open_failure(state, command.action_id):
         case action, recovery if recovery.level == "local":
-            return (*_escalated(state, action, recovery), *released(state, action.action_id, DISPUTE))
+            return (*_escalated(state, action, recovery, ("recovery",)), *released(state, action.action_id, DISPUTE))
         case _:
             return ()
 
 
-def _escalated(state: State, action: Action, recovery: Recovery) -> tuple[Event, ...]:
+def _escalated(state: State, action: Action, recovery: Recovery, heard: Talk = RECOVERY) -> tuple[Event, ...]:
     about: dict[str, Any] = {"robot": action.robot, "failure": recovery.failure, "failed_action": action.action_id}
     return (
-        RecoveryEscalated(**_context(state, action), **about, level="local", to_level="human"),
+        RecoveryEscalated(**_context(state, action, heard), **about, level="local", to_level="human"),
         SupervisorCalled(action.task_id, action.action_id, FLEET_SUPERVISOR, "recovery"),
     )
 
 
 def _on_failure(state: State, event: ExecutionFailed, now_us: int) -> tuple[Scheduled, ...]:
     key = f"{event.action_id}/{event.failure}"
-    start = Scheduled(StartRecovery(event.action_id), 0, hops(state, key, "told", 3))
+    told, record = talk(state, event.robot, RECOVERY, key, "told")
+    start = Scheduled(StartRecovery(event.action_id), 0, told)
     if state.knowledge.engaged_until_us.get(event.robot, -1) >= now_us:
-        return (Scheduled(Dispute(event.action_id)), start)
-    return (start,)
+        return (Scheduled(Dispute(event.action_id)), start, record)
+    return (start, record)
 
 
 def _on_engagement(state: State, event: PlannerEngaged, _now_us: int) -> tuple[Scheduled, ...]:
@@ -133,8 +133,9 @@ def _on_engagement(state: State, event: PlannerEngaged, _now_us: int) -> tuple[S
 def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[Scheduled, ...]:
     key = f"{event.failed_action}/{event.failure}/{event.number}"
     end = EndAttempt(event.failed_action, event.number)
-    length = (Draw("retry", key), *hops(state, key, "report", 3))
-    return (Scheduled(end, state.fleet.structure.retry_preparation_us, length, Draw("reliability", "retry/" + key)),)
+    preparation_us = state.fleet.structure.retry_preparation_us
+    length, record = talk(state, event.robot, RECOVERY, key, "report", (Draw("retry", key),), preparation_us)
+    return (Scheduled(end, preparation_us, length, Draw("reliability", "retry/" + key)), record)
 
 
 def _on_attempt_failed(state: State, event: RecoveryAttemptFailed, _now_us: int) -> tuple[Scheduled, ...]:
@@ -142,6 +143,12 @@ def _on_attempt_failed(state: State, event: RecoveryAttemptFailed, _now_us: int)
 
 
 DECIDES: Decides = {Dispute: dispute, StartRecovery: start_recovery, EndAttempt: end_attempt, Escalate: escalate}
+ACTORS: Actors = {
+    Dispute: body,
+    StartRecovery: body,
+    EndAttempt: body,
+    Escalate: body,
+}
 REACTS: Reacts = {
     ExecutionFailed: _on_failure,
     PlannerEngaged: _on_engagement,

@@ -24,8 +24,10 @@ from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
+from fsar_ledger.runtime.handlers.actors import named, requester, target
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, on_shift, pending_of_other_task
 from fsar_ledger.runtime.handlers.commands import (
+    Actors,
     BeginStep,
     CloseExecution,
     CloseRequest,
@@ -35,12 +37,12 @@ from fsar_ledger.runtime.handlers.commands import (
     Draw,
     Reacts,
     Scheduled,
-    hop,
-    hops,
+    at_once,
     message,
 )
 
-from .agents import handoff, path, snapshot
+from .agents import snapshot
+from .talk import CALL, EVALUATION, OWN_RESULT, RELAY, RESULT, VOIDING, path, talk
 
 
 class DetectGap(Command):
@@ -109,12 +111,11 @@ def call_for_proposals(state: State, command: CallForProposals) -> tuple[Event, 
     candidates = capable(state, request.capability, robot)
     ids = (request.task_id, request.action_id)
     return (
-        handoff(state, robot, "planning", "communication"),
         RegistryQueried(*ids, robot, None, supervisor, request.capability, candidates),
         RequestIssued(
             *ids,
             request.action_id,
-            **path(robot, "planning", "communication"),
+            **path(robot, CALL),
             requested_by=robot,
             executed_by=None,  # whoever is awarded the contract
             supervised_by=supervisor,
@@ -132,9 +133,9 @@ def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
     context = {**_context(state, request, robot), "executed_by": None}  # a candidate is not yet the executor
     decided: Event
     if outcome == "deny":
-        decided = RequestDenied(**context, **path(robot, "communication", "planning"), reason="bid")
+        decided = RequestDenied(**context, **path(robot, EVALUATION), reason="bid")
     else:
-        decided = RequestAdmitted(**context, **path(robot, "communication", "planning", "execution"), outcome=outcome)
+        decided = RequestAdmitted(**context, **path(robot, EVALUATION), outcome=outcome)
     return (decided, BidSubmitted(request.task_id, request.requester, None, on_shift(state, robot), robot, outcome))
 
 
@@ -162,10 +163,10 @@ def accept_award(state: State, command: AcceptAward) -> tuple[Event, ...]:
         return ()
     robot = request.target
     context = _context(state, request, robot)
-    agents = path(robot, "communication", "planning", "execution")
-    made: list[Event] = [RequestAccepted(**context, **agents)]
+    by = path(robot, ("communication",))  # the other agents have still to hear of it
+    made: list[Event] = [RequestAccepted(**context, **by)]
     if not is_idle(state, robot):
-        made.append(RequestDeferred(**context, **agents))
+        made.append(RequestDeferred(**context, **by))
     made.append(_claim(request, "execution", agent(robot, "communication"), "acceptance"))
     if pending_of_other_task(state, robot, request.task_id) is not None:
         made += [_claim(request, "override", agent(robot, kind), "double booking") for kind in ("communication", "execution")]
@@ -190,18 +191,19 @@ def _context(state: State, request: Request, robot: str) -> dict[str, Any]:
 
 
 def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
-    """The requester's agents have closed the request."""
+    """The requester's communication agent has closed the request."""
     request = state.request.get(command.action_id)
     if request is None or request.target is None:
         return ()
     context = _context(state, request, request.target)
-    return (RequestClosed(**context, **path(request.requester, "communication", "planning")),)
+    return (RequestClosed(**context, **path(request.requester, ("communication",))),)
 
 
-def call(state: State, request: Request, robot: str, before: tuple[Draw, ...] = ()) -> Scheduled:
-    """The call reaches the candidate and goes from its communication agent to its planner; `before` comes first."""
+def call(state: State, request: Request, robot: str, before: tuple[Draw, ...] = ()) -> tuple[Scheduled, ...]:
+    """The call reaches the candidate, whose agents work out a bid; `before` comes first."""
     key = f"{request.action_id}/{request.round}/{robot}"
-    return Scheduled(EvaluateBid(request.action_id, robot), 0, (*before, message(key, "call"), *hops(state, key, "evaluate", 2)))
+    said, record = talk(state, robot, EVALUATION, key, "evaluate", (*before, message(request.requester, key, "call")))
+    return (Scheduled(EvaluateBid(request.action_id, robot), 0, said), record)
 
 
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
@@ -210,13 +212,14 @@ def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, 
 
 def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.action_id is not None
-    return (Scheduled(CallForProposals(event.action_id), 0, (hop(state, event.action_id, 0),)),)
+    said, record = talk(state, state.request[event.action_id].requester, CALL, event.action_id, 0)
+    return (Scheduled(CallForProposals(event.action_id), 0, said), record)
 
 
 def _on_call(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.action_id is not None
     request = state.request[event.action_id]
-    return tuple(call(state, request, robot) for robot in event.candidates)
+    return tuple(scheduled for robot in event.candidates for scheduled in call(state, request, robot))
 
 
 def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled, ...]:
@@ -225,7 +228,8 @@ def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled,
         return ()
     key = f"{request.action_id}/{request.round}/{event.robot}"
     received = ReceiveBid(request.action_id, event.robot, event.outcome)
-    return (Scheduled(received, 0, (message(key, "bid"), hop(state, key, "relay"))),)
+    said, record = talk(state, request.requester, RELAY, key, "relay", (message(event.robot, key, "bid"),))
+    return (Scheduled(received, 0, said), record)
 
 
 def _on_bid_received(state: State, event: BidReceived, _now_us: int) -> tuple[Scheduled, ...]:
@@ -241,20 +245,25 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     request = state.request.get(event.action_id)
     if event.purpose != "review" or request is None or not request.is_delegated:
         return ()
-    return (Scheduled(Award(event.action_id)),)
+    return (Scheduled(Award(event.action_id), 1, (at_once(event.decided_by),)),)
 
 
 def _on_award(state: State, event: AwardMade, _now_us: int) -> tuple[Scheduled, ...]:
-    request = state.request[state.task[event.task_id].action_id]
-    return (Scheduled(AcceptAward(request.action_id), 0, (message(request.action_id, f"award/{request.round}"),)),)
+    task = state.task.get(event.task_id)
+    if task is None:  # given up meanwhile
+        return ()
+    request = state.request[task.action_id]
+    return (Scheduled(AcceptAward(request.action_id), 0, (message(request.requester, request.action_id, f"award/{request.round}"),)),)
 
 
 def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Scheduled, ...]:
     """Both sides' agents agree that it is void and negotiate again, under the same action."""
     request = state.request[event.action_id]
     key = f"{request.action_id}/{request.round}/void"
-    agreed = (*hops(state, key, "void", 3), message(key, "void"), hop(state, key, "again"))
-    return tuple(call(state, request, robot, agreed) for robot in request.candidates)
+    said, record = talk(state, event.robot, VOIDING, key, "void")
+    agreed, other = talk(state, request.requester, RELAY, key, "again", (*said, message(event.robot, key, "void")))
+    calls = tuple(scheduled for robot in request.candidates for scheduled in call(state, request, robot, agreed))
+    return (*calls, record, other)
 
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
@@ -262,10 +271,10 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
     close = Scheduled(CloseExecution(event.action_id))
     if request is None or request.step == 0:
         return (close,)
-    back = hop(state, event.action_id, "result")
+    said, record = talk(state, event.robot, RESULT if request.is_delegated else OWN_RESULT, event.action_id, "result")
     if not request.is_delegated:
-        return (close, Scheduled(CompleteStep(event.action_id), 0, (back,)))
-    return (close, Scheduled(CloseRequest(event.action_id), 0, (back, message(event.action_id, 4))))
+        return (close, Scheduled(CompleteStep(event.action_id), 0, said), record)
+    return (close, Scheduled(CloseRequest(event.action_id), 0, (*said, message(event.robot, event.action_id, 4))), record)
 
 
 def _on_close(_state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:
@@ -280,6 +289,15 @@ DECIDES: Decides = {
     Award: award,
     AcceptAward: accept_award,
     CloseRequest: close_request,
+}
+ACTORS: Actors = {
+    DetectGap: requester,
+    CallForProposals: requester,
+    EvaluateBid: named,
+    ReceiveBid: requester,
+    Award: requester,
+    AcceptAward: target,
+    CloseRequest: requester,
 }
 REACTS: Reacts = {
     StepBegan: _on_step,

@@ -12,9 +12,11 @@ from fsar_ledger.events.request import GapDetected, RequestAccepted, RequestAdmi
 from fsar_ledger.events.world import ContextChanged, OutsiderRequestInjected, PeersMet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement
+from fsar_ledger.projections.world import is_linked
+from fsar_ledger.runtime.handlers.actors import named, nobody
 from fsar_ledger.runtime.handlers.attribution import on_shift
 from fsar_ledger.runtime.handlers.authority import released as end_claims
-from fsar_ledger.runtime.handlers.commands import CloseExecution, Command, Decides, Reacts, Scheduled, message
+from fsar_ledger.runtime.handlers.commands import Actors, CloseExecution, Command, Decides, Reacts, Scheduled, message
 from fsar_ledger.runtime.handlers.registry import Query, rejecting_filter
 
 
@@ -112,16 +114,23 @@ def _on_context(state: State, event: ContextChanged, _now_us: int) -> tuple[Sche
 
 
 def _on_outsider(_state: State, event: OutsiderRequestInjected, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(AnswerOutsider(event.task_id), 0, (message(event.task_id, 0),)),)
+    return (Scheduled(AnswerOutsider(event.task_id), 0, (message(event.robot, event.task_id, 0),)),)
 
 
 def _on_meeting(state: State, event: PeersMet, _now_us: int) -> tuple[Scheduled, ...]:
-    if state.fleet.configuration != "without-shared-registry":
+    """Robots that cannot hear each other pass each other by."""
+    if state.fleet.configuration != "without-shared-registry" or not all(is_linked(state.world, one) for one in (event.robot, event.peer)):
         return ()
     return (Scheduled(RememberPeer(event.robot, event.peer)),)
 
 
 DECIDES: Decides = {CloseExecution: close_execution, Revoke: revoke, AnswerOutsider: answer_outsider, RememberPeer: remember_peer}
+ACTORS: Actors = {
+    CloseExecution: nobody,
+    Revoke: named,
+    AnswerOutsider: nobody,
+    RememberPeer: named,
+}
 REACTS: Reacts = {
     ExecutionFinished: _on_finish,
     ContextChanged: _on_context,

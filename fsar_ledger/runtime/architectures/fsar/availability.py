@@ -7,7 +7,8 @@ from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.supervision import ActuatorServiced
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import surface
-from fsar_ledger.runtime.handlers.commands import Command, Decides, Reacts, Scheduled, message
+from fsar_ledger.runtime.handlers.actors import nobody
+from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled, message
 
 
 class ReportActuator(Command):
@@ -36,14 +37,17 @@ def report_actuator(state: State, command: ReportActuator) -> tuple[Event, ...]:
 def _on_failure(state: State, event: ExecutionFailed, _now_us: int) -> tuple[Scheduled, ...]:
     if event.cause != "degradation" or state.fleet.configuration == "without-shared-registry":
         return ()
-    return (Scheduled(ReportActuator(event.robot, True), 0, (message(f"{event.action_id}/{event.failure}", "degraded"),)),)
+    return (Scheduled(ReportActuator(event.robot, True), 0, (message(event.robot, f"{event.action_id}/{event.failure}", "degraded"),)),)
 
 
 def _on_service(state: State, event: ActuatorServiced, now_us: int) -> tuple[Scheduled, ...]:
     if state.fleet.configuration == "without-shared-registry":
         return ()
-    return (Scheduled(ReportActuator(event.robot, False), 0, (message(f"{event.robot}/{now_us}", "serviced"),)),)
+    return (Scheduled(ReportActuator(event.robot, False), 0, (message(event.robot, f"{event.robot}/{now_us}", "serviced"),)),)
 
 
 DECIDES: Decides = {ReportActuator: report_actuator}
+ACTORS: Actors = {
+    ReportActuator: nobody,
+}
 REACTS: Reacts = {ExecutionFailed: _on_failure, ActuatorServiced: _on_service}

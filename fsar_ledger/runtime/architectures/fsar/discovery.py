@@ -7,8 +7,9 @@ from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import advertisement, offers
 from fsar_ledger.projections.request import Request
+from fsar_ledger.runtime.handlers.actors import nobody, requester
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, nearest_first, on_shift
-from fsar_ledger.runtime.handlers.commands import Command, Decides, Reacts, Scheduled, message
+from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled, message
 from fsar_ledger.runtime.handlers.registry import Answer, Query, candidates, queried, rejecting_filter
 from fsar_ledger.runtime.handlers.trust import trusts
 
@@ -141,8 +142,12 @@ def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, 
     if state.fleet.configuration == "without-shared-registry" or event.task_id not in state.task or event.action_id not in state.request:
         return ()  # a request that is no step names whom it asks
     assert event.action_id is not None
-    return (Scheduled(QueryRegistry(event.action_id), 0, (message(event.action_id, 0),)),)
+    return (Scheduled(QueryRegistry(event.action_id), 0, (message(event.requested_by, event.action_id, 0),)),)
 
 
 DECIDES: Decides = {DetectGap: detect_gap, QueryRegistry: query_registry}
+ACTORS: Actors = {
+    DetectGap: requester,
+    QueryRegistry: nobody,
+}
 REACTS: Reacts = {StepBegan: _on_step, GapDetected: _on_gap}

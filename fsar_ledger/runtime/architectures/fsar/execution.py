@@ -1,6 +1,7 @@
 """FSAR: the robot that executes decides when; own steps and routine need nobody else. Paper: sec:architecture:local."""
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import POLICY
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionPaused, ExecutionQueued, OwnStepDecided, RoutinePerformed, RoutineWithheld
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyRuleSet
@@ -9,9 +10,10 @@ from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, PolicyW
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import in_force
+from fsar_ledger.runtime.handlers.actors import named, requester
 from fsar_ledger.runtime.handlers.admissibility import holding
 from fsar_ledger.runtime.handlers.attribution import on_shift, principals
-from fsar_ledger.runtime.handlers.commands import Command, DecideRoutine, Decides, Reacts, ResumeAction, Scheduled, StartAction, message
+from fsar_ledger.runtime.handlers.commands import Actors, Command, DecideRoutine, Decides, Reacts, ResumeAction, Scheduled, StartAction, message
 from fsar_ledger.runtime.handlers.execution import holds_robot, pause_running, start_action, started
 from fsar_ledger.runtime.handlers.policy import conflict, fleet_policy, own_policy
 
@@ -131,7 +133,7 @@ def _on_fleet_rule(state: State, event: PolicyWindowOpened | PolicyWindowClosed,
         return ()
     edge = "opened" if isinstance(event, PolicyWindowOpened) else "closed"
     word = LearnFleetRule(event.robot, in_force(state.world.fleet, event.robot), now_us)
-    return (Scheduled(word, 0, (message(event.window, edge),)),)
+    return (Scheduled(word, 0, (message(POLICY, event.window, edge),)),)
 
 
 def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Scheduled, ...]:
@@ -143,6 +145,10 @@ DECIDES: Decides = {
     StartAction: start,
     DecideRoutine: decide_routine,
     LearnFleetRule: learn_fleet_rule,
+}
+ACTORS: Actors = {
+    DecideOwnStep: requester,
+    LearnFleetRule: named,
 }
 REACTS: Reacts = {
     StepBegan: _on_step,

@@ -1,7 +1,8 @@
 """FSAR: who may help with a failure or take the step over, and if nobody may, why. Paper: sec:model:recovery, levels 2 and 3.
 
 The checks are those of any request: who can, shows it and is there, trust, authority, policy, then whether the robot
-is free. What remains after one is judged by the next; the check after which nobody remains is the reason. Reading: a
+is free. What remains after one is judged by the next; the check after which nobody remains is the reason. Who does not answer,
+because it is off or its link is down, is nobody's help: what the others are asked for here is their word. Reading: a
 substitute is asked for its own capability, so that its advertisement's terms are what counts, and what holds of the step's
 capability holds for it as well.
 """
@@ -19,7 +20,7 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.registry import Advertisement, advertisement
 from fsar_ledger.projections.trust import covers, scope_of
-from fsar_ledger.projections.world import stricter
+from fsar_ledger.projections.world import is_linked, stricter
 from fsar_ledger.runtime.handlers.attribution import family, helpers, is_idle, is_reachable, kin, means, on_shift, stand_ins
 from fsar_ledger.runtime.handlers.execution import NAVIGATION
 from fsar_ledger.runtime.handlers.policy import compose, own_policy
@@ -120,6 +121,9 @@ def _first(state: State, action: Action, asking: str, found: list[Candidate], ki
     able = [one for one in found if one.left_out_by not in ("visibility", "availability")]
     if not able:
         return None, f"no capable {kind}"
+    able = [one for one in able if is_linked(state.world, one.robot)]
+    if not able:
+        return None, "no answer"
     trusted = [one for one in able if one.left_out_by != "trust"]
     if not trusted:
         return None, f"no trusted {kind}"

@@ -26,8 +26,9 @@ from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.task import checkpoint
 from fsar_ledger.runtime.handlers import assistance
 from fsar_ledger.runtime.handlers import recovery as shared
+from fsar_ledger.runtime.handlers.actors import body, nobody
 from fsar_ledger.runtime.handlers.attribution import is_cross_robot, on_shift, principals
-from fsar_ledger.runtime.handlers.commands import Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, message
+from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, at_once, message
 from fsar_ledger.runtime.handlers.recovery import attempt_result, attempt_succeeds, budget, open_failure
 from fsar_ledger.runtime.handlers.supervision import supervisor_for
 
@@ -146,9 +147,7 @@ def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
             admitting = {**_context(state, action, helper), "supervised_by": on_shift(state, helper)}
             return (
                 *query,
-                AssistanceRequested(
-                    **_context(state, action, action.robot), **about, level="peer", failed_action=action.action_id, since_us=command.since_us
-                ),
+                AssistanceRequested(**_context(state, action, action.robot), **about, level="peer", failed_action=action.action_id, since_us=command.since_us),
                 AssistanceAdmitted(**admitting, **about, level="peer"),
             )
         case _:
@@ -228,21 +227,21 @@ def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[S
 def _on_escalation(_state: State, event: RecoveryEscalated, now_us: int) -> tuple[Scheduled, ...]:
     key = f"{event.failed_action}/{event.failure}"
     if event.to_level == "peer":
-        return (Scheduled(AskPeers(event.failed_action, now_us), 0, (message(key, "peer"),)),)
+        return (Scheduled(AskPeers(event.failed_action, now_us), 0, (message(event.robot, key, "peer"),)),)
     if event.to_level == "fleet":  # the peers' refusals come back before the orchestrator is asked
-        return (Scheduled(ConsiderReassignment(event.failed_action, now_us), 0, (message(key, "answer"), message(key, "fleet"))),)
+        return (Scheduled(ConsiderReassignment(event.failed_action, now_us), 0, (message(event.robot, key, "answer"), message(event.robot, key, "fleet"))),)
     return ()
 
 
 def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
-    answer = message(f"{event.action_id}/{event.failure}", "answer")
-    return (assistance.end_of(event, state.fleet.structure.assistance_us, (answer,)),)
+    answer = message(event.helper, f"{event.action_id}/{event.failure}", "answer")
+    return (assistance.end_of(event, state.fleet.structure.assistance_us, (answer, at_once(event.robot))),)
 
 
 def _on_no_help(state: State, event: AssistanceFailed, _now_us: int) -> tuple[Scheduled, ...]:
     """The robot is told, and turns to the next peer as long as the budget of the level lasts."""
     recovery, key = state.recovery[event.action_id], f"{event.action_id}/{event.failure}"
-    told = (message(key, f"no help/{event.helper}"), message(key, f"peer/{len(recovery.tried)}"))
+    told = (message(event.helper, key, f"no help/{event.helper}"), message(event.robot, key, f"peer/{len(recovery.tried)}"))
     return (Scheduled(AskPeers(event.action_id, recovery.since_us), 0, told),)
 
 
@@ -263,6 +262,13 @@ DECIDES: Decides = {
     EndAssistance: end_assistance,
     ConsiderReassignment: consider_reassignment,
     CallNext: call_next,
+}
+ACTORS: Actors = {
+    StartRecovery: body,
+    EndAttempt: body,
+    AskPeers: nobody,
+    ConsiderReassignment: nobody,
+    CallNext: nobody,
 }
 REACTS: Reacts = {
     ExecutionFailed: _on_failure,

@@ -2,7 +2,7 @@
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import COORDINATION, FLEET_SUPERVISOR
+from fsar_ledger.events.envelope import COORDINATION, FLEET_SUPERVISOR, REGISTRY
 from fsar_ledger.events.execution import ApproachStarted, ExecutionFinished, ExecutionPreempted, ExecutionQueued
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import (
@@ -23,9 +23,10 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import is_asked
 from fsar_ledger.projections.world import stricter
+from fsar_ledger.runtime.handlers.actors import asked, nobody, relay, requester
 from fsar_ledger.runtime.handlers.admissibility import Evaluation, evaluate, is_revoked, preemptible
 from fsar_ledger.runtime.handlers.attribution import on_shift
-from fsar_ledger.runtime.handlers.commands import BeginStep, CloseRequest, Command, CompleteStep, Decides, Reacts, Scheduled, TakeTurn, message
+from fsar_ledger.runtime.handlers.commands import Actors, BeginStep, CloseRequest, Command, CompleteStep, Decides, Reacts, Scheduled, TakeTurn, at_once, message
 from fsar_ledger.runtime.handlers.execution import holds_robot
 from fsar_ledger.runtime.handlers.policy import conflict, own_policy
 from fsar_ledger.runtime.handlers.supervision import is_due_for_review
@@ -218,7 +219,7 @@ def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Sche
     assert event.action_id is not None
     if state.fleet.configuration == "without-shared-registry":
         return (Scheduled(IssueRequest(event.action_id)),)
-    return (Scheduled(IssueRequest(event.action_id), 0, (message(event.action_id, 1),)),)
+    return (Scheduled(IssueRequest(event.action_id), 0, (message(REGISTRY, event.action_id, 1),)),)
 
 
 def _on_request(state: State, event: RequestIssued, _now_us: int) -> tuple[Scheduled, ...]:
@@ -227,11 +228,11 @@ def _on_request(state: State, event: RequestIssued, _now_us: int) -> tuple[Sched
     if request is None or not (request.is_adhoc or _is_step(state, request)):
         return ()
     next_one: Command = RelayRequest(event.action_id) if event.relay else EvaluateRequest(event.action_id)
-    return (Scheduled(next_one, 0, (message(event.action_id, 2),)),)
+    return (Scheduled(next_one, 0, (message(request.requester, event.action_id, 2),)),)
 
 
 def _on_relay(_state: State, event: RequestRelayed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(EvaluateRequest(event.action_id), 0, (message(event.action_id, 3),)),)
+    return (Scheduled(EvaluateRequest(event.action_id), 0, (message(event.decided_by, event.action_id, 3),)),)
 
 
 def _on_denial(state: State, event: RequestDenied, now_us: int) -> tuple[Scheduled, ...]:
@@ -250,7 +251,7 @@ def _on_offer(state: State, event: OfferAnswered, _now_us: int) -> tuple[Schedul
     assert event.action_id is not None
     if event.override is None:
         return _again(state, event.action_id)
-    return (Scheduled(EvaluateRequest(event.action_id), 0, (message(event.action_id, f"offer{event.round}"),)),)
+    return (Scheduled(EvaluateRequest(event.action_id), 0, (message(event.requested_by, event.action_id, f"offer{event.round}"),)),)
 
 
 def _again(state: State, action_id: str | None) -> tuple[Scheduled, ...]:
@@ -268,7 +269,7 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     if event.purpose == "ordering":
         waiting = in_order(state, event.action_id, event.preferred)
         return tuple(Scheduled(EvaluateRequest(name), place) for place, name in enumerate(waiting, start=1))
-    return (Scheduled(AdmitReviewed(event.action_id, event.approves)),) if event.purpose == "review" else ()
+    return (Scheduled(AdmitReviewed(event.action_id, event.approves), 1, (at_once(event.decided_by),)),) if event.purpose == "review" else ()
 
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
@@ -276,7 +277,7 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
     if request is None or not (request.is_adhoc or _is_step(state, request)):
         return ()
     if event.robot != request.requester:
-        return (Scheduled(CloseRequest(event.action_id), 0, (message(event.action_id, 4),)),)
+        return (Scheduled(CloseRequest(event.action_id), 0, (message(event.robot, event.action_id, 4),)),)
     return (Scheduled(CompleteStep(event.action_id)),) if event.result == "success" else _again(state, event.action_id)
 
 
@@ -284,7 +285,8 @@ def _on_close(state: State, event: RequestClosed, _now_us: int) -> tuple[Schedul
     """The step is done; one that did not succeed is tried again later."""
     if not _is_step(state, state.request.get(event.action_id)):
         return ()
-    return (Scheduled(CompleteStep(event.action_id)),) if event.result == "success" else _again(state, event.action_id)
+    done = Scheduled(CompleteStep(event.action_id), 1, (at_once(event.decided_by),))
+    return (done,) if event.result == "success" else _again(state, event.action_id)
 
 
 DECIDES: Decides = {
@@ -294,6 +296,13 @@ DECIDES: Decides = {
     AdmitReviewed: admit_reviewed,
     TakeTurn: take_turn,
     CloseRequest: close_request,
+}
+ACTORS: Actors = {
+    IssueRequest: requester,
+    RelayRequest: relay,
+    EvaluateRequest: asked,
+    AdmitReviewed: asked,
+    CloseRequest: nobody,
 }
 REACTS: Reacts = {
     RegistryQueried: _on_answer,

@@ -1,0 +1,64 @@
+"""Which runs a ledger holds, for its writer: a run is in one commit, and only who knows all of them can tell.
+
+They are read once, before the first batch is appended: of each segment the few hundred bytes at its beginning that hold the dictionary of `run_id`.
+Ten thousand commits take a second.
+"""
+
+from pathlib import Path
+
+from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger.layout import dictionary_of_runs, read_file
+from fsar_ledger.ledger.read import LedgerView
+from fsar_ledger.ledger.segment import read_table
+
+_BEGINNING_BYTES = 1 << 14
+
+
+class HeldRuns:
+    """The runs of the commits of a ledger, as far as they are known.
+
+    Raises:
+        LedgerCorrupted: A segment is missing or its runs cannot be read.
+    """
+
+    def __init__(self, view: LedgerView):
+        self._commits: dict[str, tuple[int, Path]] = {}
+        for record in view.records:
+            self.add(record.number, view.place(record.number), record.rows)
+
+    def add(self, number: int, path: Path, rows: int, runs: list[str] | None = None) -> None:
+        """The runs of this commit, whose segment of so many rows has this path, are held too; they are read there unless they are given."""
+        for run in _read(path, rows) if runs is None else runs:
+            self._commits.setdefault(run, (number, path))
+
+    def first_of(self, runs: list[str]) -> tuple[str, int] | None:
+        """The first of these runs that a commit holds, and the commit's number; None if there is none."""
+        for run in runs:
+            number, path = self._commits.get(run, (-1, None))
+            if path is not None and run in _by_row(path):  # a dictionary may hold strings that no row has
+                return run, number
+        return None
+
+
+def runs_of(path: Path, rows: int, data: bytes) -> list[str]:
+    """The runs of a segment with these bytes and so many rows; of one that another library wrote perhaps names that no row has.
+
+    Raises:
+        LedgerCorrupted: They cannot be read.
+    """
+    found = dictionary_of_runs(data, rows)
+    return _by_row(path) if found is None else found
+
+
+def _read(path: Path, rows: int) -> list[str]:
+    try:
+        with path.open("rb") as file:
+            found = dictionary_of_runs(file.read(_BEGINNING_BYTES), rows)
+        return runs_of(path, rows, read_file(path)) if found is None else found
+    except OSError as error:
+        raise LedgerCorrupted(f"{path}: the segment cannot be read ({error.strerror}); permit reading or restore it") from error
+
+
+def _by_row(path: Path) -> list[str]:
+    runs: list[str] = read_table(path, ["run_id"]).column("run_id").unique().to_pylist()
+    return runs

@@ -1,0 +1,65 @@
+"""DHMA: the agents of a robot talk in hops, and one definition of a talk says how long it takes, what is on record of it, and who was on the way.
+
+A talk is the row of agents through which the work goes. Each hop in it takes the latency of an internal message and leaves one record, in
+every phase; what is decided at its end has these agents as its path. Paper: sec:evaluation:baselines. Reading: R21.
+"""
+
+from typing import Any
+
+from fsar_ledger.events.envelope import agent
+from fsar_ledger.events.request import InternalHandoff
+from fsar_ledger.projections.fold import State
+from fsar_ledger.runtime.handlers.actors import named
+from fsar_ledger.runtime.handlers.attribution import on_shift
+from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, Reacts, Scheduled, hop, hops
+
+Talk = tuple[str, ...]
+Said = tuple[tuple[Draw, ...], Scheduled]
+
+CALL: Talk = ("planning", "communication")  # the planner wants another robot asked
+EVALUATION: Talk = ("communication", "planning", "execution")  # a call comes in, is judged, and the means for it are confirmed
+RELAY: Talk = ("communication", "planning")  # word from another robot reaches the planner
+TO_PLANNING: Talk = ("communication", "planning")  # an award goes from agent to agent ...
+TO_EXECUTION: Talk = ("planning", "execution")
+FROM_PLANNING: Talk = ("planning", "communication")  # ... and each acknowledges it
+FROM_EXECUTION: Talk = ("execution", "planning")
+SETTLEMENT: Talk = ("communication", "planning", "execution", "communication")  # what a double booking comes to
+VOIDING: Talk = ("execution", "communication", "planning", "communication")  # a contract that no longer holds
+OWN_STEP: Talk = ("planning", "execution")
+OWN_RESULT: Talk = ("execution", "planning")
+RESULT: Talk = ("execution", "communication")
+RECOVERY: Talk = ("execution", "recovery", "planning", "recovery")  # a failure, or how an attempt ended: recovery hears of it and asks the planner
+REPLANNING: Talk = ("execution", "planning", "execution", "planning")  # the change, the new plan, its confirmation
+RENEGOTIATION: Talk = ("communication", "planning", "communication", "planning", "communication")  # the other robot agrees to it
+
+
+class HandOver(Command):
+    """The agents of a robot have talked."""
+
+    robot: str
+    agents: Talk
+
+
+def hand_over(state: State, command: HandOver) -> tuple[InternalHandoff, ...]:
+    """Each hop is on record; no message says for whom the work is."""
+    names = [agent(command.robot, kind) for kind in command.agents]  # type: ignore[arg-type]
+    supervisor = on_shift(state, command.robot)
+    return tuple(InternalHandoff(None, command.robot, supervisor, names[place], names[place + 1]) for place in range(len(names) - 1))
+
+
+def talk(state: State, robot: str, agents: Talk, key: str, name: int | str, before: tuple[Draw, ...] = (), after_us: int = 0) -> Said:
+    """How long it takes until these agents of the robot have talked, after what comes `before` (and `after_us`), and that it is put on record then."""
+    said = (hop(state, key, name),) if len(agents) == 2 else hops(state, key, str(name), len(agents) - 1)
+    lengths = (*before, *said)
+    return lengths, Scheduled(HandOver(robot, agents), after_us, lengths)
+
+
+def path(robot: str, agents: Talk) -> dict[str, Any]:
+    """The keywords of a decision that went through these agents of the robot; the last one decided."""
+    traversed = tuple(agent(robot, kind) for kind in agents)  # type: ignore[arg-type]
+    return {"decided_by": traversed[-1], "path": traversed}
+
+
+DECIDES: Decides = {HandOver: hand_over}
+ACTORS: Actors = {HandOver: named}
+REACTS: Reacts = {}

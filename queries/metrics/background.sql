@@ -1,0 +1,63 @@
+-- Title: How much of what is counted is routine, and how much of what is not attributable only lacks a supervisor who was off shift
+-- Paper: sec:evaluation:metrics
+-- Grain: one row per architecture, configuration and fleet size
+-- Units: counts, and shares of them: of decisions, of local decisions, of coordination events and of policy violations those of routine operations;
+--        of coordination events that are not attributable those whose supervisor alone is missing, during a recorded absence (R8)
+-- NULL: a share of nothing
+-- Example: fsar-ledger query metrics/background LEDGER
+WITH absent AS (
+    SELECT
+        records.run_id,
+        records.seq
+    FROM coordination_events AS records
+    INNER JOIN supervisor_absences AS absences
+        ON
+            records.run_id = absences.run_id
+            AND replace(records.part_of, 'robot/', 'supervisor/') = absences.supervisor
+            AND records.seq > absences.left_seq
+            AND records.seq < coalesce(absences.returned_seq, records.seq + 1)
+    WHERE records.has_origin AND records.has_executor AND NOT records.has_supervisor
+),
+
+counted AS (
+    SELECT
+        run_id,
+        decision_kind = 'routine' AS decided,
+        CASE WHEN is_local THEN decision_kind = 'routine' END AS decided_locally,
+        NULL::BOOLEAN AS recorded,
+        NULL::BOOLEAN AS violated,
+        NULL::BOOLEAN AS unattributed
+    FROM decisions
+    UNION ALL BY NAME
+    SELECT
+        records.run_id,
+        records.record_kind = 'routine' AS recorded,
+        CASE WHEN NOT records.is_attributable THEN absent.seq IS NOT NULL END AS unattributed
+    FROM coordination_events AS records
+    LEFT JOIN absent ON records.run_id = absent.run_id AND records.seq = absent.seq
+    UNION ALL BY NAME
+    SELECT
+        run_id,
+        action_id IS NULL AS violated
+    FROM governed_starts
+    WHERE is_violation
+)
+
+SELECT
+    runs.architecture,
+    runs.configuration,
+    runs.fleet_size,
+    count(counted.decided) AS decisions,
+    avg(counted.decided::INTEGER) AS routine_share_of_decisions,
+    count(counted.decided_locally) AS local_decisions,
+    avg(counted.decided_locally::INTEGER) AS routine_share_of_local_decisions,
+    count(counted.recorded) AS coordination_events,
+    avg(counted.recorded::INTEGER) AS routine_share_of_coordination_events,
+    count(counted.violated) AS policy_violations,
+    avg(counted.violated::INTEGER) AS routine_share_of_policy_violations,
+    count(counted.unattributed) AS unattributable_events,
+    avg(counted.unattributed::INTEGER) AS off_shift_share_of_unattributable_events
+FROM runs
+LEFT JOIN counted ON runs.run_id = counted.run_id
+GROUP BY runs.architecture, runs.configuration, runs.fleet_size
+ORDER BY runs.configuration <> 'full', runs.configuration, runs.fleet_size, list_position(['fsar', 'cfc', 'dhma'], runs.architecture)

@@ -1,0 +1,210 @@
+"""`info` says what was planned and what of it is there, and never more than a ledger can know."""
+
+import json
+import shlex
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+
+from fsar_ledger.constants import Constants, WorldConstants
+from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.note import read_signer
+from fsar_ledger.runtime import experiment as module
+from fsar_ledger.runtime.experiment import ORIGIN, Experiment, simulate
+from fsar_ledger.runtime.simulation import RunSpec, run_started, simulate_run
+
+from .conftest import Call, one_message
+
+OTHER = Constants(world=WorldConstants(window_mean_s=12.0))
+
+
+class Stopped(Exception):
+    """What was done so far was enough."""
+
+
+def stop_after(batches: int) -> Callable[[int, int], None]:
+    def progress(done: int, _total: int) -> None:
+        if done >= batches:
+            raise Stopped
+
+    return progress
+
+
+def small(*architectures: Architecture, **given: Any) -> Experiment:
+    """Two runs of each, unless something else is given."""
+    return Experiment(architectures or ("fsar",), **{"scenarios": ("door-relay",), "runs": 2, **given})
+
+
+def planned_only(path: Path, experiment: Experiment, origin: str = ORIGIN) -> None:
+    """The experiment was interrupted when it had begun."""
+    with pytest.raises(Stopped):
+        simulate(path, experiment, 1, stop_after(0), origin=origin)
+
+
+def info(call: Call, path: Path) -> dict[str, Any]:
+    answer: dict[str, Any] = json.loads(call("info", path, "--json").out)
+    return answer
+
+
+def said(call: Call, path: Path) -> str:
+    return call("info", path).out
+
+
+def live(name: str) -> RunRecord:
+    """A run that was not simulated, and has only just begun."""
+    started = msgspec.structs.replace(run_started(RunSpec(1, "fsar", "full", "door-relay", 4, 0), Constants()), kind="live", scenario="live")
+    return RunRecord(name, (0,), (None,), (started,))
+
+
+def appended(path: Path, *runs: RunRecord) -> None:
+    with Writer(path, ORIGIN) as writer:
+        writer.append(stage(path, runs))
+
+
+def test_a_ledger_with_all_that_was_planned_is_complete(call: Call, ledger: Path) -> None:
+    found = info(call, ledger)
+    assert (found["is_complete"], found["runs"], found["runs_unplanned"]) == (True, 12, {})
+    [plan] = found["plans"]
+    assert (plan["planned_count"], plan["there_count"], plan["missing_count"], plan["run_count"], plan["continues_with"]) == (12, 12, 0, 2, None)
+    assert plan["scenarios"] == ["door-relay", "failure-recovery-chain"]
+    assert "12 runs, complete: all that was planned is there" in said(call, ledger)
+
+
+def test_an_interrupted_experiment_is_not_complete_and_the_call_that_goes_on_is_told(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, experiment = tmp_path / "a ledger", small("fsar", "cfc", runs=3, seed=5)
+    monkeypatch.setattr(module, "BATCH_RUNS", 2)
+    with pytest.raises(Stopped):
+        simulate(path, experiment, 1, stop_after(1))
+    monkeypatch.undo()
+    found = info(call, path)
+    [plan] = found["plans"]
+    assert (found["is_complete"], found["runs"], plan["there_count"], plan["planned_count"]) == (False, 2, 2, 6)
+    assert plan["continues_with"] == f"fsar-ledger simulate '{path}' --architecture cfc --architecture fsar --scenario door-relay --runs 3 --seed 5"
+    assert f"2 of 6 runs of door-relay x 3 runs x cfc, fsar, seed 5, 4 robots; go on with: {plan['continues_with']}\n" in said(call, path)
+    made = call(*shlex.split(plan["continues_with"])[1:], "--json")
+    assert {name: json.loads(made.out)[name] for name in ("runs_asked", "runs_made", "runs_held")} == {"runs_asked": 6, "runs_made": 4, "runs_held": 6}
+    assert info(call, path)["is_complete"] is True
+
+
+@pytest.mark.parametrize(
+    "experiment",
+    [
+        small("fsar", configurations=("without-policy-composition", "without-trust-evaluation")),
+        small("fsar", scenarios=("workflow-layered-recovery", "workflow-door-relay"), seed=6),
+        small("fsar", "cfc", "dhma", fleet_size=8),
+    ],
+)
+def test_the_call_that_goes_on_plans_nothing_new(call: Call, tmp_path: Path, experiment: Experiment) -> None:
+    planned_only(tmp_path / "ledger", experiment, "example.org/other")
+    [plan] = info(call, tmp_path / "ledger")["plans"]
+    assert plan["continues_with"].endswith("--origin example.org/other")
+    assert call(*shlex.split(plan["continues_with"])[1:], "--workers", "1").code == 0
+    found = info(call, tmp_path / "ledger")
+    assert (found["is_complete"], found["runs"], len(found["plans"])) == (True, experiment.size, 1)
+
+
+def test_a_signed_ledger_goes_on_with_a_key(call: Call, tmp_path: Path) -> None:
+    call("key", "new", tmp_path / "key", "--name", "example.org/fleet")
+    signer = read_signer(tmp_path / "key")
+    with pytest.raises(Stopped):
+        simulate(tmp_path / "ledger", small(), 1, stop_after(0), signer)
+    [plan] = info(call, tmp_path / "ledger")["plans"]
+    assert plan["continues_with"].endswith("--architecture fsar --scenario door-relay --runs 2 --key KEY")
+
+
+def test_two_shapes_in_one_ledger_are_two_plans_and_both_are_complete(call: Call, tmp_path: Path) -> None:
+    simulate(tmp_path / "ledger", small("fsar", runs=3), 1)
+    simulate(tmp_path / "ledger", small("cfc", scenarios=("fleet-contention",), runs=1), 1)
+    found = info(call, tmp_path / "ledger")
+    assert (found["is_complete"], found["runs"], [plan["planned_count"] for plan in found["plans"]]) == (True, 4, [3, 1])
+    assert {group["architecture"]: group["runs_to_rectangle"] for group in found["groups"]} == {"fsar": 3, "cfc": 5}
+    text = said(call, tmp_path / "ledger")
+    assert "4 runs, complete: all that was planned is there" in text
+    assert "not a rectangle: 8 runs less" in text
+    assert "enlarged: " not in text
+
+
+def test_two_parameter_sets_are_told_apart_and_the_constants_named(call: Call, tmp_path: Path) -> None:
+    simulate(tmp_path / "ledger", small(runs=3), 1)
+    planned_only(tmp_path / "ledger", small(constants=OTHER))
+    simulate(tmp_path / "ledger", small(runs=1, constants=OTHER), 1)
+    found = info(call, tmp_path / "ledger")
+    assert [(group["model"], group["runs"], group["runs_to_rectangle"]) for group in sorted(found["groups"], key=lambda group: group["model"])] == [
+        (1, 3, 0),
+        (2, 1, 0),
+    ]
+    assert [model["differs_in"] for model in found["models"]] == [[], ["world.window_mean_s"]]
+    assert [(plan["planned_count"], plan["missing_count"], plan["continues_with"]) for plan in found["plans"]] == [(3, 0, None), (2, 1, None), (1, 0, None)]
+    assert found["is_complete"] is False
+    text = said(call, tmp_path / "ledger")
+    assert "1 of 2 runs of door-relay x 2 runs x fsar, seed 42, 4 robots; go on with the version and the constants that began it" in text
+    assert "model 2: simulated, model 2, 1 runs, other constants than model 1: world.window_mean_s" in text
+
+
+def test_runs_that_were_not_simulated_are_in_no_plan_and_nothing_is_said_of_what_is_missing(call: Call, tmp_path: Path) -> None:
+    simulate(tmp_path / "ledger", small(), 1)
+    appended(tmp_path / "ledger", live("shift-1"), live("shift-2"))
+    found = info(call, tmp_path / "ledger")
+    assert (found["is_complete"], found["runs"], found["runs_unplanned"]) == (None, 4, {"live": 2})
+    text = said(call, tmp_path / "ledger")
+    assert "planned runs: complete" in text
+    assert "other runs: 2 live; no plan names them, so nothing says whether they are all that was meant" in text
+
+
+def test_runs_of_another_system_have_no_model_and_no_rectangle(call: Call, tmp_path: Path) -> None:
+    appended(tmp_path / "ledger", RunRecord("night", (0,), (None,), (RunStarted(kind="foreign", observes=(), source="example.org"),)))
+    found = info(call, tmp_path / "ledger")
+    assert (found["is_complete"], found["runs"], found["runs_unplanned"]) == (None, 1, {"foreign": 1})
+    assert [(group["scenarios"], group["seed"], group["runs_to_rectangle"], group["events"]) for group in found["groups"]] == [(0, None, None, 1)]
+    text = said(call, tmp_path / "ledger")
+    assert "1 runs; no plan is on record" in text
+    assert "foreign, no model\n" in text
+    assert "rectangle:" not in text
+
+
+@pytest.mark.parametrize(("numbers", "shape"), [((0, 1), "a rectangle"), ((0, 2), "not a rectangle: 1 runs less")])
+def test_a_ledger_without_a_plan_is_never_complete(call: Call, tmp_path: Path, numbers: tuple[int, ...], shape: str) -> None:
+    appended(tmp_path / "ledger", *(simulate_run(RunSpec(42, "fsar", "full", "door-relay", 4, number), Constants()) for number in numbers))
+    found = info(call, tmp_path / "ledger")
+    assert (found["is_complete"], found["plans"], found["runs_unplanned"]) == (None, [], {"simulated": 2})
+    text = said(call, tmp_path / "ledger")
+    assert "2 runs; no plan is on record, so nothing says whether they are all that was meant" in text
+    assert shape in text
+    assert "complete" not in text
+
+
+def test_a_ledger_without_anything_says_so(call: Call, tmp_path: Path) -> None:
+    with Writer(tmp_path / "ledger", ORIGIN):
+        pass
+    assert info(call, tmp_path / "ledger")["is_complete"] is None
+    assert "no runs yet, and no plan on record" in said(call, tmp_path / "ledger")
+
+
+def test_an_enlarged_ledger_says_so_and_fewer_runs_are_nothing_to_do(call: Call, tmp_path: Path) -> None:
+    options = ("--architecture", "fsar", "--scenario", "door-relay", "--workers", "1", "--runs")
+    call("simulate", tmp_path / "ledger", *options, 2)
+    assert "enlarged: " not in said(call, tmp_path / "ledger")
+    assert "made 1 runs; 2 of the 3 that were asked for were there already" in call("simulate", tmp_path / "ledger", *options, 3).out
+    assert "enlarged: 1 of 2 plans is part of a larger one; runs, run ids and metrics are as if" in said(call, tmp_path / "ledger")
+    before = info(call, tmp_path / "ledger")
+    assert before["is_complete"] is True
+    again = call("simulate", tmp_path / "ledger", *options, 1)
+    assert (again.code, again.out.splitlines()[-1]) == (0, "nothing to do: all 1 runs that were asked for are there, and 2 more")
+    assert info(call, tmp_path / "ledger") == before
+
+
+def test_what_is_judged_before_all_planned_runs_are_there_says_so(call: Call, tmp_path: Path, ledger: Path) -> None:
+    planned_only(tmp_path / "ledger", small("fsar", "cfc", runs=3))
+    simulate(tmp_path / "ledger", small("fsar", "cfc", runs=1), 1)
+    call("verify", tmp_path / "ledger")
+    for command in ("metrics", "statistics"):
+        warned = call(command, tmp_path / "ledger")
+        one_message(warned, 0, "not complete: 4 of the 6 runs of a plan are missing", f"`fsar-ledger info {tmp_path / 'ledger'}`")
+    call("verify", ledger)
+    assert call("metrics", ledger).err == ""

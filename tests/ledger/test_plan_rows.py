@@ -1,0 +1,34 @@
+"""A plan is the only event of its run: both verifiers name the row of one that has company, and neither counts it as a run."""
+
+from pathlib import Path
+
+import pytest
+
+from fsar_ledger.events import Event
+from fsar_ledger.events.experiment import ExperimentPlanned
+from fsar_ledger.events.task import TaskCompleted
+from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.verify import verify
+from tests.ledger.agreement import Case, judged, write
+
+PLAN = ExperimentPlanned(("fsar",), ("full",), ("door-relay",), 2, 42, 4, "2", "{}")
+TASK = TaskCompleted("T1")
+
+
+def of(name: str, *events: Event) -> RunRecord:
+    return RunRecord(name, range(len(events)), [None, *range(len(events) - 1)], events)
+
+
+def test_a_plan_alone_is_no_run_and_no_doubt(tmp_path: Path) -> None:
+    path = write(tmp_path / "ledger", [[of("plan", PLAN)], [of("run-1", TASK, TASK), of("another plan", PLAN), of("run-2", TASK)]], [None, None])
+    assert judged(Case("plans", path, True)).difference == ""
+    report = verify(path)
+    assert (report.ok, report.runs, report.events, report.commits) == (True, 2, 5, 2)
+
+
+@pytest.mark.parametrize(("events", "row"), [((PLAN, TASK), 0), ((TASK, PLAN), 1), ((TASK, PLAN, TASK), 1), ((PLAN, PLAN), 0)])
+def test_a_plan_with_company_is_named_by_both_verifiers(tmp_path: Path, events: tuple[Event, ...], row: int) -> None:
+    path = write(tmp_path / "ledger", [[of("before", TASK), of("run-1", *events), of("after", TASK)]], [None])
+    assert judged(Case("a plan with company", path, False)).difference == ""
+    [problem] = verify(path).problems
+    assert (problem.run, problem.seq, problem.field, problem.expected) == ("run-1", row, "type", "the only event of its run, as this type is")

@@ -1,0 +1,186 @@
+"""Whatever a writer accepts, `verify` accepts and readers read back; whatever it refuses leaves the ledger's bytes as they were.
+
+Batches are mostly good; a few values of any field, cause, time, name or order in them are not.
+"""
+
+import enum
+import tempfile
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from fsar_ledger.errors import InvalidRun
+from fsar_ledger.events import Event
+from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.read import open_ledger
+from fsar_ledger.ledger.schema import LAYOUTS, MAX_INTEGER
+from fsar_ledger.ledger.verify import Asked, verify
+from tests.ledger.samples import ORIGIN, contents, made_up_run
+
+
+class Word(enum.StrEnum):
+    FSAR = "fsar"
+    LIVE = "live"
+
+
+class Number(enum.IntEnum):
+    ONE = 1
+
+
+class Posing(str):
+    """Is every string, as far as it says."""
+
+    def __eq__(self, other: object) -> bool:
+        return True
+
+    def __hash__(self) -> int:
+        return hash("fsar")
+
+
+class Pair(tuple[str, ...]):
+    pass
+
+
+class Stranger(Event, frozen=True):
+    robot: str
+
+
+STARTED = next(iter(LAYOUTS.values())).cls
+ODD: tuple[object, ...] = (
+    *(None, True, False, 0, 1, -1, 1.0, 0.5, float("nan"), MAX_INTEGER, -MAX_INTEGER, MAX_INTEGER + 1, -MAX_INTEGER - 1, 2**63, -(2**63) - 1, 2**70),
+    *("", "fsar", "live", "peer", "Local", "x" * 5_000, "\ud800", "\x1b[2J", "a\nb", "\u202e", "Zürich", '"\\'),
+    *(b"fsar", Word.FSAR, Word.LIVE, Number.ONE, Posing("other"), Posing("live")),
+    *((), ("a",), ("a", "a"), (1,), (None,), (b"a",), (("a",),), (Word.FSAR,), (Posing("b"),), ("\ud800",), ("\x00",), Pair(("a",)), ["a"], {"a"}, {"a": 1}),
+)
+IDS: tuple[object, ...] = (
+    "run-0",
+    "run-1",
+    "run-2",
+    "run-3",
+    "",
+    "x" * 5_000,
+    "\ud800",
+    "a\nb",
+    "東京",
+    None,
+    3,
+    b"run-0",
+    Word.LIVE,
+    Posing("run-9"),
+    ["run-0"],
+)
+
+Change = Callable[[RunRecord, st.DrawFn], RunRecord]
+
+
+def another_value(run: RunRecord, draw: st.DrawFn) -> RunRecord:
+    seq = draw(st.integers(0, len(run.events) - 1))
+    names = run.events[seq].__struct_fields__
+    if not names:
+        return run
+    event = msgspec.structs.replace(run.events[seq], **{draw(st.sampled_from(names)): draw(st.sampled_from(ODD))})
+    return with_event(run, seq, event)
+
+
+def another_event(run: RunRecord, draw: st.DrawFn) -> RunRecord:
+    seq = draw(st.integers(0, len(run.events) - 1))
+    strange: tuple[object, ...] = (*run.events, run.events[0], Stranger("robot/A1"), "event", None, STARTED)
+    return with_event(run, seq, draw(st.sampled_from(strange)))
+
+
+def another_time(run: RunRecord, draw: st.DrawFn) -> RunRecord:
+    times: list[object] = list(run.times_us)
+    times[draw(st.integers(0, len(times) - 1))] = draw(st.sampled_from(ODD) | st.sampled_from(run.times_us))
+    return msgspec.structs.replace(run, times_us=times)
+
+
+def another_cause(run: RunRecord, draw: st.DrawFn) -> RunRecord:
+    causes: list[object] = list(run.caused_by)
+    causes[draw(st.integers(0, len(causes) - 1))] = draw(st.sampled_from(ODD) | st.integers(-1, len(causes)))
+    return msgspec.structs.replace(run, caused_by=causes)
+
+
+def another_name(run: RunRecord, draw: st.DrawFn) -> RunRecord:
+    return msgspec.structs.replace(run, run_id=draw(st.sampled_from(IDS)))
+
+
+def another_length(run: RunRecord, draw: st.DrawFn) -> RunRecord:
+    name = draw(st.sampled_from(["times_us", "caused_by", "events"]))
+    size = draw(st.integers(0, len(run.events) - 1))
+    return msgspec.structs.replace(run, **{name: list(getattr(run, name))[:size]})
+
+
+def cut(run: RunRecord, draw: st.DrawFn) -> RunRecord:
+    """Its end, as if a run went on in another commit."""
+    at = draw(st.integers(0, len(run.events) - 1))
+    return RunRecord(run.run_id, run.times_us[at:], [None, *range(len(run.events) - at - 1)], run.events[at:])
+
+
+def with_event(run: RunRecord, seq: int, event: object) -> RunRecord:
+    return msgspec.structs.replace(run, events=[*run.events[:seq], event, *run.events[seq + 1 :]])
+
+
+CHANGES: tuple[Change, ...] = (another_value, another_value, another_value, another_event, another_time, another_cause, another_name, another_length, cut)
+
+
+@st.composite
+def batches(draw: st.DrawFn) -> list[RunRecord]:
+    """Up to three runs, each good or with one thing changed; names are few, so that they come again."""
+    runs = [made_up_run(f"run-{draw(st.integers(0, 9))}", draw(st.integers(1, 7)), draw(st.integers(0, 99))) for _ in range(draw(st.integers(0, 3)))]
+    return [draw(st.sampled_from(CHANGES))(run, draw) if draw(st.integers(0, 3)) == 0 else run for run in runs]
+
+
+def check(path: Path, offered: list[list[RunRecord]], fates: Counter[str]) -> None:
+    """Each batch is appended, by a writer of its own or the one before, or refused; then all that is there is looked at."""
+    kept: list[RunRecord] = []
+    writer = Writer(path, ORIGIN)
+    newest: list[RunRecord] = []
+    said: list[str] = []
+    for number, batch in enumerate(offered):
+        if number % 3 == 2:
+            writer.close()
+            writer = Writer(path, ORIGIN)
+        before = contents(path)
+        try:
+            writer.append(stage(path, batch))
+        except InvalidRun as refused:
+            assert contents(path) == before, "refused, and yet something is there"
+            said.append(str(refused))
+        else:
+            kept += [] if batch == newest else batch
+            newest = batch
+            fates["accepted"] += 1
+    writer.close()
+    fates["refused"] += len(said)
+    assert all("found" in line and "expected" in line for line in said), said
+    for asked in (Asked(), Asked(is_quick=True)):
+        report = verify(path, asked=asked)
+        assert report.ok, report.problems
+    assert list(open_ledger(path).runs()) == kept
+
+
+FATES: Counter[str] = Counter()
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck), derandomize=True)
+@given(offered=st.lists(batches(), min_size=1, max_size=5))
+def look(offered: list[list[RunRecord]]) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        check(Path(folder) / "ledger", offered, FATES)
+
+
+def test_whatever_is_accepted_verifies_and_whatever_is_refused_leaves_no_trace() -> None:
+    FATES.clear()
+    look()
+    assert min(FATES["refused"], FATES["accepted"]) > 20, FATES
+
+
+@pytest.mark.slow
+def test_whatever_is_accepted_verifies_at_length() -> None:
+    settings(max_examples=4_000, deadline=None, suppress_health_check=list(HealthCheck), derandomize=False)(look)()

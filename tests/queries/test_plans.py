@@ -1,0 +1,67 @@
+"""What was planned, which runs the plans name, and which none."""
+
+from typing import Any
+
+from tests.queries.histories import answer, run
+
+
+def plan(name: str = "p1", **changes: Any) -> list[dict[str, Any]]:
+    """The row of a plan of two runs of one scenario under two architectures."""
+    given = {
+        "architectures": ["fsar", "cfc"],
+        "configurations": ["full"],
+        "scenarios": ["door-relay"],
+        "run_count": 2,
+        "seed": 42,
+        "fleet_size": 4,
+        "model_version": "test",
+        "parameters": "{}",
+    }
+    return [{"run_id": name, "seq": 0, "caused_by": None, "type": "ExperimentPlanned.v1", "time_us": 0, **given, **changes}]
+
+
+def counted(*rows: Any) -> list[tuple[Any, ...]]:
+    return answer("audit/experiments", *rows, columns=("plan", "planned_count", "there_count", "missing_count", "larger_plans"))
+
+
+def test_a_plan_counts_the_runs_that_it_names_and_no_others() -> None:
+    there = [run(run_id="a"), run(run_id="b", run=1), run(run_id="c", architecture="cfc")]
+    others = [
+        run(run_id="d", run=2),
+        run(run_id="e", architecture="dhma"),
+        run(run_id="f", scenario="fleet-contention"),
+        run(run_id="g", seed=41),
+        run(run_id="h", fleet_size=8),
+        run(run_id="i", model_version="other"),
+        run(run_id="j", parameters='{"world":{}}'),
+        run(run_id="k", configuration="without-trust-evaluation"),
+        run(run_id="l", kind="live"),
+    ]
+    assert counted(plan(), *there, *others) == [("p1", 4, 3, 1, 0)]
+    assert answer("facts/planned_runs", plan(), *there, *others, columns=("plan", "run_id")) == [("p1", "a"), ("p1", "b"), ("p1", "c")]
+    assert answer("audit/unplanned_runs", plan(), *there, *others, columns=("run_id",)) == [(name,) for name in "defghijkl"]
+
+
+def test_a_plan_without_any_run_lacks_all_of_them() -> None:
+    assert counted(plan()) == [("p1", 4, 0, 4, 0)]
+
+
+def test_a_plan_that_another_one_contains_is_part_of_a_larger_one() -> None:
+    larger = plan("p2", run_count=5, scenarios=["fleet-contention", "door-relay"])
+    assert counted(plan(), larger) == [("p1", 4, 0, 4, 1), ("p2", 20, 0, 20, 0)]
+
+
+def test_plans_that_do_not_contain_each_other_are_not_larger() -> None:
+    others = [plan("p2", run_count=1, scenarios=["door-relay", "fleet-contention", "x", "y", "z"]), plan("p3", seed=41, run_count=9)]
+    others += [plan("p4", run_count=9, parameters='{"world":{}}'), plan("p5", run_count=9, architectures=["fsar", "dhma"])]
+    assert [row[-1] for row in counted(plan(), *others)] == [0] * 5
+
+
+def test_a_name_that_a_plan_repeats_counts_once() -> None:
+    assert counted(plan(scenarios=["door-relay", "door-relay"]), run(run_id="a"), run(run_id="b")) == [("p1", 4, 1, 3, 0)]
+
+
+def test_a_plan_is_neither_a_run_nor_a_decision() -> None:
+    assert answer("staging/runs", plan()) == []
+    assert answer("metrics/run_metrics", plan()) == []
+    assert answer("facts/decisions", plan()) == []
