@@ -117,7 +117,9 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
         first, second = f"{self.first_architecture} ({self.first_configuration})", f"{self.second_architecture} ({self.second_configuration})"
         if not self.first_count or not self.second_count:
             missing, there, count = (first, second, self.second_count) if not self.first_count else (second, first, self.first_count)
-            return f"{self.comparison}: found {count:,} runs of {there} and none of {missing}; simulate it with the same seed, scenarios, runs and fleet size"
+            return (
+                f"{self.comparison}: found {_counted(count)} of {there} and none of {missing}; simulate it with the same seed, scenarios, runs and fleet size"
+            )
         if not self.shared_worlds:
             sides = (
                 (first, self.first_seeds, self.first_fleet_sizes, self.first_scenarios),
@@ -125,7 +127,11 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
             )
             held = "; ".join(f"{name} under seeds {_named(seeds)}, {_named(sizes)} robots, {_named(scenarios)}" for name, seeds, sizes, scenarios in sides)
             return f"{self.comparison}: no run of both has the same seed, scenario, fleet size and number: found {held}; simulate one as the other"
-        return f"{self.comparison}: all {self.left_out:,} pairs of runs are left out, as said above; simulate both under one world and the same constants"
+        return f"{self.comparison}: every pair of runs ({self.left_out:,}) is left out, as said above; simulate both under one world and the same constants"
+
+
+def _counted(runs: int) -> str:
+    return "1 run" if runs == 1 else f"{runs:,} runs"
 
 
 def _named(values: Sequence[object] | None) -> str:
@@ -146,7 +152,7 @@ def not_compared(database: Database) -> list[str]:
     kinds = database.rows(KINDS)
     if not kinds:
         return ["found no runs; `fsar-ledger simulate` makes some"]
-    names = [f"{row['runs']:,} {row['kind']} of {row['architecture'] or 'no named architecture'}" for row in kinds[:MAX_NAMED]]
+    names = [f"{_counted(row['runs'])} ({row['kind']}) of {row['architecture'] or 'no named architecture'}" for row in kinds[:MAX_NAMED]]
     more = f" and {len(kinds) - MAX_NAMED:,} kinds more" if len(kinds) > MAX_NAMED else ""
     if all(row["nameless"] == row["runs"] for row in kinds):
         return [f"found {', '.join(names)}{more}, all without seed, scenario, fleet size or number; runs that are not known to have met one world are no pairs"]
