@@ -77,6 +77,7 @@ class Experiment(msgspec.Struct, frozen=True):
         ]
         if fits(cells, at_once, self.fleet_size, self.constants):
             return
+        at_once = min(BATCH_RUNS, self.size)  # what is named fits the whole experiment
         largest = largest_fleet(cells, at_once, self.constants)
         many = "one run" if at_once == 1 else f"{at_once} runs at once"
         raise InvalidExperiment(

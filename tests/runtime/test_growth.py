@@ -169,12 +169,12 @@ def test_a_fleet_that_no_commit_can_hold_is_refused_before_work_begins_with_the_
     def asked(fleet_size: int, runs: int = 20) -> Experiment:
         return Experiment(ARCHITECTURES, SCENARIOS, runs, fleet_size=fleet_size)
 
-    with pytest.raises(InvalidExperiment, match="fleet size: found 512"):
-        asked(512).require_fits()
+    with pytest.raises(InvalidExperiment, match="fleet size: found 256"):
+        asked(256).require_fits()
     with pytest.raises(
-        InvalidExperiment, match=f"fleet size: found 512, expected at most [0-9]+: a commit holds 25 runs at once and {MAX_ROWS:,} events"
+        InvalidExperiment, match=f"fleet size: found 256, expected at most [0-9]+: a commit holds 25 runs at once and {MAX_ROWS:,} events"
     ) as refused:
-        simulate(tmp_path / "ledger", asked(512), workers=1)
+        simulate(tmp_path / "ledger", asked(256), workers=1)
     assert not (tmp_path / "ledger").exists()
     largest = int(str(refused.value).split("at most ")[1].split(":")[0])
     asked(largest).require_fits()
@@ -182,8 +182,10 @@ def test_a_fleet_that_no_commit_can_hold_is_refused_before_work_begins_with_the_
         asked(largest + 4).require_fits()
     few = Experiment(ARCHITECTURES, SCENARIOS[:1], 1, fleet_size=512, constants=Constants(load=Load(4)))
     few.require_fits()
-    with pytest.raises(InvalidExperiment, match="a commit holds one run"):
+    with pytest.raises(InvalidExperiment, match=f"found 1000000000, expected at most {largest}: a commit holds 25 runs"):
         asked(10**9)
+    with pytest.raises(InvalidExperiment, match="a commit holds one run"):
+        Experiment(("dhma",), SCENARIOS[:1], 1, fleet_size=1024)
 
 
 def test_what_was_not_expected_is_refused_as_plainly_when_it_is_staged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
