@@ -15,9 +15,9 @@ class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
     """One metric over the runs of one architecture.
 
     Units: `mean`, `sd` (per run) and the 95 % interval in the metric's unit (share, count, seconds); `n` runs;
-    `denominator` what the metric counts, summed over runs; `mean_without_routine` where it counts routine operations, too; `runs_not_observed` runs
-    whose source does not record what the metric rests on, which nothing else counts. None: undefined, not observable, what the runs do not have, or
-    `scenario` for all scenarios together. Reading: R42.
+    `denominator` what the metric counts, summed over runs; `mean_without_routine` where it counts routine operations, too; `runs_not_observed`
+    runs whose source does not record what the metric rests on, which nothing else counts.
+    None: undefined, not observable, what the runs do not have, or `scenario` for all scenarios together. Reading: R42.
     """
 
     architecture: str | None

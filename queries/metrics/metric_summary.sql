@@ -7,8 +7,8 @@
 --        Containment and latency are pooled: mean is the sum of numerators over the sum of denominators.
 --        95 % intervals keep within the scale: Wilson for human_intervention; Student's t on the logit of a share and on the logarithm of a count
 --        or time; at a share of 0 or 1 and a count of 0 the exact one-sided bound of n runs that all agree
--- NULL: scenario for all scenarios; mean where the metric is undefined or not observable in all runs, denominator where it is not
---       observable; sd also for a single run, and the interval but Wilson's;
+-- NULL: scenario for all scenarios; mean where the metric is undefined or not observable in all runs, denominator where it is not observable;
+--       sd also for a single run, and the interval but Wilson's;
 --       the interval of a time of 0; mean_without_routine of a metric that counts no routine operations
 -- Example: fsar-ledger query metrics/metric_summary LEDGER
 WITH moments AS (

@@ -3,8 +3,8 @@
 -- Grain: one row per run, metric, and scenario or all scenarios
 -- Units: x and pooled_mean in the metric's unit. For a pooled metric
 --        x = ratio + residual / mean denominator, whose mean is the pooled ratio and sd(x) / sqrt(n) its standard error
--- NULL: scenario for all scenarios; x where the metric is undefined or not observable; pooled_mean for metrics that are not pooled;
---       value_without_routine, not_observed as in run_metrics
+-- NULL: scenario for all scenarios; x where the metric is undefined or not observable; pooled_mean for metrics that are not pooled; not_observed where
+--       the run observes what the metric rests on; value_without_routine as in run_metrics
 -- Example: fsar-ledger query metrics/summary_values LEDGER
 WITH cells AS (
     SELECT * REPLACE (NULL::VARCHAR AS scenario)
