@@ -86,4 +86,4 @@ def test_a_run_from_outside_is_stored_with_what_it_has(tmp_path: Path) -> None:
 def test_names_of_what_a_run_plays_are_open_text_and_its_kind_is_not() -> None:
     values = {field.name: field.values for field in LAYOUTS["RunStarted.v2"].fields}
     assert {name for name, found in values.items() if found is not None} == {"kind"}
-    assert values["kind"] == {"simulated", "live", "foreign"}
+    assert values["kind"] == frozenset({"simulated", "live", "foreign"})
