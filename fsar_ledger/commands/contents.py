@@ -12,6 +12,7 @@ import msgspec
 from fsar_ledger import printable
 from fsar_ledger.ledger.read import Head, open_ledger
 from fsar_ledger.metrics.models import Model, differing, models
+from fsar_ledger.metrics.observing import Unobserved, never_observed, shown
 
 from .answering import answering
 from .plans import Shown, plans, shape
@@ -77,13 +78,14 @@ COLUMNS = ("model", "seed", "fleet_size", "architecture", "configuration", "scen
 class Contents(msgspec.Struct, frozen=True):
     """The runs of a ledger: `groups` by model, seed, fleet size, architecture and configuration; `models` numbered from 1; `plans` by what they name.
 
-    `rows_verified` is that of the `Database` they come from.
+    `rows_verified` is that of the `Database` they come from; `not_observed` are the concerns that some runs do not observe.
     """
 
     groups: list[dict[str, Any]]
     models: list[dict[str, Any]]
     plans: list[dict[str, Any]]
     rows_verified: bool | None = None
+    not_observed: list[Unobserved] = []
 
     @property
     def run_count(self) -> int:
@@ -114,11 +116,12 @@ class Contents(msgspec.Struct, frozen=True):
             "runs": self.run_count,
             "runs_unplanned": self.unplanned,
             "is_complete": self.is_complete,
+            "not_observed": self.not_observed,
         }
 
     def summary(self) -> list[str]:
         """Some lines for people; the parameters are too many for that."""
-        return [*self._standing(), *self._unfinished(), *self._enlarged(), *self._unlike(), *self._models()]
+        return [*self._standing(), *self._unfinished(), *self._enlarged(), *self._unlike(), *self._models(), *self._unseen()]
 
     def _standing(self) -> list[str]:
         held = runs(self.run_count)
@@ -169,6 +172,9 @@ class Contents(msgspec.Struct, frozen=True):
         more = len(self.models) - MODELS
         return [*lines, f"and {more:,} more, --json names all"] if more > 0 else lines
 
+    def _unseen(self) -> list[str]:
+        return [f"not observed, so that no answer is about it: {shown(self.not_observed)}"] if self.not_observed else []
+
     def rows(self) -> list[dict[str, Any]]:
         """The groups as people are shown them: only columns that say something."""
         is_dull = {"model": len(self.models) == 1, "runs_unplanned": not self.plans or not self.unplanned}
@@ -186,8 +192,8 @@ def contents(ledger: Path, *, verified: bool = False) -> tuple[Head, Contents]:
         found = sorted(models(database), key=lambda one: (-one.runs, one.model_version or "", one.text or ""))
         numbers = {(one.kind, one.model_version, one.sha256): number for number, one in enumerate(found, 1)}
         groups = [{"model": numbers[row["kind"], row["model_version"], row["parameters_sha256"]], **row} for row in database.rows(GROUPS)]
-        shown = plans(database, Shown(ledger, open_ledger(ledger)))
-        return database.head, Contents(groups, _numbered(found), shown, database.rows_verified)
+        planned = plans(database, Shown(ledger, open_ledger(ledger)))
+        return database.head, Contents(groups, _numbered(found), planned, database.rows_verified, never_observed(database))
 
 
 def _numbered(found: list[Model]) -> list[dict[str, Any]]:

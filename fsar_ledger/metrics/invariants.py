@@ -89,10 +89,7 @@ def _counts(query: Query) -> str:
 
         judged AS (
             SELECT
-                runs.run_id,
-                runs.architecture,
-                runs.configuration,
-                hidden.not_observed,
+                runs.run_id, runs.architecture, runs.configuration, hidden.not_observed,
                 CASE WHEN NOT coalesce(hidden.hides_offences, FALSE) THEN offences.events END AS events,
                 offences.first,
                 CASE WHEN NOT coalesce(hidden.hides_offences, FALSE) THEN coalesce(looked.cases, 0) END AS cases
@@ -128,10 +125,7 @@ def _counts(query: Query) -> str:
             runs_not_observed,
             not_observed,
             CASE WHEN events > 0 OR runs_not_observed < runs THEN coalesce(events, 0) END AS events,
-            first_run,
-            first.seq AS first_seq,
-            first.type AS first_type,
-            first.found AS first_found
+            first_run, first.seq AS first_seq, first.type AS first_type, first.found AS first_found
         FROM counted
         ORDER BY list_position(['fsar', 'cfc', 'dhma'], architecture), architecture, configuration <> 'full', configuration
     """

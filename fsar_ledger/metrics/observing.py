@@ -40,37 +40,48 @@ def unobserved(database: Database, query: Query, run: str | None = None) -> list
     """
     types = types_read(database.library, query)
     named = "" if types is None else f"WHERE type IN ({_listed(types)})"
+    needed = f"""
+        SELECT concern FROM judged_concerns WHERE judge = '{query.relation}'
+        UNION
+        SELECT concern FROM event_concerns {named}
+        {"WHERE" if types is None else "AND"} NOT EXISTS (FROM judged_concerns WHERE judge = '{query.relation}')
+    """
+    return _lacking(database, needed, run)
+
+
+def never_observed(database: Database) -> list[Unobserved]:
+    """The concerns that not all runs observe, by name. Raises: as `Database.rows`."""
+    return _lacking(database, "SELECT DISTINCT concern FROM event_concerns")
+
+
+def _lacking(database: Database, needed: str, run: str | None = None) -> list[Unobserved]:
+    """Those of the needed concerns that not all runs (or not this one) observe."""
     rows = database.rows(
         f"""
-        WITH judged AS (
-            SELECT concern FROM judged_concerns WHERE judge = $judge
-        ),
-
-        needed AS (
-            SELECT concern FROM judged
-            UNION
-            SELECT concern FROM event_concerns {named} {"WHERE" if types is None else "AND"} NOT EXISTS (FROM judged)
-        )
-
         SELECT
             needed.concern,
             count(*) FILTER (NOT list_contains(coalesce(runs.observes, []), needed.concern)) AS runs,
             count(*) AS of_runs
-        FROM needed
+        FROM ({needed}) AS needed
         CROSS JOIN runs
         WHERE $run IS NULL OR runs.run_id = $run
         GROUP BY needed.concern
         ORDER BY needed.concern
         """,
-        {"judge": query.relation, "run": run},
+        {"run": run},
     )
     return [Unobserved(**row) for row in rows if row["runs"]]
 
 
 def told(found: Iterable[Unobserved]) -> str | None:
     """One line for people; None if every run observes everything."""
-    parts = [f"{one.concern} ({one.runs:,} of {one.of_runs:,} runs)" for one in found]
-    return f"not observed, so that the answer says nothing about it: {', '.join(parts)}" if parts else None
+    parts = shown(found)
+    return f"not observed, so that the answer says nothing about it: {parts}" if parts else None
+
+
+def shown(found: Iterable[Unobserved]) -> str:
+    """The concerns, and how many runs do not observe each."""
+    return ", ".join(f"{one.concern} ({one.runs:,} of {one.of_runs:,} runs)" for one in found)
 
 
 def _listed(types: frozenset[str]) -> str:

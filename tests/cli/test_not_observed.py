@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.ledger.codec import RunRecord
 from tests.cli.conftest import Call, one_message
@@ -49,7 +50,7 @@ def test_metrics_shows_no_number_but_how_many_runs_are_not_observed(call: Call, 
 
 def test_a_question_with_an_empty_answer_says_what_was_not_observed(call: Call, members: Path) -> None:
     said = call("query", "skipped_levels", members, "--json")
-    assert json.loads(said.out)["not_observed"] == [{"concern": "recovery", "runs": 1, "of_runs": 1}]
+    assert json.loads(said.out).get("not_observed") == [{"concern": "recovery", "runs": 1, "of_runs": 1}]
     assert "not observed, so that the answer says nothing about it: recovery (1 of 1 runs)" in said.err
     joined = call("query", "robot_joined", members, "--json")
     assert "not_observed" not in json.loads(joined.out)
@@ -62,10 +63,17 @@ def test_explain_does_not_say_that_there_were_no_requests(call: Call, members: P
     assert "request (1 of 1 runs)" in said.err
 
 
+def test_info_names_what_no_answer_is_about(call: Call, members: Path) -> None:
+    assert "not observed, so that no answer is about it: authority (1 of 1 runs), command (1 of 1 runs), execution (1 of 1 runs)" in call("info", members).out
+    found = json.loads(call("info", members, "--json").out)["not_observed"]
+    assert {one["concern"] for one in found} == set(CONCERNS) - {"fleet"}
+
+
 def test_where_everything_is_observed_nothing_is_said_of_it(call: Call, ledger: Path) -> None:
     said = call("query", "requests", ledger, "--json")
     assert "not_observed" not in json.loads(said.out)
     assert "not observed" not in said.err
+    assert json.loads(call("info", ledger, "--json").out)["not_observed"] == []
     assert {row["runs_not_observed"] for row in json.loads(call("metrics", ledger, "--json").out)["rows"]} == {0}
 
 

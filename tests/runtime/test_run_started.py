@@ -12,6 +12,7 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.retired import RunStartedV1
 from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.ledger.read import open_ledger
+from fsar_ledger.ledger.schema import LAYOUTS
 from fsar_ledger.ledger.verify import verify
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.projections import fleet
@@ -80,3 +81,9 @@ def test_a_run_from_outside_is_stored_with_what_it_has(tmp_path: Path) -> None:
     missing = {"seed", "configuration", "fleet_size", "run", "model_version", "parameters_sha256"}
     assert {name for name, value in row.items() if value is None} == missing
     assert (row["kind"], row["observes"], row["source"]) == ("foreign", ["fleet", "execution"], "traffic log of a hospital")
+
+
+def test_names_of_what_a_run_plays_are_open_text_and_its_kind_is_not() -> None:
+    values = {field.name: field.values for field in LAYOUTS["RunStarted.v2"].fields}
+    assert {name for name, found in values.items() if found is not None} == {"kind"}
+    assert values["kind"] == frozenset({"simulated", "live", "foreign"})
