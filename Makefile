@@ -95,6 +95,7 @@ bench: setup
 	$(BIN)/python benchmarks/registry_lookup.py
 	$(BIN)/python benchmarks/inclusion_proof.py
 	$(BIN)/python benchmarks/trust.py
+	$(BIN)/python benchmarks/growth.py --maps
 
 docs: reproduce
 	$(BIN)/python docs/write.py

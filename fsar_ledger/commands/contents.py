@@ -15,6 +15,7 @@ from fsar_ledger.metrics.models import Model, differing, models
 
 from .answering import answering
 from .plans import Shown, plans, shape
+from .simulated import runs
 
 # Grain: one row per model (kind of run, model version, constants), seed, fleet size, architecture and configuration; NULL where runs have none.
 # A rectangle has, for each scenario of its model, seed and fleet size, all runs from 0 to the highest number there; runs without a number make none.
@@ -120,15 +121,15 @@ class Contents(msgspec.Struct, frozen=True):
         return [*self._standing(), *self._unfinished(), *self._enlarged(), *self._unlike(), *self._models()]
 
     def _standing(self) -> list[str]:
-        runs = f"{self.run_count:,} runs"
+        held = runs(self.run_count)
         if not self.plans:
             nothing = "no plan is on record, so nothing says whether they are all that was meant"
-            return [f"{runs}; {nothing}" if self.groups else "no runs yet, and no plan on record"]
+            return [f"{held}; {nothing}" if self.groups else "no runs yet, and no plan on record"]
         of_plans = "not complete" if self.is_complete is False else "complete: all that was planned is there"
         if not self.unplanned:
-            return [f"{runs}, {of_plans}"]
+            return [f"{held}, {of_plans}"]
         kinds = ", ".join(f"{count:,} {printable.value(kind)}" for kind, count in self.unplanned.items())
-        return [f"{runs}", f"planned runs: {of_plans}", f"other runs: {kinds}; no plan names them, so nothing says whether they are all that was meant"]
+        return [held, f"planned runs: {of_plans}", f"other runs: {kinds}; no plan names them, so nothing says whether they are all that was meant"]
 
     def _unfinished(self) -> list[str]:
         """A line for each plan that lacks runs, but for those that a larger one covers."""
@@ -154,7 +155,7 @@ class Contents(msgspec.Struct, frozen=True):
         measured = [group["runs_to_rectangle"] for group in self.groups if group["runs_to_rectangle"] is not None]
         missing = sum(measured)
         if missing:
-            return [f"not a rectangle: {missing:,} runs less than if each group had all runs of all scenarios of its model, seed and fleet size"]
+            return [f"not a rectangle: {runs(missing)} less than if each group had all runs of all scenarios of its model, seed and fleet size"]
         return ["a rectangle: each group has all runs of all scenarios of its model, seed and fleet size"] if measured and not self.plans else []
 
     def _models(self) -> list[str]:
@@ -164,7 +165,7 @@ class Contents(msgspec.Struct, frozen=True):
             about = f"{printable.value(model['kind'])}, {'no model' if version is None else f'model {printable.value(version)}'}"
             others = ", ".join(map(printable.value, model["differs_in"][:MODELS])) + (", ..." if len(model["differs_in"]) > MODELS else "")
             unlike = f", other constants than model 1: {others}" if others and model["parameters"] else ""
-            lines.append(about if len(self.models) == 1 else f"model {model['number']}: {about}, {model['runs']:,} runs{unlike}")
+            lines.append(about if len(self.models) == 1 else f"model {model['number']}: {about}, {runs(model['runs'])}{unlike}")
         more = len(self.models) - MODELS
         return [*lines, f"and {more:,} more, --json names all"] if more > 0 else lines
 

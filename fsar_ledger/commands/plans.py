@@ -1,21 +1,22 @@
 """The plans of a ledger for people: what each names, in a few words, and the call that goes on with it."""
 
-from collections.abc import Iterable, Iterator, Mapping
-from functools import cache
-from hashlib import sha256
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
 from fsar_ledger import printable
-from fsar_ledger.events.envelope import Architecture, Configuration, Scenario, Workflow
+from fsar_ledger.errors import InvalidExperiment, UsageError
+from fsar_ledger.events.envelope import Architecture, Scenario, Workflow
 from fsar_ledger.ledger.read import LedgerView
 from fsar_ledger.metrics.plans import EXPERIMENTS
 
-from .options import RUNS
+from .options import RUNS, experiment_of
+from .simulated import runs
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
 
+PARAMETERS = "SELECT run_id, parameters FROM experiment_planned"
 NAMED = 5
 """So many names of a list are told."""
 
@@ -30,12 +31,13 @@ class Shown(NamedTuple):
 def plans(database: "Database", ledger: Shown) -> list[dict[str, Any]]:
     """Every plan, the largest first, with the call that goes on with it where runs are missing and this version can make them, else None."""
     rows = database.rows(EXPERIMENTS)
-    return [{**row, "continues_with": continues_with(row, ledger) if row["missing_count"] else None} for row in rows]
+    constants = {row["run_id"]: row["parameters"] for row in database.rows(PARAMETERS)} if any(row["missing_count"] for row in rows) else {}
+    return [{**row, "continues_with": continues_with(row, constants[row["plan"]], ledger) if row["missing_count"] else None} for row in rows]
 
 
 def shape(plan: Mapping[str, Any]) -> str:
     """What a plan names: `door-relay x 20 runs x fsar, cfc (full), seed 42, 4 robots`."""
-    parts = (_some(plan["scenarios"], "scenarios"), f"{plan['run_count']:,} runs", _some(plan["architectures"], "architectures"))
+    parts = (_some(plan["scenarios"], "scenarios"), runs(plan["run_count"]), _some(plan["architectures"], "architectures"))
     configurations = "" if plan["configurations"] == ["full"] else f" ({_some(plan['configurations'], 'configurations')})"
     return f"{' x '.join(parts)}{configurations}, seed {plan['seed']}, {plan['fleet_size']} robots"
 
@@ -44,47 +46,52 @@ def _some(names: list[str], what: str) -> str:
     return ", ".join(map(printable.value, names)) if len(names) < NAMED else f"{len(names):,} {what}"
 
 
-def continues_with(plan: Mapping[str, Any], ledger: Shown) -> str | None:
-    """The call that makes what is missing; None where this version cannot be told so: another model, other constants, other names."""
-    options = _options(plan)
-    if options is None or (plan["model_version"], plan["parameters_sha256"]) != _own():
+def continues_with(plan: Mapping[str, Any], parameters: str, ledger: Shown) -> str | None:
+    """The call that makes what is missing; None where no call of this version has this plan: another model, other constants, other names."""
+    from fsar_ledger.runtime.plan import plan_id
+
+    asked = _asked(plan, parameters)
+    try:
+        if asked is None or plan_id(experiment_of(**asked).plan()) != plan["plan"]:
+            return None
+    except (InvalidExperiment, UsageError):
         return None
-    return " ".join(("fsar-ledger simulate", printable.word(ledger.path), *options, *_name(ledger.view)))
+    return " ".join(("fsar-ledger simulate", printable.word(ledger.path), *_options(asked), *_name(ledger.view)))
 
 
-@cache
-def _own() -> tuple[str, str]:
-    """The model version and the digest of the constants that `simulate` has."""
-    from fsar_ledger.constants import Constants, write_constants
-    from fsar_ledger.runtime.simulation import MODEL_VERSION
+def _asked(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
+    """What `experiment_of` has to be given for such a plan, None where the default serves; None where its constants are not as they are written."""
+    from fsar_ledger.constants import BadParameters, Load, read_constants
 
-    return MODEL_VERSION, sha256(write_constants(Constants()).encode()).hexdigest()
-
-
-def _options(plan: Mapping[str, Any]) -> list[str] | None:
-    """The options of `simulate` that name this plan, those with their default left out; None if there are none."""
+    try:
+        load = read_constants(parameters).load or Load()
+    except BadParameters:
+        return None
     scenarios, architectures, configurations = (set(plan[name]) for name in ("scenarios", "architectures", "configurations"))
     is_workflow, is_ablated = scenarios <= set(get_args(Workflow)), configurations != {"full"}
     every_architecture, every_scenario = set(get_args(Architecture)), set(get_args(Scenario))
-    if not scenarios or not architectures or not configurations or not architectures <= every_architecture:
-        return None
-    if not configurations <= set(get_args(Configuration)) or (is_ablated and "full" in configurations):
-        return None
-    if not is_workflow and not scenarios <= every_scenario:
-        return None
     default = {"fsar"} if is_workflow or is_ablated else every_architecture
-    found = [] if architectures == default else _each("--architecture", architectures)
-    if is_workflow:
-        found += _each("--workflow", (name.removeprefix("workflow-") for name in scenarios))
-    else:
-        found += [] if scenarios == every_scenario else _each("--scenario", scenarios)
-    found += _each("--without", (name.removeprefix("without-") for name in configurations)) if is_ablated else []
-    numbers = (("--runs", plan["run_count"], 1 if is_workflow else RUNS), ("--seed", plan["seed"], 42), ("--fleet-size", plan["fleet_size"], 4))
-    return [*found, *(f"{option} {value}" for option, value, usual in numbers if value != usual)]
+    return {
+        "architectures": None if architectures == default else sorted(architectures),
+        "scenarios": None if is_workflow or scenarios == every_scenario else sorted(scenarios),
+        "workflows": sorted(name.removeprefix("workflow-") for name in scenarios) if is_workflow else None,
+        "without": sorted(name.removeprefix("without-") for name in configurations) if is_ablated else None,
+        "runs": None if plan["run_count"] == (1 if is_workflow else RUNS) else plan["run_count"],
+        "seed": plan["seed"],
+        "fleet_size": plan["fleet_size"],
+        "load": (load.teams_working, load.task_sets),
+    }
 
 
-def _each(option: str, names: Iterable[str]) -> list[str]:
-    return [f"{option} {name}" for name in sorted(names)]
+def _options(asked: Mapping[str, Any]) -> Iterator[str]:
+    """The options of `simulate` that ask for this, those with their default left out."""
+    for option, name in (("--architecture", "architectures"), ("--scenario", "scenarios"), ("--workflow", "workflows"), ("--without", "without")):
+        yield from (f"{option} {printable.word(one)}" for one in asked[name] or ())
+    working, sets = asked["load"]
+    numbers = (("--runs", asked["runs"], None), ("--seed", asked["seed"], 42), ("--fleet-size", asked["fleet_size"], 4))
+    for option, value, usual in (*numbers, ("--teams-working", working, None), ("--task-sets", sets, 1)):
+        if value != usual:
+            yield f"{option} {value}"
 
 
 def _name(view: LedgerView) -> Iterator[str]:

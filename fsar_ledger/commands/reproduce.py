@@ -7,15 +7,16 @@ from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.ledger.read import Head
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
-from fsar_ledger.printable import Shown, joined, line
+from fsar_ledger.printable import Shown, joined, lines
 from fsar_ledger.report import write_report
-from fsar_ledger.runtime.experiment import WORKFLOWS_ORIGIN, Made, carry_out, simulate, workflow_experiment
+from fsar_ledger.runtime.experiment import WORKFLOWS_ORIGIN, carry_out, simulate, workflow_experiment
 
 from .answering import looked_head
 from .files import write_text
 from .options import experiment_of
 from .output import csv_text, plain, table_text
 from .progress import Progress
+from .simulated import beyond
 
 SEED = 42
 SHOWN = ("architecture", "metric", "mean", "sd", "n", "ci_low", "ci_high")
@@ -42,10 +43,4 @@ def reproduce(out: Path, workers: int, signer: Signer | None = None, *, adopts: 
     workflows = out / "workflows"
     simulate(workflows, workflow_experiment(SEED), 1, origin=WORKFLOWS_ORIGIN)
     write_report(ledger, out / "report.pdf", workflows, workers, demanded=demanded)
-    return joined(table_text(metrics, SHOWN), *_others(made)), made.head
-
-
-def _others(made: Made) -> list[Shown]:
-    """A line if the ledger holds runs beyond the paper's experiment, which all numbers here then rest on, too."""
-    more = made.held - made.asked
-    return [line(f"the ledger holds {more:,} runs beyond the {made.asked:,} of the paper's experiment; they are judged here, too")] if more else []
+    return joined(table_text(metrics, SHOWN), lines(*beyond(made))), made.head

@@ -1,4 +1,4 @@
-"""What `simulate` says it did."""
+"""What `simulate` and `reproduce` say of the runs that they made and those that were there."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,9 +23,21 @@ def simulated_text(out: Path, made: "Made", signed: list[str], *, as_json: bool)
 
 def before(made: "Made") -> list[str]:
     """A line on the runs that were there already, if there were any."""
-    others = f", and {made.held - made.asked:,} more" if made.held > made.asked else ""
+    more = made.held - made.asked
+    others = f", and {more:,} more" if more else ""
     if not made.made:
-        return [f"nothing to do: all {made.asked:,} runs that were asked for are there{others}"]
+        return [f"nothing to do: the {runs(made.asked)} asked for {'is' if made.asked == 1 else 'are'} there{others}"]
     if made.made < made.asked:
-        return [f"made {made.made:,} runs; {made.asked - made.made:,} of the {made.asked:,} that were asked for were there already{others}"]
-    return [f"made {made.made:,} runs; {made.held - made.asked:,} others were there already"] if others else []
+        return [f"made {runs(made.made)}; of the {made.asked:,} asked for {made.asked - made.made:,} were there already{others}"]
+    return [f"made {runs(made.made)}, beside {more:,} of other experiments"] if more else []
+
+
+def beyond(made: "Made") -> list[str]:
+    """A line if the ledger holds runs beyond those asked for, so that what is judged rests on them, too."""
+    more = made.held - made.asked
+    return [f"the ledger holds {runs(more)} beyond the {made.asked:,} of the paper's experiment, and they are judged here, too"] if more else []
+
+
+def runs(count: int) -> str:
+    """So many runs, in words."""
+    return f"{count:,} run{'' if count == 1 else 's'}"

@@ -16,6 +16,7 @@ from importlib.resources.abc import Traversable
 import msgspec
 
 from fsar_ledger.errors import UnknownQuery
+from fsar_ledger.events.concerns import EVENTS_OF
 from fsar_ledger.ledger.schema import ENVELOPE, LAYOUTS
 
 REQUIRED_KEYS = ("Title", "Paper", "Grain", "Units", "NULL", "Example")
@@ -115,6 +116,22 @@ def staging_query(tag: str) -> Query:
     return Query(f"staging/{view_name(tag)}", sql, header)
 
 
+def concerns_query() -> Query:
+    """The concern of each event type, as `events/concerns.py` has it."""
+    found = {name: concern for concern, names in EVENTS_OF.items() for name in names}
+    rows = ",\n    ".join(f"('{tag}', '{found[tag.partition('.')[0]]}')" for tag in LAYOUTS if tag.partition(".")[0] in found)
+    sql = f"WITH concerns (type, concern) AS (\n    VALUES\n    {rows}\n)\n\nSELECT *\nFROM concerns\n"
+    header = {
+        "Title": "Which concern each event type belongs to; a run says which concerns its source records",
+        "Paper": "sec:evaluation:metrics",
+        "Grain": "one row per event type, but for those that say what a run is",
+        "Units": "none",
+        "NULL": "never",
+        "Example": "fsar-ledger query facts/event_concerns LEDGER",
+    }
+    return Query("facts/event_concerns", sql, header)
+
+
 def _files(folder: Traversable, prefix: str = "") -> Iterator[tuple[str, str]]:
     """Name and text of every SQL file below the folder, sorted by name."""
     for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
@@ -189,6 +206,6 @@ def values(query: Query, given: Mapping[str, str]) -> dict[str, str]:
 
 @cache
 def library() -> Library:
-    """The packaged queries and one view per event type."""
+    """The packaged queries, one view per event type, and the concerns of these types."""
     packaged = [parse(name, sql) for name, sql in _files(files("fsar_ledger.queries"))]
-    return Library([*map(staging_query, LAYOUTS), *packaged])
+    return Library([*map(staging_query, LAYOUTS), concerns_query(), *packaged])

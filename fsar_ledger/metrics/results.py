@@ -15,13 +15,14 @@ class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
     """One metric over the runs of one architecture.
 
     Units: `mean`, `sd` (per run) and the 95 % interval in the metric's unit (share, count, seconds); `n` runs;
-    `denominator` what the metric counts, summed over runs; `mean_without_routine` where it counts routine operations, too.
-    None: undefined, or `scenario` for all scenarios together. Reading: R42.
+    `denominator` what the metric counts, summed over runs; `mean_without_routine` where it counts routine operations, too; `runs_not_observed`
+    runs whose source does not record what the metric rests on, which nothing else counts.
+    None: undefined, not observable, what the runs do not have, or `scenario` for all scenarios together. Reading: R42.
     """
 
-    architecture: str
-    configuration: str
-    fleet_size: int
+    architecture: str | None
+    configuration: str | None
+    fleet_size: int | None
     scenario: str | None
     metric: str
     mean: float | None
@@ -30,8 +31,9 @@ class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
     n: int
     ci_low: float | None
     ci_high: float | None
-    denominator: int
+    denominator: int | None
     published_convention_mean: float | None
+    runs_not_observed: int = 0
 
 
 class StatisticRow(msgspec.Struct, frozen=True, kw_only=True):

@@ -74,8 +74,8 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
 
     metric: str
     architecture: str
-    configuration: str
-    fleet_size: int
+    configuration: str | None
+    fleet_size: int | None
     ours: float | None
     paper: float
     implied_sd: float
@@ -117,7 +117,7 @@ def published() -> dict[tuple[str, str], Published]:
 
 def compare(rows: Iterable[MetricRow]) -> list[Comparison]:
     """The verdict on every row whose metric and architecture the paper prints, in the order given."""
-    return [_judge(row, paper) for row in rows if (paper := published().get((row.metric, row.architecture)))]
+    return [_judge(row, paper) for row in rows if (paper := published().get((row.metric, row.architecture or "")))]
 
 
 def _judge(row: MetricRow, paper: Published) -> Comparison:
@@ -131,7 +131,7 @@ def _judge(row: MetricRow, paper: Published) -> Comparison:
     margin = MARGINS[row.metric]
     return Comparison(
         metric=row.metric,
-        architecture=row.architecture,
+        architecture=row.architecture or "",
         configuration=row.configuration,
         fleet_size=row.fleet_size,
         ours=row.mean,

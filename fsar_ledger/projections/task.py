@@ -4,6 +4,7 @@ from typing import assert_never
 
 import msgspec
 
+from fsar_ledger.constants import END_US
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
 
@@ -48,6 +49,11 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
             return {task_id: task for task_id, task in state.items() if task_id != event.task_id}
         case _:
             assert_never(event)
+
+
+def given_up_us(task: TaskArrived | Task, budgets: int) -> int:
+    """Run time at which the task is given up, whatever it waits for: after so many budgets, at the latest when the run ends."""
+    return min(task.due_us + (budgets - 1) * task.budget_us, END_US)
 
 
 def checkpoint(state: Tasks, task_id: str, step: int) -> str | None:

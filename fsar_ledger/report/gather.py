@@ -130,7 +130,7 @@ def _background(rows: Iterable[Row]) -> tuple[Row, ...]:
 
 def _others(rows: Iterable[MetricRow]) -> tuple[Row, ...]:
     """One row per other configuration, fleet size and architecture, with a column per metric."""
-    found: dict[tuple[str, int, str], Row] = {}
+    found: dict[tuple[str | None, int | None, str | None], Row] = {}
     for row in rows:
         if not _is_main(row):
             key = (row.configuration, row.fleet_size, row.architecture)

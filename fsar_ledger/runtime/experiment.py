@@ -16,12 +16,14 @@ from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events.envelope import Architecture, Configuration, Scenario, Workflow
 from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.ledger.append import Staged, Writer, stage
+from fsar_ledger.ledger.bounds import MAX_ROWS
 from fsar_ledger.ledger.note import Signer
 from fsar_ledger.ledger.read import Head, open_ledger
 from fsar_ledger.runtime.plan import held, plan_record
 from fsar_ledger.runtime.simulation import MODEL_VERSION, RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.workers import WorkerPool
 
+from .capacity import fits, largest_fleet
 from .world.workflows import FLEET_SIZE, WORKFLOWS
 
 ORIGIN = "fsar-ledger/simulated"
@@ -56,14 +58,31 @@ class Experiment(msgspec.Struct, frozen=True):
             raise InvalidExperiment(f"runs: found {self.runs}, expected 1 to 9999")
         if not 0 <= self.seed < 2**53:
             raise InvalidExperiment(f"seed: found {self.seed}, expected 0 to {2**53 - 1}")
-        if self.fleet_size < 4 or self.fleet_size % 4 or self.fleet_size > 256:
-            raise InvalidExperiment(f"fleet size: found {self.fleet_size}, expected a multiple of 4 (teams of four roles) from 4 to 256")
+        if self.fleet_size < 4 or self.fleet_size % 4:
+            raise InvalidExperiment(f"fleet size: found {self.fleet_size}, expected a multiple of 4 (teams of four roles) from 4")
         if self.configurations != ("full",) and self.architectures != ("fsar",):
             asked = ", ".join(self.architectures)
             raise InvalidExperiment(f"mechanisms are taken out of FSAR only: found architectures {asked}, expected fsar; leave out --architecture")
         self._require_workflows_as_written()
         self._require_possible_load()
         self._put_in_order()
+        self.require_fits(1)
+
+    def require_fits(self, runs_at_once: int = BATCH_RUNS) -> None:
+        """A commit holds so many runs of such a fleet, or all there are. Raises: InvalidExperiment, with the largest fleet of which it does."""
+        at_once = min(runs_at_once, self.size)
+        cells = [
+            tuple((scenario, architecture, configuration) for architecture in self.architectures for configuration in self.configurations)
+            for scenario in self.scenarios
+        ]
+        if fits(cells, at_once, self.fleet_size, self.constants):
+            return
+        largest = largest_fleet(cells, at_once, self.constants)
+        many = "one run" if at_once == 1 else f"{at_once} runs at once"
+        raise InvalidExperiment(
+            f"fleet size: found {self.fleet_size}, expected at most {largest}: a commit holds {many} and {MAX_ROWS:,} events, and those of so large a "
+            f"fleet are more; take a smaller fleet, {'' if at_once == 1 else 'fewer runs or architectures, '}or fewer --teams-working"
+        )
 
     def _require_possible_load(self) -> None:
         """Each floor holds a team, and what there is to do falls to teams that exist, while the world still happens."""
@@ -193,9 +212,11 @@ def carry_out(
     A new ledger has this origin, else the name of the signer, else `ORIGIN`.
 
     Raises:
+        InvalidExperiment: a commit does not hold so many runs of so large a fleet.
         SequenceConflict: another process commits to the ledger meanwhile; the same call again makes what is missing then.
         NotALedger, FormatVersionMismatch, LedgerCorrupted, UsageError, WriteFailed: see `Writer`.
     """
+    experiment.require_fits()
     constants, plan = experiment.constants, plan_record(experiment.plan())
     name = origin or (signer.verifier.name if signer is not None else ORIGIN)
     with Writer(out, name, signer, adopts=adopts) as writer:
@@ -220,6 +241,10 @@ def _stage(out: Path, batch: Batch, constants: Constants) -> Staged:
     gc.disable()
     try:
         return stage(out, [simulate_run(spec, constants) for spec in batch])
+    except ValueError as error:
+        if "in one commit" not in str(error):
+            raise
+        raise InvalidExperiment(f"fleet size {batch[0].fleet_size}: {error}, or a smaller fleet") from error
     finally:
         gc.enable()
 

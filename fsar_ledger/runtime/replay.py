@@ -326,9 +326,11 @@ def _parameters(run: str, started: RunStarted, event_count: int) -> tuple[RunSpe
         raise refused("model_version", f"{MODEL_VERSION!r}; replay it with the version that wrote it", repr(started.model_version))
     try:
         spec = msgspec.convert({name: getattr(started, name) for name in RunSpec.__struct_fields__}, RunSpec)
-        experiment = Experiment((spec.architecture,), (spec.scenario,), spec.run + 1, spec.seed, spec.fleet_size, (spec.configuration,))
         constants = _constants(started.parameters or "")
-        msgspec.structs.replace(experiment, constants=constants)
+        most = FACTS_PER_ROBOT * spec.fleet_size + event_count
+        if not arrivals_expected(constants.world, spec.fleet_size, constants.outages, constants.load) <= most:
+            raise refused("parameters", f"rates of the world that make at most {most} facts", "more than that to be expected")
+        Experiment((spec.architecture,), (spec.scenario,), spec.run + 1, spec.seed, spec.fleet_size, (spec.configuration,), constants)
     except BadParameters as error:
         raise refused("parameters", "the constants of the model", str(error).removeprefix("found ")) from error
     except (InvalidExperiment, msgspec.ValidationError) as error:
@@ -338,9 +340,6 @@ def _parameters(run: str, started: RunStarted, event_count: int) -> tuple[RunSpe
         raise refused("observes", repr(own.observes), repr(started.observes))
     if own != started:
         raise refused("parameters", "all constants of the model, in the form in which it writes them", f"{started.parameters!r:.300}")
-    most = FACTS_PER_ROBOT * spec.fleet_size + event_count
-    if not arrivals_expected(constants.world, spec.fleet_size, constants.outages, constants.load) <= most:
-        raise refused("parameters", f"rates of the world that make at most {most} facts", "more than that to be expected")
     return spec, constants
 
 

@@ -14,6 +14,7 @@ WITH doings (type, doing) AS (
     ('ExecutionStarted.v1', 'executing'),
     ('ExecutionResumed.v1', 'executing'),
     ('ExecutionPaused.v1', 'paused'),
+    ('ExecutionHalted.v1', 'off'),
     ('ExecutionFailed.v1', 'recovering'),
     ('AssistanceAdmitted.v1', 'helping'),
     ('ExecutionFinished.v1', NULL),

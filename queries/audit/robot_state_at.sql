@@ -1,4 +1,4 @@
--- Title: The execution state of a robot at a time: idle, executing, degraded or failed
+-- Title: The execution state of a robot at a time: off, idle, executing, degraded or failed
 -- Paper: sec:evaluation:simulator, sec:model:robot
 -- Grain: one row per run and robot that had joined by then
 -- Units: at_us microseconds of run time; the default time is after the end of every run
@@ -48,16 +48,8 @@ held AS (
     QUALIFY row_number() OVER (PARTITION BY in_hand.run_id, in_hand.robot ORDER BY is_failed DESC, in_hand.since_seq ASC) = 1
 ),
 
-degraded AS (
-    SELECT
-        run_id,
-        robot
-    FROM past
-    WHERE type IN ('ActuatorDegraded.v1', 'ActuatorServiced.v1')
-    GROUP BY run_id, robot
-    HAVING arg_max(type, seq) = 'ActuatorDegraded.v1'
-    UNION
-    SELECT
+advertised AS (
+    SELECT DISTINCT
         run_id,
         robot
     FROM advertisements
@@ -68,13 +60,20 @@ SELECT
     members.run_id,
     members.robot,
     CASE
+        WHEN off.robot IS NOT NULL THEN 'off'
         WHEN held.is_failed THEN 'failed'
-        WHEN degraded.robot IS NOT NULL THEN 'degraded'
+        WHEN coalesce(degraded.robot, advertised.robot) IS NOT NULL THEN 'degraded'
         WHEN held.robot IS NOT NULL THEN 'executing'
         ELSE 'idle'
     END AS state,
     held.action_id
 FROM robot_joined AS members
 LEFT JOIN held ON members.run_id = held.run_id AND members.robot = held.robot
-LEFT JOIN degraded ON members.run_id = degraded.run_id AND members.robot = degraded.robot
+LEFT JOIN outages AS off
+    ON members.run_id = off.run_id AND members.robot = off.robot AND off.what = 'off' AND $at_us BETWEEN off.since_us AND coalesce(off.until_us - 1, $at_us)
+LEFT JOIN outages AS degraded
+    ON
+        members.run_id = degraded.run_id AND members.robot = degraded.robot AND degraded.what = 'degraded'
+        AND degraded.since_us <= $at_us::BIGINT AND (degraded.until_us IS NULL OR degraded.until_us > $at_us::BIGINT)
+LEFT JOIN advertised ON members.run_id = advertised.run_id AND members.robot = advertised.robot
 WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot) AND members.time_us <= $at_us::BIGINT

@@ -32,6 +32,7 @@ WITH words (type, part, sender, receiver, words, detail) AS (
     ('ExecutionHeld.v1', 1, 'robot', 'robot', 'waits, policy says', 'outcome'),
     ('ExecutionStarted.v1', 1, 'robot', 'robot', 'executes', 'capability'),
     ('ExecutionPaused.v1', 1, 'robot', 'robot', 'stops to replan', NULL),
+    ('ExecutionHalted.v1', 1, 'robot', 'robot', 'is off', NULL),
     ('ExecutionPreempted.v1', 1, 'robot', 'robot', 'gives way', NULL),
     ('ReplanOrdered.v1', 1, 'decider', 'executor', 'new plan', NULL),
     ('ExecutionResumed.v1', 1, 'robot', 'robot', 'goes on', NULL),

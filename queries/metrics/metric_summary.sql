@@ -2,11 +2,13 @@
 -- Paper: tab:results
 -- Grain: one row per architecture, configuration, fleet size, metric, and scenario or all scenarios
 -- Units: mean, mean_without_routine (routine operations left out), sd (per run), ci_low, ci_high in the metric's unit;
---        n runs; denominator: what the metric counts, summed over runs.
+--        n runs; denominator: what the metric counts, summed over runs;
+--        runs_not_observed runs that do not observe what the metric rests on, which no other column counts.
 --        Containment and latency are pooled: mean is the sum of numerators over the sum of denominators.
 --        95 % intervals keep within the scale: Wilson for human_intervention; Student's t on the logit of a share and on the logarithm of a count
 --        or time; at a share of 0 or 1 and a count of 0 the exact one-sided bound of n runs that all agree
--- NULL: scenario for all scenarios; mean where the metric is undefined in all runs; sd also for a single run, and the interval but Wilson's;
+-- NULL: scenario for all scenarios; mean where the metric is undefined or not observable in all runs, denominator where it is not observable;
+--       sd also for a single run, and the interval but Wilson's;
 --       the interval of a time of 0; mean_without_routine of a metric that counts no routine operations
 -- Example: fsar-ledger query metrics/metric_summary LEDGER
 WITH moments AS (
@@ -22,6 +24,7 @@ WITH moments AS (
         avg(value_without_routine ORDER BY run_id) AS mean_without_routine,
         stddev_samp(x ORDER BY run_id) AS sd,
         count(x) AS n,
+        count(not_observed) AS runs_not_observed,
         sum(denominator)::BIGINT AS denominator,
         avg(published_convention_value ORDER BY run_id) AS published_convention_mean
     FROM summary_values
@@ -76,5 +79,6 @@ SELECT
     ci_low,
     ci_high,
     denominator,
-    published_convention_mean
+    published_convention_mean,
+    runs_not_observed
 FROM intervals

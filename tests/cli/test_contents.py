@@ -9,15 +9,19 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, WorldConstants
+from fsar_ledger.commands.simulated import before, beyond
+from fsar_ledger.constants import Constants, Load, WorldConstants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.ledger.note import read_signer
+from fsar_ledger.ledger.read import EMPTY_HEAD
 from fsar_ledger.runtime import experiment as module
-from fsar_ledger.runtime.experiment import ORIGIN, Experiment, simulate
+from fsar_ledger.runtime.experiment import ORIGIN, Experiment, Made, simulate
+from fsar_ledger.runtime.plan import plan_record
 from fsar_ledger.runtime.simulation import RunSpec, run_started, simulate_run
+from tests.ledger.hostile import stage_anything
 
 from .conftest import Call, one_message
 
@@ -97,7 +101,7 @@ def test_an_interrupted_experiment_is_not_complete_and_the_call_that_goes_on_is_
     [
         small("fsar", configurations=("without-policy-composition", "without-trust-evaluation")),
         small("fsar", scenarios=("workflow-layered-recovery", "workflow-door-relay"), seed=6),
-        small("fsar", "cfc", "dhma", fleet_size=8),
+        small("fsar", "cfc", fleet_size=8, runs=1, constants=Constants(load=Load(teams_working=1, task_sets=2))),
     ],
 )
 def test_the_call_that_goes_on_plans_nothing_new(call: Call, tmp_path: Path, experiment: Experiment) -> None:
@@ -144,7 +148,7 @@ def test_two_parameter_sets_are_told_apart_and_the_constants_named(call: Call, t
     assert found["is_complete"] is False
     text = said(call, tmp_path / "ledger")
     assert "1 of 2 runs of door-relay x 2 runs x fsar, seed 42, 4 robots; go on with the version and the constants that began it" in text
-    assert "model 2: simulated, model 2, 1 runs, other constants than model 1: world.window_mean_s" in text
+    assert "model 2: simulated, model 2, 1 run, other constants than model 1: world.window_mean_s" in text
 
 
 def test_runs_that_were_not_simulated_are_in_no_plan_and_nothing_is_said_of_what_is_missing(call: Call, tmp_path: Path) -> None:
@@ -163,12 +167,12 @@ def test_runs_of_another_system_have_no_model_and_no_rectangle(call: Call, tmp_p
     assert (found["is_complete"], found["runs"], found["runs_unplanned"]) == (None, 1, {"foreign": 1})
     assert [(group["scenarios"], group["seed"], group["runs_to_rectangle"], group["events"]) for group in found["groups"]] == [(0, None, None, 1)]
     text = said(call, tmp_path / "ledger")
-    assert "1 runs; no plan is on record" in text
+    assert "1 run; no plan is on record" in text
     assert "foreign, no model\n" in text
     assert "rectangle:" not in text
 
 
-@pytest.mark.parametrize(("numbers", "shape"), [((0, 1), "a rectangle"), ((0, 2), "not a rectangle: 1 runs less")])
+@pytest.mark.parametrize(("numbers", "shape"), [((0, 1), "a rectangle"), ((0, 2), "not a rectangle: 1 run less")])
 def test_a_ledger_without_a_plan_is_never_complete(call: Call, tmp_path: Path, numbers: tuple[int, ...], shape: str) -> None:
     appended(tmp_path / "ledger", *(simulate_run(RunSpec(42, "fsar", "full", "door-relay", 4, number), Constants()) for number in numbers))
     found = info(call, tmp_path / "ledger")
@@ -177,6 +181,17 @@ def test_a_ledger_without_a_plan_is_never_complete(call: Call, tmp_path: Path, n
     assert "2 runs; no plan is on record, so nothing says whether they are all that was meant" in text
     assert shape in text
     assert "complete" not in text
+
+
+def test_a_plan_of_strange_names_is_shown_and_never_continued(call: Call, tmp_path: Path) -> None:
+    planned = msgspec.structs.replace(small().plan(), scenarios=("door\x1b[31m", "$(reboot)"), run_count=2**53 - 1)
+    with Writer(tmp_path / "ledger", ORIGIN) as writer:
+        writer.append(stage_anything(tmp_path / "ledger", [plan_record(planned)]))
+    [plan] = info(call, tmp_path / "ledger")["plans"]
+    assert (plan["planned_count"], plan["continues_with"]) == (2 * (2**53 - 1), None)
+    text = said(call, tmp_path / "ledger")
+    assert "$(reboot), door\\x1b[31m x 9,007,199,254,740,991 runs x fsar" in text
+    assert "\x1b" not in text
 
 
 def test_a_ledger_without_anything_says_so(call: Call, tmp_path: Path) -> None:
@@ -190,13 +205,21 @@ def test_an_enlarged_ledger_says_so_and_fewer_runs_are_nothing_to_do(call: Call,
     options = ("--architecture", "fsar", "--scenario", "door-relay", "--workers", "1", "--runs")
     call("simulate", tmp_path / "ledger", *options, 2)
     assert "enlarged: " not in said(call, tmp_path / "ledger")
-    assert "made 1 runs; 2 of the 3 that were asked for were there already" in call("simulate", tmp_path / "ledger", *options, 3).out
+    assert "made 1 run; of the 3 asked for 2 were there already" in call("simulate", tmp_path / "ledger", *options, 3).out
     assert "enlarged: 1 of 2 plans is part of a larger one; runs, run ids and metrics are as if" in said(call, tmp_path / "ledger")
     before = info(call, tmp_path / "ledger")
     assert before["is_complete"] is True
     again = call("simulate", tmp_path / "ledger", *options, 1)
-    assert (again.code, again.out.splitlines()[-1]) == (0, "nothing to do: all 1 runs that were asked for are there, and 2 more")
+    assert (again.code, again.out.splitlines()[-1]) == (0, "nothing to do: the 1 run asked for is there, and 2 more")
     assert info(call, tmp_path / "ledger") == before
+
+
+def test_runs_beyond_the_papers_experiment_are_told() -> None:
+    made = Made(EMPTY_HEAD, asked=300, made=0, held=301)
+    assert before(made) == ["nothing to do: the 300 runs asked for are there, and 1 more"]
+    assert beyond(made) == ["the ledger holds 1 run beyond the 300 of the paper's experiment, and they are judged here, too"]
+    assert before(Made(EMPTY_HEAD, 20, 20, 30)) == ["made 20 runs, beside 10 of other experiments"]
+    assert before(fresh := Made(EMPTY_HEAD, 20, 20, 20)) == beyond(fresh) == []
 
 
 def test_what_is_judged_before_all_planned_runs_are_there_says_so(call: Call, tmp_path: Path, ledger: Path) -> None:

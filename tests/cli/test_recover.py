@@ -9,13 +9,13 @@ import pytest
 from tests.cli.conftest import SMALL, Call, one_message
 from tests.ledger.samples import contents
 
-MANY = ("--architecture", "fsar", "--scenario", "door-relay", "--runs", "60", "--workers", "1")  # three commits
-LAST = "segments/000000000002.parquet"
+MANY = ("--architecture", "fsar", "--scenario", "door-relay", "--runs", "60", "--workers", "1")  # the plan, and three commits
+LAST = "segments/000000000003.parquet"
 
 
 @pytest.fixture(scope="session")
 def many(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A ledger of three commits that tests may read but not change."""
+    """A ledger of a plan and three commits that tests may read but not change."""
     from fsar_ledger.cli import run
 
     path = tmp_path_factory.mktemp("recover") / "ledger"
@@ -31,7 +31,7 @@ def copy(many: Path, tmp_path: Path) -> Path:
 def test_a_whole_ledger_is_said_to_be_whole(call: Call, many: Path) -> None:
     said = call("recover", many)
     assert (said.code, said.err) == (0, "")
-    assert said.out.startswith(f"{many}: whole, there is nothing to mend\ntrusted\n  commits 0 to 2: ")
+    assert said.out.startswith(f"{many}: whole, there is nothing to mend\ntrusted\n  commits 0 to 3: ")
     assert "only --anchor" not in said.out
     assert "--anchor FILE does" in said.out
     anchored = call("recover", many, "--anchor", many / "checkpoint")
@@ -49,12 +49,12 @@ def test_what_was_mended_is_named(call: Call, copy: Path) -> None:
 
 
 def test_a_damaged_ledger_is_explained_and_continued(call: Call, copy: Path, many: Path, tmp_path: Path) -> None:
-    (copy / "segments" / "000000000001.parquet").unlink()
+    (copy / "segments" / "000000000002.parquet").unlink()
     before = contents(copy)
     said = call("recover", copy)
     assert (said.code, said.err) == (3, "")
-    assert said.out.startswith(f"{copy}: damaged at commit 1; nothing of it was changed\nfound\n  segments/000000000001.parquet: commit 1")
-    for line in ("  commit 0: ", "  commit 1: the segment is missing", "  commit 2: record and segment fit", "--into NEW copies", "SHA-256"):
+    assert said.out.startswith(f"{copy}: damaged at commit 2; nothing of it was changed\nfound\n  segments/000000000002.parquet: commit 2")
+    for line in ("  commits 0 to 1: ", "  commit 2: the segment is missing", "  commit 3: record and segment fit", "--into NEW copies", "SHA-256"):
         assert f"\n{line}" in said.out or line in said.out
     new = tmp_path / "new"
     done = call("recover", copy, "--into", new)
@@ -67,12 +67,12 @@ def test_a_damaged_ledger_is_explained_and_continued(call: Call, copy: Path, man
 
 def test_programs_get_everything_as_json(call: Call, copy: Path) -> None:
     whole = json.loads(call("recover", copy, "--json").out)
-    assert (whole["outcome"], whole["head"]["commits"], whole["steps"], whole["into"]) == ("whole", 3, [], None)
+    assert (whole["outcome"], whole["head"]["commits"], whole["steps"], whole["into"]) == ("whole", 4, [], None)
     assert whole["report"]["root"] == whole["head"]["root"]
     (copy / LAST).unlink()
     said = call("recover", copy, "--json")
     damaged = json.loads(said.out)
-    assert (said.code, damaged["outcome"], damaged["head"]["commits"]) == (3, "damaged", 2)
+    assert (said.code, damaged["outcome"], damaged["head"]["commits"]) == (3, "damaged", 3)
     assert damaged["problems"][0]["where"] == LAST
     assert [commit["number"] for commit in damaged["later"]] == [2]
 

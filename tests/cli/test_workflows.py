@@ -35,6 +35,8 @@ def test_one_workflow_is_simulated_as_often_as_asked(call: Call, tmp_path: Path)
         (("--workflow", "door-relay", "--without", "shared-registry"), ("--workflow and --without shared-registry", "one or the other")),
         (("--workflow", "door-relay", "--architecture", "fsar", "--architecture", "cfc"), ("--architecture cfc", "expected fsar")),
         (("--workflow", "door-relay", "--fleet-size", "8"), ("--fleet-size 8", "expected 4")),
+        (("--workflow", "door-relay", "--teams-working", "1"), ("--teams-working 1", "one or the other")),
+        (("--workflow", "door-relay", "--task-sets", "2"), ("--task-sets 2", "one or the other")),
         (("--workflow", "door-relay", "--runs", "0"), ("runs: found 0",)),
     ],
 )

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.events.envelope import Architecture, Configuration, Workflow
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionWithdrawn
@@ -55,8 +55,10 @@ def emitted() -> set[type[Event]]:
     specs += [RunSpec(8, "fsar", configuration, scenario, 4, 0) for configuration in get_args(Configuration)[1:] for scenario in SCENARIOS]
     specs += [RunSpec(8, "fsar", "full", workflow, 4, 0) for workflow in get_args(Workflow)]
     specs.append(RunSpec(42, "fsar", "full", "mixed-trust-inspection", 4, 82))  # one of the few in which a task changes hands
+    away = simulate_run(RunSpec(8, "fsar", "full", "fleet-contention", 4, 0), Constants(outages=Outages(0.05, 8.0, 0.03, 6.0))).events
     planned = [Experiment(("fsar",), SCENARIOS, 12, 8).plan()]
-    return {type(event) for events in (*(simulate_run(spec, Constants()).events for spec in specs), commanded().events, planned) for event in events}
+    runs = (simulate_run(spec, Constants()).events for spec in specs)
+    return {type(event) for events in (*runs, commanded().events, away, planned) for event in events}
 
 
 def test_every_event_type_is_emitted_by_some_run(emitted: set[type[Event]]) -> None:

@@ -28,6 +28,7 @@ def intervals(metric: str, x: Numbers, pooled: Numbers | None = None) -> tuple[N
         "metric": pa.array([metric] * x.size),
         "run_id": pa.array(np.tile(np.arange(runs), repeats)),
         "denominator": pa.array(np.ones(x.size, np.int64)),
+        "value_without_routine": pa.nulls(x.size, pa.float64()),
         "published_convention_value": pa.nulls(x.size, pa.float64()),
         "x": pa.array(x.ravel()),
         "pooled_mean": pa.nulls(x.size, pa.float64()) if pooled is None else pa.array(np.repeat(pooled, runs)),

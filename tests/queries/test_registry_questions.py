@@ -200,6 +200,8 @@ def doing(name: str, time_us: int, **fields: Any) -> Row:
         (11, "idle", None),
         (12, "executing", "t9/1"),
         (13, "idle", None),
+        (14, "off", None),
+        (15, "idle", None),
     ],
 )
 def test_a_robot_is_in_the_state_that_the_events_by_then_make(at_us: int, state: str, action: str | None) -> None:
@@ -216,9 +218,20 @@ def test_a_robot_is_in_the_state_that_the_events_by_then_make(at_us: int, state:
         change("CapabilityAdvertised", 10, availability="degraded", visible_to=[]),
         change("AvailabilityChanged", 11, capability=None, availability="ready"),
         doing("AssistanceAdmitted", 12, robot="robot/A1", helper="robot/B1", action_id="t9/1"),
-        doing("AssistanceEnded", 13, robot="robot/A1", helper="robot/B1", action_id="t9/1"),
+        doing("AssistanceFailed", 13, robot="robot/A1", helper="robot/B1", action_id="t9/1", failure=1, cause="obstruction"),
+        doing("RobotWentOff", 14, action_id=None),
+        doing("LinkWentDown", 14, action_id=None),
+        doing("RobotCameBack", 15, action_id=None),
     )
     assert asked("robot_state_at", "state action_id", *ROBOTS[:2], *events, at_us=at_us, robot="robot/B1") == [(state, action)]
+
+
+def test_outages_are_spells_that_what_brings_them_back_ends() -> None:
+    facts = ("RobotWentOff", "LinkWentDown", "RobotCameBack", "ActuatorDegraded", "ActuatorDegraded", "LinkCameUp", "RobotWentOff", "ActuatorServiced")
+    events = [doing(name, at, action_id=None) for at, name in enumerate(facts)]
+    found = set(answer("facts/outages", run(*events), columns=("what", "since_us", "until_us")))
+    expected = {("off", 0, 2), ("unlinked", 1, 5), ("degraded", 3, 4), ("degraded", 4, 7), ("off", 6, None)}
+    assert found == expected
 
 
 def test_help_for_a_failure_is_no_failure_of_the_helper() -> None:

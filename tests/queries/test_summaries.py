@@ -16,7 +16,7 @@ from tests.queries.histories import Row, S, event, run
 SUPERVISORS_CALL = event("SupervisorCalled", 1, supervisor="supervisor/fleet")
 
 
-def summary(runs: Sequence[Sequence[Row]], by_scenario: bool = False, threads: int = 1) -> dict[tuple[str, str, str | None], MetricRow]:
+def summary(runs: Sequence[Sequence[Row]], by_scenario: bool = False, threads: int = 1) -> dict[tuple[str, str | None, str | None], MetricRow]:
     with from_rows([row for rows in runs for row in rows], threads=threads) as database:
         return {(row.metric, row.architecture, row.scenario): row for row in metric_rows(database, by_scenario)}
 

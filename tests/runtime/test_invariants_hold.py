@@ -5,7 +5,7 @@ from typing import get_args
 
 import pytest
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.events.envelope import Configuration, Workflow
 from fsar_ledger.ledger.codec import encode
 from fsar_ledger.metrics.database import from_table
@@ -22,10 +22,12 @@ FOUND_BY_SEARCH = (  # runs in which an invariant once broke
     RunSpec(7, "fsar", "full", "mixed-trust-inspection", 4, 13),
 )
 
+DEFAULTS = Constants()
 
-def broken(specs: Iterable[RunSpec]) -> set[tuple[str, str | None]]:
+
+def broken(specs: Iterable[RunSpec], constants: Constants = DEFAULTS) -> set[tuple[str, str | None]]:
     """The invariants that these runs break, each with the first finding."""
-    with from_table(encode([simulate_run(spec, Constants()) for spec in specs])) as database:
+    with from_table(encode([simulate_run(spec, constants) for spec in specs])) as database:
         return {
             (row.invariant.partition("_")[0], f"{row.first_run} seq {row.first_seq}: {row.first_found}")
             for row in audit_rows(database, chosen(()))
@@ -36,6 +38,11 @@ def broken(specs: Iterable[RunSpec]) -> set[tuple[str, str | None]]:
 @pytest.mark.parametrize("fleet_size", [4, 8])
 def test_all_ten_hold_on_fsar_in_every_scenario(fleet_size: int) -> None:
     assert broken(RunSpec(42, "fsar", "full", scenario, fleet_size, run) for scenario in SCENARIOS for run in range(12)) == set()
+
+
+def test_all_ten_hold_where_robots_and_links_fail() -> None:
+    failing = Constants(outages=Outages(0.02, 8.0, 0.03, 6.0, 0.002))
+    assert broken((RunSpec(42, "fsar", "full", scenario, 4, run) for scenario in SCENARIOS for run in range(8)), failing) == set()
 
 
 def test_all_ten_hold_on_runs_that_once_broke_one() -> None:

@@ -1,57 +1,40 @@
-"""Physics: what no way of governing can bend, stated over every architecture and judged by SQL over whole runs.
+"""Physics: what no way of governing can bend, stated over every architecture and judged over whole runs.
 
 Rates of 0 and probabilities of 0 and 1 are legal constants of the world, and these are what many statements are made with.
 """
 
-from functools import cache
-from typing import get_args
-
-import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Range, WorldConstants
-from fsar_ledger.events import Event
+from fsar_ledger.constants import Constants, Outages, Range
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.events.execution import ExecutionFailed, ExecutionPaused, RoutinePerformed, RoutineWithheld
+from fsar_ledger.events.execution import (
+    ExecutionFailed,
+    ExecutionFinished,
+    ExecutionHalted,
+    ExecutionPaused,
+    ExecutionQueued,
+    ExecutionResumed,
+    ExecutionStarted,
+    RoutinePerformed,
+    RoutineWithheld,
+)
 from fsar_ledger.events.policy import PolicyConflictEscalated
-from fsar_ledger.events.recovery import FailureResolved
+from fsar_ledger.events.recovery import (
+    AssistanceAdmitted,
+    AssistanceEnded,
+    AssistanceFailed,
+    AssistanceRequested,
+    FailureResolved,
+    RecoveryEscalated,
+)
+from fsar_ledger.events.request import RequestAccepted, RequestAdmitted
 from fsar_ledger.events.supervision import ActuatorServiced, SupervisorCalled
-from fsar_ledger.events.world import ActuatorDegraded, PolicyWindowOpened
-from fsar_ledger.ledger.codec import encode
-from fsar_ledger.metrics.database import from_table
-from fsar_ledger.metrics.results import metric_rows
-from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
-
-EVERY = pytest.mark.parametrize("architecture", get_args(Architecture))
-RUNS = 3
-QUIET = {"obstruction_rate_per_s": 0.0, "degradation_probability": 0.0}
-LAWLESS = {"context_window_share": 0.0, "fleet_rule_rate_per_s": 0.0}
-
-
-class Played(msgspec.Struct, frozen=True):
-    """The runs of all scenarios in one world: their events, and their metrics by name."""
-
-    events: tuple[tuple[Event, ...], ...]
-    metrics: dict[str, float | None]
-
-
-@cache
-def _played(architecture: Architecture, world: WorldConstants) -> Played:
-    constants = Constants(world=world)
-    records = [simulate_run(RunSpec(5, architecture, "full", scenario, 4, run), constants) for scenario in SCENARIOS for run in range(RUNS)]
-    with from_table(encode(records), threads=1) as database:
-        found = {row.metric: row.mean for row in metric_rows(database)}
-    return Played(tuple(tuple(record.events) for record in records), found)
-
-
-def played(architecture: Architecture, **changes: object) -> Played:
-    """The runs in a world of which only this differs from ours."""
-    return _played(architecture, msgspec.structs.replace(WorldConstants(), **changes))
-
-
-def of(events: tuple[tuple[Event, ...], ...], *types: type[Event]) -> list[Event]:
-    """The events of these types, of all runs."""
-    return [event for run in events for event in run if isinstance(event, types)]
+from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
+from fsar_ledger.events.world import ActuatorDegraded, LinkWentDown, PolicyWindowOpened, RobotCameBack, RobotWentOff, TaskArrived
+from fsar_ledger.projections.execution import HELPING
+from fsar_ledger.projections.fold import State, apply
+from fsar_ledger.projections.world import is_linked
+from tests.runtime.physics import ALWAYS, BLOCKED, EVERY, FOREVER, LATE_HANDS, LAWLESS, MIXED, QUIET, deeds, failing, in_world, of, played, robot_of
 
 
 @EVERY
@@ -146,3 +129,220 @@ def test_with_an_actuator_that_never_holds_no_attempt_of_the_degraded_robot_succ
 def test_an_actuator_that_always_holds_fails_nothing(architecture: Architecture) -> None:
     failed = of(played(architecture, degradation_probability=1.0, degraded_reliability=1.0).events, ExecutionFailed)
     assert {event.cause for event in failed if isinstance(event, ExecutionFailed)} <= {"obstruction"}
+
+
+# Robots that are off, and links that are down
+
+
+@EVERY
+def test_with_every_robot_off_nobody_does_anything(architecture: Architecture) -> None:
+    off = failing(architecture, Outages(off_rate_per_s=ALWAYS, off_mean_s=FOREVER))
+    assert off.metrics["coordination_success"] == 0
+    assert of(off.events, TaskArrived)
+    assert list(deeds(off)) == []
+
+
+@EVERY
+def test_from_the_moment_at_which_every_robot_is_off_nobody_does_anything(architecture: Architecture) -> None:
+    off = failing(architecture, Outages(off_rate_per_s=ALWAYS, off_mean_s=FOREVER, from_s=36.0))
+    times = [time_us for _, time_us, _, _ in deeds(off)]
+    assert times
+    assert max(times) <= 36_000_100
+    assert of(off.events, ExecutionHalted)
+    assert off.metrics["coordination_success"] == 0
+
+
+@EVERY
+def test_a_robot_that_is_off_does_and_decides_nothing(architecture: Architecture) -> None:
+    mixed = failing(architecture, MIXED)
+    assert of(mixed.events, RobotWentOff)
+    assert [(event, time_us) for state, time_us, robot, event in deeds(mixed) if robot in state.world.off] == []
+
+
+@EVERY
+def test_what_a_robot_was_at_goes_on_after_it_is_back_and_takes_no_less_time(architecture: Architecture) -> None:
+    """However often an execution stops, it runs as long as it would have without."""
+    halted = 0
+    for record in failing(architecture, Outages(off_rate_per_s=0.1, off_mean_s=3.0), **QUIET).records:
+        since: dict[str, int] = {}
+        left: dict[str, int] = {}
+        for time_us, event in zip(record.times_us, record.events, strict=True):
+            match event:
+                case ExecutionStarted() | ExecutionResumed():
+                    since[event.action_id] = time_us
+                    left[event.action_id] = event.ends_us - time_us if isinstance(event, ExecutionStarted) else left[event.action_id]
+                case ExecutionHalted() | ExecutionPaused() | ExecutionFinished() if event.action_id in left:
+                    left[event.action_id] -= time_us - since.pop(event.action_id)
+                    halted += isinstance(event, ExecutionHalted)
+                    if isinstance(event, ExecutionFinished):
+                        assert left[event.action_id] == 0
+    assert halted
+
+
+@EVERY
+def test_short_absences_are_survived(architecture: Architecture) -> None:
+    """Else the statements above could hold because nothing ever went on."""
+    assert failing(architecture, Outages(off_rate_per_s=0.01, off_mean_s=3.0)).metrics["coordination_success"] != 0
+
+
+@EVERY
+def test_over_links_that_are_down_nobody_is_asked_and_own_steps_go_on_where_robots_decide(architecture: Architecture) -> None:
+    runs = failing(architecture, Outages(link_rate_per_s=ALWAYS, link_mean_s=FOREVER))
+    assert of(runs.events, LinkWentDown)
+    assert of(runs.events, RequestAdmitted, RequestAccepted, AssistanceAdmitted) == []
+    finished = [event for event in of(runs.events, ExecutionFinished) if isinstance(event, ExecutionFinished)]
+    steps = {(queued.robot, queued.on_behalf_of) for queued in of(runs.events, ExecutionQueued) if isinstance(queued, ExecutionQueued)}
+    assert all(robot == on_behalf_of for robot, on_behalf_of in steps)
+    assert bool(finished) == (architecture != "cfc")  # under the coordinator no robot moves without its word
+    assert of(runs.events, RoutinePerformed)
+
+
+@EVERY
+def test_no_message_reaches_or_leaves_a_robot_whose_link_is_down(architecture: Architecture) -> None:
+    """Who admits, accepts or helps has heard from another; so has the coordinator that a step was finished."""
+    heard = 0
+    for state, _, event in failing(architecture, MIXED).told():
+        if isinstance(event, RequestAdmitted | AssistanceAdmitted | ExecutionQueued) and getattr(event, "is_delegated", True):
+            robot = robot_of(event.decided_by) if isinstance(event, RequestAdmitted) else event.helper if isinstance(event, AssistanceAdmitted) else event.robot
+            heard += 1
+            assert robot is None or is_linked(state.world, robot), event
+    assert heard
+
+
+@EVERY
+def test_outages_that_never_come_change_nothing(architecture: Architecture) -> None:
+    never, ours = failing(architecture, Outages()), in_world(architecture, Constants(), 1)
+    assert [run[1:] for run in never.events] == [run[1:] for run in ours.events]
+
+
+@EVERY
+def test_every_task_comes_to_an_end_whatever_happens(architecture: Architecture) -> None:
+    """Who waits for an answer that never comes gives up."""
+    worlds = (
+        failing(architecture, Outages(off_rate_per_s=0.01, off_mean_s=FOREVER)),
+        failing(architecture, Outages(link_rate_per_s=0.01, link_mean_s=FOREVER)),
+        failing(architecture, MIXED),
+        played(architecture, **BLOCKED, **LATE_HANDS),
+    )
+    for runs in worlds:
+        ends = [event.task_id for event in of(runs.events, TaskCompleted, TaskAbandoned) if isinstance(event, TaskCompleted | TaskAbandoned)]
+        assert sorted(ends) == sorted(event.task_id for event in of(runs.events, TaskArrived) if isinstance(event, TaskArrived))
+
+
+# Actuators that are lost
+
+
+@EVERY
+def test_nothing_that_needs_a_lost_actuator_succeeds_before_it_is_serviced(architecture: Architecture) -> None:
+    runs = failing(architecture, Outages(loss_rate_per_s=1.0), obstruction_rate_per_s=0.0, **LATE_HANDS)
+    assert runs.metrics["coordination_success"] == 0
+    assert runs.metrics["recovery_containment"] == 0
+    tried = 0
+    for state, _, event in runs.told():
+        if isinstance(event, ExecutionFinished | FailureResolved) and state.world.degraded.get(event.robot) == "lost":
+            action = state.execution.actions[event.action_id]
+            assert action.capability == "navigate.indoor" or (isinstance(event, FailureResolved) and event.level == "fleet"), event
+        tried += isinstance(event, ExecutionFailed)
+    assert tried
+
+
+# Ways that are blocked
+
+
+@EVERY
+def test_with_every_way_blocked_nothing_that_needs_the_way_succeeds(architecture: Architecture) -> None:
+    """Each robot has something in its way that never goes by itself, and no hand comes in time."""
+    runs = played(architecture, **BLOCKED, **LATE_HANDS)
+    assert runs.metrics["coordination_success"] == 0
+    assert runs.metrics["recovery_containment"] == 0
+    assert of(runs.events, AssistanceEnded) == []
+
+
+@EVERY
+def test_hands_clear_what_is_in_the_way_and_nothing_succeeds_where_more_comes_at_once(architecture: Architecture) -> None:
+    runs = failing(architecture, Outages(), obstruction_rate_per_s=3.0, obstruction_mean_s=1e5)
+    assert any(isinstance(event, FailureResolved) and event.level == "human" for event in of(runs.events, FailureResolved))
+    assert runs.metrics["coordination_success"] == 0
+    assert runs.metrics["recovery_containment"] == 0
+
+
+@EVERY
+def test_nothing_is_executed_through_an_obstruction(architecture: Architecture) -> None:
+    """What finishes had a clear way to its end, in our world and in a worse one."""
+    for runs in (played(architecture), failing(architecture, Outages(), obstruction_rate_per_s=0.2)):
+        finished = [state.world.obstructions.get(event.robot) for state, _, event in runs.told() if isinstance(event, ExecutionFinished)]
+        assert finished
+        assert not any(finished)
+
+
+# A helper's work is work
+
+
+@EVERY
+def test_help_fails_where_something_is_in_the_way_of_the_helper_too(architecture: Architecture) -> None:
+    runs = failing(architecture, Outages(), obstruction_rate_per_s=0.2)
+    asked = of(runs.events, AssistanceRequested)
+    assert bool(asked) == (architecture != "dhma")  # its failures go from the robot to H_F
+    assert bool(of(runs.events, AssistanceFailed)) == bool(asked)
+    for state, _, event in runs.told():
+        if isinstance(event, AssistanceEnded):
+            assert not state.world.obstructions.get(event.helper)
+
+
+@EVERY
+def test_a_helper_that_could_not_help_is_free_and_recovery_goes_on_elsewhere(architecture: Architecture) -> None:
+    for run in played(architecture, obstruction_rate_per_s=0.1).events:
+        failed: dict[tuple[str, int], str] = {}
+        helping: dict[str, str] = {}
+        for event in run:
+            match event:
+                case AssistanceAdmitted():
+                    assert event.helper not in helping
+                    helping[event.helper] = event.action_id
+                case AssistanceEnded() | AssistanceFailed():
+                    assert helping.pop(event.helper) == event.action_id
+                    if isinstance(event, AssistanceFailed):
+                        failed[event.action_id, event.failure] = event.helper
+                case AssistanceRequested() | RecoveryEscalated() if (event.failed_action, event.failure) in failed:
+                    assert getattr(event, "helper", None) != failed.pop((event.failed_action, event.failure))
+                case FailureResolved():
+                    assert (event.action_id, event.failure) not in failed
+        assert helping == {}
+
+
+@EVERY
+def test_nobody_helps_with_a_lost_actuator_and_nobody_helps_while_off(architecture: Architecture) -> None:
+    lost = failing(architecture, Outages(loss_rate_per_s=1.0), obstruction_rate_per_s=0.0, **LATE_HANDS)
+    assert of(lost.events, AssistanceEnded) == []
+    for state, _, event in failing(architecture, Outages(off_rate_per_s=0.05, off_mean_s=5.0), obstruction_rate_per_s=0.1).told():
+        if isinstance(event, AssistanceAdmitted | AssistanceEnded | AssistanceFailed):
+            assert event.helper not in state.world.off, event
+
+
+@EVERY
+def test_help_takes_its_time_not_counting_that_in_which_the_helper_is_off(architecture: Architecture) -> None:
+    for record in failing(architecture, Outages(off_rate_per_s=0.1, off_mean_s=2.0), obstruction_rate_per_s=0.05).records:
+        state, spent, on_since = State(), dict[str, int](), dict[str, int]()
+        for time_us, event in zip(record.times_us, record.events, strict=True):
+            match event:
+                case AssistanceAdmitted():
+                    spent[event.helper], on_since[event.helper] = 0, time_us
+                case RobotWentOff() if event.robot in spent and event.robot in on_since:
+                    spent[event.robot] += time_us - on_since.pop(event.robot)
+                case RobotCameBack() if event.robot in spent:
+                    on_since[event.robot] = time_us
+                case AssistanceEnded():
+                    assert spent.pop(event.helper) + time_us - on_since.pop(event.helper) >= 5_000_000
+            apply(state, event)
+
+
+@EVERY
+def test_a_robot_is_at_one_thing_at_a_time(architecture: Architecture) -> None:
+    """Whoever helps executes nothing meanwhile, and is contended for."""
+    for state, _, event in failing(architecture, MIXED, obstruction_rate_per_s=0.2).told():
+        if isinstance(event, ExecutionStarted | ExecutionResumed):
+            assert state.execution.current[event.robot] == event.action_id
+        if isinstance(event, AssistanceAdmitted):
+            assert event.helper not in state.execution.current
+        if isinstance(event, AssistanceEnded):
+            assert state.execution.current[event.helper] == HELPING + event.action_id

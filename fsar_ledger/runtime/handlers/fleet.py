@@ -16,7 +16,7 @@ from .commands import Actors, Decides, PublicCommand, Reacts
 from .matching import contradiction, version_of
 from .rejection import rejected, unknown_robot
 
-ExecutionState = Literal["idle", "executing", "degraded", "failed"]
+ExecutionState = Literal["off", "idle", "executing", "degraded", "failed"]
 
 
 class JoinFleet(PublicCommand):
@@ -52,11 +52,13 @@ class RemoveCapability(PublicCommand):
 
 
 def execution_state(state: State, robot: str) -> ExecutionState:
-    """What the robot is in: failed before degraded before executing before idle. Paper: sec:evaluation:simulator (robot state).
+    """What the robot is in: off before failed before degraded before executing before idle. Paper: sec:evaluation:simulator (robot state).
 
     Failed: what it has in hand failed and has not gone on since, or is being recovered by others. Degraded: its
     actuator is, or it says so of something it advertises. Executing: it has anything in hand, from its turn on.
     """
+    if robot in state.world.off:
+        return "off"
     held = state.execution.current.get(robot, "")
     action, recovery = state.execution.actions.get(held), state.recovery.get(held)
     if (action is not None and action.stage == "failed") or (recovery is not None and recovery.level != "local"):

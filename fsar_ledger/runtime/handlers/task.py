@@ -1,13 +1,12 @@
 """Tasks go through their steps, whoever governs them. Paper: sec:evaluation:scenarios."""
 
-from fsar_ledger.constants import END_US
 from fsar_ledger.events import Event
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import possesses
-from fsar_ledger.projections.task import Task
+from fsar_ledger.projections.task import given_up_us
 
 from .actors import acting, next_in_task, nobody, requester
 from .commands import Actors, BeginStep, CompleteStep, Decides, ExpireTask, PublicCommand, Reacts, Scheduled, at_once
@@ -73,7 +72,7 @@ def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
         return ()
     if task.step == len(task.steps):
         return (TaskCompleted(task.task_id),)
-    if command.now_us > expires_us(state, task):
+    if command.now_us > given_up_us(task, state.fleet.structure.expiry_budgets):
         return (TaskAbandoned(task.task_id),)
     actor, capability, *target = task.steps[task.step].split(" ")
     attempt = task.attempt + 1
@@ -93,11 +92,6 @@ def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
 def expire_task(state: State, command: ExpireTask) -> tuple[Event, ...]:
     """The task has been given up, whatever it waits for; who waited for an answer gets none."""
     return () if state.task.get(command.task_id) is None else (TaskAbandoned(command.task_id),)
-
-
-def expires_us(state: State, task: Task | TaskArrived) -> int:
-    """The run time at which a task that is late is given up. Units: microseconds."""
-    return task.due_us + (state.fleet.structure.expiry_budgets - 1) * task.budget_us
 
 
 def complete_step(state: State, command: CompleteStep) -> tuple[Event, ...]:
@@ -132,7 +126,8 @@ def _begin(state: State, event: StepCompleted, _now_us: int) -> tuple[Scheduled,
 
 def _on_arrival(state: State, event: TaskArrived, now_us: int) -> tuple[Scheduled, ...]:
     """The first step begins; after so many budgets, and at the end of the run, the task is given up."""
-    return (Scheduled(BeginStep(event.task_id)), Scheduled(ExpireTask(event.task_id), max(1, min(expires_us(state, event), END_US) - now_us) + 1))
+    left_us = max(1, given_up_us(event, state.fleet.structure.expiry_budgets) - now_us)
+    return (Scheduled(BeginStep(event.task_id)), Scheduled(ExpireTask(event.task_id), left_us + 1))
 
 
 DECIDES: Decides = {SubmitTask: submit_task, BeginStep: begin_step, CompleteStep: complete_step, ExpireTask: expire_task}

@@ -68,8 +68,9 @@ def arrivals_expected(world: WorldConstants, fleet_size: int, outages: Outages |
 
 def floor_sizes(world: WorldConstants, fleet_size: int) -> tuple[tuple[int, int], ...]:
     """How many floors there are with how many robots."""
-    full, left = divmod(fleet_size, 4 * world.floor_teams)
-    return (full, 4 * world.floor_teams), (1, left)
+    most = 4 * max(1, world.floor_teams)
+    full, left = divmod(fleet_size, most)
+    return (full, most), (1, left)
 
 
 def teams_working(fleet_size: int, load: Load | None) -> int:

@@ -8,11 +8,11 @@ from fsar_ledger.events.request import GapDetected
 from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.world import SyncPhaseSet
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.task import given_up_us
 from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.actors import nobody
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle
 from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, Reacts, Scheduled
-from fsar_ledger.runtime.handlers.task import expires_us
 
 
 class Sync(Command):
@@ -112,7 +112,7 @@ def reach_coordinator(state: State, command: ReachCoordinator) -> tuple[GapDetec
     service_us += service_us * candidates * structure.candidate_cost_ppm // 1_000_000
     ready_us = max(state.knowledge.ready_us, command.now_us) + service_us
     task = state.task.get(task_id)
-    is_hopeless = is_matching and task is not None and ready_us > expires_us(state, task)
+    is_hopeless = is_matching and task is not None and ready_us > given_up_us(task, state.fleet.structure.expiry_budgets)
     queued = TaskAbandoned(task_id) if is_hopeless else WorkQueued(task_id, command.action_id, command.item, ready_us)
     if command.item == "step" and request is not None and request.is_delegated:
         return (GapDetected(task_id, None, None, None, FLEET_SUPERVISOR, request.capability), queued)

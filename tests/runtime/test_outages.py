@@ -1,0 +1,199 @@
+"""How the clock keeps what cannot be done now: nothing that a robot should do while it is off, and no message over a link that is down, is lost or early."""
+
+from collections.abc import Sequence
+from math import inf
+from typing import get_args
+
+import msgspec
+import pytest
+
+from fsar_ledger.constants import BadParameters, Constants, Outages, Range, WorldConstants, read_constants, write_constants
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Architecture, Configuration
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionHalted, ExecutionResumed, ExecutionStarted
+from fsar_ledger.events.knowledge import CopySynced
+from fsar_ledger.events.request import RequestAdmitted, RequestIssued
+from fsar_ledger.events.task import StepBegan, TaskAbandoned
+from fsar_ledger.events.world import LinkCameUp, LinkWentDown, PolicyWindowOpened, RobotCameBack, RobotWentOff, SyncPhaseSet, TaskArrived, WorldEvent
+from fsar_ledger.ledger.codec import RunRecord, decode, encode
+from fsar_ledger.runtime.architectures.wiring import Wiring
+from fsar_ledger.runtime.handlers.commands import Command, PublicCommand, StartAction
+from fsar_ledger.runtime.kernel import Kernel
+from fsar_ledger.runtime.replay import replay_run
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run, wiring
+from fsar_ledger.runtime.world.draws import Draws, Stream, run_key
+from fsar_ledger.runtime.world.schedule import Fact, schedule
+from tests.runtime.histories import started
+
+ARCHITECTURES: tuple[Architecture, ...] = get_args(Architecture)
+EVERY = pytest.mark.parametrize("architecture", ARCHITECTURES)
+A, B, DOOR, S = "robot/A1", "robot/B1", "door.open.secure", 1_000_000
+MIXED = Outages(0.02, 8.0, 0.03, 6.0, 0.002)
+OWN = TaskArrived("A1-1", A, 1, ("A navigate.indoor",), 60 * S, 61 * S)
+DELEGATED = TaskArrived("A1-1", A, 1, (f"A {DOOR} B",), 60 * S, 61 * S)
+
+
+def nameless(one: Wiring) -> set[type[Command]]:
+    """The commands that the clock may hold and of which nobody knows who does them; those from outside are done by whoever gives them."""
+    return {command for command in one.decides if not issubclass(command, PublicCommand) and command not in one.actors}
+
+
+@EVERY
+def test_every_command_names_its_actor(architecture: Architecture) -> None:
+    whole = wiring(architecture)
+    assert nameless(whole) == set()
+    forgetful = {command: actor for command, actor in whole.actors.items() if command is not StartAction}
+    assert nameless(Wiring(whole.decides, whole.reacts, forgetful)) == {StartAction}
+
+
+def ran(architecture: Architecture, facts: Sequence[Fact]) -> Kernel:
+    """The run of these facts and no others."""
+    one = Kernel(wiring(architecture), facts, Draws(run_key(1, "door-relay", 0), WorldConstants()), started(architecture))
+    one.run()
+    return one
+
+
+def when(run: Kernel, kind: type[Event], **fields: object) -> list[int]:
+    """The times of the events of this kind with these fields."""
+    pairs = zip(run.times_us, run.events, strict=True)
+    return [time_us for time_us, event in pairs if isinstance(event, kind) and all(getattr(event, name) == value for name, value in fields.items())]
+
+
+@EVERY
+def test_a_step_begins_when_its_robot_is_back(architecture: Architecture) -> None:
+    run = ran(architecture, [(1, RobotWentOff(A)), (S, OWN), (9 * S, RobotCameBack(A))])
+    assert when(run, StepBegan) == [9 * S + 1]
+
+
+@EVERY
+def test_an_execution_halts_and_the_rest_goes_on(architecture: Architecture) -> None:
+    [begun] = when(ran(architecture, [(S, OWN)]), ExecutionStarted)
+    run = ran(architecture, [(S, OWN), (begun + S, RobotWentOff(A)), (begun + 5 * S, RobotCameBack(A))])
+    assert when(run, ExecutionHalted) == [begun + S + 1]
+    assert when(run, ExecutionResumed) == [begun + 5 * S + 1]
+    [undisturbed] = when(ran(architecture, [(S, OWN)]), ExecutionFinished)
+    assert when(run, ExecutionFinished) == [undisturbed + 4 * S]
+
+
+@EVERY
+def test_a_way_goes_on_where_it_stopped(architecture: Architecture) -> None:
+    """The executor goes off while it approaches; what is left of the way takes what it took."""
+    plain = ran(architecture, [(S, DELEGATED)])
+    [begun] = when(plain, ExecutionStarted, robot=B)
+    run = ran(architecture, [(S, DELEGATED), (begun - S, RobotWentOff(B)), (begun + 9 * S, RobotCameBack(B))])
+    assert when(run, ExecutionStarted, robot=B) == [begun + 10 * S]
+
+
+def test_a_message_waits_for_the_link_and_takes_its_time_from_then_if_it_could_not_leave() -> None:
+    plain = ran("fsar", [(S, DELEGATED)])
+    [issued], [admitted] = when(plain, RequestIssued), when(plain, RequestAdmitted)
+    cut = ran("fsar", [(S, DELEGATED), (issued + 1, LinkWentDown(B)), (issued + 9 * S, LinkCameUp(B))])
+    assert when(cut, RequestAdmitted) == [issued + 9 * S + 1]  # it was under way
+    before = ran("fsar", [(S, DELEGATED), (issued - 1, LinkWentDown(B)), (issued + 9 * S, LinkCameUp(B))])
+    assert when(before, RequestIssued) == [issued]
+    assert when(before, RequestAdmitted) == [issued + 9 * S + admitted - issued]  # it could not leave
+
+
+@EVERY
+def test_a_robot_without_a_link_goes_on_with_what_it_is_at(architecture: Architecture) -> None:
+    [begun], [finished] = (when(ran(architecture, [(S, OWN)]), kind) for kind in (ExecutionStarted, ExecutionFinished))
+    run = ran(architecture, [(S, OWN), (begun + 1, LinkWentDown(A)), (begun + 200 * S, LinkCameUp(A))])
+    assert when(run, ExecutionFinished) == [finished]
+
+
+@EVERY
+def test_who_waits_for_a_robot_that_never_comes_back_gives_up(architecture: Architecture) -> None:
+    run = ran(architecture, [(1, RobotWentOff(B)), (S, DELEGATED)])
+    assert when(run, TaskAbandoned) == [61 * S + 60 * S + 1]
+
+
+def test_the_coordinator_sees_a_silent_robot_as_it_was() -> None:
+    window = PolicyWindowOpened(A, "local", "local/A1/0", "deny")
+    for outage, end in ((LinkWentDown(A), LinkCameUp(A)), (RobotWentOff(A), RobotCameBack(A))):
+        run = ran("cfc", [(1, SyncPhaseSet(500_000)), (2, outage), (3, window), (12 * S, end)])
+        copies = [(time_us, event.local_deny) for time_us, event in zip(run.times_us, run.events, strict=True) if isinstance(event, CopySynced)]
+        assert {denied for time_us, denied in copies if time_us < 12 * S} == {()}
+        assert {denied for time_us, denied in copies if time_us > 12 * S} == {(A,)}
+
+
+@pytest.mark.parametrize("configuration", get_args(Configuration))
+def test_a_run_with_outages_is_replayed(configuration: Configuration) -> None:
+    for architecture in ARCHITECTURES if configuration == "full" else ("fsar",):
+        record = simulate_run(RunSpec(7, architecture, configuration, "fleet-contention", 4, 1), Constants(outages=MIXED))
+        assert replay_run(record) is None
+        [back] = decode(encode([record]))
+        assert list(back.events) == record.events
+
+
+def test_every_architecture_meets_the_same_outages_and_they_move_nothing_else() -> None:
+    runs = [simulate_run(RunSpec(7, architecture, "full", "fleet-contention", 4, 1), Constants(outages=MIXED)) for architecture in ARCHITECTURES]
+    worlds = [[(at, one) for at, one in zip(run.times_us, run.events, strict=True) if isinstance(one, get_args(WorldEvent))] for run in runs]
+    assert worlds[0] == worlds[1] == worlds[2]
+    ours = schedule(WorldConstants(), 7, "fleet-contention", 1, 4)
+    away = (RobotWentOff, RobotCameBack, LinkWentDown, LinkCameUp)
+    rest = [fact for fact in worlds[0] if not isinstance(fact[1], away) and getattr(fact[1], "grade", "") != "lost"]
+    assert rest == list(ours)
+
+
+def test_outages_are_constants_that_are_left_out_while_absent() -> None:
+    assert "outages" not in write_constants(Constants())
+    assert read_constants(write_constants(Constants(outages=MIXED))).outages == MIXED
+
+
+# Legal constants: rates of 0, probabilities of 0 and 1, lengths of nothing, and lengths longer than any run
+
+HUGE = 1e300
+WORLD = {name: getattr(WorldConstants(), name) for name in WorldConstants.__struct_fields__}
+
+
+def extremes(name: str, value: object) -> list[object]:
+    """The ends of what the constant may be."""
+    if name.endswith(("share", "probability", "reliability")):
+        return [0.0, 1.0]
+    if name.endswith("rate_per_s"):
+        return [0.0]
+    if isinstance(value, Range):
+        return [Range(0.0, 0.0), Range(HUGE, HUGE)]
+    if name == "durations":
+        return [tuple((capability, Range(length, length)) for capability, _ in WorldConstants().durations) for length in (0.0, HUGE)]
+    if name in ("horizon_s", "routine_until_s"):  # until then the world makes facts
+        return [0.0]
+    if isinstance(value, int):  # a count
+        return [1, 10**6]
+    return [HUGE] if name == "encounter_mean_s" else [0.0, HUGE]
+
+
+LEGAL = [(name, value) for name, ours in WORLD.items() for value in extremes(name, ours)]
+
+
+@pytest.mark.parametrize(("name", "value"), LEGAL, ids=[f"{name}-{place}" for place, (name, _) in enumerate(LEGAL)])
+def test_extreme_constants_make_runs_that_end_and_can_be_stored_and_replayed(name: str, value: object) -> None:
+    constants = Constants(world=msgspec.structs.replace(WorldConstants(), **{name: value}))
+    place = LEGAL.index((name, value))
+    spec = RunSpec(3, ARCHITECTURES[place % 3], "full", SCENARIOS[place % 5], 4, 0)
+    record: RunRecord = simulate_run(spec, constants)
+    [back] = decode(encode([record]))
+    assert list(back.events) == record.events
+    assert replay_run(record) is None
+
+
+def test_a_length_longer_than_any_run_is_a_time_that_can_be_stored() -> None:
+    law = Range(HUGE, HUGE)
+    assert Draws(run_key(1, "door-relay", 0), msgspec.structs.replace(WorldConstants(), response=law)).value("response", "call") < 2**53
+    stream = Stream(run_key(1, "door-relay", 0), "long")
+    assert max(stream.within_us(law), stream.exponential_us(HUGE)) < 2**53
+
+
+def test_a_length_without_end_is_refused_by_name() -> None:
+    with pytest.raises(BadParameters, match="window_mean_s"):
+        write_constants(Constants(world=msgspec.structs.replace(WorldConstants(), window_mean_s=inf)))
+
+
+@pytest.mark.parametrize("outages", [Outages(1e9, 0.0), Outages(0.0, HUGE, 1e9, HUGE), Outages(1e9, HUGE, 0.0, 0.0, 0.0, 20.0)], ids=str)
+@EVERY
+def test_extreme_outages_make_runs_that_end(architecture: Architecture, outages: Outages) -> None:
+    if outages.off_mean_s == 0.0:
+        outages = msgspec.structs.replace(outages, off_rate_per_s=1.0)  # spells of a microsecond
+    record = simulate_run(RunSpec(3, architecture, "full", "fleet-contention", 4, 0), Constants(outages=outages))
+    [back] = decode(encode([record]))
+    assert list(back.events) == record.events
