@@ -62,6 +62,8 @@ def unprintable(table: pa.Table) -> Flaw | None:
         if kind not in ("string", "strings"):
             continue
         column = whole(table.column(name))
+        if column.null_count == len(column):  # most columns of a short run
+            continue
         texts = (column.dictionary if kind == "string" else column.flatten().unique()).to_pylist()
         if "".join(filter(None, texts)).isprintable():
             continue

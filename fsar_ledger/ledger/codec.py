@@ -20,7 +20,7 @@ from fsar_ledger.events import EVENT_TYPES, UPCASTS
 from fsar_ledger.ledger import canonical
 from fsar_ledger.ledger.check import first_flaw, run_starts
 from fsar_ledger.ledger.merkle import HASH_BYTES
-from fsar_ledger.ledger.runs import ALLOWED, INT, INT_OR_NONE, RunRecord, are_allowed, first_unfit, refusal, require_runs
+from fsar_ledger.ledger.runs import ALLOWED, CAUSE, TIME, RunRecord, are_allowed, first_unfit, refusal, require_runs
 from fsar_ledger.ledger.schema import ARROW_TYPES, CODED_SCHEMA, COLUMNS, ENVELOPE, LAYOUTS, MAX_INTEGER, PAYLOAD, RETIRED, SCHEMA, STORED, Layout
 
 __all__ = ["SCHEMA", "RunRecord", "decode", "encode", "encode_hashed", "upcast_rows"]
@@ -71,7 +71,7 @@ class _Rows:
         self.runs = [run.run_id for run in runs]
         self.times_us = list(chain.from_iterable(run.times_us for run in runs))
         self.causes = list(chain.from_iterable(run.caused_by for run in runs))
-        if not INT.issuperset(map(type, self.times_us)) or not INT_OR_NONE.issuperset(map(type, self.causes)):
+        if not are_allowed(self.times_us, TIME) or not are_allowed(self.causes, CAUSE):
             raise ValueError("found times or causes that are no integers, expected integers")
         self.seqs = np.concatenate([np.empty(0, np.int64), *map(np.arange, self.sizes)])
         events = list(chain.from_iterable(run.events for run in runs))

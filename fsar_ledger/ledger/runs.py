@@ -4,7 +4,7 @@ msgspec constructors do not check types, so an event may hold anything. The code
 here it is looked for value by value, which nobody waits for twice.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import chain
 from typing import NamedTuple
 
@@ -42,19 +42,20 @@ class Flaw(msgspec.Struct, frozen=True):
 
 
 class Allowed(NamedTuple):
-    """What a field of an event may hold: values of exactly these types, in a tuple exactly strings, and of a closed list only those that are in it."""
+    """What a field of an event may hold: values of exactly this type, in a tuple exactly strings, perhaps None; of a closed list only those in it."""
 
-    types: frozenset[type]
+    type: type
+    is_nullable: bool
     values: frozenset[str | None] | None
 
 
-STR, INT, INT_OR_NONE, _NONE = frozenset({str}), frozenset({int}), frozenset({int, type(None)}), frozenset({type(None)})
-_TYPES: dict[Kind, frozenset[type]] = {"string": STR, "integer": INT, "boolean": frozenset({bool}), "strings": frozenset({tuple})}
+TIME, CAUSE = Allowed(int, False, None), Allowed(int, True, None)
+_ONLY_STRINGS = frozenset({str})
+_TYPES: dict[Kind, type] = {"string": str, "integer": int, "boolean": bool, "strings": tuple}
 
 
 def _allowed(field: Field) -> Allowed:
-    values = None if field.values is None else frozenset[str | None](field.values)
-    return Allowed(_TYPES[field.kind] | _NONE, values and values | {None}) if field.is_nullable else Allowed(_TYPES[field.kind], values)
+    return Allowed(_TYPES[field.kind], field.is_nullable, None if field.values is None else frozenset({*field.values, None}))
 
 
 ALLOWED: dict[str, tuple[Allowed, ...]] = {layout.tag: tuple(map(_allowed, layout.fields)) for layout in LAYOUTS.values()}
@@ -63,12 +64,17 @@ ALLOWED: dict[str, tuple[Allowed, ...]] = {layout.tag: tuple(map(_allowed, layou
 
 def are_allowed(values: Sequence[object], allowed: Allowed) -> bool:
     """Whether a field may hold each of these values, but for the size of integers and for surrogates in strings, which the columns find out."""
-    types, closed = allowed
-    if not types.issuperset(map(type, values)):
+    kind, is_nullable, closed = allowed
+    types = list(map(type, values))  # the quickest way to look at each
+    if (found := types.count(kind)) != len(types) and not (is_nullable and found + types.count(type(None)) == len(types)):
         return False
-    if tuple in types and not STR.issuperset(map(type, chain.from_iterable(filter(None, values)))):  # type: ignore[arg-type]
+    if kind is tuple and not _are_strings(chain.from_iterable(filter(None, values))):  # type: ignore[arg-type]
         return False
     return closed is None or closed.issuperset(values)
+
+
+def _are_strings(values: Iterable[object]) -> bool:
+    return set(map(type, values)) <= _ONLY_STRINGS
 
 
 def require_runs(runs: Sequence[RunRecord]) -> None:
@@ -98,8 +104,8 @@ def first_unfit(runs: Sequence[RunRecord]) -> Flaw | None:
 
 def _unfit(run: RunRecord, seq: int) -> Iterator[tuple[str, str, str]]:
     """What is wrong with this event: field, found, expected."""
-    for name, value, types in (("time_us", run.times_us[seq], INT), ("caused_by", run.caused_by[seq], INT_OR_NONE)):
-        yield from _unfit_value(name, value, Allowed(types, None))
+    for name, value, allowed in (("time_us", run.times_us[seq], TIME), ("caused_by", run.caused_by[seq], CAUSE)):
+        yield from _unfit_value(name, value, allowed)
     cause, event = run.caused_by[seq], run.events[seq]
     if cause is not None and seq == 0:
         yield "caused_by", f"{cause!r:.80}", "None, as nothing came before"
@@ -114,10 +120,10 @@ def _unfit(run: RunRecord, seq: int) -> Iterator[tuple[str, str, str]]:
 
 
 def _unfit_value(name: str, value: object, allowed: Allowed) -> Iterator[tuple[str, str, str]]:
-    types, closed = allowed
+    kind, is_nullable, closed = allowed
     found = f"{value!r:.80}"
-    if type(value) not in types:
-        yield name, found, f"a value: {' or '.join(sorted(kind.__name__ for kind in types - _NONE))}{' or None' * bool(types & _NONE)}, and no other class"
+    if type(value) is not kind and not (value is None and is_nullable):
+        yield name, found, f"a value: {kind.__name__}{' or None' * is_nullable}, and no other class"
     elif closed is not None and value not in closed:
         yield name, found, f"one of {sorted(filter(None, closed))}"
     elif isinstance(value, int) and abs(value) > MAX_INTEGER:

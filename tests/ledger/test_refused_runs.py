@@ -305,7 +305,7 @@ def observing(*concerns: str) -> RunRecord:
     return RunRecord("seen", [0, 0, 0, 5], [None, 0, 0, 0], events)
 
 
-def test_every_event_type_has_the_concern_of_its_file_but_beginnings() -> None:
+def test_every_event_type_has_a_concern_but_beginnings() -> None:
     assert set(CONCERNED) == set(STORED) - OPENINGS
     assert set(CONCERNED.values()) == set(CONCERNS)
     assert (CONCERNED["RobotJoined.v1"], CONCERNED["TaskCompleted.v1"]) == ("fleet", "task")
