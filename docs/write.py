@@ -1,6 +1,7 @@
 """Writes the parts of these pages that are real output, or (--check) says which of them are out of date.
 
-    python docs/write.py            docs/queries.md, docs/event-types.json, the example in docs/ledger-format.md, and the output in every ```console block
+    python docs/write.py            docs/queries.md, docs/event-types.json, the example in docs/ledger-format.md, the table of constants in docs/model.md,
+                                    and the output in every ```console block
     python docs/write.py --check    exit code 1 and a diff where a page would change
 
 Within a ```console block, lines after `$ ` (and `> ` for more of the same) are commands; they run in order, in an empty folder for each page.
@@ -14,9 +15,13 @@ import re
 import subprocess
 import sys
 import tempfile
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
+
+from fsar_ledger.constants import Constants, Load, Outages
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.ledger import canonical, merkle
@@ -29,9 +34,11 @@ from fsar_ledger.ledger.releases import FINGERPRINTS
 from fsar_ledger.ledger.schema import CONCERNED, SCHEMA, STANDS_ALONE, STORED
 from fsar_ledger.ledger.tiles import node_of, tile_reader
 from fsar_ledger.metrics.library import Query, library
+from fsar_ledger.report.gather import flat
+from fsar_ledger.report.provenance import WORDS, origins
 
 DOCS = Path(__file__).resolve().parent
-PAGES = (DOCS / "audit-example.md", DOCS / "recovery.md")
+PAGES = (DOCS / "audit-example.md", DOCS / "model.md", DOCS / "recovery.md")
 FORMAT = DOCS / "ledger-format.md"
 FOLDERS = {
     "staging": "Staging: one view for each event type, and the runs",
@@ -79,6 +86,16 @@ def _row(query: Query) -> str:
     parameters = "".join(f" `{name}={value or ''}`" for name, value in query.parameters.items())
     cells = [f"`{query.name}`{parameters}", query.header["Title"], query.header["Grain"].removeprefix("one row per ")]
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+def with_constants(page: str) -> str:
+    """The page with the table of all constants, their values, and where these are from."""
+    values = dict(flat("", json.loads(msgspec.json.encode(Constants(outages=Outages(), load=Load())))))
+    rows = [f"| `{name}` | {values[name]} | {word} |" for name, word in origins().items()]
+    counts = Counter(origins().values())
+    lines = [f"- **{word}** ({counts[word]}): {meaning}" for word, meaning in WORDS.items()]
+    text = "\n".join(["", *lines, "", "| constant | value | from |", "|---|---|---|", *rows, ""])
+    return re.sub(r"<!-- constants -->\n.*<!-- /constants -->", lambda _: f"<!-- constants -->\n{text}\n<!-- /constants -->", page, flags=re.DOTALL)
 
 
 def event_types() -> str:
@@ -147,6 +164,7 @@ def main(arguments: list[str]) -> int:
     """The pages are written, or compared."""
     pages = {page: with_output(page.read_text("utf-8")) for page in PAGES} | {DOCS / "queries.md": queries_page()}
     pages |= {DOCS / "event-types.json": event_types(), FORMAT: format_page(FORMAT.read_text("utf-8"))}
+    pages[DOCS / "model.md"] = with_constants(pages[DOCS / "model.md"])
     stale = {page: text for page, text in pages.items() if not page.exists() or page.read_text("utf-8") != text}
     if arguments != ["--check"]:
         for page, text in stale.items():

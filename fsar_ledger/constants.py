@@ -4,16 +4,22 @@
 and counts that belong to how an architecture is built. No constant is the probability or the count of an
 outcome (conflict, violation, unattributed record, success, containment): those must come about.
 
-Marks: [paper] printed in the paper; [calibrated] fitted to the paper's results table by
-`fsar-ledger calibrate` (record: reports/calibration.json); [chosen] ours, not fitted.
+Each constant says in one word, its type, where its value is from. `Paper`: printed there. `Fitted`: to the paper's results table, by
+`fsar-ledger calibrate` (record: reports/calibration.json). `AfterFits`: ours, and chosen or kept while the cells of that table were looked
+at, in the study before the first fit or since; most move a cell, and none is a prediction. `Chosen`: ours, and no cell hangs on it.
 """
 
-from typing import Any, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import msgspec
 
 _T = TypeVar("_T")
-END_US = 1_800_000_000  # run time: no fact of the world is later, and no task is open longer [chosen]
+Paper = Annotated[_T, msgspec.Meta(extra={"from": "paper"})]
+Fitted = Annotated[_T, msgspec.Meta(extra={"from": "fitted"})]
+AfterFits = Annotated[_T, msgspec.Meta(extra={"from": "chosen after fits"})]
+Chosen = Annotated[_T, msgspec.Meta(extra={"from": "chosen"})]
+
+END_US = 1_800_000_000  # run time: no fact of the world is later, and no task is open longer
 MAX_LEVELS = 16
 """Of nesting in recorded parameters; those of this model take five."""
 
@@ -25,7 +31,7 @@ class Range(msgspec.Struct, frozen=True):
     high_s: float
 
 
-DURATIONS: tuple[tuple[str, Range], ...] = (  # uniform, seconds; doors and carry.package [paper], others [chosen]
+DURATIONS: tuple[tuple[str, Range], ...] = (  # uniform, seconds
     ("navigate.indoor", Range(2.0, 6.0)),
     ("carry.package", Range(1.0, 5.0)),
     ("handover.dropoff", Range(1.0, 3.0)),
@@ -36,102 +42,104 @@ DURATIONS: tuple[tuple[str, Range], ...] = (  # uniform, seconds; doors and carr
     ("carry.heavy", Range(2.0, 7.0)),
     ("grasp.robust", Range(1.0, 4.0)),
 )
+PRINTED_DURATIONS = ("carry.package", "door.open.basic", "door.open.secure")
+"""Those that are the paper's; the others were chosen after fits."""
 
 
 class WorldConstants(msgspec.Struct, frozen=True):
     """Laws of the world. Rates are per robot and second of run time."""
 
-    context_rate_per_s: float = 0.0229  # context changes, Poisson [calibrated]
-    context_window_share: float = 0.349  # share of them that closes the robot's own policy for a while [calibrated]
-    window_mean_s: float = 11.3  # length of policy windows, exponential [calibrated]
-    review_share: float = 0.0623  # share of windows that ask for review instead of denying [calibrated]
-    fleet_rule_rate_per_s: float = 0.00674  # fleet rules on the robot's zone, Poisson [calibrated]
-    obstruction_rate_per_s: float = 0.0145  # obstructions in the robot's way, Poisson [calibrated]
-    obstruction_mean_s: float = 2.55  # length of obstructions, exponential [calibrated]
-    routine_rate_per_s: float = 0.22  # routine operations, Poisson [calibrated]
-    routine_until_s: float = 100.0  # routine operations fall due until then [chosen]
-    motion_share: float = 0.247  # share of routine operations that move the robot; the rest is sensing [calibrated]
-    absence_s: float = 5.12  # length of the local supervisor's one absence [calibrated]
-    absence_from_s: float = -50.0  # its start, uniform [chosen]
-    absence_to_s: float = 150.0
-    degradation_probability: float = 0.3  # per run, in scenarios with failure injection [paper]
-    degradation_onset_s: float = 10.0  # onset uniform from 0 [chosen]
-    degraded_reliability: float = 0.6  # success of an attempt with a degraded actuator [paper]
-    encounter_mean_s: float = 90.0  # time between encounters of a pair of robots, exponential [chosen]
-    floor_teams: int = 4  # teams that share a floor; a larger fleet spreads over floors, and robots of different floors never meet [chosen]
+    context_rate_per_s: Fitted[float] = 0.0229  # context changes, Poisson
+    context_window_share: Fitted[float] = 0.349  # share of them that closes the robot's own policy for a while
+    window_mean_s: Fitted[float] = 11.3  # length of policy windows, exponential
+    review_share: Fitted[float] = 0.0623  # share of windows that ask for review instead of denying
+    fleet_rule_rate_per_s: Fitted[float] = 0.00674  # fleet rules on the robot's zone, Poisson
+    obstruction_rate_per_s: Fitted[float] = 0.0145  # obstructions in the robot's way, Poisson
+    obstruction_mean_s: Fitted[float] = 2.55  # length of obstructions, exponential
+    routine_rate_per_s: Fitted[float] = 0.22  # routine operations, Poisson
+    routine_until_s: AfterFits[float] = 100.0  # routine operations fall due until then
+    motion_share: Fitted[float] = 0.247  # share of routine operations that move the robot; the rest is sensing
+    absence_s: Fitted[float] = 5.12  # length of the local supervisor's one absence
+    absence_from_s: AfterFits[float] = -50.0  # its start, uniform
+    absence_to_s: AfterFits[float] = 150.0
+    degradation_probability: Paper[float] = 0.3  # per run, in scenarios with failure injection
+    degradation_onset_s: AfterFits[float] = 10.0  # onset uniform from 0
+    degraded_reliability: Paper[float] = 0.6  # success of an attempt with a degraded actuator
+    encounter_mean_s: AfterFits[float] = 90.0  # time between encounters of a pair of robots, exponential
+    floor_teams: Chosen[int] = 4  # teams that share a floor; a larger fleet spreads over floors, and robots of different floors never meet
     # Each robot of another team on its floor is in a robot's way this often: they come within some 10 m of each other every `encounter_mean_s`,
-    # and within the 0.7 m that a passing robot keeps free beside itself in 7 % of those encounters. It lasts as any obstruction does. [chosen]
-    crowding_rate_per_s: float = 0.0008
-    durations: tuple[tuple[str, Range], ...] = DURATIONS
-    message: Range = Range(0.05, 0.5)  # latency of a message between principals [paper]
-    approach: Range = Range(3.0, 8.0)  # a delegated executor first moves to the place [chosen]
-    retry: Range = Range(1.3, 2.1)  # length of one attempt to recover [chosen]
-    response: Range = Range(20.0, 60.0)  # time in which the fleet supervisor responds [chosen]
-    start: Range = Range(0.0, 20.0)  # start of the scenario within the run [chosen]
-    jitter: Range = Range(0.0, 3.0)  # arrival of a task around its offset [chosen]
-    injection: Range = Range(5.0, 45.0)  # time of an injected out-of-trust request [chosen]
-    budget_base_s: float = 41.2  # task budget: base, per delegated step, per own step; the base is [calibrated]
-    budget_delegated_s: float = 14.0
-    budget_own_s: float = 6.0
-    horizon_s: float = 240.0  # the schedule ends here [chosen]
+    # and within the 0.7 m that a passing robot keeps free beside itself in 7 % of those encounters. It lasts as any obstruction does.
+    crowding_rate_per_s: Chosen[float] = 0.0008
+    durations: AfterFits[tuple[tuple[str, Range], ...]] = DURATIONS
+    message: Paper[Range] = Range(0.05, 0.5)  # latency of a message between principals
+    approach: AfterFits[Range] = Range(3.0, 8.0)  # a delegated executor first moves to the place
+    retry: AfterFits[Range] = Range(1.3, 2.1)  # length of one attempt to recover
+    response: AfterFits[Range] = Range(20.0, 60.0)  # time in which the fleet supervisor responds
+    start: AfterFits[Range] = Range(0.0, 20.0)  # start of the scenario within the run
+    jitter: AfterFits[Range] = Range(0.0, 3.0)  # arrival of a task around its offset
+    injection: AfterFits[Range] = Range(5.0, 45.0)  # time of an injected out-of-trust request
+    budget_base_s: Fitted[float] = 41.2  # task budget: base, per delegated step, per own step
+    budget_delegated_s: AfterFits[float] = 14.0
+    budget_own_s: AfterFits[float] = 6.0
+    horizon_s: AfterFits[float] = 240.0  # the schedule ends here
 
 
 class Structure(msgspec.Struct, frozen=True):
     """How the architectures are built. Units: microseconds unless the name says otherwise."""
 
     # every architecture
-    assistance_us: int = 5_000_000  # a helper is held this long
-    injected_execution_us: int = 3_000_000  # an injected request that runs takes this long
-    expiry_budgets: int = 2  # a task is given up after this many budgets
-    watch_us: int = 100_000_000  # periodic exchanges go on at least this long, and while a task is open
+    assistance_us: AfterFits[int] = 5_000_000  # a helper is held this long
+    injected_execution_us: AfterFits[int] = 3_000_000  # an injected request that runs takes this long
+    expiry_budgets: AfterFits[int] = 2  # a task is given up after this many budgets
+    watch_us: AfterFits[int] = 100_000_000  # periodic exchanges go on at least this long, and while a task is open
     # FSAR
-    back_off_us: int = 7_000_000  # wait after a denial or an empty answer (DHMA too)
-    poll_us: int = 1_000_000  # an own step that the fleet's rule holds asks again after this
-    replan_us: int = 1_000_000  # replanning after a context change (the last part of it in CFC and DHMA)
-    retry_preparation_us: int = 400_000  # diagnosis before each attempt to recover (DHMA too)
-    local_attempts: int = 2  # recovery budget of the local level: attempts [paper] (DHMA too)
-    local_budget_us: int = 30_000_000  # recovery budget of the local level: time [paper]
-    negotiation_rounds: int = 3  # counter-offers in one negotiation; the executor then denies [chosen]
-    peer_budget_us: int = 30_000_000  # recovery budget of the peer level: time from turning to the peers until one of them has been asked [chosen]
-    peer_helpers: int = 1  # and helpers asked: whoever agrees is held until the failure is over [chosen]
-    fleet_budget_us: int = 30_000_000  # recovery budget of the fleet level: time until the orchestrator has decided [chosen]
-    fleet_reassignments: int = 1  # and reassignments: after one it is another robot's execution [chosen]
-    human_budget_us: int = 120_000_000  # recovery budget of the human level: time a call may stay open, twice the longest response [chosen]
-    human_calls: int = 2  # and calls: an H_i who does not answer, then H_F [chosen]
-    encounter_memory_us: int = 60_000_000  # without a registry, a met peer is known this long
+    back_off_us: AfterFits[int] = 7_000_000  # wait after a denial or an empty answer (DHMA too)
+    poll_us: AfterFits[int] = 1_000_000  # an own step that the fleet's rule holds asks again after this
+    replan_us: AfterFits[int] = 1_000_000  # replanning after a context change (the last part of it in CFC and DHMA)
+    retry_preparation_us: AfterFits[int] = 400_000  # diagnosis before each attempt to recover (DHMA too)
+    local_attempts: Paper[int] = 2  # recovery budget of the local level: attempts (DHMA too)
+    local_budget_us: Paper[int] = 30_000_000  # recovery budget of the local level: time
+    negotiation_rounds: Chosen[int] = 3  # counter-offers in one negotiation; the executor then denies
+    peer_budget_us: Chosen[int] = 30_000_000  # recovery budget of the peer level: time from turning to the peers until one of them has been asked
+    peer_helpers: AfterFits[int] = 1  # and helpers asked: whoever agrees is held until the failure is over
+    fleet_budget_us: Chosen[int] = 30_000_000  # recovery budget of the fleet level: time until the orchestrator has decided
+    fleet_reassignments: AfterFits[int] = 1  # and reassignments: after one it is another robot's execution
+    human_budget_us: Chosen[int] = 120_000_000  # recovery budget of the human level: time a call may stay open, twice the longest response
+    human_calls: Chosen[int] = 2  # and calls: an H_i who does not answer, then H_F
+    encounter_memory_us: AfterFits[int] = 60_000_000  # without a registry, a met peer is known this long
     # CFC
-    sync_period_us: int = 5_850_000  # the coordinator's copies are refreshed this often [calibrated]
-    service_us: int = 109_000  # the coordinator's time per item of work, for four robots [calibrated]
-    candidate_cost_ppm: int = 170_000  # and this share of it more for each candidate
-    ordering_response_ppm: int = 400_000  # ordering two commands takes H_F this share of a response
+    sync_period_us: Fitted[int] = 5_850_000  # the coordinator's copies are refreshed this often
+    service_us: Fitted[int] = 109_000  # the coordinator's time per item of work, for four robots
+    candidate_cost_ppm: AfterFits[int] = 170_000  # and this share of it more for each candidate
+    ordering_response_ppm: AfterFits[int] = 400_000  # ordering two commands takes H_F this share of a response
     # DHMA
-    hop_ppm: int = 688_000  # an internal hop takes this share of a message latency [calibrated]
-    snapshot_period_us: int = 12_900_000  # planners refresh their snapshot of policy this often [calibrated]
-    engagement_us: int = 2_770_000  # the planner attends this long to a motion or a context change [calibrated]
-    dispute_timeout_us: int = 12_300_000  # a disputed recovery that failed gives up after this [calibrated]
-    renegotiation_us: int = 4_530_000  # replanning a delegated action takes this much more [calibrated]
+    hop_ppm: Fitted[int] = 688_000  # an internal hop takes this share of a message latency
+    snapshot_period_us: Fitted[int] = 12_900_000  # planners refresh their snapshot of policy this often
+    engagement_us: Fitted[int] = 2_770_000  # the planner attends this long to a motion or a context change
+    dispute_timeout_us: Fitted[int] = 12_300_000  # a disputed recovery that failed gives up after this
+    renegotiation_us: Fitted[int] = 4_530_000  # replanning a delegated action takes this much more
 
 
 class Outages(msgspec.Struct, frozen=True):
-    """What else may happen to robots and their links, whoever governs them. Rates are per robot and second in which it is on, or linked; all are [chosen].
+    """What else may happen to robots and their links, whoever governs them. Rates are per robot and second in which it is on, or linked.
 
     The paper injects none of these, so the group is absent by default, and no published number rests on it.
     """
 
-    off_rate_per_s: float = 0.0  # robots that go off, exponential time until then
-    off_mean_s: float = 30.0  # how long they are off, exponential
-    link_rate_per_s: float = 0.0  # links that go down, exponential time until then
-    link_mean_s: float = 10.0  # how long they are down, exponential
-    loss_rate_per_s: float = 0.0  # actuators that are lost until they are serviced, Poisson
-    from_s: float = 0.0  # none of these before then
+    off_rate_per_s: Chosen[float] = 0.0  # robots that go off, exponential time until then
+    off_mean_s: Chosen[float] = 30.0  # how long they are off, exponential
+    link_rate_per_s: Chosen[float] = 0.0  # links that go down, exponential time until then
+    link_mean_s: Chosen[float] = 10.0  # how long they are down, exponential
+    loss_rate_per_s: Chosen[float] = 0.0  # actuators that are lost until they are serviced, Poisson
+    from_s: Chosen[float] = 0.0  # none of these before then
 
 
 class Load(msgspec.Struct, frozen=True):
     """How much there is to do. Without it every team has the tasks of its scenario, once."""
 
-    teams_working: int | None = None  # teams 1 to this have tasks and routine; the others stand by and can be asked; None: all
-    task_sets: int = 1  # how often each of them gets the tasks of the scenario
-    interval_s: float = 30.0  # from one set to the next [chosen]
+    teams_working: Chosen[int | None] = None  # teams 1 to this have tasks and routine; the others stand by and can be asked; None: all
+    task_sets: Chosen[int] = 1  # how often each of them gets the tasks of the scenario
+    interval_s: Chosen[float] = 30.0  # from one set to the next
 
 
 class Constants(msgspec.Struct, frozen=True):

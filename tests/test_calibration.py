@@ -1,6 +1,8 @@
-"""The fit reads the results table alone, and the constants of the package are the ones that it accepted."""
+"""The fit reads the tables that it says, and the constants of the package are the ones that it accepted."""
 
 import json
+import subprocess
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from importlib.resources import files
 from pathlib import Path
@@ -36,6 +38,22 @@ def test_the_calibration_seed_is_not_the_published_one() -> None:
 def test_only_the_results_table_is_judged_against() -> None:
     source = Path(calibration.__file__).read_text()
     assert not [name for name in ("ablation.csv", "scaling.csv", "cases.csv") if name in source.split('"""', 2)[2]]
+
+
+OPENED = """
+import sys
+opened = set()
+sys.addaudithook(lambda name, arguments: opened.add(str(arguments[0])) if name == "open" else None)
+from fsar_ledger import calibration
+from fsar_ledger.constants import Constants
+assert len(calibration.distances(calibration.measure(Constants(), 1))) == 24
+print(*sorted(name.rpartition("/")[2].removesuffix(".csv") for name in opened if name.endswith(".csv")))
+"""
+
+
+def test_the_fit_reads_the_tables_that_it_says_and_no_other() -> None:
+    done = subprocess.run([sys.executable, "-c", OPENED], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == list(calibration.READ)
 
 
 def test_values_have_three_digits() -> None:

@@ -106,7 +106,7 @@ def _listed(database: Database, ledger: Path, run: str, more: Mapping[str, objec
     if as_json:
         return json_text(database.head, {**more, "run": run, "requests": rows}, database.rows_verified)
     if not rows:
-        return printable.lines(f"run {printable.value(run)}", "no requests")
+        return printable.lines(f"run {printable.value(run)}", "no requests on record; not all that a request leaves was observed" if more else "no requests")
     began = [{**row, "began_s": f"{row['began_s']:.3f}"} for row in rows]
     hint = f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)} --request {printable.word(rows[0]['action_id'])}` tells one of them"
     return printable.joined(printable.lines(f"run {printable.value(run)}", ""), table_text(began, COLUMNS), printable.lines("", hint))

@@ -25,7 +25,7 @@ EVENTS_OF: Mapping[str, tuple[str, ...]] = {
     # who does what, and routine
     "execution": (
         *("OwnStepDecided", "ExecutionQueued", "ApproachStarted", "ExecutionHeld", "ExecutionStarted", "ExecutionPaused", "ExecutionPreempted"),
-        *("ReplanOrdered", "ExecutionResumed", "ExecutionFinished", "ExecutionWithdrawn", "RoutinePerformed", "RoutineWithheld"),
+        *("ExecutionHalted", "ReplanOrdered", "ExecutionResumed", "ExecutionFinished", "ExecutionWithdrawn", "RoutinePerformed", "RoutineWithheld"),
     ),
     # failures and what is done about them
     "recovery": (
@@ -41,10 +41,10 @@ EVENTS_OF: Mapping[str, tuple[str, ...]] = {
     "message": ("InternalHandoff", "RoutineReported"),
     # commands from outside that were rejected
     "command": ("CommandRejected",),
-    # what happens to robots: obstructions, wear, encounters, injected attempts
+    # what happens to robots: obstructions, wear, outages, encounters, injected attempts
     "world": (
         *("SyncPhaseSet", "SnapshotPhaseSet", "ContextChanged", "ObstructionAppeared", "ObstructionCleared", "ActuatorDegraded"),
-        *("RoutineDue", "PeersMet", "OutsiderRequestInjected"),
+        *("RoutineDue", "PeersMet", "OutsiderRequestInjected", "RobotWentOff", "RobotCameBack", "LinkWentDown", "LinkCameUp"),
     ),
 }
 """The event types of each concern. `RunStarted` and `ExperimentPlanned` say what a run is; they are of no concern."""

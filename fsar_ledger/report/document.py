@@ -3,14 +3,17 @@
 import platform
 from collections.abc import Mapping, Sequence
 from importlib.metadata import version
+from itertools import zip_longest
 from typing import Any
 
 import msgspec
 
 import fsar_ledger
-from fsar_ledger.report import contradictions, figures, printing, sequence, specs
+from fsar_ledger.constants import Constants, write_constants
+from fsar_ledger.report import contradictions, figures, printing, provenance, sequence, specs
 from fsar_ledger.report.calibration import Record
 from fsar_ledger.report.findings import Findings, Row, Workflows, answer
+from fsar_ledger.report.gather import flat
 from fsar_ledger.report.printing import Table
 
 PACKAGES = ("duckdb", "pyarrow", "numpy", "scipy", "msgspec", "matplotlib", "typst")
@@ -33,14 +36,13 @@ def _table(findings: Findings, name: str, rows: Sequence[Row]) -> Table:
     return printing.table(name, rows, _source(findings, specs.table(name).query))
 
 
-def _pairs_in_two_columns(items: Mapping[str, str]) -> list[Row]:
-    names = list(items)
-    half = (len(names) + 1) // 2
-    rows: list[Row] = []
-    for position, name in enumerate(names[:half]):
-        other = names[half + position] if half + position < len(names) else None
-        rows.append({"name": name, "value": items[name], "name2": other or "", "value2": items[other] if other else ""})
-    return rows
+def _constants(items: Mapping[str, str]) -> list[Row]:
+    """The constants in two columns, each with where its value is from."""
+    words, ours = provenance.origins(), dict(flat("", msgspec.json.decode(write_constants(Constants()))))
+    said = [(name, value, words.get(name, provenance.GIVEN) if ours.get(name) == value else provenance.GIVEN) for name, value in items.items()]
+    half = (len(said) + 1) // 2
+    pairs = zip_longest(said[:half], said[half:], fillvalue=("", "", ""))
+    return [dict(zip(("name", "value", "from", "name2", "value2", "from2"), (*one, *other), strict=True)) for one, other in pairs]
 
 
 def _versions() -> list[Row]:
@@ -61,7 +63,7 @@ def _ledger_tables(findings: Findings) -> dict[str, Table]:
         "feature-evidence": findings.evidence,
         "runs": findings.runs,
         "models": findings.models,
-        "constants": _pairs_in_two_columns(findings.parameters),
+        "constants": _constants(findings.parameters),
         "queries": [msgspec.structs.asdict(one) for one in findings.sources],
         "versions": _versions(),
     }

@@ -51,14 +51,10 @@ ends AS (
         arg_max(trust.scope, trust.precedence) AS end_scope
     FROM chains
     INNER JOIN request_issued AS asked ON chains.run_id = asked.run_id AND chains.seq = asked.seq
-    INNER JOIN trust_parties AS trusting
-        ON chains.run_id = trusting.run_id AND asked.executed_by = trusting.robot AND trusting.is_trusting AND chains.seq > trusting.seq
-    INNER JOIN trust_parties AS trusted
-        ON trusting.run_id = trusted.run_id AND trusting.seq = trusted.seq AND chains.first_requester = trusted.robot AND NOT trusted.is_trusting
-    INNER JOIN trust_precedence AS trust
-        ON
-            trusted.run_id = trust.run_id AND trusted.seq = trust.seq
-            AND coalesce(asked.capability = trust.capability, trust.capability IS NULL) AND coalesce(asked.task_id = trust.context, trust.context IS NULL)
+    INNER JOIN trust_parties AS own ON chains.run_id = own.run_id AND asked.executed_by = own.robot AND own.is_trusting AND chains.seq > own.seq
+    INNER JOIN trust_parties AS peers ON own.run_id = peers.run_id AND own.seq = peers.seq AND chains.first_requester = peers.robot AND NOT peers.is_trusting
+    INNER JOIN trust_precedence AS trust ON own.run_id = trust.run_id AND own.seq = trust.seq
+    WHERE coalesce(asked.capability = trust.capability, trust.capability IS NULL) AND coalesce(asked.task_id = trust.context, trust.context IS NULL)
     GROUP BY chains.run_id, chains.chain, chains.seq
 )
 

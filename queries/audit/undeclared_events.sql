@@ -5,6 +5,13 @@
 -- NULL: seq, type of a concern that nobody knows
 -- Example: fsar-ledger query audit/undeclared_events LEDGER
 -- Whoever reads such a run is told that these things were not observed, and then meets some: either the declaration is wrong or the events are.
+WITH named AS (
+    SELECT
+        run_id,
+        unnest(observes) AS concern
+    FROM runs
+)
+
 SELECT
     events.run_id,
     events.seq,
@@ -20,6 +27,6 @@ SELECT
     NULL AS seq,
     NULL AS type,
     named.concern
-FROM (SELECT run_id, unnest(observes) AS concern FROM runs) AS named
+FROM named
 LEFT JOIN event_concerns ON named.concern = event_concerns.concern
 WHERE event_concerns.concern IS NULL

@@ -3,7 +3,7 @@
 -- Grain: one row per architecture, configuration and fleet size
 -- Units: counts, and shares of them: of decisions, of local decisions, of coordination events and of policy violations those of routine operations;
 --        of coordination events that are not attributable those whose supervisor alone is missing, during a recorded absence (R8)
--- NULL: a share of nothing
+-- NULL: a share of nothing; runs that do not observe decisions, records and policy are left out
 -- Example: fsar-ledger query metrics/background LEDGER
 WITH absent AS (
     SELECT
@@ -59,5 +59,8 @@ SELECT
     avg(counted.unattributed::INTEGER) AS off_shift_share_of_unattributable_events
 FROM runs
 LEFT JOIN counted ON runs.run_id = counted.run_id
+LEFT JOIN unobservable AS hidden
+    ON runs.run_id = hidden.run_id AND hidden.judge IN ('governance_locality', 'audit_attributability', 'policy_violations')
+WHERE hidden.run_id IS NULL
 GROUP BY runs.architecture, runs.configuration, runs.fleet_size
 ORDER BY runs.configuration <> 'full', runs.configuration, runs.fleet_size, list_position(['fsar', 'cfc', 'dhma'], runs.architecture)

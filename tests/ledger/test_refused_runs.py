@@ -24,6 +24,7 @@ from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.record import segment_path, staged_path
 from fsar_ledger.ledger.schema import CONCERNED, LAYOUTS, OPENINGS, STANDS_ALONE, STORED, Layout
 from fsar_ledger.ledger.verify import verify
+from tests.ledger.agreement import Case, judged
 from tests.ledger.forgery import changed
 from tests.ledger.hostile import append_again, stage_anything
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run, run_of_every_type
@@ -327,6 +328,7 @@ def test_an_event_of_a_concern_that_its_run_does_not_observe_is_refused_and_cond
     refused(path, [BATCHES[2][0], run, RUN], f"run seen, seq {seq}, field {field}: found .*, expected {expected}")
     with Writer(path, ORIGIN) as writer:
         writer.append(stage_anything(path, [BATCHES[2][0], run, RUN]))
+    assert judged(Case("unobserved", path, False)).difference == ""  # the independent verifier names the same place
     [problem, *_] = verify(path).problems
     assert (problem.commit, problem.run, problem.seq, problem.field) == (2, "seen", seq, field)
     with pytest.raises(LedgerCorrupted, match=f"commit 2: run seen, seq {seq}, field {field}"):

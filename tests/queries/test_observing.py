@@ -136,6 +136,7 @@ def test_audit_judges_each_variant_so(database: Database) -> None:
         assert row.cases is not None
         assert row.events is not None
         assert row.events <= row.cases > 0
+        assert row.architecture != "fsar" or (row.holds, row.events) == (None, 0), "a gap in the record was taken for an offence"
 
 
 # --- small cases ---
@@ -197,3 +198,18 @@ def test_events_that_contradict_the_declaration_are_listed() -> None:
     rows = answer("audit/undeclared_events", run(*JOINED[:1], event("TaskCompleted", 9, task_id="t"), observes=["fleet", "weather"]))
     assert sorted(rows, key=str) == [("r1", 2, "TaskCompleted.v1", "task"), ("r1", None, None, "weather")]
     assert answer("audit/undeclared_events", run(*JOINED)) == []
+
+
+def test_runs_that_do_not_observe_have_no_weight_in_a_pooled_metric() -> None:
+    failed = [
+        event("ExecutionFailed", 1, action_id="a", robot="robot/A1", failure=1, cause="obstruction"),
+        event("FailureResolved", 2, action_id="a", robot="robot/A1", failure=1, level="human"),
+    ]
+    seen = [run(*failed, run_id="r1"), run(failed[0], run_id="r2"), run(*failed[:1], failed[1] | {"level": "peer"}, run_id="r3")]
+
+    def containment(*runs: Sequence[Any]) -> tuple[float | None, ...]:
+        with from_rows([row for rows in runs for row in rows]) as made:
+            row = next(one for one in metric_rows(made) if one.metric == "recovery_containment")
+        return row.mean, row.sd, row.n, row.ci_low, row.ci_high
+
+    assert containment(*seen, *(run(run_id=f"x{at}", observes=["task"]) for at in range(5))) == containment(*seen)

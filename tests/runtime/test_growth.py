@@ -169,6 +169,8 @@ def test_a_fleet_that_no_commit_can_hold_is_refused_before_work_begins_with_the_
     def asked(fleet_size: int, runs: int = 20) -> Experiment:
         return Experiment(ARCHITECTURES, SCENARIOS, runs, fleet_size=fleet_size)
 
+    with pytest.raises(InvalidExperiment, match="fleet size: found 512"):
+        asked(512).require_fits()
     with pytest.raises(
         InvalidExperiment, match=f"fleet size: found 512, expected at most [0-9]+: a commit holds 25 runs at once and {MAX_ROWS:,} events"
     ) as refused:

@@ -1,0 +1,76 @@
+"""A ledger of three members: what was not observed is neither 0 nor does it hold, whichever command is asked."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from fsar_ledger.events.fleet import RobotJoined, RunStarted
+from fsar_ledger.ledger.codec import RunRecord
+from tests.cli.conftest import Call, one_message
+from tests.ledger.samples import append_all
+
+
+@pytest.fixture(scope="module")
+def members(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A live run that observes membership, and three robots that join."""
+    path = tmp_path_factory.mktemp("members") / "ledger"
+    joined = [RobotJoined(f"robot/A{number}", "A", number, f"supervisor/A{number}") for number in (1, 2, 3)]
+    append_all(path, [[RunRecord("night", [0, 1, 2, 3], [None, 0, 1, 2], [RunStarted("live", ("fleet",)), *joined])]])
+    return path
+
+
+def test_audit_says_of_each_of_the_ten_that_it_is_not_observable_and_passes_none(call: Call, members: Path) -> None:
+    said = call("audit", members)
+    rows = said.out.splitlines()[2:12]
+    assert [line.split("_")[0] for line in rows] == ["i1", "i2", "i3", "i4", "i5", "a1", "a2", "a3", "a4", "a5"]
+    assert all("not observable: " in line and "holds" not in line for line in rows)
+    assert said.out.splitlines()[13] == "0 of 10 invariants hold"
+    assert "that is no pass" in said.out
+    assert said.code == 1
+
+
+def test_audit_tells_programs_null_and_why(call: Call, members: Path) -> None:
+    said = call("audit", members, "--json", "--invariant", "i4")
+    answer = json.loads(said.out)
+    [row] = answer["rows"]
+    assert (said.code, answer["holds"], row["holds"], row["events"], row["cases"]) == (1, None, None, None, None)
+    assert (row["not_observed"], row["runs_not_observed"]) == ("recovery, supervision", 1)
+
+
+def test_metrics_shows_no_number_but_how_many_runs_are_not_observed(call: Call, members: Path) -> None:
+    rows = json.loads(call("metrics", members, "--json").out)["rows"]
+    assert len({row["metric"] for row in rows}) == len(rows) == 8
+    for row in rows:
+        assert {row[name] for name in ("mean", "sd", "ci_low", "ci_high", "denominator", "published_convention_mean")} == {None}
+        assert (row["n"], row["runs_not_observed"]) == (0, 1)
+    assert json.loads(call("statistics", members, "--json").out)["rows"] == []
+
+
+def test_a_question_with_an_empty_answer_says_what_was_not_observed(call: Call, members: Path) -> None:
+    said = call("query", "skipped_levels", members, "--json")
+    assert json.loads(said.out)["not_observed"] == [{"concern": "recovery", "runs": 1, "of_runs": 1}]
+    assert "not observed, so that the answer says nothing about it: recovery (1 of 1 runs)" in said.err
+    joined = call("query", "robot_joined", members, "--json")
+    assert "not_observed" not in json.loads(joined.out)
+    assert "not observed" not in joined.err
+
+
+def test_explain_does_not_say_that_there_were_no_requests(call: Call, members: Path) -> None:
+    said = call("explain", members)
+    assert said.out.splitlines()[-1] == "no requests on record; not all that a request leaves was observed"
+    assert "request (1 of 1 runs)" in said.err
+
+
+def test_where_everything_is_observed_nothing_is_said_of_it(call: Call, ledger: Path) -> None:
+    said = call("query", "requests", ledger, "--json")
+    assert "not_observed" not in json.loads(said.out)
+    assert "not observed" not in said.err
+    assert {row["runs_not_observed"] for row in json.loads(call("metrics", ledger, "--json").out)["rows"]} == {0}
+
+
+def test_an_architecture_of_somebody_elses_can_be_asked_for_by_its_name(call: Call, tmp_path: Path) -> None:
+    started = RunStarted("foreign", ("fleet",), architecture="open-rmf", source="a log")
+    append_all(tmp_path / "ledger", [[RunRecord("ward", [0], [None], [started])]])
+    assert {row["architecture"] for row in json.loads(call("audit", tmp_path / "ledger", "--architecture", "open-rmf", "--json").out)["rows"]} == {"open-rmf"}
+    one_message(call("audit", tmp_path / "ledger", "--architecture", "open-rfm"), 2, "did you mean 'open-rmf'")

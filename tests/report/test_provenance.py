@@ -1,0 +1,98 @@
+"""Each constant says in one word where its value is from, and what it says holds."""
+
+import json
+from importlib.resources import files
+from typing import Any
+
+import msgspec
+import pytest
+
+from fsar_ledger.calibration import measure
+from fsar_ledger.constants import Chosen, Constants, Structure, WorldConstants, write_constants
+from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.metrics.results import MetricRow
+from fsar_ledger.report import document, provenance
+from fsar_ledger.report.gather import flat
+from fsar_ledger.report.provenance import GIVEN, WORDS, origins
+from fsar_ledger.runtime.simulation import ARCHITECTURES
+
+RECORD = json.loads(files("fsar_ledger.reports").joinpath("calibration.json").read_text())
+INFORMED = {  # chosen after the held-out tables had been seen, or part of the study that came before the first fit
+    *("world.response", "world.encounter_mean_s", "world.routine_until_s", "world.approach", "world.budget_delegated_s", "world.budget_own_s"),
+    *("structure.expiry_budgets", "structure.candidate_cost_ppm", "structure.back_off_us", "structure.encounter_memory_us", "structure.replan_us"),
+    *("world.absence_from_s", "world.absence_to_s", "world.durations.navigate.indoor", "structure.assistance_us", "structure.ordering_response_ppm"),
+}
+CHANGES: dict[str, dict[str, Any]] = {
+    "structure": {"negotiation_rounds": 2, "peer_budget_us": 20_000_000, "fleet_budget_us": 20_000_000, "human_budget_us": 180_000_000, "human_calls": 3},
+    "world": {"floor_teams": 8, "crowding_rate_per_s": 0.01},
+}
+"""Another value for each constant that no cell hangs on."""
+
+
+def of(word: str) -> set[str]:
+    return {name for name, said in origins().items() if said == word}
+
+
+def test_every_constant_says_one_of_the_four_words() -> None:
+    assert {name: word for name, word in origins().items() if word not in WORDS} == {}
+
+
+def test_every_constant_that_a_run_records_has_a_word() -> None:
+    recorded = dict(flat("", msgspec.json.decode(write_constants(Constants()))))
+    assert recorded.keys() <= origins().keys()
+    groups = {name.partition(".")[0] for name in origins()}
+    assert groups == set(Constants.__struct_fields__), "also a group that is absent by default"
+
+
+class Unsaid(msgspec.Struct):
+    """A group whose constants say nothing, one word, and two."""
+
+    nothing: float = 1.0
+    one: Chosen[float] = 1.0
+    two: Chosen[Chosen[float]] = 1.0
+
+
+def test_a_constant_without_a_word_or_with_two_is_found() -> None:
+    hints = provenance._hints(Unsaid)
+    assert {name: provenance._word(hint) for name, hint in hints.items()} == {"nothing": "", "one": "chosen", "two": ""}
+
+
+def test_what_is_fitted_is_what_the_record_of_the_fit_holds() -> None:
+    assert of("fitted") == {parameter["name"] for parameter in RECORD["parameters"]}
+
+
+def test_what_was_chosen_after_tables_had_been_seen_does_not_pass_for_anything_else() -> None:
+    assert of("chosen after fits") >= INFORMED
+
+
+def test_what_the_paper_prints_is_what_the_paper_prints() -> None:
+    printed = {name: value for name, value in flat("", msgspec.json.decode(write_constants(Constants()))) if name in of("paper")}
+    assert printed == {
+        "world.degradation_probability": "0.3",
+        "world.degraded_reliability": "0.6",
+        "world.durations.carry.package": "1 to 5 s",
+        "world.durations.door.open.basic": "0.5 to 2 s",
+        "world.durations.door.open.secure": "0.5 to 2 s",
+        "world.message": "0.05 to 0.5 s",
+        "structure.local_attempts": "2",
+        "structure.local_budget_us": "30\u2009000\u2009000",
+    }
+
+
+def cells(constants: Constants, architecture: Architecture) -> list[MetricRow]:
+    return measure(constants, 1, (architecture,))
+
+
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
+def test_no_cell_hangs_on_what_was_chosen(architecture: Architecture) -> None:
+    changed = {f"{group}.{name}" for group, values in CHANGES.items() for name in values}
+    assert of("chosen") == changed | {name for name in origins() if name.partition(".")[0] not in CHANGES}, "the other groups are absent"
+    replace = msgspec.structs.replace
+    other = Constants(replace(WorldConstants(), **CHANGES["world"]), replace(Structure(), **CHANGES["structure"]))
+    assert cells(other, architecture) == cells(Constants(), architecture)
+
+
+def test_the_report_says_where_each_value_is_from_and_which_are_not_ours() -> None:
+    rows = document._constants({"structure.poll_us": "2\u2009000\u2009000", "world.motion_share": "0.247", "of.another.model": "1"})
+    said = {row[name]: row[word] for row in rows for name, word in (("name", "from"), ("name2", "from2"))}
+    assert said == {"structure.poll_us": GIVEN, "world.motion_share": "fitted", "of.another.model": GIVEN, "": ""}
