@@ -16,7 +16,7 @@ from typing import Annotated
 import typer
 
 from . import printable
-from .commands import judging, recover, trust, witness
+from .commands import judging, recover, reporting, trust, witness
 from .commands.memory import bounded, reading
 from .commands.options import (
     AdoptOption,
@@ -49,7 +49,6 @@ from .commands.options import (
     VerifiedOption,
     WithoutOption,
     WorkersOption,
-    WorkflowLedgerOption,
     WorkflowOption,
     examples,
     experiment_of,
@@ -310,26 +309,7 @@ def explain(
     _show(tell(ledger, run, request, failure, {"svg": svg, "pdf": pdf}, as_json=as_json, verified=verified))
 
 
-@app.command(
-    epilog=examples("fsar-ledger report out/ledger --out out/report.pdf", "fsar-ledger report out/ledger --workflows out/workflows --out out/report.pdf")
-)
-@reading
-def report(
-    ledger: LedgerArgument,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The PDF; replaced if it exists.", show_default=False)],
-    workflows: WorkflowLedgerOption = None,
-    workers: WorkersOption = None,
-) -> None:
-    """Typeset the evaluation as a PDF.
-
-    Each number of the paper stands beside the ledger's, with its interval and a verdict. First all rows are compared with their root, as
-    `verify` does it.
-    """
-    from .report import write_report
-
-    with Progress("verified", "segments") as progress:
-        write_report(ledger, out, workflows, workers_of(workers), progress)
-    _show(printable.line(f"{out}"))
+app.command(epilog=reporting.REPORT)(reading(reporting.report))
 
 
 @app.command(epilog=examples("fsar-ledger calibrate --out out/calibration.json"))

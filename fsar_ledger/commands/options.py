@@ -30,6 +30,7 @@ VerifiedOption = Annotated[
     ),
 ]
 LimitOption = Annotated[int, typer.Option("--limit", metavar="N", help="Rows of the table that are shown; 0 shows all.")]
+PoolOption = Annotated[str | None, typer.Option("--pool", metavar="seeds", help="Take the runs of all seeds together.", show_default="each seed by itself")]
 FileOption = Annotated[
     Path | None,
     typer.Option("--file", metavar="FILE", help="Answer the SELECT in this file instead of a NAME; `-` reads standard input.", show_default=False),
@@ -221,6 +222,13 @@ def _workflows_of(asked: list[str], runs: int | None, seed: int, others: dict[st
     names = {name.removeprefix("workflow-"): name for name in get_args(Workflow)}
     chosen = tuple(names[name] for name in known("workflow", asked, tuple(names)))
     return workflow_experiment(seed, 1 if runs is None else runs, chosen)
+
+
+def pools_seeds(asked: str | None) -> bool:
+    """Whether the runs of all seeds are taken together. Raises: UsageError for anything else that `--pool` names."""
+    if asked not in (None, "seeds"):
+        raise UsageError(f"--pool {asked}: expected --pool seeds, or no --pool; runs of other constants, models or fleet sizes are never taken together")
+    return asked is not None
 
 
 def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> tuple[_Name, ...]:

@@ -12,11 +12,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
+from typing import get_args
 
 import msgspec
 
 from fsar_ledger.errors import UnknownQuery
 from fsar_ledger.events.concerns import EVENTS_OF
+from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.schema import ENVELOPE, LAYOUTS
 
 REQUIRED_KEYS = ("Title", "Paper", "Grain", "Units", "NULL", "Example")
@@ -132,6 +134,24 @@ def concerns_query() -> Query:
     return Query("facts/event_concerns", sql, header)
 
 
+def world_query() -> Query:
+    """The view of what the world did, whatever its type: one text for each fact, alike for facts that are alike."""
+    layouts = [layout for layout in LAYOUTS.values() if issubclass(layout.cls, get_args(WorldEvent))]
+    fields = sorted({field.name for layout in layouts for field in layout.fields})
+    values = ", ".join(f"'{name}=' || to_json(\"{name}\")::VARCHAR" for name in fields)
+    tags = ", ".join(f"'{layout.tag}'" for layout in layouts)
+    sql = f"SELECT run_id, seq, time_us, type, concat_ws(' ', {values}) AS fact\nFROM events\nWHERE type IN ({tags})\n"
+    header = {
+        "Title": "What the world did, whoever governed it: facts that come from draws or from outside",
+        "Paper": "see the event types",
+        "Grain": "one row per event of a type of the world",
+        "Units": "time_us microseconds; fact its fields as NAME=VALUE, the values as JSON",
+        "NULL": "never",
+        "Example": "fsar-ledger query staging/world_facts LEDGER",
+    }
+    return Query("staging/world_facts", sql, header)
+
+
 def _files(folder: Traversable, prefix: str = "") -> Iterator[tuple[str, str]]:
     """Name and text of every SQL file below the folder, sorted by name."""
     for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
@@ -206,6 +226,6 @@ def values(query: Query, given: Mapping[str, str]) -> dict[str, str]:
 
 @cache
 def library() -> Library:
-    """The packaged queries, one view per event type, and the concerns of these types."""
+    """The packaged queries, one view per event type, the concerns of these types, and one view of what the world did."""
     packaged = [parse(name, sql) for name, sql in _files(files("fsar_ledger.queries"))]
-    return Library([*map(staging_query, LAYOUTS), concerns_query(), *packaged])
+    return Library([*map(staging_query, LAYOUTS), concerns_query(), world_query(), *packaged])

@@ -10,21 +10,31 @@ from .database import Database
 
 _Row = TypeVar("_Row", bound=msgspec.Struct)
 
+SETTINGS = "configuration <> 'full', configuration, fleet_size, kind <> 'simulated', kind, source, model_version, constants, seed"
+"""In which order rows of different settings stand: those of the paper's table first."""
+
 
 class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One metric over the runs of one architecture.
+    """One metric over the runs of one architecture that were made under the same constants, with one seed unless all are asked for.
 
-    Units: `mean`, `sd` (per run) and the 95 % interval in the metric's unit (share, count, seconds); `n` runs;
+    `constants` names those that other runs of the same model in this ledger have otherwise, None where there are none.
+    Units: `mean`, `sd` (per run) and the 95 % interval in the metric's unit (share, count, seconds); `n` runs of `seeds` seeds;
     `denominator` what the metric counts, summed over runs; `mean_without_routine` where it counts routine operations, too; `runs_not_observed`
-    runs whose source does not record what the metric rests on, which nothing else counts.
-    None: undefined, not observable, what the runs do not have, or `scenario` for all scenarios together. Reading: R42.
+    runs whose source does not record what the metric rests on, which nothing else counts. Reading: R42.
+    None: undefined, not observable, what the runs do not have, or `scenario` (`seed`) for all of them together.
     """
 
     architecture: str | None
     configuration: str | None
     fleet_size: int | None
+    seed: int | None
+    kind: str
+    source: str | None
+    model_version: str | None
+    constants: str | None
     scenario: str | None
     metric: str
+    seeds: int
     mean: float | None
     mean_without_routine: float | None
     sd: float | None
@@ -37,14 +47,21 @@ class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class StatisticRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One comparison of two architectures by one metric over paired runs. Paper: tab:significance.
+    """One comparison of two architectures, or of one with itself without a mechanism, by one metric over paired runs. Paper: tab:significance.
 
-    `comparison` is `first-second`; differences are first minus second, in the metric's unit. None: undefined
-    (no variance, fewer than two pairs), or McNemar's test of a metric that is not 0/1.
+    `comparison` is `first-second`; differences are first minus second, in the metric's unit. `configuration` is that of both architectures, or the
+    ablated one; `seed` None: all seeds together; `constants` as in `MetricRow`. Holm adjusts the `family_tests` tests of one `family` together.
+    None: undefined (no variance, fewer than two pairs), or McNemar's test of a metric that is not 0/1.
     """
 
-    configuration: str
-    fleet_size: int
+    family: str
+    configuration: str | None
+    fleet_size: int | None
+    seed: int | None
+    kind: str
+    source: str | None
+    model_version: str | None
+    constants: str | None
     metric: str
     comparison: str
     n: int
@@ -55,6 +72,7 @@ class StatisticRow(msgspec.Struct, frozen=True, kw_only=True):
     df: int | None
     p: float | None
     p_holm: float | None
+    family_tests: int | None
     cohens_d: float | None
     d_z: float | None
     hedges_g: float | None
@@ -69,27 +87,29 @@ class StatisticRow(msgspec.Struct, frozen=True, kw_only=True):
     mcnemar_p: float | None
 
 
-def metric_rows(database: Database, by_scenario: bool = False) -> list[MetricRow]:
-    """The summary of every metric, over all scenarios or one row each. Raises: as `Database.rows`."""
+def metric_rows(database: Database, by_scenario: bool = False, *, pools_seeds: bool = False) -> list[MetricRow]:
+    """The summary of every metric, over all scenarios or one row each; of each seed, or of all together. Raises: as `Database.rows`."""
     rows = database.rows(f"""
         SELECT * EXCLUDE (position)
-        FROM metric_summary
-        WHERE scenario IS {"NOT NULL" if by_scenario else "NULL"}
-        ORDER BY configuration <> 'full', configuration, fleet_size, position, scenario, list_position(['fsar', 'cfc', 'dhma'], architecture)
+        FROM {"metric_summary_over_seeds" if pools_seeds else "metric_summary"}
+        WHERE {"scenario IS NOT NULL" if by_scenario else "scenario IS NULL"}
+        ORDER BY {SETTINGS}, position, scenario, list_position(['fsar', 'cfc', 'dhma'], architecture), architecture
     """)
     return typed(rows, MetricRow)
 
 
-def statistic_rows(database: Database, defined_only: bool = False) -> list[StatisticRow]:
-    """The pairwise tests with the published convention (n is all pairs), or only of pairs where the metric is defined in both runs.
+def statistic_rows(database: Database, defined_only: bool = False, *, pools_seeds: bool = False) -> list[StatisticRow]:
+    """The pairwise tests with the published convention (n is all pairs), or only of pairs where the metric is defined in both runs; of each seed, or of all.
 
     Raises: as `Database.rows`.
     """
-    relation = "pairwise_tests_defined" if defined_only else "pairwise_tests"
+    relation = f"pairwise_tests{'_defined' if defined_only else ''}{'_over_seeds' if pools_seeds else ''}"
     rows = database.rows(f"""
         SELECT * EXCLUDE (position)
         FROM {relation}
-        ORDER BY configuration <> 'full', configuration, fleet_size, position, metric, list_position(['fsar-cfc', 'fsar-dhma', 'cfc-dhma'], comparison)
+        ORDER BY
+            family NOT LIKE 'architectures%', {SETTINGS},
+            position, metric, list_position(['fsar-cfc', 'fsar-dhma', 'cfc-dhma'], comparison), comparison
     """)
     return typed(rows, StatisticRow)
 

@@ -73,7 +73,7 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
     """
 
     metric: str
-    architecture: str
+    architecture: str | None
     configuration: str | None
     fleet_size: int | None
     ours: float | None

@@ -17,6 +17,8 @@ def write_report(
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
     demanded: str | None = None,
+    *,
+    pools_seeds: bool = False,
 ) -> None:
     """The PDF about the ledger's present head, and about that of a ledger of workflows, is at `out`, complete or not at all.
 
@@ -28,6 +30,7 @@ def write_report(
         workflows: The folder of the ledger of workflows.
         workers: Processes that compare rows.
         progress: Told of segments compared, done and in all.
+        pools_seeds: Whether the tables are of the runs of all seeds together.
         demanded: The newest record of the ledger, if a whole look just saw it (`required_look`); None looks now.
 
     Raises:
@@ -38,7 +41,8 @@ def write_report(
     """
     require_outside(out, f"--out {out}")
     demanded = demanded or required_look(ledger, workers, progress)
-    findings = gather(ledger, workflows, demanded, None if workflows is None else required_look(workflows, workers, progress))
+    theirs = None if workflows is None else required_look(workflows, workers, progress)
+    findings = gather(ledger, workflows, demanded, theirs, pools_seeds=pools_seeds)
     laid_out = document.encoded(document.data(findings, recorded()))
     typeset.publish(out, typeset.pdf(laid_out, document.drawings(findings)))
 

@@ -19,6 +19,7 @@ from fsar_ledger.report.printing import Table
 PACKAGES = ("duckdb", "pyarrow", "numpy", "scipy", "msgspec", "matplotlib", "typst")
 POOLED = ("recovery_containment", "reassignment_latency_s")  # metrics that a run without failures does not define
 MISS_SE = 2  # a cell misses beyond this many standard errors at n = 100
+MAX_DIFFERING = 2_000  # characters of what is said of a pair's worlds
 MAX_VERSIONS = 5  # of models, named in a sentence
 SHOWN_WEIGHTS = 3  # constants named for each direction of the fit
 
@@ -145,7 +146,7 @@ def _contradictions() -> list[dict[str, Any]]:
 
 def _changed(findings: Findings, record: Record | None) -> str | None:
     """That the record of the fit is of another model than these runs, in words; None where it is of theirs, or there is nothing to say it of."""
-    versions = sorted({row["model_version"] for row in findings.models} - {None})
+    versions = [findings.model_version] if findings.model_version else sorted({row["model_version"] for row in findings.models} - {None})
     if record is None or not versions or versions == [record.model_version]:
         return None
     named = [printing.words(one) for one in versions[:MAX_VERSIONS]] + ([f"{len(versions) - MAX_VERSIONS:,} more"] if len(versions) > MAX_VERSIONS else [])
@@ -216,6 +217,8 @@ def data(findings: Findings, record: Record | None) -> dict[str, Any]:
             "runs": printing.integer(findings.run_count),
             "completeness": findings.completeness,
         },
+        "shown": findings.shown and printing.words(findings.shown),
+        "differing": [printing.words(one, MAX_DIFFERING) for one in findings.differing],
         "answer": _sayable(answer(findings)),
         "tables": tables,
         "figures": {name: _figure(findings, name) for name in ("evaluation-results", "distances")}

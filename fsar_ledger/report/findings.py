@@ -46,7 +46,7 @@ class Findings(msgspec.Struct, frozen=True):
     tests: 24 rows metric x comparison: t, p, cohens_d, p_holm, wilcoxon_p, n and paper_t, paper_p, paper_d, paper_level; None likewise.
     scenarios: 24 rows metric x architecture with one mean per scenario and one over all of them.
     rule: one row per metric: margin, and the SD that the paper implies for each architecture (stored units).
-    others: means of the other configurations and fleet sizes that the ledger holds, one column per metric.
+    others: means of the runs that were made otherwise (configuration, fleet size, seed, kind, model, constants), one column per metric.
     runs: one row per architecture, configuration and fleet size: runs, scenarios, seeds, run_low, run_high.
     parameters: the constants of the runs by dotted name (of the first run; `models` counts the different sets).
     features: one row per architectural feature: the paper's grade and ours for each architecture, its grades of the systems that were not run, the verdict.
@@ -54,6 +54,8 @@ class Findings(msgspec.Struct, frozen=True):
     background: one row per architecture: how much of what is counted is routine, how much of what is not attributable is a supervisor off shift.
     completeness: whether all that was planned is there, as a clause.
     workflows: what another ledger says of the paper's workflows; None without one.
+    model_version: that of the runs in the tables; shown: which runs these are, where the ledger holds others of their configuration and fleet size.
+    differing: in words, the pairs of runs that are left out since they met different worlds.
     """
 
     commits: int
@@ -74,6 +76,9 @@ class Findings(msgspec.Struct, frozen=True):
     background: tuple[Row, ...] = ()
     completeness: str = ""
     workflows: Workflows | None = None
+    model_version: str | None = None
+    shown: str | None = None
+    differing: tuple[str, ...] = ()
 
 
 LEVELS = ((0.001, "p<.001"), (0.01, "p<.01"), (0.05, "p<.05"))

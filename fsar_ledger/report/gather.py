@@ -4,13 +4,16 @@ All numbers come from packaged queries through `fsar_ledger.metrics`; here they 
 with the paper's.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
+from typing import TypeAlias
 
 import msgspec
 
 from fsar_ledger.metrics import verdicts
+from fsar_ledger.metrics.comparing import differing_worlds
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.models import models
 from fsar_ledger.metrics.plans import completeness
@@ -22,15 +25,40 @@ QUERIES = (
     "metrics/metric_summary",
     "metrics/background",
     "statistics/pairwise_tests",
+    "statistics/differing_worlds",
     "staging/runs",
     "audit/experiments",
     "audit/unplanned_runs",
     "tables/architecture_features",
 )  # what the report reads; the rest is what these read
 
+Setting: TypeAlias = tuple[str | None, int | None, int | None, str, str | None, str | None, str | None]
+"""Configuration, fleet size, seed (None: all seeds), kind, source, model version and differing constants of runs that were made alike."""
+
+METRICS = tuple(spec.name for spec in specs.metrics())
+
 MAX_SPANS = 20
 """Ranges of seeds that a cell of a table lists."""
 
+DIFFERING_SQL = """
+    SELECT texts.parameters, min(sets.constants) AS constants
+    FROM parameter_texts AS texts
+    INNER JOIN parameter_sets AS sets ON texts.model = sets.model AND texts.parameter_set = sets.parameter_set
+    GROUP BY texts.parameters
+"""
+BACKGROUND_SQL = "SELECT * FROM background"
+CHOSEN_SQL = """
+    SELECT runs.run_id
+    FROM runs
+    INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
+    WHERE
+        runs.configuration = $configuration AND runs.fleet_size = $fleet_size
+        AND ($seed IS NULL OR runs.seed = $seed)
+        AND runs.kind = $kind
+        AND runs.source IS NOT DISTINCT FROM $source
+        AND runs.model_version IS NOT DISTINCT FROM $model_version
+        AND settings.constants IS NOT DISTINCT FROM $constants
+"""
 RUNS_SQL = """
     SELECT
         configuration,
@@ -47,8 +75,26 @@ RUNS_SQL = """
 """
 
 
-def _is_main(row: MetricRow | StatisticRow) -> bool:
-    return (row.configuration, row.fleet_size) == (MAIN_CONFIGURATION, MAIN_FLEET_SIZE)
+def _setting(row: MetricRow | StatisticRow) -> Setting:
+    """What the rows of one table have in common; the runs of two settings are never in one table."""
+    return row.configuration, row.fleet_size, row.seed, row.kind, row.source, row.model_version, row.constants
+
+
+def _main(rows: Iterable[MetricRow]) -> Setting | None:
+    """The setting of the report's tables: the full configuration with four robots, and of several such the one with most runs, the first of equals."""
+    runs: Counter[Setting] = Counter()
+    for row in rows:
+        if (row.configuration, row.fleet_size) == (MAIN_CONFIGURATION, MAIN_FLEET_SIZE):
+            runs[_setting(row)] += row.n
+    return max(runs, key=runs.__getitem__, default=None)
+
+
+def _otherwise(setting: Setting, main: Setting | None) -> str | None:
+    """In what other rows differ from the tables beside configuration and fleet size, in words; None where in nothing."""
+    _, _, seed, kind, source, model_version, constants = setting
+    said = (f"seed {seed}", kind, f"source {source}", f"model {model_version}", constants or "constants that do not vary")
+    ours = main or (None,) * len(setting)
+    return "; ".join(text for text, theirs, own in zip(said, setting[2:], ours[2:], strict=True) if theirs != own) or None
 
 
 def _blank(cls: type[msgspec.Struct]) -> Row:
@@ -56,7 +102,7 @@ def _blank(cls: type[msgspec.Struct]) -> Row:
 
 
 def _cells(rows: Iterable[MetricRow]) -> tuple[Row, ...]:
-    found = {(row.metric, row.architecture): row for row in rows if _is_main(row)}
+    found = {(row.metric, row.architecture): row for row in rows}
     judged = {(one.metric, one.architecture): one for one in verdicts.compare(found.values())}
     printed = {(row["metric"], row["architecture"]): row["mean"] for row in specs.paper_table("results")}
     cells = []
@@ -83,7 +129,7 @@ def _judged(one: verdicts.Comparison | None) -> Row:
 
 
 def _tests(rows: Iterable[StatisticRow]) -> tuple[Row, ...]:
-    found = {(row.metric, row.comparison): row for row in rows if _is_main(row)}
+    found = {(row.metric, row.comparison): row for row in rows}
     printed = {(row["metric"], row["comparison"]): row for row in specs.paper_table("significance")}
     tests = []
     for spec in specs.metrics():
@@ -106,7 +152,7 @@ def _effect(test: Row) -> Row:
 
 
 def _scenarios(overall: Iterable[MetricRow], by_scenario: Iterable[MetricRow]) -> tuple[Row, ...]:
-    means = {(row.metric, row.architecture, row.scenario or "mean"): row.mean for row in (*overall, *by_scenario) if _is_main(row)}
+    means = {(row.metric, row.architecture, row.scenario or "mean"): row.mean for row in (*overall, *by_scenario)}
     return tuple(
         {"metric": spec.name, "architecture": architecture} | {name: means.get((spec.name, architecture, name)) for name in (*SCENARIOS, "mean")}
         for spec in specs.metrics()
@@ -128,13 +174,14 @@ def _background(rows: Iterable[Row]) -> tuple[Row, ...]:
     return tuple(row for row in rows if (row["configuration"], row["fleet_size"]) == (MAIN_CONFIGURATION, MAIN_FLEET_SIZE))
 
 
-def _others(rows: Iterable[MetricRow]) -> tuple[Row, ...]:
-    """One row per other configuration, fleet size and architecture, with a column per metric."""
-    found: dict[tuple[str | None, int | None, str | None], Row] = {}
+def _others(rows: Iterable[MetricRow], main: Setting | None) -> tuple[Row, ...]:
+    """One row per other setting and architecture, with a column per metric."""
+    found: dict[tuple[Setting, str | None], Row] = {}
     for row in rows:
-        if not _is_main(row):
-            key = (row.configuration, row.fleet_size, row.architecture)
-            line = found.setdefault(key, {"configuration": row.configuration, "fleet_size": row.fleet_size, "architecture": row.architecture, "n": 0})
+        setting = _setting(row)
+        if setting != main:
+            named = {"configuration": row.configuration, "fleet_size": row.fleet_size, "architecture": row.architecture}
+            line = found.setdefault((setting, row.architecture), {**named, "otherwise": _otherwise(setting, main), "n": 0, **dict.fromkeys(METRICS)})
             line[row.metric] = row.mean
             line["n"] = max(line["n"], row.n)
     return tuple(found.values())
@@ -165,11 +212,13 @@ def _span(low: int, high: int) -> str:
 def _models(database: Database) -> tuple[tuple[Row, ...], dict[str, str]]:
     """The sets of constants in the ledger, and those of its first run by dotted name."""
     found = models(database)
+    named = {row["parameters"]: row["constants"] for row in database.rows(DIFFERING_SQL)}
     rows: tuple[Row, ...] = tuple(
         {
             "model_version": one.model_version,
             "kind": one.kind,
             "runs": one.runs,
+            "constants": named.get(one.text),
             "parameters_sha256": one.sha256,
         }
         for one in found
@@ -206,9 +255,12 @@ def _is_file(query: str) -> bool:
     return files("fsar_ledger.queries").joinpath(f"{query}.sql").is_file()
 
 
-def gather(ledger: Path, workflows: Path | None = None, demanded: str | None = None, demanded_of_workflows: str | None = None) -> Findings:
+def gather(
+    ledger: Path, workflows: Path | None = None, demanded: str | None = None, demanded_of_workflows: str | None = None, *, pools_seeds: bool = False
+) -> Findings:
     """All that the ledger's present head has to say, and that of a ledger of workflows, if there is one.
 
+    The tables are of one setting: configuration, fleet size, kind, model, constants and seed; of all seeds if they are asked for together.
     Where a newest record is demanded, of no other head.
 
     Raises:
@@ -217,11 +269,15 @@ def gather(ledger: Path, workflows: Path | None = None, demanded: str | None = N
     """
     with connect(ledger, demanded=demanded) as database:
         head = database.head
-        overall, by_scenario = metric_rows(database), metric_rows(database, by_scenario=True)
+        every, every_by_scenario = (metric_rows(database, one, pools_seeds=pools_seeds) for one in (False, True))
+        main = _main(every)
+        overall, by_scenario = ([row for row in rows if _setting(row) == main] for rows in (every, every_by_scenario))
+        tests = [row for row in statistic_rows(database, pools_seeds=pools_seeds) if _setting(row) == main]
         kinds, parameters = _models(database)
         names = (*QUERIES, *(marks.QUERIES if workflows is not None else ()))
         needed = database.library.needs(database.library.find(name).relation for name in names)
-        graded = marks.graded(database)
+        others = _others(every, main)
+        graded, background = _of_main(ledger, demanded, database, main, alone=not others)
         runs = _runs(database)
         return Findings(
             commits=head.commits if head else 0,
@@ -229,17 +285,42 @@ def gather(ledger: Path, workflows: Path | None = None, demanded: str | None = N
             root=head.root if head else "",
             run_count=sum(row["runs"] for row in runs),
             cells=_cells(overall),
-            tests=_tests(statistic_rows(database)),
+            tests=_tests(tests),
             scenarios=_scenarios(overall, by_scenario),
             rule=_rule(),
-            others=_others(overall),
+            others=others,
             runs=runs,
             models=kinds,
             parameters=parameters,
             sources=tuple(Source(name=query.name, sha256=query.sha256) for query in sorted(needed, key=lambda query: query.name) if _is_file(query.name)),
             features=marks.features(graded),
             evidence=tuple(graded),
-            background=_background(database.rows("SELECT * FROM background")),
+            background=background,
             completeness=completeness(database).sentence(),
             workflows=None if workflows is None else marks.workflows(workflows, demanded_of_workflows),
+            model_version=main[5] if main else None,
+            shown=_shown(main, others),
+            differing=tuple(map(str, differing_worlds(database))),
         )
+
+
+def _shown(main: Setting | None, others: tuple[Row, ...]) -> str | None:
+    """Which runs the tables are of, in words, where the ledger holds others of the same configuration and size; None where they are of all such."""
+    if main is None or not any((row["configuration"], row["fleet_size"]) == main[:2] for row in others):
+        return None
+    _, _, seed, kind, source, model_version, constants = main
+    named = ("all seeds" if seed is None else f"seed {seed}", f"{kind} runs", source, f"model {model_version}", constants)
+    return f"The tables are of {', '.join(filter(None, named))}; runs made otherwise are never taken together with these."
+
+
+def _of_main(ledger: Path, demanded: str | None, database: Database, main: Setting | None, *, alone: bool) -> tuple[list[Row], tuple[Row, ...]]:
+    """The marks and the background of the runs that the tables are of; what else the ledger holds has no part in them."""
+    if alone or main is None:
+        return marks.graded(database), _background(database.rows(BACKGROUND_SQL))
+    names = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
+    chosen = database.table(CHOSEN_SQL, dict(zip(names, main, strict=True)))
+    with connect(ledger, demanded=demanded) as narrowed:
+        narrowed.hold("chosen_runs", chosen)
+        narrowed.prepare("SELECT * FROM run_started")
+        narrowed.define("runs", f"SELECT * FROM ({narrowed.library.find('staging/runs').sql}) WHERE run_id IN (SELECT run_id FROM chosen_runs)")
+        return marks.graded(narrowed), _background(narrowed.rows(BACKGROUND_SQL))

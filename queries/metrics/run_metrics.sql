@@ -1,7 +1,7 @@
 -- Title: The eight metrics of every run
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run and metric
--- Units: value share, count or seconds, as the metric says; numerator and denominator as in the metric's own query
+-- Units: setting and constants as in run_settings; value share, count or seconds, as the metric says; numerator and denominator as in the metric's own query
 --        value_without_routine the same without routine operations, where the metric counts them
 -- NULL: value where the metric is undefined for the run; published_convention_value then is what the paper counts (containment 1, latency 0 s), else NULL;
 --       value_without_routine where the metric counts no routine operations, and where it counts nothing else;
@@ -52,6 +52,8 @@ WITH measured AS (
 
 SELECT
     runs.*,
+    settings.setting,
+    settings.constants,
     definitions.position,
     measured.metric,
     measured.value,
@@ -61,5 +63,6 @@ SELECT
     CASE WHEN measured.not_observed IS NULL THEN coalesce(measured.value, definitions.published_value) END AS published_convention_value,
     measured.not_observed
 FROM runs
+INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
 INNER JOIN measured ON runs.run_id = measured.run_id
 INNER JOIN metric_definitions AS definitions ON measured.metric = definitions.metric

@@ -1,18 +1,32 @@
--- Title: The number that each run contributes to a summary, for each scenario and for all together
+-- Title: The number that each run contributes to a summary: of each scenario and of all together, of each seed and of all together
 -- Paper: tab:results
--- Grain: one row per run, metric, and scenario or all scenarios
--- Units: x and pooled_mean in the metric's unit. For a pooled metric
+-- Grain: one row per run, metric, scenario or all scenarios, and seed or all seeds (pools_seeds)
+-- Units: setting and constants as in run_settings; x and pooled_mean in the metric's unit. For a pooled metric
 --        x = ratio + residual / mean denominator, whose mean is the pooled ratio and sd(x) / sqrt(n) its standard error
--- NULL: scenario for all scenarios; x where the metric is undefined or not observable; pooled_mean for metrics that are not pooled; not_observed where
---       the run observes what the metric rests on; value_without_routine as in run_metrics
+-- NULL: scenario for all scenarios; seed for all seeds, and of runs that have none; what the run does not have; x where the metric is undefined or
+--       not observable; pooled_mean for metrics that are not pooled; value_without_routine, not_observed as in run_metrics
 -- Example: fsar-ledger query metrics/summary_values LEDGER
-WITH cells AS (
+WITH scenarios AS (
     SELECT * REPLACE (NULL::VARCHAR AS scenario)
     FROM run_metrics
     UNION ALL
     SELECT *
     FROM run_metrics
     WHERE scenario IS NOT NULL
+),
+
+cells AS (
+    SELECT
+        scenarios.*,
+        seed AS run_seed,
+        FALSE AS pools_seeds
+    FROM scenarios
+    UNION ALL
+    SELECT
+        scenarios.* REPLACE (NULL::BIGINT AS seed),
+        seed AS run_seed,
+        TRUE AS pools_seeds
+    FROM scenarios
 ),
 
 scaled AS (
@@ -25,7 +39,9 @@ scaled AS (
         count(cells.denominator) OVER cell AS runs
     FROM cells
     INNER JOIN metric_definitions AS definitions ON cells.metric = definitions.metric
-    WINDOW cell AS (PARTITION BY cells.architecture, cells.configuration, cells.fleet_size, cells.scenario, cells.metric)
+    WINDOW cell AS (
+        PARTITION BY cells.architecture, cells.configuration, cells.setting, cells.pools_seeds, cells.seed, cells.scenario, cells.metric
+    )
 ),
 
 ratios AS (
@@ -40,10 +56,18 @@ SELECT
     architecture,
     configuration,
     fleet_size,
+    pools_seeds,
+    seed,
+    setting,
+    kind,
+    source,
+    model_version,
+    constants,
     scenario,
     position,
     metric,
     run_id,
+    run_seed,
     denominator,
     value_without_routine,
     published_convention_value,

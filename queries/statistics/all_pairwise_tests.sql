@@ -1,13 +1,20 @@
 -- Title: All tests of all comparisons, on both bases
 -- Paper: tab:significance
--- Grain: one row per basis, configuration, fleet size, metric and comparison
+-- Grain: one row per basis, comparison, configuration, setting (kind, source, model version, constants, fleet size), seed or all seeds, and metric
 -- Units: as in the queries that it joins
 -- NULL: as in the queries that it joins; McNemar columns for metrics that are not 0 or 1 per run
 -- Example: fsar-ledger query statistics/all_pairwise_tests LEDGER
 SELECT
     t_tests.basis,
+    t_tests.family,
     t_tests.configuration,
     t_tests.fleet_size,
+    t_tests.pools_seeds,
+    t_tests.seed,
+    t_tests.kind,
+    t_tests.source,
+    t_tests.model_version,
+    t_tests.constants,
     t_tests.position,
     t_tests.metric,
     t_tests.comparison,
@@ -19,6 +26,7 @@ SELECT
     t_tests.df,
     t_tests.p,
     holm.p_holm,
+    holm.family_tests,
     t_tests.cohens_d,
     t_tests.d_z,
     t_tests.hedges_g,

@@ -1,6 +1,6 @@
 -- Title: Paired t-tests with effect sizes
 -- Paper: tab:significance
--- Grain: one row per basis, configuration, fleet size, metric and comparison with at least one pair
+-- Grain: one row per test (basis, comparison, configuration, setting, seed or all seeds, metric) with at least one pair
 -- Units: means and mean_difference in the metric's unit; cohens_d in pooled standard deviations (as published, with sign), d_z in standard
 --        deviations of the differences; hedges_g = J * cohens_d with J = 1 - 3 / (4 df - 1) and a 95 % interval from its variance for correlated
 --        pairs, J^2 * (1 / n + d^2 / 2n) * 2 (1 - r)
@@ -9,9 +9,17 @@
 WITH moments AS (
     SELECT
         test,
+        holm_family,
         basis,
+        family,
         configuration,
         fleet_size,
+        pools_seeds,
+        seed,
+        kind,
+        source,
+        model_version,
+        constants,
         position,
         metric,
         comparison,
@@ -24,7 +32,7 @@ WITH moments AS (
         stddev_samp(second_value ORDER BY first_run_id, second_run_id) AS second_sd,
         stddev_samp(difference ORDER BY first_run_id, second_run_id) AS difference_sd
     FROM paired_differences
-    GROUP BY test, basis, configuration, fleet_size, position, metric, comparison
+    GROUP BY ALL
 ),
 
 effects AS (
@@ -54,22 +62,9 @@ widths AS (
 )
 
 SELECT
-    test,
-    basis,
-    configuration,
-    fleet_size,
-    position,
-    metric,
-    comparison,
-    n,
-    first_mean,
-    second_mean,
-    mean_difference,
+    widths.* EXCLUDE (differences_vary, first_sd, second_sd, difference_sd, pooled_sd, r, correction, g_half_width),
     d_z * sqrt(n) AS t,
-    df,
     t_sf2(d_z * sqrt(n), df::DOUBLE) AS p,
-    cohens_d,
-    d_z,
     correction * cohens_d AS hedges_g,
     correction * cohens_d - g_half_width AS g_ci_low,
     correction * cohens_d + g_half_width AS g_ci_high

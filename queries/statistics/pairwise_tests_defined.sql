@@ -1,9 +1,10 @@
 -- Title: Pairwise tests over the pairs in which the metric is defined for both runs
 -- Paper: tab:significance
--- Grain: one row per configuration, fleet size, metric and comparison: 24 where all three architectures have run
+-- Grain: one row per comparison, configuration, setting (kind, source, model version, constants, fleet size), seed and metric: 24 where all three architectures
+--        have run, and 8 for each ablation
 -- Units: first_mean, second_mean, mean_difference in the metric's unit; n pairs; the rest without unit
 -- NULL: tests and effect sizes where nothing varies; McNemar columns for metrics that are not 0 or 1 per run
 -- Example: fsar-ledger query statistics/pairwise_tests_defined LEDGER
-SELECT * EXCLUDE (basis)
+SELECT * EXCLUDE (basis, pools_seeds)
 FROM all_pairwise_tests
-WHERE basis = 'defined'
+WHERE basis = 'defined' AND NOT pools_seeds

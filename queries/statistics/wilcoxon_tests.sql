@@ -1,6 +1,6 @@
 -- Title: Wilcoxon signed-rank tests
 -- Paper: sec:evaluation:significance
--- Grain: one row per test (basis, configuration, fleet size, metric, comparison) with at least one pair
+-- Grain: one row per test (as in paired_t_tests) with at least one pair
 -- Units: n pairs that differ (zeros are dropped); w the smaller rank sum; z of the rank sum of positive differences, variance corrected for ties,
 --        no continuity correction. Ranks are average ranks of the absolute differences in billionths of the metric's unit
 -- NULL: w, z, p when no pair differs

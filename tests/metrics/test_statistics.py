@@ -38,8 +38,12 @@ def run_metrics(values: Mapping[tuple[str, str], Sequence[float | None]], publis
             "scenario": "door-relay",
             "fleet_size": fleet_size,
             "run": number,
+            "kind": "simulated",
+            "source": None,
             "model_version": "test",
-            "parameters_sha256": "0",
+            "observes": ["world"],
+            "setting": f"robots {fleet_size}",
+            "constants": None,
             "position": 1,
             "metric": metric,
             "value": value,
@@ -49,8 +53,8 @@ def run_metrics(values: Mapping[tuple[str, str], Sequence[float | None]], publis
         for (metric, architecture), numbers in values.items()
         for number, value in enumerate(numbers)
     ]
-    names = ("run_id", "architecture", "configuration", "scenario", "metric", "model_version", "parameters_sha256")
-    kinds = {"value": pa.float64(), "published_convention_value": pa.float64(), **dict.fromkeys(names, pa.string())}
+    names = ("run_id", "architecture", "configuration", "scenario", "metric", "kind", "source", "model_version", "setting", "constants")
+    kinds = {"value": pa.float64(), "published_convention_value": pa.float64(), **dict.fromkeys(names, pa.string()), "observes": pa.list_(pa.string())}
     return pa.Table.from_pylist(rows, schema=pa.schema([(name, kinds.get(name, pa.int64())) for name in rows[0]]))
 
 
@@ -207,8 +211,8 @@ def test_runs_pair_only_with_the_run_of_the_same_world() -> None:
         "fleet_size": 8,
         "scenario": "fleet-contention",
         "configuration": "without-trust-evaluation",
-        "model_version": "2",
-        "parameters_sha256": "1",
+        "setting": "another model, or other constants",
+        "observes": [],
     }
     for column, other in others.items():
         rows = table.to_pylist()
@@ -242,7 +246,9 @@ def test_the_cluster_bootstrap_takes_every_sample_of_scenarios() -> None:
     scenarios = pa.array([scenario for scenario, _ in flat] * 2)
     with from_table(SCHEMA.empty_table()) as database:
         database.hold("run_metrics", table.set_column(table.column_names.index("scenario"), "scenario", scenarios))
-        (row, _) = database.query("statistics/cluster_bootstrap").to_pylist()
+        rows = database.query("statistics/cluster_bootstrap").to_pylist()
+    (row,) = [row for row in rows if row["test"].startswith("published/") and "/42/" in row["test"]]
+    assert len(rows) == 4, "two bases, one seed and all seeds"
     means = [np.concatenate([differences[one] for one in sample]).mean() for sample in itertools.product(sizes, repeat=4)]
     assert (row["scenarios"], row["samples"]) == (4, 256)
     assert row["mean_difference"] == close(np.mean([value for _, value in flat]))

@@ -10,7 +10,7 @@ from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.metrics.library import KEYS, REQUIRED_KEYS, Library, Query, library, parse, view_name
 
 FILES = sorted(Path(str(files("fsar_ledger.queries"))).rglob("*.sql"))
-GENERATED = {f"staging/{view_name(tag)}" for tag in LAYOUTS} | {"facts/event_concerns"}
+GENERATED = {f"staging/{view_name(tag)}" for tag in LAYOUTS} | {"facts/event_concerns", "staging/world_facts"}
 CONSTANT = {
     *("facts/event_classes", "facts/judged_concerns", "facts/message_words", "metrics/metric_definitions"),
     "statistics/comparisons",

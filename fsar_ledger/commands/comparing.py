@@ -1,0 +1,41 @@
+"""The answer of `statistics`: its rows, and what is said of what they leave out. Nothing here prints."""
+
+import msgspec
+
+from fsar_ledger.metrics.comparing import DifferingWorlds, differing_worlds, not_compared, remarks_on
+from fsar_ledger.metrics.database import Database
+from fsar_ledger.metrics.results import StatisticRow, statistic_rows
+
+from .output import Row, plain
+
+NOTHING = "nothing to compare; that takes runs of two architectures, or of one with and without a mechanism, that met the same world"
+
+
+class Compared(msgspec.Struct, frozen=True):
+    """What `statistics` has to say: the rows, the worlds that differ, why comparisons have no pairs, and what the rows do not show."""
+
+    rows: list[Row]
+    columns: list[str]
+    differing: list[DifferingWorlds]
+    not_compared: list[str]
+    remarks: list[str]
+
+    @property
+    def before(self) -> list[str]:
+        """What is said before any number: whose worlds differ, and that nothing is compared."""
+        return [*map(str, self.differing), *([] if self.rows else [NOTHING, *self.not_compared])]
+
+    @property
+    def after(self) -> list[str]:
+        """What is said below the numbers: how Holm adjusts where there are several families, and what is missing."""
+        families = {(row["family"], row["family_tests"]) for row in self.rows if row["family_tests"] is not None}
+        told = [f"Holm adjusts together: {'; '.join(f'{count} tests of {name}' for name, count in sorted(families))}"] if len(families) > 1 else []
+        return [*told, *(f"not compared: {why}" for why in self.not_compared), *self.remarks] if self.rows else []
+
+
+def compared(database: Database, *, pooled: bool) -> Compared:
+    """All that the ledger has to say in pairs. Raises: as `Database.rows`."""
+    found = statistic_rows(database, pools_seeds=pooled)
+    metrics = [row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position")]
+    columns = list(StatisticRow.__struct_fields__)
+    return Compared(plain(found), columns, differing_worlds(database), not_compared(database), remarks_on(found, metrics))

@@ -1,0 +1,174 @@
+"""What can be compared in a ledger, what cannot, and why: in words, for whoever asks for paired numbers."""
+
+from collections.abc import Iterable, Sequence
+
+import msgspec
+
+from .database import Database
+from .results import StatisticRow, typed
+
+MAX_NAMED = 5
+"""So many metrics, seeds or comparisons are named in one sentence; the rest are counted."""
+
+DIFFERS = {
+    "setting": "were made under other constants, or by another model",
+    "facts": "did not meet the same facts of the world",
+    "repeated": "cannot be told from others: one architecture has several runs of one seed, scenario and number",
+    "unobserved": "are not known to have met the same world, which one of them does not observe",
+}
+FAULTS = ("facts", "repeated")
+"""What no experiment does: somebody else made, or changed, such runs."""
+
+WORLDS = """
+    SELECT
+        comparison,
+        configuration,
+        differs,
+        count(*) AS pairs,
+        arg_min(
+            {
+                'seed': seed, 'scenario': scenario, 'fleet_size': fleet_size, 'run': run,
+                'first_run_id': first_run_id, 'second_run_id': second_run_id, 'first_found': first_found, 'second_found': second_found
+            },
+            (seed, scenario, run, first_run_id, second_run_id)
+        ) AS first
+    FROM differing_worlds
+    GROUP BY comparison, configuration, differs
+    ORDER BY differs NOT IN ('facts', 'repeated'), configuration <> 'full', configuration, list_position(['fsar-cfc', 'fsar-dhma'], comparison), comparison
+"""
+
+KINDS = """
+    SELECT kind, architecture, count(*) AS runs, count(*) FILTER (WHERE seed IS NULL OR scenario IS NULL OR run IS NULL OR fleet_size IS NULL) AS nameless
+    FROM runs
+    GROUP BY kind, architecture
+    ORDER BY kind, architecture
+"""
+
+
+GROUNDS = """
+    SELECT *
+    FROM comparable_runs
+    ORDER BY family NOT LIKE 'architectures%', family, list_position(['fsar-cfc', 'fsar-dhma'], comparison), comparison
+"""
+
+
+class Pair(msgspec.Struct, frozen=True, kw_only=True):
+    """Two runs that met different worlds, and what differs first in each; None: nothing more, or nothing to show."""
+
+    seed: int
+    scenario: str
+    fleet_size: int
+    run: int
+    first_run_id: str
+    second_run_id: str
+    first_found: str | None
+    second_found: str | None
+
+
+class DifferingWorlds(msgspec.Struct, frozen=True, kw_only=True):
+    """How many pairs of one comparison are left out for one reason, and the first of them."""
+
+    comparison: str
+    configuration: str
+    differs: str
+    pairs: int
+    first: Pair
+
+    @property
+    def is_fault(self) -> bool:
+        """Whether no experiment of ours leads to this."""
+        return self.differs in FAULTS
+
+    def __str__(self) -> str:
+        one = self.first
+        count = "1 pair of runs is left out: they" if self.pairs == 1 else f"{self.pairs:,} pairs of runs are left out: they"
+        place = f"seed {one.seed}, {one.scenario}, {one.fleet_size} robots, run {one.run}"
+        found = f" has {one.first_found or 'nothing more'}, {one.second_run_id} has {one.second_found or 'nothing more'}"
+        shown = found if self.differs in ("setting", "facts") else f" and {one.second_run_id}"
+        return f"{self.comparison}: {count} {DIFFERS[self.differs]}; first under {place}: {one.first_run_id}{shown}"
+
+
+class Ground(msgspec.Struct, frozen=True, kw_only=True):
+    """What the ledger holds of the two sides of a comparison. Units: counts of runs, of worlds (seed, scenario, fleet size, run) and of pairs."""
+
+    comparison: str
+    family: str
+    configuration: str
+    first_architecture: str
+    first_configuration: str
+    second_architecture: str
+    second_configuration: str
+    first_count: int
+    second_count: int
+    shared_worlds: int
+    first_seeds: list[int] | None
+    second_seeds: list[int] | None
+    first_fleet_sizes: list[int] | None
+    second_fleet_sizes: list[int] | None
+    first_scenarios: list[str] | None
+    second_scenarios: list[str] | None
+    pair_count: int
+    left_out: int
+
+    def why_not(self) -> str | None:
+        """Why nothing is compared here, and what it would take; None where there are pairs."""
+        if self.pair_count:
+            return None
+        first, second = f"{self.first_architecture} ({self.first_configuration})", f"{self.second_architecture} ({self.second_configuration})"
+        if not self.first_count or not self.second_count:
+            missing, there, count = (first, second, self.second_count) if not self.first_count else (second, first, self.first_count)
+            return (
+                f"{self.comparison}: found {_counted(count)} of {there} and none of {missing}; simulate it with the same seed, scenarios, runs and fleet size"
+            )
+        if not self.shared_worlds:
+            sides = (
+                (first, self.first_seeds, self.first_fleet_sizes, self.first_scenarios),
+                (second, self.second_seeds, self.second_fleet_sizes, self.second_scenarios),
+            )
+            held = "; ".join(f"{name} under seeds {_named(seeds)}, {_named(sizes)} robots, {_named(scenarios)}" for name, seeds, sizes, scenarios in sides)
+            return f"{self.comparison}: no run of both has the same seed, scenario, fleet size and number: found {held}; simulate one as the other"
+        return f"{self.comparison}: every pair of runs ({self.left_out:,}) is left out, as said above; simulate both under one world and the same constants"
+
+
+def _counted(runs: int) -> str:
+    return "1 run" if runs == 1 else f"{runs:,} runs"
+
+
+def _named(values: Sequence[object] | None) -> str:
+    found = [str(one) for one in values or ()]
+    return " and ".join(filter(None, (", ".join(found[:-1]), *found[-1:])))
+
+
+def differing_worlds(database: Database) -> list[DifferingWorlds]:
+    """The pairs that are left out since their worlds differ, by comparison and reason, what no experiment does first. Raises: as `Database.rows`."""
+    return typed(database.rows(WORLDS), DifferingWorlds)
+
+
+def not_compared(database: Database) -> list[str]:
+    """Why each comparison that has no pair has none, in words; for a ledger that holds neither side of any, why that is. Raises: as `Database.rows`."""
+    found = typed(database.rows(GROUNDS), Ground)
+    if found:
+        return [why for one in found if (why := one.why_not())]
+    kinds = database.rows(KINDS)
+    if not kinds:
+        return ["found no runs; `fsar-ledger simulate` makes some"]
+    names = [f"{_counted(row['runs'])} ({row['kind']}) of {row['architecture'] or 'no named architecture'}" for row in kinds[:MAX_NAMED]]
+    more = f" and {len(kinds) - MAX_NAMED:,} kinds more" if len(kinds) > MAX_NAMED else ""
+    if all(row["nameless"] == row["runs"] for row in kinds):
+        return [f"found {', '.join(names)}{more}, all without seed, scenario, fleet size or number; runs that are not known to have met one world are no pairs"]
+    return [f"found {', '.join(names)}{more}; expected fsar, cfc or dhma, or the configurations of one architecture"]
+
+
+def remarks_on(rows: Iterable[StatisticRow], metrics: Sequence[str]) -> list[str]:
+    """What the rows do not say: metrics without a pair in which both runs have a value, and comparisons of a single pair."""
+    held: dict[tuple[object, ...], dict[str, int]] = {}
+    for row in rows:
+        key = (row.comparison, row.configuration, row.fleet_size, row.kind, row.source, row.model_version, row.constants, row.seed)
+        held.setdefault(key, {})[row.metric] = row.n
+    lines: dict[str, None] = {}
+    for (comparison, *_), pairs in held.items():
+        if missing := [name for name in metrics if name not in pairs]:
+            lines[f"{comparison}: no pair of runs in which both have a value of {', '.join(missing)}: undefined, or not observed"] = None
+        if max(pairs.values()) == 1:
+            lines[f"{comparison}: one pair of runs has a difference and no test; simulate more runs"] = None
+    return list(lines)

@@ -1,0 +1,28 @@
+-- Title: What runs record as their parameters, read constant by constant
+-- Paper: sec:evaluation:setup
+-- Grain: one row per kind, source and model version of runs (model, as JSON) and text of parameters
+-- Units: parameter_set, the same text for the same constants by value, whatever their order, spaces, 1 or 1.0; a constant that is null is absent
+-- NULL: values_by_name where the text cannot be read as constants
+-- Example: fsar-ledger query staging/parameter_texts LEDGER
+-- Stored: no text is read twice
+WITH texts AS (
+    SELECT DISTINCT
+        to_json([kind, source, model_version])::VARCHAR AS model,
+        parameters
+    FROM run_started
+    WHERE parameters IS NOT NULL
+),
+
+parsed AS MATERIALIZED (
+    SELECT
+        texts.*,
+        constants_of(parameters) AS values_by_name
+    FROM texts
+)
+
+SELECT
+    model,
+    parameters,
+    values_by_name,
+    coalesce(sha256(to_json(values_by_name)::VARCHAR), 'unreadable ' || sha256(parameters)) AS parameter_set
+FROM parsed

@@ -1,0 +1,30 @@
+-- Title: Runs that have a seed, a scenario and a number, and so may have met the world of another run
+-- Paper: sec:evaluation:setup
+-- Grain: one row per run
+-- Units: setting as in run_settings, described its kind, source, model version and constants;
+--        twins runs of the same architecture, configuration, setting, seed, scenario and number, itself included
+-- NULL: world_sha256 of a run without facts of the world
+-- Example: fsar-ledger query statistics/compared_runs LEDGER
+-- Stored: every pair reads it twice
+WITH found AS (
+    SELECT DISTINCT
+        run_id,
+        architecture,
+        configuration,
+        fleet_size,
+        seed,
+        scenario,
+        run,
+        setting,
+        concat_ws(', ', kind, source, 'model ' || model_version, constants) AS described,
+        list_contains(observes, 'world') AS observes_world
+    FROM run_metrics
+    WHERE seed IS NOT NULL AND scenario IS NOT NULL AND run IS NOT NULL AND fleet_size IS NOT NULL
+)
+
+SELECT
+    found.*,
+    digests.world_sha256,
+    count(*) OVER (PARTITION BY found.architecture, found.configuration, found.setting, found.seed, found.scenario, found.run) AS twins
+FROM found
+LEFT JOIN world_digests AS digests ON found.run_id = digests.run_id
