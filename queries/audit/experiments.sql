@@ -8,7 +8,7 @@
 WITH there AS (
     SELECT
         plan,
-        count(DISTINCT (architecture, configuration, scenario, run)) AS there_count
+        count(DISTINCT row(architecture, configuration, scenario, run)) AS there_count
     FROM planned_runs
     GROUP BY plan
 ),

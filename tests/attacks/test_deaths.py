@@ -16,6 +16,7 @@ import pytest
 from fsar_ledger.constants import Constants
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
+from fsar_ledger.runtime.plan import plan_record
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
 from tests.attacks.conftest import Attack, attacked
 from tests.cli.conftest import one_message
@@ -23,14 +24,15 @@ from tests.runtime.forgeries import changed, renamed
 
 SOME = ("--scenario", "door-relay", "--seed", "3", "--workers", "2", "--runs", "17")
 MANY = (*SOME[:-1], "50")
-EXPERIMENT = Experiment(ARCHITECTURES, ("door-relay",), 17, 3)  # three commits
+EXPERIMENT = Experiment(ARCHITECTURES, ("door-relay",), 17, 3)  # the plan, and three commits
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The ledger of `SOME`, after one commit a copy of it beside."""
+    """The ledger of `SOME`, after its plan and one commit a copy of it beside."""
     path = tmp_path_factory.mktemp("deaths") / "ledger"
     with Writer(path, ORIGIN) as writer:
+        writer.append(stage(path, [plan_record(EXPERIMENT.plan())]))
         for number, batch in enumerate(EXPERIMENT.batches()):
             writer.append(stage(path, [simulate_run(spec, Constants()) for spec in batch]))
             if number == 0:
@@ -77,7 +79,7 @@ def test_the_workers_of_a_simulation_that_was_killed_die_with_it(tmp_path: Path,
     ledger = tmp_path / "ledger"
     with begun("simulate", ledger, *MANY) as process:
         for _ in until(time.monotonic(), 60):
-            if list(ledger.glob("commits/*.json")) or process.poll() is not None:
+            if len(list(ledger.glob("commits/*.json"))) > 1 or process.poll() is not None:  # the workers begin after the plan
                 break
         left = children(process.pid)
         process.kill()
@@ -136,10 +138,10 @@ def test_a_look_that_could_not_finish_calls_a_ledger_neither_good_nor_bad(tmp_pa
 
 @pytest.mark.slow
 def test_after_a_recovery_without_room_a_simulation_goes_on_by_itself(tmp_path: Path, command: Attack, whole: Path) -> None:
-    """The second commit was made, and then there was no room for what is derived from it."""
+    """The second commit of runs was made, and then there was no room for what is derived from it."""
     ledger = tmp_path / "ledger"
     shutil.copytree(whole.with_name("one"), ledger)
-    for name in ("commits/000000000001.json", "segments/000000000001.parquet"):
+    for name in ("commits/000000000002.json", "segments/000000000002.parquet"):
         shutil.copy(whole / name, ledger / name)
     call = [sys.executable, "-m", "fsar_ledger", "recover", str(ledger), "--workers", "1"]
     without_room = subprocess.run(

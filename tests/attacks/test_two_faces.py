@@ -37,19 +37,25 @@ def violations(answer: Called) -> float:
     return float(value)
 
 
+def newest(ledger: Path) -> int:
+    """The number of the commit with the run: before it may stand that of a plan."""
+    return len(list((ledger / "segments").glob("*.parquet"))) - 1
+
+
 @pytest.fixture
 def forged(ledger: Path) -> Path:
     """The ledger with the same records, notes and root, and a segment that has two contents."""
-    table = table_of(ledger, 0)
+    number = newest(ledger)
+    table = table_of(ledger, number)
     honest, other = (bytes(segment.to_parquet(rows)) for rows in (table, without_policy(table)))
-    forge_segment(ledger, 0, two_faced(honest, other, "robot"))
+    forge_segment(ledger, number, two_faced(honest, other, "robot"))
     return ledger
 
 
 def test_a_segment_with_two_contents_is_not_consistent(command: Attack, forged: Path) -> None:
     called = command("verify", forged)
     assert called.code == 3, called.out
-    assert "segments/000000000000.parquet" in called.err
+    assert f"segments/{newest(forged):012d}.parquet" in called.err
 
 
 def test_a_segment_with_two_contents_gives_no_other_metrics(command: Attack, ledger: Path, request: pytest.FixtureRequest) -> None:
@@ -59,7 +65,7 @@ def test_a_segment_with_two_contents_gives_no_other_metrics(command: Attack, led
     forged = request.getfixturevalue("forged")
     called = command("metrics", forged, "--json")
     assert called.code in (2, 3), f"found {violations(called)} policy violations under the same root, expected a refusal"
-    assert "segments/000000000000.parquet" in called.err
+    assert f"segments/{newest(forged):012d}.parquet" in called.err
 
 
 @pytest.mark.slow
@@ -68,4 +74,4 @@ def test_a_segment_with_two_contents_is_refused_by_every_answer(command: Attack,
     more = ("SELECT count(*) FROM policy_windows",) if verb == ("sql",) else ()
     called = command(*verb, forged, *more)
     assert called.code in (2, 3), called.out[:500]
-    assert "segments/000000000000.parquet" in called.err
+    assert f"segments/{newest(forged):012d}.parquet" in called.err

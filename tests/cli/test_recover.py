@@ -74,7 +74,7 @@ def test_programs_get_everything_as_json(call: Call, copy: Path) -> None:
     damaged = json.loads(said.out)
     assert (said.code, damaged["outcome"], damaged["head"]["commits"]) == (3, "damaged", 3)
     assert damaged["problems"][0]["where"] == LAST
-    assert [commit["number"] for commit in damaged["later"]] == [2]
+    assert [commit["number"] for commit in damaged["later"]] == [3]
 
 
 def test_long_lists_are_cut_for_people(call: Call, copy: Path) -> None:
