@@ -27,7 +27,7 @@ from fsar_ledger.runtime.experiment import Experiment, simulate
 from fsar_ledger.runtime.simulation import run_id, run_started
 
 TOLERANCE = 1e-9
-Numbers = dict[tuple[str, str, int, str], float]
+Numbers = dict[tuple[str | None, str | None, int | None, str], float]
 
 
 def ledger_of(events: int, cache: Path, workers: int) -> Path:
