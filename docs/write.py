@@ -26,7 +26,7 @@ from fsar_ledger.ledger.note import Signer
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.record import commit_path
 from fsar_ledger.ledger.releases import FINGERPRINTS
-from fsar_ledger.ledger.schema import SCHEMA, STANDS_ALONE, STORED
+from fsar_ledger.ledger.schema import CONCERNED, SCHEMA, STANDS_ALONE, STORED
 from fsar_ledger.ledger.tiles import node_of, tile_reader
 from fsar_ledger.metrics.library import Query, library
 
@@ -84,7 +84,7 @@ def _row(query: Query) -> str:
 def event_types() -> str:
     """What a verifier must know of events: the fingerprint of each release's columns, today's columns, and each type's required, optional, limited fields.
 
-    Of a type that is the only event of its run, that, too.
+    Of a type that is the only event of its run, that, too; and its concern, if it has one.
     """
     columns = {field.name: f"{field.type}{'' if field.nullable else ' not null'}" for field in SCHEMA}
     types = {
@@ -94,6 +94,7 @@ def event_types() -> str:
             "values": {field.name: sorted(field.values) for field in layout.fields if field.values is not None},
         }
         | ({"alone": True} if tag in STANDS_ALONE else {})
+        | ({"concern": CONCERNED[tag]} if tag in CONCERNED else {})
         for tag, layout in sorted(STORED.items())
     }
     texts = [",\n".join(f'  "{name}": {json.dumps(text)}' for name, text in part.items()) for part in (FINGERPRINTS, columns, types)]

@@ -204,12 +204,20 @@ def runs_of(where: str, rows: list[Row], number: int, types: Row | None) -> list
     runs: list[str] = []
     place = 0
     alone = {name for name, own in types["types"].items() if own.get("alone")} if types is not None else set[str]()
+    concerns = {name: own["concern"] for name, own in types["types"].items() if "concern" in own} if types is not None else dict[str, str]()
+    observed = set(concerns.values())
     for at, row in enumerate(rows):
         is_new = row["run_id"] not in runs[-1:]
         place = 0 if is_new else place + 1
         flaw = flaw_of(row, place, is_new and row["run_id"] in runs, types)
         if flaw is None and row["type"] in alone and (place > 0 or row["run_id"] in [other["run_id"] for other in rows[at + 1 : at + 2]]):
             flaw = "type", "the only event of its run"
+        if is_new:
+            observed = set(row.get("observes", concerns.values()))
+        if flaw is None and types is not None and not set(row.get("observes", [])) <= set(concerns.values()):
+            flaw = "observes", "concerns that there are"
+        if flaw is None and concerns.get(row["type"]) not in {None, *observed}:
+            flaw = "type", "an event of a concern that its run observes"
         if flaw is not None:
             raise ProblemError(where, f"{flaw[0]} {row.get(flaw[0], 'NULL')!r}", flaw[1], number, row["run_id"], row["seq"])
         runs += [row["run_id"]] * is_new

@@ -57,6 +57,17 @@ def looked_head(ledger: Path, workers: int) -> str:
         return required_look(ledger, workers, progress)
 
 
+def not_observed(database: "Database", query: str, run: str | None = None) -> dict[str, object]:
+    """What JSON says of concerns that the packaged query rests on and that not all runs (or this one) observe, if there are any; a line on stderr does too."""
+    from fsar_ledger.metrics.observing import told, unobserved
+
+    found = unobserved(database, database.library.find(query), run)
+    if (line := told(found)) is None:
+        return {}
+    say(line)
+    return {"not_observed": found}
+
+
 def warn(ledger: Path, *, rows_verified: bool) -> None:
     """One line on stderr if the rows were not compared with the root."""
     if not rows_verified:

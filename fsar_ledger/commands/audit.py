@@ -1,6 +1,6 @@
 """The answer of `audit`, as a table or JSON, and whether everything holds. Nothing here prints."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, get_args
 
@@ -19,22 +19,24 @@ if TYPE_CHECKING:
 
 
 def audit(ledger: Path, invariants: Sequence[str], architectures: Sequence[str], *, as_json: bool, verified: bool = False) -> tuple[Shown, bool]:
-    """The text of the answer, and whether every invariant that was asked for holds on every run that was asked for.
+    """The text of the answer, and whether every invariant that was asked for was shown to hold on every run that was asked for.
 
     Raises:
-        InvalidExperiment: an architecture is unknown.
+        InvalidExperiment: an architecture is unknown, to this version and to the ledger.
         UnknownQuery: an invariant is unknown.
         UsageError: the ledger has no run of these architectures.
         NotALedger, FormatVersionMismatch, LedgerCorrupted: as `answering`.
     """
-    queries, wanted = chosen(invariants), known("architecture", architectures, get_args(Architecture))
+    queries = chosen(invariants)
     with answering(ledger, verified=verified) as database:
+        there = [str(row["architecture"]) for row in database.rows("SELECT DISTINCT architecture FROM runs WHERE architecture IS NOT NULL ORDER BY ALL")]
+        wanted = known("architecture", architectures, tuple(dict.fromkeys([*get_args(Architecture), *there])))
         models(database)  # budgets are judged by what the runs record
         rows = audit_rows(database, queries, wanted)
-        holds = not any(row.events for row in rows)
+        holds = False if any(row.holds is False for row in rows) else all(row.holds for row in rows) or None
         if as_json:
-            return json_text(database.head, {"ledger": str(ledger), "holds": holds, "rows": rows}, database.rows_verified), holds
-    return printable.joined(table_text([_shown(row) for row in rows], list(_shown(rows[0]))), printable.lines("", _verdict(rows))), holds
+            return json_text(database.head, {"ledger": str(ledger), "holds": holds, "rows": rows}, database.rows_verified), bool(holds)
+    return printable.joined(table_text([_shown(row) for row in rows], list(_shown(rows[0]))), printable.lines("", *_verdict(rows))), bool(holds)
 
 
 def _shown(row: "AuditRow") -> Row:
@@ -44,15 +46,33 @@ def _shown(row: "AuditRow") -> Row:
         "architecture": row.architecture,
         "configuration": row.configuration,
         "runs": row.runs,
+        "verdict": _word(row),
         "offending events": row.events,
         "first offending event": first,
     }
 
 
-def _verdict(rows: "Sequence[AuditRow]") -> str:
-    """One line: everything holds, or which invariants do not and how to see all their events."""
-    broken = list(dict.fromkeys(row.invariant for row in rows if row.events))
-    count = len({row.invariant for row in rows})
-    if not broken:
-        return f"{count} of {count} invariants hold"
-    return f"{count - len(broken)} of {count} invariants hold; `fsar-ledger query {broken[0]} LEDGER` lists every offending event of the first that does not"
+def _word(row: "AuditRow") -> str:
+    """What was shown of one invariant, and by how many cases."""
+    cases = "1 case" if row.cases == 1 else f"{row.cases or 0:,} cases"
+    if row.holds is None:
+        return f"not observable: {row.not_observed}" + (f" ({row.runs_not_observed} of {row.runs} runs)" if row.runs_not_observed < row.runs else "")
+    return f"{'holds' if row.holds else 'broken'} ({cases})" if row.cases is not None else "broken"
+
+
+def _verdict(rows: "Sequence[AuditRow]") -> Iterator[str]:
+    """How many invariants hold; which of them hold of nothing, cannot be observed or do not hold, and how to see more."""
+    names = list(dict.fromkeys(row.invariant for row in rows))
+    broken = [name for name in names if any(row.holds is False for row in rows if row.invariant == name)]
+    unseen = [name for name in names if name not in broken and any(row.holds is None for row in rows if row.invariant == name)]
+    empty = [name for name in names if name not in (*broken, *unseen) and not any(row.cases for row in rows if row.invariant == name)]
+    hint = f"; `fsar-ledger query {broken[0]} LEDGER` lists every offending event of the first that does not" if broken else ""
+    yield f"{len(names) - len(broken) - len(unseen)} of {len(names)} invariants hold{hint}"
+    if unseen:
+        yield f"{len(unseen)} cannot be told, because runs do not observe what they rest on: {_short(unseen)}; that is no pass"
+    if empty:
+        yield f"{len(empty)} hold of nothing, because no run had a case: {_short(empty)}"
+
+
+def _short(names: Sequence[str]) -> str:
+    return ", ".join(name.partition("_")[0].upper() for name in names)

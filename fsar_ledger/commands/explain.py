@@ -14,7 +14,7 @@ from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.metrics.database import Database, plain_rows
 from fsar_ledger.printable import Shown
 
-from .answering import answering
+from .answering import answering, not_observed
 from .options import did_you_mean
 from .output import json_text, table_text
 
@@ -46,8 +46,9 @@ def explain(
         require_outside(path, f"--{kind} {path}")
     with answering(ledger, verified=verified) as database:
         name = _run(database, ledger, run)
+        more = not_observed(database, "audit/request_story", name)
         if action is None:
-            return _listed(database, ledger, name, as_json=as_json)
+            return _listed(database, ledger, name, more, as_json=as_json)
         story = _asked(database, "request_story", name, action)
         if not story:
             raise UsageError(_no_action(database, ledger, name, action))
@@ -58,7 +59,7 @@ def explain(
         head, rows_verified = database.head, database.rows_verified
     _draw(files, recovery if failure is not None else story, is_ladder=failure is not None)
     if as_json:
-        return json_text(head, {"run": name, "action": action, "parties": parties, "story": story, "recovery": recovery}, rows_verified)
+        return json_text(head, {**more, "run": name, "action": action, "parties": parties, "story": story, "recovery": recovery}, rows_verified)
     told = _told(name, action, shown(story if failure is None else []), shown([parties])[0])
     return printable.lines(*told, *_recovered(shown(recovery)), *map(str, files.values()))
 
@@ -100,10 +101,10 @@ def _no_action(database: Database, ledger: Path, run: str, asked: str) -> str:
     return f"{asked}: there is no such request in run {printable.value(run)}; {did_you_mean(asked, known)}{way}"
 
 
-def _listed(database: Database, ledger: Path, run: str, *, as_json: bool) -> Shown:
+def _listed(database: Database, ledger: Path, run: str, more: Mapping[str, object], *, as_json: bool) -> Shown:
     rows = _asked(database, "requests", run)
     if as_json:
-        return json_text(database.head, {"run": run, "requests": rows}, database.rows_verified)
+        return json_text(database.head, {**more, "run": run, "requests": rows}, database.rows_verified)
     if not rows:
         return printable.lines(f"run {printable.value(run)}", "no requests")
     began = [{**row, "began_s": f"{row['began_s']:.3f}"} for row in rows]

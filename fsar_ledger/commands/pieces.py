@@ -4,7 +4,7 @@ The pieces together are what `output.answer_text` makes of all rows.
 """
 
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TextIO
 
 from fsar_ledger.printable import Shown
@@ -26,15 +26,16 @@ def answer_pieces(
     as_csv: bool,
     raw: bool = False,
     limit: int = 0,
+    more: Mapping[str, object] = {},
 ) -> Iterator[Shown]:
-    """The rows, of which each part holds some, as a table for people, or as what --json or --csv asks for.
+    """The rows, of which each part holds some, as a table for people, or as what --json or --csv asks for; in JSON with `more` before them.
 
     Raises:
         UsageError: As `check_form`.
     """
     check_form(as_json=as_json, as_csv=as_csv, raw=raw)
     if as_json:
-        return _json(json_text(head, {"rows": []}, rows_verified), parts)
+        return _json(json_text(head, {**more, "rows": []}, rows_verified), parts)
     return _csv(columns, parts, raw=raw) if as_csv else _table(columns, parts, limit)
 
 

@@ -13,7 +13,7 @@ from fsar_ledger.metrics.locked import Limits, slices
 from fsar_ledger.metrics.untrusted import stream_untrusted
 from fsar_ledger.printable import Shown
 
-from .answering import answering, demanded_head, warn
+from .answering import answering, demanded_head, not_observed, warn
 from .output import Row, check_form
 from .pieces import Kept, answer_pieces
 
@@ -81,7 +81,9 @@ def answer_query(
         check_form(as_json=as_json, as_csv=as_csv, raw=raw)
         with answering(ledger, verified=verified) as database:
             table, known = database.query(name, parameters), database.rows_verified
-            return answer_pieces(database.head, table.column_names, _parts(table), rows_verified=known, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit)
+            more = not_observed(database, name)
+            names = table.column_names
+            return answer_pieces(database.head, names, _parts(table), rows_verified=known, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit, more=more)
     if parameters:
         raise UsageError(f"--param {next(iter(parameters))}=... and --file {file}: only a packaged query has parameters; write the value into the file")
     if name is None or ledger is not None:

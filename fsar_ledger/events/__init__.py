@@ -4,10 +4,11 @@ from typing import get_args
 
 from .authority import AuthorityEvent
 from .command import CommandEvent
+from .concerns import CONCERNS
 from .envelope import Event
 from .execution import ExecutionEvent
 from .experiment import ExperimentEvent, ExperimentPlanned
-from .fleet import FleetEvent
+from .fleet import FleetEvent, RunStarted
 from .knowledge import KnowledgeEvent
 from .policy import PolicyEvent
 from .recovery import RecoveryEvent
@@ -45,4 +46,9 @@ UPCASTS: Chains = chains(EVENT_TYPES, RETIRED_TYPES, UPCASTERS)
 ALONE: frozenset[type[Event]] = frozenset({ExperimentPlanned})
 """The types of events that are the only one of their run: they are about runs, and happen in none. Event 0 of any other run is `RunStarted`."""
 
-__all__ = ["ALONE", "EVENT_TYPES", "RETIRED_TYPES", "UPCASTS", "AnyEvent", "Event"]
+CONCERN_OF: dict[str, str] = {
+    cls.__name__: concern for cls in EVENT_TYPES if (concern := cls.__module__.rpartition(".")[2]) in CONCERNS and cls is not RunStarted
+}
+"""The concern of each event type, by its name whatever its version: the file that it is in. `RunStarted` is there whatever a run observes."""
+
+__all__ = ["ALONE", "CONCERN_OF", "EVENT_TYPES", "RETIRED_TYPES", "UPCASTS", "AnyEvent", "Event"]

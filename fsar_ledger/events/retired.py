@@ -49,6 +49,7 @@ _OBSERVED_BY_V1 = (
     "recovery",
     "supervision",
     "knowledge",
+    "message",
     "command",
     "world",
 )

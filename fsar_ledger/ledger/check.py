@@ -6,9 +6,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
+from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger.arrow import Mask, coded, numbers, places, validity, whole
 from fsar_ledger.ledger.runs import Flaw
-from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, ENVELOPE, MAX_INTEGER, OPENINGS, PAYLOAD, SCHEMA, STANDS_ALONE, STORED, Field
+from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, CONCERNED, ENVELOPE, MAX_INTEGER, OPENINGS, PAYLOAD, SCHEMA, STANDS_ALONE, STORED, Field
 
 Integers: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 
@@ -43,7 +44,7 @@ def first_flaw(table: pa.Table) -> Flaw | None:
         return None
     columns = {name: whole(table.column(name)) for name in COLUMNS}
     valid = {name: validity(column) for name, column in columns.items()}
-    suspects = [*_envelope(columns, valid), *_payload(columns, valid), *_company(columns)]
+    suspects = [*_envelope(columns, valid), *_payload(columns, valid), *_company(columns), *_unobserved(columns)]
     first = min(suspects, key=lambda suspect: suspect[0], default=None)
     if first is None:
         return None
@@ -74,10 +75,10 @@ def unprintable(table: pa.Table) -> Flaw | None:
 def disordered(table: pa.Table) -> Flaw | None:
     """An order of events that no writer stores: a run that does not begin as one does, or begins again; time that runs backwards. None if there is none.
 
-    Readers accept both, because 0.1.0 stored them; what stands alone in company they do not. The rows have the columns of `CODED_SCHEMA`, each run in
-    one block.
+    Readers accept both, because 0.1.0 stored them; what stands alone in company, or is unobserved, they do not. The rows have the columns of
+    `CODED_SCHEMA`, each run in one block.
     """
-    columns = {name: whole(table.column(name)) for name in ("run_id", "type", "time_us")}
+    columns = {name: whole(table.column(name)) for name in ("run_id", "type", "time_us", "observes")}
     is_first = np.zeros(len(table), bool)
     is_first[run_starts(columns["run_id"])] = True
     types, times_us = columns["type"], numbers(columns["time_us"])
@@ -87,6 +88,7 @@ def disordered(table: pa.Table) -> Flaw | None:
         *_first(is_opening & ~is_first, "type", "no second beginning of a run"),
         *_first((np.diff(times_us, prepend=times_us[:1]) < 0) & ~is_first, "time_us", "no less than at the event before"),
         *_company(columns),
+        *_unobserved(columns),
     ]
     if not suspects:
         return None
@@ -148,6 +150,31 @@ def _company(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
     sizes = np.diff(run_starts(columns["run_id"]), append=len(is_alone))
     has_company = np.repeat(sizes > 1, sizes)
     return _first(is_alone & has_company, "type", "the only event of its run, as this type is")
+
+
+def _unobserved(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
+    """The rows that name a concern which there is not; those of a concern that their run, as it says at seq 0, does not observe."""
+    observes, types = columns["observes"], coded(columns["type"])
+    if observes.null_count == len(observes):
+        return []
+    sizes: Integers = observes.value_lengths().fill_null(0).to_numpy().astype(np.int64)
+    names: Integers = pc.index_in(observes.flatten(), pa.array(CONCERNS, pa.string())).fill_null(-1).to_numpy().astype(np.int64)
+    rows = np.repeat(np.arange(len(observes)), sizes)
+    suspects = [(int(rows[np.argmax(names < 0)]), "observes", f"some of {list(CONCERNS)}")] if (names < 0).any() else []
+    starts = run_starts(columns["run_id"])
+    run_of: Integers = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(observes)))
+    is_first = np.zeros(len(observes), bool)
+    is_first[starts] = True
+    said = is_first[rows]
+    is_observed = np.zeros((len(starts), len(CONCERNS) + 1), bool)
+    is_observed[run_of[rows[said]], names[said]] = True
+    is_observed[~validity(observes)[starts]] = True  # it says nothing about it
+    is_observed[:, -1] = True  # what has no concern
+    if is_observed.all():
+        return suspects
+    concerns = [CONCERNS.index(CONCERNED[tag]) if tag in CONCERNED else -1 for tag in types.dictionary.to_pylist()]
+    is_bad = ~is_observed[run_of, np.array([*concerns, -1])[places(types)]]
+    return [*suspects, *_first(is_bad, "type", "an event of a concern that its run observes, as event 0 says")]
 
 
 def _payload(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tuple[int, str, str]]:

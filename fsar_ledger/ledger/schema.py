@@ -17,7 +17,7 @@ import msgspec
 import pyarrow as pa
 from msgspec import inspect
 
-from fsar_ledger.events import ALONE, EVENT_TYPES, RETIRED_TYPES, Event
+from fsar_ledger.events import ALONE, CONCERN_OF, EVENT_TYPES, RETIRED_TYPES, Event
 
 Kind = Literal["string", "integer", "boolean", "strings"]
 
@@ -118,6 +118,9 @@ STANDS_ALONE: frozenset[str] = frozenset(tag for tag, one in STORED.items() if o
 
 OPENINGS: frozenset[str] = STANDS_ALONE.union(tag for tag in STORED if tag.partition(".v")[0] == "RunStarted")
 """The tags, whatever their version, of which event 0 of a run has one, and no other event."""
+
+CONCERNED: dict[str, str] = {tag: CONCERN_OF[name] for tag in STORED if (name := tag.partition(".v")[0]) in CONCERN_OF}
+"""The concern of each event type by its tag; of those that have none, an event may be in every run."""
 
 COLUMNS: dict[str, Kind] = columns(tuple(STORED.values()))
 """The kind of every column, in stored order. One that only retired types have stays."""

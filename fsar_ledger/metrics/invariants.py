@@ -13,16 +13,23 @@ from .results import typed
 
 
 class AuditRow(msgspec.Struct, frozen=True):
-    """One invariant over the runs of one architecture and configuration; it holds if no event offends.
+    """One invariant over the runs of one architecture and configuration.
 
-    `events` are distinct events, `first_*` the first of them by run and seq. None: there is none.
+    It holds if no event offends it and every run observes what it rests on; `not_observed` names what `runs_not_observed` of the runs do not.
+    An offence counts although some of that is not observed, if what is observed suffices to tell it; `holds` None: no offence, but something is not
+    observed. `cases` is how much was looked at: of 0 it holds, and says nothing. `events` are distinct events, `first_*` the first of them by run and
+    seq. None: there is none, or nothing that could be judged.
     """
 
     invariant: str
-    architecture: str
-    configuration: str
+    architecture: str | None
+    configuration: str | None
     runs: int
-    events: int
+    holds: bool | None
+    cases: int | None
+    runs_not_observed: int
+    not_observed: str | None
+    events: int | None
     first_run: str | None
     first_seq: int | None
     first_type: str | None
@@ -59,35 +66,72 @@ def audit_rows(database: Database, queries: Sequence[Query], architectures: Sequ
         UsageError: there is no run to check, so that nothing could be said to hold.
         QueryFailed, LedgerCorrupted: as `Database.table`.
     """
-    wanted = list(architectures) or [row["architecture"] for row in database.rows("SELECT DISTINCT architecture FROM runs")]
-    rows = [row for query in queries for row in database.rows(_counts(query), {"architectures": wanted})]
+    rows = [row for query in queries for row in database.rows(_counts(query), {"architectures": list(architectures)})]
     if not rows:
         raise UsageError(f"audit: found no runs of {' or '.join(architectures) or 'any architecture'}; `fsar-ledger info` shows what a ledger holds")
     return typed(rows, AuditRow)
 
 
 def _counts(query: Query) -> str:
-    """The SQL that counts and samples the rows of one invariant."""
+    """The SQL that counts and samples the rows of one invariant; runs in which no offence could be told have none."""
     return f"""
         WITH found AS (
             SELECT run_id, seq, min(type) AS type, string_agg(found, '; ' ORDER BY found) AS found
             FROM {query.relation}
             GROUP BY run_id, seq
+        ),
+
+        offences AS (
+            SELECT run_id, count(*) AS events, arg_min({{'seq': seq, 'type': type, 'found': found}}, seq) AS first
+            FROM found
+            GROUP BY run_id
+        ),
+
+        judged AS (
+            SELECT
+                runs.run_id,
+                runs.architecture,
+                runs.configuration,
+                hidden.not_observed,
+                CASE WHEN NOT coalesce(hidden.hides_offences, FALSE) THEN offences.events END AS events,
+                offences.first,
+                CASE WHEN NOT coalesce(hidden.hides_offences, FALSE) THEN coalesce(looked.cases, 0) END AS cases
+            FROM runs
+            LEFT JOIN offences ON runs.run_id = offences.run_id
+            LEFT JOIN invariant_cases AS looked ON runs.run_id = looked.run_id AND looked.invariant = '{query.relation}'
+            LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND hidden.judge = '{query.relation}'
+            WHERE len($architectures) = 0 OR list_contains($architectures, runs.architecture)
+        ),
+
+        counted AS (
+            SELECT
+                architecture,
+                configuration,
+                count(*) AS runs,
+                sum(cases)::BIGINT AS cases,
+                count(not_observed) AS runs_not_observed,
+                string_agg(DISTINCT not_observed, '; ' ORDER BY not_observed) AS not_observed,
+                sum(events)::BIGINT AS events,
+                min(run_id) FILTER (events > 0) AS first_run,
+                arg_min(first, run_id) FILTER (events > 0) AS first
+            FROM judged
+            GROUP BY architecture, configuration
         )
 
         SELECT
             '{query.relation}' AS invariant,
             architecture,
             configuration,
-            count(DISTINCT runs.run_id) AS runs,
-            count(seq) AS events,
-            arg_min(found.run_id, (found.run_id, seq)) FILTER (seq IS NOT NULL) AS first_run,
-            arg_min(seq, (found.run_id, seq)) FILTER (seq IS NOT NULL) AS first_seq,
-            arg_min(type, (found.run_id, seq)) FILTER (seq IS NOT NULL) AS first_type,
-            arg_min(found, (found.run_id, seq)) FILTER (seq IS NOT NULL) AS first_found
-        FROM runs
-        LEFT JOIN found ON runs.run_id = found.run_id
-        WHERE list_contains($architectures, architecture)
-        GROUP BY architecture, configuration
-        ORDER BY list_position(['fsar', 'cfc', 'dhma'], architecture), configuration <> 'full', configuration
+            runs,
+            CASE WHEN events > 0 THEN FALSE WHEN runs_not_observed = 0 THEN TRUE END AS holds,
+            CASE WHEN events > 0 OR runs_not_observed < runs THEN cases END AS cases,
+            runs_not_observed,
+            not_observed,
+            CASE WHEN events > 0 OR runs_not_observed < runs THEN coalesce(events, 0) END AS events,
+            first_run,
+            first.seq AS first_seq,
+            first.type AS first_type,
+            first.found AS first_found
+        FROM counted
+        ORDER BY list_position(['fsar', 'cfc', 'dhma'], architecture), architecture, configuration <> 'full', configuration
     """

@@ -17,6 +17,7 @@ from typing import get_args
 import msgspec
 
 from fsar_ledger.errors import UnknownQuery
+from fsar_ledger.events.concerns import EVENTS_OF
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.schema import ENVELOPE, LAYOUTS
 
@@ -117,6 +118,22 @@ def staging_query(tag: str) -> Query:
     return Query(f"staging/{view_name(tag)}", sql, header)
 
 
+def concerns_query() -> Query:
+    """The concern of each event type, as `events/concerns.py` has it."""
+    found = {name: concern for concern, names in EVENTS_OF.items() for name in names}
+    rows = ",\n    ".join(f"('{tag}', '{found[tag.partition('.')[0]]}')" for tag in LAYOUTS if tag.partition(".")[0] in found)
+    sql = f"WITH concerns (type, concern) AS (\n    VALUES\n    {rows}\n)\n\nSELECT *\nFROM concerns\n"
+    header = {
+        "Title": "Which concern each event type belongs to; a run says which concerns its source records",
+        "Paper": "sec:evaluation:metrics",
+        "Grain": "one row per event type, but for those that say what a run is",
+        "Units": "none",
+        "NULL": "never",
+        "Example": "fsar-ledger query facts/event_concerns LEDGER",
+    }
+    return Query("facts/event_concerns", sql, header)
+
+
 def world_query() -> Query:
     """The view of what the world did, whatever its type: one text for each fact, alike for facts that are alike."""
     layouts = [layout for layout in LAYOUTS.values() if issubclass(layout.cls, get_args(WorldEvent))]
@@ -209,6 +226,6 @@ def values(query: Query, given: Mapping[str, str]) -> dict[str, str]:
 
 @cache
 def library() -> Library:
-    """The packaged queries, one view per event type, and one of what the world did."""
+    """The packaged queries, one view per event type, the concerns of these types, and one view of what the world did."""
     packaged = [parse(name, sql) for name, sql in _files(files("fsar_ledger.queries"))]
-    return Library([*map(staging_query, LAYOUTS), world_query(), *packaged])
+    return Library([*map(staging_query, LAYOUTS), concerns_query(), world_query(), *packaged])

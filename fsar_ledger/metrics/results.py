@@ -20,8 +20,9 @@ class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
     `constants` names those that other runs of the same model in this ledger have otherwise, None where there are none.
     Units: `mean`, `sd` (per run) and the 95 % interval in the metric's unit (share, count, seconds); `n` runs of `seeds` seeds;
     `denominator` what the metric counts, summed over runs;
-    `mean_without_routine` where it counts routine operations, too. Reading: R42.
-    None: undefined, what the runs do not have, or `scenario` (`seed`) for all of them together.
+    `mean_without_routine` where it counts routine operations, too; `runs_not_observed` runs whose source does
+    not record what the metric rests on, which nothing else counts. Reading: R42.
+    None: undefined, not observable, what the runs do not have, or `scenario` (`seed`) for all of them together.
     """
 
     architecture: str | None
@@ -41,8 +42,9 @@ class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
     n: int
     ci_low: float | None
     ci_high: float | None
-    denominator: int
+    denominator: int | None
     published_convention_mean: float | None
+    runs_not_observed: int = 0
 
 
 class StatisticRow(msgspec.Struct, frozen=True, kw_only=True):

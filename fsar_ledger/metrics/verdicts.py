@@ -131,7 +131,7 @@ def _judge(row: MetricRow, paper: Published) -> Comparison:
     margin = MARGINS[row.metric]
     return Comparison(
         metric=row.metric,
-        architecture=row.architecture,
+        architecture=row.architecture or "",
         configuration=row.configuration,
         fleet_size=row.fleet_size,
         ours=row.mean,

@@ -19,6 +19,7 @@ WORKFLOWS = {
     "workflow-human-supervision": "workflow_3_human_supervision",
 }
 AGREES, DIFFERS = "agrees", "differs"
+NOT_OBSERVABLE = "not observable"  # the cell of a mechanism that the runs do not record
 
 
 def graded(database: Database) -> list[Row]:
@@ -86,9 +87,10 @@ def _coverage(database: Database) -> tuple[Row, ...]:
         name = printed["mechanism"]
         pairs = {workflow: (printed[column] or None, ours.get((name, workflow))) for workflow, column in WORKFLOWS.items()}
         held = {workflow for _, workflow in ours}
-        differing = [workflow for workflow, (paper, cell) in pairs.items() if workflow in held and paper != cell]
+        differing = [workflow for workflow, (paper, cell) in pairs.items() if workflow in held and paper != cell != NOT_OBSERVABLE]
         titles = [specs.labels("workflow")[workflow] for workflow in differing]
-        row: Row = {"mechanism": name, "verdict": f"{DIFFERS}: {', '.join(titles)}" if differing else AGREES}
+        is_seen = any(cell != NOT_OBSERVABLE for workflow, (_, cell) in pairs.items() if workflow in held)
+        row: Row = {"mechanism": name, "verdict": f"{DIFFERS}: {', '.join(titles)}" if differing else AGREES if is_seen or not held else None}
         row["reasons"] = [reason for workflow in differing if (reason := specs.labels("difference").get(f"{workflow}/{name}/{pairs[workflow][1]}"))]
         for workflow, (paper, cell) in pairs.items():
             row |= {f"{workflow}_paper": paper, f"{workflow}_ours": cell}

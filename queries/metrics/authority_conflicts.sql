@@ -2,7 +2,7 @@
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run
 -- Units: numerator and value conflicts (one per action and dimension); denominator 1 (the run)
--- NULL: never
+-- NULL: numbers of a run that does not observe what the metric rests on; not_observed of one that does
 -- Example: fsar-ledger query metrics/authority_conflicts LEDGER
 WITH judged AS (
     SELECT
@@ -14,8 +14,10 @@ WITH judged AS (
 
 SELECT
     runs.run_id,
-    coalesce(judged.numerator, 0)::BIGINT AS numerator,
-    1::BIGINT AS denominator,
-    coalesce(judged.numerator, 0)::DOUBLE AS value
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator, 0)::BIGINT END AS numerator,
+    CASE WHEN hidden.run_id IS NULL THEN 1::BIGINT END AS denominator,
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator, 0)::DOUBLE END AS value,
+    hidden.not_observed
 FROM runs
 LEFT JOIN judged ON runs.run_id = judged.run_id
+LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND hidden.judge = 'authority_conflicts'

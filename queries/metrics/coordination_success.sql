@@ -2,7 +2,7 @@
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run
 -- Units: numerator tasks completed within their budget; denominator tasks; value share
--- NULL: value of a run without tasks
+-- NULL: value of a run without tasks; numbers of a run that does not observe what the metric rests on; not_observed of one that does
 -- Example: fsar-ledger query metrics/coordination_success LEDGER
 WITH completions AS (
     SELECT
@@ -25,8 +25,10 @@ tasks AS (
 
 SELECT
     runs.run_id,
-    coalesce(tasks.numerator, 0)::BIGINT AS numerator,
-    coalesce(tasks.denominator, 0)::BIGINT AS denominator,
-    tasks.numerator / nullif(tasks.denominator, 0) AS value
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(tasks.numerator, 0)::BIGINT END AS numerator,
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(tasks.denominator, 0)::BIGINT END AS denominator,
+    CASE WHEN hidden.run_id IS NULL THEN tasks.numerator / nullif(tasks.denominator, 0) END AS value,
+    hidden.not_observed
 FROM runs
 LEFT JOIN tasks ON runs.run_id = tasks.run_id
+LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND hidden.judge = 'coordination_success'

@@ -3,12 +3,14 @@
 -- Grain: one row per architecture, configuration, setting (kind, source, model version, constants, fleet size), metric, scenario or all scenarios,
 --        and seed or all seeds (pools_seeds)
 -- Units: mean, mean_without_routine (routine operations left out), sd (per run), ci_low, ci_high in the metric's unit;
---        n runs of so many seeds; denominator: what the metric counts, summed over runs.
+--        n runs of so many seeds; denominator: what the metric counts, summed over runs; runs_not_observed runs that do not observe
+--        what the metric rests on, which no other column counts.
 --        Containment and latency are pooled: mean is the sum of numerators over the sum of denominators.
 --        95 % intervals keep within the scale: Wilson for human_intervention; Student's t on the logit of a share and on the logarithm of a count
 --        or time; at a share of 0 or 1 and a count of 0 the exact one-sided bound of n runs that all agree
--- NULL: scenario for all scenarios; seed for all seeds; what the runs do not have; mean where the metric is undefined in all runs; sd also for a
---       single run, and the interval but Wilson's; the interval of a time of 0; mean_without_routine of a metric that counts no routine operations
+-- NULL: scenario for all scenarios; seed for all seeds; what the runs do not have; mean where the metric is undefined or not observable in all runs,
+--       denominator where it is not observable; sd also for a single run,
+--       and the interval but Wilson's; the interval of a time of 0; mean_without_routine of a metric that counts no routine operations
 -- Example: fsar-ledger query metrics/metric_summaries LEDGER
 WITH moments AS (
     -- Sums of floats in a fixed order are the same bits on any number of threads.
@@ -30,6 +32,7 @@ WITH moments AS (
         stddev_samp(x ORDER BY run_id) AS sd,
         count(DISTINCT run_seed) AS seeds,
         count(x) AS n,
+        count(not_observed) AS runs_not_observed,
         sum(denominator)::BIGINT AS denominator,
         avg(published_convention_value ORDER BY run_id) AS published_convention_mean
     FROM summary_values

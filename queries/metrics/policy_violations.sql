@@ -3,7 +3,7 @@
 -- Grain: one row per run
 -- Units: numerator and value executions and motions that started against policy; denominator 1 (the run);
 --        *_without_routine the same without motions, which are routine operations (R42)
--- NULL: never
+-- NULL: numbers of a run that does not observe what the metric rests on; not_observed of one that does
 -- Example: fsar-ledger query metrics/policy_violations LEDGER
 WITH judged AS (
     SELECT
@@ -16,11 +16,13 @@ WITH judged AS (
 
 SELECT
     runs.run_id,
-    coalesce(judged.numerator, 0)::BIGINT AS numerator,
-    1::BIGINT AS denominator,
-    coalesce(judged.numerator, 0)::DOUBLE AS value,
-    coalesce(judged.numerator_without_routine, 0)::BIGINT AS numerator_without_routine,
-    1::BIGINT AS denominator_without_routine,
-    coalesce(judged.numerator_without_routine, 0)::DOUBLE AS value_without_routine
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator, 0)::BIGINT END AS numerator,
+    CASE WHEN hidden.run_id IS NULL THEN 1::BIGINT END AS denominator,
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator, 0)::DOUBLE END AS value,
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator_without_routine, 0)::BIGINT END AS numerator_without_routine,
+    CASE WHEN hidden.run_id IS NULL THEN 1::BIGINT END AS denominator_without_routine,
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator_without_routine, 0)::DOUBLE END AS value_without_routine,
+    hidden.not_observed
 FROM runs
 LEFT JOIN judged ON runs.run_id = judged.run_id
+LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND hidden.judge = 'policy_violations'

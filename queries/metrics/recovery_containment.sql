@@ -2,7 +2,8 @@
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run
 -- Units: numerator failures resolved at local or peer level; denominator failures; value share
--- NULL: value of a run without failures; an unresolved failure is not contained
+-- NULL: value of a run without failures; an unresolved failure is not contained;
+--       numbers of a run that does not observe what the metric rests on; not_observed of one that does
 -- Example: fsar-ledger query metrics/recovery_containment LEDGER
 WITH judged AS (
     SELECT
@@ -15,8 +16,10 @@ WITH judged AS (
 
 SELECT
     runs.run_id,
-    coalesce(judged.numerator, 0)::BIGINT AS numerator,
-    coalesce(judged.denominator, 0)::BIGINT AS denominator,
-    judged.numerator / nullif(judged.denominator, 0) AS value
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator, 0)::BIGINT END AS numerator,
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.denominator, 0)::BIGINT END AS denominator,
+    CASE WHEN hidden.run_id IS NULL THEN judged.numerator / nullif(judged.denominator, 0) END AS value,
+    hidden.not_observed
 FROM runs
 LEFT JOIN judged ON runs.run_id = judged.run_id
+LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND hidden.judge = 'recovery_containment'

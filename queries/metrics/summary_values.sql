@@ -3,8 +3,9 @@
 -- Grain: one row per run, metric, scenario or all scenarios, and seed or all seeds (pools_seeds)
 -- Units: setting and constants as in run_settings; x and pooled_mean in the metric's unit. For a pooled metric
 --        x = ratio + residual / mean denominator, whose mean is the pooled ratio and sd(x) / sqrt(n) its standard error
--- NULL: scenario for all scenarios; seed for all seeds, and of runs that have none; what the run does not have; x where the metric is undefined;
---       pooled_mean for metrics that are not pooled; value_without_routine as in run_metrics
+-- NULL: scenario for all scenarios; seed for all seeds, and of runs that have none; what the run does not have; x where the metric is undefined
+--       or not observable; pooled_mean for metrics that are not pooled; not_observed where the run observes what the metric rests on;
+--       value_without_routine as in run_metrics
 -- Example: fsar-ledger query metrics/summary_values LEDGER
 WITH scenarios AS (
     SELECT * REPLACE (NULL::VARCHAR AS scenario)
@@ -36,7 +37,7 @@ scaled AS (
         definitions.numerator_units,
         sum(cells.numerator) OVER cell AS numerators,
         sum(cells.denominator) OVER cell AS denominators,
-        count(*) OVER cell AS runs
+        count(cells.denominator) OVER cell AS runs
     FROM cells
     INNER JOIN metric_definitions AS definitions ON cells.metric = definitions.metric
     WINDOW cell AS (
@@ -71,6 +72,7 @@ SELECT
     denominator,
     value_without_routine,
     published_convention_value,
+    not_observed,
     CASE WHEN is_pooled THEN (ratio + (numerator - ratio * denominator) / mean_denominator) / numerator_units ELSE value END AS x,
     CASE WHEN is_pooled THEN ratio / numerator_units END AS pooled_mean
 FROM ratios

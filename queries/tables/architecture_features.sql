@@ -32,10 +32,13 @@ evidence AS (
 ),
 
 groups AS (
-    SELECT DISTINCT
-        architecture,
-        configuration
+    SELECT
+        runs.architecture,
+        runs.configuration,
+        array_agg(DISTINCT hidden.judge) AS unseen
     FROM runs
+    LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id
+    GROUP BY runs.architecture, runs.configuration
 ),
 
 shares AS (
@@ -44,10 +47,15 @@ shares AS (
         groups.configuration,
         rules.*,
         evidence.numerator / evidence.denominator AS share,
-        rules.part || ' ' || coalesce(evidence.numerator || '/' || evidence.denominator, 'not shown') AS shown
+        rules.part || ' ' || coalesce(
+            evidence.numerator || '/' || evidence.denominator, if(list_contains(groups.unseen, rules.part), 'not observable', 'not shown')
+        ) AS shown
     FROM groups
     CROSS JOIN rules
-    LEFT JOIN evidence ON groups.architecture = evidence.architecture AND groups.configuration = evidence.configuration AND rules.part = evidence.part
+    LEFT JOIN evidence
+        ON
+            groups.architecture IS NOT DISTINCT FROM evidence.architecture AND groups.configuration IS NOT DISTINCT FROM evidence.configuration
+            AND rules.part = evidence.part
 )
 
 -- One rule grades all eight, and never looks at the architecture's name. Each feature has parts, each a share of events; one part is essential.

@@ -2,7 +2,7 @@
 -- Paper: tab:baseline_context, sec:model:invariants (I1, I5)
 -- Grain: one row per architecture, configuration and part
 -- Units: numerator, denominator counts
--- NULL: never; no row for a part that nothing in the ledger could show
+-- NULL: never; no row for a part that nothing in the ledger could show, and none of runs that do not observe what it rests on
 -- Example: fsar-ledger query tables/evidence_of_principals LEDGER
 WITH named AS (
     SELECT DISTINCT
@@ -63,4 +63,6 @@ SELECT
     sum(counted.fact.denominator)::BIGINT AS denominator
 FROM runs
 INNER JOIN counted ON runs.run_id = counted.fact.run_id
+LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND counted.fact.part = hidden.judge
+WHERE hidden.run_id IS NULL
 GROUP BY ALL

@@ -2,7 +2,7 @@
 -- Paper: tab:baseline_context, eq:recovery
 -- Grain: one row per architecture, configuration and part
 -- Units: numerator, denominator counts; of the levels, those that any failure came to and all four
--- NULL: never; no row for runs without failures
+-- NULL: never; no row for runs without failures, and none of runs that do not observe what a part rests on
 -- Example: fsar-ledger query tables/evidence_of_recovery LEDGER
 WITH first_steps AS (
     SELECT
@@ -26,6 +26,7 @@ moves AS (
 
 judged AS (
     SELECT
+        runs.run_id,
         runs.architecture,
         runs.configuration,
         -- By the robot that failed, or an agent in it: agent/A1/execution is a part of robot/A1.
@@ -40,19 +41,27 @@ judged AS (
     LEFT JOIN moves ON failures.run_id = moves.run_id AND failures.action_id = moves.action_id AND failures.failure = moves.failure
 ),
 
-counted AS (
+parts AS (
     SELECT
+        run_id,
         architecture,
         configuration,
-        unnest(['failures that the robot itself begins to recover', 'failures that skip no level']) AS part,
-        unnest([count(*) FILTER (is_own), count(*) FILTER (is_outward)]) AS numerator,
-        count(*) AS denominator
+        unnest([
+            { 'part': 'failures that the robot itself begins to recover', 'holds': is_own }, { 'part': 'failures that skip no level', 'holds': is_outward }
+        ]) AS fact
     FROM judged
-    GROUP BY architecture, configuration
 )
 
-SELECT *
-FROM counted
+SELECT
+    parts.architecture,
+    parts.configuration,
+    parts.fact.part,
+    count(*) FILTER (parts.fact.holds) AS numerator,
+    count(*) AS denominator
+FROM parts
+LEFT JOIN unobservable AS hidden ON parts.run_id = hidden.run_id AND parts.fact.part = hidden.judge
+WHERE hidden.run_id IS NULL
+GROUP BY ALL
 UNION ALL
 SELECT
     runs.architecture,
@@ -62,4 +71,6 @@ SELECT
     4 AS denominator
 FROM recovery_moves
 INNER JOIN runs ON recovery_moves.run_id = runs.run_id
+LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND hidden.judge = 'levels of recovery in use'
+WHERE hidden.run_id IS NULL
 GROUP BY runs.architecture, runs.configuration

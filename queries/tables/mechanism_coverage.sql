@@ -2,7 +2,7 @@
 -- Paper: tab:coverage
 -- Grain: one row per workflow and mechanism; runs of one workflow that differ show each of their cells
 -- Units: runs count
--- NULL: cell when no event of the workflow exercises the mechanism
+-- NULL: cell when no event of the workflow exercises the mechanism; 'not observable' where its runs do not record what would show it
 -- Example: fsar-ledger query tables/mechanism_coverage LEDGER
 --   answers workflow-door-relay trust_evaluation: task
 WITH seen AS (
@@ -70,9 +70,10 @@ cells AS (
 )
 
 SELECT
-    scenario AS workflow,
-    fact.mechanism,
-    string_agg(DISTINCT fact.cell, ' / ' ORDER BY fact.cell) AS cell,
-    count(DISTINCT run_id) AS runs
+    cells.scenario AS workflow,
+    cells.fact.mechanism,
+    array_to_string(list_sort(array_agg(DISTINCT if(hidden.run_id IS NULL, cells.fact.cell, 'not observable'))), ' / ') AS cell,
+    count(DISTINCT cells.run_id) AS runs
 FROM cells
-GROUP BY scenario, fact.mechanism
+LEFT JOIN unobservable AS hidden ON cells.run_id = hidden.run_id AND cells.fact.mechanism = hidden.judge
+GROUP BY cells.scenario, cells.fact.mechanism

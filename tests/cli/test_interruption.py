@@ -5,6 +5,7 @@ import os
 import pty
 import resource
 import select
+import shlex
 import signal
 import subprocess
 import sys
@@ -33,15 +34,19 @@ def test_an_interrupted_simulation_can_be_continued(tmp_path: Path, workers: str
     arguments = [*COMMAND, "simulate", str(out), *SEVERAL_COMMITS, "--workers", workers]
     process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
     deadline = time.monotonic() + 60
-    while process.poll() is None and not list(out.glob("commits/*.json")) and time.monotonic() < deadline:
+    while process.poll() is None and len(list(out.glob("commits/*.json"))) < 2 and time.monotonic() < deadline:  # the plan, and a batch
         time.sleep(0.005)
     os.killpg(process.pid, signal.SIGINT)  # a terminal sends it to the workers too
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
     assert err.splitlines() == ["fsar-ledger: interrupted; what is committed stays, and the same command continues there"]
     assert in_a_process("verify", out).code == 0
-    assert json.loads(in_a_process("info", out, "--json").out)["head"]["size"] < whole["size"]
-    continued = in_a_process("simulate", out, *SEVERAL_COMMITS, "--workers", workers, "--json")
+    info = json.loads(in_a_process("info", out, "--json").out)
+    assert info["head"]["size"] < whole["size"]
+    [plan] = info["plans"]
+    assert (info["is_complete"], plan["planned_count"], plan["there_count"] + plan["missing_count"]) == (False, 180, 180)
+    assert 25 <= plan["there_count"] < 180
+    continued = in_a_process(*shlex.split(plan["continues_with"])[1:], "--workers", workers, "--json")
     assert json.loads(continued.out)["head"] == whole
 
 

@@ -14,6 +14,7 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger.errors import NotALedger
+from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.ledger import canonical, segment
 from fsar_ledger.ledger.append import Writer
@@ -61,6 +62,8 @@ def odd_run(run_id: str, size: int, draw: random.Random) -> RunRecord:
         return "".join(draw.choice(ODD) for _ in range(draw.randrange(4)))
 
     def value(field: Field) -> object:
+        if field.name == "observes":
+            return CONCERNS
         if field.is_nullable and draw.random() < 0.3:
             return None
         if field.values is not None:

@@ -181,10 +181,10 @@ def append_again(path: Path, runs: Sequence[RunRecord]) -> None:
 
 
 def relabelled(run: RunRecord, name: Callable[[str], str]) -> RunRecord:
-    """The same run with another text in every field that takes any but `parameters`; what was the same text is the same text again."""
+    """The same run with another text in every field that takes any but `parameters` and `observes`; what was the same text is the same text again."""
     events = []
     for event in run.events:
-        free = [field for field in LAYOUTS[str(event.__struct_config__.tag)].fields if field.values is None and field.name != "parameters"]
+        free = [field for field in LAYOUTS[str(event.__struct_config__.tag)].fields if field.values is None and field.name not in ("parameters", "observes")]
         changes: dict[str, object] = {field.name: name(getattr(event, field.name)) for field in free if isinstance(getattr(event, field.name), str)}
         changes |= {field.name: tuple(map(name, getattr(event, field.name))) for field in free if isinstance(getattr(event, field.name), tuple)}
         events.append(msgspec.structs.replace(event, **changes))

@@ -7,6 +7,7 @@ from pathlib import Path
 from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger import canonical
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.codec import RunRecord
@@ -20,6 +21,8 @@ IN_RUNS = {tag: layout for tag, layout in LAYOUTS.items() if tag not in STANDS_A
 
 
 def _value(field: Field, draw: random.Random) -> object:
+    if field.name == "observes":
+        return CONCERNS
     if field.is_nullable and draw.random() < 0.2:
         return None
     if field.values is not None:
@@ -80,6 +83,8 @@ _INTEGERS = st.integers(-MAX_INTEGER, MAX_INTEGER)
 
 
 def _any_value(field: Field) -> st.SearchStrategy[object]:
+    if field.name == "observes":
+        return st.just(CONCERNS)
     kinds: dict[str, st.SearchStrategy[object]] = {
         "string": st.sampled_from(sorted(field.values)) if field.values else _TEXT,
         "integer": _INTEGERS,

@@ -1,6 +1,5 @@
 """What a writer refuses, before anything is in the ledger: what `verify` would condemn, and what breaks a run. Each is named with run, seq and field."""
 
-import os
 import pickle
 import re
 from collections.abc import Callable
@@ -13,14 +12,17 @@ import msgspec
 import pytest
 
 from fsar_ledger.errors import InvalidRun, LedgerCorrupted, SequenceConflict, UsageError, WriteFailed
+from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.experiment import ExperimentPlanned
+from fsar_ledger.events.fleet import RobotJoined, RunStarted
+from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.ledger import disk
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.check import first_flaw
 from fsar_ledger.ledger.codec import RunRecord, encode
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.record import segment_path, staged_path
-from fsar_ledger.ledger.schema import LAYOUTS, OPENINGS, STANDS_ALONE, STORED, Layout
+from fsar_ledger.ledger.schema import CONCERNED, LAYOUTS, OPENINGS, STANDS_ALONE, STORED, Layout
 from fsar_ledger.ledger.verify import verify
 from tests.ledger.forgery import changed
 from tests.ledger.hostile import append_again, stage_anything
@@ -198,7 +200,8 @@ def test_of_two_writers_with_the_same_run_in_other_batches_one_commits_it(path: 
 
 def test_a_commit_that_another_writer_made_alike_is_known_to_hold_its_runs(path: Path) -> None:
     with Writer(path, ORIGIN) as one, Writer(path, ORIGIN) as two:
-        assert two.append(stage(path, BATCHES[2])) == one.append(stage(path, BATCHES[2]))
+        staged = stage(path, BATCHES[2])
+        assert one.append(staged) == two.append(staged)  # which finds it committed, and staged no more
         with pytest.raises(InvalidRun, match="commit 2 holds"):
             two.append(stage(path, [RUN, BATCHES[2][0]]))
         with pytest.raises(InvalidRun, match="commit 2 holds"):
@@ -265,7 +268,9 @@ def test_a_staged_file_of_the_same_size_but_other_bytes_is_not_committed(path: P
     with Writer(path, ORIGIN) as writer:
         staged = pickle.loads(pickle.dumps(stage(path, [RUN])))
         file = staged_path(path, staged.segment_sha256)
-        file.write_bytes(os.urandom(staged.segment_bytes))
+        data = bytearray(file.read_bytes())
+        data[len(data) // 2] ^= 1
+        file.write_bytes(data)
         with pytest.raises(WriteFailed, match="found another file than was staged"):
             writer.append(staged)
         file.unlink()
@@ -288,3 +293,48 @@ def test_a_ledger_takes_no_more_commits_than_a_folder_holds_names(path: Path, mo
     with Writer(path, ORIGIN) as writer, pytest.raises(WriteFailed, match="found 2 commits, expected at most 2"):
         writer.append(stage(path, [RUN]))
     assert {name: data for name, data in contents(path).items() if not name.startswith("staging")} == before
+
+
+# --- what a run says that it observes ---
+
+
+def observing(*concerns: str) -> RunRecord:
+    """A start that says so, two robots that join, and a task that is done."""
+    events = [RunStarted("foreign", concerns), RobotJoined("robot/A1", "carrier", 1, None), RobotJoined("robot/A2", "carrier", 1, None), TaskCompleted("T1")]
+    return RunRecord("seen", [0, 0, 0, 5], [None, 0, 0, 0], events)
+
+
+def test_every_event_type_has_the_concern_of_its_file_but_beginnings() -> None:
+    assert set(CONCERNED) == set(STORED) - OPENINGS
+    assert set(CONCERNED.values()) == set(CONCERNS)
+    assert (CONCERNED["RobotJoined.v1"], CONCERNED["TaskCompleted.v1"]) == ("fleet", "task")
+
+
+@pytest.mark.parametrize(
+    ("concerns", "seq", "field", "expected"),
+    [
+        (("fleet",), 3, "type", "an event of a concern that its run observes"),
+        (("task",), 1, "type", "an event of a concern that its run observes"),
+        ((), 1, "type", "an event of a concern that its run observes"),
+        (("fleet", "task", "tasks"), 0, "observes", "some of "),
+        (("Fleet",), 0, "observes", "some of "),
+    ],
+)
+def test_an_event_of_a_concern_that_its_run_does_not_observe_is_refused_and_condemned(
+    path: Path, concerns: tuple[str, ...], seq: int, field: str, expected: str
+) -> None:
+    run = observing(*concerns)
+    refused(path, [BATCHES[2][0], run, RUN], f"run seen, seq {seq}, field {field}: found .*, expected {expected}")
+    with Writer(path, ORIGIN) as writer:
+        writer.append(stage_anything(path, [BATCHES[2][0], run, RUN]))
+    [problem, *_] = verify(path).problems
+    assert (problem.commit, problem.run, problem.seq, problem.field) == (2, "seen", seq, field)
+    with pytest.raises(LedgerCorrupted, match=f"commit 2: run seen, seq {seq}, field {field}"):
+        list(open_ledger(path).runs())
+
+
+def test_what_a_run_observes_it_may_hold_and_other_runs_may_hold_more(path: Path) -> None:
+    append_all(path, [[RUN, observing("fleet", "task"), BATCHES[2][0]]])
+    quiet = RunRecord("quiet", [0], [None], [RunStarted("foreign", ())])
+    append_all(path, [[quiet]])
+    assert verify(path).ok

@@ -1,11 +1,14 @@
 """Only runs that met the same world are compared; the others are named, with what differs, and what cannot be compared is said."""
 
 from collections.abc import Sequence
+from typing import get_args
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from fsar_ledger.events.concerns import EVENTS_OF
+from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.metrics.comparing import DifferingWorlds, differing_worlds, not_compared, remarks_on
 from fsar_ledger.metrics.database import Value, from_rows
 from fsar_ledger.metrics.results import StatisticRow, statistic_rows
@@ -85,6 +88,14 @@ def test_nobody_says_which_of_two_runs_of_one_world_is_the_pair() -> None:
 def test_a_world_that_was_not_observed_is_not_taken_for_the_same() -> None:
     found = answer("statistics/differing_worlds", of("fsar", 0), of("cfc", 0, observes=["request"]), columns=SUMMARY[:2])
     assert found == [("fsar-cfc", "unobserved")]
+
+
+def test_whose_source_records_the_world_records_every_fact_of_it() -> None:
+    concerns = {concern for concern, names in EVENTS_OF.items() for fact in get_args(WorldEvent) if fact.__name__ in names}
+    runs = [of("fsar", 0, observes=sorted(concerns)), *(of("fsar", at, observes=sorted(concerns - {one})) for at, one in enumerate(concerns, 1))]
+    observing = answer("statistics/compared_runs", *runs, columns=("run_id", "observes_world"))
+    assert [run_id for run_id, observes in observing if observes] == ["fsar-0-full"]
+    assert len(observing) == 1 + len(concerns) > 4
 
 
 def ablated(calls: Sequence[int], *, with_full: bool = True) -> list[list[Row]]:

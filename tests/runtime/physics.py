@@ -69,7 +69,7 @@ def _measured(constants: Constants, runs: int) -> dict[str, dict[str, float | No
     found: dict[str, dict[str, float | None]] = {architecture: {} for architecture in get_args(Architecture)}
     with from_table(encode([record for one in get_args(Architecture) for record in in_world(one, constants, runs).records]), threads=1) as database:
         for row in metric_rows(database):
-            found[row.architecture][row.metric] = row.mean
+            found[row.architecture or ""][row.metric] = row.mean
     return found
 
 

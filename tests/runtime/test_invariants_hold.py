@@ -22,8 +22,10 @@ FOUND_BY_SEARCH = (  # runs in which an invariant once broke
     RunSpec(7, "fsar", "full", "mixed-trust-inspection", 4, 13),
 )
 
+DEFAULTS = Constants()
 
-def broken(specs: Iterable[RunSpec], constants: Constants = Constants()) -> set[tuple[str, str | None]]:
+
+def broken(specs: Iterable[RunSpec], constants: Constants = DEFAULTS) -> set[tuple[str, str | None]]:
     """The invariants that these runs break, each with the first finding."""
     with from_table(encode([simulate_run(spec, constants) for spec in specs])) as database:
         return {

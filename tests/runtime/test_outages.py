@@ -158,6 +158,8 @@ def extremes(name: str, value: object) -> list[object]:
         return [tuple((capability, Range(length, length)) for capability, _ in WorldConstants().durations) for length in (0.0, HUGE)]
     if name in ("horizon_s", "routine_until_s"):  # until then the world makes facts
         return [0.0]
+    if isinstance(value, int):  # a count
+        return [1, 10**6]
     return [HUGE] if name == "encounter_mean_s" else [0.0, HUGE]
 
 

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -62,7 +63,7 @@ def test_another_seed_gives_another_ledger(tmp_path: Path, expected: dict[str, s
 def test_a_killed_simulation_resumes_to_the_same_bytes(tmp_path: Path, expected: dict[str, str], workers: str) -> None:
     out = tmp_path / "ledger"
     kills = 0
-    for commits in (1, 2):
+    for commits in (2, 3):  # the first is the plan
         process = subprocess.Popen(command(out, "--workers", workers), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
         deadline = time.monotonic() + 60
         while process.poll() is None and time.monotonic() < deadline:
@@ -75,6 +76,29 @@ def test_a_killed_simulation_resumes_to_the_same_bytes(tmp_path: Path, expected:
     assert kills >= 1
     assert fingerprint(out) == expected
     assert verify(out).ok
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", ["1", "2"])
+def test_a_killed_enlargement_resumes_to_the_bytes_of_one_that_nobody_killed(tmp_path: Path, workers: str) -> None:
+    options = ["--architecture", "fsar", "--scenario", "door-relay", "--seed", "9", "--runs"]
+    for name in ("straight", "killed"):
+        subprocess.run([*command(tmp_path / name), *options, "30"], check=True, capture_output=True)
+    kills = 0
+    for commits in range(4, 8):  # two plans and two batches are there; each call is killed after one commit more
+        arguments = [*command(tmp_path / "killed", "--workers", workers), *options, "130"]
+        process = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+        while process.poll() is None and len(list((tmp_path / "killed" / "commits").glob("0*.json"))) < commits:
+            time.sleep(0.001)
+        kills += process.poll() is None
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+    assert kills >= 2
+    for name in ("straight", "killed"):
+        subprocess.run([*command(tmp_path / name), *options, "130"], check=True, capture_output=True)
+    assert fingerprint(tmp_path / "killed") == fingerprint(tmp_path / "straight")
+    assert verify(tmp_path / "killed").ok
 
 
 def test_simulating_again_adds_nothing(tmp_path: Path, expected: dict[str, str]) -> None:

@@ -1,0 +1,77 @@
+"""What the runs of a ledger do not observe of the events that a query reads: an empty answer about them says nothing."""
+
+import re
+from collections.abc import Iterable
+
+import msgspec
+
+from .database import Database
+from .library import Library, Query
+
+_TYPE = re.compile(r"'([A-Z][A-Za-z]+\.v\d+)'")
+_COMMENT = re.compile(r"--[^\n]*")
+_TIES = frozenset({"keyed_events"})
+"""Relations that read all events only to say which belong together; what is asked about is named beside them."""
+
+
+class Unobserved(msgspec.Struct, frozen=True):
+    """A concern that some runs do not observe: how many of how many."""
+
+    concern: str
+    runs: int
+    of_runs: int
+
+
+def types_read(library: Library, query: Query) -> frozenset[str] | None:
+    """The event types that the query names, or what it reads; None where it reads all events, whatever their type."""
+    found: set[str] = set()
+    for one in (*library.needs(query.sources() - {query.relation}), query):
+        named = _TYPE.findall(_COMMENT.sub("", one.sql))
+        if not named and one.sources() & {"events", *library.relations} == {"events"} and (one is query or one.relation not in _TIES):
+            return None
+        found.update(named)
+    return frozenset(found)
+
+
+def unobserved(database: Database, query: Query, run: str | None = None) -> list[Unobserved]:
+    """The concerns that the query rests on and that not all runs observe (or this one does not), by name.
+
+    A judge rests on what `judged_concerns` says, any other query on the concerns of the events that it reads. Raises: as `Database.rows`.
+    """
+    types = types_read(database.library, query)
+    named = "" if types is None else f"WHERE type IN ({_listed(types)})"
+    rows = database.rows(
+        f"""
+        WITH judged AS (
+            SELECT concern FROM judged_concerns WHERE judge = $judge
+        ),
+
+        needed AS (
+            SELECT concern FROM judged
+            UNION
+            SELECT concern FROM event_concerns {named} {"WHERE" if types is None else "AND"} NOT EXISTS (FROM judged)
+        )
+
+        SELECT
+            needed.concern,
+            count(*) FILTER (NOT list_contains(coalesce(runs.observes, []), needed.concern)) AS runs,
+            count(*) AS of_runs
+        FROM needed
+        CROSS JOIN runs
+        WHERE $run IS NULL OR runs.run_id = $run
+        GROUP BY needed.concern
+        ORDER BY needed.concern
+        """,
+        {"judge": query.relation, "run": run},
+    )
+    return [Unobserved(**row) for row in rows if row["runs"]]
+
+
+def told(found: Iterable[Unobserved]) -> str | None:
+    """One line for people; None if every run observes everything."""
+    parts = [f"{one.concern} ({one.runs:,} of {one.of_runs:,} runs)" for one in found]
+    return f"not observed, so that the answer says nothing about it: {', '.join(parts)}" if parts else None
+
+
+def _listed(types: frozenset[str]) -> str:
+    return ", ".join(f"'{tag}'" for tag in sorted(types)) or "NULL"

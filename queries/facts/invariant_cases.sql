@@ -1,0 +1,75 @@
+-- Title: How much each invariant looked at
+-- Paper: sec:model:invariants, sec:architecture:invariants
+-- Grain: one row per run and invariant that found anything to judge
+-- Units: cases records, decisions, executions or acts of recovery, each judged by the invariant; never fewer than the events that offend it
+-- NULL: never; without a row there was nothing to judge, so that the invariant holds of nothing
+-- Example: fsar-ledger query facts/invariant_cases LEDGER
+-- Stored: audit reads it for each invariant
+WITH judged AS (
+    SELECT
+        run_id,
+        unnest(list_filter([
+            CASE
+                WHEN
+                    type = 'RobotJoined.v1' OR len(path) > 0
+                    OR coalesce(decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver) IS NOT NULL
+                    THEN 'i1_local_agent_coherence'
+            END,
+            CASE WHEN coalesce(executed_by, robot) IS NOT NULL THEN 'a2_coordination_only_federation' END,
+            CASE
+                WHEN type IN ('OwnStepDecided.v1', 'RoutinePerformed.v1', 'RoutineWithheld.v1') OR (type = 'ExecutionStarted.v1' AND robot = on_behalf_of)
+                    THEN 'a1_local_runtime_self_sufficiency'
+            END,
+            CASE
+                WHEN
+                    type IN (
+                        'RequestAdmitted.v1', 'RequestAccepted.v1', 'OwnStepDecided.v1', 'RoutinePerformed.v1', 'RoutineWithheld.v1', 'ReplanOrdered.v1',
+                        'AssistanceAdmitted.v1'
+                    )
+                    OR (type = 'RecoveryAttempted.v1' AND level = 'local') OR (type = 'ExecutionHeld.v1' AND len(path) > 0)
+                    THEN 'a4_thin_federation_interface'
+            END,
+            CASE WHEN type = 'ExecutionStarted.v1' AND robot <> on_behalf_of THEN 'i2_local_execution_ownership' END,
+            CASE WHEN type = 'RequestAdmitted.v1' THEN 'a3_no_silent_policy_override' END,
+            CASE WHEN type = 'AssistanceAdmitted.v1' THEN 'a5_audit_completeness' END
+        ], LAMBDA one: one IS NOT NULL)) AS invariant
+    FROM events
+    UNION ALL
+    SELECT
+        run_id,
+        'i2_local_execution_ownership' AS invariant
+    FROM rights_at_evaluations
+    WHERE verdict = 'admitted'
+    UNION ALL
+    SELECT
+        run_id,
+        unnest(['i3_jointly_composed_policy', 'a3_no_silent_policy_override']) AS invariant
+    FROM known_policy
+    UNION ALL
+    SELECT
+        run_id,
+        'a3_no_silent_policy_override' AS invariant
+    FROM mandate_conflicts
+    UNION ALL
+    SELECT
+        run_id,
+        'i4_outward_recovery' AS invariant
+    FROM recovery_acts
+    UNION ALL
+    SELECT
+        run_id,
+        'i5_audit_attributability' AS invariant
+    FROM coordination_events
+    UNION ALL
+    SELECT
+        run_id,
+        'a5_audit_completeness' AS invariant
+    FROM cross_robot_records
+)
+
+SELECT
+    run_id,
+    invariant,
+    count(*) AS cases
+FROM judged
+GROUP BY run_id, invariant

@@ -1,0 +1,199 @@
+"""What a run does not observe is not judged: not 0, not "holds"; and what is judged does not rest on it."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pytest
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.events import EVENT_TYPES, RETIRED_TYPES
+from fsar_ledger.events.concerns import CONCERNS, EVENTS_OF
+from fsar_ledger.ledger.codec import encode
+from fsar_ledger.ledger.schema import LAYOUTS
+from fsar_ledger.metrics.database import Database, from_rows, from_table
+from fsar_ledger.metrics.invariants import audit_rows, invariants
+from fsar_ledger.metrics.library import library
+from fsar_ledger.metrics.observing import types_read
+from fsar_ledger.metrics.results import metric_rows
+from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
+from tests.queries.histories import answer, event, run
+
+OF_NO_CONCERN = {"RunStarted", "ExperimentPlanned"}
+"""They say what a run is."""
+
+NEEDED = {judge: {one[1] for one in answer("facts/judged_concerns") if one[0] == judge} for judge, _, _ in answer("facts/judged_concerns")}
+CONCERN_OF = dict(answer("facts/event_concerns"))
+ONLY_RECORDS = {"registry", "message"}
+"""Of what `event_classes` names, what is a record and no decision."""
+PRINCIPALS = {"decided_by", "requested_by", "executed_by", "supervised_by", "claimant", "sender", "receiver", "path"}
+
+
+def concerns_with(fields: set[str]) -> set[str]:
+    """The concerns of the event types that have one of these fields."""
+    return {CONCERN_OF[tag] for tag, layout in LAYOUTS.items() if tag in CONCERN_OF and fields & {field.name for field in layout.fields}}
+
+
+# --- the tables are complete ---
+
+
+def test_every_event_type_is_of_one_concern_and_every_concern_has_event_types() -> None:
+    named = [name for names in EVENTS_OF.values() for name in names]
+    known = {kind.__struct_config__.tag.partition(".")[0] for kind in (*EVENT_TYPES, *RETIRED_TYPES)}  # type: ignore[union-attr]
+    assert sorted(named) == sorted(known - OF_NO_CONCERN), "give each event type a concern in fsar_ledger/events/concerns.py"
+    assert set(CONCERN_OF.values()) == set(CONCERNS)
+
+
+def test_every_metric_invariant_and_mark_says_what_it_rests_on() -> None:
+    metrics = {row[0] for row in answer("metrics/metric_definitions", columns=("metric",))}
+    features = {part for *_, part in _rules()}
+    with from_rows(run(scenario="workflow-door-relay")) as database:
+        mechanisms = {row["mechanism"] for row in database.query("tables/mechanism_coverage").to_pylist()}
+    assert NEEDED.keys() == metrics | {query.relation for query in invariants()} | features | mechanisms
+    assert set().union(*NEEDED.values()) <= set(CONCERNS)
+
+
+def _rules() -> Iterator[tuple[str, str]]:
+    with from_rows(run(observes=[])) as database:
+        for row in database.query("tables/architecture_features").to_pylist():
+            for part in row["evidence"].split("; "):
+                yield row["feature"], part.removesuffix(" not observable")
+
+
+@pytest.mark.parametrize("judge", [query.relation for query in invariants()] + [row[0] for row in answer("metrics/metric_definitions", columns=("metric",))])
+def test_a_judge_rests_on_the_concerns_of_all_events_that_its_query_reads(judge: str) -> None:
+    types = types_read(library(), library().relations[judge])
+    read = concerns_with({"executed_by", "robot"}) if types is None else {CONCERN_OF[tag] for tag in types if tag in CONCERN_OF}
+    if judge == "governance_locality":
+        read -= ONLY_RECORDS
+    if judge == "i1_local_agent_coherence":
+        read |= concerns_with(PRINCIPALS)
+    assert NEEDED[judge] == read
+
+
+# --- real runs, each also as a source would record it that does not observe one concern ---
+
+
+def variants() -> Iterator[pa.Table]:
+    """One run of each architecture in full, and once for each concern without its events; `run_id` is architecture:concern."""
+    for architecture in ARCHITECTURES:
+        rows = encode([simulate_run(RunSpec(42, architecture, "full", "failure-recovery-chain", 4, 12), Constants())])
+        for missing in ("nothing", *CONCERNS):
+            types = pa.array([tag for tag, concern in CONCERN_OF.items() if concern == missing], pa.string())
+            left = rows.filter(pc.invert(pc.is_in(rows["type"], types)))
+            values = {"run_id": [f"{architecture}:{missing}"] * len(left)}
+            values["observes"] = [[one for one in CONCERNS if one != missing], *[None] * (len(left) - 1)]  # type: ignore[list-item]
+            for name, column in values.items():
+                left = left.set_column(left.schema.get_field_index(name), name, pa.array(column, left.schema.field(name).type))
+            yield left
+
+
+@pytest.fixture(scope="module")
+def database() -> Iterator[Database]:
+    with from_table(pa.concat_tables(variants())) as made:
+        yield made
+
+
+def test_a_metric_is_null_without_a_concern_that_it_rests_on_and_else_as_with_it(database: Database) -> None:
+    rows = {(row["run_id"], row["metric"]): row for row in database.rows("SELECT * FROM run_metrics")}
+    hidden = 0
+    for (name, metric), row in rows.items():
+        architecture, missing = name.split(":")
+        numbers = [row[column] for column in ("numerator", "denominator", "value", "published_convention_value")]
+        if missing in NEEDED[metric]:
+            assert (numbers, row["not_observed"]) == ([None] * 4, missing)
+            hidden += 1
+        else:
+            full = rows[f"{architecture}:nothing", metric]
+            assert numbers == [full[column] for column in ("numerator", "denominator", "value", "published_convention_value")], (name, metric)
+            assert row["not_observed"] is None
+    assert hidden == 3 * sum(len(NEEDED[metric]) for metric in {metric for _, metric in rows})
+
+
+def test_an_invariant_holds_of_no_run_that_lacks_what_it_rests_on_and_offences_are_never_made_of_gaps(database: Database) -> None:
+    context = {(judge, concern) for judge, concern, is_context in answer("facts/judged_concerns") if is_context}
+    kept = 0
+    for query in invariants():
+        found: dict[str, set[int]] = {}
+        for row in database.rows(f"SELECT DISTINCT run_id, seq FROM {query.relation}"):
+            found.setdefault(row["run_id"], set()).add(row["seq"])
+        for architecture in ARCHITECTURES:
+            for missing in NEEDED[query.relation]:
+                if (query.relation, missing) not in context:
+                    partial = found.get(f"{architecture}:{missing}", set())
+                    assert partial <= found.get(f"{architecture}:nothing", set()), (query.relation, missing)
+                    kept += len(partial)
+    assert kept > 100
+
+
+def test_audit_judges_each_variant_so(database: Database) -> None:
+    for row in audit_rows(database, invariants()):
+        needed = NEEDED[row.invariant]
+        assert (row.runs, row.runs_not_observed) == (len(CONCERNS) + 1, len(needed))
+        assert row.holds is not True
+        assert set((row.not_observed or "").split("; ")) == needed
+        assert row.cases is not None
+        assert row.events is not None
+        assert row.events <= row.cases > 0
+
+
+# --- small cases ---
+
+
+JOINED = [event("RobotJoined", at, robot=f"robot/A{at}", supervisor=f"supervisor/A{at}") for at in (1, 2, 3)]
+MEMBERSHIP: dict[str, Any] = {"kind": "foreign", "observes": ["fleet"], "seed": None, "scenario": None, "run": None, "fleet_size": None, "architecture": None}
+
+
+def test_of_three_members_nothing_is_known_but_that_they_joined() -> None:
+    with from_rows(run(*JOINED, **MEMBERSHIP)) as made:
+        for audited in audit_rows(made, invariants()):
+            assert (audited.holds, audited.events, audited.cases, audited.runs_not_observed) == (None, None, None, 1)
+            assert audited.not_observed
+        for row in metric_rows(made):
+            assert (row.mean, row.ci_low, row.denominator, row.published_convention_mean, row.n, row.runs_not_observed) == (None, None, None, None, 0, 1)
+        marks = made.query("tables/architecture_features").to_pylist()
+        assert {(row["grade"], row["essential_share"]) for row in marks} == {(None, None)}
+        assert all(" not observable" in row["evidence"] and "0/" not in row["evidence"] for row in marks)
+
+
+def test_a_member_that_joins_twice_is_an_offence_although_little_else_is_observed() -> None:
+    with from_rows(run(*JOINED, JOINED[0], **MEMBERSHIP)) as made:
+        found = {row.invariant: row for row in audit_rows(made, invariants())}
+    broken = found.pop("i1_local_agent_coherence")
+    assert (broken.holds, broken.events, broken.cases, broken.first_seq) == (False, 1, 4, 4)
+    assert {row.holds for row in found.values()} == {None}
+
+
+def test_a_run_in_which_nothing_happened_is_judged_and_says_of_how_much() -> None:
+    with from_rows(run()) as made:
+        assert [(row.holds, row.cases, row.events, row.not_observed) for row in audit_rows(made, invariants())] == [(True, 0, 0, None)] * 10
+        assert {row.metric: row.mean for row in metric_rows(made)}["policy_violations"] == 0
+
+
+def test_runs_that_do_not_observe_are_left_out_of_a_mean_and_counted() -> None:
+    called = event("SupervisorCalled", 1, supervisor="supervisor/fleet")
+    blind = [one for one in CONCERNS if one != "supervision"]
+    with from_rows([*run(called, run_id="r1"), *run(run_id="r2"), *run(run_id="r3", observes=blind)]) as made:
+        row = next(one for one in metric_rows(made) if one.metric == "human_intervention")
+    assert (row.mean, row.n, row.denominator, row.runs_not_observed) == (0.5, 2, 2, 1)
+
+
+def test_what_the_paper_counts_where_nothing_failed_is_not_said_of_a_run_that_does_not_observe_failures() -> None:
+    rows = answer("metrics/run_metrics", run(run_id="r1"), run(run_id="r2", observes=["task"]), columns=("run_id", "metric", "published_convention_value"))
+    assert {run_id: value for run_id, metric, value in rows if metric == "recovery_containment"} == {"r1": 1.0, "r2": None}
+
+
+def test_a_mechanism_that_a_workflow_does_not_record_is_no_empty_cell() -> None:
+    def cells(observes: Sequence[str]) -> dict[str, str | None]:
+        found = run(scenario="workflow-door-relay", observes=list(observes))
+        return dict(answer("tables/mechanism_coverage", found, columns=("mechanism", "cell")))
+
+    assert cells(CONCERNS)["registry_discovery"] is None
+    assert cells([one for one in CONCERNS if one != "registry"])["registry_discovery"] == "not observable"
+
+
+def test_events_that_contradict_the_declaration_are_listed() -> None:
+    rows = answer("audit/undeclared_events", run(*JOINED[:1], event("TaskCompleted", 9, task_id="t"), observes=["fleet", "weather"]))
+    assert sorted(rows, key=str) == [("r1", 2, "TaskCompleted.v1", "task"), ("r1", None, None, "weather")]
+    assert answer("audit/undeclared_events", run(*JOINED)) == []
