@@ -32,7 +32,9 @@ def said(*runs: Sequence[Row]) -> tuple[list[DifferingWorlds], list[str], list[S
 def test_runs_whose_facts_differ_are_no_pair_and_are_named_with_the_first_fact() -> None:
     same = [of(name, 0, OBSTRUCTED, MET) for name in ("fsar", "cfc")]
     unlike = [of("fsar", 1, MET), of("cfc", 1, MET, OBSTRUCTED)]
-    (found,), _, rows = said(*same, *unlike)
+    differing, _, rows = said(*same, *unlike)
+    assert len(differing) == 1
+    found = differing[0]
     assert (found.comparison, found.differs, found.pairs, found.is_fault) == ("fsar-cfc", "facts", 1, True)
     assert (found.first.first_run_id, found.first.first_found) == ("fsar-1-full", '2.0 s PeersMet.v1 peer="robot/B1" robot="robot/A1"')
     assert (found.first.second_run_id, found.first.second_found) == ("cfc-1-full", '2.0 s ObstructionAppeared.v1 obstruction="o1" robot="robot/A1"')
