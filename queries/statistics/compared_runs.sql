@@ -2,7 +2,8 @@
 -- Paper: sec:evaluation:setup
 -- Grain: one row per run
 -- Units: setting as in run_settings, described its kind, source, model version and constants;
---        twins runs of the same architecture, configuration, setting, seed, scenario and number, itself included
+--        twins runs of the same architecture, configuration, setting, seed, scenario and number, itself included;
+--        observes_world whether its source records every fact of the world
 -- NULL: world_sha256 of a run without facts of the world
 -- Example: fsar-ledger query statistics/compared_runs LEDGER
 -- Stored: every pair reads it twice
@@ -17,7 +18,7 @@ WITH found AS (
         run,
         setting,
         concat_ws(', ', kind, source, 'model ' || model_version, constants) AS described,
-        list_contains(observes, 'world') AS observes_world
+        list_has_all(observes, ['policy', 'task', 'supervision', 'world']) AS observes_world
     FROM run_metrics
     WHERE seed IS NOT NULL AND scenario IS NOT NULL AND run IS NOT NULL AND fleet_size IS NOT NULL
 )

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import stats
 
+from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger.schema import SCHEMA
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import StatisticRow, statistic_rows
@@ -41,7 +42,7 @@ def run_metrics(values: Mapping[tuple[str, str], Sequence[float | None]], publis
             "kind": "simulated",
             "source": None,
             "model_version": "test",
-            "observes": ["world"],
+            "observes": list(CONCERNS),
             "setting": f"robots {fleet_size}",
             "constants": None,
             "position": 1,

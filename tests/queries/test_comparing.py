@@ -1,11 +1,14 @@
 """Only runs that met the same world are compared; the others are named, with what differs, and what cannot be compared is said."""
 
 from collections.abc import Sequence
+from typing import get_args
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from fsar_ledger.events.concerns import EVENTS_OF
+from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.metrics.comparing import DifferingWorlds, differing_worlds, not_compared, remarks_on
 from fsar_ledger.metrics.database import Value, from_rows
 from fsar_ledger.metrics.results import StatisticRow, statistic_rows
@@ -29,7 +32,9 @@ def said(*runs: Sequence[Row]) -> tuple[list[DifferingWorlds], list[str], list[S
 def test_runs_whose_facts_differ_are_no_pair_and_are_named_with_the_first_fact() -> None:
     same = [of(name, 0, OBSTRUCTED, MET) for name in ("fsar", "cfc")]
     unlike = [of("fsar", 1, MET), of("cfc", 1, MET, OBSTRUCTED)]
-    (found,), _, rows = said(*same, *unlike)
+    differing, _, rows = said(*same, *unlike)
+    assert len(differing) == 1
+    found = differing[0]
     assert (found.comparison, found.differs, found.pairs, found.is_fault) == ("fsar-cfc", "facts", 1, True)
     assert (found.first.first_run_id, found.first.first_found) == ("fsar-1-full", '2.0 s PeersMet.v1 peer="robot/B1" robot="robot/A1"')
     assert (found.first.second_run_id, found.first.second_found) == ("cfc-1-full", '2.0 s ObstructionAppeared.v1 obstruction="o1" robot="robot/A1"')
@@ -85,6 +90,14 @@ def test_nobody_says_which_of_two_runs_of_one_world_is_the_pair() -> None:
 def test_a_world_that_was_not_observed_is_not_taken_for_the_same() -> None:
     found = answer("statistics/differing_worlds", of("fsar", 0), of("cfc", 0, observes=["request"]), columns=SUMMARY[:2])
     assert found == [("fsar-cfc", "unobserved")]
+
+
+def test_whose_source_records_the_world_records_every_fact_of_it() -> None:
+    concerns = {concern for concern, names in EVENTS_OF.items() for fact in get_args(WorldEvent) if fact.__name__ in names}
+    runs = [of("fsar", 0, observes=sorted(concerns)), *(of("fsar", at, observes=sorted(concerns - {one})) for at, one in enumerate(concerns, 1))]
+    observing = answer("statistics/compared_runs", *runs, columns=("run_id", "observes_world"))
+    assert [run_id for run_id, observes in observing if observes] == ["fsar-0-full"]
+    assert len(observing) == 1 + len(concerns) > 4
 
 
 def ablated(calls: Sequence[int], *, with_full: bool = True) -> list[list[Row]]:

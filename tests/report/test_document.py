@@ -1,5 +1,6 @@
 """What the PDF prints against what the queries answer."""
 
+import shutil
 import tomllib
 from collections.abc import Callable
 from importlib.resources import files
@@ -9,6 +10,9 @@ from typing import Any
 import msgspec
 import pytest
 
+from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
@@ -123,6 +127,28 @@ def test_other_configurations_stand_in_their_own_table(make_ledger: Make) -> Non
     assert answer(found)["judged"] == 0
     assert [(row["configuration"], row["fleet_size"], row["n"]) for row in found.others] == [("without-shared-registry", 8, 10)]
     assert "other-runs" in document.data(found, None)["tables"]
+
+
+def test_tables_are_of_one_seed_and_the_others_stand_apart(ledger: Path, tmp_path: Path, findings: Findings) -> None:
+    several = shutil.copytree(ledger, tmp_path / "several")
+    kept = [run for run in open_ledger(ledger).runs() if run.run_id.startswith("failure-recovery-chain-0-")]
+    others = [RunRecord(f"other-{run.run_id}", run.times_us, run.caused_by, [msgspec.structs.replace(run.events[0], seed=43), *run.events[1:]]) for run in kept]
+    with Writer(several, "test") as writer:
+        writer.append(stage(several, others))
+    found = gather(several)
+    assert [row["mean"] for row in found.cells] == [row["mean"] for row in findings.cells]
+    assert found.evidence == findings.evidence
+    assert {(row["otherwise"], row["n"]) for row in found.others} == {("seed 43", 1)}
+    assert found.shown == "The tables are of seed 42, simulated runs, model 1; runs made otherwise are never taken together with these."
+    pooled = gather(several, pools_seeds=True)
+    assert (pooled.others, max(row["n"] for row in pooled.cells)) == ((), 11)
+
+
+def test_pairs_that_met_different_worlds_are_named_in_the_document(findings: Findings) -> None:
+    unlike = msgspec.structs.replace(findings, differing=("fsar-cfc: 1 pair \x1b[31m",))
+    assert document.data(unlike, None)["differing"] == [r"fsar-cfc: 1 pair \x1b[31m"]
+    template = specs.text("templates", "report.typ")
+    assert template.index("data.differing.join") < template.index("*The answer.*") < template.index('booktab("statistical-significance")')
 
 
 def test_answer_counts_cells_by_distance_and_verdict() -> None:
