@@ -109,7 +109,7 @@ def test_a_proof_is_of_the_event_that_was_asked_for_or_is_not_made(call: Call, s
 
 
 def test_rows_that_no_events_give_are_damage_and_no_traceback(call: Call, small: Path) -> None:
-    forge_segment(small, 0, changed(table_of(small, 0), "architecture", 0, None))
+    forge_segment(small, 0, changed(table_of(small, 0), "kind", 0, None))
     one_message(call("metrics", small), 3, "found a row that no events give", "run fsar-ledger verify")
 
 

@@ -119,7 +119,7 @@ def texts(count: int, *values: str) -> pa.DictionaryArray:
 def claims(count: int, claimants: int) -> pa.Table:
     """So many claims of one dimension of one action, none of them released."""
     numbers = pa.array((np.arange(count) % claimants).astype(np.int32))
-    types = pa.DictionaryArray.from_arrays(pa.array(np.minimum(np.arange(count), 1).astype(np.int32)), pa.array(["RunStarted.v1", "AuthorityClaimed.v1"]))
+    types = pa.DictionaryArray.from_arrays(pa.array(np.minimum(np.arange(count), 1).astype(np.int32)), pa.array(["RunStarted.v2", "AuthorityClaimed.v1"]))
     holders = pa.DictionaryArray.from_arrays(numbers, pa.array([f"robot/{number}" for number in range(claimants)]))
     return rows(count, type=types, action_id="a", dimension="override", claimant=holders, reason="x")
 

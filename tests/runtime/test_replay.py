@@ -14,6 +14,7 @@ import pytest
 
 from fsar_ledger.constants import Constants, Range, Structure, WorldConstants
 from fsar_ledger.events import Event
+from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.envelope import Architecture, Configuration
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import ContextChanged, RoutineDue, TaskArrived, WorldEvent
@@ -228,7 +229,7 @@ UNCHECKED = {
     "a simulated run of no scenario": (restarted(scenario=None), None, "Expected `str`, got `null` - at `$.scenario`"),
     "a scenario of somebody else's": (restarted(scenario="my-hall"), None, "Invalid enum value 'my-hall' - at `$.scenario`"),
     "a run without a seed": (restarted(seed=None), None, "got `null` - at `$.seed`"),
-    "another observation": (restarted(observes=("fleet",)), "observes", "('fleet',), so the run cannot be replayed"),
+    "another observation": (restarted(observes=tuple(one for one in CONCERNS if one != "command")), "observes", "'world'), so the run cannot be replayed"),
     "another model": (restarted(model_version="0"), "model_version", "'0', so the run cannot be replayed"),
     "an impossible fleet": (restarted(fleet_size=10**12), None, "fleet size: found 1000000000000"),
     "a baseline without a mechanism": (restarted(architecture="cfc", configuration="without-trust-evaluation"), None, "cfc"),
