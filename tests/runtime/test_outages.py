@@ -12,7 +12,8 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Architecture, Configuration
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionHalted, ExecutionResumed, ExecutionStarted
 from fsar_ledger.events.knowledge import CopySynced
-from fsar_ledger.events.request import RequestAdmitted, RequestIssued
+from fsar_ledger.events.registry import RegistryQueried
+from fsar_ledger.events.request import GapDetected, RequestAdmitted, RequestIssued
 from fsar_ledger.events.task import StepBegan, TaskAbandoned
 from fsar_ledger.events.world import LinkCameUp, LinkWentDown, PolicyWindowOpened, RobotCameBack, RobotWentOff, SyncPhaseSet, TaskArrived, WorldEvent
 from fsar_ledger.ledger.codec import RunRecord, decode, encode
@@ -84,14 +85,34 @@ def test_a_way_goes_on_where_it_stopped(architecture: Architecture) -> None:
     assert when(run, ExecutionStarted, robot=B) == [begun + 10 * S]
 
 
-def test_a_message_waits_for_the_link_and_takes_its_time_from_then_if_it_could_not_leave() -> None:
+OUTAGES = ((LinkWentDown, LinkCameUp), (RobotWentOff, RobotCameBack))
+
+
+@pytest.mark.parametrize(("begins", "ends"), OUTAGES)
+def test_a_message_travels_to_who_cannot_receive_it_and_waits_there(begins: type[Event], ends: type[Event]) -> None:
     plain = ran("fsar", [(S, DELEGATED)])
     [issued], [admitted] = when(plain, RequestIssued), when(plain, RequestAdmitted)
-    cut = ran("fsar", [(S, DELEGATED), (issued + 1, LinkWentDown(B)), (issued + 9 * S, LinkCameUp(B))])
-    assert when(cut, RequestAdmitted) == [issued + 9 * S + 1]  # it was under way
-    before = ran("fsar", [(S, DELEGATED), (issued - 1, LinkWentDown(B)), (issued + 9 * S, LinkCameUp(B))])
-    assert when(before, RequestIssued) == [issued]
-    assert when(before, RequestAdmitted) == [issued + 9 * S + admitted - issued]  # it could not leave
+    for since_us in (issued - 1, issued + 1):  # before it set out, and while it was under way
+        late = ran("fsar", [(S, DELEGATED), (since_us, begins(B)), (issued + 9 * S, ends(B))])
+        assert when(late, RequestAdmitted) == [issued + 9 * S + 1]
+        early = ran("fsar", [(S, DELEGATED), (since_us, begins(B)), (admitted - 1, ends(B))])
+        assert when(early, RequestAdmitted) == [admitted]
+
+
+@pytest.mark.parametrize(("begins", "ends"), OUTAGES)
+def test_a_message_that_has_set_out_is_not_called_back(begins: type[Event], ends: type[Event]) -> None:
+    plain = ran("fsar", [(S, DELEGATED)])
+    [issued], [admitted] = when(plain, RequestIssued), when(plain, RequestAdmitted)
+    run = ran("fsar", [(S, DELEGATED), (issued + 1, begins(A)), (issued + 9 * S, ends(A))])
+    assert when(run, RequestAdmitted) == [admitted]
+
+
+def test_a_message_that_cannot_leave_sets_out_when_its_sender_can_send() -> None:
+    plain = ran("fsar", [(S, DELEGATED)])
+    [gap], [queried] = when(plain, GapDetected), when(plain, RegistryQueried)
+    run = ran("fsar", [(S, DELEGATED), (gap - 1, LinkWentDown(A)), (gap + 9 * S, LinkCameUp(A))])
+    assert when(run, GapDetected) == [gap]
+    assert when(run, RegistryQueried) == [gap + 9 * S + queried - gap]
 
 
 @EVERY
