@@ -14,9 +14,22 @@ from fsar_ledger.events.execution import ExecutionFinished, ExecutionHalted, Exe
 from fsar_ledger.events.knowledge import CopySynced
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import GapDetected, RequestAdmitted, RequestIssued
+from fsar_ledger.events.supervision import ActuatorServiced
 from fsar_ledger.events.task import StepBegan, TaskAbandoned
-from fsar_ledger.events.world import LinkCameUp, LinkWentDown, PolicyWindowOpened, RobotCameBack, RobotWentOff, SyncPhaseSet, TaskArrived, WorldEvent
+from fsar_ledger.events.world import (
+    ActuatorDegraded,
+    Grade,
+    LinkCameUp,
+    LinkWentDown,
+    PolicyWindowOpened,
+    RobotCameBack,
+    RobotWentOff,
+    SyncPhaseSet,
+    TaskArrived,
+    WorldEvent,
+)
 from fsar_ledger.ledger.codec import RunRecord, decode, encode
+from fsar_ledger.projections.world import World, evolve
 from fsar_ledger.runtime.architectures.wiring import Wiring
 from fsar_ledger.runtime.handlers.commands import Command, PublicCommand, StartAction
 from fsar_ledger.runtime.kernel import Kernel
@@ -74,6 +87,21 @@ def test_an_execution_halts_and_the_rest_goes_on(architecture: Architecture) -> 
     assert when(run, ExecutionResumed) == [begun + 5 * S + 1]
     [undisturbed] = when(ran(architecture, [(S, OWN)]), ExecutionFinished)
     assert when(run, ExecutionFinished) == [undisturbed + 4 * S]
+
+
+@EVERY
+def test_an_execution_goes_on_after_a_moment_without_its_robot(architecture: Architecture) -> None:
+    [begun], [finished] = (when(ran(architecture, [(S, OWN)]), kind) for kind in (ExecutionStarted, ExecutionFinished))
+    run = ran(architecture, [(S, OWN), (begun + S, RobotWentOff(A)), (begun + S + 1, RobotCameBack(A))])
+    assert when(run, ExecutionFinished) == [finished + 1]
+
+
+def test_an_actuator_gets_better_by_service_only() -> None:
+    worse: list[tuple[Grade, Grade, Grade]] = [("lost", "unreliable", "lost"), ("slipping", "unreliable", "slipping"), ("unreliable", "lost", "lost")]
+    for first, second, then in worse:
+        world = evolve(evolve(World(), ActuatorDegraded(A, first)), ActuatorDegraded(A, second))
+        assert world.degraded == {A: then}
+        assert evolve(world, ActuatorServiced(A)).degraded == {}
 
 
 @EVERY
