@@ -158,13 +158,17 @@ class Constants(msgspec.Struct, frozen=True):
 def write_constants(constants: Constants) -> str:
     """Return the constants as `RunStarted.parameters` holds them: JSON in the order of the fields, without absent groups.
 
+    Equal constants are one text, whether a caller gave 240 or 240.0.
+
     Raises:
         BadParameters: JSON has no word for one of them, as for a length without end; a very long one does as well.
     """
+    return _written(_decoded(_written(constants), type(constants)))
+
+
+def _written(constants: Constants) -> str:
     groups = {name: group for name in constants.__struct_fields__ if (group := getattr(constants, name)) is not None}
-    text = msgspec.json.encode(groups).decode()
-    read_constants(text)
-    return text
+    return msgspec.json.encode(groups).decode()
 
 
 class BadParameters(ValueError):
