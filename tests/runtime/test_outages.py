@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from math import inf
+from types import ModuleType
 from typing import get_args
 
 import msgspec
@@ -29,9 +30,11 @@ from fsar_ledger.events.world import (
     WorldEvent,
 )
 from fsar_ledger.ledger.codec import RunRecord, decode, encode
+from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import World, evolve
-from fsar_ledger.runtime.architectures.wiring import Wiring
-from fsar_ledger.runtime.handlers.commands import Command, PublicCommand, StartAction
+from fsar_ledger.runtime.architectures.wiring import Wiring, wire
+from fsar_ledger.runtime.handlers import task
+from fsar_ledger.runtime.handlers.commands import Command, PublicCommand, Scheduled, StartAction
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.replay import replay_run
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run, wiring
@@ -58,6 +61,24 @@ def test_every_command_names_its_actor(architecture: Architecture) -> None:
     assert nameless(whole) == set()
     forgetful = {command: actor for command, actor in whole.actors.items() if command is not StartAction}
     assert nameless(Wiring(whole.decides, whole.reacts, forgetful)) == {StartAction}
+
+
+def test_a_wiring_that_lacks_what_it_names_is_refused() -> None:
+    def reacts(_state: State, _event: Event, _now_us: int) -> tuple[Scheduled, ...]:
+        return ()
+
+    class Unknown(Command):
+        """A command of no module."""
+
+    assert wire(task).decides == task.DECIDES
+    forgetful = ModuleType("forgetful")
+    vars(forgetful).update(DECIDES=task.DECIDES, REACTS=task.REACTS, ACTORS={})
+    with pytest.raises(ValueError, match="BeginStep by nobody"):
+        wire(forgetful)
+    with pytest.raises(ValueError, match="lacks what it names: reacts"):
+        wire(task, instead={reacts: reacts})
+    with pytest.raises(ValueError, match="lacks what it names: Unknown by no module"):
+        wire(task, own={Unknown: lambda _state, _command: ()})
 
 
 def ran(architecture: Architecture, facts: Sequence[Fact]) -> Kernel:
