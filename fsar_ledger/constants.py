@@ -9,6 +9,7 @@ Each constant says in one word, its type, where its value is from. `Paper`: prin
 at, in the study before the first fit or since; most move a cell, and none is a prediction. `Chosen`: ours, and no cell hangs on it.
 """
 
+from collections.abc import Iterator
 from typing import Annotated, Any, TypeVar
 
 import msgspec
@@ -20,6 +21,8 @@ AfterFits = Annotated[_T, msgspec.Meta(extra={"from": "chosen after fits"})]
 Chosen = Annotated[_T, msgspec.Meta(extra={"from": "chosen"})]
 
 END_US = 1_800_000_000  # run time: no fact of the world is later, and no task is open longer
+SIGNED = ("world.absence_from_s", "world.absence_to_s")
+"""The constants that may be less than 0: an absence may begin before the run does."""
 MAX_LEVELS = 16
 """Of nesting in recorded parameters; those of this model take five."""
 
@@ -158,13 +161,33 @@ class Constants(msgspec.Struct, frozen=True):
 def write_constants(constants: Constants) -> str:
     """Return the constants as `RunStarted.parameters` holds them: JSON in the order of the fields, without absent groups.
 
+    Equal constants are one text, whether a caller gave 240 or 240.0.
+
     Raises:
         BadParameters: JSON has no word for one of them, as for a length without end; a very long one does as well.
     """
+    return _written(_decoded(_written(constants), type(constants)))
+
+
+def _written(constants: Constants) -> str:
     groups = {name: group for name in constants.__struct_fields__ if (group := getattr(constants, name)) is not None}
-    text = msgspec.json.encode(groups).decode()
-    read_constants(text)
-    return text
+    return msgspec.json.encode(groups).decode()
+
+
+def negatives(constants: Constants) -> list[str]:
+    """Name each constant that is less than 0, or no number, with its value: no rate, length, share or count is."""
+    return list(_negatives("", msgspec.to_builtins(constants)))
+
+
+def _negatives(name: str, value: Any) -> Iterator[str]:
+    if isinstance(value, dict):
+        for part, one in value.items():
+            yield from _negatives(f"{name}.{part}" if name else part, one)
+    elif isinstance(value, list | tuple):
+        for one in value:
+            yield from _negatives(name, one)
+    elif isinstance(value, int | float) and not value >= 0 and name not in SIGNED:
+        yield f"{name} {value}"
 
 
 class BadParameters(ValueError):

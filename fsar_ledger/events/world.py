@@ -8,7 +8,7 @@ from typing import Literal
 
 from .envelope import Event, Operation, PolicyOutcome, PolicyScope
 
-Grade = Literal["unreliable", "slipping", "lost"]
+Grade = Literal["unreliable", "slipping", "lost"]  # from better to worse
 
 
 class SyncPhaseSet(Event, frozen=True):
@@ -65,7 +65,7 @@ class ObstructionCleared(Event, frozen=True):
 class ActuatorDegraded(Event, frozen=True):
     """The robot's actuator has become unreliable. Paper: sec:evaluation:simulator (failure injection).
 
-    An unreliable one fails some attempts, a slipping one grips but does not hold, a lost one does not grip.
+    An unreliable one fails some attempts, a slipping one grips but does not hold, a lost one does not grip. One that is worse already stays so.
     """
 
     robot: str

@@ -1,6 +1,6 @@
 """How the world stands: open policy windows, obstructions, degraded actuators, robots that are off, links that are down, absent supervisors."""
 
-from typing import assert_never
+from typing import assert_never, get_args
 
 import msgspec
 
@@ -40,6 +40,7 @@ HANDLES = (
     | RecoveryAttemptFailed
 )
 
+GRADES: tuple[Grade, ...] = get_args(Grade)  # from better to worse
 Windows = dict[str, tuple[tuple[str, PolicyOutcome], ...]]  # robot -> open windows (id, outcome)
 
 
@@ -103,14 +104,14 @@ def evolve(state: World, event: HANDLES) -> World:
         case FailureResolved():  # so has a supervisor; a robot that helped itself found it clear, one whose step another took over stays where it is
             return _cleared(state, event.robot) if event.level == "human" else state
         case ActuatorDegraded():
-            return msgspec.structs.replace(state, degraded={**state.degraded, event.robot: event.grade})
+            return _graded(state, event.robot, event.grade)
         case ActuatorServiced():
             serviced = {robot: grade for robot, grade in state.degraded.items() if robot != event.robot}
             return msgspec.structs.replace(state, degraded=serviced)
         case RecoveryAttemptFailed():  # wear: a retry grips with all its force, and a load that slips through it takes the pads along
             if event.result != "partial" or state.degraded.get(event.robot) != "slipping":
                 return state
-            return msgspec.structs.replace(state, degraded={**state.degraded, event.robot: "lost"})
+            return _graded(state, event.robot, "lost")
         case RobotWentOff():
             return msgspec.structs.replace(state, off=state.off | {event.robot})
         case RobotCameBack():
@@ -125,6 +126,12 @@ def evolve(state: World, event: HANDLES) -> World:
             return msgspec.structs.replace(state, off_shift=state.off_shift - {event.supervisor})
         case _:
             assert_never(event)
+
+
+def _graded(state: World, robot: str, grade: Grade) -> World:
+    """The actuator is that far gone, or as far as it was before: only a service makes it better."""
+    worst = max(state.degraded.get(robot, grade), grade, key=GRADES.index)
+    return msgspec.structs.replace(state, degraded={**state.degraded, robot: worst})
 
 
 def _cleared(state: World, robot: str) -> World:

@@ -11,7 +11,7 @@ from typing import TypeAlias, get_args
 
 import msgspec
 
-from fsar_ledger.constants import Constants, write_constants
+from fsar_ledger.constants import Constants, negatives, write_constants
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events.envelope import Architecture, Configuration, Scenario, Workflow
 from fsar_ledger.events.experiment import ExperimentPlanned
@@ -29,6 +29,7 @@ from .world.workflows import FLEET_SIZE, WORKFLOWS
 ORIGIN = "fsar-ledger/simulated"
 WORKFLOWS_ORIGIN = "fsar-ledger/workflows"  # of the second ledger of `reproduce`: no key signs two trees under one origin
 BATCH_RUNS = 25  # runs in a commit, whatever the number of workers
+MAX_NAMED = 5  # of constants that are wrong
 IN_FLIGHT = 2  # batches per worker that may be under way, so that memory stays flat
 
 Progress = Callable[[int, int], None]
@@ -63,6 +64,8 @@ class Experiment(msgspec.Struct, frozen=True):
         if self.configurations != ("full",) and self.architectures != ("fsar",):
             asked = ", ".join(self.architectures)
             raise InvalidExperiment(f"mechanisms are taken out of FSAR only: found architectures {asked}, expected fsar; leave out --architecture")
+        if wrong := negatives(self.constants):
+            raise InvalidExperiment(f"constants: found {', '.join(wrong[:MAX_NAMED])}, expected 0 or more")
         self._require_workflows_as_written()
         self._require_possible_load()
         self._put_in_order()
@@ -117,6 +120,8 @@ class Experiment(msgspec.Struct, frozen=True):
             raise InvalidExperiment(f"{about}: found {', '.join(self.architectures)} ({', '.join(self.configurations)}), expected fsar (full)")
         if self.fleet_size != FLEET_SIZE:
             raise InvalidExperiment(f"{about}: found fleet size {self.fleet_size}, expected {FLEET_SIZE}")
+        if self.constants.outages is not None:
+            raise InvalidExperiment(f"{about}: found outages, expected none: the world of a workflow is its script")
 
     def _put_in_order(self) -> None:
         """The names stand in one order, whatever the order in which they were asked for: the same question is the same plan."""

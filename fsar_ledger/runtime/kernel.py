@@ -6,8 +6,9 @@ event of a batch names the command that made it, and a run can be resumed from i
 events of a batch are caused by its first.
 
 What a robot should do while it is off, and what a message should bring over a link that is down, is kept until the
-fact that brings the robot or the link back, and is due then: a message at once, what the robot was at after the time
-that was left. So the world binds whoever governs; which robot does a command is data of the wiring.
+fact that brings the robot or the link back, and is due then: what the robot was at after the time that was left. A
+message sets out when its sender can send, travels whatever happens to the sender then and whoever receives it, and
+waits there until it can be received. So the world binds whoever governs; which robot does a command is data of the wiring.
 """
 
 from collections.abc import Callable, Sequence
@@ -166,18 +167,25 @@ class Kernel:
                     due_us += 1
                 taken = (*taken, due_us)
                 self._serial += 1
-                if not self._keep((due_us, self._serial, seq, scheduled), due_us - time_us):
+                if not self._keep((due_us, self._serial, seq, scheduled), due_us - time_us):  # a message sets out
                     heappush(self._pending, (due_us, self._serial, seq, scheduled))
 
-    def _keep(self, one: _Pending, after_us: int = 1) -> bool:
-        """True when this cannot be done now, because a robot is off or a link down; it is due so long after they are back."""
+    def _keep(self, one: _Pending, after_us: int = 0) -> bool:
+        """True when this cannot be done now, because a robot is off or a link down; it is due so long after they are back.
+
+        Of a message that sets out (it has time to go) only its sender counts; of one that is there only who receives it, and who passed it on.
+        """
         world = self.state.world
         if not world.off and not world.unlinked:
             return False
         scheduled = one[3]
         actor = self._actor(scheduled)
         senders = [draw.sender for draw in scheduled.draws if draw.sender is not None]
-        ends = (*senders, actor) if senders and actor is not None else senders
+        if _is_message(scheduled) and after_us:
+            ends, actor = senders[:1], None
+        else:
+            others = senders[1:] if _is_message(scheduled) else senders
+            ends = [*others, actor] if senders and actor is not None else others
         if actor in world.off or not all(is_linked(world, end) for end in ends):
             self._kept.append((after_us, *one[1:]))
             return True
@@ -206,7 +214,7 @@ class Kernel:
         for after_us, serial, cause, scheduled in kept:
             if self._keep((0, serial, cause, scheduled), after_us):
                 continue
-            due_us = now_us + after_us
+            due_us = now_us + max(1, after_us)
             while due_us in instants or (due_us, cause) in taken:
                 due_us += 1
             instants.add(due_us)

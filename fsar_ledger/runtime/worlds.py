@@ -7,6 +7,7 @@ one seed that met different worlds are no pair. So a reader is told.
 
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from itertools import combinations
 
 import msgspec
 
@@ -15,6 +16,8 @@ from fsar_ledger.events.fleet import RunStarted
 
 MAX_NAMED = 5
 """A remark names so many constants or groups of runs, and counts the others."""
+
+KINDS = {"other constants": "met a world or a structure that is not this version's", "another load": "had other work than by default"}
 
 World = tuple[int | None, str | None, int | None, int | None]  # seed, scenario, fleet size, run
 
@@ -38,43 +41,49 @@ def played(starts: Iterable[RunStarted]) -> tuple[Played, ...]:
 
 
 def remarks_on(found: Iterable[Played]) -> tuple[str, ...]:
-    """A line for each set of constants that is not this version's, and one if runs of one world met different ones."""
+    """A line for each set of constants that is not this version's, and one if a world has no pair of two architectures under the same set."""
     runs: dict[str, Counter[str]] = {}
-    met: dict[World, set[int]] = {}
+    met: dict[World, dict[str, set[int]]] = {}
     numbers: dict[str, int] = {}
     for one in found:
         who = one.architecture if one.configuration == "full" else f"{one.architecture} {one.configuration}"
         runs.setdefault(one.parameters, Counter())[who] += len(one.worlds)
         number = numbers.setdefault(one.parameters, len(numbers))
         for world in one.worlds:
-            met.setdefault(world, set()).add(number)
+            met.setdefault(world, {}).setdefault(who, set()).add(number)
     total = sum(count.total() for count in runs.values())
     lines = [
-        f"other constants: {counts.total():,} of {total:,} runs ({_some(f'{count:,} of {who}' for who, count in counts.items())}) "
-        f"met a world or a structure that is not this version's: {_some(differences)}"
+        f"{_kind(differences)}: {counts.total():,} of {total:,} runs ({_some(f'{count:,} of {who}' for who, count in counts.items())}) "
+        f"{KINDS[_kind(differences)]}: {_some(differences)}"
         for parameters, counts in runs.items()
         if (differences := list(_differences(parameters)))
     ]
     if len(lines) > MAX_NAMED:
         lines[MAX_NAMED:] = [f"other constants: {len(lines) - MAX_NAMED:,} sets more"]
-    unlike = [world for world, sets in met.items() if len(sets) > 1]
+    unlike = [world for world, sides in met.items() if any(one.isdisjoint(other) for one, other in combinations(sides.values(), 2))]
     if unlike:
         seed, scenario, fleet_size, run = unlike[0]
         lines.append(
             f"no pairs: under {len(unlike):,} of {len(met):,} combinations of seed, scenario, fleet size and run "
-            f"the runs met different constants, first under {seed}, {scenario}, {fleet_size}, {run}; `statistics` compares none of these with each other"
+            f"two architectures or configurations met no constants in common, first under {seed}, {scenario}, {fleet_size}, {run}; "
+            "`statistics` does not compare those two there"
         )
     return tuple(lines)
+
+
+def _kind(differences: Iterable[str]) -> str:
+    return "another load" if all(one.startswith("load.") for one in differences) else "other constants"
 
 
 def _differences(parameters: str) -> Iterator[str]:
     """The constants that are not this version's."""
     constants = read_constants(parameters)
     for part in Constants.__struct_fields__:
-        actual, own = getattr(constants, part), getattr(Constants(), part)
-        for name in (actual or own).__struct_fields__ if actual != own else ():
-            if getattr(actual, name, None) != getattr(own, name, None):
-                yield f"{part}.{name} {_short(getattr(actual, name, None))} (here {_short(getattr(own, name, None))})"
+        actual = getattr(constants, part)
+        for name in actual.__struct_fields__ if actual is not None else ():  # a group that may be absent is by default as one of its defaults
+            own = getattr(getattr(Constants(), part) or type(actual)(), name)
+            if getattr(actual, name) != own:
+                yield f"{part}.{name} {_short(getattr(actual, name))} (here {_short(own)})"
 
 
 def _short(value: object) -> str:

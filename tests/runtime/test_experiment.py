@@ -1,11 +1,12 @@
 """An experiment is a row of runs in canonical order, committed in batches of 25."""
 
+from math import nan
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from fsar_ledger.constants import Constants, WorldConstants
+from fsar_ledger.constants import Constants, Outages, Range, Structure, WorldConstants
 from fsar_ledger.errors import InvalidExperiment, NotALedger, SequenceConflict
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.verify import verify
@@ -40,6 +41,10 @@ def test_batches_have_25_runs_and_the_last_one_the_rest() -> None:
         ({"seed": 2**53}, "seed: found"),
         ({"fleet_size": 6}, "fleet size: found 6"),
         ({"fleet_size": 0}, "fleet size: found 0"),
+        ({"constants": Constants(WorldConstants(window_mean_s=-1.0))}, "constants: found world.window_mean_s -1.0, expected 0 or more"),
+        ({"constants": Constants(WorldConstants(message=Range(-0.5, 0.5)))}, "constants: found world.message.low_s -0.5"),
+        ({"constants": Constants(outages=Outages(loss_rate_per_s=nan))}, "constants: found outages.loss_rate_per_s nan"),
+        ({"constants": Constants(structure=Structure(sync_period_us=-1))}, "constants: found structure.sync_period_us -1"),
     ],
 )
 def test_an_impossible_experiment_is_refused_with_what_was_found(changes: dict[str, Any], message: str) -> None:

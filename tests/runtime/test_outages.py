@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from math import inf
+from types import ModuleType
 from typing import get_args
 
 import msgspec
@@ -12,12 +13,28 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Architecture, Configuration
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionHalted, ExecutionResumed, ExecutionStarted
 from fsar_ledger.events.knowledge import CopySynced
-from fsar_ledger.events.request import RequestAdmitted, RequestIssued
+from fsar_ledger.events.registry import RegistryQueried
+from fsar_ledger.events.request import GapDetected, RequestAdmitted, RequestIssued
+from fsar_ledger.events.supervision import ActuatorServiced
 from fsar_ledger.events.task import StepBegan, TaskAbandoned
-from fsar_ledger.events.world import LinkCameUp, LinkWentDown, PolicyWindowOpened, RobotCameBack, RobotWentOff, SyncPhaseSet, TaskArrived, WorldEvent
+from fsar_ledger.events.world import (
+    ActuatorDegraded,
+    Grade,
+    LinkCameUp,
+    LinkWentDown,
+    PolicyWindowOpened,
+    RobotCameBack,
+    RobotWentOff,
+    SyncPhaseSet,
+    TaskArrived,
+    WorldEvent,
+)
 from fsar_ledger.ledger.codec import RunRecord, decode, encode
-from fsar_ledger.runtime.architectures.wiring import Wiring
-from fsar_ledger.runtime.handlers.commands import Command, PublicCommand, StartAction
+from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.world import World, evolve
+from fsar_ledger.runtime.architectures.wiring import Wiring, wire
+from fsar_ledger.runtime.handlers import task
+from fsar_ledger.runtime.handlers.commands import Command, PublicCommand, Scheduled, StartAction
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.replay import replay_run
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run, wiring
@@ -44,6 +61,24 @@ def test_every_command_names_its_actor(architecture: Architecture) -> None:
     assert nameless(whole) == set()
     forgetful = {command: actor for command, actor in whole.actors.items() if command is not StartAction}
     assert nameless(Wiring(whole.decides, whole.reacts, forgetful)) == {StartAction}
+
+
+def test_a_wiring_that_lacks_what_it_names_is_refused() -> None:
+    def reacts(_state: State, _event: Event, _now_us: int) -> tuple[Scheduled, ...]:
+        return ()
+
+    class Unknown(Command):
+        """A command of no module."""
+
+    assert wire(task).decides == task.DECIDES
+    forgetful = ModuleType("forgetful")
+    vars(forgetful).update(DECIDES=task.DECIDES, REACTS=task.REACTS, ACTORS={})
+    with pytest.raises(ValueError, match="BeginStep by nobody"):
+        wire(forgetful)
+    with pytest.raises(ValueError, match="lacks what it names: reacts"):
+        wire(task, instead={reacts: reacts})
+    with pytest.raises(ValueError, match="lacks what it names: Unknown by no module"):
+        wire(task, own={Unknown: lambda _state, _command: ()})
 
 
 def ran(architecture: Architecture, facts: Sequence[Fact]) -> Kernel:
@@ -76,6 +111,21 @@ def test_an_execution_halts_and_the_rest_goes_on(architecture: Architecture) -> 
 
 
 @EVERY
+def test_an_execution_goes_on_after_a_moment_without_its_robot(architecture: Architecture) -> None:
+    [begun], [finished] = (when(ran(architecture, [(S, OWN)]), kind) for kind in (ExecutionStarted, ExecutionFinished))
+    run = ran(architecture, [(S, OWN), (begun + S, RobotWentOff(A)), (begun + S + 1, RobotCameBack(A))])
+    assert when(run, ExecutionFinished) == [finished + 1]
+
+
+def test_an_actuator_gets_better_by_service_only() -> None:
+    worse: list[tuple[Grade, Grade, Grade]] = [("lost", "unreliable", "lost"), ("slipping", "unreliable", "slipping"), ("unreliable", "lost", "lost")]
+    for first, second, then in worse:
+        world = evolve(evolve(World(), ActuatorDegraded(A, first)), ActuatorDegraded(A, second))
+        assert world.degraded == {A: then}
+        assert evolve(world, ActuatorServiced(A)).degraded == {}
+
+
+@EVERY
 def test_a_way_goes_on_where_it_stopped(architecture: Architecture) -> None:
     """The executor goes off while it approaches; what is left of the way takes what it took."""
     plain = ran(architecture, [(S, DELEGATED)])
@@ -84,14 +134,34 @@ def test_a_way_goes_on_where_it_stopped(architecture: Architecture) -> None:
     assert when(run, ExecutionStarted, robot=B) == [begun + 10 * S]
 
 
-def test_a_message_waits_for_the_link_and_takes_its_time_from_then_if_it_could_not_leave() -> None:
+OUTAGES = ((LinkWentDown, LinkCameUp), (RobotWentOff, RobotCameBack))
+
+
+@pytest.mark.parametrize(("begins", "ends"), OUTAGES)
+def test_a_message_travels_to_who_cannot_receive_it_and_waits_there(begins: type[Event], ends: type[Event]) -> None:
     plain = ran("fsar", [(S, DELEGATED)])
     [issued], [admitted] = when(plain, RequestIssued), when(plain, RequestAdmitted)
-    cut = ran("fsar", [(S, DELEGATED), (issued + 1, LinkWentDown(B)), (issued + 9 * S, LinkCameUp(B))])
-    assert when(cut, RequestAdmitted) == [issued + 9 * S + 1]  # it was under way
-    before = ran("fsar", [(S, DELEGATED), (issued - 1, LinkWentDown(B)), (issued + 9 * S, LinkCameUp(B))])
-    assert when(before, RequestIssued) == [issued]
-    assert when(before, RequestAdmitted) == [issued + 9 * S + admitted - issued]  # it could not leave
+    for since_us in (issued - 1, issued + 1):  # before it set out, and while it was under way
+        late = ran("fsar", [(S, DELEGATED), (since_us, begins(B)), (issued + 9 * S, ends(B))])
+        assert when(late, RequestAdmitted) == [issued + 9 * S + 1]
+        early = ran("fsar", [(S, DELEGATED), (since_us, begins(B)), (admitted - 1, ends(B))])
+        assert when(early, RequestAdmitted) == [admitted]
+
+
+@pytest.mark.parametrize(("begins", "ends"), OUTAGES)
+def test_a_message_that_has_set_out_is_not_called_back(begins: type[Event], ends: type[Event]) -> None:
+    plain = ran("fsar", [(S, DELEGATED)])
+    [issued], [admitted] = when(plain, RequestIssued), when(plain, RequestAdmitted)
+    run = ran("fsar", [(S, DELEGATED), (issued + 1, begins(A)), (issued + 9 * S, ends(A))])
+    assert when(run, RequestAdmitted) == [admitted]
+
+
+def test_a_message_that_cannot_leave_sets_out_when_its_sender_can_send() -> None:
+    plain = ran("fsar", [(S, DELEGATED)])
+    [gap], [queried] = when(plain, GapDetected), when(plain, RegistryQueried)
+    run = ran("fsar", [(S, DELEGATED), (gap - 1, LinkWentDown(A)), (gap + 9 * S, LinkCameUp(A))])
+    assert when(run, GapDetected) == [gap]
+    assert when(run, RegistryQueried) == [gap + 9 * S + queried - gap]
 
 
 @EVERY

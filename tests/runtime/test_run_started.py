@@ -5,7 +5,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, read_constants, write_constants
+from fsar_ledger.constants import Constants, Load, WorldConstants, read_constants, write_constants
 from fsar_ledger.events import UPCASTS
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.fleet import RunStarted
@@ -49,6 +49,13 @@ def test_a_group_that_is_there_makes_another_run_and_is_recorded() -> None:
     assert write_constants(later) == write_constants(Constants())[:-1] + ',"lift":{"capacity_count":2}}'
     assert run_id(run_started(SPEC, later)) != run_id(run_started(SPEC, Constants()))
     assert read_constants(write_constants(later)) == Constants()
+
+
+def test_equal_constants_are_one_text() -> None:
+    ours, given = Constants(), Constants(world=msgspec.structs.replace(WorldConstants(), horizon_s=240), load=Load(task_sets=2, interval_s=30))
+    assert ours.world == given.world
+    assert write_constants(given) == write_constants(Constants(load=Load(task_sets=2, interval_s=30.0)))
+    assert write_constants(given).startswith(write_constants(ours)[:-1])
 
 
 def test_a_simulated_run_observes_every_concern() -> None:

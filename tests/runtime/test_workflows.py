@@ -4,7 +4,7 @@ from typing import TypeVar
 
 import pytest
 
-from fsar_ledger.constants import Constants
+from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Workflow
@@ -258,6 +258,7 @@ def test_the_workflows_are_one_run_each_unless_more_are_asked_for() -> None:
         ({"architectures": ("cfc",)}, r"found cfc \(full\), expected fsar \(full\)"),
         ({"configurations": ("without-trust-evaluation",)}, r"found fsar \(without-trust-evaluation\)"),
         ({"fleet_size": 8}, "fleet size 8, expected 4"),
+        ({"constants": Constants(outages=Outages(0.1))}, "found outages, expected none"),
     ],
 )
 def test_a_workflow_is_played_as_the_paper_has_it(changes: dict[str, object], message: str) -> None:

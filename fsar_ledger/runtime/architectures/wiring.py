@@ -5,7 +5,7 @@ from types import ModuleType
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.runtime.handlers.commands import Actor, Actors, Command, Decide, Decides, React
+from fsar_ledger.runtime.handlers.commands import Actor, Actors, Command, Decide, Decides, PublicCommand, React
 
 
 class Wiring(msgspec.Struct, frozen=True, eq=False):
@@ -22,7 +22,7 @@ def wire(*handlers: ModuleType, own: Decides | None = None, instead: dict[React,
     `own` are commands of shared modules that the architecture decides in its own way, `instead` its own reactions by the shared ones they replace.
 
     Raises:
-        ValueError: two modules decide the same command.
+        ValueError: two modules decide the same command, nobody does one, or what is to be replaced is not there.
     """
     decides: dict[type[Command], Decide] = {}
     reacts: dict[type[Event], tuple[React, ...]] = {}
@@ -35,4 +35,10 @@ def wire(*handlers: ModuleType, own: Decides | None = None, instead: dict[React,
         for event, react in module.REACTS.items():
             reacts[event] = (*reacts.get(event, ()), (instead or {}).get(react, react))
         actors |= module.ACTORS
+    shared = {react for module in handlers for react in module.REACTS.values()}
+    missing = [react.__name__ for react in instead or {} if react not in shared]
+    missing += [f"{command.__name__} by no module" for command in own or {} if command not in decides]
+    missing += [f"{command.__name__} by nobody" for command in decides if not issubclass(command, PublicCommand) and command not in actors]
+    if missing:
+        raise ValueError(f"a wiring lacks what it names: {', '.join(missing)}")
     return Wiring(decides | (own or {}), reacts, actors)

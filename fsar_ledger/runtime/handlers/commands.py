@@ -28,7 +28,7 @@ class PublicCommand(Command, kw_only=True):
 class Draw(msgspec.Struct, frozen=True, gc=False):
     """A draw from the world: which law, what it serves, and which share of it counts (parts per million).
 
-    The latency of a message has a `sender`, which must be linked, as must be who receives it: the actor of the command.
+    The latency of a message has a `sender`, which must be linked when it sets out, as must be the actor of the command, who receives it, when it is there.
     """
 
     stream: str

@@ -103,9 +103,9 @@ def pause_action(state: State, command: PauseAction) -> tuple[Event, ...]:
 
 
 def halt_action(state: State, command: HaltAction) -> tuple[Event, ...]:
-    """The execution has stopped, because its robot is off."""
+    """The execution has stopped, because its robot is off; one that was off for a moment and is back goes on."""
     action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage != "running":
+    if action is None or action.stage != "running" or action.robot not in state.world.off:
         return ()
     return (ExecutionHalted(action.task_id, action.action_id, action.robot, max(0, action.ends_us - command.now_us)),)
 
