@@ -9,9 +9,11 @@ Each constant says in one word, its type, where its value is from. `Paper`: prin
 at, in the study before the first fit or since; most move a cell, and none is a prediction. `Chosen`: ours, and no cell hangs on it.
 """
 
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, TypeVar
 
 import msgspec
+
+from fsar_ledger.parameters import decoded
 
 _T = TypeVar("_T")
 Paper = Annotated[_T, msgspec.Meta(extra={"from": "paper"})]
@@ -20,8 +22,6 @@ AfterFits = Annotated[_T, msgspec.Meta(extra={"from": "chosen after fits"})]
 Chosen = Annotated[_T, msgspec.Meta(extra={"from": "chosen"})]
 
 END_US = 1_800_000_000  # run time: no fact of the world is later, and no task is open longer
-MAX_LEVELS = 16
-"""Of nesting in recorded parameters; those of this model take five."""
 
 
 class Range(msgspec.Struct, frozen=True):
@@ -167,35 +167,6 @@ def write_constants(constants: Constants) -> str:
     return text
 
 
-class BadParameters(ValueError):
-    """The text is not what a run records as its parameters; the message says what was found and expected."""
-
-
 def read_constants(parameters: str) -> Constants:
     """The constants that a run of this model records. Raises: BadParameters."""
-    return _decoded(parameters, Constants)
-
-
-def read_parameters(parameters: str) -> dict[str, Any]:
-    """What a run of any model, also of a foreign one, records as its parameters: names and values, in few levels. Raises: BadParameters."""
-    found: dict[str, Any] = _decoded(parameters, dict[str, Any])
-    level: list[Any] = [found]
-    for _ in range(MAX_LEVELS):
-        values = [value for one in level for value in (one.values() if isinstance(one, dict) else one)]
-        if any(isinstance(value, int) and not -(2**63) <= value < 2**63 for value in values):
-            raise _bad(parameters, "an integer beyond 64 bits")
-        level = [value for value in values if isinstance(value, dict | list)]
-        if not level:
-            return found
-    raise _bad(parameters, f"more than {MAX_LEVELS} levels")
-
-
-def _decoded(parameters: str, kind: type[_T]) -> _T:
-    try:
-        return msgspec.json.decode(parameters, type=kind)
-    except (msgspec.MsgspecError, RecursionError, ValueError) as error:  # nested without end, a number of thousands of digits
-        raise _bad(parameters, str(error)) from error
-
-
-def _bad(parameters: str, why: str) -> BadParameters:
-    return BadParameters(f"found {parameters!r:.80}, expected constants as a JSON object ({why:.200})")
+    return decoded(parameters, Constants)

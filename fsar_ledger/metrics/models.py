@@ -6,9 +6,9 @@ from typing import Any
 
 import msgspec
 
-from fsar_ledger.constants import BadParameters, read_parameters
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.metrics.database import Database
+from fsar_ledger.parameters import BadParameters, read_parameters
 
 MODELS = """
     SELECT kind, model_version, parameters, count(*) AS runs, min(run_id) AS first

@@ -7,7 +7,7 @@ from typing import get_args
 import msgspec
 import pytest
 
-from fsar_ledger.constants import BadParameters, Constants, Outages, Range, WorldConstants, read_constants, write_constants
+from fsar_ledger.constants import Constants, Outages, Range, WorldConstants, read_constants, write_constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Architecture, Configuration
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionHalted, ExecutionResumed, ExecutionStarted
@@ -16,6 +16,7 @@ from fsar_ledger.events.request import RequestAdmitted, RequestIssued
 from fsar_ledger.events.task import StepBegan, TaskAbandoned
 from fsar_ledger.events.world import LinkCameUp, LinkWentDown, PolicyWindowOpened, RobotCameBack, RobotWentOff, SyncPhaseSet, TaskArrived, WorldEvent
 from fsar_ledger.ledger.codec import RunRecord, decode, encode
+from fsar_ledger.parameters import BadParameters
 from fsar_ledger.runtime.architectures.wiring import Wiring
 from fsar_ledger.runtime.handlers.commands import Command, PublicCommand, StartAction
 from fsar_ledger.runtime.kernel import Kernel
