@@ -9,10 +9,11 @@ Each constant says in one word, its type, where its value is from. `Paper`: prin
 at, in the study before the first fit or since; most move a cell, and none is a prediction. `Chosen`: ours, and no cell hangs on it.
 """
 
-from collections.abc import Iterator
 from typing import Annotated, Any, TypeVar
 
 import msgspec
+
+from fsar_ledger.parameters import decoded
 
 _T = TypeVar("_T")
 Paper = Annotated[_T, msgspec.Meta(extra={"from": "paper"})]
@@ -23,8 +24,6 @@ Chosen = Annotated[_T, msgspec.Meta(extra={"from": "chosen"})]
 END_US = 1_800_000_000  # run time: no fact of the world is later, and no task is open longer
 SIGNED = ("world.absence_from_s", "world.absence_to_s")
 """The constants that may be less than 0: an absence may begin before the run does."""
-MAX_LEVELS = 16
-"""Of nesting in recorded parameters; those of this model take five."""
 
 
 class Range(msgspec.Struct, frozen=True):
@@ -166,7 +165,7 @@ def write_constants(constants: Constants) -> str:
     Raises:
         BadParameters: JSON has no word for one of them, as for a length without end; a very long one does as well.
     """
-    return _written(_decoded(_written(constants), type(constants)))
+    return _written(decoded(_written(constants), type(constants)))
 
 
 def _written(constants: Constants) -> str:
@@ -176,49 +175,18 @@ def _written(constants: Constants) -> str:
 
 def negatives(constants: Constants) -> list[str]:
     """Name each constant that is less than 0, or no number, with its value: no rate, length, share or count is."""
-    return list(_negatives("", msgspec.to_builtins(constants)))
+    return _negatives("", msgspec.to_builtins(constants))
 
 
-def _negatives(name: str, value: Any) -> Iterator[str]:
+def _negatives(name: str, value: Any) -> list[str]:
     if isinstance(value, dict):
-        for part, one in value.items():
-            yield from _negatives(f"{name}.{part}" if name else part, one)
-    elif isinstance(value, list | tuple):
-        for one in value:
-            yield from _negatives(name, one)
-    elif isinstance(value, int | float) and not value >= 0 and name not in SIGNED:
-        yield f"{name} {value}"
-
-
-class BadParameters(ValueError):
-    """The text is not what a run records as its parameters; the message says what was found and expected."""
+        return [found for part, one in value.items() for found in _negatives(f"{name}.{part}" if name else part, one)]
+    if isinstance(value, list | tuple):
+        return [found for one in value for found in _negatives(name, one)]
+    is_negative = isinstance(value, int | float) and not value >= 0 and name not in SIGNED
+    return [f"{name} {value}"] if is_negative else []
 
 
 def read_constants(parameters: str) -> Constants:
     """The constants that a run of this model records. Raises: BadParameters."""
-    return _decoded(parameters, Constants)
-
-
-def read_parameters(parameters: str) -> dict[str, Any]:
-    """What a run of any model, also of a foreign one, records as its parameters: names and values, in few levels. Raises: BadParameters."""
-    found: dict[str, Any] = _decoded(parameters, dict[str, Any])
-    level: list[Any] = [found]
-    for _ in range(MAX_LEVELS):
-        values = [value for one in level for value in (one.values() if isinstance(one, dict) else one)]
-        if any(isinstance(value, int) and not -(2**63) <= value < 2**63 for value in values):
-            raise _bad(parameters, "an integer beyond 64 bits")
-        level = [value for value in values if isinstance(value, dict | list)]
-        if not level:
-            return found
-    raise _bad(parameters, f"more than {MAX_LEVELS} levels")
-
-
-def _decoded(parameters: str, kind: type[_T]) -> _T:
-    try:
-        return msgspec.json.decode(parameters, type=kind)
-    except (msgspec.MsgspecError, RecursionError, ValueError) as error:  # nested without end, a number of thousands of digits
-        raise _bad(parameters, str(error)) from error
-
-
-def _bad(parameters: str, why: str) -> BadParameters:
-    return BadParameters(f"found {parameters!r:.80}, expected constants as a JSON object ({why:.200})")
+    return decoded(parameters, Constants)

@@ -24,7 +24,7 @@ import pyarrow as pa
 from duckdb.func import FunctionNullHandling, PythonUDFType
 from numpy.typing import NDArray
 
-from fsar_ledger.constants import BadParameters, read_parameters
+from fsar_ledger.parameters import BadParameters, read_parameters
 
 Vector = NDArray[np.float64]
 
