@@ -107,6 +107,7 @@ def test_an_interrupted_experiment_is_not_complete_and_the_call_that_goes_on_is_
 def test_the_call_that_goes_on_plans_nothing_new(call: Call, tmp_path: Path, experiment: Experiment) -> None:
     planned_only(tmp_path / "ledger", experiment, "example.org/other")
     [plan] = info(call, tmp_path / "ledger")["plans"]
+    assert plan["continues_with"] is not None
     assert plan["continues_with"].endswith("--origin example.org/other")
     assert call(*shlex.split(plan["continues_with"])[1:], "--workers", "1").code == 0
     found = info(call, tmp_path / "ledger")
