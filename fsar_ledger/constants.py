@@ -9,7 +9,6 @@ Each constant says in one word, its type, where its value is from. `Paper`: prin
 at, in the study before the first fit or since; most move a cell, and none is a prediction. `Chosen`: ours, and no cell hangs on it.
 """
 
-from collections.abc import Iterator
 from typing import Annotated, Any, TypeVar
 
 import msgspec
@@ -176,18 +175,16 @@ def _written(constants: Constants) -> str:
 
 def negatives(constants: Constants) -> list[str]:
     """Name each constant that is less than 0, or no number, with its value: no rate, length, share or count is."""
-    return list(_negatives("", msgspec.to_builtins(constants)))
+    return _negatives("", msgspec.to_builtins(constants))
 
 
-def _negatives(name: str, value: Any) -> Iterator[str]:
+def _negatives(name: str, value: Any) -> list[str]:
     if isinstance(value, dict):
-        for part, one in value.items():
-            yield from _negatives(f"{name}.{part}" if name else part, one)
-    elif isinstance(value, list | tuple):
-        for one in value:
-            yield from _negatives(name, one)
-    elif isinstance(value, int | float) and not value >= 0 and name not in SIGNED:
-        yield f"{name} {value}"
+        return [found for part, one in value.items() for found in _negatives(f"{name}.{part}" if name else part, one)]
+    if isinstance(value, list | tuple):
+        return [found for one in value for found in _negatives(name, one)]
+    is_wrong = isinstance(value, int | float) and not value >= 0 and name not in SIGNED
+    return [f"{name} {value}"] if is_wrong else []
 
 
 class BadParameters(ValueError):
