@@ -13,6 +13,8 @@ from typing import Annotated, Any, TypeVar
 
 import msgspec
 
+from fsar_ledger.parameters import decoded
+
 _T = TypeVar("_T")
 Paper = Annotated[_T, msgspec.Meta(extra={"from": "paper"})]
 Fitted = Annotated[_T, msgspec.Meta(extra={"from": "fitted"})]
@@ -22,8 +24,6 @@ Chosen = Annotated[_T, msgspec.Meta(extra={"from": "chosen"})]
 END_US = 1_800_000_000  # run time: no fact of the world is later, and no task is open longer
 SIGNED = ("world.absence_from_s", "world.absence_to_s")
 """The constants that may be less than 0: an absence may begin before the run does."""
-MAX_LEVELS = 16
-"""Of nesting in recorded parameters; those of this model take five."""
 
 
 class Range(msgspec.Struct, frozen=True):
@@ -165,7 +165,7 @@ def write_constants(constants: Constants) -> str:
     Raises:
         BadParameters: JSON has no word for one of them, as for a length without end; a very long one does as well.
     """
-    return _written(_decoded(_written(constants), type(constants)))
+    return _written(decoded(_written(constants), type(constants)))
 
 
 def _written(constants: Constants) -> str:
@@ -183,39 +183,10 @@ def _negatives(name: str, value: Any) -> list[str]:
         return [found for part, one in value.items() for found in _negatives(f"{name}.{part}" if name else part, one)]
     if isinstance(value, list | tuple):
         return [found for one in value for found in _negatives(name, one)]
-    is_wrong = isinstance(value, int | float) and not value >= 0 and name not in SIGNED
-    return [f"{name} {value}"] if is_wrong else []
-
-
-class BadParameters(ValueError):
-    """The text is not what a run records as its parameters; the message says what was found and expected."""
+    is_negative = isinstance(value, int | float) and not value >= 0 and name not in SIGNED
+    return [f"{name} {value}"] if is_negative else []
 
 
 def read_constants(parameters: str) -> Constants:
     """The constants that a run of this model records. Raises: BadParameters."""
-    return _decoded(parameters, Constants)
-
-
-def read_parameters(parameters: str) -> dict[str, Any]:
-    """What a run of any model, also of a foreign one, records as its parameters: names and values, in few levels. Raises: BadParameters."""
-    found: dict[str, Any] = _decoded(parameters, dict[str, Any])
-    level: list[Any] = [found]
-    for _ in range(MAX_LEVELS):
-        values = [value for one in level for value in (one.values() if isinstance(one, dict) else one)]
-        if any(isinstance(value, int) and not -(2**63) <= value < 2**63 for value in values):
-            raise _bad(parameters, "an integer beyond 64 bits")
-        level = [value for value in values if isinstance(value, dict | list)]
-        if not level:
-            return found
-    raise _bad(parameters, f"more than {MAX_LEVELS} levels")
-
-
-def _decoded(parameters: str, kind: type[_T]) -> _T:
-    try:
-        return msgspec.json.decode(parameters, type=kind)
-    except (msgspec.MsgspecError, RecursionError, ValueError) as error:  # nested without end, a number of thousands of digits
-        raise _bad(parameters, str(error)) from error
-
-
-def _bad(parameters: str, why: str) -> BadParameters:
-    return BadParameters(f"found {parameters!r:.80}, expected constants as a JSON object ({why:.200})")
+    return decoded(parameters, Constants)

@@ -13,8 +13,9 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.constants import BadParameters, Constants, read_constants, read_parameters
+from fsar_ledger.constants import Constants, read_constants
 from fsar_ledger.errors import LedgerCorrupted, WorkerDied
+from fsar_ledger.parameters import BadParameters, read_parameters
 from fsar_ledger.workers import WorkerPool
 
 

@@ -13,6 +13,7 @@ from fsar_ledger.printable import Shown
 from .answering import answering
 from .options import known
 from .output import Row, json_text, table_text
+from .simulated import runs
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.invariants import AuditRow
@@ -31,12 +32,18 @@ def audit(ledger: Path, invariants: Sequence[str], architectures: Sequence[str],
     with answering(ledger, verified=verified) as database:
         there = [str(row["architecture"]) for row in database.rows("SELECT DISTINCT architecture FROM runs WHERE architecture IS NOT NULL ORDER BY ALL")]
         wanted = known("architecture", architectures, tuple(dict.fromkeys([*get_args(Architecture), *there])))
-        models(database)  # budgets are judged by what the runs record
+        unreadable = sum(one.runs for one in models(database) if one.parameters is None)
         rows = audit_rows(database, queries, wanted)
         holds = False if any(row.holds is False for row in rows) else all(row.holds for row in rows) or None
         if as_json:
-            return json_text(database.head, {"ledger": str(ledger), "holds": holds, "rows": rows}, database.rows_verified), bool(holds)
-    return printable.joined(table_text([_shown(row) for row in rows], list(_shown(rows[0]))), printable.lines("", *_verdict(rows))), bool(holds)
+            return json_text(database.head, {"ledger": str(ledger), "holds": holds, "runs_unreadable": unreadable, "rows": rows}, database.rows_verified), bool(
+                holds
+            )
+    of_budgets = (
+        [f"{runs(unreadable)} with parameters that cannot be read: recovery budgets that they set are unknown, and none is judged"] if unreadable else []
+    )
+    said = printable.lines("", *_verdict(rows), *of_budgets)
+    return printable.joined(table_text([_shown(row) for row in rows], list(_shown(rows[0]))), said), bool(holds)
 
 
 def _shown(row: "AuditRow") -> Row:

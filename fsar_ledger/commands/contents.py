@@ -4,6 +4,7 @@ A plan that is on record says what is missing. Where there is none (live runs, l
 then the shape of what is there is told, and never that it is complete.
 """
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -167,6 +168,8 @@ class Contents(msgspec.Struct, frozen=True):
             version = model["model_version"]
             about = f"{printable.value(model['kind'])}, {'no model' if version is None else f'model {printable.value(version)}'}"
             others = ", ".join(map(printable.value, model["differs_in"][:MODELS])) + (", ..." if len(model["differs_in"]) > MODELS else "")
+            if model["parameters"] is None:
+                about += f", parameters that cannot be read, SHA-256 {model['parameters_sha256'][:12]}"
             unlike = f", other constants than model 1: {others}" if others and model["parameters"] else ""
             lines.append(about if len(self.models) == 1 else f"model {model['number']}: {about}, {runs(model['runs'])}{unlike}")
         more = len(self.models) - MODELS
@@ -197,7 +200,8 @@ def contents(ledger: Path, *, verified: bool = False) -> tuple[Head, Contents]:
 
 
 def _numbered(found: list[Model]) -> list[dict[str, Any]]:
-    """The models, each with the names of the constants in which it differs from the first."""
+    """The models, each with the names of the constants in which it differs from the first that can be read."""
+    first: Mapping[str, Any] = next((one.parameters for one in found if one.parameters), {})
     return [
         {
             "number": number,
@@ -206,7 +210,7 @@ def _numbered(found: list[Model]) -> list[dict[str, Any]]:
             "parameters": one.parameters,
             "parameters_sha256": one.sha256,
             "runs": one.runs,
-            "differs_in": differing(found[0].parameters, one.parameters),
+            "differs_in": [] if one.parameters is None else differing(first, one.parameters),
         }
         for number, one in enumerate(found, 1)
     ]

@@ -61,7 +61,8 @@ def continues_with(plan: Mapping[str, Any], parameters: str, ledger: Shown) -> s
 
 def _asked(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
     """What `experiment_of` has to be given for such a plan, None where the default serves; None where its constants are not as they are written."""
-    from fsar_ledger.constants import BadParameters, Load, read_constants
+    from fsar_ledger.constants import Load, read_constants
+    from fsar_ledger.parameters import BadParameters
 
     try:
         load = read_constants(parameters).load or Load()

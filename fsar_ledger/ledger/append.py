@@ -48,7 +48,7 @@ from fsar_ledger.ledger.record import (
     staged_path,
 )
 from fsar_ledger.ledger.releases import RELEASE
-from fsar_ledger.ledger.runs import Flaw, refusal
+from fsar_ledger.ledger.runs import Flaw, refusal, unreadable
 from fsar_ledger.ledger.schema import FINGERPRINT
 from fsar_ledger.ledger.tiles import Tile
 from fsar_ledger.ledger.verify_notes import doubt
@@ -76,7 +76,8 @@ def stage(ledger: Path, runs: Sequence[RunRecord]) -> Staged:
 
     Raises:
         InvalidRun: There are no runs, or more than one commit may hold (see `bounds`), or one of them cannot be encoded (see `codec.encode`),
-            has a name that cannot be printed (see `check.unprintable`) or events in another order (see `check.disordered`). Nothing was written.
+            has a name that cannot be printed (see `check.unprintable`), events in another order (see `check.disordered`) or parameters that nobody can read
+            (see `runs.unreadable`). Nothing was written.
         WriteFailed: The disk refused; nothing is left behind.
     """
     if not runs:
@@ -84,7 +85,7 @@ def stage(ledger: Path, runs: Sequence[RunRecord]) -> Staged:
     table, leaves = encode_hashed(runs)
     if flaw := unprintable(table):
         raise InvalidRun(f"{flaw}; give it another name")
-    if flaw := disordered(table):
+    if flaw := disordered(table) or unreadable(runs):
         raise refusal(flaw)
     return stage_rows(ledger, runs, table, leaves)
 

@@ -14,6 +14,7 @@ from fsar_ledger import printable
 from fsar_ledger.errors import InvalidRun
 from fsar_ledger.events import Event
 from fsar_ledger.ledger.schema import LAYOUTS, MAX_INTEGER, Field, Kind
+from fsar_ledger.parameters import BadParameters, read_parameters
 
 
 class RunRecord(msgspec.Struct, frozen=True):
@@ -100,6 +101,18 @@ def refusal(flaw: Flaw) -> InvalidRun:
 def first_unfit(runs: Sequence[RunRecord]) -> Flaw | None:
     """The first value that no row can hold, run by run and event by event."""
     return next((Flaw(-1, run.run_id, seq, *unfit) for run in runs for seq in range(len(run.events)) for unfit in _unfit(run, seq)), None)
+
+
+def unreadable(runs: Sequence[RunRecord]) -> Flaw | None:
+    """The first run whose parameters nobody could read as constants. Readers accept it, because 0.1.0 and 0.2.0 stored any text."""
+    for run in runs:
+        text = getattr(run.events[0], "parameters", None)
+        try:
+            if text is not None:
+                read_parameters(text)
+        except BadParameters:
+            return Flaw(-1, run.run_id, 0, "parameters", f"{text!r:.80}", "constants as a JSON object, or None")
+    return None
 
 
 def _unfit(run: RunRecord, seq: int) -> Iterator[tuple[str, str, str]]:

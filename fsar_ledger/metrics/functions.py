@@ -6,6 +6,7 @@
 | `t_quantile(p, df)` | the t below which a share p lies |
 | `norm_sf2(z)` | two-sided p of a standard normal z |
 | `norm_quantile(p)` | the z below which a share p lies |
+| `gamma_quantile(p, shape)` | the quantile of the gamma distribution of scale 1: exact bounds of a Poisson count |
 | `binomial_half_sf2(k, n)` | exact two-sided p of k of n fair coin tosses, k <= n/2 |
 | `constants_of(parameters)` | name and value of each constant in a run's parameters, sorted by name; NULL where they cannot be read |
 
@@ -23,7 +24,7 @@ import pyarrow as pa
 from duckdb.func import FunctionNullHandling, PythonUDFType
 from numpy.typing import NDArray
 
-from fsar_ledger.constants import BadParameters, read_parameters
+from fsar_ledger.parameters import BadParameters, read_parameters
 
 Vector = NDArray[np.float64]
 
@@ -61,6 +62,11 @@ def norm_quantile(p: Vector) -> Vector:
     return np.asarray(_scipy().ndtri(p))
 
 
+def gamma_quantile(p: Vector, shape: Vector) -> Vector:
+    """Quantile of the gamma distribution of scale 1, half of that of chi-square with twice the degrees of freedom."""
+    return np.asarray(_scipy().gammaincinv(shape, p))
+
+
 def binomial_half_sf2(k: Vector, n: Vector) -> Vector:
     """Exact two-sided probability that a fair coin deviates as much as k of n; 1 when there was no toss."""
     return np.asarray(np.minimum(1.0, 2.0 * _scipy().bdtr(k, n.astype(np.int64), 0.5)))
@@ -82,7 +88,7 @@ def _binary(function: Callable[[Vector, Vector], Vector]) -> Callable[[pa.Array,
 
 
 UNARY = {"norm_sf2": norm_sf2, "norm_quantile": norm_quantile}
-BINARY = {"t_sf2": t_sf2, "t_quantile": t_quantile, "binomial_half_sf2": binomial_half_sf2}
+BINARY = {"t_sf2": t_sf2, "t_quantile": t_quantile, "gamma_quantile": gamma_quantile, "binomial_half_sf2": binomial_half_sf2}
 
 
 def constants_of(parameters: str | None) -> list[dict[str, str]] | None:

@@ -6,9 +6,9 @@ from typing import Any
 
 import msgspec
 
-from fsar_ledger.constants import BadParameters, read_parameters
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.metrics.database import Database
+from fsar_ledger.parameters import BadParameters, read_parameters
 
 MODELS = """
     SELECT kind, model_version, parameters, count(*) AS runs, min(run_id) AS first
@@ -21,13 +21,13 @@ MODELS = """
 class Model(msgspec.Struct, frozen=True):
     """The runs of one kind and model version under the same constants: their text as recorded and what it says, their number, the first one's name.
 
-    Runs that were not simulated may have neither a model nor constants.
+    Runs that were not simulated may have neither a model nor constants, and as parameters a text that is none: `parameters` is None then.
     """
 
     kind: str
     model_version: str | None
     text: str | None
-    parameters: dict[str, Any]
+    parameters: dict[str, Any] | None
     runs: int
     first: str
 
@@ -38,9 +38,9 @@ class Model(msgspec.Struct, frozen=True):
 
 
 def models(database: Database) -> tuple[Model, ...]:
-    """All models, in the order of the names of their first runs. Raises: LedgerCorrupted if a run records something else as its parameters."""
+    """All models, in the order of the names of their first runs. Raises: LedgerCorrupted if a simulated run records something else as its parameters."""
     return tuple(
-        Model(row["kind"], row["model_version"], row["parameters"], _read(row["first"], row["parameters"]), row["runs"], row["first"])
+        Model(row["kind"], row["model_version"], row["parameters"], _read(row["kind"], row["first"], row["parameters"]), row["runs"], row["first"])
         for row in database.rows(MODELS)
     )
 
@@ -59,10 +59,12 @@ def _differing(above: str, first: Mapping[str, Any], other: Mapping[str, Any]) -
             yield f"{above}{name}"
 
 
-def _read(run: str, parameters: str | None) -> dict[str, Any]:
+def _read(kind: str, run: str, parameters: str | None) -> dict[str, Any] | None:
     if parameters is None:
         return {}
     try:
         return read_parameters(parameters)
     except BadParameters as error:
+        if kind != "simulated":  # 0.1.0 and 0.2.0 stored any text of others
+            return None
         raise LedgerCorrupted(f"run {run!r:.300}, seq 0, field parameters: {error}; do not rely on this ledger, run fsar-ledger verify --replay") from error

@@ -1,12 +1,13 @@
 """The paper beside ours: one rule for every cell of the results table.
 
-The interval of (ours - paper) carries the sampling error of both: ours from our runs, the paper's from the SD that
-its own tables imply, at its n of 100. The printed plus-minus is not used: it is 1.96 * SD of five scenario means /
+The interval of (ours - paper) carries the sampling error of both, side by side (MOVER): ours from the interval that
+stands beside our mean, the paper's from the SD that its own tables imply, at its n of 100. The printed plus-minus is
+not used: it is 1.96 * SD of five scenario means /
 sqrt(100), which is no sampling error. The cell
 
 - *differs* if the 95 % interval excludes 0,
 - is *reproduced* if the interval lies inside the metric's fixed margin,
-- is *undecided* otherwise, also where our SD is unknown (fewer than two runs) or the metric is undefined.
+- is *undecided* otherwise, also where our mean has no interval or no SD (fewer than two runs), or the metric is undefined.
 """
 
 import csv
@@ -124,10 +125,12 @@ def _judge(row: MetricRow, paper: Published) -> Comparison:
     """One cell judged by the rule above."""
     difference = None if row.mean is None else row.mean - paper.mean
     ci_low = ci_high = distance_se = None
-    if difference is not None and row.sd is not None:
-        half_width = Z_95 * math.sqrt(row.sd**2 / row.n + paper.implied_sd**2 / PAPER_RUNS)
-        ci_low, ci_high = difference - half_width, difference + half_width
+    if row.mean is not None and difference is not None and row.sd is not None:
         distance_se = difference / (max(row.sd, paper.implied_sd) / math.sqrt(PAPER_RUNS))
+        if row.ci_low is not None and row.ci_high is not None:
+            half_width = Z_95 * paper.implied_sd / math.sqrt(PAPER_RUNS)
+            ci_low = difference - math.hypot(row.mean - row.ci_low, half_width)
+            ci_high = difference + math.hypot(row.ci_high - row.mean, half_width)
     margin = MARGINS[row.metric]
     return Comparison(
         metric=row.metric,

@@ -210,7 +210,7 @@ def _span(low: int, high: int) -> str:
 
 
 def _models(database: Database) -> tuple[tuple[Row, ...], dict[str, str]]:
-    """The sets of constants in the ledger, and those of its first run by dotted name."""
+    """The sets of constants in the ledger, and those of its first run that says any by dotted name."""
     found = models(database)
     named = {row["parameters"]: row["constants"] for row in database.rows(DIFFERING_SQL)}
     rows: tuple[Row, ...] = tuple(
@@ -223,7 +223,7 @@ def _models(database: Database) -> tuple[tuple[Row, ...], dict[str, str]]:
         }
         for one in found
     )
-    return rows, dict(flat("", found[0].parameters)) if found else {}
+    return rows, dict(flat("", next((one.parameters for one in found if one.parameters), {})))
 
 
 def flat(name: str, value: object) -> Iterator[tuple[str, str]]:

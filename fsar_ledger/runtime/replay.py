@@ -29,7 +29,7 @@ from typing import get_args
 
 import msgspec
 
-from fsar_ledger.constants import BadParameters, Constants, read_constants
+from fsar_ledger.constants import Constants, read_constants
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import ALONE, Event
 from fsar_ledger.events.fleet import RunStarted
@@ -38,6 +38,7 @@ from fsar_ledger.ledger import segment
 from fsar_ledger.ledger.codec import RunRecord, decode
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.verify import MAX_PROBLEMS
+from fsar_ledger.parameters import BadParameters
 from fsar_ledger.projections.fold import State
 from fsar_ledger.workers import WorkerPool
 

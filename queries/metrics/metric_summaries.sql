@@ -2,15 +2,14 @@
 -- Paper: tab:results
 -- Grain: one row per architecture, configuration, setting (kind, source, model version, constants, fleet size), metric, scenario or all scenarios,
 --        and seed or all seeds (pools_seeds)
--- Units: mean, mean_without_routine (routine operations left out), sd (per run), ci_low, ci_high in the metric's unit;
---        n runs of so many seeds; denominator: what the metric counts, summed over runs;
---        runs_not_observed runs that do not observe what the metric rests on, which no other column counts.
+-- Units: mean, mean_without_routine (routine operations left out), sd (per run), ci_low, ci_high in the metric's unit; n runs of so many seeds;
+--        denominator: what the metric counts, summed over runs; runs_not_observed runs that do not observe what it rests on, which nothing else counts.
 --        Containment and latency are pooled: mean is the sum of numerators over the sum of denominators.
 --        95 % intervals keep within the scale: Wilson for human_intervention; Student's t on the logit of a share and on the logarithm of a count
---        or time; at a share of 0 or 1 and a count of 0 the exact one-sided bound of n runs that all agree
+--        or time, with as many degrees of freedom as runs count anything; where all agree, exact bounds of a share of 0 or 1 and a count
 -- NULL: scenario for all scenarios; seed for all seeds; what the runs do not have; mean where the metric is undefined or not observable in all
---       runs, denominator where it is not observable; sd also for a single run, and the interval but Wilson's; the
---       interval of a time of 0; mean_without_routine of a metric that counts no routine operations
+--       runs, denominator where it is not observable; sd also for a single run; the interval but Wilson's where one run counts anything,
+--       and of a time or a share between 0 and 1 that does not vary; mean_without_routine of a metric that counts no routine operations
 -- Example: fsar-ledger query metrics/metric_summaries LEDGER
 WITH moments AS (
     -- Sums of floats in a fixed order are the same bits on any number of threads.
@@ -32,6 +31,7 @@ WITH moments AS (
         stddev_samp(x ORDER BY run_id) AS sd,
         count(DISTINCT run_seed) AS seeds,
         count(x) AS n,
+        count(x) FILTER (WHERE denominator IS DISTINCT FROM 0) AS telling,
         count(not_observed) AS runs_not_observed,
         sum(denominator)::BIGINT AS denominator,
         avg(published_convention_value ORDER BY run_id) AS published_convention_mean
@@ -44,8 +44,9 @@ quantiles AS (
         moments.*,
         definitions.scale,
         norm_quantile(0.975) AS z,
-        t_quantile(0.975, nullif(moments.n - 1, 0)::DOUBLE) * moments.sd / sqrt(moments.n) AS half_width,
-        CASE WHEN moments.n > 1 THEN pow(0.025, 1.0 / moments.n) END AS agreement
+        moments.sd <= 1e-12 * abs(moments.mean) AS is_constant, -- but for rounding
+        t_quantile(0.975, nullif(moments.telling - 1, 0)::DOUBLE) * moments.sd / sqrt(moments.n) AS half_width,
+        CASE WHEN moments.telling > 1 THEN pow(0.025, 1.0 / moments.telling) END AS agreement
     FROM moments
     INNER JOIN metric_definitions AS definitions ON moments.metric = definitions.metric
 ),
@@ -54,24 +55,25 @@ intervals AS (
     SELECT
         *,
         CASE
+            WHEN mean <= 0 THEN CASE WHEN scale = 'yes-no' OR scale <> 'seconds' AND telling > 1 THEN 0.0 END
             WHEN scale = 'yes-no'
                 THEN (mean + z * z / (2 * n) - z * sqrt(mean * (1 - mean) / n + z * z / (4 * n * n))) / (1 + z * z / n)
             WHEN scale = 'share' AND mean >= 1 THEN agreement
-            WHEN mean <= 0 THEN CASE WHEN scale <> 'seconds' AND n > 1 THEN 0.0 END
+            WHEN is_constant THEN CASE WHEN scale = 'count' THEN gamma_quantile(0.025, mean * n) / n END
             WHEN scale = 'share' THEN 1 / (1 + (1 - mean) / mean * exp(half_width / (mean * (1 - mean))))
             ELSE mean * exp(-half_width / mean)
         END AS ci_low,
         CASE
+            WHEN scale IN ('share', 'yes-no') AND mean >= 1 THEN CASE WHEN scale = 'yes-no' OR telling > 1 THEN 1.0 END
             WHEN scale = 'yes-no'
                 THEN (mean + z * z / (2 * n) + z * sqrt(mean * (1 - mean) / n + z * z / (4 * n * n))) / (1 + z * z / n)
-            WHEN scale = 'share' AND mean >= 1 THEN CASE WHEN n > 1 THEN 1.0 END
             WHEN scale = 'share' AND mean <= 0 THEN 1 - agreement
-            WHEN mean <= 0 THEN CASE WHEN scale = 'count' THEN -ln(agreement) END
+            WHEN is_constant THEN CASE WHEN scale = 'count' THEN gamma_quantile(0.975, mean * n + 1) / n END
             WHEN scale = 'share' THEN 1 / (1 + (1 - mean) / mean * exp(-half_width / (mean * (1 - mean))))
             ELSE mean * exp(half_width / mean)
         END AS ci_high
     FROM quantiles
 )
 
-SELECT * EXCLUDE (scale, z, half_width, agreement)
+SELECT * EXCLUDE (telling, scale, z, is_constant, half_width, agreement)
 FROM intervals

@@ -20,6 +20,7 @@ from fsar_ledger.runtime.plan import plan_record
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
 from tests.attacks.conftest import Attack, attacked
 from tests.cli.conftest import one_message
+from tests.ledger.hostile import stage_anything
 from tests.runtime.forgeries import changed, renamed
 
 SOME = ("--scenario", "door-relay", "--seed", "3", "--workers", "2", "--runs", "17")
@@ -172,6 +173,6 @@ def test_a_report_on_parameters_that_are_none_ends_with_one_message(tmp_path: Pa
     record = renamed(changed(honest, 0, msgspec.structs.replace(honest.events[0], parameters=BAD[name])))
     ledger = tmp_path / "ledger"
     with Writer(ledger, ORIGIN) as writer:
-        writer.append(stage(ledger, [record]))
+        writer.append(stage_anything(ledger, [record]))
     one_message(command("report", ledger, "--out", tmp_path / "report.pdf"), 3, record.run_id, "field parameters", "expected constants as a JSON object")
     assert not (tmp_path / "report.pdf").exists()

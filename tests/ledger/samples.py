@@ -35,7 +35,8 @@ def _value(field: Field, draw: random.Random) -> object:
         case "strings":
             return tuple(f"robot/{draw.choice('ABCD')}1" for _ in range(draw.randrange(3)))
         case "string":
-            return f"{field.name}-{draw.randrange(4)}"
+            text = f"{field.name}-{draw.randrange(4)}"
+            return f'{{"constant":"{text}"}}' if field.name == "parameters" else text
 
 
 def made_up_run(run_id: str, size: int, seed: int) -> RunRecord:

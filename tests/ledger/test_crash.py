@@ -51,6 +51,7 @@ def says_what_to_do(error: FsarLedgerError, fault: Fault, path: Path) -> bool:
     return message.startswith(str(path)) and os.strerror(code) in message and message.endswith(way_out)
 
 
+@pytest.mark.slow
 def test_a_fault_at_any_call_loses_nothing_acknowledged_and_the_power_may_fail_after_it(laboratory: Laboratory, calls: list[str]) -> None:
     for number, fault in enumerate(one_fault_a_call(calls)):
         (session,) = laboratory.trial([fault], choices(number, 1)[number % 3 :: 3])

@@ -340,3 +340,15 @@ def test_what_a_run_observes_it_may_hold_and_other_runs_may_hold_more(path: Path
     quiet = RunRecord("quiet", [0], [None], [RunStarted("foreign", ())])
     append_all(path, [[quiet]])
     assert verify(path).ok
+
+
+@pytest.mark.parametrize("text", ["speed=3", "[1]", "", "{", '{"a":1e999999}' + "}", '{"a":' * 100_000 + "1" + "}" * 100_000, '{"seed":' + "9" * 6_000 + "}"])
+def test_parameters_that_nobody_can_read_are_refused(path: Path, text: str) -> None:
+    run = RunRecord("night", [0], [None], [RunStarted("live", ("fleet",), parameters=text)])
+    refused(path, [run], "run night, seq 0, field parameters: found .*, expected constants as a JSON object, or None; nothing was written")
+
+
+@pytest.mark.parametrize("text", [None, "{}", '{"speed":{"limit_m_per_s":3.0},"modes":["slow"]}'])
+def test_parameters_of_somebody_elses_are_any_json_object(path: Path, text: str | None) -> None:
+    append_all(path, [[RunRecord("night", [0], [None], [RunStarted("foreign", ("fleet",), source="example.org", parameters=text)])]])
+    assert verify(path).ok

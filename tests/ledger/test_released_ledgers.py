@@ -8,6 +8,8 @@ import msgspec
 import pytest
 
 import fsar_ledger
+from fsar_ledger.commands.audit import audit
+from fsar_ledger.commands.contents import contents
 from fsar_ledger.events import ALONE, EVENT_TYPES
 from fsar_ledger.ledger.codec import encode_hashed
 from fsar_ledger.ledger.note import read_verifier
@@ -66,6 +68,18 @@ def test_a_kept_ledger_verifies_to_the_root_and_the_signatures_that_it_had(path:
     assert report.problems == ()
     assert (report.root, report.events, report.commits, report.runs) == (kept.root, kept.events, kept.commits, len(kept.runs))
     assert report.signed == kept.commits
+
+
+def test_constants_of_a_live_run_that_cannot_be_read_are_shown_as_such_and_stop_no_answer(path: Path) -> None:
+    _, found = contents(path)
+    [unread] = [model for model in found.models if model["parameters"] is None]
+    assert (unread["kind"], unread["runs"], unread["differs_in"]) == ("live", 1, [])
+    assert any(f"parameters that cannot be read, SHA-256 {unread['parameters_sha256'][:12]}" in line for line in found.summary())
+    text, _ = audit(path, ["i4"], [], as_json=False)
+    assert "1 run with parameters that cannot be read: recovery budgets that they set are unknown, and none is judged" in text
+    with connect(path) as database:
+        budgets = {(row["t_max_us"], row["n_max"]) for row in database.rows("SELECT * FROM recovery_allowances WHERE run_id = 'made-up' AND since_seq = 0")}
+    assert budgets == {(None, None)}
 
 
 def test_every_event_of_a_kept_ledger_becomes_one_of_today(path: Path, kept: Kept) -> None:

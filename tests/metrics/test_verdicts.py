@@ -2,6 +2,7 @@
 
 import math
 
+import msgspec
 import pytest
 
 from fsar_ledger.metrics.results import MetricRow
@@ -9,6 +10,8 @@ from fsar_ledger.metrics.verdicts import MARGINS, Comparison, compare, published
 
 
 def row(metric: str, architecture: str, mean: float | None, sd: float | None, n: int = 100) -> MetricRow:
+    """A row with the interval mean +- 2 sd / sqrt(n), or with none."""
+    half_width = None if sd is None else 2 * sd / math.sqrt(n)
     return MetricRow(
         architecture=architecture,
         configuration="full",
@@ -24,8 +27,8 @@ def row(metric: str, architecture: str, mean: float | None, sd: float | None, n:
         mean=mean,
         sd=sd,
         n=n,
-        ci_low=None,
-        ci_high=None,
+        ci_low=None if mean is None or half_width is None else mean - half_width,
+        ci_high=None if mean is None or half_width is None else mean + half_width,
         denominator=n,
         published_convention_mean=mean,
         mean_without_routine=None,
@@ -54,10 +57,20 @@ def test_the_implied_sd_is_the_difference_of_means_over_d_of_the_pair_with_fsar(
 
 
 def test_the_interval_of_the_difference_has_the_sampling_error_of_both() -> None:
-    one = judged(1.10, 0.8, n=1000)
-    half_width = 1.959963984540054 * math.sqrt(0.8**2 / 1000 + one.implied_sd**2 / 100)
+    ours = msgspec.structs.replace(row("authority_conflicts", "fsar", 1.10, 0.8), ci_low=1.0, ci_high=1.4)
+    (one,) = compare([ours])
+    papers = 1.959963984540054 * one.implied_sd / 10
     assert one.difference == pytest.approx(0.06)
-    assert (one.ci_low, one.ci_high) == pytest.approx((0.06 - half_width, 0.06 + half_width))
+    assert (one.ci_low, one.ci_high) == pytest.approx((0.06 - math.hypot(0.1, papers), 0.06 + math.hypot(0.3, papers)))
+
+
+def test_a_verdict_does_not_contradict_the_interval_beside_it() -> None:
+    mean = published()["reassignment_latency_s", "fsar"].mean
+    without = msgspec.structs.replace(row("reassignment_latency_s", "fsar", mean + 5, 0.0, n=2), ci_low=None, ci_high=None)
+    (one,) = compare([without])
+    assert (one.verdict, one.ci_low, one.ci_high) == ("undecided", None, None), "two equal runs do not tell how much runs vary"
+    wide = msgspec.structs.replace(row("reassignment_latency_s", "fsar", mean + 2, 0.1, n=2), ci_low=mean - 1, ci_high=mean + 9)
+    assert compare([wide])[0].verdict == "undecided", "the paper's mean lies in our interval"
 
 
 def test_the_distance_is_in_standard_errors_of_the_larger_sd_at_100_runs() -> None:

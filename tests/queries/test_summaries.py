@@ -42,7 +42,7 @@ def test_containment_is_pooled_over_failures_and_its_sd_is_linearised() -> None:
     contained, failures = np.array([won for won, _ in runs]), np.array([won + lost for won, lost in runs])
     ratio = contained.sum() / failures.sum()
     sd = np.std((contained - ratio * failures) / failures.mean(), ddof=1)
-    low, high = special.expit(stats.t.interval(0.95, 4, loc=special.logit(ratio), scale=sd / math.sqrt(5) / (ratio * (1 - ratio))))
+    low, high = special.expit(stats.t.interval(0.95, 3, loc=special.logit(ratio), scale=sd / math.sqrt(5) / (ratio * (1 - ratio))))
     assert (row.n, row.denominator) == (5, 14)
     assert (row.mean, row.sd, row.ci_low, row.ci_high) == pytest.approx((ratio, sd, low, high), rel=1e-12)
     assert row.published_convention_mean == pytest.approx((2 / 3 + 1 + 0 + 1 + 1 / 2) / 5)

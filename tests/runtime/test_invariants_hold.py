@@ -35,7 +35,7 @@ def broken(specs: Iterable[RunSpec], constants: Constants = DEFAULTS) -> set[tup
         }
 
 
-@pytest.mark.parametrize("fleet_size", [4, 8])
+@pytest.mark.parametrize("fleet_size", [4, pytest.param(8, marks=pytest.mark.slow)])
 def test_all_ten_hold_on_fsar_in_every_scenario(fleet_size: int) -> None:
     assert broken(RunSpec(42, "fsar", "full", scenario, fleet_size, run) for scenario in SCENARIOS for run in range(12)) == set()
 
@@ -49,7 +49,7 @@ def test_all_ten_hold_on_runs_that_once_broke_one() -> None:
     assert broken(FOUND_BY_SEARCH) == set()
 
 
-@pytest.mark.parametrize("seed", [42, 1, 2, 3])
+@pytest.mark.parametrize("seed", [42, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
 def test_all_ten_hold_on_every_workflow(seed: int) -> None:
     assert broken(RunSpec(seed, "fsar", "full", workflow, 4, run) for workflow in get_args(Workflow) for run in range(4)) == set()
 

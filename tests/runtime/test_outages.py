@@ -8,7 +8,7 @@ from typing import get_args
 import msgspec
 import pytest
 
-from fsar_ledger.constants import BadParameters, Constants, Outages, Range, WorldConstants, read_constants, write_constants
+from fsar_ledger.constants import Constants, Outages, Range, WorldConstants, read_constants, write_constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Architecture, Configuration
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionHalted, ExecutionResumed, ExecutionStarted
@@ -30,6 +30,7 @@ from fsar_ledger.events.world import (
     WorldEvent,
 )
 from fsar_ledger.ledger.codec import RunRecord, decode, encode
+from fsar_ledger.parameters import BadParameters
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import World, evolve
 from fsar_ledger.runtime.architectures.wiring import Wiring, wire

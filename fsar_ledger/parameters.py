@@ -1,0 +1,39 @@
+"""What runs record as their parameters, as a writer and every reader take it: JSON with names and values, of whatever model."""
+
+from typing import Any, TypeVar
+
+import msgspec
+
+_T = TypeVar("_T")
+MAX_LEVELS = 16
+"""Of nesting in recorded parameters; those of this model take five."""
+
+
+class BadParameters(ValueError):
+    """The text is not what a run records as its parameters; the message says what was found and expected."""
+
+
+def read_parameters(parameters: str) -> dict[str, Any]:
+    """What a run of any model, also of a foreign one, records as its parameters: names and values, in few levels. Raises: BadParameters."""
+    found: dict[str, Any] = decoded(parameters, dict[str, Any])
+    level: list[Any] = [found]
+    for _ in range(MAX_LEVELS):
+        values = [value for one in level for value in (one.values() if isinstance(one, dict) else one)]
+        if any(isinstance(value, int) and not -(2**63) <= value < 2**63 for value in values):
+            raise _bad(parameters, "an integer beyond 64 bits")
+        level = [value for value in values if isinstance(value, dict | list)]
+        if not level:
+            return found
+    raise _bad(parameters, f"more than {MAX_LEVELS} levels")
+
+
+def decoded(parameters: str, kind: type[_T]) -> _T:
+    """The parameters as a value of this type. Raises: BadParameters."""
+    try:
+        return msgspec.json.decode(parameters, type=kind)
+    except (msgspec.MsgspecError, RecursionError, ValueError) as error:  # nested without end, a number of thousands of digits
+        raise _bad(parameters, str(error)) from error
+
+
+def _bad(parameters: str, why: str) -> BadParameters:
+    return BadParameters(f"found {parameters!r:.80}, expected constants as a JSON object ({why:.200})")
