@@ -4,7 +4,7 @@ import gc
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
-from itertools import filterfalse, islice
+from itertools import filterfalse
 from math import ceil
 from pathlib import Path
 from typing import TypeAlias, get_args
@@ -16,19 +16,19 @@ from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events.envelope import Architecture, Configuration, Scenario, Workflow
 from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.ledger.append import Staged, Writer, stage
-from fsar_ledger.ledger.bounds import MAX_ROWS
+from fsar_ledger.ledger.bounds import MAX_LIST_VALUES, MAX_ROWS
 from fsar_ledger.ledger.note import Signer
 from fsar_ledger.ledger.read import Head, open_ledger
 from fsar_ledger.runtime.plan import held, plan_record
 from fsar_ledger.runtime.simulation import MODEL_VERSION, RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.workers import WorkerPool
 
-from .capacity import fits, largest_fleet
+from .capacity import Cell, Expected, expected, fits, largest_fleet
 from .world.workflows import FLEET_SIZE, WORKFLOWS
 
 ORIGIN = "fsar-ledger/simulated"
 WORKFLOWS_ORIGIN = "fsar-ledger/workflows"  # of the second ledger of `reproduce`: no key signs two trees under one origin
-BATCH_RUNS = 25  # runs in a commit, whatever the number of workers
+BATCH_RUNS = 25  # runs in a commit, if it holds so many, whatever the number of workers
 MAX_NAMED = 5  # of constants that are wrong
 IN_FLIGHT = 2  # batches per worker that may be under way, so that memory stays flat
 
@@ -143,9 +143,25 @@ class Experiment(msgspec.Struct, frozen=True):
         return len(self.scenarios) * self.runs * len(self.architectures) * len(self.configurations)
 
     def batches(self, is_there: Callable[[RunSpec], bool] | None = None) -> list[Batch]:
-        """The runs of each commit, without those that are there."""
-        specs = self.specs() if is_there is None else filterfalse(is_there, self.specs())
-        return list(iter(lambda: tuple(islice(specs, BATCH_RUNS)), ()))
+        """The runs of each commit, without those that are there: so many, or as many in a row as it is expected to hold.
+
+        Where all runs are missing their architectures take turns, and `require_fits` sees to it that so many fit; of a ledger that is enlarged it
+        may be the runs of one architecture alone.
+        """
+        sizes: dict[Cell, Expected] = {}
+        found: list[list[RunSpec]] = []
+        events = list_values = 0.0
+        for spec in self.specs() if is_there is None else filterfalse(is_there, self.specs()):
+            cell = (spec.scenario, spec.architecture, spec.configuration)
+            if cell not in sizes:
+                sizes[cell] = expected(cell, self.fleet_size, self.constants)
+            one = sizes[cell]
+            events, list_values = events + one.events, list_values + one.list_values
+            if not found or len(found[-1]) == BATCH_RUNS or events > MAX_ROWS or list_values > MAX_LIST_VALUES:
+                found.append([])
+                events, list_values = one
+            found[-1].append(spec)
+        return [tuple(batch) for batch in found]
 
     def plan(self) -> ExperimentPlanned:
         """What goes on record before the first run."""
@@ -211,7 +227,7 @@ def carry_out(
     """Every run of the experiment is in the ledger, after its plan; runs that were there already are not made again.
 
     Where all runs are there, nothing is done. Else the plan is committed first, unless it is on record: a larger one than before makes the
-    ledger larger, run by run as if it had been asked for at once. The missing runs come in canonical order, `BATCH_RUNS` a commit: each commit
+    ledger larger, run by run as if it had been asked for at once. The missing runs come in canonical order, in `batches`: each commit
     follows from those before it, so neither `workers` nor an interruption changes a byte. `progress` is told batches done and batches in all.
     What is committed now carries a signature of `signer`, whose key stays in this process; with `adopts` also where another or none signed
     what is there.
@@ -230,8 +246,8 @@ def carry_out(
         missing = experiment.batches(lambda spec: run_id(run_started(spec, constants)) in found.runs) if found.runs else experiment.batches()
         if missing and plan.run_id not in found.plans:
             writer.append(stage(out, [plan]))
-        batches, made = ceil(experiment.size / BATCH_RUNS), sum(map(len, missing))
-        done = batches - len(missing)
+        made, done = sum(map(len, missing)), max(0, ceil(experiment.size / BATCH_RUNS) - len(missing))
+        batches = done + len(missing)
         if progress is not None:
             progress(done, batches)
         for staged in _staged(out, missing, constants, min(workers, len(missing))):

@@ -15,7 +15,7 @@ from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.trust import RoleTrustSet
 from fsar_ledger.events.world import ObstructionAppeared, PeersMet, RoutineDue, TaskArrived
 from fsar_ledger.ledger import append
-from fsar_ledger.ledger.bounds import MAX_ROWS
+from fsar_ledger.ledger.bounds import MAX_LIST_VALUES, MAX_ROWS
 from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.capacity import expected
@@ -186,6 +186,20 @@ def test_a_fleet_that_no_commit_can_hold_is_refused_before_work_begins_with_the_
         asked(10**9)
     with pytest.raises(InvalidExperiment, match="a commit holds one run"):
         Experiment(("dhma",), SCENARIOS[:1], 1, fleet_size=1024)
+
+
+def test_the_runs_that_enlarge_a_ledger_are_as_many_a_commit_as_it_holds() -> None:
+    """All that is missing may be of the architecture whose runs are largest."""
+    whole = Experiment(ARCHITECTURES, ("fleet-contention",), 25, fleet_size=120)
+    whole.require_fits()
+    assert {len(batch) for batch in whole.batches()} == {25}
+    missing = whole.batches(lambda spec: spec.architecture != "dhma")
+    most = expected(("fleet-contention", "dhma", "full"), 120, Constants())
+    assert most.events * 25 > MAX_ROWS
+    assert all(len(batch) * most.events <= MAX_ROWS and len(batch) * most.list_values <= MAX_LIST_VALUES for batch in missing)
+    assert [spec for batch in missing for spec in batch] == [spec for spec in whole.specs() if spec.architecture == "dhma"]
+    there = {*missing[0]}
+    assert whole.batches(lambda spec: spec.architecture != "dhma" or spec in there) == missing[1:]  # interrupted after the first
 
 
 def test_what_was_not_expected_is_refused_as_plainly_when_it_is_staged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
