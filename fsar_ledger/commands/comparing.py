@@ -2,7 +2,7 @@
 
 import msgspec
 
-from fsar_ledger.metrics.comparing import DifferingWorlds, differing_worlds, not_compared, remarks_on
+from fsar_ledger.metrics.comparing import DifferingWorlds, differing_worlds, imputed, left_over, not_compared, remarks_on
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.results import StatisticRow, statistic_rows
 
@@ -38,4 +38,5 @@ def compared(database: Database, *, pooled: bool) -> Compared:
     found = statistic_rows(database, pools_seeds=pooled)
     metrics = [row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position")]
     columns = list(StatisticRow.__struct_fields__)
-    return Compared(plain(found), columns, differing_worlds(database), not_compared(database), remarks_on(found, metrics))
+    remarks = [*remarks_on(found, metrics), *left_over(database), *imputed(database, found)]
+    return Compared(plain(found), columns, differing_worlds(database), not_compared(database), remarks)

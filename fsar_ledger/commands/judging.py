@@ -73,7 +73,8 @@ def statistics(
 
     For each metric and pair: paired t, Wilcoxon signed-rank, effect sizes, exact McNemar for human intervention, and Holm over the 24 tests of the
     architectures, or over those of all ablations. Runs that did not meet the same world are named first, and left out: exit code 1 where facts differ
-    that an experiment makes alike. What cannot be compared is said, and why.
+    that an experiment makes alike. What cannot be compared is said, and why. A run without failures counts as the paper counts it (containment 1,
+    latency 0 s); `query statistics/pairwise_tests_defined` leaves such pairs out.
     """
     from .answering import answering, warn_of_missing
     from .comparing import compared

@@ -7,6 +7,9 @@ import msgspec
 from .database import Database
 from .results import StatisticRow, typed
 
+MIN_WILCOXON = 6
+"""Pairs that differ from which on Wilcoxon's test has a p (`statistics/wilcoxon_tests`)."""
+
 MAX_NAMED = 5
 """So many metrics, seeds or comparisons are named in one sentence; the rest are counted."""
 
@@ -49,6 +52,35 @@ GROUNDS = """
     SELECT *
     FROM comparable_runs
     ORDER BY family NOT LIKE 'architectures%', family, list_position(['fsar-cfc', 'fsar-dhma'], comparison), comparison
+"""
+
+
+UNPAIRED = """
+    WITH sides AS (
+        SELECT comparison, configuration, first_architecture AS architecture, first_configuration AS its FROM comparable_runs WHERE pair_count > 0
+        UNION ALL
+        SELECT comparison, configuration, second_architecture AS architecture, second_configuration AS its FROM comparable_runs WHERE pair_count > 0
+    ),
+    partners AS (
+        SELECT comparison, configuration, first_run_id AS run_id FROM run_pairs
+        UNION
+        SELECT comparison, configuration, second_run_id AS run_id FROM run_pairs
+    )
+    SELECT sides.comparison, runs.architecture, sides.its AS configuration, runs.seed, count(*) AS runs
+    FROM sides
+    INNER JOIN compared_runs AS runs ON sides.architecture = runs.architecture AND sides.its = runs.configuration
+    ANTI JOIN partners ON sides.comparison = partners.comparison AND sides.configuration = partners.configuration AND runs.run_id = partners.run_id
+    GROUP BY ALL
+    ORDER BY ALL
+"""
+
+IMPUTED = """
+    SELECT measured.metric, definitions.published_value, definitions.scale, count(*) AS runs
+    FROM run_metrics AS measured
+    INNER JOIN metric_definitions AS definitions ON measured.metric = definitions.metric
+    WHERE measured.value IS NULL AND measured.published_convention_value IS NOT NULL AND measured.architecture IN ('fsar', 'cfc', 'dhma')
+    GROUP BY ALL
+    ORDER BY min(definitions.position)
 """
 
 
@@ -159,16 +191,44 @@ def not_compared(database: Database) -> list[str]:
     return [f"found {', '.join(names)}{more}; expected fsar, cfc or dhma, or the configurations of one architecture"]
 
 
-def remarks_on(rows: Iterable[StatisticRow], metrics: Sequence[str]) -> list[str]:
+def left_over(database: Database) -> list[str]:
+    """The runs that have no partner in a comparison that has pairs, in words. Raises: as `Database.rows`."""
+    lines = []
+    for row in database.rows(UNPAIRED):
+        name = row["architecture"] if row["configuration"] == "full" else f"{row['architecture']} ({row['configuration']})"
+        count, left = (_counted(row["runs"]), "has no partner and is left out" if row["runs"] == 1 else "have no partner and are left out")
+        lines.append(f"{row['comparison']}: {count} of {name} under seed {row['seed']} {left}")
+    return lines
+
+
+def imputed(database: Database, rows: Iterable[StatisticRow]) -> list[str]:
+    """Which of the rows count runs without a value, and as what, in words. Raises: as `Database.rows`."""
+    shown = {row.metric for row in rows}
+    return [
+        f"{row['metric']}: {_counted(row['runs'])} without a failure {'counts' if row['runs'] == 1 else 'count'} as in the paper, "
+        f"as {row['published_value']:g}{' s' if row['scale'] == 'seconds' else ''} (basis published); "
+        "`fsar-ledger query statistics/pairwise_tests_defined` leaves such pairs out"
+        for row in database.rows(IMPUTED)
+        if row["metric"] in shown
+    ]
+
+
+def remarks_on(rows: Sequence[StatisticRow], metrics: Sequence[str]) -> list[str]:
     """What the rows do not say: metrics without a pair in which both runs have a value, and comparisons of a single pair."""
     held: dict[tuple[object, ...], dict[str, int]] = {}
     for row in rows:
         key = (row.comparison, row.configuration, row.fleet_size, row.kind, row.source, row.model_version, row.constants, row.seed)
         held.setdefault(key, {})[row.metric] = row.n
     lines: dict[str, None] = {}
+    few: dict[str, list[str]] = {}
+    for row in rows:
+        if 0 < row.wilcoxon_n < MIN_WILCOXON:
+            few.setdefault(row.comparison, []).append(row.metric)
     for (comparison, *_), pairs in held.items():
         if missing := [name for name in metrics if name not in pairs]:
             lines[f"{comparison}: no pair of runs in which both have a value of {', '.join(missing)}: undefined, or not observed"] = None
         if max(pairs.values()) == 1:
             lines[f"{comparison}: one pair of runs has a difference and no test; simulate more runs"] = None
+    for comparison, names in few.items():
+        lines[f"{comparison}: no Wilcoxon test of {', '.join(dict.fromkeys(names))}: fewer than {MIN_WILCOXON} pairs differ"] = None
     return list(lines)

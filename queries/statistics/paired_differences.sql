@@ -5,7 +5,7 @@
 -- Units: first_value, second_value, difference (first minus second) in the metric's unit; difference_ppb billionths of it, an integer
 --        so that differences which are equal but for the last bits of a float tie in ranks; holm_family the tests that Holm adjusts together
 -- NULL: seed for all seeds; constants as in run_settings (test names basis, comparison, setting, seed and metric in one text); pairs with an undefined
---       value are left out
+--       value are left out, and tests in which no run of any pair has a value of its own
 -- Example: fsar-ledger query statistics/paired_differences LEDGER
 -- Stored: every test reads it
 WITH seeds AS (
@@ -64,3 +64,4 @@ FROM seeds
 INNER JOIN measured AS firsts ON seeds.first_run_id = firsts.run_id
 INNER JOIN measured AS seconds ON seeds.second_run_id = seconds.run_id AND firsts.basis = seconds.basis AND firsts.metric = seconds.metric
 WHERE firsts.tested_value IS NOT NULL AND seconds.tested_value IS NOT NULL
+QUALIFY bool_or(firsts.value IS NOT NULL OR seconds.value IS NOT NULL) OVER (PARTITION BY test)

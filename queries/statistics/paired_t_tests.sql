@@ -4,7 +4,8 @@
 -- Units: means and mean_difference in the metric's unit; cohens_d in pooled standard deviations (as published, with sign), d_z in standard
 --        deviations of the differences; hedges_g = J * cohens_d with J = 1 - 3 / (4 df - 1) and a 95 % interval from its variance for correlated
 --        pairs, J^2 * (1 / n + d^2 / 2n) * 2 (1 - r)
--- NULL: t, p, d_z when all differences are equal (or one pair); cohens_d, hedges_g when neither side varies; the interval also when one side does not
+-- NULL: t, p, d_z when all differences are equal (or one pair); cohens_d, hedges_g when neither side varies; hedges_g also for two pairs,
+--       where J is 0; its interval also when one side does not vary, or both do alike (r = 1)
 -- Example: fsar-ledger query statistics/paired_t_tests LEDGER
 WITH moments AS (
     SELECT
@@ -49,15 +50,16 @@ sizes AS (
     SELECT
         *,
         CASE WHEN pooled_sd > 1e-12 THEN mean_difference / pooled_sd END AS cohens_d,
-        CASE WHEN df > 0 THEN 1 - 3.0::DOUBLE / (4 * df - 1) END AS correction
+        CASE WHEN df > 1 THEN 1 - 3.0::DOUBLE / (4 * df - 1) END AS correction
     FROM effects
 ),
 
 widths AS (
     SELECT
         *,
-        -- greatest() would take a missing r for 0; rounding may leave r a little over 1.
-        norm_quantile(0.975) * correction * sqrt((1.0::DOUBLE / n + cohens_d * cohens_d / (2 * n)) * 2 * CASE WHEN r > 1 THEN 0 ELSE 1 - r END) AS g_half_width
+        CASE
+            WHEN r < 1 - 1e-9 THEN norm_quantile(0.975) * correction * sqrt((1.0::DOUBLE / n + cohens_d * cohens_d / (2 * n)) * 2 * (1 - r))
+        END AS g_half_width
     FROM sizes
 )
 

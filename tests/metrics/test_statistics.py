@@ -115,6 +115,9 @@ def test_wilcoxon_agrees_with_scipy_with_ties_and_zeros(samples: list[Sample]) -
         if not differences.any():
             assert (row.wilcoxon_w, row.wilcoxon_z, row.wilcoxon_p) == (None, None, None)
             continue
+        if row.wilcoxon_n < 6:
+            assert (row.wilcoxon_z, row.wilcoxon_p) == (None, None), "the normal approximation does not hold"
+            continue
         expected = WILCOXON(differences, zero_method="wilcox", correction=False, method="asymptotic")
         assert row.wilcoxon_w == expected.statistic
         assert (row.wilcoxon_p, abs(row.wilcoxon_z or 0)) == close((expected.pvalue, abs(expected.zstatistic)))
@@ -133,6 +136,9 @@ def test_hedges_g_and_its_interval_follow_their_formulas(samples: list[Sample]) 
         r = float(np.corrcoef(first, second)[0, 1])
         half_width = stats.norm.ppf(0.975) * j * math.sqrt((1 / n + d * d / (2 * n)) * 2 * max(1 - r, 0.0))
         assert row.hedges_g == close(j * d)
+        if row.g_ci_low is None:
+            assert r == pytest.approx(1, abs=1e-8), "no interval of width 0"
+            continue
         # 1 - r loses digits where r is near 1, whichever way it is computed; its root loses half of them.
         assert (row.g_ci_low, row.g_ci_high) == pytest.approx((j * d - half_width, j * d + half_width), rel=1e-9, abs=1e-6)
 
@@ -165,6 +171,21 @@ def test_equal_differences_have_no_t_and_constant_sides_no_d() -> None:
     assert (constant.t, constant.cohens_d, constant.hedges_g, constant.g_ci_low) == (None, None, None, None)
     assert constant.mean_difference == close(-0.2)
     assert constant.wilcoxon_p == close(WILCOXON([-0.2] * 7, correction=False, method="asymptotic").pvalue)
+
+
+def test_two_pairs_have_no_hedges_g_and_sides_that_vary_alike_no_interval_of_it() -> None:
+    two = one([1.0, 2.0], [2.0, 5.0])
+    assert two.cohens_d is not None
+    assert (two.hedges_g, two.g_ci_low, two.g_ci_high) == (None, None, None), "its correction is 0"
+    alike = one([1.0, 2.0, 4.0], [0.5, 1.5, 3.5])
+    assert alike.hedges_g is not None
+    assert (alike.g_ci_low, alike.g_ci_high) == (None, None)
+
+
+def test_fewer_than_six_pairs_that_differ_have_no_wilcoxon_test() -> None:
+    sides = [float(at * at) for at in range(6)]
+    assert one([*sides[1:], 3.0], [0.0] * 5 + [3.0]).wilcoxon_p is None
+    assert one([*sides[1:], 4.0], [0.0] * 5 + [3.0]).wilcoxon_p == close(WILCOXON([*sides[1:], 1.0], correction=False, method="asymptotic").pvalue)
 
 
 def test_a_single_pair_has_a_difference_and_no_test() -> None:

@@ -50,7 +50,7 @@ def test_a_summary_has_both_means_where_routine_is_counted_and_one_elsewhere() -
 def shares(*events: Row) -> dict[str, object]:
     with from_rows(run(*events)) as database:
         [row] = database.query("metrics/background").to_pylist()
-    return {name: value for name, value in row.items() if name not in ("architecture", "configuration", "fleet_size", "constants", "seeds")}
+    return {name: value for name, value in row.items() if name not in ("architecture", "configuration", "fleet_size", "constants", "seed")}
 
 
 def test_shares_of_routine_are_counted() -> None:
@@ -72,6 +72,11 @@ def test_runs_of_other_constants_have_a_row_of_their_own() -> None:
     one, other = run(SENSING, run_id="r1", parameters='{"a":1}'), run(CLOSED, run_id="r2", parameters='{"a":2}')
     rows = answer("metrics/background", one, other, columns=("decisions", "routine_share_of_decisions"))
     assert sorted(rows) == [(1, 0.0), (1, 1.0)]
+
+
+def test_runs_of_another_seed_have_a_row_of_their_own() -> None:
+    rows = answer("metrics/background", run(SENSING, run_id="r1"), run(CLOSED, run_id="r2", seed=7), columns=("seed", "routine_share_of_decisions"))
+    assert sorted(rows) == [(7, 0.0), (42, 1.0)]
 
 
 def test_a_share_of_nothing_is_null() -> None:

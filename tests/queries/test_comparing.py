@@ -9,7 +9,7 @@ from scipy import stats
 
 from fsar_ledger.events.concerns import EVENTS_OF
 from fsar_ledger.events.world import WorldEvent
-from fsar_ledger.metrics.comparing import DifferingWorlds, differing_worlds, not_compared, remarks_on
+from fsar_ledger.metrics.comparing import DifferingWorlds, differing_worlds, imputed, left_over, not_compared, remarks_on
 from fsar_ledger.metrics.database import Value, from_rows
 from fsar_ledger.metrics.results import StatisticRow, statistic_rows
 from tests.queries.histories import Row, S, answer, event, run
@@ -107,13 +107,13 @@ def ablated(calls: Sequence[int], *, with_full: bool = True) -> list[list[Row]]:
 
 
 def test_an_ablation_is_compared_with_the_whole_architecture_in_pairs() -> None:
-    calls = [1, 1, 0, 1, 1, 0, 1, 1]
+    calls = [1, 1, 0, 1, 1, 0, 1, 1] * 2
     differing, _, rows = said(*ablated(calls))
     assert differing == []
     row = next(row for row in rows if row.metric == "human_intervention")
-    first, second = np.arange(8) % 2, np.minimum(calls, 1)
+    first, second = np.arange(16) % 2, np.minimum(calls, 1)
     expected = stats.ttest_rel(first, second)
-    assert (row.comparison, row.configuration, row.family, row.n) == ("fsar-without-trust-evaluation", "without-trust-evaluation", "ablations of fsar", 8)
+    assert (row.comparison, row.configuration, row.family, row.n) == ("fsar-without-trust-evaluation", "without-trust-evaluation", "ablations of fsar", 16)
     assert (row.first_mean, row.second_mean, row.t, row.p) == pytest.approx((first.mean(), second.mean(), expected.statistic, expected.pvalue))
     assert row.d_z == pytest.approx((first - second).mean() / (first - second).std(ddof=1))
     assert row.wilcoxon_p is not None
@@ -154,3 +154,26 @@ def test_what_rows_do_not_show_is_said() -> None:
         "fsar-cfc: no pair of runs in which both have a value of audit_attributability: undefined, or not observed",
         "fsar-cfc: one pair of runs has a difference and no test; simulate more runs",
     ]
+
+
+def test_runs_without_a_partner_are_said() -> None:
+    runs = [of("fsar", 0), of("cfc", 0), of("fsar", 1), of("fsar", 2), of("fsar", 3, seed=7)]
+    with from_rows([row for rows in runs for row in rows]) as database:
+        assert left_over(database) == [
+            "fsar-cfc: 1 run of fsar under seed 7 has no partner and is left out",
+            "fsar-cfc: 2 runs of fsar under seed 42 have no partner and are left out",
+        ]
+    with from_rows([row for rows in runs[:2] for row in rows]) as database:
+        assert left_over(database) == []
+
+
+def test_runs_counted_as_the_paper_does_are_said_and_pairs_of_nothing_else_are_no_test() -> None:
+    failed = (event("ExecutionFailed", 0, action_id="t1/1", failure=1), event("FailureResolved", S, action_id="t1/1", failure=1, level="local"))
+    names = ("recovery_containment", "reassignment_latency_s")
+    for runs, shown in (([of("fsar", 0), of("cfc", 0)], 0), ([of("fsar", 0, *failed), of("cfc", 0)], 2)):
+        with from_rows([row for rows in runs for row in rows]) as database:
+            rows = statistic_rows(database)
+            said_of_them = imputed(database, rows)
+        assert [row.metric for row in rows if row.metric in names] == list(names[:shown])
+        assert len(said_of_them) == shown
+    assert said_of_them[1].startswith("reassignment_latency_s: 1 run without a failure counts as in the paper, as 0 s (basis published)")
