@@ -10,7 +10,7 @@ from fsar_ledger.metrics.invariants import audit_rows, chosen
 from fsar_ledger.metrics.models import models
 from fsar_ledger.printable import Shown
 
-from .answering import answering
+from .answering import answering, of_plans, warn_of_missing
 from .options import known
 from .output import Row, json_text, table_text
 from .simulated import runs
@@ -35,10 +35,10 @@ def audit(ledger: Path, invariants: Sequence[str], architectures: Sequence[str],
         unreadable = sum(one.runs for one in models(database) if one.parameters is None)
         rows = audit_rows(database, queries, wanted)
         holds = False if any(row.holds is False for row in rows) else _all_shown(rows) or None
+        warn_of_missing(ledger, database)
         if as_json:
-            return json_text(database.head, {"ledger": str(ledger), "holds": holds, "runs_unreadable": unreadable, "rows": rows}, database.rows_verified), bool(
-                holds
-            )
+            answer = {"ledger": str(ledger), "holds": holds, **of_plans(database), "runs_unreadable": unreadable, "rows": rows}
+            return json_text(database.head, answer, database.rows_verified), bool(holds)
     of_budgets = (
         [f"{runs(unreadable)} with parameters that cannot be read: recovery budgets that they set are unknown, and none is judged"] if unreadable else []
     )

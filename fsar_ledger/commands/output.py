@@ -124,12 +124,17 @@ def answer_text(
     as_csv: bool,
     raw: bool = False,
     limit: int = 0,
+    more: Mapping[str, object] | None = None,
 ) -> Shown:
-    """The rows as a table for people, or as what --json or --csv asks for. Raises: UsageError when both are asked for, or --raw without --csv."""
+    """The rows as a table for people, or as what --json or --csv asks for; `more` is for JSON.
+
+    Raises:
+        UsageError: Both are asked for, or --raw without --csv.
+    """
     check_form(as_json=as_json, as_csv=as_csv, raw=raw)
     names = columns or (list(rows[0]) if rows else ())
     if as_json:
-        return json_text(head, {"rows": rows}, rows_verified)
+        return json_text(head, {**(more or {}), "rows": rows}, rows_verified)
     return csv_text(rows, names, raw=raw) if as_csv else table_text(rows, names, limit) or Shown("(no rows)\n")
 
 

@@ -239,3 +239,13 @@ def test_a_plan_without_runs_is_not_said_to_have_been_replayed(call: Call, tmp_p
     assert said.code == 0
     assert "1 event of 0 runs in 1 commit\n" in said.out
     assert said.out.endswith("\nreplayed: nothing; the ledger holds no run\n")
+
+
+@pytest.mark.parametrize("command", ["metrics", "statistics", "audit"])
+def test_programs_are_told_that_planned_runs_are_missing(call: Call, tmp_path: Path, command: str) -> None:
+    planned_only(tmp_path / "ledger", small(runs=2))
+    simulate(tmp_path / "ledger", small(runs=1), 1)
+    said = call(command, tmp_path / "ledger", "--json")
+    answer = json.loads(said.out)
+    assert (answer["complete"], answer["missing_count"]) == (False, 1)
+    assert "not complete: 1 of the 2 runs of a plan are missing" in said.err
