@@ -38,6 +38,13 @@ def warn_of_missing(ledger: Path, database: "Database") -> None:
         say(f"{ledger}: {found}; `fsar-ledger info {ledger}` says how to go on")
 
 
+def of_plans(database: "Database") -> dict[str, object]:
+    """What JSON says of the runs that were planned."""
+    from fsar_ledger.metrics.plans import completeness
+
+    return completeness(database).answer()
+
+
 def demanded_head(ledger: Path, *, verified: bool) -> str | None:
     """The newest record whose rows are compared with its root, remembered or by a whole look now, if that is demanded.
 

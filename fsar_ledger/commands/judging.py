@@ -41,7 +41,7 @@ def metrics(
     """
     from fsar_ledger.metrics.results import metric_rows
 
-    from .answering import answering, warn_of_missing
+    from .answering import answering, of_plans, warn_of_missing
     from .output import answer_text, plain
 
     if by not in (None, "scenario"):
@@ -52,7 +52,10 @@ def metrics(
         columns = [name for name in rows[0] if by or name != "scenario"] if rows else []
         chosen = [{name: row[name] for name in columns} for row in rows]
         shown = columns if as_json or as_csv else _telling(chosen)
-        show(answer_text(database.head, chosen, shown, rows_verified=database.rows_verified, as_json=as_json, as_csv=as_csv, raw=raw), raw=raw)
+        show(
+            answer_text(database.head, chosen, shown, rows_verified=database.rows_verified, as_json=as_json, as_csv=as_csv, raw=raw, more=of_plans(database)),
+            raw=raw,
+        )
         warn_of_missing(ledger, database)
 
 
@@ -76,7 +79,7 @@ def statistics(
     that an experiment makes alike. What cannot be compared is said, and why. A run without failures counts as the paper counts it (containment 1,
     latency 0 s); `query statistics/pairwise_tests_defined` leaves such pairs out.
     """
-    from .answering import answering, warn_of_missing
+    from .answering import answering, of_plans, warn_of_missing
     from .comparing import compared
     from .output import check_form, csv_text, json_text, table_text
 
@@ -85,7 +88,13 @@ def statistics(
     with answering(ledger, verified=verified) as database:
         found = compared(database, pooled=pooled)
         if as_json:
-            document = {"rows": found.rows, "differing_worlds": found.differing, "not_compared": found.not_compared, "remarks": found.remarks}
+            document = {
+                **of_plans(database),
+                "rows": found.rows,
+                "differing_worlds": found.differing,
+                "not_compared": found.not_compared,
+                "remarks": found.remarks,
+            }
             show(json_text(database.head, document, database.rows_verified))
         elif as_csv:
             say(*found.before, *found.after)

@@ -49,7 +49,7 @@ def table_text(rows: Sequence[Row], columns: Sequence[str], limit: int = 0) -> S
         return "  ".join(text.rjust(width) if right else text.ljust(width) for text, width, right in zip(texts, widths, is_number, strict=True)).rstrip()
 
     lines = [line_of(names), line_of(["-" * width for width in widths]), *map(line_of, cells)]
-    rest = [more_text(len(rows) - len(shown))] if len(shown) < len(rows) else []
+    rest = [more_text(len(rows) - len(shown))] if len(shown) < len(rows) else [] if rows else [Shown("(no rows)\n")]
     return printable.joined(Shown("\n".join(lines) + "\n"), *rest)
 
 
@@ -76,12 +76,18 @@ def csv_text(rows: Sequence[Row], columns: Sequence[str], *, raw: bool = False) 
     return Shown(text.getvalue())
 
 
+def counted(count: int, what: str) -> str:
+    """So many of them, in words: 1 run, 2 runs."""
+    return f"{count:,} {what}{'' if count == 1 else 's'}"
+
+
 def verdict_lines(ledger: Path, report: "VerifyReport") -> list[str]:
     """What `verify` found, for people: one line for each problem, or that there is none and what that covers."""
     if not report.ok:
-        count = f"{len(report.problems)} problem{'' if len(report.problems) == 1 else 's'}{' at a quick look' if report.is_quick else ''}"
+        count = f"{counted(len(report.problems), 'problem')}{' at a quick look' if report.is_quick else ''}"
         return [*map(str, report.problems), f"{ledger}: {count}; do not rely on this ledger, restore it from a copy that verifies"]
-    counts = f"{report.events:,} events{'' if report.is_quick else f' of {report.runs:,} runs'} in {report.commits:,} commits"
+    of_runs = "" if report.is_quick else f" of {counted(report.runs, 'run')}"
+    counts = f"{counted(report.events, 'event')}{of_runs} in {counted(report.commits, 'commit')}"
     looked = "consistent at a quick look, which reads no rows" if report.is_quick else "consistent"
     lines = [f"{ledger}: {looked}, {signature_text(report.signature, report.signer)}: {counts}", f"root {report.root}"]
     lines += [f"signed commits: {report.signed:,} of {report.commits:,}"] if report.signed else []
@@ -118,13 +124,18 @@ def answer_text(
     as_csv: bool,
     raw: bool = False,
     limit: int = 0,
+    more: Mapping[str, object] | None = None,
 ) -> Shown:
-    """The rows as a table for people, or as what --json or --csv asks for. Raises: UsageError when both are asked for, or --raw without --csv."""
+    """The rows as a table for people, or as what --json or --csv asks for; `more` is for JSON.
+
+    Raises:
+        UsageError: Both are asked for, or --raw without --csv.
+    """
     check_form(as_json=as_json, as_csv=as_csv, raw=raw)
     names = columns or (list(rows[0]) if rows else ())
     if as_json:
-        return json_text(head, {"rows": rows}, rows_verified)
-    return csv_text(rows, names, raw=raw) if as_csv else table_text(rows, names, limit) or Shown("no rows\n")
+        return json_text(head, {**(more or {}), "rows": rows}, rows_verified)
+    return csv_text(rows, names, raw=raw) if as_csv else table_text(rows, names, limit) or Shown("(no rows)\n")
 
 
 def check_form(*, as_json: bool, as_csv: bool, raw: bool) -> None:

@@ -63,7 +63,7 @@ def _table(columns: Sequence[str], parts: Iterable[Sequence[Row]], limit: int) -
     for rows in parts:
         shown += rows[: limit - len(shown)] if limit else rows
         count += len(rows)
-    yield table_text(shown, columns) or Shown("no rows\n")
+    yield table_text(shown, columns) or Shown("(no rows)\n")
     if count > len(shown):
         yield more_text(count - len(shown))
 

@@ -8,6 +8,7 @@ from fsar_ledger.printable import Shown
 
 from . import output
 from .progress import Progress
+from .simulated import runs
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.verify import VerifyReport
@@ -35,8 +36,10 @@ def verdict_lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | N
         return lines
     if not report.ok:
         return [*lines, f"{ledger}: not replayed, as its rows are in doubt"]
+    if again.ok and not report.runs:
+        return [*lines, "replayed: nothing; the ledger holds no run", *again.remarks]
     if again.ok:
-        return [*lines, f"replayed: all {again.events:,} events of {again.runs:,} runs are as the world and the handlers make them", *again.remarks]
+        return [*lines, f"replayed: all {again.events:,} events of {runs(again.runs)} are as the world and the handlers make them", *again.remarks]
     count = f"{report.runs - again.runs:,} of {report.runs:,} runs" if report.runs > again.runs else "what was planned"
     return [*map(str, again.differences), f"{ledger}: consistent, but replay doubts {count}; do not rely on what they say happened and was decided"]
 

@@ -15,9 +15,9 @@ from .results import typed
 class AuditRow(msgspec.Struct, frozen=True):
     """One invariant over the runs of one architecture and configuration.
 
-    It holds if no event offends it and every run observes what it rests on; `not_observed` names what `runs_not_observed` of the runs do not.
+    It holds if no event offends it, every run observes what it rests on and there was a case; `not_observed` names what `runs_not_observed` of the runs do not.
     An offence counts although some of that is not observed, if what is observed suffices to tell it; `holds` None: no offence, but something is not
-    observed. `cases` is how much was looked at: of 0 it holds, and says nothing. `events` are distinct events, `first_*` the first of them by run and
+    observed, or there was no case. `cases` is how much was looked at. `events` are distinct events, `first_*` the first of them by run and
     seq. None: there is none, or nothing that could be judged.
     """
 
@@ -120,7 +120,7 @@ def _counts(query: Query) -> str:
             architecture,
             configuration,
             runs,
-            CASE WHEN events > 0 THEN FALSE WHEN runs_not_observed = 0 THEN TRUE END AS holds,
+            CASE WHEN events > 0 THEN FALSE WHEN runs_not_observed = 0 AND cases > 0 THEN TRUE END AS holds,
             CASE WHEN events > 0 OR runs_not_observed < runs THEN cases END AS cases,
             runs_not_observed,
             not_observed,

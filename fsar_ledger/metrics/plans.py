@@ -25,6 +25,11 @@ class Completeness(msgspec.Struct, frozen=True):
         more = f"; {len(others):,} more plans lack runs" if others else ""
         return f"not complete: {first['missing_count']:,} of the {first['planned_count']:,} runs of a plan are missing{more}"
 
+    def answer(self) -> dict[str, object]:
+        """The same for programs: `complete` is None where no plan tells, or some runs are in none; `missing_count` sums what each unfinished plan lacks."""
+        told = None if not self.plans or self.unplanned else True
+        return {"complete": False if self.unfinished else told, "missing_count": sum(plan["missing_count"] for plan in self.unfinished)}
+
     def sentence(self) -> str:
         """What the plans say, whatever it is."""
         if not self.plans:

@@ -2,7 +2,7 @@
 -- Paper: sec:model:invariants, sec:architecture:invariants
 -- Grain: one row per run and invariant that found anything to judge
 -- Units: cases records, decisions, executions or acts of recovery, each judged by the invariant; never fewer than the events that offend it
--- NULL: never; without a row there was nothing to judge, so that the invariant holds of nothing
+-- NULL: never; without a row there was nothing to judge, which is no pass
 -- Example: fsar-ledger query facts/invariant_cases LEDGER
 -- Stored: audit reads it for each invariant
 WITH judged AS (
@@ -15,7 +15,18 @@ WITH judged AS (
                     OR coalesce(decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver) IS NOT NULL
                     THEN 'i1_local_agent_coherence'
             END,
-            CASE WHEN coalesce(executed_by, robot) IS NOT NULL THEN 'a2_coordination_only_federation' END,
+            CASE
+                WHEN
+                    executed_by IS NOT NULL
+                    OR (
+                        robot IS NOT NULL
+                        AND (
+                            starts_with(type, 'Execution') OR starts_with(type, 'Assistance') OR type = 'RoutinePerformed.v1'
+                            OR robot = 'coordinator' OR starts_with(robot, 'service/')
+                        )
+                    )
+                    THEN 'a2_coordination_only_federation'
+            END,
             CASE
                 WHEN type IN ('OwnStepDecided.v1', 'RoutinePerformed.v1', 'RoutineWithheld.v1') OR (type = 'ExecutionStarted.v1' AND robot = on_behalf_of)
                     THEN 'a1_local_runtime_self_sufficiency'

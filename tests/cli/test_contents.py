@@ -232,3 +232,21 @@ def test_what_is_judged_before_all_planned_runs_are_there_says_so(call: Call, tm
         one_message(warned, 0, "not complete: 4 of the 6 runs of a plan are missing", f"`fsar-ledger info {tmp_path / 'ledger'}`")
     call("verify", ledger)
     assert call("metrics", ledger).err == ""
+
+
+def test_a_plan_without_runs_is_not_said_to_have_been_replayed(call: Call, tmp_path: Path) -> None:
+    planned_only(tmp_path / "ledger", small())
+    said = call("verify", tmp_path / "ledger", "--replay")
+    assert said.code == 0
+    assert "1 event of 0 runs in 1 commit\n" in said.out
+    assert said.out.endswith("\nreplayed: nothing; the ledger holds no run\n")
+
+
+@pytest.mark.parametrize("command", ["metrics", "statistics", "audit"])
+def test_programs_are_told_that_planned_runs_are_missing(call: Call, tmp_path: Path, command: str) -> None:
+    planned_only(tmp_path / "ledger", small(runs=2))
+    simulate(tmp_path / "ledger", small(runs=1), 1)
+    said = call(command, tmp_path / "ledger", "--json")
+    answer = json.loads(said.out)
+    assert (answer["complete"], answer["missing_count"]) == (False, 1)
+    assert "not complete: 1 of the 2 runs of a plan are missing" in said.err

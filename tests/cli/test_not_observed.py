@@ -31,6 +31,19 @@ def test_audit_says_of_each_of_the_ten_that_it_is_not_observable_and_passes_none
     assert said.code == 1
 
 
+def test_an_invariant_without_a_case_is_no_pass_although_all_is_observed(call: Call, tmp_path: Path) -> None:
+    joined = [RobotJoined(f"robot/A{number}", "A", number, f"supervisor/A{number}") for number in (1, 2, 3)]
+    append_all(tmp_path / "ledger", [[RunRecord("night", [0, 1, 2, 3], [None, 0, 1, 2], [RunStarted("live", CONCERNS), *joined])]])
+    said = call("audit", tmp_path / "ledger")
+    assert said.code == 1
+    assert said.out.splitlines()[13] == "1 of 10 hold, 9 had no case"
+    assert said.out.splitlines()[14] == "nothing to judge was on record for I2, I3, I4, I5, A1, A2, A3, A4, A5; that is no pass"
+    assert [("no case" in line, "holds" in line) for line in said.out.splitlines()[2:12]] == [(False, True)] + [(True, False)] * 9
+    answer = json.loads(call("audit", tmp_path / "ledger", "--json").out)
+    assert [answer["holds"], *((row["holds"], row["cases"]) for row in answer["rows"])] == [None, (True, 3)] + [(None, 0)] * 9
+    assert call("audit", tmp_path / "ledger", "--invariant", "i1").code == 0
+
+
 def test_audit_tells_programs_null_and_why(call: Call, members: Path) -> None:
     said = call("audit", members, "--json", "--invariant", "i4")
     answer = json.loads(said.out)

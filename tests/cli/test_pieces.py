@@ -45,3 +45,8 @@ def test_what_breaks_off_is_not_shown() -> None:
 
     with pytest.raises(UsageError, match="enough"):
         Kept(broken())
+
+
+def test_a_table_without_rows_says_so_under_its_columns() -> None:
+    assert answer_text(None, [], ["run_id"], rows_verified=None, as_json=False, as_csv=False) == "run_id\n------\n(no rows)\n"
+    assert answer_text(None, [], ["run_id"], rows_verified=None, as_json=False, as_csv=True) == "run_id\n"

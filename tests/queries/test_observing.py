@@ -168,8 +168,16 @@ def test_a_member_that_joins_twice_is_an_offence_although_little_else_is_observe
 
 def test_a_run_in_which_nothing_happened_is_judged_and_says_of_how_much() -> None:
     with from_rows(run()) as made:
-        assert [(row.holds, row.cases, row.events, row.not_observed) for row in audit_rows(made, invariants())] == [(True, 0, 0, None)] * 10
+        assert [(row.holds, row.cases, row.events, row.not_observed) for row in audit_rows(made, invariants())] == [(None, 0, 0, None)] * 10
         assert {row.metric: row.mean for row in metric_rows(made)}["policy_violations"] == 0
+
+
+def test_a_member_or_an_obstruction_is_no_case_of_who_executes_and_what_a_robot_does_is() -> None:
+    world = [event("ObstructionAppeared", 1, place="aisle")]
+    moved = event("RoutinePerformed", 2, robot="robot/A1")
+    with from_rows([*run(*JOINED, *world, run_id="r1"), *run(*JOINED, moved, run_id="r2")]) as made:
+        sql = "SELECT run_id, cases FROM invariant_cases WHERE invariant = 'a2_coordination_only_federation'"
+        assert [tuple(row.values()) for row in made.rows(sql)] == [("r2", 1)]
 
 
 def test_runs_that_do_not_observe_are_left_out_of_a_mean_and_counted() -> None:

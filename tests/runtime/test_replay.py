@@ -300,7 +300,7 @@ def test_verify_with_replay_says_what_was_replayed(call: Call, tmp_path: Path) -
     path = committed(tmp_path / "ledger", HONEST)
     called = call("verify", path, "--replay")
     assert called.code == 0
-    assert called.out.endswith(f"replayed: all {len(HONEST.events)} events of 1 runs are as the world and the handlers make them\n")
+    assert called.out.endswith(f"replayed: all {len(HONEST.events)} events of 1 run are as the world and the handlers make them\n")
     answer = json.loads(call("verify", path, "--replay", "--json").out)
     assert (answer["ok"], answer["replay"]["ok"], answer["replay"]["events"]) == (True, True, len(HONEST.events))
     assert "replay" not in json.loads(call("verify", path, "--json").out)
