@@ -10,6 +10,7 @@ import pytest
 import fsar_ledger
 from fsar_ledger.commands.audit import audit
 from fsar_ledger.commands.contents import contents
+from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.events import ALONE, EVENT_TYPES
 from fsar_ledger.ledger.codec import encode_hashed
 from fsar_ledger.ledger.note import read_verifier
