@@ -85,14 +85,17 @@ def statistics(
     with answering(ledger, verified=verified) as database:
         found = compared(database, pooled=pooled)
         if as_json:
-            document = {"rows": found.rows, "differing_worlds": found.differing, "not_compared": found.not_compared, "remarks": found.remarks}
+            document = {"rows": found.rows, "differing_worlds": found.differing, "not_compared": found.not_compared, "remarks": [*found.remarks, *found.notes]}
             show(json_text(database.head, document, database.rows_verified))
         elif as_csv:
             say(*found.before, *found.after)
             show(csv_text(found.rows, found.columns, raw=raw), raw=raw)
         else:
             table = table_text(found.rows, _telling(found.rows)) if found.rows else printable.lines()
-            above, below = [*found.before, *([""] if found.before and found.rows else [])], ["", *found.after] if found.after else []
+            above, below = (
+                [*found.before, *([""] if found.before and found.rows else [])],
+                ["", *found.after, *found.notes] if found.after or found.notes else [],
+            )
             show(printable.joined(printable.lines(*above), table, printable.lines(*below)))
         warn_of_missing(ledger, database)
     if any(one.is_fault for one in found.differing):
