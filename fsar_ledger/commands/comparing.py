@@ -2,7 +2,7 @@
 
 import msgspec
 
-from fsar_ledger.metrics.comparing import DifferingWorlds, differing_worlds, imputed, left_over, not_compared, remarks_on
+from fsar_ledger.metrics.comparing import DifferingWorlds, differing_worlds, imputed, left_over, not_compared, remarks_on, too_few
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.results import StatisticRow, statistic_rows
 
@@ -19,6 +19,8 @@ class Compared(msgspec.Struct, frozen=True):
     differing: list[DifferingWorlds]
     not_compared: list[str]
     remarks: list[str]
+    notes: list[str]
+    """How the rows are to be read; no warning."""
 
     @property
     def before(self) -> list[str]:
@@ -38,5 +40,6 @@ def compared(database: Database, *, pooled: bool) -> Compared:
     found = statistic_rows(database, pools_seeds=pooled)
     metrics = [row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position")]
     columns = list(StatisticRow.__struct_fields__)
-    remarks = [*remarks_on(found, metrics), *left_over(database), *imputed(database, found)]
-    return Compared(plain(found), columns, differing_worlds(database), not_compared(database), remarks)
+    remarks = [*remarks_on(found, metrics), *left_over(database)]
+    notes = [*too_few(found), *imputed(database, found)]
+    return Compared(plain(found), columns, differing_worlds(database), not_compared(database), remarks, notes)

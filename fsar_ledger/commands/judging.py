@@ -93,7 +93,7 @@ def statistics(
                 "rows": found.rows,
                 "differing_worlds": found.differing,
                 "not_compared": found.not_compared,
-                "remarks": found.remarks,
+                "remarks": [*found.remarks, *found.notes],
             }
             show(json_text(database.head, document, database.rows_verified))
         elif as_csv:
@@ -101,7 +101,10 @@ def statistics(
             show(csv_text(found.rows, found.columns, raw=raw), raw=raw)
         else:
             table = table_text(found.rows, _telling(found.rows)) if found.rows else printable.lines()
-            above, below = [*found.before, *([""] if found.before and found.rows else [])], ["", *found.after] if found.after else []
+            above, below = (
+                [*found.before, *([""] if found.before and found.rows else [])],
+                ["", *found.after, *found.notes] if found.after or found.notes else [],
+            )
             show(printable.joined(printable.lines(*above), table, printable.lines(*below)))
         warn_of_missing(ledger, database)
     if any(one.is_fault for one in found.differing):

@@ -213,22 +213,25 @@ def imputed(database: Database, rows: Iterable[StatisticRow]) -> list[str]:
     ]
 
 
-def remarks_on(rows: Sequence[StatisticRow], metrics: Sequence[str]) -> list[str]:
+def too_few(rows: Iterable[StatisticRow]) -> list[str]:
+    """Which metrics have no Wilcoxon test since too few pairs differ, in words."""
+    found: dict[str, dict[str, None]] = {}
+    for row in rows:
+        if 0 < row.wilcoxon_n < MIN_WILCOXON:
+            found.setdefault(row.comparison, {})[row.metric] = None
+    return [f"{comparison}: no Wilcoxon test of {', '.join(names)}: fewer than {MIN_WILCOXON} pairs differ" for comparison, names in found.items()]
+
+
+def remarks_on(rows: Iterable[StatisticRow], metrics: Sequence[str]) -> list[str]:
     """What the rows do not say: metrics without a pair in which both runs have a value, and comparisons of a single pair."""
     held: dict[tuple[object, ...], dict[str, int]] = {}
     for row in rows:
         key = (row.comparison, row.configuration, row.fleet_size, row.kind, row.source, row.model_version, row.constants, row.seed)
         held.setdefault(key, {})[row.metric] = row.n
     lines: dict[str, None] = {}
-    few: dict[str, list[str]] = {}
-    for row in rows:
-        if 0 < row.wilcoxon_n < MIN_WILCOXON:
-            few.setdefault(row.comparison, []).append(row.metric)
     for (comparison, *_), pairs in held.items():
         if missing := [name for name in metrics if name not in pairs]:
             lines[f"{comparison}: no pair of runs in which both have a value of {', '.join(missing)}: undefined, or not observed"] = None
         if max(pairs.values()) == 1:
             lines[f"{comparison}: one pair of runs has a difference and no test; simulate more runs"] = None
-    for comparison, names in few.items():
-        lines[f"{comparison}: no Wilcoxon test of {', '.join(dict.fromkeys(names))}: fewer than {MIN_WILCOXON} pairs differ"] = None
     return list(lines)

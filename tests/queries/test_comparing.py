@@ -9,7 +9,7 @@ from scipy import stats
 
 from fsar_ledger.events.concerns import EVENTS_OF
 from fsar_ledger.events.world import WorldEvent
-from fsar_ledger.metrics.comparing import DifferingWorlds, differing_worlds, imputed, left_over, not_compared, remarks_on
+from fsar_ledger.metrics.comparing import DifferingWorlds, differing_worlds, imputed, left_over, not_compared, remarks_on, too_few
 from fsar_ledger.metrics.database import Value, from_rows
 from fsar_ledger.metrics.results import StatisticRow, statistic_rows
 from tests.queries.histories import Row, S, answer, event, run
@@ -177,3 +177,8 @@ def test_runs_counted_as_the_paper_does_are_said_and_pairs_of_nothing_else_are_n
         assert [row.metric for row in rows if row.metric in names] == list(names[:shown])
         assert len(said_of_them) == shown
     assert said_of_them[1].startswith("reassignment_latency_s: 1 run without a failure counts as in the paper, as 0 s (basis published)")
+
+
+def test_a_missing_wilcoxon_test_has_its_reason() -> None:
+    _, _, rows = said(of("fsar", 0, CALL), of("cfc", 0), of("fsar", 1), of("cfc", 1))
+    assert too_few(rows) == ["fsar-cfc: no Wilcoxon test of human_intervention: fewer than 6 pairs differ"]
