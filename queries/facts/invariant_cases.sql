@@ -17,14 +17,8 @@ WITH judged AS (
             END,
             CASE
                 WHEN
-                    executed_by IS NOT NULL
-                    OR (
-                        robot IS NOT NULL
-                        AND (
-                            starts_with(type, 'Execution') OR starts_with(type, 'Assistance') OR type = 'RoutinePerformed.v1'
-                            OR robot = 'coordinator' OR starts_with(robot, 'service/')
-                        )
-                    )
+                    executed_by IS NOT NULL OR robot = 'coordinator' OR starts_with(robot, 'service/')
+                    OR (robot IS NOT NULL AND regexp_matches(type, '^(Execution|Assistance|RoutinePerformed)'))
                     THEN 'a2_coordination_only_federation'
             END,
             CASE
