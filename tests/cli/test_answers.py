@@ -63,7 +63,7 @@ def test_info_tells_a_complete_ledger_from_one_that_lacks_runs(call: Call, ledge
 
 def test_metrics_have_the_agreed_columns_in_every_format(call: Call, ledger: Path) -> None:
     answer = json.loads(call("metrics", ledger, "--json").out)
-    assert set(answer) == {"head", "rows_verified", "rows"}
+    assert set(answer) == {"head", "rows_verified", "rows", "complete", "missing_count"}
     assert set(answer["head"]) == {"size", "root"}
     agreed = {"architecture", "configuration", "fleet_size", "metric", "mean", "sd", "n", "ci_low", "ci_high", "published_convention_mean"}
     assert agreed <= set(answer["rows"][0])
