@@ -139,14 +139,18 @@ def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: Json
     parameters of its worlds. Without a plan on record nothing says what is missing.
     """
     from .commands.contents import contents
-    from .commands.output import counted, json_text, table_text
+    from .commands.output import json_text, table_text
 
     head, found = contents(ledger, verified=verified)
     if as_json:
         _show(json_text(head, {"ledger": str(ledger), "commits": head.commits, **found.answer()}, found.rows_verified))
         return
     standing = "" if found.rows_verified else " (the rows were not compared with it)"
-    _show(printable.lines(f"{ledger}: {counted(head.size, 'event')} in {counted(head.commits, 'commit')}", f"root {head.root}{standing}", *found.summary()))
+    _show(
+        printable.lines(
+            f"{ledger}: {printable.counted(head.size, 'event')} in {printable.counted(head.commits, 'commit')}", f"root {head.root}{standing}", *found.summary()
+        )
+    )
     if rows := found.rows():
         _show(printable.joined(printable.line(""), table_text(rows, list(rows[0]))))
 

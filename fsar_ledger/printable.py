@@ -126,3 +126,8 @@ def _escaped(text: str, *, is_whole: bool) -> str:
             character = character.encode("unicode_escape", "surrogatepass").decode("ascii")
         found.append(character)
     return "".join(found)
+
+
+def counted(count: int, what: str) -> str:
+    """So many of them, in words: 1 run, 2 runs."""
+    return f"{count:,} {what}{'' if count == 1 else 's'}"

@@ -18,7 +18,7 @@ from msgspec import to_builtins
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
-from fsar_ledger.printable import Shown
+from fsar_ledger.printable import Shown, counted
 
 if TYPE_CHECKING:
     from fsar_ledger.ledger.verify import VerifyReport
@@ -74,11 +74,6 @@ def csv_text(rows: Sequence[Row], columns: Sequence[str], *, raw: bool = False) 
     for fields in ([*map(partial(_field, raw=raw), columns)], *([_field(row[column], raw=raw) for column in columns] for row in rows)):
         (quoting if any("\r" in field for field in fields) else writer).writerow(fields)  # a bare CR ends a row for some readers
     return Shown(text.getvalue())
-
-
-def counted(count: int, what: str) -> str:
-    """So many of them, in words: 1 run, 2 runs."""
-    return f"{count:,} {what}{'' if count == 1 else 's'}"
 
 
 def verdict_lines(ledger: Path, report: "VerifyReport") -> list[str]:

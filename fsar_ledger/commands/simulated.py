@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from fsar_ledger import printable
 from fsar_ledger.printable import Shown
 
-from .output import counted, json_text
+from .output import json_text
 
 if TYPE_CHECKING:
     from fsar_ledger.runtime.experiment import Made
@@ -18,7 +18,9 @@ def simulated_text(out: Path, made: "Made", signed: list[str], *, as_json: bool)
     if as_json:
         counts = {"runs_asked": made.asked, "runs_made": made.made, "runs_held": made.held}
         return json_text(head, {"ledger": str(out), "commits": head.commits, **counts})
-    return printable.lines(f"{out}: {counted(head.size, 'event')} in {counted(head.commits, 'commit')}", f"root {head.root}", *before(made), *signed)
+    return printable.lines(
+        f"{out}: {printable.counted(head.size, 'event')} in {printable.counted(head.commits, 'commit')}", f"root {head.root}", *before(made), *signed
+    )
 
 
 def before(made: "Made") -> list[str]:
@@ -40,4 +42,4 @@ def beyond(made: "Made") -> list[str]:
 
 def runs(count: int) -> str:
     """So many runs, in words."""
-    return counted(count, "run")
+    return printable.counted(count, "run")

@@ -4,6 +4,8 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
+from fsar_ledger.printable import counted
+
 from .database import Database
 from .results import StatisticRow, typed
 
@@ -150,7 +152,8 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
         if not self.first_count or not self.second_count:
             missing, there, count = (first, second, self.second_count) if not self.first_count else (second, first, self.first_count)
             return (
-                f"{self.comparison}: found {_counted(count)} of {there} and none of {missing}; simulate it with the same seed, scenarios, runs and fleet size"
+                f"{self.comparison}: found {counted(count, 'run')} of {there} and none of {missing}; "
+                "simulate it with the same seed, scenarios, runs and fleet size"
             )
         if not self.shared_worlds:
             sides = (
@@ -160,10 +163,6 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
             held = "; ".join(f"{name} under seeds {_named(seeds)}, {_named(sizes)} robots, {_named(scenarios)}" for name, seeds, sizes, scenarios in sides)
             return f"{self.comparison}: no run of both has the same seed, scenario, fleet size and number: found {held}; simulate one as the other"
         return f"{self.comparison}: every pair of runs ({self.left_out:,}) is left out, as said above; simulate both under one world and the same constants"
-
-
-def _counted(runs: int) -> str:
-    return "1 run" if runs == 1 else f"{runs:,} runs"
 
 
 def _named(values: Sequence[object] | None) -> str:
@@ -184,7 +183,7 @@ def not_compared(database: Database) -> list[str]:
     kinds = database.rows(KINDS)
     if not kinds:
         return ["found no runs; `fsar-ledger simulate` makes some"]
-    names = [f"{_counted(row['runs'])} ({row['kind']}) of {row['architecture'] or 'no named architecture'}" for row in kinds[:MAX_NAMED]]
+    names = [f"{counted(row['runs'], 'run')} ({row['kind']}) of {row['architecture'] or 'no named architecture'}" for row in kinds[:MAX_NAMED]]
     more = f" and {len(kinds) - MAX_NAMED:,} kinds more" if len(kinds) > MAX_NAMED else ""
     if all(row["nameless"] == row["runs"] for row in kinds):
         return [f"found {', '.join(names)}{more}, all without seed, scenario, fleet size or number; runs that are not known to have met one world are no pairs"]
@@ -196,7 +195,7 @@ def left_over(database: Database) -> list[str]:
     lines = []
     for row in database.rows(UNPAIRED):
         name = row["architecture"] if row["configuration"] == "full" else f"{row['architecture']} ({row['configuration']})"
-        count, left = (_counted(row["runs"]), "has no partner and is left out" if row["runs"] == 1 else "have no partner and are left out")
+        count, left = (counted(row["runs"], "run"), "has no partner and is left out" if row["runs"] == 1 else "have no partner and are left out")
         lines.append(f"{row['comparison']}: {count} of {name} under seed {row['seed']} {left}")
     return lines
 
@@ -205,7 +204,7 @@ def imputed(database: Database, rows: Iterable[StatisticRow]) -> list[str]:
     """Which of the rows count runs without a value, and as what, in words. Raises: as `Database.rows`."""
     shown = {row.metric for row in rows}
     return [
-        f"{row['metric']}: {_counted(row['runs'])} without a failure {'counts' if row['runs'] == 1 else 'count'} as in the paper, "
+        f"{row['metric']}: {counted(row['runs'], 'run')} without a failure {'counts' if row['runs'] == 1 else 'count'} as in the paper, "
         f"as {row['published_value']:g}{' s' if row['scale'] == 'seconds' else ''} (basis published); "
         "`fsar-ledger query statistics/pairwise_tests_defined` leaves such pairs out"
         for row in database.rows(IMPUTED)

@@ -87,10 +87,10 @@ def run_outsider(state: State, command: RunOutsider) -> tuple[Event, ...]:
     if request is None or request.target is None:
         return ()
     task_id, robot, peer = request.task_id, request.requester, request.target
-    nobody: dict[str, Any] = {"requested_by": robot, "executed_by": None, "supervised_by": None}
+    unnamed: dict[str, Any] = {"requested_by": robot, "executed_by": None, "supervised_by": None}
     return (
-        RequestIssued(task_id, task_id, task_id, **path(robot, CALL), **nobody, capability=request.capability),
-        RequestAdmitted(task_id, task_id, task_id, **path(peer, ("communication",)), **nobody, outcome="allow"),
+        RequestIssued(task_id, task_id, task_id, **path(robot, CALL), **unnamed, capability=request.capability),
+        RequestAdmitted(task_id, task_id, task_id, **path(peer, ("communication",)), **unnamed, outcome="allow"),
         ExecutionQueued(task_id, task_id, robot, None, None, peer, robot, request.capability, 0, 1, False, False, False),
     )
 
