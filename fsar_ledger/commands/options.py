@@ -86,7 +86,8 @@ WithoutOption = Annotated[
     typer.Option(
         "--without",
         metavar="MECHANISM",
-        help="Take one mechanism out of FSAR: trust-evaluation, policy-composition, layered-recovery or shared-registry; repeated: one after the other.",
+        help="Take one mechanism out of FSAR: trust-evaluation, policy-composition, layered-recovery or shared-registry, or several at once with + "
+        "between them; repeated: one configuration after the other.",
         show_default=False,
     ),
 ]
@@ -186,16 +187,17 @@ def experiment_of(
     from typing import get_args
 
     from fsar_ledger.constants import Constants, Load
-    from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
+    from fsar_ledger.events.configuration import FULL, MECHANISMS
+    from fsar_ledger.events.configuration import without as ablation
+    from fsar_ledger.events.envelope import Architecture, Scenario
     from fsar_ledger.runtime.experiment import Experiment
 
-    every_architecture, every_scenario, every_configuration = get_args(Architecture), get_args(Scenario), get_args(Configuration)
-    ablations = {name.removeprefix("without-"): name for name in every_configuration if name != "full"}
-    configurations = tuple(ablations[name] for name in known("mechanism", without, tuple(ablations)))
+    every_architecture, every_scenario = get_args(Architecture), get_args(Scenario)
+    configurations = tuple(dict.fromkeys(ablation(known("mechanism", name.split("+"), MECHANISMS)) for name in without or ()))
     return Experiment(
         architectures=known("architecture", architectures, every_architecture) or (("fsar",) if configurations else every_architecture),
         scenarios=known("scenario", scenarios, every_scenario) or every_scenario,
-        configurations=configurations or ("full",),
+        configurations=configurations or (FULL,),
         runs=RUNS if runs is None else runs,
         seed=seed,
         fleet_size=fleet_size,

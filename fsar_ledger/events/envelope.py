@@ -46,7 +46,6 @@ def agent(robot: str, kind: Literal["planning", "execution", "communication", "r
 
 # What can be simulated; an event holds any text there (`RunStarted`), and the experiment checks it.
 Architecture = Literal["fsar", "cfc", "dhma"]
-Configuration = Literal["full", "without-trust-evaluation", "without-policy-composition", "without-layered-recovery", "without-shared-registry"]
 Scenario = Literal["door-relay", "collaborative-delivery", "failure-recovery-chain", "mixed-trust-inspection", "fleet-contention"]
 Workflow = Literal["workflow-door-relay", "workflow-layered-recovery", "workflow-human-supervision"]
 

@@ -6,6 +6,7 @@ from typing import assert_never
 import msgspec
 
 from fsar_ledger.constants import Structure, read_constants
+from fsar_ledger.events.configuration import lacks
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 
 HANDLES = RunStarted | RobotJoined
@@ -23,9 +24,12 @@ class Robot(msgspec.Struct, frozen=True, gc=False):
 
 
 class Fleet(msgspec.Struct, frozen=True, gc=False):
-    """The run's structure and its robots by name, in order of joining; `teams` is the highest number of a team."""
+    """The run's structure, the mechanisms that its configuration is without, and its robots by name, in order of joining.
 
-    configuration: str = ""
+    `teams` is the highest number of a team.
+    """
+
+    without: frozenset[str] = frozenset()
     size: int = 0
     structure: Structure = Structure()
     robots: dict[str, Robot] = {}
@@ -39,7 +43,7 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
     """The fleet after the event."""
     match event:
         case RunStarted():
-            return Fleet(event.configuration or "", event.fleet_size or 0, _structure(event.parameters), state.robots)
+            return Fleet(lacks(event.configuration or ""), event.fleet_size or 0, _structure(event.parameters), state.robots)
         case RobotJoined():
             robot = Robot(event.robot, event.role, event.team, event.supervisor, event.domain, event.place)
             return msgspec.structs.replace(state, robots={**state.robots, event.robot: robot}, teams=max(state.teams, event.team))

@@ -8,7 +8,8 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.events.envelope import Architecture, Configuration, Scenario, Workflow
+from fsar_ledger.events.configuration import Configuration, lacks
+from fsar_ledger.events.envelope import Architecture, Scenario, Workflow
 from fsar_ledger.ledger.bounds import MAX_LIST_VALUES, MAX_ROWS
 
 from .world.scenarios import TASKS
@@ -60,7 +61,7 @@ def expected(cell: Cell, fleet_size: int, constants: Constants) -> Expected:
     sets = teams_working(fleet_size, load) * (1 if load is None else load.task_sets)
     delegated = sum(step.count(" ") == 2 for script in TASKS[scenario] for step in script.steps)  # type: ignore[index]
     asked = sets * delegated * teams
-    polling = POLLING_PER_ROBOT if configuration == "without-shared-registry" else 0
+    polling = POLLING_PER_ROBOT if "shared-registry" in lacks(configuration) else 0
     facts = FACTS_PER_ARRIVAL * arrivals_expected(constants.world, fleet_size, constants.outages, load)
     return Expected(
         facts + (FOUNDING_PER_ROBOT + growth.of_robot + polling) * fleet_size + growth.of_team * sets + growth.of_candidate * asked,

@@ -13,7 +13,8 @@ import msgspec
 
 from fsar_ledger.constants import Constants, negatives, write_constants
 from fsar_ledger.errors import InvalidExperiment
-from fsar_ledger.events.envelope import Architecture, Configuration, Scenario, Workflow
+from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, is_known, rank
+from fsar_ledger.events.envelope import Architecture, Scenario, Workflow
 from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.ledger.append import Staged, Writer, stage
 from fsar_ledger.ledger.bounds import MAX_LIST_VALUES, MAX_ROWS
@@ -48,20 +49,20 @@ class Experiment(msgspec.Struct, frozen=True):
     runs: int
     seed: int = 42
     fleet_size: int = 4
-    configurations: tuple[Configuration, ...] = ("full",)
+    configurations: tuple[Configuration, ...] = (FULL,)
     constants: Constants = Constants()
 
     def __post_init__(self) -> None:
         _require_known("architecture", self.architectures, get_args(Architecture))
         _require_known("scenario", self.scenarios, get_args(Scenario) + get_args(Workflow))
-        _require_known("configuration", self.configurations, get_args(Configuration))
+        _require_configurations(self.configurations)
         if not 1 <= self.runs <= 9999:
             raise InvalidExperiment(f"runs: found {self.runs}, expected 1 to 9999")
         if not 0 <= self.seed < 2**53:
             raise InvalidExperiment(f"seed: found {self.seed}, expected 0 to {2**53 - 1}")
         if self.fleet_size < 4 or self.fleet_size % 4:
             raise InvalidExperiment(f"fleet size: found {self.fleet_size}, expected a multiple of 4 (teams of four roles) from 4")
-        if self.configurations != ("full",) and self.architectures != ("fsar",):
+        if self.configurations != (FULL,) and self.architectures != ("fsar",):
             asked = ", ".join(self.architectures)
             raise InvalidExperiment(f"mechanisms are taken out of FSAR only: found architectures {asked}, expected fsar; leave out --architecture")
         if wrong := negatives(self.constants):
@@ -116,7 +117,7 @@ class Experiment(msgspec.Struct, frozen=True):
         about = f"workflow {workflows[0]}"
         if len(workflows) < len(self.scenarios):
             raise InvalidExperiment(f"{about}: found beside scenarios, expected workflows alone")
-        if self.architectures != ("fsar",) or self.configurations != ("full",):
+        if self.architectures != ("fsar",) or self.configurations != (FULL,):
             raise InvalidExperiment(f"{about}: found {', '.join(self.architectures)} ({', '.join(self.configurations)}), expected fsar (full)")
         if self.fleet_size != FLEET_SIZE:
             raise InvalidExperiment(f"{about}: found fleet size {self.fleet_size}, expected {FLEET_SIZE}")
@@ -125,9 +126,10 @@ class Experiment(msgspec.Struct, frozen=True):
 
     def _put_in_order(self) -> None:
         """The names stand in one order, whatever the order in which they were asked for: the same question is the same plan."""
-        orders = {"architectures": get_args(Architecture), "scenarios": get_args(Scenario) + get_args(Workflow), "configurations": get_args(Configuration)}
-        for field, names in orders.items():
-            msgspec.structs.force_setattr(self, field, tuple(sorted(getattr(self, field), key=names.index)))
+        in_order = msgspec.structs.force_setattr
+        in_order(self, "architectures", tuple(sorted(self.architectures, key=get_args(Architecture).index)))
+        in_order(self, "scenarios", tuple(sorted(self.scenarios, key=(get_args(Scenario) + get_args(Workflow)).index)))
+        in_order(self, "configurations", tuple(sorted(self.configurations, key=rank)))
 
     def specs(self) -> Iterator[RunSpec]:
         """The runs in canonical order: scenario, run, architecture, configuration."""
@@ -181,6 +183,12 @@ def _require_known(what: str, found: tuple[str, ...], expected: tuple[str, ...])
     unknown = [name for name in found if name not in expected]
     if unknown or not found or len(set(found)) != len(found):
         raise InvalidExperiment(f"{what}: found {', '.join(found) or 'none'}, expected some of {', '.join(expected)}, each once")
+
+
+def _require_configurations(found: tuple[Configuration, ...]) -> None:
+    if not found or len(set(found)) != len(found) or not all(map(is_known, found)):
+        expected = f"{FULL}, or without- and some of {', '.join(MECHANISMS)}, in this order with + between them; each configuration once"
+        raise InvalidExperiment(f"configuration: found {', '.join(found) or 'none'}, expected {expected}")
 
 
 def workflow_experiment(seed: int = 42, runs: int = 1, workflows: tuple[Workflow, ...] = WORKFLOWS) -> Experiment:

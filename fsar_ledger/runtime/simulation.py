@@ -10,7 +10,8 @@ import msgspec
 from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.events.envelope import Architecture, Configuration, Scenario, Workflow
+from fsar_ledger.events.configuration import Configuration
+from fsar_ledger.events.envelope import Architecture, Scenario, Workflow
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.projections.fold import State, fold
@@ -24,7 +25,6 @@ from .world.schedule import schedule
 MODEL_VERSION = "2"
 
 ARCHITECTURES: tuple[Architecture, ...] = get_args(Architecture)
-CONFIGURATIONS: tuple[Configuration, ...] = get_args(Configuration)
 SCENARIOS: tuple[Scenario, ...] = get_args(Scenario)
 
 

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Architecture, Configuration
+from fsar_ledger.events.configuration import Configuration
+from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.request import RequestClosed
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.architectures.cfc import execution as cfc_execution

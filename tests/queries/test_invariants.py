@@ -8,7 +8,8 @@ import msgspec
 import pytest
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
+from fsar_ledger.events.configuration import Configuration
+from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.ledger.codec import encode
 from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.metrics.invariants import audit_rows, chosen, invariants

@@ -6,7 +6,8 @@ import msgspec
 import pytest
 
 from fsar_ledger.events import AnyEvent
-from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
+from fsar_ledger.events.configuration import Configuration
+from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.events.execution import ExecutionStarted, RoutinePerformed
 from fsar_ledger.events.recovery import RecoveryEscalated
 from fsar_ledger.events.request import RequestAccepted

@@ -8,7 +8,8 @@ import pytest
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Architecture, Configuration, RecoveryLevel, Scenario
+from fsar_ledger.events.configuration import Configuration
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Architecture, RecoveryLevel, Scenario
 from fsar_ledger.events.execution import ExecutionFailed, OwnStepDecided, RoutinePerformed
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.recovery import FailureResolved

@@ -33,7 +33,7 @@ def executing(
         StepBegan("A1-1", ACTION, behalf, 2, 1, capability),
         ExecutionQueued("A1-1", ACTION, behalf, robot, None, robot, behalf, capability, 2, 1, robot != behalf, robot != behalf, True),
         ExecutionStarted("A1-1", ACTION, behalf, robot, None, robot, behalf, capability, 3_000_000),
-        configuration=configuration,  # type: ignore[arg-type]
+        configuration=configuration,
     )
 
 

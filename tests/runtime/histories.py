@@ -4,7 +4,8 @@ from typing import Any
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Architecture, Configuration
+from fsar_ledger.events.configuration import Configuration
+from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import PolicyWindowOpened, TaskArrived
 from fsar_ledger.projections.fold import State, fold

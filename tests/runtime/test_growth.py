@@ -9,6 +9,7 @@ import pytest
 from fsar_ledger.constants import Constants, Load, WorldConstants
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import Event
+from fsar_ledger.events.configuration import CONFIGURATIONS
 from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.task import TaskAbandoned
@@ -21,7 +22,7 @@ from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.capacity import expected
 from fsar_ledger.runtime.experiment import Experiment, simulate
 from fsar_ledger.runtime.handlers.attribution import nearest_first
-from fsar_ledger.runtime.simulation import ARCHITECTURES, CONFIGURATIONS, SCENARIOS, RunSpec, run_id, run_started, simulate_run
+from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.runtime.world.scenarios import founding
 from fsar_ledger.runtime.world.schedule import schedule
 
@@ -160,7 +161,7 @@ def test_a_run_makes_no_more_than_is_expected_of_it(fleet_size: int, scenario: S
     cells = [(architecture, "full") for architecture in ARCHITECTURES] + [("fsar", configuration) for configuration in CONFIGURATIONS[1:]]
     for architecture, configuration in cells:
         record = made(architecture, scenario, fleet_size, None, configuration)
-        most = expected((scenario, architecture, configuration), fleet_size, Constants())  # type: ignore[arg-type]
+        most = expected((scenario, architecture, configuration), fleet_size, Constants())
         assert 0.3 * most.events < len(record.events) < most.events, (architecture, configuration)
         assert list_values(record) < most.list_values, (architecture, configuration)
 

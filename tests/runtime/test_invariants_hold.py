@@ -6,7 +6,8 @@ from typing import get_args
 import pytest
 
 from fsar_ledger.constants import Constants, Outages
-from fsar_ledger.events.envelope import Configuration, Workflow
+from fsar_ledger.events.configuration import MECHANISMS, Configuration, without
+from fsar_ledger.events.envelope import Workflow
 from fsar_ledger.ledger.codec import encode
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.invariants import audit_rows, chosen
@@ -58,3 +59,8 @@ def test_all_ten_hold_on_every_workflow(seed: int) -> None:
 def test_each_ablation_breaks_what_it_takes_away(configuration: Configuration) -> None:
     found = broken(RunSpec(42, "fsar", configuration, scenario, 4, run) for scenario in SCENARIOS for run in range(12))
     assert {name for name, _ in found} == BROKEN_WITHOUT[configuration]
+
+
+def test_without_any_mechanism_all_breaks_that_one_of_them_keeps() -> None:
+    found = broken(RunSpec(42, "fsar", without(MECHANISMS), scenario, 4, run) for scenario in SCENARIOS for run in range(6))
+    assert {name for name, _ in found} == set().union(*BROKEN_WITHOUT.values())

@@ -10,7 +10,8 @@ import pytest
 
 from fsar_ledger.constants import Constants, Outages, Range, WorldConstants, read_constants, write_constants
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Architecture, Configuration
+from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
+from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionHalted, ExecutionResumed, ExecutionStarted
 from fsar_ledger.events.knowledge import CopySynced
 from fsar_ledger.events.registry import RegistryQueried
@@ -187,7 +188,7 @@ def test_the_coordinator_sees_a_silent_robot_as_it_was() -> None:
         assert {denied for time_us, denied in copies if time_us > 12 * S} == {(A,)}
 
 
-@pytest.mark.parametrize("configuration", get_args(Configuration))
+@pytest.mark.parametrize("configuration", CONFIGURATIONS)
 def test_a_run_with_outages_is_replayed(configuration: Configuration) -> None:
     for architecture in ARCHITECTURES if configuration == "full" else ("fsar",):
         record = simulate_run(RunSpec(7, architecture, configuration, "fleet-contention", 4, 1), Constants(outages=MIXED))

@@ -15,7 +15,8 @@ import pytest
 from fsar_ledger.constants import Constants, Range, Structure, WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.events.envelope import Architecture, Configuration
+from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
+from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import ContextChanged, RoutineDue, TaskArrived, WorldEvent
 from fsar_ledger.ledger.append import Writer, stage
@@ -38,7 +39,7 @@ from tests.runtime.forgeries import FORGERIES, HONEST, LATE, added, changed, dro
 
 CONSTANTS = Constants()
 ARCHITECTURES: tuple[Architecture, ...] = get_args(Architecture)
-ABLATIONS: tuple[Configuration, ...] = get_args(Configuration)[1:]
+ABLATIONS: tuple[Configuration, ...] = CONFIGURATIONS[1:]
 DECIDED = [seq for seq, event in enumerate(HONEST.events) if HONEST.times_us[seq] and not isinstance(event, WorldEvent)]
 
 

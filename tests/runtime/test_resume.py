@@ -13,7 +13,8 @@ import pytest
 
 from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
+from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
+from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.events.world import LinkCameUp, LinkWentDown, RobotCameBack, RobotWentOff
 from fsar_ledger.ledger.codec import RunRecord, decode, encode
 from fsar_ledger.projections.fold import State, fold
@@ -63,7 +64,7 @@ def test_a_run_resumes_anywhere(scenario: Scenario, architecture: Architecture) 
         assert_resumes(RunSpec(5, architecture, "full", scenario, 4, run), 25)
 
 
-@pytest.mark.parametrize("configuration", get_args(Configuration)[1:])
+@pytest.mark.parametrize("configuration", CONFIGURATIONS[1:])
 def test_an_ablated_run_resumes_anywhere(configuration: Configuration) -> None:
     for scenario in SCENARIOS:
         assert_resumes(RunSpec(5, "fsar", configuration, scenario, 4, 0), 8)

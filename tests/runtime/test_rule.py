@@ -11,7 +11,8 @@ import pytest
 
 from fsar_ledger.constants import Constants, Structure, WorldConstants
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Architecture, Configuration, Scenario
+from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
+from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import WorldEvent
@@ -31,7 +32,7 @@ GOVERNANCES: tuple[tuple[Architecture, Configuration], ...] = (
     ("fsar", "full"),
     ("cfc", "full"),
     ("dhma", "full"),
-    *(("fsar", configuration) for configuration in get_args(Configuration)[1:]),
+    *(("fsar", configuration) for configuration in CONFIGURATIONS[1:]),
 )
 
 
@@ -111,7 +112,7 @@ def test_draws_that_count_do_not_agree() -> None:
 
 
 def names_are_blind(names: Sequence[str]) -> bool:
-    return not any(word in name for name in names for word in (*get_args(Architecture), *get_args(Configuration)))
+    return not any(word in name for name in names for word in (*get_args(Architecture), *CONFIGURATIONS))
 
 
 def test_no_stream_name_contains_an_architecture_or_a_configuration() -> None:

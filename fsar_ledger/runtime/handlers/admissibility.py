@@ -55,7 +55,7 @@ def evaluate(state: State, request: Request, executor: str, is_reviewed: bool = 
         outcome: PolicyOutcome = "deny" if is_ruled_out(state, request.carried, executor, *about) else "allow"
     else:
         outcome = compose(state, request.carried, executor, *about)
-    is_blind = state.fleet.configuration == "without-trust-evaluation"
+    is_blind = "trust-evaluation" in state.fleet.without
     trust = None if is_blind else scope_of(state.trust, executor, asker(request), *about)
     conjunct = failing(state, request, executor, trust, outcome)
     if conjunct is not None:

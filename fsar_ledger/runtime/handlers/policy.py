@@ -44,7 +44,7 @@ def compose(state: State, carried: PolicyOutcome, executor: str, capability: str
     steps and routine keep the fleet's rule.
     """
     own = own_policy(state, executor, capability, context)
-    if state.fleet.configuration == "without-policy-composition":
+    if "policy-composition" in state.fleet.without:
         return own
     return stricter(carried, stricter(own, fleet_policy(state, executor, capability, context)))
 
@@ -52,7 +52,7 @@ def compose(state: State, carried: PolicyOutcome, executor: str, capability: str
 def is_ruled_out(state: State, carried: PolicyOutcome, executor: str, capability: str, context: str | None) -> bool:
     """True when a rule of the executor's own or of the fleet, or the requester's policy, denies; an open window of the executor's own is no rule."""
     own = ruled(state.policy, "local", executor, capability, context)
-    if state.fleet.configuration == "without-policy-composition":
+    if "policy-composition" in state.fleet.without:
         return own == "deny"
     return "deny" in (own, carried, fleet_policy(state, executor, capability, context))
 
@@ -61,7 +61,7 @@ def conflict(
     state: State, task_id: str | None, action_id: str | None, requester: str | None, executor: str, capability: str
 ) -> tuple[PolicyConflictEscalated, ...]:
     """The escalation when the fleet mandates what the executor's own policy denies; the denial stands. Paper: sec:architecture:fleet."""
-    is_uncomposed = state.fleet.configuration == "without-policy-composition" and requester != executor
+    is_uncomposed = "policy-composition" in state.fleet.without and requester != executor
     if is_uncomposed or ruled(state.policy, "fleet", executor, capability, task_id) is None:
         return ()
     own, fleet = own_policy(state, executor, capability, task_id), fleet_policy(state, executor, capability, task_id)

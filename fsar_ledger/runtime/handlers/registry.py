@@ -153,7 +153,7 @@ def hides(state: State, record: Advertisement, requester: str, asker: str, conte
 
     Without trust evaluation nobody hides.
     """
-    if state.fleet.configuration == "without-trust-evaluation":
+    if "trust-evaluation" in state.fleet.without:
         return False
     if record.visible_to and state.fleet.robots[requester].role not in record.visible_to:
         return True
@@ -165,7 +165,7 @@ def hides(state: State, record: Advertisement, requester: str, asker: str, conte
 
 def _distrusts(state: State, query: Query, record: Advertisement) -> bool:
     """Not TrustOK by the record that is read (see `trust.trusts` for the present one). Paper: eq:delegable."""
-    if state.fleet.configuration == "without-trust-evaluation":
+    if "trust-evaluation" in state.fleet.without:
         return False
     return not covers(scope_of(state.trust, record.robot, query.requester, record.capability, query.context), record.trust_required)
 

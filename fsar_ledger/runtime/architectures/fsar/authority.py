@@ -67,7 +67,7 @@ def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
     if request is None or request.target is None:
         return ()
     task_id, robot, peer = request.task_id, request.requester, request.target
-    if state.fleet.configuration != "without-trust-evaluation":
+    if "trust-evaluation" not in state.fleet.without:
         supervisor = on_shift(state, robot)
         return (
             _refused(state, task_id, robot, peer, request.capability),
@@ -119,7 +119,7 @@ def _on_outsider(_state: State, event: OutsiderRequestInjected, _now_us: int) ->
 
 def _on_meeting(state: State, event: PeersMet, _now_us: int) -> tuple[Scheduled, ...]:
     """Robots that cannot hear each other pass each other by."""
-    if state.fleet.configuration != "without-shared-registry" or not all(is_linked(state.world, one) for one in (event.robot, event.peer)):
+    if "shared-registry" not in state.fleet.without or not all(is_linked(state.world, one) for one in (event.robot, event.peer)):
         return ()
     return (Scheduled(RememberPeer(event.robot, event.peer)),)
 

@@ -35,13 +35,13 @@ def report_actuator(state: State, command: ReportActuator) -> tuple[Event, ...]:
 
 
 def _on_failure(state: State, event: ExecutionFailed, _now_us: int) -> tuple[Scheduled, ...]:
-    if event.cause != "degradation" or state.fleet.configuration == "without-shared-registry":
+    if event.cause != "degradation" or "shared-registry" in state.fleet.without:
         return ()
     return (Scheduled(ReportActuator(event.robot, True), 0, (message(event.robot, f"{event.action_id}/{event.failure}", "degraded"),)),)
 
 
 def _on_service(state: State, event: ActuatorServiced, now_us: int) -> tuple[Scheduled, ...]:
-    if state.fleet.configuration == "without-shared-registry":
+    if "shared-registry" in state.fleet.without:
         return ()
     return (Scheduled(ReportActuator(event.robot, False), 0, (message(event.robot, f"{event.robot}/{now_us}", "serviced"),)),)
 

@@ -59,7 +59,7 @@ def _visible(state: State, request: Request) -> list[str]:
     """Capable robots whose advertisement the requester's role may see, nearest team first. Paper: eq:advertise."""
     role = state.fleet.robots[request.requester].role
     roles = {offer.robot: offer.visible_to for offer in offers(state.registry.offers, request.capability)}
-    is_open = state.fleet.configuration == "without-trust-evaluation"
+    is_open = "trust-evaluation" in state.fleet.without
     return [name for name in capable(state, request.capability, request.requester) if is_open or not roles[name] or role in roles[name]]
 
 
@@ -77,7 +77,7 @@ def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
     if request is None:
         return ()
     found: tuple[Event, ...] = ()
-    if state.fleet.configuration == "without-shared-registry":
+    if "shared-registry" in state.fleet.without:
         peers, relay = _among_met(state, request, command.now_us)
         if not peers:
             if request.attempt > 1:
@@ -139,7 +139,7 @@ def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, 
 
 
 def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
-    if state.fleet.configuration == "without-shared-registry" or event.task_id not in state.task or event.action_id not in state.request:
+    if "shared-registry" in state.fleet.without or event.task_id not in state.task or event.action_id not in state.request:
         return ()  # a request that is no step names whom it asks
     assert event.action_id is not None
     return (Scheduled(QueryRegistry(event.action_id), 0, (message(event.requested_by, event.action_id, 0),)),)

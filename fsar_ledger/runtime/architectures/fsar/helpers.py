@@ -41,7 +41,7 @@ class Candidate(NamedTuple):
 
 def peer(state: State, action: Action, recovery: Recovery) -> Found:
     """The nearest peer not asked before that can help, is trusted to, whose policy and the asking robot's allow it, and that is idle."""
-    if state.fleet.configuration == "without-shared-registry":
+    if "shared-registry" in state.fleet.without:
         return None, "no shared registry"
     found = _bodies(state, action) if recovery.cause == "obstruction" else _stand_ins(state, action, action.robot)
     return _first(state, action, action.robot, [one for one in found if one.robot not in recovery.tried], "peer")
@@ -52,7 +52,7 @@ def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event,
 
     Whoever offers something of the kind that does not do what has failed is left out by its contract.
     """
-    if recovery.cause == "obstruction" or state.fleet.configuration == "without-shared-registry":
+    if recovery.cause == "obstruction" or "shared-registry" in state.fleet.without:
         return ()
     found = _stand_ins(state, action, action.robot)
     fit = tuple(dict.fromkeys(one.robot for one in found if one.left_out_by is None))

@@ -101,7 +101,7 @@ def start_recovery(state: State, command: StartRecovery) -> tuple[Event, ...]:
     """The robot has begun to recover by itself, if it may; without layered recovery H_F is called at once. Paper: sec:model:recovery, level 1."""
     match open_failure(state, command.action_id):
         case action, recovery if recovery.level == "local" and recovery.number == 0:
-            if state.fleet.configuration == "without-layered-recovery":
+            if "layered-recovery" in state.fleet.without:
                 called = SupervisorCalled(action.task_id, action.action_id, FLEET_SUPERVISOR, "recovery")
                 return (_escalated(state, action, recovery, "human", action.robot, "no layered recovery"), called)
             allowed = budget(state, action.robot, "local")

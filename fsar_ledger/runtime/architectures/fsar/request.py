@@ -217,7 +217,7 @@ def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Sche
     if event.task_id not in state.task or event.action_id in state.recovery:  # an outsider's request is nobody's step; recovery asks for itself
         return ()
     assert event.action_id is not None
-    if state.fleet.configuration == "without-shared-registry":
+    if "shared-registry" in state.fleet.without:
         return (Scheduled(IssueRequest(event.action_id)),)
     return (Scheduled(IssueRequest(event.action_id), 0, (message(REGISTRY, event.action_id, 1),)),)
 
