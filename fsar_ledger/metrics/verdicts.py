@@ -19,6 +19,8 @@ from typing import Literal
 
 import msgspec
 
+from fsar_ledger.registration import registration
+
 from .results import MetricRow
 
 Verdict = Literal["reproduced", "undecided", "differs"]
@@ -29,17 +31,8 @@ PAPER_RUNS = 100
 Z_95 = 1.959963984540054
 """97.5 % quantile of the standard normal."""
 
-MARGINS: dict[str, float] = {
-    "coordination_success": 0.05,
-    "governance_locality": 0.02,
-    "recovery_containment": 0.05,
-    "authority_conflicts": 0.25,
-    "policy_violations": 0.15,
-    "reassignment_latency_s": 0.5,
-    "human_intervention": 0.05,
-    "audit_attributability": 0.02,
-}
-"""Half-width within which a difference does not matter, in the metric's unit; fixed before calibration."""
+MARGINS: dict[str, float] = registration().margins
+"""Half-width within which a difference does not matter, in the metric's unit; registered before the fit."""
 
 _PRINTED: dict[str, tuple[str, str, float]] = {
     "coordination_success": ("coordination_success_pct", "coordination_success", 100.0),
@@ -92,6 +85,13 @@ def _table(name: str) -> list[dict[str, str]]:
     """A table of the paper as it is printed."""
     text = files("fsar_ledger.reports").joinpath("paper", f"{name}.csv").read_text("utf-8")
     return list(csv.DictReader(text.splitlines()))
+
+
+@cache
+def printed_means() -> dict[tuple[str, str], float]:
+    """The 24 means of the paper's results table in our unit, by metric and architecture. No other table is read for them."""
+    printed = {(row["metric"], row["architecture"]): float(row["mean"]) for row in _table("results")}
+    return {(metric, name.lower()): printed[result, name] / unit for metric, (result, _, unit) in _PRINTED.items() for name in ("FSAR", "CFC", "DHMA")}
 
 
 @cache
