@@ -42,10 +42,10 @@ Matrix = np.ndarray[tuple[int, int], np.dtype[np.float64]]
 Progress = Callable[[int, int], None]
 
 
-def with_values(values: Sequence[float], free: Sequence[Free] = FREE) -> Constants:
+def with_values(values: Sequence[float]) -> Constants:
     """Return the constants with these values for the free ones, in the order of the registration."""
     changes: dict[str, dict[str, Any]] = {"world": {}, "structure": {}}
-    for one, value in zip(free, values, strict=True):
+    for one, value in zip(FREE, values, strict=True):
         part, _, name = one.name.partition(".")
         changes[part][name] = rounded(value) if part == "world" else int(rounded(value))
     base = Constants()
@@ -53,9 +53,9 @@ def with_values(values: Sequence[float], free: Sequence[Free] = FREE) -> Constan
     return Constants(replace(base.world, **changes["world"]), replace(base.structure, **changes["structure"]))
 
 
-def at(point: Vector, free: Sequence[Free] = FREE) -> Constants:
+def at(point: Vector) -> Constants:
     """Return the constants at a point: 0 is the middle of each range, -1 and 1 are its ends, on the logarithm."""
-    return with_values([one.range.middle * (one.range.high / one.range.middle) ** float(place) for one, place in zip(free, point, strict=True)], free)
+    return with_values([one.range.middle * (one.range.high / one.range.middle) ** float(place) for one, place in zip(FREE, point, strict=True)])
 
 
 def rounded(value: float) -> float:
@@ -96,7 +96,7 @@ def distances(rows: list[MetricRow]) -> Vector:
 def distances_at(task: tuple[Vector, int]) -> Vector:
     """Return the distances of few runs at a point, in a worker."""
     point, runs = task
-    return distances(measure(at(point, FREE), runs))
+    return distances(measure(at(point), runs))
 
 
 def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> None:

@@ -1,0 +1,82 @@
+"""The order of registration, fit, predictions and comparison is shown from a history, and each way to break it is found."""
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from tests.history import CONSTANTS, STAGES, findings, git
+
+HANDLER = "fsar_ledger/runtime/handlers/policy.py"
+FILES = {
+    HANDLER: "RULE = 1\n",
+    CONSTANTS: "    review_share: Fitted[float] = 0.06  # share\n    horizon_s: AfterFits[float] = 240.0  # end\n",
+}
+
+
+def commit(root: Path, files: dict[str, str]) -> None:
+    for name, text in files.items():
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_text(text)
+    git(root, "add", "-A")
+    git(root, "-c", "user.name=a", "-c", "user.email=a@b", "commit", "-q", "-m", "a change")
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    subprocess.run(["git", "init", "-q", str(tmp_path)], check=True)
+    commit(tmp_path, FILES)
+    return tmp_path
+
+
+def staged(root: Path, *between: dict[str, str], order: tuple[int, ...] = (0, 1, 2, 3)) -> list[str]:
+    """What does not hold after the stages in this order, with other changes after the first of them."""
+    for number, stage in enumerate(order):
+        commit(root, {STAGES[stage][1]: f"{stage}\n"})
+        if number == 0:
+            for files in between:
+                commit(root, files)
+    return list(findings(root))
+
+
+def test_stages_in_order_over_an_unchanged_model_are_fine(root: Path) -> None:
+    assert staged(root) == []
+
+
+def test_the_value_of_a_free_constant_may_change(root: Path) -> None:
+    assert staged(root, {CONSTANTS: FILES[CONSTANTS].replace("0.06", "0.071")}) == []
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({HANDLER: "RULE = 2\n"}, "handlers/policy.py changed between the registration"),
+        ({"fsar_ledger/runtime/world/new.py": ""}, "world/new.py changed between the registration"),
+        ({CONSTANTS: FILES[CONSTANTS].replace("240.0", "241.0")}, "horizon_s: AfterFits"),
+        ({CONSTANTS: FILES[CONSTANTS].replace("Fitted[float] = 0.06", "Chosen[float] = 0.06")}, "review_share: Chosen"),
+        ({CONSTANTS: FILES[CONSTANTS] + "MORE = 1\n"}, "MORE = 1 changed"),
+    ],
+)
+def test_a_change_of_the_model_after_the_registration_is_found(root: Path, changed: dict[str, str], said: str) -> None:
+    assert any(said in one for one in staged(root, changed))
+
+
+@pytest.mark.parametrize("order", [(1, 0, 2, 3), (0, 2, 1, 3), (0, 1, 3, 2)])
+def test_stages_in_another_order_are_found(root: Path, order: tuple[int, ...]) -> None:
+    assert any("does not come after the" in one for one in staged(root, order=order))
+
+
+def test_stages_in_one_commit_have_no_order(root: Path) -> None:
+    commit(root, {path: "all at once\n" for _, path in STAGES})
+    assert len([one for one in findings(root) if "does not come after" in one]) == 3
+
+
+def test_a_registration_that_is_changed_afterwards_is_found(root: Path) -> None:
+    staged(root)
+    commit(root, {STAGES[0][1]: "other margins\n"})
+    assert any("fit" in one and "does not come after the registration" in one for one in findings(root))
+
+
+def test_nothing_counts_without_a_registration(root: Path) -> None:
+    commit(root, {STAGES[1][1]: "a fit\n"})
+    assert any("expected the registration before anything else" in one for one in findings(root))
