@@ -18,7 +18,6 @@ import msgspec
 import numpy as np
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.errors import WriteFailed
 from fsar_ledger.events.configuration import FULL
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.codec import encode
@@ -26,6 +25,7 @@ from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.metrics.database import connect, from_table
 from fsar_ledger.metrics.results import MetricRow, metric_rows
 from fsar_ledger.metrics.verdicts import printed_means
+from fsar_ledger.recording import require_writable, write_record
 from fsar_ledger.registration import Free, registration
 from fsar_ledger.runtime.experiment import Experiment, simulate
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS, RunSpec, simulate_run
@@ -109,7 +109,7 @@ def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> 
     from scipy.optimize import least_squares
 
     require_outside(out, f"--out {out}")
-    _require_writable(out)
+    require_writable(out)
     done, most = count(1), 1 + PLAN.screened + PLAN.most_steps * (2 * len(FREE) + 1)
     evaluations = 0
 
@@ -139,7 +139,7 @@ def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> 
     point, of_cells = np.asarray(found.x), np.asarray(found.jac)[: -len(FREE)]
     record = _record(point, measure_stored(at(point), PLAN.judged_runs, workers), start, of_cells, evaluations)
     record["switch_offs"] = _switch_offs(at(point))
-    _write(out, record)
+    write_record(out, record)
 
 
 def screened() -> list[Vector]:
@@ -228,26 +228,3 @@ def _switch_offs(constants: Constants) -> list[dict[str, Any]]:
             {**of_switch, "metric": metric, "with_mechanism": whole[switch.architecture, metric], "without": without[metric]} for metric in switch.metrics
         ]
     return found
-
-
-def _require_writable(out: Path) -> None:
-    """Minutes of work should not end in a refusal. Nothing is left behind."""
-    probe = out.with_name(out.name + ".tmp")
-    try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        if out.is_dir():
-            raise IsADirectoryError(None, "it is a folder")
-        probe.touch()
-        probe.unlink()
-    except OSError as error:
-        raise WriteFailed(f"{out}: cannot be written ({error.strerror}); expected a path for the record of the fit") from error
-
-
-def _write(out: Path, record: dict[str, Any]) -> None:
-    data = msgspec.json.format(msgspec.json.encode(record), indent=2) + b"\n"
-    try:
-        temporary = out.with_name(out.name + ".tmp")
-        temporary.write_bytes(data)
-        temporary.replace(out)
-    except OSError as error:
-        raise WriteFailed(f"{out}: cannot be written ({error.strerror}); free space or give another path") from error

@@ -16,7 +16,7 @@ from typing import Annotated
 import typer
 
 from . import printable
-from .commands import judging, recover, reporting, trust, witness
+from .commands import fitting, judging, recover, reporting, trust, witness
 from .commands.memory import bounded, reading
 from .commands.options import (
     AdoptOption,
@@ -316,20 +316,8 @@ def explain(
 app.command(epilog=reporting.REPORT)(reading(reporting.report))
 
 
-@app.command(epilog=examples("fsar-ledger calibrate --out out/calibration.json"))
-def calibrate(
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The record of the fit, as JSON; replaced if it exists.", show_default=False)],
-    workers: WorkersOption = None,
-) -> None:
-    """Fit the parameters of the world again; takes minutes.
-
-    The fit is to the paper's results table alone; the record of it says what was tried, what the data identify and what was accepted.
-    """
-    from .calibration import calibrate as fit
-
-    with Progress("tried", "parameter sets") as progress:
-        fit(out, progress, workers_of(workers))
-    _show(printable.line(f"{out}"))
+app.command(epilog=fitting.CALIBRATE)(fitting.calibrate)
+app.command(epilog=fitting.PREDICT)(fitting.predict)
 
 
 @app.command(epilog=examples("fsar-ledger reproduce", "fsar-ledger reproduce --out out/paper"))

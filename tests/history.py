@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from fsar_ledger.registration import registration
@@ -33,7 +34,7 @@ def findings(root: Path = ROOT, stages: Sequence[tuple[str, str]] = STAGES) -> I
     """Yield what does not hold, a sentence each."""
     commits = [(name, path, git(root, "log", "-1", "--format=%H", "--", path)) for name, path in stages]
     made = [(name, path, commit) for name, path, commit in commits if commit]
-    for (first, _, earlier), (second, path, later) in zip(made, made[1:], strict=False):
+    for (first, _, earlier), (second, path, later) in pairwise(made):
         if earlier == later or not is_before(root, earlier, later):
             yield f"{second} ({path}, {later[:12]}) does not come after the {first} ({earlier[:12]}); expected a later commit of its own"
     if not made or made[0][0] != stages[0][0]:

@@ -237,6 +237,7 @@ WRITERS = [
     ("explain", "LEDGER", "--request", "A1-1/2.1", "--pdf", "PLACE.pdf"),
     ("key", "new", "PLACE.key"),
     ("calibrate", "--out", "PLACE.json"),
+    ("predict", "--out", "PLACE.json"),
     ("reproduce", "--out", "PLACE"),
 ]
 

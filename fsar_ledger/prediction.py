@@ -1,0 +1,148 @@
+"""Plays what was registered to be predicted, with the constants as they are, and writes down the numbers before anybody compares them.
+
+Registered in `reports/registration.toml`. The tables of the paper that the fit does not aim at (ablation, scaling) are played beside what nobody has
+seen: other seeds, fleets between and beyond, loads, encounter rates, pairs of ablations. Nothing here reads a number of the paper.
+"""
+
+from collections.abc import Callable, Iterator
+from itertools import combinations
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import msgspec
+
+from fsar_ledger.constants import Constants, Load, write_constants
+from fsar_ledger.events.configuration import CONFIGURATIONS, MECHANISMS, Configuration, without
+from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.ledger.place import require_outside
+from fsar_ledger.metrics.database import connect
+from fsar_ledger.metrics.results import MetricRow, metric_rows
+from fsar_ledger.recording import require_writable, write_record
+from fsar_ledger.runtime.experiment import Experiment, simulate
+from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS
+
+SEED = 42
+SEEDS = (57721, 61803)  # registered, and never used before
+SEED_RUNS = 200  # runs a scenario where the results table is asked for
+ABLATION_RUNS = 40
+SCALING_RUNS = 20  # the paper's
+ENCOUNTERS_S = (30.0, 60.0, 90.0, 180.0, 300.0)
+
+Progress = Callable[[int, int], None]
+
+
+class Play(msgspec.Struct, frozen=True):
+    """One experiment whose numbers are predicted, and what it is for."""
+
+    of: str
+    experiment: Experiment
+
+
+class Predicted(msgspec.Struct, frozen=True, kw_only=True):
+    """One predicted number: what was played, and the metric's mean, SD per run, count of runs and 95 % interval, in the metric's unit.
+
+    `teams_working` None: all teams. `scenario` None: all scenarios.
+    """
+
+    of: str
+    seed: int
+    fleet_size: int
+    teams_working: int | None
+    encounter_mean_s: float
+    configuration: str
+    architecture: str
+    scenario: str | None
+    metric: str
+    mean: float | None
+    sd: float | None
+    n: int
+    ci_low: float | None
+    ci_high: float | None
+
+
+class Record(msgspec.Struct, frozen=True):
+    """All of it, with the model and the constants that it rests on."""
+
+    model_version: str
+    parameters: str
+    command: str
+    numbers: list[Predicted]
+
+
+def plays() -> Iterator[Play]:
+    """Yield what is played, in the order of the registration."""
+
+    def one(
+        of: str,
+        runs: int,
+        *,
+        seed: int = SEED,
+        size: int = 4,
+        teams: int | None = None,
+        architectures: tuple[Architecture, ...] = ARCHITECTURES,
+        configurations: tuple[Configuration, ...] = ("full",),
+        constants: Constants | None = None,
+    ) -> Play:
+        base = constants or Constants()
+        loaded = base if teams is None else msgspec.structs.replace(base, load=Load(teams_working=teams))
+        return Play(of, Experiment(architectures, SCENARIOS, runs, seed, size, configurations, loaded))
+
+    yield one("ablation", ABLATION_RUNS, architectures=("fsar",), configurations=CONFIGURATIONS)
+    yield one("pairs", ABLATION_RUNS, architectures=("fsar",), configurations=tuple(without(pair) for pair in combinations(MECHANISMS, 2)))
+    for mean in ENCOUNTERS_S:
+        world = msgspec.structs.replace(Constants().world, encounter_mean_s=mean)
+        alone: tuple[Configuration, ...] = (without(["shared-registry"]),)
+        yield one("encounters", ABLATION_RUNS, architectures=("fsar",), configurations=alone, constants=Constants(world))
+    for size in (4, 8, 12, 16, 24):
+        yield one("scaling", SCALING_RUNS, size=size)
+        if size > 4:
+            yield one("scaling", SCALING_RUNS, size=size, teams=1)
+    for teams in (2, 3):
+        yield one("loads", SCALING_RUNS, size=16, teams=teams)
+    for seed in SEEDS:
+        yield one("seeds", SEED_RUNS, seed=seed)
+
+
+def predict(out: Path, progress: Progress | None = None, workers: int = 2) -> None:
+    """Play everything that is registered and write the numbers. Takes minutes.
+
+    Raises:
+        UsageError: The file lies inside a ledger.
+        WriteFailed: The file cannot be written.
+    """
+    require_outside(out, f"--out {out}")
+    require_writable(out)
+    every = list(plays())
+    numbers: list[Predicted] = []
+    for done, play in enumerate(every, start=1):
+        numbers += _numbers(play, workers)
+        if progress is not None:
+            progress(done, len(every))
+    write_record(out, Record(MODEL_VERSION, write_constants(Constants()), "fsar-ledger predict --out FILE", numbers))
+
+
+def _numbers(play: Play, workers: int) -> list[Predicted]:
+    """The metrics of one experiment, over all scenarios and of each, through a ledger that is thrown away."""
+    with TemporaryDirectory() as folder:
+        ledger = Path(folder) / "ledger"
+        simulate(ledger, play.experiment, workers)
+        with connect(ledger) as database:
+            rows = [*metric_rows(database), *metric_rows(database, by_scenario=True)]
+    return [_predicted(play, row) for row in rows]
+
+
+def _predicted(play: Play, row: MetricRow) -> Predicted:
+    asked = play.experiment
+    load = asked.constants.load
+    found: dict[str, Any] = {
+        name: getattr(row, name) for name in ("architecture", "configuration", "scenario", "metric", "mean", "sd", "n", "ci_low", "ci_high")
+    }
+    return Predicted(
+        of=play.of,
+        seed=asked.seed,
+        fleet_size=asked.fleet_size,
+        teams_working=None if load is None else load.teams_working,
+        encounter_mean_s=asked.constants.world.encounter_mean_s,
+        **found,
+    )
