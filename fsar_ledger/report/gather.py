@@ -40,12 +40,6 @@ METRICS = tuple(spec.name for spec in specs.metrics())
 MAX_SPANS = 20
 """Ranges of seeds that a cell of a table lists."""
 
-DIFFERING_SQL = """
-    SELECT texts.parameters, min(sets.constants) AS constants
-    FROM parameter_texts AS texts
-    INNER JOIN parameter_sets AS sets ON texts.model = sets.model AND texts.parameter_set = sets.parameter_set
-    GROUP BY texts.parameters
-"""
 BACKGROUND_SQL = "SELECT * FROM background"
 CHOSEN_SQL = """
     SELECT runs.run_id
@@ -212,13 +206,12 @@ def _span(low: int, high: int) -> str:
 def _models(database: Database) -> tuple[tuple[Row, ...], dict[str, str]]:
     """The sets of constants in the ledger, and those of its first run that says any by dotted name."""
     found = models(database)
-    named = {row["parameters"]: row["constants"] for row in database.rows(DIFFERING_SQL)}
     rows: tuple[Row, ...] = tuple(
         {
             "model_version": one.model_version,
             "kind": one.kind,
             "runs": one.runs,
-            "constants": named.get(one.text),
+            "constants": one.constants,
             "parameters_sha256": one.sha256,
         }
         for one in found

@@ -19,6 +19,7 @@ from fsar_ledger.ledger.append import Staged, Writer, stage
 from fsar_ledger.ledger.bounds import MAX_LIST_VALUES, MAX_ROWS
 from fsar_ledger.ledger.note import Signer
 from fsar_ledger.ledger.read import Head, open_ledger
+from fsar_ledger.printable import some
 from fsar_ledger.runtime.plan import held, plan_record
 from fsar_ledger.runtime.simulation import MODEL_VERSION, RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.workers import WorkerPool
@@ -29,7 +30,6 @@ from .world.workflows import FLEET_SIZE, WORKFLOWS
 ORIGIN = "fsar-ledger/simulated"
 WORKFLOWS_ORIGIN = "fsar-ledger/workflows"  # of the second ledger of `reproduce`: no key signs two trees under one origin
 BATCH_RUNS = 25  # runs in a commit, if it holds so many, whatever the number of workers
-MAX_NAMED = 5  # of constants that are wrong
 IN_FLIGHT = 2  # batches per worker that may be under way, so that memory stays flat
 
 Progress = Callable[[int, int], None]
@@ -65,7 +65,7 @@ class Experiment(msgspec.Struct, frozen=True):
             asked = ", ".join(self.architectures)
             raise InvalidExperiment(f"mechanisms are taken out of FSAR only: found architectures {asked}, expected fsar; leave out --architecture")
         if wrong := negatives(self.constants):
-            raise InvalidExperiment(f"constants: found {', '.join(wrong[:MAX_NAMED])}, expected 0 or more")
+            raise InvalidExperiment(f"constants: found {some(wrong)}, expected 0 or more")
         self._require_workflows_as_written()
         self._require_possible_load()
         self._put_in_order()

@@ -87,7 +87,7 @@ def test_a_fit_of_these_runs_model_is_not_doubted(tmp_path: Path, findings: Find
     ("fitted", "ran", "said"),
     [
         (None, ["2"], "a model whose version is not on record, and these runs are of version 2."),
-        ("1", ["2", "1", "2"], "model version 1, and these runs are of versions 1 and 2."),
+        ("1", ["2", "1", "2"], "model version 1, and these runs are of versions 1, 2."),
         ("1", list("8765432"), "model version 1, and these runs are of versions 2, 3, 4, 5, 6 and 2 more."),
         ("1", ["\x1b[31m"], r"model version 1, and these runs are of version \x1b[31m."),
         ("1", [], None),
