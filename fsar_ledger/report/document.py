@@ -217,6 +217,7 @@ def data(findings: Findings, record: Record | None) -> dict[str, Any]:
             "completeness": findings.completeness,
         },
         "shown": findings.shown and printing.words(findings.shown),
+        "unjudged": findings.unjudged and printing.words(findings.unjudged, MAX_DIFFERING),
         "differing": [printing.words(one, MAX_DIFFERING) for one in findings.differing],
         "answer": _sayable(answer(findings)),
         "tables": tables,
