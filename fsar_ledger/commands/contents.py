@@ -17,6 +17,7 @@ from fsar_ledger import printable
 from fsar_ledger.ledger.read import Head, open_ledger
 from fsar_ledger.metrics.models import Model, models
 from fsar_ledger.metrics.observing import Unobserved, never_observed, shown
+from fsar_ledger.metrics.plans import completeness
 
 from .answering import answering
 from .plans import Shown, plans, shape
@@ -91,6 +92,9 @@ class Contents(msgspec.Struct, frozen=True):
     groups: list[dict[str, Any]]
     models: list[dict[str, Any]]
     plans: list[dict[str, Any]]
+    missing: int | None
+    """Runs that were planned and are missing, each counted once; None where plans name too much to tell."""
+
     rows_verified: bool | None = None
     not_observed: list[Unobserved] = []
 
@@ -123,6 +127,7 @@ class Contents(msgspec.Struct, frozen=True):
             "runs": self.run_count,
             "runs_unplanned": self.unplanned,
             "is_complete": self.is_complete,
+            "missing_count": self.missing,
             "not_observed": self.not_observed,
         }
 
@@ -135,7 +140,8 @@ class Contents(msgspec.Struct, frozen=True):
         if not self.plans:
             nothing = "no plan is on record, so nothing says whether they are all that was meant"
             return [f"{held}; {nothing}" if self.groups else "no runs yet, and no plan on record"]
-        of_plans = "not complete" if self.is_complete is False else "complete: all that was planned is there"
+        lacking = "not complete" if self.missing is None else f"not complete: {runs(self.missing)} of what was planned {_are(self.missing)} missing"
+        of_plans = lacking if self.is_complete is False else "complete: all that was planned is there"
         if not self.unplanned:
             return [f"{held}, {of_plans}"]
         kinds = ", ".join(f"{count:,} {printable.value(kind)}" for kind, count in self.unplanned.items())
@@ -155,7 +161,7 @@ class Contents(msgspec.Struct, frozen=True):
         smaller = sum(bool(plan["larger_plans"]) for plan in self.plans)
         if not smaller:
             return []
-        of_all = f"{smaller:,} of {len(self.plans):,} plans {'is' if smaller == 1 else 'are'} part of a larger one"
+        of_all = f"{smaller:,} of {len(self.plans):,} plans {_are(smaller)} part of a larger one"
         return [f"enlarged: {of_all}; runs, run ids and metrics are as if it had been planned so large at once, the root is not"]
 
     def _unlike(self) -> list[str]:
@@ -196,7 +202,12 @@ def contents(ledger: Path, *, verified: bool = False) -> tuple[Head, Contents]:
         groups = [{"constants": letters.get(_key(row)), **row} for row in database.rows(GROUPS)]
         planned = plans(database, Shown(ledger, open_ledger(ledger)))
         named = [_of_model(one, letters.get(_key(structs.asdict(one)))) for one in found]
-        return database.head, Contents(groups, named, planned, database.rows_verified, never_observed(database))
+        missing = completeness(database).missing
+        return database.head, Contents(groups, named, planned, missing, database.rows_verified, never_observed(database))
+
+
+def _are(number: int) -> str:
+    return "is" if number == 1 else "are"
 
 
 def _key(row: Mapping[str, Any]) -> tuple[str | None, ...]:

@@ -135,6 +135,14 @@ def test_two_shapes_in_one_ledger_are_two_plans_and_both_are_complete(call: Call
     assert "enlarged: " not in text
 
 
+def test_what_two_interrupted_experiments_have_in_common_is_missing_once(call: Call, tmp_path: Path) -> None:
+    planned_only(tmp_path / "ledger", small("fsar", "cfc", runs=3))
+    planned_only(tmp_path / "ledger", small("fsar", scenarios=("door-relay", "fleet-contention")))
+    found = info(call, tmp_path / "ledger")
+    assert ([plan["missing_count"] for plan in found["plans"]], found["missing_count"]) == ([6, 4], 8)
+    assert "0 runs, not complete: 8 runs of what was planned are missing\n" in said(call, tmp_path / "ledger")
+
+
 def test_two_parameter_sets_are_told_apart_and_the_constants_named(call: Call, tmp_path: Path) -> None:
     simulate(tmp_path / "ledger", small(runs=3), 1)
     planned_only(tmp_path / "ledger", small(constants=OTHER))
