@@ -4,16 +4,13 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from fsar_ledger.printable import counted
+from fsar_ledger.printable import counted, some
 
 from .database import Database
 from .results import StatisticRow, typed
 
 MIN_WILCOXON = 6
 """Pairs that differ from which on Wilcoxon's test has a p (`statistics/wilcoxon_tests`)."""
-
-MAX_NAMED = 5
-"""So many metrics, seeds or comparisons are named in one sentence; the rest are counted."""
 
 DIFFERS = {
     "setting": "were made under other constants, or by another model",
@@ -177,17 +174,17 @@ def differing_worlds(database: Database) -> list[DifferingWorlds]:
 
 def not_compared(database: Database) -> list[str]:
     """Why each comparison that has no pair has none, in words; for a ledger that holds neither side of any, why that is. Raises: as `Database.rows`."""
-    found = typed(database.rows(GROUNDS), Ground)
-    if found:
-        return [why for one in found if (why := one.why_not())]
+    grounds = typed(database.rows(GROUNDS), Ground)
+    if grounds:
+        return [why for one in grounds if (why := one.why_not())]
     kinds = database.rows(KINDS)
     if not kinds:
         return ["found no runs; `fsar-ledger simulate` makes some"]
-    names = [f"{counted(row['runs'], 'run')} ({row['kind']}) of {row['architecture'] or 'no named architecture'}" for row in kinds[:MAX_NAMED]]
-    more = f" and {len(kinds) - MAX_NAMED:,} kinds more" if len(kinds) > MAX_NAMED else ""
+    names = [f"{counted(row['runs'], 'run')} ({row['kind']}) of {row['architecture'] or 'no named architecture'}" for row in kinds]
+    found = some(names, "kinds more")
     if all(row["nameless"] == row["runs"] for row in kinds):
-        return [f"found {', '.join(names)}{more}, all without seed, scenario, fleet size or number; runs that are not known to have met one world are no pairs"]
-    return [f"found {', '.join(names)}{more}; expected fsar, cfc or dhma, or the configurations of one architecture"]
+        return [f"found {found}, all without seed, scenario, fleet size or number; runs that are not known to have met one world are no pairs"]
+    return [f"found {found}; expected fsar, cfc or dhma, or the configurations of one architecture"]
 
 
 def left_over(database: Database) -> list[str]:

@@ -3,7 +3,7 @@
 Grades and cells come from `queries/tables/`; here they are only laid beside the printed ones.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from fsar_ledger.errors import UsageError
@@ -34,13 +34,13 @@ def graded(database: Database) -> list[Row]:
     ]
 
 
-def features(grades: Sequence[Row]) -> tuple[Row, ...]:
-    """The table "Architectural comparison" with our grades beside the paper's. Paper: tab:baseline_context."""
+def features(grades: Sequence[Row], apart: Collection[str] = ()) -> tuple[Row, ...]:
+    """The table "Architectural comparison" with our grades beside the paper's, no verdict on architectures apart. Paper: tab:baseline_context."""
     ours = {(row["feature"], row["architecture"]): row["grade"] for row in grades}
     rows = []
     for printed in specs.paper_table("architecture_features"):
         pairs = {name: (printed[name.upper()], ours.get((printed["feature"], name))) for name in ARCHITECTURES}
-        row: Row = {"feature": printed["feature"], "verdict": verdict({name.upper(): pair for name, pair in pairs.items()})}
+        row: Row = {"feature": printed["feature"], "verdict": verdict({name.upper(): pair for name, pair in pairs.items() if name not in apart})}
         for name, (paper, grade) in pairs.items():
             row |= {f"{name}_paper": paper, f"{name}_ours": grade}
         rows.append(row | {name.lower(): printed[name] for name in NOT_RUN})
