@@ -24,7 +24,7 @@ from fsar_ledger.ledger.codec import encode
 from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.metrics.database import connect, from_table
 from fsar_ledger.metrics.results import MetricRow, metric_rows
-from fsar_ledger.metrics.verdicts import printed_means
+from fsar_ledger.metrics.verdicts import published
 from fsar_ledger.recording import require_writable, write_record
 from fsar_ledger.registration import Free, registration
 from fsar_ledger.runtime.experiment import Experiment, simulate
@@ -88,8 +88,8 @@ def measure_stored(constants: Constants, runs: int, workers: int) -> list[Metric
 
 def distances(rows: list[MetricRow]) -> Vector:
     """Return (ours - paper) of the 24 cells in margins, in the order of the rows; a cell that is undefined is one margin away."""
-    printed, margins = printed_means(), REGISTERED.margins
-    cells = [(row.mean, printed[row.metric, row.architecture], margins[row.metric]) for row in rows if row.architecture is not None]
+    printed, margins = published(), REGISTERED.margins
+    cells = [(row.mean, printed[row.metric, row.architecture].value, margins[row.metric]) for row in rows if row.architecture is not None]
     return np.array([1.0 if mean is None else (mean - paper) / margin for mean, paper, margin in cells])
 
 
@@ -167,7 +167,7 @@ def slopes(each: Callable[[list[Vector]], list[Vector]], point: Vector) -> Matri
 def _record(point: Vector, rows: list[MetricRow], start: Vector, jacobian: Matrix, evaluations: int) -> dict[str, Any]:
     constants, begun = at(point), at(start)
     _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
-    printed = printed_means()
+    printed = published()
     return {
         "objective": {
             "description": PLAN.rule,
@@ -184,7 +184,7 @@ def _record(point: Vector, rows: list[MetricRow], start: Vector, jacobian: Matri
             {
                 "metric": row.metric,
                 "architecture": row.architecture,
-                "paper": printed[row.metric, row.architecture or ""],
+                "paper": printed[row.metric, row.architecture or ""].value,
                 "ours": row.mean,
                 "distance_margins": round(float(distance), 3),
             }

@@ -46,6 +46,16 @@ class Free(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return registration().kinds[self.kind]
 
 
+class Verdicts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The rules of the verdicts in words, their level, how many experiments are drawn, and how many cells the choice of n is to decide."""
+
+    alpha: float
+    model: str
+    experiment: str
+    draws: int
+    decided: int
+
+
 class Registration(msgspec.Struct, frozen=True):
     """The registration as far as the fit and the verdicts need it; `margins` by metric, in the metric's unit."""
 
@@ -53,6 +63,7 @@ class Registration(msgspec.Struct, frozen=True):
     fit: Fit
     kinds: dict[str, Kind]
     free: tuple[Free, ...]
+    verdicts: Verdicts
     margins: dict[str, float]
 
 

@@ -1,13 +1,11 @@
-"""The paper beside ours: one rule for every cell of the results table.
+"""The paper beside ours: two questions, and an answer to each for every cell of the results table.
 
-The interval of (ours - paper) carries the sampling error of both, side by side (MOVER): ours from the interval that
-stands beside our mean, the paper's from the SD that its own tables imply, at its n of 100. The printed plus-minus is
-not used: it is 1.96 * SD of five scenario means /
-sqrt(100), which is no sampling error. The cell
+Both rules were registered before the fit, in `reports/registration.toml`.
 
-- *differs* if the 95 % interval excludes 0,
-- is *reproduced* if the interval lies inside the metric's fixed margin,
-- is *undecided* otherwise, also where our mean has no interval or no SD (fewer than two runs), or the metric is undefined.
+- *Does this model give the printed number?* Equivalence by two one-sided tests, with our sampling error alone: `yes` if the 90 % interval of
+  (ours - paper) lies within the metric's margin, `no` if it lies wholly outside, `undecided` otherwise, also where our mean has no SD.
+- *Could the paper's experiment, run on this model, have printed it?* `no` if fewer than one in twenty experiments of the paper's size, drawn from our
+  runs, print a number as far out (`odds.py`), `yes` otherwise.
 """
 
 import csv
@@ -21,49 +19,34 @@ import msgspec
 
 from fsar_ledger.registration import registration
 
+from .odds import Cell, Odds, Printed
 from .results import MetricRow
 
-Verdict = Literal["reproduced", "undecided", "differs"]
+Answer = Literal["yes", "no", "undecided"]
 
-PAPER_RUNS = 100
-"""Runs per architecture in the paper: 5 scenarios of 20."""
-
-Z_95 = 1.959963984540054
-"""97.5 % quantile of the standard normal."""
-
+ALPHA = registration().verdicts.alpha
 MARGINS: dict[str, float] = registration().margins
-"""Half-width within which a difference does not matter, in the metric's unit; registered before the fit."""
+"""Half-width within which a difference does not matter, in the metric's unit."""
 
-_PRINTED: dict[str, tuple[str, str, float]] = {
-    "coordination_success": ("coordination_success_pct", "coordination_success", 100.0),
-    "governance_locality": ("governance_locality", "governance_locality", 1.0),
-    "recovery_containment": ("recovery_containment", "recovery_containment", 1.0),
-    "authority_conflicts": ("authority_conflicts", "authority_conflicts", 1.0),
-    "policy_violations": ("policy_violations", "policy_violations", 1.0),
-    "reassignment_latency_s": ("reassignment_latency_s", "reassignment_latency", 1.0),
-    "human_intervention": ("human_interventions_pct", "human_interventions", 100.0),
-    "audit_attributability": ("audit_attributability", "audit_attributability", 1.0),
+_PRINTED: dict[str, tuple[str, float]] = {
+    "coordination_success": ("coordination_success_pct", 100.0),
+    "governance_locality": ("governance_locality", 1.0),
+    "recovery_containment": ("recovery_containment", 1.0),
+    "authority_conflicts": ("authority_conflicts", 1.0),
+    "policy_violations": ("policy_violations", 1.0),
+    "reassignment_latency_s": ("reassignment_latency_s", 1.0),
+    "human_intervention": ("human_interventions_pct", 100.0),
+    "audit_attributability": ("audit_attributability", 1.0),
 }
-# Each metric's name in results.csv and in significance.csv, and how many printed units make one of ours (percent, shares).
-
-
-class Published(msgspec.Struct, frozen=True, kw_only=True):
-    """One cell of the paper's results table, in our unit. Paper: tab:results.
-
-    `implied_sd` is the SD per run that its tables imply: |difference of means| / d of the pair with FSAR, for FSAR of FSAR and CFC.
-    """
-
-    metric: str
-    architecture: str
-    mean: float
-    printed_ci95: float
-    implied_sd: float
+# Each metric's name in results.csv, and how many printed units make one of ours (percent, shares).
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
     """One cell judged. Differences are ours minus the paper's, in the metric's unit; None where ours is undefined.
 
-    `distance_se` is the difference in standard errors of a mean of 100 runs, from the larger of our SD and the implied one.
+    `low` and `high` are the 90 % interval of the difference, with our error alone; `distance` is the difference in margins. `gives` answers the first
+    question, and `power` is the chance that it is `yes` where the model gives exactly the printed number. `share` is the two-sided share of drawn
+    experiments, and `could` the answer to the second question; None where none were drawn.
     """
 
     metric: str
@@ -72,87 +55,82 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
     fleet_size: int | None
     ours: float | None
     paper: float
-    implied_sd: float
     difference: float | None
-    ci_low: float | None
-    ci_high: float | None
+    low: float | None
+    high: float | None
+    distance: float | None
     margin: float
-    verdict: Verdict
-    distance_se: float | None
-
-
-def _table(name: str) -> list[dict[str, str]]:
-    """A table of the paper as it is printed."""
-    text = files("fsar_ledger.reports").joinpath("paper", f"{name}.csv").read_text("utf-8")
-    return list(csv.DictReader(text.splitlines()))
+    gives: Answer
+    power: float | None
+    share: float | None = None
+    could: Answer | None = None
 
 
 @cache
-def printed_means() -> dict[tuple[str, str], float]:
-    """The 24 means of the paper's results table in our unit, by metric and architecture. No other table is read for them."""
-    printed = {(row["metric"], row["architecture"]): float(row["mean"]) for row in _table("results")}
-    return {(metric, name.lower()): printed[result, name] / unit for metric, (result, _, unit) in _PRINTED.items() for name in ("FSAR", "CFC", "DHMA")}
-
-
-@cache
-def published() -> dict[tuple[str, str], Published]:
-    """The 24 cells of the paper's results table by metric and architecture."""
-    printed = {(row["metric"], row["architecture"]): (float(row["mean"]), float(row["printed_ci95"])) for row in _table("results")}
-    effects = {(row["metric"], row["comparison"]): float(row["cohens_d"]) for row in _table("significance")}
-    cells: dict[tuple[str, str], Published] = {}
-    for metric, (name, tested_name, unit) in _PRINTED.items():
-        fsar, _ = printed[name, "FSAR"]
+def published() -> dict[Cell, Printed]:
+    """The 24 cells of the paper's results table in our unit, by metric and architecture. No other table is read for them. Paper: tab:results."""
+    text = files("fsar_ledger.reports").joinpath("paper", "results.csv").read_text("utf-8")
+    printed = {(row["metric"], row["architecture"]): row["mean"] for row in csv.DictReader(text.splitlines())}
+    cells: dict[Cell, Printed] = {}
+    for metric, (name, unit) in _PRINTED.items():
         for architecture in ("FSAR", "CFC", "DHMA"):
-            mean, half_width = printed[name, architecture]
-            other = "CFC" if architecture == "FSAR" else architecture
-            implied_sd = abs(fsar - printed[name, other][0]) / effects[tested_name, f"FSAR vs {other}"]
-            cells[metric, architecture.lower()] = Published(
-                metric=metric,
-                architecture=architecture.lower(),
-                mean=mean / unit,
-                printed_ci95=half_width / unit,
-                implied_sd=implied_sd / unit,
-            )
+            mean = printed[name, architecture]
+            cells[metric, architecture.lower()] = Printed(float(mean) / unit, 10.0 ** -len(mean.partition(".")[2]) / unit)
     return cells
 
 
-def compare(rows: Iterable[MetricRow]) -> list[Comparison]:
-    """The verdict on every row whose metric and architecture the paper prints, in the order given."""
-    return [_judge(row, paper) for row in rows if (paper := published().get((row.metric, row.architecture or "")))]
+def compare(rows: Iterable[MetricRow], odds: Odds | None = None) -> list[Comparison]:
+    """The answers for every row whose metric and architecture the paper prints, in the order given; the second only with odds."""
+    return [_judge(row, paper.value, odds) for row in rows if (paper := published().get((row.metric, row.architecture or "")))]
 
 
-def _judge(row: MetricRow, paper: Published) -> Comparison:
-    """One cell judged by the rule above."""
-    difference = None if row.mean is None else row.mean - paper.mean
-    ci_low = ci_high = distance_se = None
-    if row.mean is not None and difference is not None and row.sd is not None:
-        distance_se = difference / (max(row.sd, paper.implied_sd) / math.sqrt(PAPER_RUNS))
-        if row.ci_low is not None and row.ci_high is not None:
-            half_width = Z_95 * paper.implied_sd / math.sqrt(PAPER_RUNS)
-            ci_low = difference - math.hypot(row.mean - row.ci_low, half_width)
-            ci_high = difference + math.hypot(row.ci_high - row.mean, half_width)
+def _judge(row: MetricRow, paper: float, odds: Odds | None) -> Comparison:
+    """One cell judged by the rules above."""
     margin = MARGINS[row.metric]
+    difference = None if row.mean is None else row.mean - paper
+    low = high = power = None
+    if difference is not None and row.sd and row.n > 1:
+        half_width = _half_width(row.sd, row.n)
+        low, high, power = difference - half_width, difference + half_width, _power(row.sd, row.n, margin)
+    share = None if odds is None or row.mean is None else odds.cells.get((row.metric, row.architecture or ""))
     return Comparison(
         metric=row.metric,
-        architecture=row.architecture or "",
+        architecture=row.architecture,
         configuration=row.configuration,
         fleet_size=row.fleet_size,
         ours=row.mean,
-        paper=paper.mean,
-        implied_sd=paper.implied_sd,
+        paper=paper,
         difference=difference,
-        ci_low=ci_low,
-        ci_high=ci_high,
+        low=low,
+        high=high,
+        distance=None if difference is None else difference / margin,
         margin=margin,
-        verdict=verdict(ci_low, ci_high, margin),
-        distance_se=distance_se,
+        gives=gives(low, high, margin),
+        power=power,
+        share=share,
+        could=None if share is None else "no" if share < ALPHA else "yes",
     )
 
 
-def verdict(ci_low: float | None, ci_high: float | None, margin: float) -> Verdict:
-    """The verdict on a 95 % interval of (ours - paper)."""
-    if ci_low is None or ci_high is None:
+def gives(low: float | None, high: float | None, margin: float) -> Answer:
+    """The answer to the first question, by the 90 % interval of (ours - paper)."""
+    if low is None or high is None:
         return "undecided"
-    if ci_low > 0 or ci_high < 0:
-        return "differs"
-    return "reproduced" if -margin <= ci_low and ci_high <= margin else "undecided"
+    if -margin <= low and high <= margin:
+        return "yes"
+    return "no" if low > margin or high < -margin else "undecided"
+
+
+def _half_width(sd: float, n: int) -> float:
+    """Half the 90 % interval of a mean of n runs: each of the two tests is at `ALPHA`."""
+    from scipy.special import stdtrit
+
+    return float(stdtrit(n - 1, 1.0 - ALPHA)) * sd / math.sqrt(n)
+
+
+def _power(sd: float, n: int, margin: float) -> float:
+    """The chance of `yes` where the difference is nothing: that the mean lies so near that its interval is within the margin."""
+    from scipy.special import stdtr
+
+    reach = (margin - _half_width(sd, n)) / (sd / math.sqrt(n))
+    return float(stdtr(n - 1, reach) - stdtr(n - 1, -reach)) if reach > 0 else 0.0

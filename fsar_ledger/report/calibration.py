@@ -32,13 +32,13 @@ class Parameter(msgspec.Struct, frozen=True):
 
 
 class Residual(msgspec.Struct, frozen=True):
-    """One cell after the fit: paper and fitted mean (stored units) and their distance in standard errors at n = 100."""
+    """One cell after the fit: paper and fitted mean (stored units) and their distance in margins of the metric."""
 
     metric: str
     architecture: str
     paper: float
     ours: float
-    distance_se: float
+    distance_margins: float | None = None
 
 
 class Direction(msgspec.Struct, frozen=True):

@@ -19,7 +19,6 @@ from fsar_ledger.report.printing import Table
 
 PACKAGES = ("duckdb", "pyarrow", "numpy", "scipy", "msgspec", "matplotlib", "typst")
 POOLED = ("recovery_containment", "reassignment_latency_s")  # metrics that a run without failures does not define
-MISS_SE = 2  # a cell misses beyond this many standard errors at n = 100
 MAX_DIFFERING = 2_000  # characters of what is said of a pair's worlds
 SHOWN_WEIGHTS = 3  # constants named for each direction of the fit
 
@@ -189,15 +188,13 @@ def _background(findings: Findings) -> list[dict[str, str]]:
 
 
 def _misses(findings: Findings, record: Record | None) -> list[dict[str, Any]]:
-    """The cells that miss the paper by more than two standard errors, worst first, with the reason on record if it is one for this model."""
+    """The cells whose printed number this model does not give, farthest first, with the reason on record if it is one for this model."""
     reasons = {} if _changed(findings, record) else {passage.id: passage.text for passage in specs.passages("reasons")}
-    missing = sorted(
-        (row for row in findings.cells if row["distance_se"] is not None and abs(row["distance_se"]) > MISS_SE), key=lambda row: -abs(row["distance_se"])
-    )
+    missing = sorted((row for row in findings.cells if row["gives"] == "no"), key=lambda row: -abs(row["distance"]))
     return [
         {
             "title": f"{specs.metric(row['metric']).title}, {row['architecture'].upper()}",
-            "distance": printing.number(row["distance_se"], 1),
+            "distance": printing.number(row["distance"], 1),
             "reason": reasons.get(f"{row['metric']}/{row['architecture']}"),
         }
         for row in missing
@@ -237,7 +234,8 @@ def data(findings: Findings, record: Record | None) -> dict[str, Any]:
 def _sayable(numbers: Row) -> Row:
     """The answer with undefined cells named as the tables name them."""
     undefined = [f"{specs.metric(name).title} of {architecture.upper()}" for name, architecture in numbers["undefined"]]
-    return numbers | {"undefined": undefined}
+    share = numbers["table_share"]
+    return numbers | {"undefined": undefined, "table_share": None if share is None else printing.probability(share)}
 
 
 def drawings(findings: Findings) -> dict[str, bytes]:

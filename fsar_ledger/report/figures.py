@@ -8,6 +8,7 @@ from typing import Any
 from unicodedata import combining
 
 from fsar_ledger import printable
+from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.report import specs
 
 Row = Mapping[str, Any]
@@ -28,7 +29,6 @@ STYLE: dict[str, Any] = {
 }
 DIAMOND: dict[str, Any] = {"marker": "D", "markersize": 5, "markerfacecolor": "white", "markeredgecolor": "black", "markeredgewidth": 0.9, "linestyle": "none"}
 HEADROOM = 1.1  # height of a panel, as a multiple of its highest value
-BAND_SE = 2.0  # the acceptance band of the distance figure, in standard errors
 
 
 @contextmanager
@@ -131,26 +131,33 @@ def evaluation_results(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
 
 def distances(rows: Sequence[Row], kind: str = "svg") -> bytes:
-    """The figure "Distance from the paper": each cell's distance in standard errors at n = 100, with the band of two.
+    """The figure "Distance from the paper": each cell's distance in margins, with its 90 % interval and the band of one margin.
 
-    Each row holds metric, architecture and distance_se (None: no value).
+    Each row holds metric, architecture, distance (None: no value) and difference, its interval in the metric's unit.
     """
     with _canvas(specs.figure("distances"), 1, 1) as (figure, axes):
         panel = axes[0, 0]
         names = [spec.name for spec in specs.metrics()]
-        panel.axvspan(-BAND_SE, BAND_SE, color="#eeeeee", zorder=0)
+        panel.axvspan(-1.0, 1.0, color="#eeeeee", zorder=0)
         panel.axvline(0, color="#999999", linewidth=0.7, zorder=1)
         for offset, (architecture, colour) in zip((-0.22, 0.0, 0.22), COLOURS.items(), strict=True):
-            found = [row for row in rows if row["architecture"] == architecture and row["distance_se"] is not None]
+            found = [row for row in rows if row["architecture"] == architecture and row["distance"] is not None]
             heights = [names.index(row["metric"]) + offset for row in found]
-            values = [row["distance_se"] for row in found]
-            panel.hlines(heights, 0, values, color=colour, linewidth=1.0, zorder=2)
+            values = [row["distance"] for row in found]
+            bars = [(value, value) if row["difference"] is None else _in_margins(row) for row, value in zip(found, values, strict=True)]
+            panel.hlines(heights, [low for low, _ in bars], [high for _, high in bars], color=colour, linewidth=1.4, zorder=2)
             panel.plot(values, heights, marker="o", markersize=4.5, color=colour, linestyle="none", label=architecture.upper(), zorder=3)
-        reach = max([3.0, *(abs(row["distance_se"]) * 1.08 for row in rows if row["distance_se"] is not None)])
+        reach = max([2.0, *(abs(row["distance"]) * 1.12 for row in rows if row["distance"] is not None)])
         panel.set_xlim(-reach, reach)
         panel.set_yticks(range(len(names)), [spec.title for spec in specs.metrics()])
         panel.set_ylim(len(names) - 0.5, -0.5)
         panel.tick_params(axis="y", length=0)
-        panel.set_xlabel("(this ledger − paper) / standard error at n = 100")
+        panel.set_xlabel("(this ledger − paper) / margin")
         panel.legend(loc="upper right", frameon=False, bbox_to_anchor=(1.22, 1.0))
         return rendered(figure, kind)
+
+
+def _in_margins(row: Row) -> tuple[float, float]:
+    """The interval of a difference in margins of its metric."""
+    low, high = row["difference"]
+    return low / MARGINS[row["metric"]], high / MARGINS[row["metric"]]

@@ -42,10 +42,12 @@ class Findings(msgspec.Struct, frozen=True):
     """All that one head of a ledger has to say.
 
     cells: 24 rows metric x architecture: paper (stored units), paper_printed, mean, sd, n, ci_low, ci_high, denominator,
-        published_convention_mean, interval, difference (its interval), distance_se, verdict; None where the ledger has no runs.
+        published_convention_mean, interval, difference (its 90 % interval), distance (in margins), gives, power, share and could (`verdicts.Comparison`);
+        None where the ledger has no runs.
     tests: 24 rows metric x comparison: t, p, cohens_d, p_holm, wilcoxon_p, n and paper_t, paper_p, paper_d, paper_level; None likewise.
     scenarios: 24 rows metric x architecture with one mean per scenario and one over all of them.
-    rule: one row per metric: margin, and the SD that the paper implies for each architecture (stored units).
+    rule: one row per metric: margin (stored units), and for each architecture the chance to find a number equivalent that is exactly the printed one.
+    table_share: how many of the experiments that are drawn from the runs print a table as far out as the paper's, None where none are drawn.
     others: means of the runs that were made otherwise (configuration, fleet size, seed, kind, model, constants), one column per metric.
     runs: one row per architecture, configuration and fleet size: runs, scenarios, seeds, run_low, run_high.
     parameters: the constants of the runs by dotted name (of the first run; `models` counts the different sets).
@@ -80,6 +82,7 @@ class Findings(msgspec.Struct, frozen=True):
     model_version: str | None = None
     shown: str | None = None
     unjudged: str | None = None
+    table_share: float | None = None
     differing: tuple[str, ...] = ()
 
 
@@ -102,19 +105,21 @@ def with_agreement(test: Row, *, is_judged: bool = True) -> Row:
 
 def answer(findings: Findings) -> Row:
     """How the 24 cells and the 24 tests came out, and what is missing for the rest."""
-    judged = [row for row in findings.cells if row["distance_se"] is not None]
-    verdicts = [row["verdict"] for row in findings.cells]
+    judged = [row for row in findings.cells if row["gives"] is not None]
+    given, could = [row["gives"] for row in judged], [row["could"] for row in judged if row["could"] is not None]
     tests = [row for row in findings.tests if row["sign_agrees"] is not None]
     present = {row["architecture"] for row in findings.cells if row["mean"] is not None}
     return {
         "cells": len(findings.cells),
         "valued": sum(row["mean"] is not None for row in findings.cells),
         "judged": len(judged),
-        "within_two": sum(abs(row["distance_se"]) <= 2 for row in judged),
-        "beyond_three": sum(abs(row["distance_se"]) > 3 for row in judged),
-        "reproduced": verdicts.count("reproduced"),
-        "undecided": verdicts.count("undecided"),
-        "differ": verdicts.count("differs"),
+        "gives": given.count("yes"),
+        "gives_not": given.count("no"),
+        "undecided": given.count("undecided"),
+        "drawn": len(could),
+        "could": could.count("yes"),
+        "could_not": could.count("no"),
+        "table_share": findings.table_share,
         "tests": len(findings.tests),
         "tested": len(tests),
         "signs": sum(row["sign_agrees"] for row in tests),

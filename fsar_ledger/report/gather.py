@@ -16,6 +16,7 @@ from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.comparing import differing_worlds
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.models import models
+from fsar_ledger.metrics.odds import Cell, Odds, odds
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
 from fsar_ledger.report import marks, printing, specs, whole
@@ -26,6 +27,7 @@ QUERIES = (
     "metrics/background",
     "statistics/pairwise_tests",
     "statistics/differing_worlds",
+    "statistics/drawn_experiments",
     "staging/runs",
     "audit/experiments",
     "audit/unplanned_runs",
@@ -43,6 +45,20 @@ METRICS = tuple(spec.name for spec in specs.metrics())
 MAX_SPANS = 20
 """Ranges of seeds that a cell of a table lists."""
 
+PAPER_RUNS = 20
+"""Runs of each scenario in the paper's experiment."""
+DRAWN_SQL = """
+    SELECT metric, architecture, list(value ORDER BY draw) AS numbers
+    FROM drawn_experiments
+    WHERE
+        configuration = $configuration AND fleet_size = $fleet_size
+        AND ($seed IS NULL OR seed = $seed)
+        AND kind = $kind
+        AND source IS NOT DISTINCT FROM $source
+        AND model_version IS NOT DISTINCT FROM $model_version
+        AND constants IS NOT DISTINCT FROM $constants
+    GROUP BY metric, architecture
+"""
 BACKGROUND_SQL = "SELECT * FROM background"
 CHOSEN_SQL = """
     SELECT runs.run_id
@@ -116,15 +132,15 @@ def _blank(cls: type[msgspec.Struct]) -> Row:
     return dict.fromkeys(cls.__struct_fields__)
 
 
-def _cells(rows: Iterable[MetricRow], apart: Collection[str]) -> tuple[Row, ...]:
+def _cells(rows: Iterable[MetricRow], apart: Collection[str], drawn: Odds | None) -> tuple[Row, ...]:
     found = {(row.metric, row.architecture): row for row in rows}
-    judged = {(one.metric, one.architecture): one for one in verdicts.compare(found.values()) if one.architecture not in apart}
+    judged = {(one.metric, one.architecture): one for one in verdicts.compare(found.values(), drawn) if one.architecture not in apart}
     printed = {(row["metric"], row["architecture"]): row["mean"] for row in specs.paper_table("results")}
     cells = []
     for spec in specs.metrics():
         for architecture in ARCHITECTURES:
             key = (spec.name, architecture)
-            row, paper = found.get(key), verdicts.published()[key].mean
+            row, paper = found.get(key), verdicts.published()[key].value
             cell = msgspec.structs.asdict(row) if row is not None else _blank(MetricRow)
             beside = {"paper": paper, "paper_printed": printed[spec.result, architecture.upper()], "interval": _interval(cell)}
             cells.append(cell | {"metric": spec.name, "architecture": architecture} | beside | _judged(judged.get(key)))
@@ -137,10 +153,11 @@ def _interval(row: Row) -> tuple[float, float] | None:
 
 
 def _judged(one: verdicts.Comparison | None) -> Row:
-    """Difference, distance and verdict of a cell; all None where the ledger has no value to judge."""
+    """Difference, distance and answers of a cell; all None where the ledger has no value to judge."""
     if one is None or one.ours is None:
-        return {"difference": None, "distance_se": None, "verdict": None}
-    return {"difference": _interval(msgspec.structs.asdict(one)), "distance_se": one.distance_se, "verdict": one.verdict}
+        return dict.fromkeys(("difference", "distance", "gives", "power", "share", "could"))
+    difference = None if one.low is None or one.high is None else (one.low, one.high)
+    return {"difference": difference, "distance": one.distance, "gives": one.gives, "power": one.power, "share": one.share, "could": one.could}
 
 
 def _tests(rows: Iterable[StatisticRow], apart: Collection[str]) -> tuple[Row, ...]:
@@ -175,13 +192,22 @@ def _scenarios(overall: Iterable[MetricRow], by_scenario: Iterable[MetricRow]) -
     )
 
 
-def _rule() -> tuple[Row, ...]:
-    """Margin and implied SDs of every metric."""
-    published = verdicts.published()
+def _rule(cells: tuple[Row, ...]) -> tuple[Row, ...]:
+    """Margin of every metric, and the chance of each cell that its number is found equivalent where it is exactly the printed one."""
+    power = {(row["metric"], row["architecture"]): row["power"] for row in cells}
     return tuple(
-        {"metric": spec.name, "margin": verdicts.MARGINS[spec.name]} | {name: published[spec.name, name].implied_sd for name in ARCHITECTURES}
-        for spec in specs.metrics()
+        {"metric": spec.name, "margin": verdicts.MARGINS[spec.name]} | {name: power[spec.name, name] for name in ARCHITECTURES} for spec in specs.metrics()
     )
+
+
+def _odds(database: Database, main: Setting | None, runs_held: Mapping[str, Mapping[str | None, int]]) -> Odds | None:
+    """How likely the printed table is among experiments that are drawn from the main runs; None where they are fewer than one such experiment."""
+    if main is None or any(count < PAPER_RUNS for held in runs_held.values() for count in held.values()):
+        return None
+    drawn: dict[Cell, list[float | None]] = {}
+    for row in database.rows(DRAWN_SQL, dict(zip(SETTING, main, strict=True))):
+        drawn[row["metric"], row["architecture"]] = row["numbers"]
+    return odds(drawn, verdicts.published())
 
 
 def _background(rows: Iterable[Row]) -> tuple[Row, ...]:
@@ -289,6 +315,8 @@ def gather(
         tests = [row for row in statistic_rows(database, pools_seeds=pools_seeds) if _setting(row) == main]
         runs_held, pairs_held = _held(database, main)
         apart = whole.apart(runs_held, pairs_held)
+        drawn = _odds(database, main, runs_held)
+        cells = _cells(overall, apart, drawn)
         kinds, parameters = _models(database)
         names = (*QUERIES, *(marks.QUERIES if workflows is not None else ()))
         needed = database.library.needs(database.library.find(name).relation for name in names)
@@ -300,10 +328,11 @@ def gather(
             size=head.size if head else 0,
             root=head.root if head else "",
             run_count=sum(row["runs"] for row in runs),
-            cells=_cells(overall, apart),
+            cells=cells,
             tests=_tests(tests, apart),
             scenarios=_scenarios(overall, by_scenario),
-            rule=_rule(),
+            rule=_rule(cells),
+            table_share=drawn.table if drawn is not None and not apart else None,
             others=others,
             runs=runs,
             models=kinds,
