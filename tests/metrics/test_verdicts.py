@@ -1,12 +1,14 @@
-"""The paper beside ours: implied SDs, the interval with both errors, fixed margins, three verdicts."""
+"""The paper beside ours: does the model give the printed number, and could the paper's experiment have printed it?"""
 
 import math
 
-import msgspec
+import numpy as np
 import pytest
+from scipy import stats
 
+from fsar_ledger.metrics.odds import Odds
 from fsar_ledger.metrics.results import MetricRow
-from fsar_ledger.metrics.verdicts import MARGINS, Comparison, compare, published, verdict
+from fsar_ledger.metrics.verdicts import MARGINS, Comparison, compare, gives, published
 
 
 def row(metric: str, architecture: str, mean: float | None, sd: float | None, n: int = 100) -> MetricRow:
@@ -40,70 +42,72 @@ def judged(mean: float | None, sd: float | None, n: int = 100, metric: str = "au
     return one
 
 
-def test_all_24_cells_are_published_in_our_units() -> None:
+def test_all_24_cells_are_published_in_our_units_with_the_step_of_their_last_digit() -> None:
     assert len(published()) == 24
     assert {metric for metric, _ in published()} == MARGINS.keys()
-    assert published()["coordination_success", "fsar"].mean == 0.93
-    assert published()["human_intervention", "cfc"].mean == 0.32
-    assert published()["reassignment_latency_s", "dhma"].mean == 5.18
-    assert published()["coordination_success", "fsar"].printed_ci95 == 0.019
+    assert published()["coordination_success", "fsar"] == pytest.approx((0.93, 0.001))
+    assert published()["human_intervention", "cfc"] == pytest.approx((0.32, 0.001))
+    assert published()["reassignment_latency_s", "dhma"] == pytest.approx((5.18, 0.01))
 
 
-def test_the_implied_sd_is_the_difference_of_means_over_d_of_the_pair_with_fsar() -> None:
-    assert published()["authority_conflicts", "cfc"].implied_sd == pytest.approx((3.79 - 1.04) / 4.12)
-    assert published()["authority_conflicts", "dhma"].implied_sd == pytest.approx((8.11 - 1.04) / 5.16)
-    assert published()["authority_conflicts", "fsar"].implied_sd == published()["authority_conflicts", "cfc"].implied_sd
-    assert published()["coordination_success", "dhma"].implied_sd == pytest.approx((0.93 - 0.84) / 0.42)
+def test_the_interval_of_the_difference_has_our_error_alone_at_two_tests_of_one_in_twenty() -> None:
+    one = judged(1.10, 0.8, n=25)
+    half_width = stats.t.ppf(0.95, 24) * 0.8 / 5
+    assert (one.difference, one.low, one.high) == pytest.approx((0.06, 0.06 - half_width, 0.06 + half_width))
+    assert one.distance == pytest.approx(0.06 / 0.25)
 
 
-def test_the_interval_of_the_difference_has_the_sampling_error_of_both() -> None:
-    ours = msgspec.structs.replace(row("authority_conflicts", "fsar", 1.10, 0.8), ci_low=1.0, ci_high=1.4)
-    (one,) = compare([ours])
-    papers = 1.959963984540054 * one.implied_sd / 10
-    assert one.difference == pytest.approx(0.06)
-    assert (one.ci_low, one.ci_high) == pytest.approx((0.06 - math.hypot(0.1, papers), 0.06 + math.hypot(0.3, papers)))
-
-
-def test_a_verdict_does_not_contradict_the_interval_beside_it() -> None:
-    mean = published()["reassignment_latency_s", "fsar"].mean
-    without = msgspec.structs.replace(row("reassignment_latency_s", "fsar", mean + 5, 0.0, n=2), ci_low=None, ci_high=None)
-    (one,) = compare([without])
-    assert (one.verdict, one.ci_low, one.ci_high) == ("undecided", None, None), "two equal runs do not tell how much runs vary"
-    wide = msgspec.structs.replace(row("reassignment_latency_s", "fsar", mean + 2, 0.1, n=2), ci_low=mean - 1, ci_high=mean + 9)
-    assert compare([wide])[0].verdict == "undecided", "the paper's mean lies in our interval"
-
-
-def test_the_distance_is_in_standard_errors_of_the_larger_sd_at_100_runs() -> None:
-    implied_sd = published()["authority_conflicts", "fsar"].implied_sd
-    assert judged(1.14, 0.1).distance_se == pytest.approx(0.1 / (implied_sd / 10))
-    assert judged(1.14, 2.0, n=5).distance_se == pytest.approx(0.1 / (2.0 / 10))
-
-
-def test_a_cell_differs_is_reproduced_or_undecided() -> None:
-    assert judged(1.04, 0.5).verdict == "reproduced"
-    assert judged(1.30, 0.5).verdict == "differs"
-    assert judged(1.04, 3.0).verdict == "undecided", "too wide to tell"
+def test_a_model_gives_a_number_gives_it_not_or_cannot_be_told() -> None:
+    assert judged(1.04, 0.5).gives == "yes"
+    assert judged(1.10, 0.5).gives == "yes", "another number, and within the margin"
+    assert judged(1.60, 0.5).gives == "no"
+    assert judged(1.04, 3.0).gives == "undecided", "too wide to tell"
+    assert judged(1.33, 0.5).gives == "undecided", "about a margin away"
 
 
 @pytest.mark.parametrize(
-    ("ci_low", "ci_high", "expected"),
+    ("low", "high", "expected"),
     [
-        (-0.25, 0.25, "reproduced"),
+        (-0.25, 0.25, "yes"),
         (-0.26, 0.25, "undecided"),
         (-0.25, 0.26, "undecided"),
-        (0.0, 0.1, "reproduced"),
-        (0.01, 0.1, "differs"),
-        (-0.1, -0.01, "differs"),
+        (0.01, 0.1, "yes"),
+        (0.25, 0.4, "undecided"),
+        (0.26, 0.4, "no"),
+        (-0.4, -0.26, "no"),
+        (-0.4, 0.4, "undecided"),
         (None, None, "undecided"),
     ],
 )
-def test_a_verdict_is_fixed_by_interval_and_margin(ci_low: float | None, ci_high: float | None, expected: str) -> None:
-    assert verdict(ci_low, ci_high, 0.25) == expected
+def test_the_answer_is_fixed_by_interval_and_margin(low: float | None, high: float | None, expected: str) -> None:
+    assert gives(low, high, 0.25) == expected
 
 
-def test_an_undefined_mean_or_sd_is_undecided() -> None:
-    for one in (judged(None, None, n=0), judged(1.04, None, n=1)):
-        assert (one.verdict, one.ci_low, one.distance_se) == ("undecided", None, None)
+def test_what_does_not_tell_how_much_runs_vary_is_undecided() -> None:
+    for one in (judged(None, None, n=0), judged(1.04, None, n=1), judged(1.04, 0.0, n=2)):
+        assert (one.gives, one.low, one.high, one.power) == ("undecided", None, None, None)
+
+
+def test_the_power_is_the_share_of_experiments_in_which_an_equal_number_is_found_equal() -> None:
+    for sd, n in ((1.0, 100), (1.2, 100), (0.5, 20)):
+        means = np.random.default_rng(3).normal(1.04, sd, size=(4000, n))
+        found = [judged(float(mean), float(spread), n).gives == "yes" for mean, spread in zip(means.mean(axis=1), means.std(axis=1, ddof=1), strict=True)]
+        assert np.mean(found) == pytest.approx(judged(1.04, sd, n).power, abs=0.05)
+    assert judged(1.04, 3.0).power == 0.0
+
+
+def test_a_number_at_the_margin_is_found_equal_no_oftener_than_alpha() -> None:
+    means = np.random.default_rng(4).normal(1.04 + 0.25, 0.8, size=(4000, 100))
+    found = [judged(float(mean), float(spread)).gives == "yes" for mean, spread in zip(means.mean(axis=1), means.std(axis=1, ddof=1), strict=True)]
+    assert 0.035 < np.mean(found) < 0.065
+
+
+def test_the_second_answer_is_by_the_share_of_drawn_experiments_and_needs_them() -> None:
+    of = row("authority_conflicts", "fsar", 1.0, 1.0)
+    answers = {share: compare([of], Odds({("authority_conflicts", "fsar"): share}, share))[0].could for share in (0.0, 0.049, 0.05, 1.0)}
+    assert answers == {0.0: "no", 0.049: "no", 0.05: "yes", 1.0: "yes"}
+    assert compare([of])[0].could is None
+    assert compare([of], Odds({}, 1.0))[0].could is None
 
 
 def test_rows_that_the_paper_does_not_print_are_left_out() -> None:

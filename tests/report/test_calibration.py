@@ -22,7 +22,7 @@ WHOLE: dict[str, Any] = {
     "model_version": "1",
     "command": "fsar-ledger calibrate --out FILE",
     "parameters": [{"name": "world.motion_share", "unit": "share", "start": 0.2, "accepted": 0.24, "meaning": "motion", "identified": False}],
-    "residuals": [{"metric": "governance_locality", "architecture": "fsar", "paper": 0.94, "ours": 0.947, "distance_se": 0.8}],
+    "residuals": [{"metric": "governance_locality", "architecture": "fsar", "paper": 0.94, "ours": 0.947, "distance_margins": 0.8}],
     "directions": [{"singular_value": 3.0, "identified": True, "weights": {"a": 0.1, "b": -0.9, "c": 0.3, "d": 0.01}}],
     "switch_offs": [{"mechanism": "closing", "metric": "governance_locality", "architecture": "fsar", "with_mechanism": 0.947, "without": 0.991}],
     "a key of the future": [1],
@@ -72,7 +72,7 @@ def said_of_the_fit(folder: Path, findings: Findings, record: Record | None) -> 
 
 def test_a_fit_of_another_model_is_named_once_at_the_answer(tmp_path: Path, findings: Findings) -> None:
     record = Record(model_version="0", parameters=[Parameter("world.motion_share", "share", 0.2, 0.24)])
-    for found in (findings, msgspec.structs.replace(findings, unjudged="Other runs.", cells=tuple(row | {"distance_se": None} for row in findings.cells))):
+    for found in (findings, msgspec.structs.replace(findings, unjudged="Other runs.", cells=tuple(row | {"gives": None} for row in findings.cells))):
         [passage] = said_of_the_fit(tmp_path, found, record)
         assert "The model has changed since the fit: the constants were fitted to model version 0, and these runs are of version 1." in passage
         assert "So no cell counts as fitted." in passage
@@ -100,7 +100,7 @@ def test_every_model_of_the_runs_counts(findings: Findings, fitted: str | None, 
 
 
 def test_reasons_that_were_found_with_another_model_are_not_given(findings: Findings) -> None:
-    miss = {"metric": "authority_conflicts", "architecture": "fsar", "distance_se": 3.0}
+    miss = {"metric": "authority_conflicts", "architecture": "fsar", "gives": "no", "distance": 3.0}
     cells = tuple(row | miss if (row["metric"], row["architecture"]) == ("authority_conflicts", "fsar") else row for row in findings.cells)
     missing = msgspec.structs.replace(findings, cells=cells)
 

@@ -60,13 +60,13 @@ def test_evaluation_table_prints_the_papers_own_digits_and_our_mean_in_the_same_
     assert cfc_human["printed"] == f"{100 * cfc_human['value']:.1f}"
 
 
-def test_verdicts_are_those_of_the_rule(ledger: Path, printed: dict[str, Any]) -> None:
+def test_answers_are_those_of_the_rule(ledger: Path, printed: dict[str, Any]) -> None:
     with connect(ledger) as database:
         judged = {(one.metric, one.architecture): one for one in verdicts.compare(metric_rows(database))}
     keys = zip(values(printed, "evaluation-results", "metric"), values(printed, "evaluation-results", "architecture"), strict=True)
-    expected = [None if judged[key].ours is None else judged[key].verdict for key in keys]
-    assert values(printed, "evaluation-results", "verdict") == expected
-    assert {"differs", "undecided"} <= set(expected)
+    expected = [None if judged[key].ours is None else judged[key].gives for key in keys]
+    assert values(printed, "evaluation-results", "gives") == expected
+    assert {"no", "undecided"} <= set(expected)
 
 
 def test_significance_table_holds_the_query_rows(ledger: Path, printed: dict[str, Any]) -> None:
@@ -100,13 +100,13 @@ def test_missing_architectures_are_named_and_their_cells_are_empty(make_ledger: 
     assert said["missing_architectures"] == ["CFC", "DHMA"]
     assert said["judged"] <= 8
     assert said["tested"] == 0
-    assert all(row["mean"] is None and row["verdict"] is None for row in found.cells if row["architecture"] != "fsar")
+    assert all(row["mean"] is None and row["gives"] is None for row in found.cells if row["architecture"] != "fsar")
     assert [row["paper_printed"] for row in found.cells] == [row["mean"] for row in specs.paper_table("results")]
 
 
-def test_cells_beyond_two_standard_errors_are_listed_worst_first(findings: Findings, printed: dict[str, Any]) -> None:
-    beyond = [row["distance_se"] for row in findings.cells if row["distance_se"] is not None and abs(row["distance_se"]) > 2]
-    assert len(printed["misses"]) == len(beyond) > 0
+def test_cells_that_the_model_does_not_give_are_listed_farthest_first(findings: Findings, printed: dict[str, Any]) -> None:
+    missed = [row for row in findings.cells if row["gives"] == "no"]
+    assert len(printed["misses"]) == len(missed) > 0
     distances = [abs(float(miss["distance"].replace("\u2212", "-"))) for miss in printed["misses"]]
     assert distances == sorted(distances, reverse=True)
 
@@ -137,7 +137,7 @@ def test_runs_of_another_shape_than_the_papers_have_numbers_and_no_verdict_and_t
     assert "The printed tables are over 5 scenarios with equally many runs of each, but of FSAR, CFC, DHMA this ledger has " in found.unjudged
     assert held in found.unjudged
     assert sum(row["mean"] is not None for row in found.cells) > 18
-    assert {row["verdict"] for row in (*found.cells, *found.features)} == {row["distance_se"] for row in found.cells} == {None}
+    assert {row[name] for row in found.cells for name in ("gives", "could", "distance")} == {row["verdict"] for row in found.features} == {None}
     assert {row["sign_agrees"] for row in found.tests} == {row["level_agrees"] for row in found.tests} == {None}
     assert any(row["t"] is not None for row in found.tests)
     said = document.data(found, None)
@@ -153,7 +153,7 @@ def test_only_the_architecture_of_another_shape_is_not_judged(make_ledger: Make,
     assert found.unjudged is not None
     assert "but of CFC this ledger has 2 runs of collaborative-delivery, " in found.unjudged
     assert [row for row in found.cells if row["architecture"] != "cfc"] == [row for row in findings.cells if row["architecture"] != "cfc"]
-    assert {row["verdict"] for row in found.cells if row["architecture"] == "cfc"} == {None}
+    assert {row["gives"] for row in found.cells if row["architecture"] == "cfc"} == {None}
     assert {row["comparison"] for row in found.tests if row["sign_agrees"] is not None} == {"fsar-dhma"}
 
 
@@ -203,18 +203,18 @@ def test_pairs_that_met_different_worlds_are_named_in_the_document(findings: Fin
     assert template.index("data.differing.join") < template.index("*The answer.*") < template.index('booktab("statistical-significance")')
 
 
-def test_answer_counts_cells_by_distance_and_verdict() -> None:
-    def cell(distance: float | None, verdict: str | None) -> dict[str, Any]:
-        return {"metric": "governance_locality", "architecture": "fsar", "mean": distance, "distance_se": distance, "verdict": verdict}
+def test_the_answer_counts_cells_by_each_of_the_two_questions() -> None:
+    def cell(mean: float | None, gives: str | None, could: str | None) -> dict[str, Any]:
+        return {"metric": "governance_locality", "architecture": "fsar", "mean": mean, "gives": gives, "could": could}
 
     def test(t: float | None) -> dict[str, Any]:
         return with_agreement({"t": t, "p": 0.02, "paper_t": -2.0, "paper_level": "p<.05"})
 
-    cells = (cell(-2.0, "reproduced"), cell(2.1, "undecided"), cell(-3.1, "differs"), cell(None, None))
+    cells = (cell(0.9, "yes", "yes"), cell(0.8, "undecided", None), cell(0.7, "no", "no"), cell(0.6, "no", "yes"), cell(None, None, None))
     blank = Findings(1, 1, "", 1, cells, (test(-1.0), test(1.0), test(None)), (), (), (), (), (), {}, ())
     said = answer(blank)
-    assert [said[key] for key in ("cells", "valued", "judged", "within_two", "beyond_three")] == [4, 3, 3, 1, 1]
-    assert [said[key] for key in ("reproduced", "undecided", "differ")] == [1, 1, 1]
+    assert [said[key] for key in ("cells", "valued", "judged", "gives", "gives_not", "undecided")] == [5, 4, 4, 1, 2, 1]
+    assert [said[key] for key in ("drawn", "could", "could_not")] == [3, 2, 1]
     assert [said[key] for key in ("tests", "tested", "signs", "levels")] == [3, 2, 1, 2]
 
 

@@ -50,7 +50,10 @@ def test_figures_are_the_same_bytes_twice_and_carry_no_date(cells: tuple[Row, ..
 
 def test_figures_show_the_rows(cells: tuple[Row, ...], plain: bytes) -> None:
     moved = [row | ({"mean": 0.2} if (row["metric"], row["architecture"]) == ("governance_locality", "fsar") else {}) for row in cells]
-    farther = [row | ({"distance_se": 2.5} if (row["metric"], row["architecture"]) == ("governance_locality", "fsar") else {}) for row in cells]
+    farther = [
+        row | ({"distance": 2.5, "difference": (0.04, 0.06)} if (row["metric"], row["architecture"]) == ("governance_locality", "fsar") else {})
+        for row in cells
+    ]
     assert figures.evaluation_results(moved) != plain
     assert figures.distances(farther) != figures.distances(cells)
     assert all(spec.title in words(figures.distances(cells)) for spec in specs.metrics())

@@ -49,7 +49,7 @@ def test_missing_value_is_a_dash_not_a_zero() -> None:
 
 def test_table_keeps_values_beside_prints_and_begins_groups() -> None:
     rows = [
-        {"metric": name, "architecture": "fsar", "paper": 0.5, "ours": 0.51234, "distance_se": -1.26}
+        {"metric": name, "architecture": "fsar", "paper": 0.5, "ours": 0.51234, "distance_margins": -1.26}
         for name in ("governance_locality", "governance_locality", "recovery_containment")
     ]
     table = printing.table("residuals", rows)
