@@ -19,6 +19,22 @@ class PolicyRuleSet(Event, frozen=True):
     decided_by: str | None
 
 
+class RolePolicyRuleSet(Event, frozen=True):
+    """As `PolicyRuleSet`, of every robot of `role` (`local`) or of the fleet for it, also of those that join later. Paper: app:foundations.
+
+    For those in the `domain` or below it; empty is the whole fleet. Where a rule of the same scope, capability and context is set for a
+    very robot, that one holds for it instead, stricter or not; likewise a role's rule in a smaller domain. The strictest of what is left holds.
+    """
+
+    scope: PolicyScope
+    role: str
+    outcome: PolicyOutcome
+    domain: str = ""
+    capability: str | None = None
+    context: str | None = None
+    decided_by: str | None = None
+
+
 class PolicyConflictEscalated(Event, frozen=True):
     """The fleet mandates what the robot's own policy denies: nothing is overridden, a supervisor is told. Paper: sec:architecture:fleet."""
 
@@ -34,4 +50,4 @@ class PolicyConflictEscalated(Event, frozen=True):
     fleet: PolicyOutcome
 
 
-PolicyEvent = PolicyRuleSet | PolicyConflictEscalated
+PolicyEvent = PolicyRuleSet | RolePolicyRuleSet | PolicyConflictEscalated
