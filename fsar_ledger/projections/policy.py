@@ -1,6 +1,6 @@
 """Policy that was set by rule. Paper: eq:policy, app:foundations."""
 
-from collections.abc import Container
+from collections.abc import Container, Iterator
 from typing import assert_never
 
 import msgspec
@@ -37,36 +37,33 @@ INITIAL = Policy()
 def ruled(
     state: Policy, scope: PolicyScope, robot: str, capability: str | None, context: str | None, among: Container[Rule | RoleRule] | None = None
 ) -> PolicyOutcome | None:
-    """The strictest rule of this scope that applies, of all or of those `among` them, or None when nothing is ruled.
+    """The strictest rule of this scope that applies, of all or of those `among` them, or None when nothing is ruled. Reading: R36.
 
-    About the same capability and context the rule of the very robot replaces those of its role, and of these that of the smallest domain
-    the others; a rule of every robot applies beside them.
+    About the same capability and context the rule of the very robot replaces those of its role, and that of a smaller domain those of
+    larger ones; a rule of every robot applies beside them.
     """
     outcome: PolicyOutcome | None = None
-    for rule, found in _applying(state, scope, robot, capability, context).items():
+    for rule, found in _applying(state, scope, robot, capability, context):
         if among is None or rule in among:
             outcome = found if outcome is None else stricter(outcome, found)
     return outcome
 
 
-def _applying(state: Policy, scope: PolicyScope, robot: str, capability: str | None, context: str | None) -> dict[Rule | RoleRule, PolicyOutcome]:
-    """The rules that apply, those left out that another replaces."""
-    applying: dict[Rule | RoleRule, PolicyOutcome] = {
-        rule: outcome
-        for rule, outcome in state.rules.items()
-        if rule[0] == scope and rule[1] in (None, robot) and rule[2] in (None, capability) and rule[3] in (None, context)
-    }
-    if not state.of_roles or robot not in state.members:
-        return applying
-    role, domain = state.members[robot]
-    for what, where in ((capability, context), (capability, None), (None, context), (None, None)):
-        if (scope, robot, what, where) in state.rules:
-            continue
-        of_role = ((scope, role, one, what, where) for one in around(domain))
-        nearest = next((rule for rule in of_role if rule in state.of_roles), None)
-        if nearest is not None:
-            applying[nearest] = state.of_roles[nearest]
-    return applying
+def _applying(state: Policy, scope: PolicyScope, robot: str, capability: str | None, context: str | None) -> Iterator[tuple[Rule | RoleRule, PolicyOutcome]]:
+    """The rules that apply, without those that another replaces."""
+    for about in ((capability, context), (capability, None), (None, context), (None, None)):
+        of_all: Rule = (scope, None, *about)
+        if of_all in state.rules:
+            yield of_all, state.rules[of_all]
+        own: Rule = (scope, robot, *about)
+        if own in state.rules:
+            yield own, state.rules[own]
+        elif state.of_roles and robot in state.members:
+            role, domain = state.members[robot]
+            of_role: Iterator[RoleRule] = ((scope, role, one, *about) for one in around(domain))
+            nearest = next((rule for rule in of_role if rule in state.of_roles), None)
+            if nearest is not None:
+                yield nearest, state.of_roles[nearest]
 
 
 def evolve(state: Policy, event: HANDLES) -> Policy:
