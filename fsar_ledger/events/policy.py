@@ -7,8 +7,8 @@ class PolicyRuleSet(Event, frozen=True):
     """P_i(e, sigma) is this from now on: of one robot (`local`) or of the fleet for it, None for every robot. Paper: app:foundations.
 
     For one `capability`, in one `context` (task), or (None) for all; the strictest rule that applies holds. A rule
-    replaces the one with the same scope, robot, capability and context. A fleet rule that says `allow` is a mandate:
-    where the robot's own policy denies, the two conflict.
+    replaces the one with the same scope, robot, capability and context, and that of the robot's role (`RolePolicyRuleSet`).
+    A fleet rule that says `allow` is a mandate: where the robot's own policy denies, the two conflict.
     """
 
     scope: PolicyScope
@@ -20,10 +20,11 @@ class PolicyRuleSet(Event, frozen=True):
 
 
 class RolePolicyRuleSet(Event, frozen=True):
-    """As `PolicyRuleSet`, of every robot of `role` (`local`) or of the fleet for it, also of those that join later. Paper: app:foundations.
+    """Every robot of `role` has this rule from now on, as its own (`local`) or as the fleet's for it, also robots that join later. Paper: app:foundations.
 
-    For those in the `domain` or below it; empty is the whole fleet. Where a rule of the same scope, capability and context is set for a
-    very robot, that one holds for it instead, stricter or not; likewise a role's rule in a smaller domain. The strictest of what is left holds.
+    They must be in the `domain` or below it; empty is the whole fleet. A rule about the very robot with the same scope, capability and context
+    replaces it for that robot, stricter or not, and so does the role's rule of a smaller domain. Of what is left the strictest holds.
+    Reading: R36.
     """
 
     scope: PolicyScope

@@ -25,7 +25,7 @@ from fsar_ledger.runtime.handlers.policy import SetPolicyRule, SetRolePolicyRule
 from fsar_ledger.runtime.handlers.request import RequestCapability
 from tests.queries.histories import S, answer, event, run
 from tests.queries.test_role_trust import DOMAINS, DOOR, LIFT, MEMBERS, ROBOTS, row
-from tests.queries.test_rules_and_trust import unchecked_start
+from tests.queries.test_rules_and_trust import ASKED, REFUSED, rule, unchecked_start
 from tests.runtime.governed import H_F, governed, record
 from tests.runtime.live import of, played
 
@@ -177,6 +177,22 @@ def test_a_hold_ends_when_a_rule_comes_into_force_for_the_robot() -> None:
     with from_rows([one for name, events in histories.items() for one in run(joined, *events, run_id=name)]) as database:
         offences = {found["run_id"] for found in database.rows(f"SELECT run_id FROM {a3.relation}")}
     assert offences == {"nothing", "another role", "another domain", "an exception"}
+
+
+def test_a_refusal_against_a_mandate_of_the_role_is_a_conflict_unless_the_robot_is_an_exception() -> None:
+    joined = event("RobotJoined", robot="robot/B1", role="B", team=1)
+    mandate = event("RolePolicyRuleSet", 1, scope="fleet", role="B", domain="", outcome="allow", decided_by=H_F)
+    histories = {
+        "its role": (mandate,),
+        "another role": ({**mandate, "role": "A"},),
+        "another domain": ({**mandate, "domain": "yard"},),
+        "another task": ({**mandate, "context": "t2"},),
+        "a review": ({**mandate, "outcome": "review"},),
+        "an exception": (mandate, rule(1, "review", scope="fleet")),
+        "the exception is the mandate": ({**mandate, "outcome": "review"}, rule(1, "allow", scope="fleet")),
+    }
+    rows = [one for name, events in histories.items() for one in run(joined, *events, rule(2), ASKED, REFUSED, run_id=name)]
+    assert answer("facts/mandate_conflicts", rows, columns=("run_id",)) == [("its role",), ("the exception is the mandate",)]
 
 
 # --- runs ---
