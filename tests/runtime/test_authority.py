@@ -11,7 +11,7 @@ from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
 from fsar_ledger.events.knowledge import FleetRuleLearned
-from fsar_ledger.events.policy import PolicyRuleSet
+from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.request import RequestAdmitted, RequestClosed, RequestDenied
 from fsar_ledger.events.supervision import SupervisionDensitySet, SupervisorResponded
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
@@ -308,6 +308,25 @@ def test_a_rule_that_is_set_after_the_approval_holds_the_start_and_one_set_befor
     other = approved(rule)
     apply(other, msgspec.structs.replace(rule, capability="door.open.basic", outcome="deny"))
     assert types(play(other, START)) == ["ExecutionStarted"], "about something else"
+
+
+def test_a_rule_of_the_role_that_is_set_after_the_approval_holds_the_start_unless_the_robot_is_an_exception() -> None:
+    own = PolicyRuleSet("local", "robot/B1", DOOR, None, "review", H_B)
+    of_role = RolePolicyRuleSet("local", "B", "review", "", DOOR)
+    assert types(play(approved(of_role), START)) == ["ExecutionStarted"], "known when it was given"
+    cases: list[tuple[Event, Event, str]] = [
+        (opened("w1", "review"), of_role, "ExecutionHeld"),
+        (of_role, own, "ExecutionHeld"),
+        (own, of_role, "ExecutionStarted"),
+        (own, msgspec.structs.replace(of_role, outcome="deny"), "ExecutionStarted"),
+        (own, msgspec.structs.replace(of_role, capability=None), "ExecutionHeld"),
+        (opened("w1", "review"), msgspec.structs.replace(of_role, role="A"), "ExecutionStarted"),
+        (opened("w1", "review"), msgspec.structs.replace(of_role, domain="yard"), "ExecutionStarted"),
+    ]
+    for before, after, expected in cases:
+        state = approved(before)
+        apply(state, after)
+        assert types(play(state, START)) == [expected], (before, after)
 
 
 def test_what_was_approved_is_forgotten_when_it_is_done() -> None:
