@@ -339,12 +339,15 @@ def _held(database: Database, main: Setting | None) -> tuple[dict[str, dict[str 
 
 
 def _of_main(ledger: Path, demanded: str | None, database: Database, main: Setting | None, *, alone: bool) -> tuple[list[Row], tuple[Row, ...]]:
-    """The marks and the background of the runs that the tables are of; what else the ledger holds has no part in them."""
-    if alone or main is None:
+    """The marks and the background of the runs that the tables are of; what else the ledger holds has no part in them, and of no tables there are none."""
+    if main is None:
+        return [], ()
+    if alone and main[2] is not None:
         return marks.graded(database), _background(database.rows(BACKGROUND_SQL))
     chosen = database.table(CHOSEN_SQL, dict(zip(SETTING, main, strict=True)))
     with connect(ledger, demanded=demanded) as narrowed:
         narrowed.hold("chosen_runs", chosen)
         narrowed.prepare("SELECT * FROM run_started")
-        narrowed.define("runs", f"SELECT * FROM ({narrowed.library.find('staging/runs').sql}) WHERE run_id IN (SELECT run_id FROM chosen_runs)")
+        seed = "* REPLACE (NULL::BIGINT AS seed)" if main[2] is None else "*"  # all seeds are asked for together
+        narrowed.define("runs", f"SELECT {seed} FROM ({narrowed.library.find('staging/runs').sql}) WHERE run_id IN (SELECT run_id FROM chosen_runs)")
         return marks.graded(narrowed), _background(narrowed.rows(BACKGROUND_SQL))
