@@ -194,6 +194,8 @@ def test_tables_are_of_one_seed_and_the_others_stand_apart(ledger: Path, tmp_pat
     assert found.shown == "The tables are of seed 42, simulated runs, model 1; runs made otherwise are never taken together with these."
     pooled = gather(several, pools_seeds=True)
     assert (pooled.others, max(row["n"] for row in pooled.cells)) == ((), 11)
+    assert [row["architecture"] for row in pooled.background] == [row["architecture"] for row in findings.background]
+    assert [(row["feature"], row["architecture"]) for row in pooled.evidence] == [(row["feature"], row["architecture"]) for row in findings.evidence]
 
 
 def test_pairs_that_met_different_worlds_are_named_in_the_document(findings: Findings) -> None:
