@@ -123,7 +123,7 @@ SHAPES = {
 }
 
 
-@pytest.mark.parametrize("shape", list(SHAPES))
+@pytest.mark.parametrize("shape", ["workflows only", "uneven runs", pytest.param("some scenarios", marks=pytest.mark.slow)])
 def test_runs_of_another_shape_than_the_papers_have_numbers_and_no_verdict_and_that_is_said(make_ledger: Make, tmp_path: Path, shape: str) -> None:
     scenarios, more, held = SHAPES[shape]
     path = shutil.copytree(make_ledger(scenarios=scenarios), tmp_path / "ledger")
