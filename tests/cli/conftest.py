@@ -46,9 +46,11 @@ def call(capsys: pytest.CaptureFixture[str]) -> Call:
 
 @pytest.fixture(scope="session")
 def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small ledger that tests may read but not change: two scenarios, two runs, three architectures."""
+    """A small ledger that tests may read but not change: two scenarios, two runs, three architectures. It is verified, so that no answer warns of it."""
     path = tmp_path_factory.mktemp("cli") / "out" / "ledger"
     called = in_a_process("simulate", path, *SMALL)
+    assert called.code == 0, called.err
+    called = in_a_process("verify", path)
     assert called.code == 0, called.err
     return path
 
