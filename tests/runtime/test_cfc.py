@@ -27,7 +27,7 @@ def commanded(*before) -> State:  # type: ignore[no-untyped-def]
 
 def running(*before) -> State:  # type: ignore[no-untyped-def]
     state = commanded(*before)
-    for event in receive_command(state, ReceiveCommand(ACTION)):
+    for event in receive_command(state, ReceiveCommand(ACTION, "robot/B1")):
         apply(state, event)
     for event in approach(state, TakeTurn(ACTION)):
         apply(state, event)
@@ -88,7 +88,7 @@ def second_delegation(state: State) -> None:
 def test_a_second_command_for_a_robot_not_seen_busy_disputes_the_running_action() -> None:
     state = running()
     second_delegation(state)
-    claim, called = receive_command(state, ReceiveCommand("A1-2/2.1"))
+    claim, called = receive_command(state, ReceiveCommand("A1-2/2.1", "robot/B1"))
     assert claim == AuthorityClaimed("A1-1", ACTION, "execution", "robot/A1", "assigned again: A1-2/2.1")
     assert called.purpose == "ordering"  # type: ignore[attr-defined]
     apply(state, claim)
@@ -99,7 +99,7 @@ def test_a_second_command_for_a_robot_seen_busy_only_waits() -> None:
     state = running()
     apply(state, CopySynced(busy=("robot/B1",)))
     second_delegation(state)
-    assert types(receive_command(state, ReceiveCommand("A1-2/2.1"))) == ["ExecutionQueued"]
+    assert types(receive_command(state, ReceiveCommand("A1-2/2.1", "robot/B1"))) == ["ExecutionQueued"]
 
 
 def test_the_command_says_whether_the_robot_was_seen_busy() -> None:
