@@ -27,7 +27,7 @@ from fsar_ledger.runtime.handlers.authority import released
 from fsar_ledger.runtime.handlers.commands import Actors, CloseExecution, Command, CompleteStep, Decides, Reacts, Scheduled, at_once, message
 
 from . import recovery
-from .coordinator import ProcessWork, ReachCoordinator, by_coordinator, candidates_of, copied_policy, to_coordinator, until_next_sync_us
+from .coordinator import NO_TIME, ProcessWork, ReachCoordinator, by_coordinator, candidates_of, copied_policy, to_coordinator, until_next_sync_us
 
 AGAIN = "assigned again: "
 
@@ -209,7 +209,7 @@ def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, 
 
 def _on_denial(state: State, event: RequestDenied | RequestUnanswered, now_us: int) -> tuple[Scheduled, ...]:
     task = state.task.get(event.task_id or "")
-    if task is None:
+    if task is None or (isinstance(event, RequestDenied) and event.reason == NO_TIME):
         return ()
     return (Scheduled(ReachCoordinator(task.action_id, "again"), until_next_sync_us(state, now_us)),)
 
