@@ -24,12 +24,13 @@ from fsar_ledger.events.request import (
     RequestUnanswered,
 )
 from fsar_ledger.events.supervision import SupervisorCalled
-from fsar_ledger.events.task import StepBegan, StepCompleted
+from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned
 from fsar_ledger.events.world import OutsiderRequestInjected
 
 HANDLES = (
     StepBegan
     | StepCompleted
+    | TaskAbandoned
     | OutsiderRequestInjected
     | RegistryQueried
     | RequestIssued
@@ -112,6 +113,9 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
             return _ended(state, event)
         case StepCompleted():
             return {name: request for name, request in state.items() if name != event.action_id}
+        case TaskAbandoned():  # what a robot has goes on or is withdrawn there; nobody answers the rest
+            kept = {name: request for name, request in state.items() if request.is_adhoc or request.is_received or request.task_id != event.task_id}
+            return state if len(kept) == len(state) else kept
         case OutsiderRequestInjected():
             injected = Request(event.task_id, event.task_id, event.robot, event.capability, 0, 1, True, (event.peer,), target=event.peer)
             return {**state, event.task_id: injected}
@@ -145,7 +149,7 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
             return _changed(state, event.action_id, is_questioned=True)
         case ContractVoided():
             known = state[event.action_id]
-            return _changed(state, event.action_id, bids=(), target=None, is_accepted=False, is_questioned=False, round=known.round + 1)
+            return _changed(state, event.action_id, bids=(), target=None, is_accepted=False, is_questioned=False, is_received=False, round=known.round + 1)
         case RequestUnanswered():
             return _unanswered(state, event)
         case RequestCountered():

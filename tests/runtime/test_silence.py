@@ -41,7 +41,7 @@ def ran(architecture: Architecture, facts: list[Fact], size: int = 8) -> Kernel:
 def without(architecture: Architecture, scenario: str, robot: str, ends: type[Event]) -> Kernel:
     """The run of a scenario for two teams in a calm world, one robot off or without a link from the beginning."""
     spec, constants = RunSpec(5, architecture, "full", scenario, 8, 0), Constants(world=CALM)  # type: ignore[arg-type]
-    facts = ((1, ends(robot)), *schedule(CALM, 5, spec.scenario, 0, 8))  # type: ignore[call-arg]
+    facts = ((1, ends(robot)), *schedule(CALM, 5, spec.scenario, 0, 8))
     one = Kernel(wiring(architecture), facts, Draws(run_key(5, spec.scenario, 0), CALM), *founding_of(spec, constants))
     one.run()
     return one

@@ -154,6 +154,8 @@ def queue_ordered(state: State, command: QueueOrdered) -> tuple[Event, ...]:
     if request is None:
         return ()
     ended = released(claim for claims in state.authority.claims.values() for claim in claims if claim.reason == AGAIN + request.action_id)
+    if request.task_id not in state.task:  # given up meanwhile
+        return (*ended, *released(state.authority.claims.get(request.action_id, ())))
     return (*ended, _queued(request, request.target or request.requester))
 
 

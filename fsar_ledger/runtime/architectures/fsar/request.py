@@ -143,6 +143,8 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
 
 def _is_open(state: State, request: Request) -> bool:
     """True while the request waits for the executor's word."""
+    if not request.is_adhoc and request.task_id not in state.task:  # its task was given up
+        return False
     has_word = request.is_over or request.is_accepted or request.is_unanswered or request.offered is not None
     return not has_word and request.action_id not in state.execution.actions
 
