@@ -26,4 +26,4 @@ SELECT
     rules.* EXCLUDE (robot),
     members.robot
 FROM rules
-INNER JOIN robot_joined AS members ON rules.run_id = members.run_id AND (rules.robot = members.robot OR rules.robot IS NULL)
+INNER JOIN fleet_members AS members ON rules.run_id = members.run_id AND (rules.robot = members.robot OR rules.robot IS NULL)
