@@ -41,15 +41,6 @@ records AS (
     WINDOW so_far AS (PARTITION BY run_id, coalesce(failed_action, action_id) ORDER BY seq ROWS BETWEEN UNBOUNDED PRECEDING AND CURRENT ROW)
 ),
 
-fruitless AS (
-    SELECT
-        run_id,
-        action_id,
-        failure,
-        number
-    FROM recovery_attempt_failed
-),
-
 helped AS (
     SELECT DISTINCT
         run_id,
@@ -75,7 +66,7 @@ SELECT
 FROM records
 LEFT JOIN ranks ON records.level = ranks.level
 LEFT JOIN ranks AS targets ON records.to_level = targets.level
-LEFT JOIN fruitless
+LEFT JOIN recovery_attempt_failed AS fruitless
     ON
         records.run_id = fruitless.run_id AND records.action_id = fruitless.action_id
         AND records.failure = fruitless.failure AND records.number = fruitless.number
