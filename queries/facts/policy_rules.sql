@@ -26,7 +26,7 @@ of_members AS (
         stated.* EXCLUDE (robot),
         members.robot
     FROM stated
-    INNER JOIN robot_joined AS members
+    INNER JOIN fleet_members AS members
         ON
             stated.run_id = members.run_id
             AND CASE

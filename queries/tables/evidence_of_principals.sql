@@ -14,12 +14,12 @@ WITH named AS (
 robots AS (
     -- agent/A1/planning is a part of robot/A1.
     SELECT
-        robot_joined.run_id,
-        robot_joined.robot,
+        fleet_members.run_id,
+        fleet_members.robot,
         count(DISTINCT named.principal) AS parts
-    FROM robot_joined
-    LEFT JOIN named ON robot_joined.run_id = named.run_id AND starts_with(named.principal, 'agent/' || robot_joined.robot[7:] || '/')
-    GROUP BY robot_joined.run_id, robot_joined.robot
+    FROM fleet_members
+    LEFT JOIN named ON fleet_members.run_id = named.run_id AND starts_with(named.principal, 'agent/' || fleet_members.robot[7:] || '/')
+    GROUP BY fleet_members.run_id, fleet_members.robot
 ),
 
 assignments AS (
