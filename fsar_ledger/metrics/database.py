@@ -42,7 +42,7 @@ DUCKDB_SHARE = 0.75
 
 BATCH_ROWS = 10_000
 FEW_ROWS = 20_000
-"""To copy so many rows costs less than planning over an Arrow table does."""
+"""To copy so many rows costs less than what planning over an Arrow table takes longer than over a table of DuckDB's own."""
 SHOWN = 200
 """Characters of a name, or of a line, that a message repeats."""
 OUT_OF_MEMORY = (duckdb.OutOfMemoryException, pa.ArrowMemoryError)
@@ -117,12 +117,15 @@ class Database:
         self._connection.register(name, table)
         self._made.add(name)
 
-    def copy(self, name: str, table: pa.Table) -> None:
-        """The rows of an Arrow table are the relation of this name: what reads it is planned in half the time of what `hold` gives it."""
-        self._connection.register(_GIVEN, table)
-        self._execute(f"CREATE TABLE {name} AS SELECT * FROM {_GIVEN}", None)
+    def refill(self, events: pa.Table) -> None:
+        """`events` are these few rows from now on, in a table of DuckDB's own, and what was stored of others is gone."""
+        for name in sorted(self._made & {query.relation for query in self.library.queries.values() if query.is_stored}):
+            self._execute(f"DROP TABLE {name}", None)
+            self._made.discard(name)
+        self._connection.register(_GIVEN, events)
+        self._execute(f"CREATE OR REPLACE TABLE events AS SELECT * FROM {_GIVEN}", None)
         self._connection.unregister(_GIVEN)
-        self._made.add(name)
+        self._made.add("events")
 
     def drop(self, name: str) -> None:
         """The relation that `hold` made is gone, and what it held."""
@@ -310,20 +313,22 @@ def connect(ledger: Path, threads: int | None = None, demanded: str | None = Non
 
 def from_table(events: pa.Table, threads: int | None = None) -> Database:
     """A database over rows in memory; columns that the table lacks are NULL."""
-    if events.column_names != SCHEMA.names:
-        present = set(events.column_names)
-        columns = [events[field.name] if field.name in present else pa.nulls(len(events), field.type) for field in SCHEMA]
-        events = pa.Table.from_arrays(columns, names=SCHEMA.names)
+    events = _with_all_columns(events)
     database = Database(None, (), threads)
     if len(events) <= FEW_ROWS:
-        database.copy("events", events)
+        database.refill(events)
     else:
         database.hold("events", events)
     return database
 
 
 def from_rows(rows: Sequence[Mapping[str, Value]], threads: int | None = None) -> Database:
-    """A database over these rows; columns that a row lacks are NULL. For tests and small questions.
+    """A database over these rows; columns that a row lacks are NULL. For tests and small questions. Raises: as `table_of`."""
+    return from_table(table_of(rows), threads)
+
+
+def table_of(rows: Sequence[Mapping[str, Value]]) -> pa.Table:
+    """These rows with all columns of events; those that a row lacks are NULL.
 
     Raises:
         ValueError: A row has a column that events do not have.
@@ -331,4 +336,13 @@ def from_rows(rows: Sequence[Mapping[str, Value]], threads: int | None = None) -
     names = SCHEMA.names
     if unknown := sorted({name for row in rows for name in row} - set(names)):
         raise ValueError(f"rows: found columns {', '.join(unknown)}, expected those of the ledger's schema")
-    return from_table(pa.Table.from_pylist([{name: row.get(name) for name in names} for row in rows], schema=_NULLABLE), threads)
+    return pa.Table.from_pylist([{name: row.get(name) for name in names} for row in rows], schema=_NULLABLE)
+
+
+def _with_all_columns(events: pa.Table) -> pa.Table:
+    """The table as it is, or with NULL in the columns that it lacks."""
+    if events.column_names == SCHEMA.names:
+        return events
+    present = set(events.column_names)
+    columns = [events[field.name] if field.name in present else pa.nulls(len(events), field.type) for field in SCHEMA]
+    return pa.Table.from_arrays(columns, names=SCHEMA.names)

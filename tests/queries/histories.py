@@ -4,7 +4,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.metrics.database import Value, from_rows
+from fsar_ledger.metrics.database import Value
+
+from .recycled import from_rows
 
 Row = Mapping[str, Value]
 S = 1_000_000
