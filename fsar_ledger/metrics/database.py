@@ -118,11 +118,11 @@ class Database:
         self._made.add(name)
 
     def refill(self, events: pa.Table) -> None:
-        """`events` are these few rows from now on, in a table of DuckDB's own, and what was stored of others is gone."""
+        """`events` are these few rows from now on, in a table of DuckDB's own, NULL in columns that they lack; what was stored of others is gone."""
         for name in sorted(self._made & {query.relation for query in self.library.queries.values() if query.is_stored}):
             self._execute(f"DROP TABLE {name}", None)
             self._made.discard(name)
-        self._connection.register(_GIVEN, events)
+        self._connection.register(_GIVEN, _with_all_columns(events))
         self._execute(f"CREATE OR REPLACE TABLE events AS SELECT * FROM {_GIVEN}", None)
         self._connection.unregister(_GIVEN)
         self._made.add("events")
@@ -166,7 +166,16 @@ class Database:
 
     def rows(self, sql: str, params: Mapping[str, Value] | None = None) -> list[dict[str, Any]]:
         """The answer to one SELECT as dictionaries. Raises: as `table`."""
-        return plain_rows(self.table(sql, params))
+        self.prepare(sql)
+        try:
+            found = self._connection.execute(sql, dict(params) if params else None)  # a relation would plan it twice
+            names = [column[0] for column in found.description or ()]
+            rows: list[dict[str, Any]] = []
+            while part := found.fetchmany(BATCH_ROWS):
+                rows += [dict(zip(names, row, strict=True)) for row in part]
+            return rows
+        except (duckdb.Error, UnicodeDecodeError) as error:  # what a damaged file holds as text may be none
+            raise self._failure(error) from error
 
     def query(self, name: str, given: Mapping[str, str] | None = None) -> pa.Table:
         """The rows of a packaged query, sorted by all their columns from the left.
@@ -313,12 +322,11 @@ def connect(ledger: Path, threads: int | None = None, demanded: str | None = Non
 
 def from_table(events: pa.Table, threads: int | None = None) -> Database:
     """A database over rows in memory; columns that the table lacks are NULL."""
-    events = _with_all_columns(events)
     database = Database(None, (), threads)
     if len(events) <= FEW_ROWS:
         database.refill(events)
     else:
-        database.hold("events", events)
+        database.hold("events", _with_all_columns(events))
     return database
 
 

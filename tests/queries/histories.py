@@ -5,8 +5,7 @@ from typing import Any
 
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.metrics.database import Value
-
-from .recycled import from_rows
+from tests.recycled import from_rows
 
 Row = Mapping[str, Value]
 S = 1_000_000

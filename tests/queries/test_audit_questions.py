@@ -12,7 +12,7 @@ from fsar_ledger.metrics.database import Database, connect, plain_rows
 from fsar_ledger.metrics.library import library
 from fsar_ledger.runtime.experiment import Experiment, simulate
 from tests.queries.histories import Row, event, run
-from tests.queries.recycled import from_rows
+from tests.recycled import from_rows
 
 QUESTIONS = [name for name in library().queries if name.startswith("audit/")]
 ROBOTS = (

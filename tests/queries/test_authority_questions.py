@@ -6,7 +6,7 @@ import pytest
 
 from fsar_ledger.metrics.database import plain_rows
 from tests.queries.histories import Row, answer, event, run
-from tests.queries.recycled import from_rows
+from tests.recycled import from_rows
 
 
 def asked(name: str, columns: str, *events: Row, **given: Any) -> list[tuple[Any, ...]]:

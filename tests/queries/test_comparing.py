@@ -13,7 +13,7 @@ from fsar_ledger.metrics.comparing import DifferingWorlds, differing_worlds, imp
 from fsar_ledger.metrics.database import Value
 from fsar_ledger.metrics.results import StatisticRow, statistic_rows
 from tests.queries.histories import Row, S, answer, event, run
-from tests.queries.recycled import from_rows
+from tests.recycled import from_rows
 
 OBSTRUCTED = event("ObstructionAppeared", 2 * S, robot="robot/A1", obstruction="o1")
 MET = event("PeersMet", 2 * S, robot="robot/A1", peer="robot/B1")

@@ -13,7 +13,7 @@ from fsar_ledger.ledger.codec import encode
 from fsar_ledger.metrics.invariants import audit_rows, chosen, invariants
 from fsar_ledger.runtime.architectures.wiring import Wiring
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
-from tests.queries.recycled import from_rows
+from tests.recycled import from_rows
 
 Row = dict[str, Any]
 Seeds = Callable[[list[Row]], list[int]]

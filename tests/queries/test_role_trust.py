@@ -13,7 +13,7 @@ from fsar_ledger.events.trust import RoleTrustSet, TrustSet
 from fsar_ledger.projections import trust
 from fsar_ledger.runtime.world.scenarios import founding
 from tests.queries.histories import Row, answer, event, run
-from tests.queries.recycled import from_rows
+from tests.recycled import from_rows
 
 DOOR, LIFT = "door.open.secure", "carry.heavy"
 DOMAINS = ("", "hall", "hall/cell", "hall/cell/bay", "hallway", "yard")

@@ -7,7 +7,7 @@ import pytest
 from fsar_ledger.ledger.schema import LAYOUTS
 from fsar_ledger.metrics.database import plain_rows
 from tests.queries.histories import Row, S, event, run
-from tests.queries.recycled import from_rows
+from tests.recycled import from_rows
 
 A, B, C = "robot/A1", "robot/B1", "robot/C1"
 

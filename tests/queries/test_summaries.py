@@ -11,7 +11,7 @@ from scipy import special, stats
 
 from fsar_ledger.metrics.results import MetricRow, metric_rows
 from tests.queries.histories import Row, S, event, run
-from tests.queries.recycled import from_rows
+from tests.recycled import from_rows
 
 SUPERVISORS_CALL = event("SupervisorCalled", 1, supervisor="supervisor/fleet")
 

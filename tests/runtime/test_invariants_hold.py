@@ -8,9 +8,9 @@ import pytest
 from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.events.envelope import Configuration, Workflow
 from fsar_ledger.ledger.codec import encode
-from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.invariants import audit_rows, chosen
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
+from tests.recycled import from_table
 
 BROKEN_WITHOUT: dict[Configuration, set[str]] = {
     "without-trust-evaluation": {"i3", "i5", "a3", "a5"},  # what an outsider asks for runs unchecked, with no supervisor on record
