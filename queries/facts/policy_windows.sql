@@ -4,7 +4,6 @@
 -- Units: opened_us, closed_us microseconds of run time, half-open: it is over at closed_us; seq, closed_seq positions in the run
 -- NULL: window for a rule; capability, context when it holds for all of them; closed_us, closed_seq when it was never closed or replaced
 -- Example: fsar-ledger query facts/policy_windows LEDGER
--- Stored: many judges read it
 WITH closings AS (
     SELECT
         run_id,
