@@ -10,11 +10,11 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import TrustScope
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.trust import RoleTrustSet, TrustSet
-from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.projections import trust
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.world.scenarios import founding
 from tests.queries.histories import Row, answer, event, run
+from tests.recycled import from_rows
 
 DOOR, LIFT = "door.open.secure", "carry.heavy"
 DOMAINS = ("", "hall", "hall/cell", "hall/cell/bay", "hallway", "yard")

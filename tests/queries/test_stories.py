@@ -5,8 +5,9 @@ from typing import Any
 import pytest
 
 from fsar_ledger.ledger.schema import LAYOUTS
-from fsar_ledger.metrics.database import from_rows, plain_rows
+from fsar_ledger.metrics.database import plain_rows
 from tests.queries.histories import Row, S, event, run
+from tests.recycled import from_rows
 
 A, B, C = "robot/A1", "robot/B1", "robot/C1"
 

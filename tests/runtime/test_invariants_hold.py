@@ -10,9 +10,9 @@ from fsar_ledger.events.configuration import MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Workflow
 from fsar_ledger.events.request import RequestUnanswered
 from fsar_ledger.ledger.codec import encode
-from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.invariants import audit_rows, chosen
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
+from tests.recycled import from_table
 
 BROKEN_WITHOUT: dict[Configuration, set[str]] = {
     "without-trust-evaluation": {"i3", "i5", "a3", "a5"},  # what an outsider asks for runs unchecked, with no supervisor on record

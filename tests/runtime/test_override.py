@@ -29,7 +29,7 @@ from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, Request
 from fsar_ledger.events.task import StepBegan, TaskAbandoned
 from fsar_ledger.events.world import ObstructionAppeared, TaskArrived
 from fsar_ledger.ledger.codec import RunRecord, encode
-from fsar_ledger.metrics.database import from_table, plain_rows
+from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.metrics.library import library
 from fsar_ledger.projections import execution
 from fsar_ledger.projections.authority import LEVELS, rank
@@ -40,6 +40,7 @@ from fsar_ledger.runtime.handlers.commands import DetectObstruction, ResumeActio
 from fsar_ledger.runtime.handlers.request import RequestCapability
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.world.schedule import schedule
+from tests.recycled import from_table
 from tests.runtime.histories import given, types
 from tests.runtime.live import decided, of, played
 
