@@ -174,17 +174,17 @@ def differing_worlds(database: Database) -> list[DifferingWorlds]:
 
 def not_compared(database: Database) -> list[str]:
     """Why each comparison that has no pair has none, in words; for a ledger that holds neither side of any, why that is. Raises: as `Database.rows`."""
-    grounds = typed(database.rows(GROUNDS), Ground)
-    if grounds:
-        return [why for one in grounds if (why := one.why_not())]
+    found = typed(database.rows(GROUNDS), Ground)
+    if found:
+        return [why for one in found if (why := one.why_not())]
     kinds = database.rows(KINDS)
     if not kinds:
         return ["found no runs; `fsar-ledger simulate` makes some"]
     names = [f"{counted(row['runs'], 'run')} ({row['kind']}) of {row['architecture'] or 'no named architecture'}" for row in kinds]
-    found = some(names, "kinds more")
+    held = some(names, "kinds more")
     if all(row["nameless"] == row["runs"] for row in kinds):
-        return [f"found {found}, all without seed, scenario, fleet size or number; runs that are not known to have met one world are no pairs"]
-    return [f"found {found}; expected fsar, cfc or dhma, or the configurations of one architecture"]
+        return [f"found {held}, all without seed, scenario, fleet size or number; runs that are not known to have met one world are no pairs"]
+    return [f"found {held}; expected fsar, cfc or dhma, or the configurations of one architecture"]
 
 
 def left_over(database: Database) -> list[str]:

@@ -93,7 +93,7 @@ def _workflows(findings: Findings) -> dict[str, Any] | None:
         return None
     reasons = [reason for row in found.coverage for reason in row["reasons"]]
     head = {"size": printing.integer(found.size), "root": found.root, "runs": printing.integer(found.run_count), "commits": found.commits}
-    return head | {"reasons": reasons}
+    return head | {"reasons": reasons, "others": found.others and printable.counted(found.others, "run")}
 
 
 def _fit_tables(findings: Findings, record: Record | None) -> dict[str, Table]:

@@ -26,6 +26,7 @@ class Workflows(msgspec.Struct, frozen=True):
     """What one head of a ledger of the paper's workflows has to say.
 
     coverage: one row per mechanism: its cell in the paper and ours for each workflow, and the verdict; None where nothing exercises it.
+    others: runs of workflows that were made otherwise than most (seed, constants, model), and have no part in this.
     story: the steps of the first request of the door relay; recovery: those of the first failure of the layered recovery; empty without such a run.
     """
 
@@ -36,6 +37,7 @@ class Workflows(msgspec.Struct, frozen=True):
     coverage: tuple[Row, ...]
     story: tuple[Row, ...]
     recovery: tuple[Row, ...]
+    others: int = 0
 
 
 class Findings(msgspec.Struct, frozen=True):

@@ -307,6 +307,7 @@ def gather(
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `fsar_ledger.metrics.database.connect`; SequenceConflict, too.
         QueryFailed: A packaged query fails on this ledger's data.
     """
+    of_workflows = None if workflows is None else marks.workflows(workflows, demanded_of_workflows)  # first: it may be another ledger by mistake
     with connect(ledger, demanded=demanded) as database:
         head = database.head
         every, every_by_scenario = (metric_rows(database, one, pools_seeds=pools_seeds) for one in (False, True))
@@ -342,7 +343,7 @@ def gather(
             evidence=tuple(graded),
             background=background,
             completeness=completeness(database).sentence(),
-            workflows=None if workflows is None else marks.workflows(workflows, demanded_of_workflows),
+            workflows=of_workflows,
             model_version=main[5] if main else None,
             shown=_shown(main, others),
             unjudged=whole.why_apart(runs_held, pairs_held),
@@ -368,12 +369,15 @@ def _held(database: Database, main: Setting | None) -> tuple[dict[str, dict[str 
 
 
 def _of_main(ledger: Path, demanded: str | None, database: Database, main: Setting | None, *, alone: bool) -> tuple[list[Row], tuple[Row, ...]]:
-    """The marks and the background of the runs that the tables are of; what else the ledger holds has no part in them."""
-    if alone or main is None:
+    """The marks and the background of the runs that the tables are of; what else the ledger holds has no part in them, and of no tables there are none."""
+    if main is None:
+        return [], ()
+    if alone and main[2] is not None:
         return marks.graded(database), _background(database.rows(BACKGROUND_SQL))
     chosen = database.table(CHOSEN_SQL, dict(zip(SETTING, main, strict=True)))
     with connect(ledger, demanded=demanded) as narrowed:
         narrowed.hold("chosen_runs", chosen)
         narrowed.prepare("SELECT * FROM run_started")
-        narrowed.define("runs", f"SELECT * FROM ({narrowed.library.find('staging/runs').sql}) WHERE run_id IN (SELECT run_id FROM chosen_runs)")
+        seed = "* REPLACE (NULL::BIGINT AS seed)" if main[2] is None else "*"  # all seeds are asked for together
+        narrowed.define("runs", f"SELECT {seed} FROM ({narrowed.library.find('staging/runs').sql}) WHERE run_id IN (SELECT run_id FROM chosen_runs)")
         return marks.graded(narrowed), _background(narrowed.rows(BACKGROUND_SQL))

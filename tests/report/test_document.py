@@ -24,11 +24,6 @@ Make = Callable[..., Path]
 
 
 @pytest.fixture(scope="module")
-def findings(ledger: Path) -> Findings:
-    return gather(ledger)
-
-
-@pytest.fixture(scope="module")
 def printed(findings: Findings) -> dict[str, Any]:
     """The data of the template, read back from its bytes."""
     decoded: dict[str, Any] = msgspec.json.decode(document.encoded(document.data(findings, None)))
@@ -123,7 +118,7 @@ SHAPES = {
 }
 
 
-@pytest.mark.parametrize("shape", list(SHAPES))
+@pytest.mark.parametrize("shape", ["workflows only", "uneven runs", pytest.param("some scenarios", marks=pytest.mark.slow)])
 def test_runs_of_another_shape_than_the_papers_have_numbers_and_no_verdict_and_that_is_said(make_ledger: Make, tmp_path: Path, shape: str) -> None:
     scenarios, more, held = SHAPES[shape]
     path = shutil.copytree(make_ledger(scenarios=scenarios), tmp_path / "ledger")
@@ -194,6 +189,8 @@ def test_tables_are_of_one_seed_and_the_others_stand_apart(ledger: Path, tmp_pat
     assert found.shown == "The tables are of seed 42, simulated runs, model 1; runs made otherwise are never taken together with these."
     pooled = gather(several, pools_seeds=True)
     assert (pooled.others, max(row["n"] for row in pooled.cells)) == ((), 11)
+    assert [row["architecture"] for row in pooled.background] == [row["architecture"] for row in findings.background]
+    assert [(row["feature"], row["architecture"]) for row in pooled.evidence] == [(row["feature"], row["architecture"]) for row in findings.evidence]
 
 
 def test_pairs_that_met_different_worlds_are_named_in_the_document(findings: Findings) -> None:
