@@ -1,7 +1,7 @@
 -- Title: Case 2, run by run: whether the robot contains its failures by itself, gives them to the coordinator at once, or disputes who recovers
 -- Paper: sec:evaluation:qualitative (case 2), sec:model:recovery
 -- Grain: one row per claim and run of the scenario with a failure; the claims on degradation look only at failures of worn actuators of robots of role D
--- Units: counted 1 or 0; seq the first failure, evidence the failures of which it is true, for a loop the claims and the escalation: positions in the run
+-- Units: counted 1 or 0; seq the first failure, evidence where it counts the failures, for a loop the claims and the escalation: positions in the run
 -- NULL: never
 -- Example: fsar-ledger query cases/case_2_evidence LEDGER
 -- A loop needs claims of two agents at once to override the failed action, one of an agent that recovers it, and an escalation after that (R46).
@@ -73,7 +73,7 @@ SELECT
     claim || suffix.suffix AS claim,
     min(seq) AS seq,
     (CASE claim WHEN 'recovery loop' THEN bool_or(is_so) ELSE bool_and(is_so) END)::BIGINT AS counted,
-    list_sort(list_distinct(flatten(coalesce(list(evidence) FILTER (is_so), [])))) AS evidence
+    if(claim = 'recovery loop' OR bool_and(is_so), list_sort(list_distinct(flatten(coalesce(list(evidence) FILTER (is_so), [])))), []) AS evidence
 FROM judged
 INNER JOIN (VALUES ('', FALSE), (' (degradation)', TRUE)) AS suffix (suffix, needs_wear) ON judged.is_worn OR NOT suffix.needs_wear
 GROUP BY run_id, claim, suffix.suffix
