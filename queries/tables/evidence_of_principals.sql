@@ -1,6 +1,6 @@
 -- Title: What shows who a principal is and who decides: robots as one principal, central decisions, agents inside robots, attribution
 -- Paper: tab:baseline_context, sec:model:invariants (I1, I5)
--- Grain: one row per architecture, configuration and part
+-- Grain: one row per made_alike (as in run_groups) and part
 -- Units: numerator, denominator counts
 -- NULL: never; no row for a part that nothing in the ledger could show, and none of runs that do not observe what it rests on
 -- Example: fsar-ledger query tables/evidence_of_principals LEDGER
@@ -56,12 +56,11 @@ counted AS (
 )
 
 SELECT
-    runs.architecture,
-    runs.configuration,
+    runs.made_alike,
     counted.fact.part,
     sum(counted.fact.numerator)::BIGINT AS numerator,
     sum(counted.fact.denominator)::BIGINT AS denominator
-FROM runs
+FROM run_groups AS runs
 INNER JOIN counted ON runs.run_id = counted.fact.run_id
 LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND counted.fact.part = hidden.judge
 WHERE hidden.run_id IS NULL

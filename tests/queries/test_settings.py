@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.metrics.database import Value, from_rows
-from fsar_ledger.metrics.functions import MAX_PARAMETERS
+from fsar_ledger.metrics.naming import MAX_PARAMETERS
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
 from tests.queries.histories import Row, answer, event, run
 

@@ -1,5 +1,6 @@
 """The paper's two tables of marks in the report: ours beside the paper's, and what a difference is called."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,9 @@ import msgspec
 import pytest
 
 from fsar_ledger.errors import UsageError
+from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.metrics.database import connect, plain_rows
 from fsar_ledger.report import document, marks, specs, write_report
 from fsar_ledger.report.findings import Findings
@@ -63,6 +67,19 @@ def test_the_papers_marks_are_printed_as_they_are() -> None:
 def test_a_feature_agrees_or_differs_where_the_ledger_shows_it(ours: tuple[str | None, ...], verdict: str) -> None:
     graded = [{"feature": "single_agent_robot", "architecture": name, "grade": grade} for name, grade in zip(("fsar", "cfc", "dhma"), ours, strict=True)]
     assert marks.features(graded)[0]["verdict"] == verdict
+
+
+def test_workflows_of_another_seed_have_no_part_in_the_table(make_ledger: Make, tmp_path: Path) -> None:
+    ours = make_ledger(architectures=("fsar",), scenarios=("workflow-door-relay",))
+    several = shutil.copytree(ours, tmp_path / "several")
+    kept = next(open_ledger(ours).runs())
+    other = RunRecord("another", (0,), (None,), [msgspec.structs.replace(kept.events[0], seed=43)])
+    with Writer(several, "test") as writer:
+        writer.append(stage(several, [other]))
+    alone, found = marks.workflows(ours), marks.workflows(several)
+    assert (alone.others, found.others, found.run_count) == (0, 1, 3)
+    assert found.coverage == alone.coverage
+    assert any(row["workflow-door-relay_ours"] for row in found.coverage)
 
 
 def test_the_tables_hold_the_answers_of_their_queries(ledger: Path, findings: Findings) -> None:
