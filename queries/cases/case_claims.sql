@@ -34,10 +34,8 @@ cells AS (
     SELECT
         definitions.*,
         runs.* EXCLUDE (scenario),
-        settings.setting,
-        settings.constants,
-        judged.numerator,
-        judged.denominator,
+        settings.* EXCLUDE (run_id),
+        judged.* EXCLUDE (run_id, claim),
         coalesce(runs.scenario = definitions.scenario AND hidden.run_id IS NULL, FALSE) AS is_judged,
         coalesce(runs.scenario = definitions.scenario AND hidden.run_id IS NOT NULL, FALSE) AS is_hidden
     FROM case_definitions AS definitions
@@ -53,6 +51,8 @@ counts AS (
         position,
         claim,
         is_taken,
+        counted,
+        of_how_many,
         architecture,
         configuration,
         fleet_size,
@@ -61,8 +61,6 @@ counts AS (
         source,
         model_version,
         constants,
-        counted,
-        of_how_many,
         count(*) FILTER (is_judged) AS runs,
         count(denominator) FILTER (is_judged) AS runs_with_case,
         count(*) FILTER (is_hidden) AS runs_not_observed,
@@ -70,8 +68,7 @@ counts AS (
         sum(denominator) FILTER (is_judged)::BIGINT AS denominator
     FROM cells
     GROUP BY
-        case_number, position, claim, is_taken, architecture, configuration, fleet_size, seed, setting, kind, source, model_version, constants, counted,
-        of_how_many
+        position, case_number, claim, is_taken, counted, of_how_many, architecture, configuration, fleet_size, seed, setting, kind, source, model_version, constants
 )
 
 SELECT
