@@ -10,6 +10,7 @@ the errors of `errors.py`; `run` turns it into one message on stderr and its exi
 import time
 from collections.abc import Sequence
 from contextlib import nullcontext
+from functools import cache
 from pathlib import Path
 from typing import Annotated
 
@@ -19,6 +20,7 @@ from . import printable
 from .commands import judging, recover, reporting, trust, witness
 from .commands.memory import bounded, reading
 from .commands.options import (
+    WORTH_ROBOTS,
     AdoptOption,
     ArchitectureOption,
     AuditedOption,
@@ -125,8 +127,9 @@ def simulate(
 
     experiment = experiment_of(architecture, scenario, runs, seed, fleet_size, without, workflow, (teams_working, task_sets))
     signer = trust.signer_of(key, adopts=adopt)
+    processes = workers_of(workers, experiment.size * experiment.fleet_size // WORTH_ROBOTS)
     with Progress("simulated", "batches") as progress:
-        made = carry_out(out, experiment, workers_of(workers), progress, signer, trust.origin_of(origin), adopts=adopt)
+        made = carry_out(out, experiment, processes, progress, signer, trust.origin_of(origin), adopts=adopt)
     _show(simulated_text(out, made, trust.signed_lines(out, signer), as_json=as_json))
 
 
@@ -352,13 +355,14 @@ def reproduce(
     _show(printable.joined(text, printable.lines("", took, str(out / "report.pdf"))))
 
 
+_commands = cache(lambda: typer.main.get_command(app))
+
+
 def run(arguments: Sequence[str]) -> int:
     """The command has run; returns its exit code. What a user can cause is one message on stderr, never a traceback."""
     try:
         require_text(arguments)
-        code = typer.main.get_command(app).main(
-            args=list(arguments) or ["--help"], prog_name="fsar-ledger", standalone_mode=False, obj=lambda: int(time.time())
-        )
+        code = _commands().main(args=list(arguments) or ["--help"], prog_name="fsar-ledger", standalone_mode=False, obj=lambda: int(time.time()))
     except Enough:
         return 0
     except FsarLedgerError as problem:

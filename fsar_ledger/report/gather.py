@@ -291,6 +291,7 @@ def gather(
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `fsar_ledger.metrics.database.connect`; SequenceConflict, too.
         QueryFailed: A packaged query fails on this ledger's data.
     """
+    of_workflows = None if workflows is None else marks.workflows(workflows, demanded_of_workflows)  # first: it may be another ledger by mistake
     with connect(ledger, demanded=demanded) as database:
         head = database.head
         every, every_by_scenario = (metric_rows(database, one, pools_seeds=pools_seeds) for one in (False, True))
@@ -324,7 +325,7 @@ def gather(
             background=background,
             cases=cases.beside(_of_setting(database.rows(CASES_SQL), main)),
             completeness=completeness(database).sentence(),
-            workflows=None if workflows is None else marks.workflows(workflows, demanded_of_workflows),
+            workflows=of_workflows,
             model_version=main[5] if main else None,
             shown=_shown(main, others),
             unjudged=whole.why_apart(runs_held, pairs_held),

@@ -68,7 +68,8 @@ counts AS (
         sum(denominator) FILTER (is_judged)::BIGINT AS denominator
     FROM cells
     GROUP BY
-        position, case_number, claim, is_taken, counted, of_how_many, architecture, configuration, fleet_size, seed, setting, kind, source, model_version, constants
+        case_number, position, claim, is_taken, counted, of_how_many, architecture, configuration, fleet_size, seed, setting, kind, source, model_version,
+        constants
 )
 
 SELECT

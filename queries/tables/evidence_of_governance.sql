@@ -4,6 +4,7 @@
 -- Units: numerator, denominator counts
 -- NULL: never; no row for a part that nothing in the ledger could show, and none of runs that do not observe what it rests on
 -- Example: fsar-ledger query tables/evidence_of_governance LEDGER
+-- Stored: in one plan with the other two, DuckDB plans longer than it computes
 WITH outsiders AS (
     SELECT
         attempts.run_id,

@@ -4,6 +4,7 @@
 -- Units: numerator, denominator counts; of the levels, those that any failure came to and all four
 -- NULL: never; no row for runs without failures, and none of runs that do not observe what a part rests on
 -- Example: fsar-ledger query tables/evidence_of_recovery LEDGER
+-- Stored: in one plan with the other two, DuckDB plans longer than it computes
 WITH first_steps AS (
     SELECT
         run_id,

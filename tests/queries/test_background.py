@@ -2,9 +2,9 @@
 
 import pytest
 
-from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.metrics.results import metric_rows
 from tests.queries.histories import Row, answer, event, run
+from tests.recycled import from_rows
 
 BESIDE = ("numerator", "denominator", "value", "numerator_without_routine", "denominator_without_routine", "value_without_routine")
 WHOLE = {"requested_by": "robot/A1", "executed_by": "robot/A1", "supervised_by": "supervisor/A1"}

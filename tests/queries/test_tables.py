@@ -6,9 +6,10 @@ import pytest
 
 from fsar_ledger.events.configuration import CONFIGURATIONS
 from fsar_ledger.events.envelope import Scenario
-from fsar_ledger.metrics.database import Value, connect, from_rows, plain_rows
+from fsar_ledger.metrics.database import Value, connect, plain_rows
 from fsar_ledger.runtime.experiment import Experiment, simulate
 from tests.queries.histories import Row, S, event, run
+from tests.recycled import from_rows
 
 A, B, C = "robot/A1", "robot/B1", "robot/C1"
 JOINED = tuple(event("RobotJoined", robot=robot, role=robot[6], team=1, supervisor=None) for robot in (A, B, C))

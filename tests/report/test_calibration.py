@@ -12,7 +12,6 @@ from fsar_ledger.errors import FsarLedgerError
 from fsar_ledger.report import document, specs, typeset
 from fsar_ledger.report.calibration import Parameter, Record, recorded
 from fsar_ledger.report.findings import Findings
-from fsar_ledger.report.gather import gather
 
 WHOLE: dict[str, Any] = {
     "objective": {"description": "sum of squared distances", "start": 40.5, "accepted": 12.25},
@@ -27,11 +26,6 @@ WHOLE: dict[str, Any] = {
     "switch_offs": [{"mechanism": "closing", "metric": "governance_locality", "architecture": "fsar", "with_mechanism": 0.947, "without": 0.991}],
     "a key of the future": [1],
 }
-
-
-@pytest.fixture(scope="module")
-def findings(ledger: Path) -> Findings:
-    return gather(ledger)
 
 
 @pytest.fixture(scope="module")

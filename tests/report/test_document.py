@@ -24,11 +24,6 @@ Make = Callable[..., Path]
 
 
 @pytest.fixture(scope="module")
-def findings(ledger: Path) -> Findings:
-    return gather(ledger)
-
-
-@pytest.fixture(scope="module")
 def printed(findings: Findings) -> dict[str, Any]:
     """The data of the template, read back from its bytes."""
     decoded: dict[str, Any] = msgspec.json.decode(document.encoded(document.data(findings, None)))

@@ -126,12 +126,12 @@ def test_every_cell_of_the_coverage_stands_beside_the_papers_and_agrees_or_has_i
     }
 
 
-def test_both_figures_are_drawn_from_the_ledger_of_workflows(findings: Findings, ledger: Path) -> None:
+def test_both_figures_are_drawn_from_the_ledger_of_workflows(findings: Findings, alone: Findings) -> None:
     drawn = document.drawings(findings)
     assert set(drawn) == {f"{name}.svg" for name in printed(findings)["figures"]}
     assert b"query: door.open.secure" in drawn["workflow-door-relay.svg"]
     assert b"budget exhausted" in drawn["workflow-layered-recovery.svg"]
-    assert set(document.drawings(gather(ledger))) == {"evaluation-results.svg", "distances.svg"}
+    assert set(document.drawings(alone)) == {"evaluation-results.svg", "distances.svg"}
 
 
 def test_the_tables_of_the_workflows_name_the_head_that_they_were_asked_of(findings: Findings) -> None:
@@ -143,10 +143,10 @@ def test_the_tables_of_the_workflows_name_the_head_that_they_were_asked_of(findi
     assert {"tables/mechanism_coverage", "audit/request_story", "facts/messages"} <= {source.name for source in findings.sources}
 
 
-def test_without_workflows_the_report_says_so_and_a_ledger_without_them_is_refused(ledger: Path, make_ledger: Make) -> None:
-    alone = printed(gather(ledger))
-    assert alone["workflows"] is None
-    assert "mechanism-coverage" not in alone["tables"]
+def test_without_workflows_the_report_says_so_and_a_ledger_without_them_is_refused(alone: Findings, ledger: Path, make_ledger: Make) -> None:
+    said = printed(alone)
+    assert said["workflows"] is None
+    assert "mechanism-coverage" not in said["tables"]
     with pytest.raises(UsageError, match="found no run of workflow-door-relay"):
         gather(ledger, make_ledger(runs=1, architectures=("cfc",)))
 
