@@ -22,12 +22,13 @@ wanted AS (
 ),
 
 contended AS (
+    -- A task has one open step at a time, so these are of two.
     SELECT
         later.run_id,
         min(later.seq) AS seq
     FROM wanted AS earlier
     INNER JOIN wanted AS later
-        ON earlier.run_id = later.run_id AND earlier.task_id <> later.task_id AND earlier.seq < later.seq AND earlier.until_seq > later.seq
+        ON earlier.run_id = later.run_id AND earlier.seq < later.seq AND earlier.until_seq > later.seq
     GROUP BY later.run_id
 ),
 
