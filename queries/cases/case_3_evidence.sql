@@ -8,7 +8,10 @@
 -- A step is open until its task turns to another or ends. Conflicts that the other task has no part in count, too (R46).
 WITH turns AS (
     SELECT
-        events.*,
+        events.run_id,
+        events.action_id,
+        events.capability,
+        events.seq,
         coalesce(lead(events.seq) OVER (PARTITION BY events.run_id, events.task_id ORDER BY events.seq), 9223372036854775807) AS until_seq
     FROM events
     INNER JOIN runs ON events.run_id = runs.run_id
