@@ -51,6 +51,7 @@ FOLDERS = {
     "facts": "Facts: what the events mean",
     "metrics": "Metrics: the judging rules",
     "statistics": "Statistics: architectures compared over paired runs",
+    "cases": "Cases: the paper's four cases, claim by claim, and the events behind each number",
     "tables": "Tables: the paper's two tables of marks, and what each mark rests on",
 }
 

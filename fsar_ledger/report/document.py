@@ -58,6 +58,7 @@ def _ledger_tables(findings: Findings) -> dict[str, Table]:
         "verdict-rule": findings.rule,
         "statistical-significance": findings.tests,
         "scenario-means": findings.scenarios,
+        "cases": findings.cases,
         "other-runs": findings.others,
         "architectural-comparison": findings.features if findings.evidence else (),
         "feature-evidence": findings.evidence,

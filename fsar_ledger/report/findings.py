@@ -56,6 +56,7 @@ class Findings(msgspec.Struct, frozen=True):
     features: one row per architectural feature: the paper's grade and ours for each architecture, its grades of the systems that were not run, the verdict.
     evidence: one row per feature and architecture: grade and what it rests on.
     background: one row per architecture: how much of what is counted is routine, how much of what is not attributable is a supervisor off shift.
+    cases: one row per number of the paper's four cases: its words and number, ours in both readings; empty where no run is of their scenarios.
     completeness: whether all that was planned is there, as a clause.
     workflows: what another ledger says of the paper's workflows; None without one.
     model_version: that of the runs in the tables; shown: which runs these are, where the ledger holds others of their configuration and fleet size.
@@ -79,6 +80,7 @@ class Findings(msgspec.Struct, frozen=True):
     features: tuple[Row, ...] = ()
     evidence: tuple[Row, ...] = ()
     background: tuple[Row, ...] = ()
+    cases: tuple[Row, ...] = ()
     completeness: str = ""
     workflows: Workflows | None = None
     model_version: str | None = None

@@ -19,7 +19,7 @@ from fsar_ledger.metrics.models import models
 from fsar_ledger.metrics.odds import Cell, Odds, odds
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
-from fsar_ledger.report import marks, printing, specs, whole
+from fsar_ledger.report import cases, marks, printing, specs, whole
 from fsar_ledger.report.findings import ARCHITECTURES, COMPARISONS, MAIN_CONFIGURATION, MAIN_FLEET_SIZE, SCENARIOS, Findings, Row, Source, with_agreement
 
 QUERIES = (
@@ -32,6 +32,7 @@ QUERIES = (
     "audit/experiments",
     "audit/unplanned_runs",
     "tables/architecture_features",
+    "cases/case_claims",
 )  # what the report reads; the rest is what these read
 
 Setting: TypeAlias = tuple[str | None, int | None, int | None, str, str | None, str | None, str | None]
@@ -60,6 +61,7 @@ DRAWN_SQL = """
     GROUP BY metric, architecture
 """
 BACKGROUND_SQL = "SELECT * FROM background"
+CASES_SQL = "SELECT * FROM case_claims"
 CHOSEN_SQL = """
     SELECT runs.run_id
     FROM runs
@@ -215,6 +217,14 @@ def _background(rows: Iterable[Row]) -> tuple[Row, ...]:
     return tuple(row for row in rows if (row["configuration"], row["fleet_size"]) == (MAIN_CONFIGURATION, MAIN_FLEET_SIZE))
 
 
+def _of_setting(rows: Iterable[Row], main: Setting | None) -> list[Row]:
+    """Those of the runs that the tables are of, of every seed where the tables are of all."""
+    if main is None:
+        return []
+    wanted = {name: value for name, value in zip(SETTING, main, strict=True) if name != "seed" or value is not None}
+    return [row for row in rows if all(row[name] == value for name, value in wanted.items())]
+
+
 def _others(rows: Iterable[MetricRow], main: Setting | None) -> tuple[Row, ...]:
     """One row per other setting and architecture, with a column per metric."""
     found: dict[tuple[Setting, str | None], Row] = {}
@@ -342,6 +352,7 @@ def gather(
             features=marks.features(graded, apart),
             evidence=tuple(graded),
             background=background,
+            cases=cases.beside(_of_setting(database.rows(CASES_SQL), main)),
             completeness=completeness(database).sentence(),
             workflows=of_workflows,
             model_version=main[5] if main else None,

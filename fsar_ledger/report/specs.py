@@ -8,7 +8,7 @@ import csv
 import tomllib
 from functools import cache
 from importlib.resources import files
-from typing import TypeVar
+from typing import Literal, TypeVar
 
 import msgspec
 
@@ -97,6 +97,22 @@ class Quote(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     words: str
 
 
+class CaseCell(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"kind": "class"}):
+    """One number of the paper's four cases: which claim of `queries/cases` it is, the paper's words in short, and what it is counted over.
+
+    `other` is the claim in its other reading, `of` the claim that says of how many, `kind` the class of the cell.
+    """
+
+    case: int
+    architecture: str
+    claim: str
+    said: str
+    unit: str
+    kind: Literal["by construction", "informed"]
+    other: str | None = None
+    of: str | None = None
+
+
 def text(*path: str) -> str:
     """The text of a packaged file of `reports/`."""
     return files("fsar_ledger.reports").joinpath(*path).read_text(encoding="utf-8")
@@ -147,6 +163,11 @@ def contradictions() -> tuple[Contradiction, ...]:
 def quotes() -> dict[str, dict[str, Quote]]:
     """The numbers of the paper's running text, by topic and name."""
     return _toml(dict[str, dict[str, Quote]], "quotes.toml")
+
+
+def cases() -> tuple[CaseCell, ...]:
+    """The numbers of the paper's four cases, in its order."""
+    return tuple(_toml(dict[str, list[CaseCell]], "cases.toml")["cell"])
 
 
 def paper_table(name: str) -> tuple[dict[str, str], ...]:

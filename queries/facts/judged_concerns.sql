@@ -1,4 +1,4 @@
--- Title: Which concerns each judgement rests on: metrics, invariants, parts of features, mechanisms
+-- Title: Which concerns each judgement rests on: metrics, invariants, parts of features, mechanisms, cases
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per judge and concern
 -- Units: none
@@ -19,8 +19,7 @@ WITH judges (judges, context, looked_at) AS (
         []
     ),
     (
-        ['i1_local_agent_coherence'],
-        ['fleet'],
+        ['i1_local_agent_coherence'], ['fleet'],
         ['registry', 'trust', 'policy', 'request', 'authority', 'execution', 'recovery', 'supervision', 'message']
     ),
     (['i2_local_execution_ownership'], ['request'], ['execution', 'authority']),
@@ -56,7 +55,14 @@ WITH judges (judges, context, looked_at) AS (
     (['policy_composition'], ['request', 'supervision'], []),
     (['registry_discovery'], ['registry', 'supervision'], []),
     (['layered_recovery', 'fleet_reassignment'], ['recovery'], []),
-    (['human_escalation'], ['recovery', 'supervision'], [])
+    (['human_escalation'], ['recovery', 'supervision'], []),
+    (['case_1_trust_boundary'], ['registry', 'request', 'execution', 'world'], []),
+    (['case_2_recovery_containment'], ['fleet', 'registry', 'authority', 'recovery', 'supervision'], []),
+    (['case_3_contention'], ['task', 'authority', 'supervision'], []),
+    (
+        ['case_4_audit_trail'],
+        ['fleet', 'registry', 'policy', 'task', 'request', 'authority', 'execution', 'recovery', 'supervision', 'knowledge', 'message'], []
+    )
 ),
 
 named AS (

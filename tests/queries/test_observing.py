@@ -46,12 +46,13 @@ def test_every_event_type_is_of_one_concern_and_every_concern_has_event_types() 
     assert set(CONCERN_OF.values()) == set(CONCERNS)
 
 
-def test_every_metric_invariant_and_mark_says_what_it_rests_on() -> None:
+def test_every_metric_invariant_mark_and_case_says_what_it_rests_on() -> None:
     metrics = {row[0] for row in answer("metrics/metric_definitions", columns=("metric",))}
     features = {part for *_, part in _rules()}
     with from_rows(run(scenario="workflow-door-relay")) as database:
         mechanisms = {row["mechanism"] for row in database.query("tables/mechanism_coverage").to_pylist()}
-    assert NEEDED.keys() == metrics | {query.relation for query in invariants()} | features | mechanisms
+    cases = {row[0] for row in answer("cases/case_definitions", columns=("judge",))}
+    assert NEEDED.keys() == metrics | {query.relation for query in invariants()} | features | mechanisms | cases
     assert set().union(*NEEDED.values()) <= set(CONCERNS)
 
 

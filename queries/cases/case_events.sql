@@ -1,0 +1,65 @@
+-- Title: The events behind the numbers of the four cases, for `explain` and `prove`
+-- Paper: sec:evaluation:qualitative
+-- Grain: one row per claim, thing that is counted or not (request, run, handoff) and event that makes it count; one row where none does
+-- Units: counted, how much the thing adds to the numerator; case_seq the event with which the thing began, seq the event that makes it count, positions in
+--        the run
+-- NULL: seq, type where nothing is counted; action_id, that of the event, else that of the thing, where neither names one
+-- Example: fsar-ledger query cases/case_events LEDGER --param number=3 --param architecture=cfc
+-- Parameters: number = all, claim = all, architecture = all, run = all
+WITH evidence AS (
+    SELECT *
+    FROM case_1_evidence
+    UNION ALL
+    SELECT *
+    FROM case_2_evidence
+    UNION ALL
+    SELECT *
+    FROM case_3_evidence
+    UNION ALL
+    SELECT *
+    FROM case_4_evidence
+),
+
+asked AS (
+    SELECT
+        CASE
+            WHEN count(*) = 0 THEN error('found number=' || $number || ', claim=' || $claim || ', expected those of a row of cases/case_definitions, or all')
+        END AS wrong
+    FROM case_definitions
+    WHERE $number IN ('all', case_number::VARCHAR) AND $claim IN ('all', claim)
+),
+
+chosen AS (
+    SELECT
+        definitions.case_number,
+        definitions.position,
+        evidence.claim,
+        runs.architecture,
+        runs.configuration,
+        evidence.run_id,
+        evidence.seq AS case_seq,
+        evidence.counted,
+        unnest(if(len(evidence.evidence) = 0, [NULL], evidence.evidence)) AS seq
+    FROM evidence
+    INNER JOIN case_definitions AS definitions ON evidence.claim = definitions.claim
+    INNER JOIN runs ON evidence.run_id = runs.run_id
+    INNER JOIN asked ON asked.wrong IS NULL
+    WHERE
+        $number IN ('all', definitions.case_number::VARCHAR) AND $claim IN ('all', evidence.claim)
+        AND $architecture IN ('all', runs.architecture) AND $run IN ('all', evidence.run_id)
+)
+
+SELECT
+    chosen.case_number,
+    chosen.claim,
+    chosen.architecture,
+    chosen.configuration,
+    chosen.run_id,
+    chosen.case_seq,
+    chosen.counted,
+    chosen.seq,
+    events.type,
+    coalesce(events.action_id, things.action_id) AS action_id
+FROM chosen
+LEFT JOIN keyed_events AS events ON chosen.run_id = events.run_id AND chosen.seq = events.seq
+LEFT JOIN keyed_events AS things ON chosen.run_id = things.run_id AND chosen.case_seq = things.seq

@@ -1,0 +1,350 @@
+"""The paper's four cases: what each claim counts, of how many, and what does not count."""
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+import pytest
+
+from fsar_ledger.constants import Constants
+from fsar_ledger.errors import QueryFailed
+from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.ledger.codec import encode
+from fsar_ledger.metrics.database import from_rows, from_table
+from fsar_ledger.metrics.library import library
+from fsar_ledger.metrics.observing import types_read
+from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
+from tests.queries.histories import Row, answer, event, run
+
+TRUST, RECOVERY, CONTENTION, DELIVERY = "mixed-trust-inspection", "failure-recovery-chain", "fleet-contention", "collaborative-delivery"
+SCENARIOS = {1: TRUST, 2: RECOVERY, 3: CONTENTION, 4: DELIVERY}
+JUDGES = dict(answer("cases/case_definitions", columns=("case_number", "judge")))
+
+
+def counted(number: int, **histories: Sequence[Row]) -> dict[str, dict[str, int]]:
+    """What each history adds to the numerator of each claim of the case; one that is no case of a claim does not have it."""
+    runs = [run(*events, run_id=name, scenario=SCENARIOS[number]) for name, events in histories.items()]
+    found: dict[str, dict[str, int]] = {name: {} for name in histories}
+    for name, claim, count in answer(f"cases/case_{number}_evidence", *runs, columns=("run_id", "claim", "counted")):
+        assert claim not in found[name], "counted twice"
+        found[name][claim] = count
+    return found
+
+
+def of(claim: str, found: dict[str, dict[str, int]]) -> dict[str, int | None]:
+    """The claim of each history; None where it is no case of it."""
+    return {name: claims.get(claim) for name, claims in found.items()}
+
+
+# --- case 1 ---
+
+INJECTED = event("OutsiderRequestInjected", 1, task_id="x1", robot="robot/D1", peer="robot/C1", capability="inspect.private_zone")
+ISSUED = event("RequestIssued", 3, task_id="x1", action_id="x1", requested_by="robot/D1")
+DENIED = event("RequestDenied", 4, task_id="x1", reason="advertisement")
+
+
+def queried(*candidates: str) -> Row:
+    return event("RegistryQueried", 2, task_id="x1", action_id="x1", requested_by="robot/D1", capability="inspect.private_zone", candidates=list(candidates))
+
+
+def test_a_request_without_trust_discovers_whom_it_is_told_or_asks_and_is_executed_when_that_begins() -> None:
+    found = counted(
+        1,
+        hidden=[INJECTED, queried(), DENIED],
+        shown=[INJECTED, queried("robot/C1"), DENIED],
+        asked=[INJECTED, ISSUED],
+        begun=[INJECTED, ISSUED, event("ExecutionStarted", 5, task_id="x1", action_id="x1")],
+    )
+    assert of("discovered", found) == {"hidden": 0, "shown": 1, "asked": 1, "begun": 1}
+    assert of("attempted", found) == {"hidden": 0, "shown": 0, "asked": 1, "begun": 1}
+    assert of("executed", found) == {"hidden": 0, "shown": 0, "asked": 0, "begun": 1}
+
+
+def test_a_request_of_which_nothing_more_is_recorded_is_no_case() -> None:
+    assert counted(1, alone=[INJECTED], others=[INJECTED, event("ExecutionStarted", 5, task_id="t1", action_id="t1/1")]) == {"alone": {}, "others": {}}
+
+
+# --- case 2 ---
+
+JOINED = [event("RobotJoined", robot=f"robot/{role}1", role=role, team=1, supervisor=f"supervisor/{role}1") for role in "ABCD"]
+RECOVERING, PLANNING = "agent/D1/recovery", "agent/D1/planning"
+
+
+def failed(time_us: int = 1, failure: int = 1, cause: str = "obstruction", robot: str = "robot/D1") -> Row:
+    return event("ExecutionFailed", time_us, task_id="t1", action_id="t1/1", failure=failure, robot=robot, cause=cause)
+
+
+def attempted(by: str, failure: int = 1) -> Row:
+    return event("RecoveryAttempted", 2, failed_action="t1/1", failure=failure, robot="robot/D1", decided_by=by, number=1, level="local", deadline_us=9)
+
+
+def resolved(level: str = "local", failure: int = 1) -> Row:
+    return event("FailureResolved", 9, action_id="t1/1", failure=failure, level=level, robot="robot/D1")
+
+
+def escalated(by: str, failure: int = 1) -> Row:
+    return event("RecoveryEscalated", 7, failed_action="t1/1", failure=failure, robot="robot/D1", decided_by=by, level="local", to_level="human")
+
+
+def disputed(*claimants: str, began_us: int = 3, ended_us: int = 8) -> list[Row]:
+    about = {"task_id": "t1", "action_id": "t1/1", "dimension": "override", "reason": "dispute"}
+    released = [event("AuthorityReleased", ended_us, claimant=claimant, **about) for claimant in claimants]
+    return [*[event("AuthorityClaimed", began_us, claimant=claimant, **about) for claimant in claimants], *released]
+
+
+def test_a_run_is_contained_locally_if_the_robot_itself_resolves_every_failure() -> None:
+    found = counted(
+        2,
+        itself=[failed(), attempted("robot/D1"), resolved()],
+        human=[failed(), attempted("robot/D1"), resolved("human")],
+        one_of_two=[failed(), attempted("robot/D1"), resolved(), failed(10, 2), attempted("robot/D1", 2), resolved("peer", 2)],
+        never=[failed(), attempted("robot/D1")],
+        ordered=[failed(), attempted("coordinator"), resolved()],
+        no_failure=[],
+    )
+    expected = {"itself": 1, "human": 0, "one_of_two": 0, "never": 0, "ordered": 0, "no_failure": None}
+    assert of("contained locally", found) == expected
+
+
+def test_a_failure_is_escalated_at_once_if_the_coordinator_does_what_is_done_first() -> None:
+    found = counted(
+        2,
+        at_once=[failed(), attempted("coordinator"), resolved()],
+        robot_first=[failed(), attempted("robot/D1"), attempted("coordinator")],
+        supervisor=[failed(), escalated("supervisor/D1")],
+        nothing_done=[failed()],
+        one_of_two=[failed(), attempted("coordinator"), failed(5, 2), attempted("robot/D1", 2)],
+    )
+    assert of("escalated at once", found) == {"at_once": 1, "robot_first": 0, "supervisor": 0, "nothing_done": 0, "one_of_two": 0}
+
+
+def test_a_loop_is_a_dispute_of_two_agents_about_a_failure_that_is_escalated_then() -> None:
+    begun, end = [failed(), attempted(RECOVERING)], escalated(RECOVERING)
+    found = counted(
+        2,
+        loop=[*begun, *disputed(RECOVERING, PLANNING), end],
+        settled=[*begun, *disputed(RECOVERING, PLANNING), resolved()],
+        one_agent=[*begun, *disputed(RECOVERING), end],
+        not_about_recovery=[*begun, *disputed(PLANNING, "agent/D1/execution"), end],
+        one_after_the_other=[*begun, *disputed(RECOVERING, ended_us=4), *disputed(PLANNING, began_us=4, ended_us=5), end],
+        before_it_failed=[*disputed(RECOVERING, PLANNING, began_us=0), *begun, end],
+        after_the_escalation=[*begun, end, *disputed(RECOVERING, PLANNING)],
+        no_agents=[failed(), attempted("robot/D1"), *disputed("robot/D1", "robot/A1"), escalated("robot/D1")],
+    )
+    assert {name for name, count in of("recovery loop", found).items() if count} == {"loop"}
+    assert None not in of("recovery loop", found).values()
+
+
+def test_only_a_worn_actuator_of_d_is_degradation() -> None:
+    found = counted(
+        2,
+        worn=[*JOINED, failed(cause="degradation"), attempted("robot/D1"), resolved(), failed(10, 2), attempted("robot/D1", 2)],
+        of_a=[*JOINED, failed(cause="degradation", robot="robot/A1"), attempted("robot/A1"), resolved()],
+    )
+    assert of("contained locally (degradation)", found) == {"worn": 1, "of_a": None}
+    assert of("contained locally", found) == {"worn": 0, "of_a": 1}
+
+
+# --- case 3 ---
+
+
+def begun(task: str, time_us: int, capability: str = "door.open.secure") -> Row:
+    return event("StepBegan", time_us, task_id=task, action_id=f"{task}/1", robot="robot/A1", step=1, attempt=1, capability=capability, target_role="B")
+
+
+def over(task: str, *claimants: str, dimension: str = "execution") -> list[Row]:
+    return [
+        event("AuthorityClaimed", 5, task_id=task, action_id=f"{task}/1", dimension=dimension, claimant=claimant, reason="command") for claimant in claimants
+    ]
+
+
+def called(task: str, supervisor: str = "supervisor/fleet", purpose: str = "ordering") -> Row:
+    return event("SupervisorCalled", 6, task_id=task, action_id=f"{task}/1", supervisor=supervisor, purpose=purpose)
+
+
+BOTH = [begun("t1", 1), begun("t2", 2)]
+
+
+def test_two_tasks_contend_while_the_steps_of_both_are_open() -> None:
+    found = counted(
+        3,
+        both=BOTH,
+        one_after_the_other=[begun("t1", 1), event("TaskCompleted", 2, task_id="t1"), begun("t2", 3)],
+        the_first_has_turned_on=[begun("t1", 1), begun("t1", 2, "carry.heavy"), begun("t2", 3)],
+        other_capabilities=[begun("t1", 1), begun("t2", 2, "carry.heavy")],
+        one_task_twice=[begun("t1", 1), begun("t1", 2)],
+    )
+    assert {name for name, count in of("conflicts", found).items() if count is not None} == {"both"}
+    assert of("conflicts", found)["both"] == 0
+
+
+def test_conflicts_over_the_contended_capability_count_and_those_over_execution_apart() -> None:
+    found = counted(
+        3,
+        execution=[*BOTH, *over("t1", "coordinator", "robot/C1")],
+        two=[*BOTH, *over("t1", "coordinator", "robot/C1"), *over("t2", "x", "y", dimension="override")],
+        each_its_own=[*BOTH, *over("t1", "coordinator"), *over("t2", "robot/C1")],
+        another_capability=[*BOTH, begun("t3", 3, "carry.heavy"), *over("t3", "x", "y")],
+    )
+    assert of("conflicts", found) == {"execution": 1, "two": 2, "each_its_own": 0, "another_capability": 0}
+    assert of("conflicts over execution", found) == {"execution": 1, "two": 1, "each_its_own": 0, "another_capability": 0}
+
+
+def test_a_conflict_is_for_h_f_if_it_is_called_after_it_to_order_the_two() -> None:
+    conflict = [*BOTH, *over("t1", "coordinator", "robot/C1")]
+    found = counted(
+        3,
+        called=[*conflict, called("t2")],
+        not_called=conflict,
+        called_before=[*BOTH, called("t2"), *over("t1", "coordinator", "robot/C1")],
+        no_conflict=[*BOTH, called("t2")],
+        not_about_who_executes=[*BOTH, *over("t1", "x", "y", dimension="override"), called("t2")],
+        to_recover=[*conflict, called("t2", purpose="recovery")],
+        of_b=[*conflict, called("t2", "supervisor/B1")],
+        about_something_else=[*conflict, called("t9")],
+    )
+    assert {name for name, count in of("conflict for H_F", found).items() if count} == {"called"}
+    assert None not in of("conflict for H_F", found).values()
+
+
+# --- case 4 ---
+
+KNOWN = {"requested_by": "robot/A1", "executed_by": "robot/D1", "supervised_by": "supervisor/D1"}
+ENDED = event("ExecutionFinished", 8, task_id="t1", action_id="t1/1", robot="robot/D1", result="success", **KNOWN)
+STEP = event("StepBegan", 1, task_id="t1", action_id="t1/1", robot="robot/A1", step=1, attempt=1, capability="carry.heavy", target_role="D")
+ORPHAN = event("CandidateMatched", 2, task_id="t1", decided_by="coordinator", supervised_by="supervisor/fleet")
+"""It has no origin, no executor and no action; what comes before it in the history caused it."""
+
+
+def internal(sender: str, receiver: str, **fields: Any) -> Row:
+    robot = f"robot/{sender.split('/')[1]}"
+    return event("InternalHandoff", 3, executed_by=robot, sender=sender, receiver=receiver, **fields)
+
+
+def test_the_events_of_a_handoff_are_counted_and_those_that_lack_a_principal() -> None:
+    found = counted(
+        4,
+        result=[*JOINED, STEP, ENDED],
+        complete=[*JOINED, STEP, event("RequestAccepted", 2, task_id="t1", action_id="t1/1", **KNOWN), ENDED],
+        tied_by_its_cause=[*JOINED, STEP, ORPHAN, ORPHAN, ENDED],
+        tied_to_nothing=[*JOINED, STEP, {**ORPHAN, "caused_by": 0}, ENDED],
+        disturbed=[*JOINED, STEP, attempted("coordinator"), event("ReplanOrdered", 3, task_id="t1", decided_by="coordinator"), ENDED],
+    )
+    assert of("events", found) == {"result": 1, "complete": 2, "tied_by_its_cause": 3, "tied_to_nothing": 1, "disturbed": 1}
+    assert of("unattributed events", found) == {"result": 0, "complete": 0, "tied_by_its_cause": 2, "tied_to_nothing": 0, "disturbed": 0}
+
+
+def test_messages_between_agents_of_the_executor_count_beside_the_chain() -> None:
+    way_in = [internal("agent/D1/communication", PLANNING), internal(PLANNING, "agent/D1/execution")]
+    found = counted(
+        4,
+        there_and_back=[*JOINED, STEP, *way_in, internal("agent/D1/execution", PLANNING), ENDED],
+        of_the_requester=[*JOINED, STEP, internal("agent/A1/planning", "agent/A1/communication"), ENDED],
+        of_nothing=[*JOINED, STEP, internal(PLANNING, "agent/D1/execution", caused_by=0), ENDED],
+        attributed=[*JOINED, STEP, internal(PLANNING, "agent/D1/execution", requested_by="robot/A1", supervised_by="supervisor/D1"), ENDED],
+    )
+    assert of("internal events", found) == {"there_and_back": 3, "of_the_requester": 0, "of_nothing": 0, "attributed": 0}
+    assert of("internal events (inward)", found) == {"there_and_back": 2, "of_the_requester": 0, "of_nothing": 0, "attributed": 0}
+    assert of("events", found) == dict.fromkeys(found, 1)
+
+
+def test_only_what_a_asks_and_d_has_ended_is_a_handoff() -> None:
+    found = counted(
+        4,
+        of_d=[*JOINED, {**STEP, "robot": "robot/D1"}, ENDED],
+        unfinished=[*JOINED, STEP, event("ExecutionStarted", 8, task_id="t1", action_id="t1/1", robot="robot/D1", **KNOWN)],
+        to_b=[*JOINED, STEP, {**ENDED, "robot": "robot/B1"}],
+    )
+    assert found == {"of_d": {}, "unfinished": {}, "to_b": {}}
+
+
+# --- all cases ---
+
+
+def test_runs_of_other_seeds_sizes_and_configurations_are_never_in_one_row() -> None:
+    failures = (*JOINED, failed(), attempted("robot/D1"), resolved())
+    others: list[dict[str, Any]] = [{}, {"run": 1}, {"seed": 7}, {"fleet_size": 8}, {"configuration": "without-trust-evaluation"}, {"parameters": '{"a":1}'}]
+    runs = [run(*failures, run_id=f"r{number}", scenario=RECOVERY, **other) for number, other in enumerate(others)]
+    columns = ("claim", "seed", "fleet_size", "configuration", "runs", "numerator", "denominator")
+    rows = [row[1:] for row in answer("cases/case_2_recovery_containment", *runs, columns=columns) if row[0] == "contained locally"]
+    one = [(7, 4, "full"), (42, 8, "full"), (42, 4, "without-trust-evaluation"), (42, 4, "full")]
+    assert sorted(rows) == sorted([(*key, 1, 1, 1) for key in one] + [(42, 4, "full", 2, 2, 2)])
+
+
+def test_a_claim_has_no_number_where_its_scenario_was_not_run_or_is_not_observed_or_has_no_case() -> None:
+    runs = [run(scenario="door-relay", architecture="elsewhere", run_id="elsewhere")]
+    for number, scenario in SCENARIOS.items():
+        runs += [run(scenario=scenario, architecture=f"blind {number}", run_id=f"blind {number}", observes=[])]
+        runs += [run(scenario=scenario, architecture=f"empty {number}", run_id=f"empty {number}")]
+    columns = ("architecture", "case_number", "runs", "runs_with_case", "runs_not_observed", "numerator", "denominator", "value")
+    for architecture, number, *found in answer("cases/case_claims", *runs, columns=columns):
+        expected = {f"blind {number}": [0, 0, 1, None, None, None], f"empty {number}": [1, 0, 0, 0, 0, None]}
+        assert found == expected.get(architecture, [0, 0, 0, None, None, None])
+
+
+def variants() -> Iterator[pa.Table]:
+    """One run of each scenario and baseline, and once for each concern as a source would record it that does not observe it."""
+    concern_of = dict(answer("facts/event_concerns"))
+    for architecture, scenario in [(one, other) for one in ("cfc", "dhma") for other in SCENARIOS.values()]:
+        rows = encode([simulate_run(RunSpec(42, architecture, "full", scenario, 4, 3), Constants())])  # type: ignore[arg-type]
+        for missing in ("nothing", *CONCERNS):
+            types = pa.array([tag for tag, concern in concern_of.items() if concern == missing], pa.string())
+            left = rows.filter(pc.invert(pc.is_in(rows["type"], types)))
+            name, rest = f"{architecture}:{missing}", [None] * (len(left) - 1)
+            values = {"run_id": [f"{scenario}:{name}"] * len(left), "architecture": [name, *rest]}
+            values["observes"] = [[one for one in CONCERNS if one != missing], *rest]
+            for column, cells in values.items():
+                left = left.set_column(left.schema.get_field_index(column), column, pa.array(cells, left.schema.field(column).type))
+            yield left
+
+
+def test_a_claim_has_no_number_without_a_concern_that_it_rests_on_and_else_the_same_as_with_it() -> None:
+    needed = {(judge, concern) for judge, concern, _ in answer("facts/judged_concerns")}
+    with from_table(pa.concat_tables(variants())) as database:
+        rows = {(row["architecture"], row["claim"]): row for row in database.query("cases/case_claims").to_pylist()}
+    hidden = 0
+    for (name, claim), row in rows.items():
+        architecture, missing = name.split(":")
+        numbers = [row[column] for column in ("numerator", "denominator", "value", "runs", "runs_not_observed")]
+        if (JUDGES[row["case_number"]], missing) in needed:
+            assert numbers == [None, None, None, 0, 1], (name, claim)
+            hidden += 1
+        else:
+            assert numbers == [rows[f"{architecture}:nothing", claim][column] for column in ("numerator", "denominator", "value", "runs", "runs_not_observed")]
+    assert hidden > 100
+    assert [rows["dhma:nothing", claim]["denominator"] > 0 for claim in ("executed", "recovery loop", "conflicts", "internal events")] == [True] * 4
+
+
+@pytest.mark.parametrize("number", SCENARIOS)
+def test_a_case_rests_on_the_concerns_of_all_events_that_its_evidence_reads(number: int) -> None:
+    concern_of = dict(answer("facts/event_concerns"))
+    types = types_read(library(), library().relations[f"case_{number}_evidence"])
+    needed = {concern for judge, concern, _ in answer("facts/judged_concerns") if judge == JUDGES[number]}
+    causes = {"authority", "knowledge"} if number == 4 else set()  # the chain of causes, by which a record is tied to its action, leads through them
+    assert types is not None
+    assert needed == {concern_of[tag] for tag in types if tag in concern_of} | causes
+
+
+def test_the_events_behind_a_number_are_listed_with_the_action_to_explain() -> None:
+    with from_rows(run(INJECTED, queried(), ISSUED, scenario=TRUST)) as database:
+        found = database.query("cases/case_events", {"number": "1"}).to_pylist()
+        with pytest.raises(QueryFailed, match="found number=1, claim=conflicts, expected those of a row of cases/case_definitions"):
+            database.query("cases/case_events", {"number": "1", "claim": "conflicts"})
+    assert sorted((row["claim"], row["case_seq"], row["counted"], row["seq"], row["type"], row["action_id"]) for row in found) == [
+        ("attempted", 1, 1, 3, "RequestIssued.v1", "x1"),
+        ("discovered", 1, 1, 3, "RequestIssued.v1", "x1"),
+        ("executed", 1, 0, None, None, "x1"),
+    ]
+
+
+def test_the_evidence_of_each_claim_adds_up_to_its_number_and_names_events_of_the_run() -> None:
+    specs = [RunSpec(42, architecture, "full", scenario, 4, 3) for architecture in ARCHITECTURES for scenario in SCENARIOS.values()]  # type: ignore[arg-type]
+    with from_table(encode([simulate_run(spec, Constants()) for spec in specs])) as database:
+        claims = {(row["claim"], row["architecture"]): row for row in database.query("cases/case_claims").to_pylist()}
+        events = database.query("cases/case_events").to_pylist()
+    assert len(claims) == len(ARCHITECTURES) * len(answer("cases/case_definitions"))
+    assert {(row["counted"] > 0, row["type"] is not None) for row in events} == {(True, True), (False, False)}
+    for (claim, architecture), row in claims.items():
+        things = {(one["run_id"], one["case_seq"]): one["counted"] for one in events if (one["claim"], one["architecture"]) == (claim, architecture)}
+        assert (sum(things.values()), len(things)) == (row["numerator"], row["denominator"]), (claim, architecture)
