@@ -5,6 +5,7 @@ seen: other seeds, fleets between and beyond, loads, encounter rates, pairs of a
 """
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from itertools import combinations
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -16,8 +17,8 @@ from fsar_ledger.constants import Constants, Load, write_constants
 from fsar_ledger.events.configuration import CONFIGURATIONS, MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.place import require_outside
-from fsar_ledger.metrics.database import connect
-from fsar_ledger.metrics.results import MetricRow, metric_rows
+from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.metrics.results import MetricRow, metric_rows, typed
 from fsar_ledger.recording import require_writable, write_record
 from fsar_ledger.runtime.experiment import Experiment, simulate
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS
@@ -28,6 +29,13 @@ SEED_RUNS = 200  # runs a scenario where the results table is asked for
 ABLATION_RUNS = 40
 SCALING_RUNS = 20  # the paper's
 ENCOUNTERS_S = (30.0, 60.0, 90.0, 180.0, 300.0)
+
+CASES = "cases"
+CLAIMS_SQL = """
+    SELECT case_number, claim, is_taken, architecture, runs, numerator, denominator, value
+    FROM case_claims
+    ORDER BY case_number, position, claim, is_taken DESC, architecture
+"""
 
 Progress = Callable[[int, int], None]
 
@@ -61,6 +69,19 @@ class Predicted(msgspec.Struct, frozen=True, kw_only=True):
     ci_high: float | None
 
 
+class Claim(msgspec.Struct, frozen=True, kw_only=True):
+    """One claim of the paper's four cases, as `cases/case_claims` has it: what is counted, of how many, and their ratio; None where no case arose."""
+
+    case_number: int
+    claim: str
+    is_taken: bool
+    architecture: str
+    runs: int
+    numerator: int | None
+    denominator: int | None
+    value: float | None
+
+
 class Record(msgspec.Struct, frozen=True):
     """All of it, with the model and the constants that it rests on."""
 
@@ -68,6 +89,7 @@ class Record(msgspec.Struct, frozen=True):
     parameters: str
     command: str
     numbers: list[Predicted]
+    cases: list[Claim]
 
 
 def plays() -> Iterator[Play]:
@@ -88,6 +110,7 @@ def plays() -> Iterator[Play]:
         loaded = base if teams is None else msgspec.structs.replace(base, load=Load(teams_working=teams))
         return Play(of, Experiment(architectures, SCENARIOS, runs, seed, size, configurations, loaded))
 
+    yield one(CASES, SEED_RUNS)
     yield one("ablation", ABLATION_RUNS, architectures=("fsar",), configurations=CONFIGURATIONS)
     yield one("pairs", ABLATION_RUNS, architectures=("fsar",), configurations=tuple(without(pair) for pair in combinations(MECHANISMS, 2)))
     for mean in ENCOUNTERS_S:
@@ -115,21 +138,26 @@ def predict(out: Path, progress: Progress | None = None, workers: int = 2) -> No
     require_writable(out)
     every = list(plays())
     numbers: list[Predicted] = []
+    claims: list[Claim] = []
     for done, play in enumerate(every, start=1):
-        numbers += _numbers(play, workers)
+        with _ledger_of(play, workers) as database:
+            rows = [*metric_rows(database), *metric_rows(database, by_scenario=True)]
+            numbers += [_predicted(play, row) for row in rows]
+            if play.of == CASES:
+                claims += typed(database.rows(CLAIMS_SQL), Claim)
         if progress is not None:
             progress(done, len(every))
-    write_record(out, Record(MODEL_VERSION, write_constants(Constants()), "fsar-ledger predict --out FILE", numbers))
+    write_record(out, Record(MODEL_VERSION, write_constants(Constants()), "fsar-ledger predict --out FILE", numbers, claims))
 
 
-def _numbers(play: Play, workers: int) -> list[Predicted]:
-    """The metrics of one experiment, over all scenarios and of each, through a ledger that is thrown away."""
+@contextmanager
+def _ledger_of(play: Play, workers: int) -> Iterator[Database]:
+    """The experiment, played into a ledger that is thrown away."""
     with TemporaryDirectory() as folder:
         ledger = Path(folder) / "ledger"
         simulate(ledger, play.experiment, workers)
         with connect(ledger) as database:
-            rows = [*metric_rows(database), *metric_rows(database, by_scenario=True)]
-    return [_predicted(play, row) for row in rows]
+            yield database
 
 
 def _predicted(play: Play, row: MetricRow) -> Predicted:

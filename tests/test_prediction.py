@@ -20,7 +20,7 @@ def registered(of: str) -> list[Play]:
 def test_all_that_is_registered_is_played_and_nothing_twice() -> None:
     every = [msgspec.json.encode(play) for play in plays()]
     assert len(every) == len(set(every))
-    assert {play.of for play in plays()} == {"ablation", "pairs", "encounters", "scaling", "loads", "seeds"}
+    assert {play.of for play in plays()} == {"cases", "ablation", "pairs", "encounters", "scaling", "loads", "seeds"}
 
 
 def test_ablations_are_those_of_the_paper_and_pairs_lack_two_mechanisms() -> None:
@@ -41,14 +41,18 @@ def test_encounters_change_nothing_else() -> None:
 
 
 def test_numbers_name_what_was_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    small = [msgspec.structs.replace(play, experiment=msgspec.structs.replace(play.experiment, runs=1)) for play in (registered("loads")[0],)]
+    small = [
+        msgspec.structs.replace(play, experiment=msgspec.structs.replace(play.experiment, runs=1)) for play in (registered("loads")[0], registered("cases")[0])
+    ]
     monkeypatch.setattr(prediction, "plays", lambda: iter(small))
     told: list[tuple[int, int]] = []
     predict(tmp_path / "new" / "predictions.json", lambda *done: told.append(done), workers=1)
     record = json.loads((tmp_path / "new" / "predictions.json").read_text())
-    assert (record["model_version"], told) == (MODEL_VERSION, [(1, 1)])
-    assert {(row["of"], row["fleet_size"], row["teams_working"], row["seed"]) for row in record["numbers"]} == {("loads", 16, 2, 42)}
-    assert len(record["numbers"]) == 24 * 6, "over all scenarios, and of each"
+    assert (record["model_version"], told) == (MODEL_VERSION, [(1, 2), (2, 2)])
+    played = {(row["of"], row["fleet_size"], row["teams_working"], row["seed"]) for row in record["numbers"]}
+    assert played == {("loads", 16, 2, 42), ("cases", 4, None, 42)}
+    assert len(record["numbers"]) == 2 * 24 * 6, "over all scenarios, and of each"
+    assert {claim["case_number"] for claim in record["cases"]} == {1, 2, 3, 4}
 
 
 def test_a_path_that_cannot_be_written_is_refused_before_the_work(tmp_path: Path) -> None:
