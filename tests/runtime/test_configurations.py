@@ -42,9 +42,15 @@ def test_several_mechanisms_in_one_option_are_one_configuration_and_two_options_
     assert asked.architectures == ("fsar",)
 
 
-@pytest.mark.parametrize(("asked", "said"), [("trust-evaluation+luck", "'luck'"), ("trust-evaluation+", "''"), ("trust", "did you mean 'trust-evaluation'")])
+@pytest.mark.parametrize(("asked", "said"), [("trust-evaluation+luck", "'luck'"), ("trust", "did you mean 'trust-evaluation'")])
 def test_a_mechanism_that_does_not_exist_is_named(asked: str, said: str) -> None:
     with pytest.raises(InvalidExperiment, match=f"unknown mechanism .*{said}"):
+        experiment_of(None, None, 1, 42, 4, [asked])
+
+
+@pytest.mark.parametrize("asked", ["", "+", "trust-evaluation+", "+trust-evaluation", "trust-evaluation,shared-registry", "trust-evaluation+trust-evaluation"])
+def test_mechanisms_that_are_joined_otherwise_are_refused_with_how_to_join_them(asked: str) -> None:
+    with pytest.raises(InvalidExperiment, match=r"--without .*expected mechanisms, each once, with \+ between them, as in "):
         experiment_of(None, None, 1, 42, 4, [asked])
 
 
