@@ -10,11 +10,7 @@ WITH told AS (
     SELECT
         events.* REPLACE (keyed_events.action_id AS action_id),
         events.action_id IS NULL AND events.request_id IS NULL AS is_untied,
-        CASE
-            WHEN starts_with(runs.configuration, 'without-') AND list_contains(string_split(runs.configuration[9:], '+'), 'shared-registry')
-                THEN events.requested_by
-            ELSE 'service/registry'
-        END AS registry,
+        if(regexp_matches(runs.configuration, '^without-(.*[+])?shared-registry([+]|$)'), events.requested_by, 'service/registry') AS registry,
         CASE
             WHEN events.purpose = 'review' AND events.robot IS NOT NULL THEN 'coordinator'
             WHEN events.purpose = 'recovery' THEN last_value(events.decided_by IGNORE NULLS) OVER earlier
