@@ -1,5 +1,6 @@
 """The entry of the command `fsar-ledger` and of `python -m fsar_ledger`."""
 
+import atexit
 import gc
 import os
 import sys
@@ -33,6 +34,7 @@ def main() -> None:
         say("interrupted; nothing was changed")
         sys.exit(130)
     code = run(sys.argv[1:])
+    atexit._run_exitfuncs()  # libraries clean up after themselves: matplotlib takes its folder away
     os._exit(code)  # all is written and closed; to take the libraries down again would take a tenth of a short command's time
 
 

@@ -370,7 +370,11 @@ def run(arguments: Sequence[str]) -> int:
     except OSError as problem:
         if problem.filename is None and problem.errno not in NO_ROOM:
             raise
-        _say(f"{problem.filename or 'the answer'}: {problem.strerror}")
+        _say(
+            f"{problem.filename}: {problem.strerror}"
+            if problem.filename
+            else f"the output is incomplete ({problem.strerror}); write it where there is free space"
+        )
         return 1
     except KeyboardInterrupt:
         code = INTERRUPTED

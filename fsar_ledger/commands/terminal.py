@@ -4,6 +4,7 @@ Only text whose values are escaped (`Shown`) can be shown, and it goes through a
 the next one behind a mark, so that no line of the screen begins with what somebody else wrote.
 """
 
+import io
 import os
 import sys
 from contextlib import suppress
@@ -49,7 +50,9 @@ def say_failure(trace: str) -> None:
         _write(sys.stderr, printable.net(trace))
 
 
-def _write(stream: TextIO, text: str) -> None:
+def _write(stream: TextIO | None, text: str) -> None:
+    if stream is None:
+        raise WriteFailed("the output has nowhere to go: it was closed; write it to a file or a pipe")
     try:
         width = (os.get_terminal_size(stream.fileno()).columns or USUAL) if stream.isatty() else 0
     except (OSError, ValueError):
@@ -58,16 +61,25 @@ def _write(stream: TextIO, text: str) -> None:
         text = "\n".join(folded(line, width) for line in text.split("\n"))
     encoding = stream.encoding or "utf-8"
     try:
-        stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
-        stream.flush()
+        _write_whole(stream, text.encode(encoding, "backslashreplace"), encoding)
     except BrokenPipeError:
         _divert(stream)
         raise Enough from None
     except OSError as error:
         _divert(stream)
-        raise WriteFailed(
-            f"the answer could not be written ({error.strerror}); what stands there is not all of it, send it to a place that has room"
-        ) from error
+        raise WriteFailed(f"the output is incomplete ({error.strerror}); write it where there is free space") from error
+
+
+def _write_whole(stream: TextIO, data: bytes, encoding: str) -> None:
+    """All of it: an unbuffered stream (PYTHONUNBUFFERED) takes what there is room for and says how much, and Python's text layer does not look."""
+    raw = getattr(stream, "buffer", None)
+    if not isinstance(raw, io.RawIOBase):
+        stream.write(data.decode(encoding))
+        stream.flush()
+        return
+    rest = memoryview(data)
+    while rest:
+        rest = rest[raw.write(rest) or 0 :]
 
 
 def _divert(stream: TextIO) -> None:
