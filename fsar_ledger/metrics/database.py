@@ -146,8 +146,8 @@ class Database:
 
     def prepare(self, sql: str) -> None:
         """Every relation that this SQL mentions exists, with all that it reads."""
-        for query in self.library.needs(self.library.mentioned(sql)):
-            if query.relation in self._made or query.parameters:
+        for query in self.library.needs(self.library.mentioned(sql), self._made):
+            if query.parameters:
                 continue
             kind = "TABLE" if query.is_stored else "VIEW"
             sql = staging_sql(query.tag, self.source) if query.tag and self.source else query.sql
