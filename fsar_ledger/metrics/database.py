@@ -92,6 +92,7 @@ class Database:
         """What has all columns and rows of `events` and stands in SQL for less: through a view of so many columns each plan takes twice as long."""
         self._segments = tuple(segments)
         self._made: set[str] = set()
+        self._held: set[str] = set()  # of these, what was not made of a packaged query
         self._connection = duckdb.connect(":memory:", config={"threads": threads} if threads else {})
         # The wide relation is read again and again: opening its files once is enough. UTC and no progress bar: the answer is the same anywhere.
         for setting in (f"parquet_metadata_cache = {str(caches_files).lower()}", "TimeZone = 'UTC'", "enable_progress_bar = false"):
@@ -116,6 +117,7 @@ class Database:
         """An Arrow table or dataset is the relation of this name, whatever packaged query has it."""
         self._connection.register(name, table)
         self._made.add(name)
+        self._held.add(name)
 
     def refill(self, events: pa.Table) -> None:
         """`events` are these few rows from now on, in a table of DuckDB's own, NULL in columns that they lack; what was stored of others is gone."""
@@ -131,6 +133,7 @@ class Database:
         """The relation that `hold` made is gone, and what it held."""
         self._connection.unregister(name)
         self._made.discard(name)
+        self._held.discard(name)
 
     def direct(self, sql: str) -> list[tuple[Any, ...]]:
         """The rows of one SELECT over files and what this connection holds; names in it are never those of packaged queries. Raises: as `table`."""
@@ -143,11 +146,12 @@ class Database:
         """The SELECT is the relation of this name, whatever packaged query has it. Raises: as `table`."""
         self._execute(f"CREATE VIEW {name} AS\n{sql}", None)
         self._made.add(name)
+        self._held.add(name)
 
     def prepare(self, sql: str) -> None:
         """Every relation that this SQL mentions exists, with all that it reads."""
-        for query in self.library.needs(self.library.mentioned(sql), self._made):
-            if query.parameters:
+        for query in self.library.needs(self.library.mentioned(sql), self._held):
+            if query.relation in self._made or query.parameters:
                 continue
             kind = "TABLE" if query.is_stored else "VIEW"
             sql = staging_sql(query.tag, self.source) if query.tag and self.source else query.sql
