@@ -50,6 +50,8 @@ def run_metrics(values: Mapping[tuple[str, str], Sequence[float | None]], publis
             "position": 1,
             "metric": metric,
             "value": value,
+            "numerator": None,
+            "denominator": None,
             "published_convention_value": published if value is None else value,
         }
         for fleet_size in fleet_sizes
