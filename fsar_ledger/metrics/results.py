@@ -75,6 +75,8 @@ class StatisticRow(msgspec.Struct, frozen=True, kw_only=True):
     p_holm: float | None
     family_tests: int | None
     cohens_d: float | None
+    d_ci_low: float | None
+    d_ci_high: float | None
     d_z: float | None
     hedges_g: float | None
     g_ci_low: float | None

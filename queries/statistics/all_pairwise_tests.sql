@@ -28,6 +28,8 @@ SELECT
     holm.p_holm,
     holm.family_tests,
     t_tests.cohens_d,
+    t_tests.d_ci_low,
+    t_tests.d_ci_high,
     t_tests.d_z,
     t_tests.hedges_g,
     t_tests.g_ci_low,
