@@ -53,14 +53,14 @@ def differences(metric: str, first: tuple[Numbers, Numbers], second: tuple[Numbe
         return database.rows("SELECT * FROM side_differences WHERE scenario IS NULL AND NOT pools_seeds ORDER BY first_side")
 
 
-def of_runs(metric: str, first: Sequence[float], second: Sequence[float]) -> dict[str, Any]:
+def of_runs(metric: str, first: Sequence[float] | Numbers, second: Sequence[float] | Numbers) -> dict[str, Any]:
     """The answer over one value a run."""
     one = [np.array([numbers], dtype=float) for numbers in (first, second)]
     return differences(metric, (one[0], np.ones_like(one[0])), (one[1], np.ones_like(one[1])))[0]
 
 
 def test_a_difference_is_the_paired_t_test_of_what_runs_count() -> None:
-    first, second = np.array([3, 1, 4, 1, 5, 9, 2, 6]), np.array([2, 7, 1, 8, 2, 8, 4, 5])
+    first, second = np.array([3.0, 1, 4, 1, 5, 9, 2, 6]), np.array([2.0, 7, 1, 8, 2, 8, 4, 5])
     found, expected = of_runs(COUNT, first, second), stats.ttest_rel(first, second)
     low, high = expected.confidence_interval()
     assert (found["n"], found["differing_pairs"], found["test"]) == (8, 8, "paired t")
