@@ -4,10 +4,8 @@ A plan that is on record says what is missing. Where there is none (live runs, l
 then the shape of what is there is told, and never that it is complete.
 """
 
-from collections.abc import Iterator, Mapping
-from itertools import count, product
+from collections.abc import Mapping
 from pathlib import Path
-from string import ascii_uppercase
 from typing import Any
 
 import msgspec
@@ -15,7 +13,7 @@ from msgspec import structs
 
 from fsar_ledger import printable
 from fsar_ledger.ledger.read import Head, open_ledger
-from fsar_ledger.metrics.models import Model, models
+from fsar_ledger.metrics.models import Model, lettered, models
 from fsar_ledger.metrics.observing import Unobserved, never_observed, shown
 from fsar_ledger.metrics.plans import completeness
 
@@ -199,11 +197,11 @@ def contents(ledger: Path, *, verified: bool = False) -> tuple[Head, Contents]:
     """
     with answering(ledger, verified=verified) as database:
         assert database.head is not None  # only a database over rows in memory has none
-        found = sorted(models(database), key=lambda one: (-one.runs, one.model_version or "", one.text or ""))
-        letters = dict(zip((_key(structs.asdict(one)) for one in found if one.text is not None), _letters(), strict=False))
+        found = lettered(models(database))
+        letters = {_key(structs.asdict(one)): letter for one, letter in found}
         groups = [{"constants": letters.get(_key(row)), **row} for row in database.rows(GROUPS)]
         planned = plans(database, Shown(ledger, open_ledger(ledger)))
-        named = [_of_model(one, letters.get(_key(structs.asdict(one)))) for one in found]
+        named = [_of_model(one, letter) for one, letter in found]
         missing = completeness(database).missing
         return database.head, Contents(groups, named, planned, missing, database.rows_verified, never_observed(database))
 
@@ -214,11 +212,6 @@ def _are(number: int) -> str:
 
 def _key(row: Mapping[str, Any]) -> tuple[str | None, ...]:
     return row["kind"], row["source"], row["model_version"], row["parameter_set"]
-
-
-def _letters() -> Iterator[str]:
-    """A to Z, AA, AB and so on."""
-    return ("".join(letters) for length in count(1) for letters in product(ascii_uppercase, repeat=length))
 
 
 def _of_model(one: Model, letter: str | None) -> dict[str, Any]:

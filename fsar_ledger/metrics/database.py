@@ -92,7 +92,7 @@ class Database:
         """What has all columns and rows of `events` and stands in SQL for less: through a view of so many columns each plan takes twice as long."""
         self._segments = tuple(segments)
         self._made: set[str] = set()
-        self._given: dict[str, str] = {}
+        self._given: dict[str, str] = {}  # of these, what was not made of a packaged query, and whether it was held or defined
         self._connection = duckdb.connect(":memory:", config={"threads": threads} if threads else {})
         # The wide relation is read again and again: opening its files once is enough. UTC and no progress bar: the answer is the same anywhere.
         for setting in (f"parquet_metadata_cache = {str(caches_files).lower()}", "TimeZone = 'UTC'", "enable_progress_bar = false"):
@@ -154,7 +154,7 @@ class Database:
 
     def prepare(self, sql: str) -> None:
         """Every relation that this SQL mentions exists, with all that it reads."""
-        for query in self.library.needs(self.library.mentioned(sql)):
+        for query in self.library.needs(self.library.mentioned(sql), self._given):
             if query.relation in self._made or query.parameters:
                 continue
             kind = "TABLE" if query.is_stored else "VIEW"

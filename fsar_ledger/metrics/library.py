@@ -8,7 +8,7 @@ keeps its rows once computed for as long as a connection lives.
 import difflib
 import hashlib
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from functools import cache
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -188,10 +188,10 @@ class Library:
             raise UnknownQuery(f"query {name}: there is no query of that name; {hint}")
         return query
 
-    def needs(self, names: Iterable[str]) -> tuple[Query, ...]:
+    def needs(self, names: Iterable[str], held: Collection[str] = ()) -> tuple[Query, ...]:
         """The queries that these relations are made of, themselves included, each after what it reads.
 
-        Names that are no relation are left out. Raises: ValueError if a query reads itself.
+        Names that are no relation are left out, and those that are held already, with what only they read. Raises: ValueError if a query reads itself.
         """
         order: dict[str, Query] = {}
 
@@ -199,7 +199,7 @@ class Library:
             if name in above:
                 raise ValueError(f"query {name} reads itself: {' -> '.join((*above, name))}")
             query = self.relations.get(name)
-            if query is None or name in order:
+            if query is None or name in order or name in held:
                 return
             for source in sorted(query.sources()):
                 visit(source, (*above, name))

@@ -1,6 +1,9 @@
 """The models of a ledger: with which constants its runs were played, as they record it."""
 
+from collections.abc import Iterable, Iterator
 from hashlib import sha256
+from itertools import count, product
+from string import ascii_uppercase
 from typing import Any
 
 import msgspec
@@ -65,6 +68,17 @@ def models(database: Database) -> tuple[Model, ...]:
         )
         for row in database.rows(MODELS)
     )
+
+
+def lettered(found: Iterable[Model]) -> list[tuple[Model, str | None]]:
+    """The models, those with most runs first, each with the letter by which commands call its constants; None where none are on record."""
+    letters = _letters()
+    return [(one, None if one.text is None else next(letters)) for one in sorted(found, key=lambda one: (-one.runs, one.model_version or "", one.text or ""))]
+
+
+def _letters() -> Iterator[str]:
+    """A to Z, AA, AB and so on."""
+    return ("".join(letters) for length in count(1) for letters in product(ascii_uppercase, repeat=length))
 
 
 def _read(kind: str, run: str, parameters: str | None) -> dict[str, Any] | None:

@@ -51,7 +51,8 @@ class StatisticRow(msgspec.Struct, frozen=True, kw_only=True):
 
     `comparison` is `first-second`; differences are first minus second, in the metric's unit. `configuration` is that of both architectures, or the
     ablated one; `seed` None: all seeds together; `constants` as in `MetricRow`. Holm adjusts the `family_tests` tests of one `family` together.
-    None: undefined (no variance, fewer than two pairs), or McNemar's test of a metric that is not 0/1.
+    The pooled columns are of the number that the results table prints, a ratio over all pairs (`statistics/pooled_tests`).
+    None: undefined (no variance, fewer than two pairs), McNemar's test of a metric that is not 0/1, or pooled columns of one that is not pooled.
     """
 
     family: str
@@ -74,6 +75,8 @@ class StatisticRow(msgspec.Struct, frozen=True, kw_only=True):
     p_holm: float | None
     family_tests: int | None
     cohens_d: float | None
+    d_ci_low: float | None
+    d_ci_high: float | None
     d_z: float | None
     hedges_g: float | None
     g_ci_low: float | None
@@ -85,6 +88,14 @@ class StatisticRow(msgspec.Struct, frozen=True, kw_only=True):
     mcnemar_first_only: int | None
     mcnemar_second_only: int | None
     mcnemar_p: float | None
+    pooled_first_mean: float | None
+    pooled_second_mean: float | None
+    pooled_difference: float | None
+    pooled_ci_low: float | None
+    pooled_ci_high: float | None
+    pooled_test: str | None
+    pooled_p: float | None
+    pooled_p_holm: float | None
 
 
 def metric_rows(database: Database, by_scenario: bool = False, *, pools_seeds: bool = False) -> list[MetricRow]:

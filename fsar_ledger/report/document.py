@@ -57,6 +57,7 @@ def _ledger_tables(findings: Findings) -> dict[str, Table]:
         "published-convention": [row for row in findings.cells if row["metric"] in POOLED],
         "verdict-rule": findings.rule,
         "statistical-significance": findings.tests,
+        "pooled-tests": [row for row in findings.tests if row["metric"] in POOLED],
         "scenario-means": findings.scenarios,
         "cases": findings.cases,
         "other-runs": findings.others,
@@ -219,7 +220,7 @@ def data(findings: Findings, record: Record | None) -> dict[str, Any]:
         "differing": [printing.words(one, MAX_DIFFERING) for one in findings.differing],
         "answer": _sayable(answer(findings)),
         "tables": tables,
-        "figures": {name: _figure(findings, name) for name in ("evaluation-results", "distances")}
+        "figures": {name: _figure(findings, name) for name in ("evaluation-results", "distances", "effects")}
         | {name: _figure(findings, name, findings.workflows) for name in _workflow_figures(findings)},
         "workflows": _workflows(findings),
         "mechanisms": specs.passages("mechanisms"),
@@ -242,6 +243,7 @@ def _sayable(numbers: Row) -> Row:
 def drawings(findings: Findings) -> dict[str, bytes]:
     """The figures as SVG, by file name."""
     drawn = {"evaluation-results": figures.evaluation_results(findings.cells), "distances": figures.distances(findings.cells)}
+    drawn["effects"] = figures.effects(findings.tests)
     return {f"{name}.svg": svg for name, svg in (drawn | _workflow_figures(findings)).items()}
 
 

@@ -28,6 +28,9 @@ STYLE: dict[str, Any] = {
     "axes.spines.right": False,
 }
 DIAMOND: dict[str, Any] = {"marker": "D", "markersize": 5, "markerfacecolor": "white", "markeredgecolor": "black", "markeredgewidth": 0.9, "linestyle": "none"}
+COMPARED = {"fsar-cfc": ("o", "#0072B2"), "fsar-dhma": ("s", "#009E73"), "cfc-dhma": ("^", "#D55E00")}
+"""Marker and colour of each comparison: in grey the marker tells."""
+
 HEADROOM = 1.1  # height of a panel, as a multiple of its highest value
 
 
@@ -161,3 +164,45 @@ def _in_margins(row: Row) -> tuple[float, float]:
     """The interval of a difference in margins of its metric."""
     low, high = row["difference"]
     return low / MARGINS[row["metric"]], high / MARGINS[row["metric"]]
+
+
+def effects(rows: Sequence[Row], kind: str = "svg") -> bytes:
+    """The figure "Effect sizes": Cohen's d of each pairwise test with its 95 % interval, and the paper's with the sign of its t. Paper: tab:significance.
+
+    Each row holds metric, comparison, cohens_d, d_ci_low, d_ci_high (None: no effect), paper_d and paper_t.
+    """
+    from matplotlib.lines import Line2D
+
+    with _canvas(specs.figure("effects"), 1, 1) as (figure, axes):
+        panel = axes[0, 0]
+        names = [spec.name for spec in specs.metrics()]
+        for at in range(1, len(names), 2):
+            panel.axhspan(at - 0.5, at + 0.5, color="#f2f2f2", linewidth=0, zorder=0)
+        panel.axvline(0, color="#999999", linewidth=0.7, zorder=1)
+        for offset, (comparison, (marker, colour)) in zip((-0.27, 0.0, 0.27), COMPARED.items(), strict=True):
+            for row in (row for row in rows if row["comparison"] == comparison):
+                height = names.index(row["metric"]) + offset
+                panel.plot(row["paper_d"] * (1 if row["paper_t"] > 0 else -1), height, zorder=4, **(DIAMOND | {"markerfacecolor": "none"}))
+                if row["cohens_d"] is None:
+                    continue
+                if row["d_ci_low"] is not None:
+                    panel.hlines(height, row["d_ci_low"], row["d_ci_high"], color=colour, linewidth=1.6, zorder=2)
+                panel.plot(row["cohens_d"], height, marker=marker, markersize=4.5, color=colour, linestyle="none", zorder=3)
+        numbers = [row[key] for row in rows for key in ("cohens_d", "d_ci_low", "d_ci_high", "paper_d") if row[key] is not None]
+        reach = 1.25 * max([2.0, *map(abs, numbers)])
+        panel.set_xscale("symlog", linthresh=1.0, linscale=1.0)
+        panel.set_xlim(-reach, reach)
+        ticks = [tick for tick in (-20, -10, -5, -2, -1, -0.5, 0, 0.5, 1, 2, 5, 10, 20) if abs(tick) <= reach]
+        panel.set_xticks(ticks, [f"{tick:g}".replace("-", "\u2212") for tick in ticks])
+        panel.minorticks_off()
+        panel.set_yticks(range(len(names)), [spec.title for spec in specs.metrics()])
+        panel.set_ylim(len(names) - 0.5, -0.5)
+        panel.tick_params(axis="y", length=0)
+        panel.set_xlabel("effect in standard deviations, first minus second (linear up to 1, logarithmic beyond)")
+        handles: list[Any] = [
+            Line2D([], [], marker=marker, color=colour, markersize=4.5, linewidth=1.6, label=" − ".join(name.upper().split("-")))
+            for name, (marker, colour) in COMPARED.items()
+        ]
+        handles.append(Line2D([], [], label="printed in the paper", **DIAMOND))
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, handletextpad=0.5, columnspacing=1.6)
+        return rendered(figure, kind)

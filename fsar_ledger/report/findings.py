@@ -46,7 +46,8 @@ class Findings(msgspec.Struct, frozen=True):
     cells: 24 rows metric x architecture: paper (stored units), paper_printed, mean, sd, n, ci_low, ci_high, denominator,
         published_convention_mean, interval, difference (its 90 % interval), distance (in margins), gives, power, share and could (`verdicts.Comparison`);
         None where the ledger has no runs.
-    tests: 24 rows metric x comparison: t, p, cohens_d, p_holm, wilcoxon_p, n and paper_t, paper_p, paper_d, paper_level; None likewise.
+    tests: 24 rows metric x comparison: t, p, cohens_d, p_holm, wilcoxon_p, n and paper_t, paper_p, paper_d, paper_level; None likewise;
+        effect and effect_interval (d unsigned, its interval turned likewise), pooled_* and pooled_interval where the metric is pooled.
     scenarios: 24 rows metric x architecture with one mean per scenario and one over all of them.
     rule: one row per metric: margin (stored units), and for each architecture the chance to find a number equivalent that is exactly the printed one.
     table_share: how many of the experiments that are drawn from the runs print a table as far out as the paper's, None where none are drawn.

@@ -26,6 +26,7 @@ QUERIES = (
     "metrics/metric_summary",
     "metrics/background",
     "statistics/pairwise_tests",
+    "statistics/pooled_tests",
     "statistics/differing_worlds",
     "statistics/drawn_experiments",
     "staging/runs",
@@ -149,9 +150,9 @@ def _cells(rows: Iterable[MetricRow], apart: Collection[str], drawn: Odds | None
     return tuple(cells)
 
 
-def _interval(row: Row) -> tuple[float, float] | None:
+def _interval(row: Row, low: str = "ci_low", high: str = "ci_high") -> tuple[float, float] | None:
     """The 95 % interval of a row, or None where it has none."""
-    return None if row["ci_low"] is None or row["ci_high"] is None else (row["ci_low"], row["ci_high"])
+    return None if row[low] is None or row[high] is None else (row[low], row[high])
 
 
 def _judged(one: verdicts.Comparison | None) -> Row:
@@ -172,17 +173,17 @@ def _tests(rows: Iterable[StatisticRow], apart: Collection[str]) -> tuple[Row, .
             row = found.get((spec.name, comparison))
             test = msgspec.structs.asdict(row) if row is not None else _blank(StatisticRow)
             beside = {"paper_t": float(paper["t"]), "paper_p": paper["p"], "paper_d": float(paper["cohens_d"]), "paper_level": paper["significance"]}
-            named = {"metric": spec.name, "comparison": comparison}
+            named = {"metric": spec.name, "comparison": comparison, "pooled_interval": _interval(test, "pooled_ci_low", "pooled_ci_high")}
             tests.append(with_agreement(test | named | _effect(test) | beside, is_judged=comparison not in apart))
     return tuple(tests)
 
 
 def _effect(test: Row) -> Row:
-    """Cohen's d without its sign, as the paper prints it, and the 95 % interval of Hedges g turned the same way round."""
-    if test["cohens_d"] is None or test["g_ci_low"] is None:
+    """Cohen's d without its sign, as the paper prints it, and its 95 % interval turned the same way round."""
+    if test["cohens_d"] is None or test["d_ci_low"] is None:
         return {"effect": None, "effect_interval": None}
     sign = -1 if test["cohens_d"] < 0 else 1
-    return {"effect": sign * test["cohens_d"], "effect_interval": tuple(sorted((sign * test["g_ci_low"], sign * test["g_ci_high"])))}
+    return {"effect": sign * test["cohens_d"], "effect_interval": tuple(sorted((sign * test["d_ci_low"], sign * test["d_ci_high"])))}
 
 
 def _scenarios(overall: Iterable[MetricRow], by_scenario: Iterable[MetricRow]) -> tuple[Row, ...]:

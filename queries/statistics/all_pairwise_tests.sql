@@ -2,7 +2,7 @@
 -- Paper: tab:significance
 -- Grain: one row per basis, comparison, configuration, setting (kind, source, model version, constants, fleet size), seed or all seeds, and metric
 -- Units: as in the queries that it joins
--- NULL: as in the queries that it joins; McNemar columns for metrics that are not 0 or 1 per run
+-- NULL: as in the queries that it joins; McNemar columns for metrics that are not 0 or 1 per run, pooled columns (pooled_tests) for metrics that are not pooled
 -- Example: fsar-ledger query statistics/all_pairwise_tests LEDGER
 SELECT
     t_tests.basis,
@@ -28,6 +28,8 @@ SELECT
     holm.p_holm,
     holm.family_tests,
     t_tests.cohens_d,
+    t_tests.d_ci_low,
+    t_tests.d_ci_high,
     t_tests.d_z,
     t_tests.hedges_g,
     t_tests.g_ci_low,
@@ -38,8 +40,17 @@ SELECT
     ranks.wilcoxon_p,
     mcnemar.mcnemar_first_only,
     mcnemar.mcnemar_second_only,
-    mcnemar.mcnemar_p
+    mcnemar.mcnemar_p,
+    pooled.first_mean AS pooled_first_mean,
+    pooled.second_mean AS pooled_second_mean,
+    pooled.mean_difference AS pooled_difference,
+    pooled.ci_low AS pooled_ci_low,
+    pooled.ci_high AS pooled_ci_high,
+    pooled.pooled_test,
+    pooled.p AS pooled_p,
+    pooled.p_holm AS pooled_p_holm
 FROM paired_t_tests AS t_tests
 LEFT JOIN holm_adjustments AS holm ON t_tests.test = holm.test
 LEFT JOIN wilcoxon_tests AS ranks ON t_tests.test = ranks.test
 LEFT JOIN mcnemar_tests AS mcnemar ON t_tests.test = mcnemar.test
+LEFT JOIN pooled_tests AS pooled ON t_tests.test = concat_ws('/', t_tests.basis, pooled.test)

@@ -2,10 +2,10 @@
 -- Paper: tab:significance
 -- Grain: one row per test (basis, comparison, configuration, setting, seed or all seeds, metric) with at least one pair
 -- Units: means and mean_difference in the metric's unit; cohens_d in pooled standard deviations (as published, with sign), d_z in standard
---        deviations of the differences; hedges_g = J * cohens_d with J = 1 - 3 / (4 df - 1) and a 95 % interval from its variance for correlated
---        pairs, J^2 * (1 / n + d^2 / 2n) * 2 (1 - r)
+--        deviations of the differences; hedges_g = J * cohens_d with J = 1 - 3 / (4 df - 1). 95 % intervals of both from the variance of d for correlated
+--        pairs by the delta method: var(differences) / (n s^2) + d^2 (s1^4 + s2^4 + 2 cov^2) / (8 df s^4), s the pooled standard deviation
 -- NULL: t, p, d_z when all differences are equal (or one pair); cohens_d, hedges_g when neither side varies; hedges_g also for two pairs,
---       where J is 0; its interval also when one side does not vary, or both do alike (r = 1)
+--       where J is 0; the intervals also for two pairs, and when one side does not vary, or both do alike (r = 1)
 -- Example: fsar-ledger query statistics/paired_t_tests LEDGER
 WITH moments AS (
     SELECT
@@ -42,7 +42,8 @@ effects AS (
         n - 1 AS df,
         CASE WHEN differences_vary THEN mean_difference / difference_sd END AS d_z,
         sqrt((first_sd * first_sd + second_sd * second_sd) / 2) AS pooled_sd,
-        (first_sd * first_sd + second_sd * second_sd - difference_sd * difference_sd) / nullif(2 * first_sd * second_sd, 0) AS r
+        (first_sd * first_sd + second_sd * second_sd - difference_sd * difference_sd) / 2 AS covariance,
+        covariance / nullif(first_sd * second_sd, 0) AS r
     FROM moments
 ),
 
@@ -57,17 +58,21 @@ sizes AS (
 widths AS (
     SELECT
         *,
-        CASE
-            WHEN r < 1 - 1e-9 THEN norm_quantile(0.975) * correction * sqrt((1.0::DOUBLE / n + cohens_d * cohens_d / (2 * n)) * 2 * (1 - r))
-        END AS g_half_width
+        pow(difference_sd / pooled_sd, 2) / n AS variance_of_difference,
+        pow(cohens_d, 2) * (pow(first_sd, 4) + pow(second_sd, 4) + 2 * pow(covariance, 2)) / (8 * df * pow(pooled_sd, 4)) AS variance_of_spread,
+        CASE WHEN r < 1 - 1e-9 AND correction IS NOT NULL THEN norm_quantile(0.975) * sqrt(variance_of_difference + variance_of_spread) END AS half_width
     FROM sizes
 )
 
 SELECT
-    widths.* EXCLUDE (differences_vary, first_sd, second_sd, difference_sd, pooled_sd, r, correction, g_half_width),
+    widths.* EXCLUDE (
+        differences_vary, first_sd, second_sd, difference_sd, pooled_sd, covariance, r, correction, variance_of_difference, variance_of_spread, half_width
+    ),
     d_z * sqrt(n) AS t,
     t_sf2(d_z * sqrt(n), df::DOUBLE) AS p,
+    cohens_d - half_width AS d_ci_low,
+    cohens_d + half_width AS d_ci_high,
     correction * cohens_d AS hedges_g,
-    correction * cohens_d - g_half_width AS g_ci_low,
-    correction * cohens_d + g_half_width AS g_ci_high
+    correction * (cohens_d - half_width) AS g_ci_low,
+    correction * (cohens_d + half_width) AS g_ci_high
 FROM widths

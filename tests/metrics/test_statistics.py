@@ -50,6 +50,8 @@ def run_metrics(values: Mapping[tuple[str, str], Sequence[float | None]], publis
             "position": 1,
             "metric": metric,
             "value": value,
+            "numerator": None,
+            "denominator": None,
             "published_convention_value": published if value is None else value,
         }
         for fleet_size in fleet_sizes
@@ -153,13 +155,47 @@ def test_hedges_g_and_its_interval_follow_their_formulas(samples: list[Sample]) 
         d = (first - second).mean() / math.sqrt((first.var(ddof=1) + second.var(ddof=1)) / 2)
         j = 1 - 3 / (4 * (n - 1) - 1)
         r = float(np.corrcoef(first, second)[0, 1])
-        half_width = stats.norm.ppf(0.975) * j * math.sqrt((1 / n + d * d / (2 * n)) * 2 * max(1 - r, 0.0))
+        covariances = np.cov(first, second)
+        pooled, spread = covariances.trace() / 2, (covariances**2).sum()  # s1^4 + s2^4 + 2 cov^2
+        variance = (first - second).var(ddof=1) / n / pooled + d * d * spread / (8 * (n - 1) * pooled**2)
+        half_width = stats.norm.ppf(0.975) * j * math.sqrt(variance)
         assert row.hedges_g == close(j * d)
         if row.g_ci_low is None:
             assert r == pytest.approx(1, abs=1e-8), "no interval of width 0"
             continue
         # 1 - r loses digits where r is near 1, whichever way it is computed; its root loses half of them.
         assert (row.g_ci_low, row.g_ci_high) == pytest.approx((j * d - half_width, j * d + half_width), rel=1e-9, abs=1e-6)
+        assert (row.d_ci_low, row.d_ci_high) == pytest.approx((d - half_width / j, d + half_width / j), rel=1e-9, abs=1e-6)
+
+
+@pytest.mark.parametrize(("effect", "correlation"), [(0.0, 0.5), (1.0, 0.9), (5.0, 0.9), (5.0, 0.0)])
+def test_the_interval_of_an_effect_size_holds_the_truth_in_93_to_97_of_100_experiments(effect: float, correlation: float) -> None:
+    draws = np.random.default_rng(7)
+    experiments, runs = 1500, 60
+    second = draws.standard_normal((experiments, runs))
+    first = effect + correlation * second + math.sqrt(1 - correlation**2) * draws.standard_normal((experiments, runs))
+    table = pa.table(
+        {
+            **{
+                name: pa.array(["x"] * first.size)
+                for name in ("holm_family", "basis", "family", "configuration", "kind", "source", "model_version", "constants")
+            },
+            **{name: pa.array(np.full(first.size, 4)) for name in ("fleet_size", "seed", "position")},
+            **{name: pa.array(["x"] * first.size) for name in ("metric", "comparison", "second_run_id")},
+            "pools_seeds": pa.array(np.zeros(first.size, bool)),
+            "test": pa.array(np.repeat(np.arange(experiments), runs)),
+            "first_run_id": pa.array(np.tile(np.arange(runs), experiments)),
+            "first_value": pa.array(first.ravel()),
+            "second_value": pa.array(second.ravel()),
+            "difference": pa.array((first - second).ravel()),
+            "difference_ppb": pa.array(np.round((first - second).ravel() * 1e9).astype(np.int64)),
+        }
+    )
+    with from_table(SCHEMA.empty_table()) as database:
+        database.hold("paired_differences", table)
+        found = database.table("SELECT g_ci_low, g_ci_high FROM paired_t_tests")
+    low, high = (found.column(name).to_numpy() for name in ("g_ci_low", "g_ci_high"))
+    assert 0.93 <= np.mean((low <= effect) & (effect <= high)) <= 0.97
 
 
 def test_wilcoxon_ties_differences_that_only_the_last_bits_of_a_float_tell_apart() -> None:

@@ -238,8 +238,8 @@ def test_every_table_spec_is_used_and_every_figure_has_its_query(printed: dict[s
     for name in named:
         tomllib.loads(specs.text("tables", f"{name}.toml"))
         assert specs.table(name).caption
-    for figure in printed["figures"].values():
-        assert "metrics/metric_summary.sql" in figure["source"]
+    for name, figure in printed["figures"].items():
+        assert ("statistics/pairwise_tests.sql" if name == "effects" else "metrics/metric_summary.sql") in figure["source"]
         assert figure["alt"]
 
 

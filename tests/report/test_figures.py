@@ -57,6 +57,20 @@ def test_figures_show_the_rows(cells: tuple[Row, ...], plain: bytes) -> None:
     assert all(spec.title in words(figures.distances(cells)) for spec in specs.metrics())
 
 
+def test_effects_are_drawn_beside_the_papers_and_what_has_none_leaves_the_papers_alone(findings: Findings) -> None:
+    rows = [row | {"cohens_d": 1.5, "d_ci_low": 1.0, "d_ci_high": 2.0} for row in findings.tests]
+    drawn = figures.effects(rows)
+    assert drawn == figures.effects(rows)
+    assert all(spec.title in words(drawn) for spec in specs.metrics())
+    assert {"FSAR \u2212 CFC", "FSAR \u2212 DHMA", "CFC \u2212 DHMA", "printed in the paper"} <= set(words(drawn))
+    turned = [row | ({"paper_t": -row["paper_t"]} if row["metric"] == "governance_locality" else {}) for row in rows]
+    assert figures.effects(turned) != drawn, "the paper's d has the sign of its t"
+    without = [row | {"cohens_d": None, "d_ci_low": None, "d_ci_high": None} for row in rows]
+    bare = figures.effects(without)
+    assert bare != drawn
+    assert bare.count(b"<use") == drawn.count(b"<use") - len(rows), "one mark less for each effect"
+
+
 def test_interval_that_misses_its_mean_by_a_rounding_error_is_drawn(cells: tuple[Row, ...]) -> None:
     close = [row | {"mean": 0.0, "ci_low": 1e-18, "ci_high": 0.04} for row in cells]
     assert b"<svg" in figures.evaluation_results(close)

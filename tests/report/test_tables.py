@@ -131,7 +131,7 @@ def test_both_figures_are_drawn_from_the_ledger_of_workflows(findings: Findings,
     assert set(drawn) == {f"{name}.svg" for name in printed(findings)["figures"]}
     assert b"query: door.open.secure" in drawn["workflow-door-relay.svg"]
     assert b"budget exhausted" in drawn["workflow-layered-recovery.svg"]
-    assert set(document.drawings(alone)) == {"evaluation-results.svg", "distances.svg"}
+    assert set(document.drawings(alone)) == {"evaluation-results.svg", "distances.svg", "effects.svg"}
 
 
 def test_the_tables_of_the_workflows_name_the_head_that_they_were_asked_of(findings: Findings) -> None:
@@ -157,7 +157,7 @@ def test_a_ledger_with_one_workflow_shows_what_it_has(ledger: Path, tmp_path: Pa
     assert found.workflows is not None
     assert (found.workflows.story, bool(found.workflows.recovery)) == ((), True)
     assert {row["verdict"] for row in found.workflows.coverage} == {"agrees"}
-    assert set(printed(found)["figures"]) == {"evaluation-results", "distances", "workflow-layered-recovery"}
+    assert set(printed(found)["figures"]) == {"evaluation-results", "distances", "effects", "workflow-layered-recovery"}
 
 
 @pytest.mark.slow

@@ -1,0 +1,193 @@
+"""The command `compare`: the paired table of any two configurations or sets of constants, of one ledger or of two."""
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError
+from fsar_ledger.printable import counted
+
+from .options import CsvOption, JsonOption, LedgerArgument, PoolOption, RawOption, VerifiedOption, examples, pools_seeds
+from .terminal import say, show
+
+if TYPE_CHECKING:
+    from fsar_ledger.metrics.database import Database
+    from fsar_ledger.metrics.sides import LeftOut, Paired, Side, SideRow
+
+COMPARE = examples(
+    "fsar-ledger compare out/ledger --first fsar --second cfc",
+    "fsar-ledger compare out/ledger --first fsar --second dhma --by scenario",
+    "fsar-ledger compare out/ledger out/large --first fsar --json",
+)
+LEFT_OUT = {
+    "facts": "did not meet the same facts of the world, although made under the same constants",
+    "repeated": "cannot be told from others: one side has several runs of one seed, scenario and number",
+    "unobserved": "are not known to have met the same world, which one of them does not observe",
+}
+FAULTS = ("facts", "repeated")
+"""What no experiment does, as in `statistics`."""
+SIDE_HELP = "ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]: `fsar`, `fsar:without-layered-recovery`, `cfc@B`, `dhma/8`; constants by the letters of `info`."
+FirstOption = Annotated[str | None, typer.Option("--first", metavar="NAME", help=SIDE_HELP, show_default="the first of two")]
+SecondOption = Annotated[str | None, typer.Option("--second", metavar="NAME", help="The same; of OTHER, if it is given.", show_default="the other of two")]
+
+
+def compare(
+    ledger: LedgerArgument,
+    other: Annotated[Path | None, typer.Argument(metavar="OTHER", help="The ledger of the second side.", show_default="the same")] = None,
+    first: FirstOption = None,
+    second: SecondOption = None,
+    by: Annotated[str | None, typer.Option(metavar="scenario", help="One row for each scenario.", show_default=False)] = None,
+    pool: PoolOption = None,
+    verified: VerifiedOption = False,
+    as_json: JsonOption = False,
+    as_csv: CsvOption = False,
+    raw: RawOption = False,
+) -> None:
+    """Compare any two sides in pairs: architectures, configurations, constants, models or fleet sizes, of one ledger or of two.
+
+    Runs are paired by seed, scenario and number. For each metric: both means, first minus second with its 95 % interval, in how many pairs the runs differ
+    at all, p of the paired t-test, or of the exact sign test where few differ, Holm over these tests, and d_z. Containment and latency are ratios over all
+    pairs. It is said for how many pairs the facts of the world were the same and for how many only what was drawn, and which constants differ.
+    """
+    from fsar_ledger.metrics.sides import chosen, paired, sides
+
+    from .answering import answering, of_plans, warn_of_missing
+    from .output import check_form
+
+    if by not in (None, "scenario"):
+        raise UsageError(f"--by {by}: expected --by scenario, or no --by")
+    pooled = pools_seeds(pool)
+    check_form(as_json=as_json, as_csv=as_csv, raw=raw)
+    places = [ledger] if other is None else [ledger, other]
+    with ExitStack() as stack:
+        held = [stack.enter_context(answering(place, verified=verified)) for place in places]
+        both = chosen([sides(database) for database in held], (first, second), list(map(str, places)))
+        if other is not None and both[0].side == both[1].side and held[0].head == held[1].head:
+            raise UsageError(f"{ledger} and {other}: found the same events in both, and {both[0]} as both sides, expected two that differ")
+        found = paired(held, both, pools_seeds=pooled, by_scenario=by is not None)
+        if as_json:
+            _show_json(held, both, found, [of_plans(database) for database in held])
+        else:
+            _show_text(both, found, by_scenario=by is not None, as_csv=as_csv, raw=raw)
+        for place, database in zip(places, held, strict=True):
+            warn_of_missing(place, database)
+    if any(one.differs in FAULTS for one in found.left_out):
+        raise typer.Exit(1)
+
+
+def _show_json(held: "list[Database]", both: "tuple[Side, Side]", found: "Paired", plans: list[dict[str, object]]) -> None:
+    from msgspec import structs
+
+    from .output import json_text
+
+    described = [{"name": side.name, **structs.asdict(side)} for side in both]
+    further = [
+        {"head": one.head and {"size": one.head.size, "root": one.head.root}, "rows_verified": one.rows_verified, **of_plan}
+        for one, of_plan in zip(held[1:], plans[1:], strict=True)
+    ]
+    document = {
+        **plans[0],
+        "other": further[0] if further else None,
+        "first": described[0],
+        "second": described[1],
+        "pairs": found.pairs,
+        **structs.asdict(found),
+        "remarks": [*_pairing(both, found), *_missing(both, found), *_how_to_read(found)],
+    }
+    show(json_text(held[0].head, document, held[0].rows_verified))
+
+
+def _show_text(both: "tuple[Side, Side]", found: "Paired", *, by_scenario: bool, as_csv: bool, raw: bool) -> None:
+    from fsar_ledger.metrics.sides import SideRow
+
+    from .output import csv_text, plain, table_text
+
+    rows = plain(found.rows)
+    columns = [name for name in SideRow.__struct_fields__ if name != "scenario" or by_scenario]
+    above, below = _pairing(both, found), [*_missing(both, found), *_how_to_read(found)]
+    if as_csv:
+        say(*above, *below)
+        show(csv_text(rows, columns, raw=raw), raw=raw)
+        return
+    dull = {"seed": found.seeds <= 1, "family_tests": True}
+    table = table_text(rows, [name for name in columns if not dull.get(name)]) if rows else printable.lines()
+    blank = [""] if rows else []
+    show(printable.joined(printable.lines(*above, *blank), table, printable.lines(*(blank if below else []), *below)))
+
+
+def _pairing(both: "tuple[Side, Side]", found: "Paired") -> list[str]:
+    """What is compared, what the pairs have in common, and in which constants the sides differ."""
+    first, second = both
+    lines = [f"first: {_described(first)}", f"second: {_described(second)}"]
+    if not found.pairs:
+        left = " that is not left out" if found.left_out else ""
+        lines.append(f"nothing to compare: no run of both has the same seed, scenario and number{left}; simulate one as the other")
+        lines += [f"found {side.held()}" for side in both]
+    else:
+        lines.append(f"{counted(found.pairs, 'pair')} by seed, scenario and number: {_shared(found)}")
+        if first.fleet_size != second.fleet_size:
+            lines.append(
+                f"the fleets differ in size ({first.fleet_size} and {second.fleet_size} robots): the robots that both have meet what is drawn for them"
+            )
+    lines += [f"left out: {_left_out(one)}" for one in found.left_out]
+    differing = [f"{one.name}={one.first_value} and {one.second_value}" for one in found.constants]
+    unread = " as far as they are on record" if first.parameter_set is None or second.parameter_set is None else ""
+    said = f"the constants are the same{unread}" if not differing else f"constants that differ, first and second: {printable.some(differing)}"
+    return [*lines, said]
+
+
+def _described(side: "Side") -> str:
+    named = (side.kind, side.source, side.model_version and f"model {side.model_version}")
+    return f"{side}, {', '.join(printable.value(one) for one in named if one)}"
+
+
+def _shared(found: "Paired") -> str:
+    """How many pairs share what of their world."""
+    parts = {
+        "met the same facts of the world": found.same_facts,
+        "share what was drawn, not the facts, which their constants or robots make others": found.same_draws,
+        "share seed, scenario and number alone, since another model, or none, drew": found.same_seed,
+    }
+    return "; ".join(f"{count:,} {what}" for what, count in parts.items() if count)
+
+
+def _left_out(one: "LeftOut") -> str:
+    place: dict[str, Any] = one.one
+    scenario, first, second = (printable.value(str(place[name])) for name in ("scenario", "first", "second"))
+    where = f"first under seed {place['seed']}, {scenario}, run {place['run']}: {first} and {second}"
+    return f"{counted(one.pairs, 'pair')} that {LEFT_OUT[one.differs]}; {where}"
+
+
+def _missing(both: "tuple[Side, Side]", found: "Paired") -> list[str]:
+    """What has no part in the numbers."""
+    lines = []
+    for side, alone, which in zip(both, (found.first_alone, found.second_alone), ("first", "second"), strict=True):
+        nameless = side.run_count - side.named_count
+        if found.pairs and alone:
+            lines.append(f"{counted(alone, 'run')} of the {which} side {'has' if alone == 1 else 'have'} no partner")
+        if found.pairs and nameless:
+            lines.append(f"{counted(nameless, 'run')} of the {which} side without seed, scenario, number or size {'is' if nameless == 1 else 'are'} in no pair")
+    if found.pairs and found.absent:
+        lines.append(f"no pair of runs in which both have a value of {', '.join(found.absent)}: undefined, or not observed")
+    return lines
+
+
+def _how_to_read(found: "Paired") -> list[str]:
+    """What the numbers are; and for rows without one, why."""
+    if not found.rows:
+        return []
+    alike = [row for row in found.rows if row.n and not row.differing_pairs]
+    few = [row for row in found.rows if row.test == "sign" and row.metric != "human_intervention"]
+    lines = [f"differences are first minus second; containment and latency are ratios over all pairs; Holm adjusts {found.rows[0].family_tests} tests together"]
+    if alike:
+        lines.append(f"no pair differs, so there is no test: {_cells(alike)}")
+    if few:
+        lines.append(f"exact sign test, since few pairs differ, or all alike: {_cells(few)}")
+    return lines
+
+
+def _cells(rows: "list[SideRow]") -> str:
+    return printable.some([row.metric if row.scenario is None else f"{row.metric} ({printable.value(row.scenario)})" for row in rows])

@@ -1,0 +1,281 @@
+"""Two sides of a comparison: which there are, which are meant, and what their runs, paired, have to say; of one ledger or of two.
+
+A side is an architecture and configuration under one setting (kind, source, model version, constants, fleet size). Runs of two sides are
+paired by seed, scenario and number. What is compared is read from its ledger run by run and held in a database of its own (`paired`).
+"""
+
+from collections.abc import Sequence
+
+import msgspec
+import pyarrow as pa
+
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError
+from fsar_ledger.events.configuration import FULL
+from fsar_ledger.printable import counted
+
+from .database import Database
+from .models import lettered, models
+from .results import typed
+
+SIDES = """
+    SELECT *
+    FROM sides
+    ORDER BY list_position(['fsar', 'cfc', 'dhma'], architecture), architecture, configuration <> 'full', configuration, fleet_size, run_count DESC, side
+"""
+RUNS = "SELECT * REPLACE ($name AS side) FROM side_runs WHERE side = $side ORDER BY run_id, metric"
+CONSTANTS = "SELECT name, value FROM constants WHERE model = to_json([$kind, $source, $model_version])::VARCHAR AND parameter_set = $parameter_set"
+DIFFERING = """
+    WITH beside AS (
+        SELECT
+            coalesce(firsts.name, seconds.name) AS name,
+            coalesce(firsts.value, if($first_simulated, default_of(coalesce(firsts.name, seconds.name)), NULL), 'absent') AS first_value,
+            coalesce(seconds.value, if($second_simulated, default_of(coalesce(firsts.name, seconds.name)), NULL), 'absent') AS second_value
+        FROM first_constants AS firsts
+        FULL JOIN second_constants AS seconds ON firsts.name = seconds.name
+    )
+    SELECT * FROM beside WHERE first_value <> second_value ORDER BY name
+"""
+COUNTS = """
+    SELECT
+        count(*) FILTER (WHERE shares = 'facts') AS same_facts,
+        count(*) FILTER (WHERE shares = 'draws') AS same_draws,
+        count(*) FILTER (WHERE shares = 'seed') AS same_seed,
+        count(DISTINCT seed) FILTER (WHERE differs IS NULL) AS seeds,
+        (SELECT count(DISTINCT run_id) FROM side_runs WHERE side = 'first' AND run_id NOT IN (SELECT first_run_id FROM side_pairs)) AS first_alone,
+        (SELECT count(DISTINCT run_id) FROM side_runs WHERE side = 'second' AND run_id NOT IN (SELECT second_run_id FROM side_pairs)) AS second_alone
+    FROM side_pairs
+"""
+ABSENT = "SELECT metric FROM metric_definitions WHERE metric NOT IN (SELECT metric FROM side_moments) ORDER BY position"
+LEFT_OUT = """
+    SELECT
+        differs,
+        count(*) AS pairs,
+        arg_min({'seed': seed, 'scenario': scenario, 'run': run, 'first': first_run_id, 'second': second_run_id}, (seed, scenario, run, first_run_id)) AS one
+    FROM side_pairs
+    WHERE differs IS NOT NULL
+    GROUP BY differs
+    ORDER BY differs
+"""
+
+
+class Side(msgspec.Struct, frozen=True, kw_only=True):
+    """Runs that differ in seed, scenario and number alone; `letter` is that of their constants, as `info` has it, None where none are on record."""
+
+    side: str
+    architecture: str | None
+    configuration: str | None
+    fleet_size: int | None
+    kind: str
+    source: str | None
+    model_version: str | None
+    setting: str
+    parameter_set: str | None
+    run_count: int
+    named_count: int
+    seeds: list[int] | None
+    scenarios: list[str] | None
+    letter: str | None = None
+
+    @property
+    def name(self) -> str:
+        """Its whole name: `fsar:full@A/4`."""
+        return f"{self.architecture or '-'}:{self.configuration or '-'}@{self.letter or '-'}/{'-' if self.fleet_size is None else self.fleet_size}"
+
+    @property
+    def names(self) -> set[str]:
+        """All by which it can be asked for: the configuration `full`, the constants and the fleet size may be left out."""
+        heads = {f"{self.architecture or '-'}:{self.configuration or '-'}"} | ({self.architecture or "-"} if self.configuration in (FULL, None) else set())
+        size = "-" if self.fleet_size is None else str(self.fleet_size)
+        return {f"{head}{constants}{robots}" for head in heads for constants in ("", f"@{self.letter or '-'}") for robots in ("", f"/{size}")}
+
+    def __str__(self) -> str:
+        return f"{printable.value(self.name)} ({counted(self.run_count, 'run')})"
+
+    def held(self) -> str:
+        """What its runs are numbered by, in words."""
+        unnamed = "" if self.named_count == self.run_count else f", {self.run_count - self.named_count:,} of them without seed, scenario, number or size"
+        return f"{self}{unnamed} under seeds {printable.some(map(str, self.seeds or ())) or '-'}, {printable.some(self.scenarios or ()) or 'no scenario'}"
+
+
+class LeftOut(msgspec.Struct, frozen=True, kw_only=True):
+    """Pairs that are left out for one reason (`side_pairs`), and the first of them."""
+
+    differs: str
+    pairs: int
+    one: dict[str, str | int]
+
+
+class SideRow(msgspec.Struct, frozen=True, kw_only=True):
+    """The paired difference of one metric, first minus second, in the metric's unit, as `statistics/side_differences` has it.
+
+    `seed` None: all seeds together; `scenario` None: all scenarios. `differing_pairs` of `n` pairs have runs that differ at all.
+    """
+
+    seed: int | None
+    scenario: str | None
+    metric: str
+    n: int
+    differing_pairs: int
+    first_mean: float | None
+    second_mean: float | None
+    mean_difference: float | None
+    ci_low: float | None
+    ci_high: float | None
+    test: str | None
+    p: float | None
+    p_holm: float | None
+    family_tests: int
+    d_z: float | None
+
+
+class Differing(msgspec.Struct, frozen=True, kw_only=True):
+    """A constant that the two sides have otherwise; a value is JSON, or `absent`."""
+
+    name: str
+    first_value: str
+    second_value: str
+
+
+class Paired(msgspec.Struct, frozen=True, kw_only=True):
+    """What two sides have to say of each other: how many pairs share what, which runs have no part in them, and the rows."""
+
+    same_facts: int
+    same_draws: int
+    same_seed: int
+    seeds: int
+    first_alone: int
+    second_alone: int
+    left_out: list[LeftOut]
+    constants: list[Differing]
+    absent: list[str]
+    """Metrics of which no pair has a value on both sides."""
+
+    rows: list[SideRow]
+
+    @property
+    def pairs(self) -> int:
+        """Pairs that are compared."""
+        return self.same_facts + self.same_draws + self.same_seed
+
+
+def sides(database: Database) -> list[Side]:
+    """All sides of a ledger, in the order of the paper. Raises: as `Database.rows` and `models`."""
+    letters = {(one.kind, one.source, one.model_version, one.parameter_set): letter for one, letter in lettered(models(database))}
+    found = typed(database.rows(SIDES), Side)
+    return [msgspec.structs.replace(one, letter=letters.get((one.kind, one.source, one.model_version, one.parameter_set))) for one in found]
+
+
+def chosen(held: Sequence[Sequence[Side]], asked: tuple[str | None, str | None], places: Sequence[str]) -> tuple[Side, Side]:
+    """The two sides that are meant.
+
+    Args:
+        held: The sides of the ledger, or of each of two.
+        asked: What `--first` and `--second` name; None where nothing.
+        places: The ledgers, for messages.
+
+    Raises:
+        UsageError: A name is none, or more than one; or nothing says which of several are meant.
+    """
+    firsts, seconds = held[0], held[-1]
+    first = _named("--first", asked[0], firsts, places[0])
+    second = _named("--second", asked[1], seconds, places[-1])
+    if len(held) == 1:
+        first, second = _of_one(firsts, first, second, places[0])
+        if first.side == second.side:
+            raise UsageError(f"{places[0]}: found {first} as both sides, expected two that differ; it holds {_listed(firsts)}")
+        return first, second
+    if first is None and second is None:
+        alike = [(one, other) for one in firsts for other in _alike(one, seconds)]
+        only = [(firsts[0], seconds[0])] if len(firsts) == len(seconds) == 1 else alike
+        if len(only) != 1:
+            found = f"found {counted(len(alike), 'side')} in common" if alike else "found no side in common"
+            raise UsageError(f"{found}, expected --first NAME, or one: {places[0]} holds {_listed(firsts)}; {places[1]} holds {_listed(seconds)}")
+        return only[0]
+    return first or _like(second, firsts, "--first", places[0]), second or _like(first, seconds, "--second", places[1])
+
+
+def _alike(one: Side | None, held: Sequence[Side]) -> list[Side]:
+    """Those that are this one but for constants, model and kind of runs; where none is, but for the size of the fleet, too."""
+    named = [side for side in held if one and (side.architecture, side.configuration) == (one.architecture, one.configuration)]
+    return [side for side in named if one and side.fleet_size == one.fleet_size] or named
+
+
+def _named(option: str, asked: str | None, held: Sequence[Side], place: str) -> Side | None:
+    if asked is None:
+        return None
+    found = [one for one in held if asked in one.names]
+    if len(found) == 1:
+        return found[0]
+    shown = printable.value(asked)
+    if found:
+        more = "; their names are the same, so they cannot be told apart here" if len({one.name for one in found}) < len(found) else "; name one of them"
+        raise UsageError(f"{option} {shown}: found {len(found):,} such in {place}: {_listed(found)}{more}")
+    raise UsageError(f"{option} {shown}: found no such runs in {place}, expected ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]: it holds {_listed(held)}")
+
+
+def _of_one(held: Sequence[Side], first: Side | None, second: Side | None, place: str) -> tuple[Side, Side]:
+    """Both sides of one ledger, where it leaves no choice."""
+    if first is not None and second is not None:
+        return first, second
+    one = first or second
+    others = [side for side in held if one is None or side.side != one.side]
+    if len(others) != (1 if one else 2):
+        missing = "--first NAME and --second NAME" if one is None else "--second NAME" if second is None else "--first NAME"
+        what = (
+            f"{place}: found {len(held):,} sides, expected two, or {missing} to say which" if held else f"{place}: found no runs, expected two sides to compare"
+        )
+        raise UsageError(f"{what}; it holds {_listed(held)}" if held else what)
+    return (others[0], others[1]) if one is None else (one, others[0]) if first is not None else (others[0], one)
+
+
+def _like(one: Side | None, held: Sequence[Side], option: str, place: str) -> Side:
+    """The side of the other ledger that is like this one, or the only one there."""
+    alike = _alike(one, held) or list(held)
+    if len(alike) != 1:
+        raise UsageError(f"{option} is missing: found {len(alike):,} that may be meant in {place}: {_listed(alike)}; name one")
+    return alike[0]
+
+
+def _listed(held: Sequence[Side]) -> str:
+    return printable.some(map(str, held), "more, which `fsar-ledger info` lists") or "no runs"
+
+
+def paired(held: Sequence[Database], both: tuple[Side, Side], *, pools_seeds: bool = False, by_scenario: bool = False) -> Paired:
+    """What the runs of the two sides, each in its ledger, have to say in pairs. Raises: as `Database.rows`."""
+    tables = [_runs(database, side, name) for database, side, name in zip((held[0], held[-1]), both, ("first", "second"), strict=True)]
+    comparison = {
+        "comparison": "first-second",
+        "family": "first-second",
+        "configuration": None,
+        "setting": None,
+        "first_side": "first",
+        "second_side": "second",
+    }
+    with Database(None, ()) as database:
+        database.hold("side_runs", pa.concat_tables(tables))
+        database.hold("side_comparisons", pa.Table.from_pylist([comparison]))
+        for name, of, side in zip(("first_constants", "second_constants"), (held[0], held[-1]), both, strict=True):
+            database.hold(name, of.table(CONSTANTS, {key: getattr(side, key) for key in ("kind", "source", "model_version", "parameter_set")}))
+        [counts] = database.rows(COUNTS)
+        simulated = {"first_simulated": both[0].kind == "simulated", "second_simulated": both[1].kind == "simulated"}
+        rows = database.rows(
+            """
+            SELECT * EXCLUDE (first_side, second_side, pools_seeds, position)
+            FROM side_differences
+            WHERE pools_seeds = $pooled AND (scenario IS NOT NULL) = $by_scenario
+            ORDER BY seed, position, scenario
+            """,
+            {"pooled": pools_seeds, "by_scenario": by_scenario},
+        )
+        return Paired(
+            **counts,
+            left_out=typed(database.rows(LEFT_OUT), LeftOut),
+            constants=typed(database.rows(DIFFERING, simulated), Differing),
+            absent=[row["metric"] for row in database.rows(ABSENT)],
+            rows=typed(rows, SideRow),
+        )
+
+
+def _runs(database: Database, side: Side, name: str) -> pa.Table:
+    return database.table(RUNS, {"name": name, "side": side.side})
