@@ -132,7 +132,7 @@ def _blank(cls: type[msgspec.Struct]) -> Row:
     return dict.fromkeys(cls.__struct_fields__)
 
 
-def _cells(rows: Iterable[MetricRow], apart: Collection[str], drawn: Odds | None) -> tuple[Row, ...]:
+def _cells(rows: Iterable[MetricRow], apart: Collection[str], drawn: Odds[Cell] | None) -> tuple[Row, ...]:
     found = {(row.metric, row.architecture): row for row in rows}
     judged = {(one.metric, one.architecture): one for one in verdicts.compare(found.values(), drawn) if one.architecture not in apart}
     printed = {(row["metric"], row["architecture"]): row["mean"] for row in specs.paper_table("results")}
@@ -200,7 +200,7 @@ def _rule(cells: tuple[Row, ...]) -> tuple[Row, ...]:
     )
 
 
-def _odds(database: Database, main: Setting | None, runs_held: Mapping[str, Mapping[str | None, int]]) -> Odds | None:
+def _odds(database: Database, main: Setting | None, runs_held: Mapping[str, Mapping[str | None, int]]) -> Odds[Cell] | None:
     """How likely the printed table is among experiments that are drawn from the main runs; None where they are fewer than one such experiment."""
     if main is None or any(count < PAPER_RUNS for held in runs_held.values() for count in held.values()):
         return None
