@@ -9,17 +9,16 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
-import msgspec
-
 from fsar_ledger.events.configuration import CONFIGURATIONS, FULL
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database, Value
 from fsar_ledger.metrics.odds import Printed, odds
+from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.printed import Place, Table, printed
 from fsar_ledger.metrics.results import DialledRow, dialled_rows
 from fsar_ledger.registration import registration
 from fsar_ledger.report import printing, specs, whole
-from fsar_ledger.report.findings import ARCHITECTURES, MAIN_FLEET_SIZE, Row
+from fsar_ledger.report.findings import ARCHITECTURES, MAIN_FLEET_SIZE, Ablation, Row, Scaling, Told
 
 QUERIES = ("metrics/metrics_by_dial", "statistics/drawn_experiments", "statistics/drawn_scenarios")
 DIALLED = "without-shared-registry"
@@ -48,31 +47,6 @@ class Alike(NamedTuple):
     seed: int | None
 
 
-class Ablation(msgspec.Struct, frozen=True):
-    """What one head says of FSAR without some of its mechanisms; Paper: tab:ablation, sec:evaluation:ablation.
-
-    cells: the 30 cells of the table, text: the eight numbers of the text, in the paper's order; curve: means of the configuration without a shared
-    registry for each metric, for each scenario and all of them, by `encounter_mean_s`; rates: one row for each of these, with a column per metric.
-    """
-
-    encounter_mean_s: float | None
-    cells: tuple[Row, ...]
-    text: tuple[Row, ...]
-    curve: tuple[Row, ...]
-    rates: tuple[Row, ...]
-
-
-class Scaling(msgspec.Struct, frozen=True):
-    """What one head says of larger fleets; Paper: tab:scaling.
-
-    cells: the 45 cells of the table, with our means where all teams work and where one does; curve: our means for each metric, architecture, fleet size
-    and count of teams working.
-    """
-
-    cells: tuple[Row, ...]
-    curve: tuple[Row, ...]
-
-
 def ablation_of(database: Database, *, pools_seeds: bool = False) -> Ablation | None:
     """The ablations that the ledger holds; None where there are none."""
     rows = [row for row in dialled_rows(database, pools_seeds=pools_seeds) if (row.architecture, row.fleet_size) == ("fsar", MAIN_FLEET_SIZE)]
@@ -86,6 +60,7 @@ def ablation_of(database: Database, *, pools_seeds: bool = False) -> Ablation | 
     table = ablated[alike, mean]
     curve = [row for row in rows if _alike(row) == alike and row.configuration == DIALLED]
     return Ablation(
+        _told(database, table[0]),
         mean,
         tuple(_judged(database, "ablation", table)),
         tuple(_judged(database, "ablation_text", table)),
@@ -109,7 +84,7 @@ def scaling_of(database: Database, *, pools_seeds: bool = False) -> Scaling | No
     alike = max(larger, key=lambda one: (len(sizes[one]), counts[one]))
     means = {row.encounter_mean_s for row in rows if _alike(row) == alike and row.fleet_size != MAIN_FLEET_SIZE}
     table = [row for row in rows if _alike(row) == alike and row.encounter_mean_s in means]
-    return Scaling(tuple(_sized(database, table)), tuple(map(_plain, _over_all(table))))
+    return Scaling(_told(database, table[0]), tuple(_sized(database, table)), tuple(map(_plain, _over_all(table))))
 
 
 def _sized(database: Database, table: Sequence[DialledRow]) -> list[Row]:
@@ -204,6 +179,13 @@ def _count(of_scenarios: whole.Held, place: Place) -> int:
     """The fewest runs of a scenario that an experiment would be drawn from."""
     counts = of_scenarios if place.scenario is None else {place.scenario: of_scenarios.get(place.scenario, 0)}
     return min(counts.values(), default=0)
+
+
+def _told(database: Database, row: DialledRow) -> Told:
+    head = database.head
+    (runs,) = database.rows("SELECT count(*) AS runs FROM runs")
+    said = (0, 0, "") if head is None else (head.commits, head.size, head.root)
+    return Told(*said, runs["runs"], completeness(database).sentence(), row.model_version)
 
 
 def _alike(row: DialledRow) -> Alike:
