@@ -160,6 +160,15 @@ CosignedOption = Annotated[
 WorkflowLedgerOption = Annotated[
     Path | None, typer.Option("--workflows", metavar="LEDGER", help="A ledger of the paper's three workflows.", show_default="say that there is none")
 ]
+BesideOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--with",
+        metavar="LEDGER",
+        help="Another ledger that the report shows, of ablations, larger fleets or workflows; may be repeated.",
+        show_default="say what is missing",
+    ),
+]
 
 RUNS = 20  # per scenario and architecture, as in the paper
 

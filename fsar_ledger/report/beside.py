@@ -31,12 +31,12 @@ Shape = tuple[str, str, int]
 """Architecture, configuration and fleet size."""
 
 DRAWN_SQL = """
-    SELECT configuration, architecture, metric, list(value ORDER BY draw) AS numbers
+    SELECT architecture, metric, list(value ORDER BY draw) AS numbers
     FROM {relation}
     WHERE
-        setting = $setting AND list_contains($configurations, configuration)
+        setting = $setting AND configuration = $configuration
         AND ($seed IS NULL OR seed = $seed)
-    GROUP BY configuration, architecture, metric
+    GROUP BY architecture, metric
 """
 
 
@@ -164,13 +164,13 @@ def _shares(database: Database, name: Table, rows: Sequence[DialledRow], runs: M
     drawn: dict[Place, list[float | None]] = {}
     for setting, size, seed in dict.fromkeys((row.setting, row.fleet_size or 0, row.seed) for row in rows):
         for scenario in dict.fromkeys(place.scenario for place in enough if place.fleet_size == size):
-            configurations = sorted({place.configuration for place in enough if place.scenario == scenario})
             relation = "drawn_experiments" if scenario is None else f"(SELECT * FROM drawn_scenarios WHERE scenario = '{scenario}')"
-            chosen: dict[str, Value] = {"setting": setting, "seed": seed, "configurations": list(configurations)}
-            for found in database.rows(DRAWN_SQL.format(relation=relation), chosen):
-                place = Place(name, found["metric"], found["architecture"], found["configuration"], size, scenario)
-                if place in enough:
-                    drawn[place] = found["numbers"]
+            for configuration in sorted({place.configuration for place in enough if place.scenario == scenario}):  # one by one: all draws at once are large
+                chosen: dict[str, Value] = {"setting": setting, "seed": seed, "configuration": configuration}
+                for found in database.rows(DRAWN_SQL.format(relation=relation), chosen):
+                    place = Place(name, found["metric"], found["architecture"], configuration, size, scenario)
+                    if place in enough:
+                        drawn[place] = found["numbers"]
     told = odds(drawn, cells)
     return {} if told is None else told.cells
 

@@ -1,10 +1,10 @@
 -- Title: What experiments of the paper's size would have printed of each scenario: 4,000 of them, drawn from the runs that are here
--- Paper: tab:ablation
--- Grain: one row per drawn experiment, architecture, configuration, setting, seed, scenario and metric
--- Units: setting as in run_settings; value in the metric's unit, of 20 runs drawn with replacement. The runs of a world are drawn together for all
---        architectures. Nothing is random: which runs a draw takes follows from an MD5 of its number.
---        value_sum (in 1e-9) of valued runs, numerators and denominators: what experiments over several scenarios are made of
--- NULL: value, value_sum, numerators, denominators where nothing that the metric counts was drawn
+-- Paper: sec:evaluation:ablation
+-- Grain: one row per drawn experiment, architecture, configuration, setting (kind, source, model version, constants, fleet size), seed,
+--        scenario and metric
+-- Units: setting as in run_settings; value in the metric's unit. An experiment is 20 runs of the scenario, drawn with replacement; the runs of a world are drawn together for all
+--        architectures. Nothing is random: which runs a draw takes follows from an MD5 of its number
+-- NULL: value where nothing that the metric counts was drawn
 -- Example: fsar-ledger query statistics/drawn_scenarios LEDGER
 WITH numbered AS (
     SELECT
@@ -60,10 +60,8 @@ summed AS (
         numbered.scenario,
         numbered.position,
         numbered.metric,
-        sum(picked.times * round(numbered.value * 1e9)::BIGINT) AS value_sum,
-        coalesce(sum(picked.times) FILTER (WHERE numbered.value IS NOT NULL), 0) AS valued,
-        sum(picked.times * numbered.numerator) AS numerators,
-        sum(picked.times * numbered.denominator) AS denominators
+        sum(picked.times * round(numbered.value * 1e9)::BIGINT)::DOUBLE / nullif(sum(picked.times) FILTER (WHERE numbered.value IS NOT NULL), 0) / 1e9 AS mean,
+        sum(picked.times * numbered.numerator)::DOUBLE / nullif(sum(picked.times * numbered.denominator), 0)::DOUBLE AS ratio
     FROM picked
     INNER JOIN numbered
         ON
@@ -73,11 +71,7 @@ summed AS (
 )
 
 SELECT
-    summed.*,
-    if(
-        definitions.is_pooled,
-        summed.numerators::DOUBLE / nullif(summed.denominators, 0)::DOUBLE / definitions.numerator_units,
-        summed.value_sum::DOUBLE / nullif(summed.valued, 0) / 1e9
-    ) AS value
+    summed.* EXCLUDE (mean, ratio),
+    if(definitions.is_pooled, summed.ratio / definitions.numerator_units, summed.mean) AS value
 FROM summed
 INNER JOIN metric_definitions AS definitions ON summed.metric = definitions.metric
