@@ -46,7 +46,7 @@ def canvas(spec: specs.FigureSpec, rows: int, columns: int) -> Iterator[tuple[An
 
 
 @contextmanager
-def plaincanvas(width_in: float, height_in: float) -> Iterator[tuple[Any, Any]]:
+def plain_canvas(width_in: float, height_in: float) -> Iterator[tuple[Any, Any]]:
     """A figure and its one panel: no axes, one unit is an inch, the origin is at the upper left. Only Agg draws, with these settings and no others."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg

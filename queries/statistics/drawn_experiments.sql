@@ -1,7 +1,8 @@
 -- Title: What experiments of the paper's size would have printed: 4,000 of them, drawn from the runs that are here
 -- Paper: tab:results
 -- Grain: one row per drawn experiment, architecture, configuration, setting (kind, source, model version, constants, fleet size), seed and metric
--- Units: setting as in run_settings; value in the metric's unit. An experiment is 20 runs of each scenario, drawn with replacement; the runs of a world are drawn together for all
+-- Units: setting as in run_settings; value in the metric's unit.
+--        An experiment is 20 runs of each scenario, drawn with replacement; the runs of a world are drawn together for all
 --        architectures. Nothing is random: which runs a draw takes follows from an MD5 of its number
 -- NULL: value where nothing that the metric counts was drawn
 -- Example: fsar-ledger query statistics/drawn_experiments LEDGER

@@ -2,7 +2,8 @@
 -- Paper: sec:evaluation:ablation
 -- Grain: one row per drawn experiment, architecture, configuration, setting (kind, source, model version, constants, fleet size), seed,
 --        scenario and metric
--- Units: setting as in run_settings; value in the metric's unit. An experiment is 20 runs of the scenario, drawn with replacement; the runs of a world are drawn together for all
+-- Units: setting as in run_settings; value in the metric's unit.
+--        An experiment is 20 runs of the scenario, drawn with replacement; the runs of a world are drawn together for all
 --        architectures. Nothing is random: which runs a draw takes follows from an MD5 of its number
 -- NULL: value where nothing that the metric counts was drawn
 -- Example: fsar-ledger query statistics/drawn_scenarios LEDGER
