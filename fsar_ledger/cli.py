@@ -36,11 +36,13 @@ from .commands.options import (
     LimitOption,
     MemoryOption,
     NewLedgerArgument,
+    OnlyOption,
     OriginOption,
     ParameterOption,
     PdfOption,
     QueryMemoryOption,
     RawOption,
+    ReproducedRunsOption,
     RequestOption,
     RunOption,
     RunsOption,
@@ -325,22 +327,24 @@ app.command(epilog=fitting.CALIBRATE)(fitting.calibrate)
 app.command(epilog=fitting.PREDICT)(fitting.predict)
 
 
-@app.command(epilog=examples("fsar-ledger reproduce", "fsar-ledger reproduce --out out/paper"))
+@app.command(epilog=examples("fsar-ledger reproduce", "fsar-ledger reproduce --out out/paper --only results --runs 20"))
 def reproduce(
-    out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where the ledger, the tables and the report go.")] = Path("fsar-out"),
+    out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where the ledgers, the tables and the report go.")] = Path("fsar-out"),
+    only: OnlyOption = None,
+    runs: ReproducedRunsOption = None,
     key: KeyOption = None,
     adopt: AdoptOption = False,
     workers: WorkersOption = None,
 ) -> None:
-    """Do the paper's experiment, judge it, typeset the report.
+    """Do the paper's experiments, judge them, typeset the report.
 
-    5 scenarios, 20 seeds, 3 architectures, and 3 workflows. FOLDER then holds report.pdf, metrics.csv, statistics.csv, ledger/ and workflows/.
-    The key signs ledger/ alone: under its name there is no second tree. workflows/ has an origin of its own, fsar-ledger/workflows.
+    FOLDER then holds report.pdf, metrics.csv, statistics.csv and a ledger of each experiment: results/, ablation/, scaling/ and workflows/.
+    The key signs results/ under its name NAME, and the others under NAME/ablation, NAME/scaling and NAME/workflows: no two trees have one origin.
     """
     from .commands.reproduce import reproduce as do
 
     began = time.monotonic()
-    text, head = do(out, workers_of(workers), trust.signer_of(key, adopts=adopt), adopts=adopt)
+    text, head = do(out, workers_of(workers), trust.signer_of(key, adopts=adopt), adopts=adopt, only=only, runs=runs)
     took = f"{head.size:,} events, root {head.root}, {time.monotonic() - began:.0f} s"
     _show(printable.joined(text, printable.lines("", took, str(out / "report.pdf"))))
 

@@ -1,9 +1,13 @@
 """What was written down before the fit, `reports/registration.toml`: which constants are free and how far, the verdict rules, what is predicted."""
 
+from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 
 import msgspec
+
+UNNAMED = "informed"
+"""The class of a cell that the registration does not name."""
 
 
 class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -56,8 +60,25 @@ class Verdicts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     decided: int
 
 
+class Said(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"kind": "class"}):
+    """What was said of some printed cells: where they stand, their class, why, and the dial on which they depend."""
+
+    table: str
+    where: dict[str, str | int | list[int]]
+    kind: str
+    because: str | None = None
+    dial: str | None = None
+
+    def is_of(self, table: str, place: Mapping[str, object]) -> bool:
+        """Whether the cell at this place of a table is one of them."""
+        return self.table == table and all(place.get(name) in (wanted if isinstance(wanted, list) else [wanted]) for name, wanted in self.where.items())
+
+
 class Registration(msgspec.Struct, frozen=True):
-    """The registration as far as the fit and the verdicts need it; `margins` by metric, in the metric's unit."""
+    """The registration as far as the fit, the verdicts and the tables need it; `margins` by metric, in the metric's unit.
+
+    `classes` says what each class of cells means, `cells` the class of a whole table, `cell` that of single cells.
+    """
 
     model_version: str
     fit: Fit
@@ -65,6 +86,14 @@ class Registration(msgspec.Struct, frozen=True):
     free: tuple[Free, ...]
     verdicts: Verdicts
     margins: dict[str, float]
+    classes: dict[str, str]
+    cells: dict[str, str]
+    cell: tuple[Said, ...]
+
+    def said_of(self, table: str, place: Mapping[str, object]) -> Said:
+        """Return what was said of the cell at this place of a table (names as in `where`): of it alone, else of its table; else it is informed."""
+        whole = Said(table, {}, self.cells.get(table, UNNAMED))
+        return next((one for one in self.cell if one.is_of(table, place)), whole)
 
 
 @cache

@@ -33,7 +33,8 @@ def reading(command: Callable[..., None]) -> Callable[..., None]:
 
     @wraps(command)
     def limited(memory: int | None, **given: Any) -> None:
-        with bounded(memory, given["ledger"], given.get("other"), given.get("workflows"), workers=given.get("workers")):
+        ledgers = (given["ledger"], given.get("other"), given.get("workflows"), *(given.get("beside") or ()))
+        with bounded(memory, *ledgers, workers=given.get("workers")):
             command(**given)
 
     option = inspect.Parameter("memory", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=ReadingMemoryOption)

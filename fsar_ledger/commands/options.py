@@ -160,6 +160,22 @@ CosignedOption = Annotated[
 WorkflowLedgerOption = Annotated[
     Path | None, typer.Option("--workflows", metavar="LEDGER", help="A ledger of the paper's three workflows.", show_default="say that there is none")
 ]
+OnlyOption = Annotated[
+    list[str] | None,
+    typer.Option("--only", metavar="EXPERIMENT", help="results (always made), ablation, scaling or workflows; may be repeated.", show_default="all"),
+]
+ReproducedRunsOption = Annotated[
+    int | None, typer.Option("--runs", metavar="N", help="Runs of each scenario.", show_default="results 200, ablation 40, scaling 20")
+]
+BesideOption = Annotated[
+    list[Path] | None,
+    typer.Option(
+        "--with",
+        metavar="LEDGER",
+        help="Another ledger that the report shows, of ablations, larger fleets or workflows; may be repeated.",
+        show_default="say what is missing",
+    ),
+]
 
 RUNS = 20  # per scenario and architecture, as in the paper
 

@@ -137,6 +137,10 @@ class Signer:
         """The signature of this key under the checkpoint; the same each time (RFC 8032)."""
         return Signature(self.verifier.name, self.verifier.key_id, self.signature_of(checkpoint.text().encode()))
 
+    def under(self, name: str) -> "Signer":
+        """The same secret under another name: it signs the ledger of that origin."""
+        return Signer(name, self._key.private_bytes_raw())
+
     def signature_of(self, text: bytes) -> bytes:
         """The 64 bytes of the signature under this text."""
         return self._key.sign(text)

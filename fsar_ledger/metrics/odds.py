@@ -6,14 +6,16 @@ drawn table (min-p, Westfall and Young 1993), so cells that go together are not 
 """
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Numbers = NDArray[np.float64]
 Cell = tuple[str, str]
-"""Metric and architecture."""
+"""Metric and architecture: a cell of the results table."""
+
+_Cell = TypeVar("_Cell")
 
 
 class Printed(NamedTuple):
@@ -23,14 +25,14 @@ class Printed(NamedTuple):
     step: float
 
 
-class Odds(NamedTuple):
+class Odds(NamedTuple, Generic[_Cell]):
     """The p of each cell, and that of the table as a whole; a cell of which no drawn experiment has a number is left out."""
 
-    cells: dict[Cell, float]
+    cells: dict[_Cell, float]
     table: float
 
 
-def odds(drawn: Mapping[Cell, Sequence[float | None] | Numbers], printed: Mapping[Cell, Printed]) -> Odds | None:
+def odds(drawn: Mapping[_Cell, Sequence[float | None] | Numbers], printed: Mapping[_Cell, Printed]) -> Odds[_Cell] | None:
     """Return how likely the printed table is among the drawn ones; None where they share no cell.
 
     `drawn` holds a number for each drawn experiment, all in one order of the experiments; None where an experiment leaves it undefined.

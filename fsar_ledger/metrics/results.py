@@ -46,6 +46,18 @@ class MetricRow(msgspec.Struct, frozen=True, kw_only=True):
     runs_not_observed: int = 0
 
 
+class DialledRow(MetricRow, frozen=True, kw_only=True):
+    """A metric's summary with the dials that the paper leaves open: how often two robots meet, in seconds between, and how many teams work.
+
+    `setting` as in `run_settings`; `made_alike_but` is the same text for runs of one model that differ in fleet size and these dials alone.
+    """
+
+    setting: str
+    encounter_mean_s: float | None
+    teams_working: int | None
+    made_alike_but: str
+
+
 class StatisticRow(msgspec.Struct, frozen=True, kw_only=True):
     """One comparison of two architectures, or of one with itself without a mechanism, by one metric over paired runs. Paper: tab:significance.
 
@@ -107,6 +119,17 @@ def metric_rows(database: Database, by_scenario: bool = False, *, pools_seeds: b
         ORDER BY {SETTINGS}, position, scenario, list_position(['fsar', 'cfc', 'dhma'], architecture), architecture
     """)
     return typed(rows, MetricRow)
+
+
+def dialled_rows(database: Database, *, pools_seeds: bool = False) -> list[DialledRow]:
+    """The summaries over all scenarios and of each, with their dials; of each seed, or of all together. Raises: as `Database.rows`."""
+    rows = database.rows(f"""
+        SELECT * EXCLUDE (position, pools_seeds)
+        FROM metrics_by_dial
+        WHERE {"pools_seeds" if pools_seeds else "NOT pools_seeds"}
+        ORDER BY {SETTINGS}, scenario IS NOT NULL, scenario, position, list_position(['fsar', 'cfc', 'dhma'], architecture), architecture
+    """)
+    return typed(rows, DialledRow)
 
 
 def statistic_rows(database: Database, defined_only: bool = False, *, pools_seeds: bool = False) -> list[StatisticRow]:

@@ -1,4 +1,4 @@
-"""The paper beside ours: two questions, and an answer to each for every cell of the results table.
+"""The paper beside ours: two questions, and an answer to each for every cell that is judged.
 
 Both rules were registered before the fit, in `reports/registration.toml`.
 
@@ -8,11 +8,9 @@ Both rules were registered before the fit, in `reports/registration.toml`.
   runs, print a number as far out (`odds.py`), `yes` otherwise.
 """
 
-import csv
 import math
 from collections.abc import Iterable
 from functools import cache
-from importlib.resources import files
 from typing import Literal
 
 import msgspec
@@ -20,6 +18,7 @@ import msgspec
 from fsar_ledger.registration import registration
 
 from .odds import Cell, Odds, Printed
+from .printed import printed
 from .results import MetricRow
 
 Answer = Literal["yes", "no", "undecided"]
@@ -27,18 +26,6 @@ Answer = Literal["yes", "no", "undecided"]
 ALPHA = registration().verdicts.alpha
 MARGINS: dict[str, float] = registration().margins
 """Half-width within which a difference does not matter, in the metric's unit."""
-
-_PRINTED: dict[str, tuple[str, float]] = {
-    "coordination_success": ("coordination_success_pct", 100.0),
-    "governance_locality": ("governance_locality", 1.0),
-    "recovery_containment": ("recovery_containment", 1.0),
-    "authority_conflicts": ("authority_conflicts", 1.0),
-    "policy_violations": ("policy_violations", 1.0),
-    "reassignment_latency_s": ("reassignment_latency_s", 1.0),
-    "human_intervention": ("human_interventions_pct", 100.0),
-    "audit_attributability": ("audit_attributability", 1.0),
-}
-# Each metric's name in results.csv, and how many printed units make one of ours (percent, shares).
 
 
 class Comparison(msgspec.Struct, frozen=True, kw_only=True):
@@ -69,30 +56,29 @@ class Comparison(msgspec.Struct, frozen=True, kw_only=True):
 @cache
 def published() -> dict[Cell, Printed]:
     """The 24 cells of the paper's results table in our unit, by metric and architecture. No other table is read for them. Paper: tab:results."""
-    text = files("fsar_ledger.reports").joinpath("paper", "results.csv").read_text("utf-8")
-    printed = {(row["metric"], row["architecture"]): row["mean"] for row in csv.DictReader(text.splitlines())}
-    cells: dict[Cell, Printed] = {}
-    for metric, (name, unit) in _PRINTED.items():
-        for architecture in ("FSAR", "CFC", "DHMA"):
-            mean = printed[name, architecture]
-            cells[metric, architecture.lower()] = Printed(float(mean) / unit, 10.0 ** -len(mean.partition(".")[2]) / unit)
-    return cells
+    return {(place.metric, place.architecture): number for place, number in printed("results").items()}
 
 
-def compare(rows: Iterable[MetricRow], odds: Odds | None = None) -> list[Comparison]:
-    """The answers for every row whose metric and architecture the paper prints, in the order given; the second only with odds."""
-    return [_judge(row, paper.value, odds) for row in rows if (paper := published().get((row.metric, row.architecture or "")))]
+def compare(rows: Iterable[MetricRow], odds: Odds[Cell] | None = None) -> list[Comparison]:
+    """The answers for every row whose metric and architecture the results table prints, in the order given; the second only with odds."""
+    found = []
+    for row in rows:
+        cell = (row.metric, row.architecture or "")
+        if paper := published().get(cell):
+            found.append(judge(row, paper.value, None if odds is None else odds.cells.get(cell)))
+    return found
 
 
-def _judge(row: MetricRow, paper: float, odds: Odds | None) -> Comparison:
-    """One cell judged by the rules above."""
+def judge(row: MetricRow, paper: float, share: float | None) -> Comparison:
+    """A number beside a printed one, of whatever table, by the rules above; `share` of the drawn experiments, None where none were drawn."""
     margin = MARGINS[row.metric]
     difference = None if row.mean is None else row.mean - paper
     low = high = power = None
     if difference is not None and row.sd and row.n > 1:
         half_width = _half_width(row.sd, row.n)
         low, high, power = difference - half_width, difference + half_width, _power(row.sd, row.n, margin)
-    share = None if odds is None or row.mean is None else odds.cells.get((row.metric, row.architecture or ""))
+    if row.mean is None:
+        share = None
     return Comparison(
         metric=row.metric,
         architecture=row.architecture,

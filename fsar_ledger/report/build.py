@@ -1,6 +1,6 @@
 """A ledger becomes the report: gather, lay out, typeset, publish."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from fsar_ledger.ledger.place import require_outside
@@ -18,23 +18,25 @@ def write_report(
     progress: Callable[[int, int], None] | None = None,
     demanded: str | None = None,
     *,
+    beside: Sequence[Path] = (),
     pools_seeds: bool = False,
 ) -> None:
-    """The PDF about the ledger's present head, and about that of a ledger of workflows, is at `out`, complete or not at all.
+    """The PDF about the ledger's present head, and about those of the ledgers beside it, is at `out`, complete or not at all.
 
-    First every row of both is compared with its root. Same heads and versions, same bytes.
+    First every row of each is compared with its root. Same heads and versions, same bytes.
 
     Args:
         ledger: The folder of the ledger.
         out: The PDF.
         workflows: The folder of the ledger of workflows.
+        beside: The folders of other ledgers: of ablations, of larger fleets, of workflows. Each is asked what it holds.
         workers: Processes that compare rows.
         progress: Told of segments compared, done and in all.
         pools_seeds: Whether the tables are of the runs of all seeds together.
         demanded: The newest record of the ledger, if a whole look just saw it (`required_look`); None looks now.
 
     Raises:
-        UsageError: The ledger of workflows holds no workflow, or `out` lies inside a ledger.
+        UsageError: The ledger of workflows holds no workflow, one beside it nothing for the report, or `out` lies inside a ledger.
         NotALedger, FormatVersionMismatch, LedgerCorrupted: The ledger cannot be read, or its rows are not those under its root.
         SequenceConflict: Somebody appended meanwhile.
         WriteFailed: `out` cannot be written.
@@ -42,7 +44,7 @@ def write_report(
     require_outside(out, f"--out {out}")
     typeset.require_place(out)
     demanded = demanded or required_look(ledger, workers, progress)
-    theirs = None if workflows is None else required_look(workflows, workers, progress)
+    theirs = {one: required_look(one, workers, progress) for one in (*([] if workflows is None else [workflows]), *beside)}
     findings = gather(ledger, workflows, demanded, theirs, pools_seeds=pools_seeds)
     laid_out = document.encoded(document.data(findings, recorded()))
     typeset.publish(out, typeset.pdf(laid_out, document.drawings(findings)))

@@ -11,9 +11,9 @@ import msgspec
 import fsar_ledger
 from fsar_ledger import printable
 from fsar_ledger.constants import Constants, write_constants
-from fsar_ledger.report import contradictions, figures, printing, provenance, sequence, specs
+from fsar_ledger.report import contradictions, figures, printing, provenance, sections, sequence, specs
 from fsar_ledger.report.calibration import Record
-from fsar_ledger.report.findings import Findings, Row, Workflows, answer
+from fsar_ledger.report.findings import Findings, Row, Told, Workflows, answer
 from fsar_ledger.report.gather import flat
 from fsar_ledger.report.printing import Table
 
@@ -23,7 +23,7 @@ MAX_DIFFERING = 2_000  # characters of what is said of a pair's worlds
 SHOWN_WEIGHTS = 3  # constants named for each direction of the fit
 
 
-def _source(findings: Findings, query: str | None, head: Findings | Workflows | None = None) -> str:
+def _source(findings: Findings, query: str | None, head: Findings | Workflows | Told | None = None) -> str:
     """Where the numbers of a table come from: query file, its SHA-256, and the head that was asked, shortened to 12 hex digits."""
     head = head or findings
     digest = next((one.sha256 for one in findings.sources if one.name == query), None)
@@ -119,7 +119,7 @@ def _weights(weights: Mapping[str, float]) -> str:
     return ", ".join(f"{name} {printing.number(weight, 2)}" for name, weight in largest)
 
 
-def _figure(findings: Findings, name: str, head: Findings | Workflows | None = None) -> dict[str, Any]:
+def _figure(findings: Findings, name: str, head: Findings | Workflows | Told | None = None) -> dict[str, Any]:
     spec = specs.figure(name)
     return {
         "file": f"{name}.svg",
@@ -206,6 +206,7 @@ def _misses(findings: Findings, record: Record | None) -> list[dict[str, Any]]:
 def data(findings: Findings, record: Record | None) -> dict[str, Any]:
     """All that the template prints; tables keep each value beside its print."""
     tables = _ledger_tables(findings) | _fit_tables(findings, record) | _workflow_tables(findings)
+    tables |= sections.tables(findings, lambda query, told: _source(findings, query, told))
     tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()}
     return {
         "head": {
@@ -221,7 +222,10 @@ def data(findings: Findings, record: Record | None) -> dict[str, Any]:
         "answer": _sayable(answer(findings)),
         "tables": tables,
         "figures": {name: _figure(findings, name) for name in ("evaluation-results", "distances", "effects")}
-        | {name: _figure(findings, name, findings.workflows) for name in _workflow_figures(findings)},
+        | {name: _figure(findings, name, findings.workflows) for name in _workflow_figures(findings)}
+        | {name: _figure(findings, name, getattr(findings, sections.FIGURES[name]).told) for name in sections.drawings(findings)},
+        "ablation": sections.ablation(findings),
+        "scaling": sections.scaling(findings),
         "workflows": _workflows(findings),
         "mechanisms": specs.passages("mechanisms"),
         "readings": specs.passages("readings"),
@@ -244,7 +248,7 @@ def drawings(findings: Findings) -> dict[str, bytes]:
     """The figures as SVG, by file name."""
     drawn = {"evaluation-results": figures.evaluation_results(findings.cells), "distances": figures.distances(findings.cells)}
     drawn["effects"] = figures.effects(findings.tests)
-    return {f"{name}.svg": svg for name, svg in (drawn | _workflow_figures(findings)).items()}
+    return {f"{name}.svg": svg for name, svg in (drawn | _workflow_figures(findings) | sections.drawings(findings)).items()}
 
 
 def encoded(document: Mapping[str, Any]) -> bytes:

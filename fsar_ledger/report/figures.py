@@ -35,7 +35,8 @@ HEADROOM = 1.1  # height of a panel, as a multiple of its highest value
 
 
 @contextmanager
-def _canvas(spec: specs.FigureSpec, rows: int, columns: int) -> Iterator[tuple[Any, Any]]:
+def canvas(spec: specs.FigureSpec, rows: int, columns: int) -> Iterator[tuple[Any, Any]]:
+    """A figure of this size and its panels, in rows. Only Agg draws, with these settings and no others."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -123,7 +124,7 @@ def evaluation_results(rows: Sequence[Row], kind: str = "svg") -> bytes:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    with _canvas(specs.figure("evaluation-results"), 2, 4) as (figure, axes):
+    with canvas(specs.figure("evaluation-results"), 2, 4) as (figure, axes):
         for panel, spec in zip(axes.flat, specs.metrics(), strict=True):
             _panel(panel, spec, rows)
         handles: list[Any] = [Patch(color=colour, alpha=0.75, label=f"{name.upper()}, this ledger") for name, colour in COLOURS.items()]
@@ -138,7 +139,7 @@ def distances(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
     Each row holds metric, architecture, distance (None: no value) and difference, its interval in the metric's unit.
     """
-    with _canvas(specs.figure("distances"), 1, 1) as (figure, axes):
+    with canvas(specs.figure("distances"), 1, 1) as (figure, axes):
         panel = axes[0, 0]
         names = [spec.name for spec in specs.metrics()]
         panel.axvspan(-1.0, 1.0, color="#eeeeee", zorder=0)

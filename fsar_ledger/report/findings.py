@@ -40,6 +40,44 @@ class Workflows(msgspec.Struct, frozen=True):
     others: int = 0
 
 
+class Told(msgspec.Struct, frozen=True):
+    """Which head says it: commits, events and root, runs in all, whether what was planned is there, and the model of the runs."""
+
+    commits: int
+    size: int
+    root: str
+    run_count: int
+    completeness: str
+    model_version: str | None
+
+
+class Ablation(msgspec.Struct, frozen=True):
+    """What one head says of FSAR without some of its mechanisms; Paper: tab:ablation, sec:evaluation:ablation.
+
+    cells: the 30 cells of the table, text: the eight numbers of the text, in the paper's order; curve: means of the configuration without a shared
+    registry for each metric, for each scenario and all of them, by `encounter_mean_s`; rates: one row for each of these, with a column per metric.
+    """
+
+    told: Told
+    encounter_mean_s: float | None
+    cells: tuple[Row, ...]
+    text: tuple[Row, ...]
+    curve: tuple[Row, ...]
+    rates: tuple[Row, ...]
+
+
+class Scaling(msgspec.Struct, frozen=True):
+    """What one head says of larger fleets; Paper: tab:scaling.
+
+    cells: the 45 cells of the table, with our means where all teams work and where one does; curve: our means for each metric, architecture, fleet size
+    and count of teams working.
+    """
+
+    told: Told
+    cells: tuple[Row, ...]
+    curve: tuple[Row, ...]
+
+
 class Findings(msgspec.Struct, frozen=True):
     """All that one head of a ledger has to say.
 
@@ -59,7 +97,8 @@ class Findings(msgspec.Struct, frozen=True):
     background: one row per architecture: how much of what is counted is routine, how much of what is not attributable is a supervisor off shift.
     cases: one row per number of the paper's four cases: its words and number, ours in both readings; empty where no run is of their scenarios.
     completeness: whether all that was planned is there, as a clause.
-    workflows: what another ledger says of the paper's workflows; None without one.
+    workflows, ablation, scaling: what another ledger, or this one, says of the paper's workflows, of FSAR without a mechanism and of larger fleets;
+        None without one.
     model_version: that of the runs in the tables; shown: which runs these are, where the ledger holds others of their configuration and fleet size.
     unjudged: in words, which numbers no verdict compares with the printed tables, since they are over other runs, and which these are; None where none are.
     differing: in words, the pairs of runs that are left out since they met different worlds.
@@ -84,6 +123,8 @@ class Findings(msgspec.Struct, frozen=True):
     cases: tuple[Row, ...] = ()
     completeness: str = ""
     workflows: Workflows | None = None
+    ablation: Ablation | None = None
+    scaling: Scaling | None = None
     model_version: str | None = None
     shown: str | None = None
     unjudged: str | None = None

@@ -21,6 +21,7 @@ from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
 from fsar_ledger.report import cases, marks, printing, specs, whole
 from fsar_ledger.report.findings import ARCHITECTURES, COMPARISONS, MAIN_CONFIGURATION, MAIN_FLEET_SIZE, SCENARIOS, Findings, Row, Source, with_agreement
+from fsar_ledger.report.others import held, others
 
 QUERIES = (
     "metrics/metric_summary",
@@ -135,7 +136,7 @@ def _blank(cls: type[msgspec.Struct]) -> Row:
     return dict.fromkeys(cls.__struct_fields__)
 
 
-def _cells(rows: Iterable[MetricRow], apart: Collection[str], drawn: Odds | None) -> tuple[Row, ...]:
+def _cells(rows: Iterable[MetricRow], apart: Collection[str], drawn: Odds[Cell] | None) -> tuple[Row, ...]:
     found = {(row.metric, row.architecture): row for row in rows}
     judged = {(one.metric, one.architecture): one for one in verdicts.compare(found.values(), drawn) if one.architecture not in apart}
     printed = {(row["metric"], row["architecture"]): row["mean"] for row in specs.paper_table("results")}
@@ -203,7 +204,7 @@ def _rule(cells: tuple[Row, ...]) -> tuple[Row, ...]:
     )
 
 
-def _odds(database: Database, main: Setting | None, runs_held: Mapping[str, Mapping[str | None, int]]) -> Odds | None:
+def _odds(database: Database, main: Setting | None, runs_held: Mapping[str, Mapping[str | None, int]]) -> Odds[Cell] | None:
     """How likely the printed table is among experiments that are drawn from the main runs; None where they are fewer than one such experiment."""
     if main is None or any(count < PAPER_RUNS for held in runs_held.values() for count in held.values()):
         return None
@@ -307,18 +308,23 @@ def _is_file(query: str) -> bool:
 
 
 def gather(
-    ledger: Path, workflows: Path | None = None, demanded: str | None = None, demanded_of_workflows: str | None = None, *, pools_seeds: bool = False
+    ledger: Path,
+    workflows: Path | None = None,
+    demanded: str | None = None,
+    beside: Mapping[Path, str | None] | None = None,
+    *,
+    pools_seeds: bool = False,
 ) -> Findings:
-    """All that the ledger's present head has to say, and that of a ledger of workflows, if there is one.
+    """All that the ledger's present head has to say, and those of the ledgers beside it, that of workflows among them.
 
     The tables are of one setting: configuration, fleet size, kind, model, constants and seed; of all seeds if they are asked for together.
-    Where a newest record is demanded, of no other head.
+    Where a newest record is demanded, of no other head; `beside` says which of each other ledger, None: any.
 
     Raises:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `fsar_ledger.metrics.database.connect`; SequenceConflict, too.
         QueryFailed: A packaged query fails on this ledger's data.
     """
-    of_workflows = None if workflows is None else marks.workflows(workflows, demanded_of_workflows)  # first: it may be another ledger by mistake
+    told = others({**({} if workflows is None else {workflows: None}), **(beside or {})}, workflows, pools_seeds=pools_seeds)  # first: some may be mistakes
     with connect(ledger, demanded=demanded) as database:
         head = database.head
         every, every_by_scenario = (metric_rows(database, one, pools_seeds=pools_seeds) for one in (False, True))
@@ -330,10 +336,11 @@ def gather(
         drawn = _odds(database, main, runs_held)
         cells = _cells(overall, apart, drawn)
         kinds, parameters = _models(database)
-        names = (*QUERIES, *(marks.QUERIES if workflows is not None else ()))
+        told = told.over(held(database, pools_seeds=pools_seeds))
+        names = (*QUERIES, *told.queries())
         needed = database.library.needs(database.library.find(name).relation for name in names)
-        others = _others(every, main)
-        graded, background = _of_main(ledger, demanded, database, main, alone=not others)
+        otherwise = _others(every, main)
+        graded, background = _of_main(ledger, demanded, database, main, alone=not otherwise)
         runs = _runs(database)
         return Findings(
             commits=head.commits if head else 0,
@@ -345,7 +352,7 @@ def gather(
             scenarios=_scenarios(overall, by_scenario),
             rule=_rule(cells),
             table_share=drawn.table if drawn is not None and not apart else None,
-            others=others,
+            others=otherwise,
             runs=runs,
             models=kinds,
             parameters=parameters,
@@ -355,9 +362,11 @@ def gather(
             background=background,
             cases=cases.beside(_of_setting(database.rows(CASES_SQL), main)),
             completeness=completeness(database).sentence(),
-            workflows=of_workflows,
+            workflows=told.workflows,
+            ablation=told.ablation,
+            scaling=told.scaling,
             model_version=main[5] if main else None,
-            shown=_shown(main, others),
+            shown=_shown(main, otherwise),
             unjudged=whole.why_apart(runs_held, pairs_held),
             differing=tuple(map(str, differing_worlds(database))),
         )

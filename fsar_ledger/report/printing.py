@@ -94,6 +94,11 @@ def words(value: object, most: int = MAX_WORDS) -> str:
     return THIN_SPACE.join(printable.value(part, len(part)) for part in cut.split(THIN_SPACE))
 
 
+def configuration(name: str) -> str:
+    """A configuration as the paper's table names it: full, or what is taken out after a minus sign."""
+    return f"{MINUS} {name.removeprefix('without-').replace('-', ' ')}" if name.startswith("without-") else name
+
+
 Formatter = Callable[[Any, specs.Column, Row], str]
 
 FORMATS: Mapping[str, Formatter] = {
@@ -103,6 +108,8 @@ FORMATS: Mapping[str, Formatter] = {
     "pair": lambda value, _column, _row: " vs ".join(words(value).upper().split("-")),
     "title": lambda value, _column, _row: specs.metric(str(value)).title,
     "short": lambda value, _column, _row: specs.metric(str(value)).short,
+    "configuration": lambda value, _column, _row: configuration(words(value)),
+    "scenario": lambda value, _column, _row: words(value).replace("-", " ").capitalize(),
     "number": lambda value, column, _row: number(value, column.digits),
     "significant": lambda value, column, _row: significant(value, column.digits + 1),
     "integer": lambda value, _column, _row: integer(value),

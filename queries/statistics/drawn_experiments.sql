@@ -1,7 +1,8 @@
 -- Title: What experiments of the paper's size would have printed: 4,000 of them, drawn from the runs that are here
 -- Paper: tab:results
 -- Grain: one row per drawn experiment, architecture, configuration, setting (kind, source, model version, constants, fleet size), seed and metric
--- Units: value in the metric's unit. An experiment is 20 runs of each scenario, drawn with replacement; the runs of a world are drawn together for all
+-- Units: setting as in run_settings; value in the metric's unit.
+--        An experiment is 20 runs of each scenario, drawn with replacement; the runs of a world are drawn together for all
 --        architectures. Nothing is random: which runs a draw takes follows from an MD5 of its number
 -- NULL: value where nothing that the metric counts was drawn
 -- Example: fsar-ledger query statistics/drawn_experiments LEDGER
@@ -27,9 +28,9 @@ counted AS (
 
 draws AS (
     SELECT
-        draw,
-        scenario,
-        md5_number_lower(concat_ws('/', draw, scenario, slot)) AS drawn
+        experiments.draw,
+        scenarios.scenario,
+        md5_number_lower(concat_ws('/', experiments.draw, scenarios.scenario, slots.slot)) AS drawn
     FROM (SELECT DISTINCT scenario FROM counted) AS scenarios, range(4000) AS experiments (draw), range(20) AS slots (slot)
 ),
 
@@ -69,7 +70,7 @@ summed AS (
 )
 
 SELECT
-    summed.* EXCLUDE (setting, mean, ratio),
+    summed.* EXCLUDE (mean, ratio),
     if(definitions.is_pooled, summed.ratio / definitions.numerator_units, summed.mean) AS value
 FROM summed
 INNER JOIN metric_definitions AS definitions ON summed.metric = definitions.metric

@@ -156,29 +156,39 @@ def test_the_ledger_is_the_same_whatever_the_surroundings(ledger: Path, tmp_path
     assert {path.relative_to(tmp_path / "again"): path.read_bytes() for path in (tmp_path / "again").rglob("*") if path.is_file()} == files
 
 
-def test_reproduce_does_the_whole_experiment(call: Call, tmp_path: Path) -> None:
-    reproduced(call, tmp_path)
+EXPERIMENTS = {"results": "", "ablation": "/ablation", "scaling": "/scaling", "workflows": "/workflows"}
 
 
-@pytest.mark.slow  # that an experiment that is there is not made again, and a report has the same bytes again, is tested in parts as well
+def test_reproduce_makes_the_experiments_that_are_asked_for(call: Call, tmp_path: Path) -> None:
+    reproduced(call, tmp_path, "workflows")
+
+
+def test_an_experiment_that_is_not_known_is_refused_before_anything_is_made(call: Call, tmp_path: Path) -> None:
+    said = call("reproduce", "--out", tmp_path / "out", "--only", "ablations")
+    assert (said.code, "did you mean 'ablation'?" in said.err) == (2, True)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.slow  # all of them; that an experiment that is there is not made again, and a report has the same bytes again, is tested in parts as well
 def test_reproduce_can_be_repeated(call: Call, tmp_path: Path) -> None:
     reproduced(call, tmp_path)
     before = {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir() if path.is_file()}
-    assert call("reproduce", "--out", tmp_path / "out", "--key", tmp_path / "fleet.key").code == 0
+    assert call("reproduce", "--out", tmp_path / "out", "--runs", 1, "--key", tmp_path / "fleet.key").code == 0
     assert {path.name: path.read_bytes() for path in (tmp_path / "out").iterdir() if path.is_file()} == before
 
 
-def reproduced(call: Call, tmp_path: Path) -> None:
-    """The whole experiment was done, signed, in the folder `out`."""
+def reproduced(call: Call, tmp_path: Path, *only: str) -> None:
+    """The results and these experiments (none named: all) were done with one run of each scenario, complete and signed, in the folder `out`."""
     assert call("key", "new", tmp_path / "fleet.key", "--name", "example.org/fleet").code == 0
-    said = call("reproduce", "--out", tmp_path / "out", "--workers", "2", "--key", tmp_path / "fleet.key")
+    asked = [option for name in only for option in ("--only", name)]
+    said = call("reproduce", "--out", tmp_path / "out", "--runs", 1, "--workers", "2", "--key", tmp_path / "fleet.key", *asked)
     assert said.code == 0, said.err
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {"ledger", "workflows", "metrics.csv", "statistics.csv", "report.pdf"}
-    info = json.loads(call("info", tmp_path / "out" / "ledger", "--json").out)
-    assert (info["runs"], info["is_complete"]) == (300, True)
+    names = {"results", *only} if only else set(EXPERIMENTS)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {*names, "metrics.csv", "statistics.csv", "report.pdf"}
     assert len(said.out.splitlines()) == 2 + 24 + 3
-    notes = {name: (tmp_path / "out" / name / "checkpoint").read_text() for name in ("ledger", "workflows")}
-    assert {name: (note.split("\n")[0], "\N{EM DASH}" in note) for name, note in notes.items()} == {
-        "ledger": ("example.org/fleet", True),
-        "workflows": ("fsar-ledger/workflows", False),
-    }
+    for name in names:
+        info = json.loads(call("info", tmp_path / "out" / name, "--json").out)
+        assert info["is_complete"], name
+        origin = f"example.org/fleet{EXPERIMENTS[name]}"
+        note = (tmp_path / "out" / name / "checkpoint").read_text()
+        assert (note.split("\n")[0], f"\N{EM DASH} {origin} " in note) == (origin, True)

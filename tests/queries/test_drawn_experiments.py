@@ -21,11 +21,14 @@ def run(architecture: str, scenario: str, number: int, **more: Any) -> dict[str,
     return {**same, **named, "position": 1, "metric": "coordination_success", "value": float(number), "numerator": number, "denominator": 1, **more}
 
 
-def drawn(rows: list[dict[str, Any]]) -> pl.DataFrame:
+def held(rows: list[dict[str, Any]]) -> pa.Table:
     text = ("source", "constants", "not_observed")
-    table = pa.table(pl.DataFrame([{"not_observed": None, **row} for row in rows], schema_overrides=dict.fromkeys(text, pl.String)).to_arrow())
+    return pa.table(pl.DataFrame([{"not_observed": None, **row} for row in rows], schema_overrides=dict.fromkeys(text, pl.String)).to_arrow())
+
+
+def drawn(rows: list[dict[str, Any]]) -> pl.DataFrame:
     with from_rows([]) as database:
-        database.hold("run_metrics", table)
+        database.hold("run_metrics", held(rows))
         return pl.DataFrame(database.table("SELECT * FROM drawn_experiments ORDER BY ALL"))
 
 
@@ -76,3 +79,13 @@ def test_runs_made_otherwise_are_never_in_one_experiment() -> None:
     found = drawn(rows)
     assert len(found) == 4 * registration().verdicts.draws
     assert set(found["value"].floor()) <= {0.0, 1.0, 100.0, 101.0}
+
+
+def test_an_experiment_is_made_of_the_runs_that_were_drawn_of_each_scenario() -> None:
+    rows = [run("fsar", scenario, number) for scenario in SCENARIOS for number in range(RUNS)]
+    with from_rows([]) as database:
+        database.hold("run_metrics", held(rows))
+        parts = pl.DataFrame(database.table("SELECT draw, avg(value) AS value, count(*) AS scenarios FROM drawn_scenarios GROUP BY draw ORDER BY draw"))
+        whole = pl.DataFrame(database.table("SELECT draw, value FROM drawn_experiments ORDER BY draw"))
+    assert set(parts["scenarios"]) == {len(SCENARIOS)}
+    assert np.allclose(parts["value"].to_numpy(), whole["value"].to_numpy())

@@ -1,0 +1,87 @@
+"""The numbers that the paper prints, in our unit, each with the step of its last digit. A table is read when it is asked for, and no other."""
+
+import csv
+from collections.abc import Iterator
+from functools import cache
+from importlib.resources import files
+from typing import Literal, NamedTuple
+
+from fsar_ledger.events.configuration import FULL
+
+from .odds import Printed
+
+Table = Literal["results", "ablation", "ablation_text", "scaling"]
+
+_RESULTS: dict[str, tuple[str, float]] = {
+    "coordination_success": ("coordination_success_pct", 100.0),
+    "governance_locality": ("governance_locality", 1.0),
+    "recovery_containment": ("recovery_containment", 1.0),
+    "authority_conflicts": ("authority_conflicts", 1.0),
+    "policy_violations": ("policy_violations", 1.0),
+    "reassignment_latency_s": ("reassignment_latency_s", 1.0),
+    "human_intervention": ("human_interventions_pct", 100.0),
+    "audit_attributability": ("audit_attributability", 1.0),
+}
+# Each metric's name in results.csv, and how many printed units make one of ours (percent, shares). The other tables print our units.
+_SUCCESS = "success"  # how the other tables call coordination_success
+_FSAR, _FLEET = "fsar", 4
+
+
+class Place(NamedTuple):
+    """Where a number is printed, in the names of our queries; `scenario` None: over all of them."""
+
+    table: Table
+    metric: str
+    architecture: str
+    configuration: str
+    fleet_size: int
+    scenario: str | None = None
+
+
+@cache
+def printed(table: Table) -> dict[Place, Printed]:
+    """The numbers of one table of the paper, in its order, by their place. Paper: tab:results, tab:ablation, sec:evaluation:ablation, tab:scaling."""
+    rows = list(csv.DictReader(files("fsar_ledger.reports").joinpath("paper", f"{table}.csv").read_text("utf-8").splitlines()))
+    read = {"results": _results, "ablation": _ablation, "ablation_text": _ablation_text, "scaling": _scaling}[table]
+    return dict(read(rows))
+
+
+def _results(rows: list[dict[str, str]]) -> Iterator[tuple[Place, Printed]]:
+    means = {(row["metric"], row["architecture"]): row["mean"] for row in rows}
+    for metric, (name, unit) in _RESULTS.items():
+        for architecture in ("FSAR", "CFC", "DHMA"):
+            yield Place("results", metric, architecture.lower(), FULL, _FLEET), _number(means[name, architecture], unit)
+
+
+def _ablation(rows: list[dict[str, str]]) -> Iterator[tuple[Place, Printed]]:
+    for row in rows:
+        configuration = _hyphened(row.pop("configuration"))
+        for name, text in row.items():
+            yield Place("ablation", _metric(name), _FSAR, configuration, _FLEET), _number(text)
+
+
+def _ablation_text(rows: list[dict[str, str]]) -> Iterator[tuple[Place, Printed]]:
+    """A claim of the text is two numbers: in full, and without the mechanism."""
+    for row in rows:
+        for configuration, text in ((FULL, row["full_fsar"]), (_hyphened(row["configuration"]), row["ablated"])):
+            yield Place("ablation_text", _metric(row["metric"]), _FSAR, configuration, _FLEET, _hyphened(row["scenario"])), _number(text)
+
+
+def _scaling(rows: list[dict[str, str]]) -> Iterator[tuple[Place, Printed]]:
+    for row in rows:
+        size, architecture = int(row.pop("fleet_size")), row.pop("architecture").lower()
+        for name, text in row.items():
+            yield Place("scaling", _metric(name), architecture, FULL, size), _number(text)
+
+
+def _number(text: str, unit: float = 1.0) -> Printed:
+    return Printed(float(text) / unit, 10.0 ** -len(text.partition(".")[2]) / unit)
+
+
+def _metric(name: str) -> str:
+    return "coordination_success" if name == _SUCCESS else name
+
+
+def _hyphened(name: str) -> str:
+    """The paper's tables have underscores where our names have hyphens."""
+    return name.replace("_", "-")

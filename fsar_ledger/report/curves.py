@@ -1,0 +1,179 @@
+"""The figures of the tables "Ablation" and "Scaling": bars beside the printed numbers, and curves over what the paper leaves open."""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any
+
+from fsar_ledger.report import printing, specs
+from fsar_ledger.report.figures import COLOURS, DIAMOND, HEADROOM, Row, canvas, rendered
+
+ABLATED = ("coordination_success", "governance_locality", "recovery_containment", "authority_conflicts", "policy_violations", "audit_attributability")
+"""The metrics of the ablation table, in its order."""
+SCALED = ("coordination_success", "governance_locality", "recovery_containment", "authority_conflicts", "audit_attributability")
+"""Those of the scaling table."""
+LETTERS = {
+    "full": "full",
+    "without-trust-evaluation": "− trust",
+    "without-policy-composition": "− policy",
+    "without-layered-recovery": "− recovery",
+    "without-shared-registry": "− registry",
+}
+SCENARIO_STYLES = {None: ("black", "-", "o"), "door-relay": ("#0072B2", "--", "s"), "collaborative-delivery": ("#D55E00", ":", "^")}
+MARKERS = {"fsar": "o", "cfc": "s", "dhma": "^"}  # told apart in grey, too
+LARGEST = 16
+"""Robots of the paper's largest fleet."""
+
+
+def ablation(rows: Sequence[Row], kind: str = "svg") -> bytes:
+    """The figure "Without one mechanism": six panels, five configurations, the paper's values marked. Rows: cells of the ablation table."""
+    from matplotlib.lines import Line2D
+
+    with canvas(specs.figure("ablation"), 2, 3) as (figure, axes):
+        for panel, metric in zip(axes.flat, ABLATED, strict=True):
+            spec = specs.metric(metric)
+            found = [row for row in rows if row["metric"] == metric]
+            for position, row in enumerate(found):
+                panel.plot(position + 0.3, row["paper"] * spec.scale, zorder=4, **DIAMOND)
+                if row["mean"] is None:
+                    panel.annotate("no value", (position - 0.08, 0), (0, 3), textcoords="offset points", rotation=90, ha="center", va="bottom", color="#777777")
+                    continue
+                colour = COLOURS["fsar"] if row["configuration"] == "full" else "#8fb8d6"
+                hatch = "///" if row["class"] in ("unspecified", "cannot follow") else None
+                panel.bar(position - 0.08, row["mean"] * spec.scale, width=0.55, color=colour, hatch=hatch, edgecolor="white", linewidth=0, zorder=2)
+                _whisker(panel, position - 0.08, row["interval"], spec.scale)
+            panel.set_title(spec.title)
+            panel.set_xticks(range(len(found)), [LETTERS[row["configuration"]] for row in found], rotation=30, ha="right", rotation_mode="anchor")
+            panel.tick_params(axis="x", length=0)
+            panel.set_xlim(-0.6, len(found) - 0.4)
+            _from_zero(panel, [value * spec.scale for row in found for value in (row["paper"], row["mean"] or 0.0, *(row["interval"] or ()))])
+        handles: list[Any] = [Line2D([], [], color="black", marker="|", markersize=9, linestyle="none", label="95 % interval")]
+        handles.append(Line2D([], [], label="printed in the paper", **DIAMOND))
+        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
+        return rendered(figure, kind)
+
+
+def encounters(curve: Sequence[Row], printed: Sequence[Row], kind: str = "svg") -> bytes:
+    """The figure "Success without a registry": over how often robots meet, with a diamond where a curve has the paper's value."""
+    with canvas(specs.figure("encounters"), 1, 1) as (figure, axes):
+        panel = axes[0, 0]
+        for scenario, (colour, style, marker) in SCENARIO_STYLES.items():
+            points = points_of(curve, "encounter_mean_s", metric="coordination_success", scenario=scenario)
+            if not points:
+                continue
+            name = "all scenarios" if scenario is None else scenario.replace("-", " ")
+            paper = next((row["paper"] for row in printed if row["scenario"] == scenario), None)
+            label = name if paper is None else f"{name} (paper: {printing.number(100 * paper, 0)} %)"
+            _line(panel, points, 100, color=colour, linestyle=style, marker=marker, label=label)
+            for at, value in () if paper is None else [(one, paper) for one in crossings(points, paper)]:
+                panel.plot(at, 100 * value, zorder=5, **DIAMOND)
+        panel.set_xscale("log")
+        ticks = sorted({row["encounter_mean_s"] for row in curve if row["encounter_mean_s"] is not None})
+        panel.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
+        panel.minorticks_off()
+        panel.set_xlabel("mean time between encounters of two robots (s)")
+        panel.set_ylabel("Coordination success (%)")
+        panel.set_ylim(0, 100)
+        panel.grid(axis="y", color="#dddddd", linewidth=0.5, zorder=0)
+        panel.legend(frameon=False)
+        return rendered(figure, kind)
+
+
+def scaling(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> bytes:
+    """The figure "Larger fleets": each metric over the number of robots, all teams working and one, the paper's points, no paper beyond 16."""
+    with canvas(specs.figure("scaling"), 2, 3) as (figure, axes):
+        largest = max(row["fleet_size"] for row in curve)
+        for panel, metric in zip(axes.flat, SCALED, strict=False):
+            spec = specs.metric(metric)
+            if largest > LARGEST:
+                panel.axvspan(LARGEST * 1.19, largest * 1.19, color="#eeeeee", zorder=0)
+            for architecture, colour in COLOURS.items():
+                same = {"metric": metric, "architecture": architecture}
+                all_teams = [row for row in curve if row["teams_working"] == row["fleet_size"] // 4]
+                for style, rows in (("-", all_teams), ("--", [row for row in curve if row["teams_working"] == 1])):
+                    points = points_of(rows, "fleet_size", **same)
+                    _line(panel, points, spec.scale, color=colour, linestyle=style, marker=MARKERS[architecture])
+                for row in cells:
+                    if (row["metric"], row["architecture"]) == (metric, architecture):
+                        panel.plot(row["fleet_size"], row["paper"] * spec.scale, zorder=5, **{**DIAMOND, "markeredgecolor": colour})
+            panel.set_xscale("log", base=2)
+            sizes = sorted({row["fleet_size"] for row in curve})
+            panel.set_xticks(sizes, [str(size) for size in sizes])
+            panel.minorticks_off()
+            panel.set_xlim(sizes[0] / 1.19, sizes[-1] * 1.19)
+            _titled(panel, spec, "robots")
+        _legend(axes.flat[len(SCALED)], (("-", "all teams work"), ("--", "one team works")))
+        return rendered(figure, kind)
+
+
+def loads(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> bytes:
+    """The figure "How much there is to do": each metric over the teams that work, at the paper's largest fleet, a diamond where a curve has its value."""
+    with canvas(specs.figure("loads"), 2, 3) as (figure, axes):
+        at_size = [row for row in curve if row["fleet_size"] == LARGEST]
+        for panel, metric in zip(axes.flat, SCALED, strict=False):
+            spec = specs.metric(metric)
+            for architecture, colour in COLOURS.items():
+                points = points_of(at_size, "teams_working", metric=metric, architecture=architecture)
+                _line(panel, points, spec.scale, color=colour, linestyle="-", marker=MARKERS[architecture])
+                for row in cells:
+                    if (row["metric"], row["architecture"], row["fleet_size"]) == (metric, architecture, LARGEST):
+                        panel.axhline(row["paper"] * spec.scale, color=colour, linewidth=0.8, linestyle=":", zorder=1)
+                        for at in crossings(points, row["paper"]):
+                            panel.plot(at, row["paper"] * spec.scale, zorder=5, **{**DIAMOND, "markeredgecolor": colour})
+            panel.set_xticks(sorted({row["teams_working"] for row in at_size}))
+            _titled(panel, spec, "teams working")
+        _legend(axes.flat[len(SCALED)], (("-", "this ledger"), (":", "the paper's number")))
+        return rendered(figure, kind)
+
+
+def points_of(curve: Sequence[Row], dial: str, **same: Any) -> list[tuple[float, Row]]:
+    """The defined points of a curve over a dial, those rows that have these values; one a place on the dial."""
+    found = {row[dial]: row for row in curve if row["mean"] is not None and row[dial] is not None and all(row[name] == value for name, value in same.items())}
+    return sorted(found.items())
+
+
+def crossings(points: Sequence[tuple[float, Row]], value: float) -> list[float]:
+    """Where on the dial a curve has this value, by straight lines over the logarithm of the dial."""
+    found = []
+    for (left, first), (right, second) in pairwise(points):
+        low, high = first["mean"] - value, second["mean"] - value
+        if low == 0 or low * high < 0:
+            share = low / (low - high) if low != high else 0.0
+            found.append(math.exp(math.log(left) + share * math.log(right / left)))
+    return found + [place for place, row in points[-1:] if row["mean"] == value]
+
+
+def _line(panel: Any, points: Sequence[tuple[float, Row]], scale: float, **look: Any) -> None:
+    panel.plot([at for at, _ in points], [row["mean"] * scale for _, row in points], markersize=3.5, linewidth=1.2, zorder=3, **look)
+    for at, row in points:
+        _whisker(panel, at, row["interval"], scale, look["color"])
+
+
+def _whisker(panel: Any, at: float, interval: tuple[float, float] | None, scale: float, colour: str = "black") -> None:
+    if interval is not None:
+        low, high = (end * scale for end in interval)
+        panel.errorbar(at, (low + high) / 2, yerr=(high - low) / 2, fmt="none", ecolor=colour, elinewidth=0.9, capsize=2, zorder=3)
+
+
+def _from_zero(panel: Any, values: Sequence[float]) -> None:
+    panel.set_ylim(0, HEADROOM * max(values, default=1.0))
+    panel.grid(axis="y", color="#dddddd", linewidth=0.5, zorder=0)
+    panel.set_axisbelow(True)
+
+
+def _titled(panel: Any, spec: specs.MetricSpec, dial: str) -> None:
+    panel.set_title(spec.title)
+    panel.set_xlabel(dial)
+    panel.set_ylim(bottom=0)
+    panel.grid(axis="y", color="#dddddd", linewidth=0.5, zorder=0)
+
+
+def _legend(panel: Any, styles: Sequence[tuple[Any, str]]) -> None:
+    """The last panel of six names the lines of the other five."""
+    from matplotlib.lines import Line2D
+
+    panel.axis("off")
+    handles: list[Any] = [Line2D([], [], color=colour, marker=MARKERS[name], markersize=4, label=name.upper()) for name, colour in COLOURS.items()]
+    handles += [Line2D([], [], color="black", ls=style, label=label) for style, label in styles]
+    handles.append(Line2D([], [], label="printed in the paper", **DIAMOND))
+    panel.legend(handles=handles, loc="center", frameon=False)

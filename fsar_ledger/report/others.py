@@ -1,0 +1,62 @@
+"""What other ledgers than that of the results have to say: each is asked what it holds, and gives the sections of the report that this makes."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+
+from fsar_ledger.errors import UsageError
+from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.report import beside, marks
+from fsar_ledger.report.findings import Ablation, Scaling, Workflows
+
+WORKFLOWS_SQL = "SELECT count(*) AS runs FROM runs WHERE list_contains($names, scenario)"
+
+
+class Others(msgspec.Struct, frozen=True):
+    """What is known beside the results; None where no ledger holds it."""
+
+    workflows: Workflows | None = None
+    ablation: Ablation | None = None
+    scaling: Scaling | None = None
+
+    def queries(self) -> tuple[str, ...]:
+        """The packaged queries that these rest on."""
+        return (*(marks.QUERIES if self.workflows else ()), *(beside.QUERIES if self.ablation or self.scaling else ()))
+
+    def over(self, other: "Others") -> "Others":
+        """These, and of the other ones what is missing here."""
+        return Others(*(getattr(self, name) or getattr(other, name) for name in self.__struct_fields__))
+
+
+def others(ledgers: Mapping[Path, str | None], workflows: Path | None = None, *, pools_seeds: bool = False) -> Others:
+    """What these ledgers say, each at the newest record that is demanded of it (None: any); of two that hold the same, the first.
+
+    `workflows` is one of them, if any, and has to hold workflows.
+
+    Raises:
+        UsageError: a ledger holds nothing that the report has a section for.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted, SequenceConflict: as `connect`.
+    """
+    found = Others()
+    for ledger, demanded in ledgers.items():
+        if ledger == workflows:
+            found = found.over(Others(workflows=marks.workflows(ledger, demanded)))
+            continue
+        with connect(ledger, demanded=demanded) as database:
+            here = held(database, pools_seeds=pools_seeds)
+            has_workflows = database.rows(WORKFLOWS_SQL, {"names": list(marks.WORKFLOWS)})[0]["runs"] > 0
+        if has_workflows:
+            here = Others(workflows=marks.workflows(ledger, demanded)).over(here)
+        if here == Others():
+            raise UsageError(
+                f"--with {ledger}: found no run of a workflow, of FSAR without a mechanism, or of another fleet than of four robots, "
+                "expected some of these; `fsar-ledger reproduce` makes such ledgers"
+            )
+        found = found.over(here)
+    return found
+
+
+def held(database: Database, *, pools_seeds: bool = False) -> Others:
+    """The ablations and the fleets of other sizes that this ledger holds."""
+    return Others(ablation=beside.ablation_of(database, pools_seeds=pools_seeds), scaling=beside.scaling_of(database, pools_seeds=pools_seeds))

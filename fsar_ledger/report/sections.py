@@ -1,0 +1,133 @@
+"""The sections "Ablation" and "Scaling": their tables, figures and numbers for the sentences."""
+
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from fsar_ledger.report import curves, printing, specs
+from fsar_ledger.report.findings import ARCHITECTURES, Findings, Row, Told
+from fsar_ledger.report.printing import Table
+
+Sourced = Callable[[str | None, Told], str]
+"""Where numbers come from, in words: of this query, at this head."""
+
+FIGURES: Mapping[str, str] = {"ablation": "ablation", "encounters": "ablation", "scaling": "scaling", "loads": "scaling"}
+"""The figures, and the section of each."""
+
+
+def tables(findings: Findings, sourced: Sourced) -> dict[str, Table]:
+    """The tables of both sections, by name; none of a section that no ledger holds."""
+    found: dict[str, Table] = {}
+    for name, (told, rows) in _rows(findings).items():
+        if rows:
+            found[name] = printing.table(name, rows, sourced(specs.table(name).query, told))
+    return found
+
+
+def _rows(findings: Findings) -> dict[str, tuple[Told, Sequence[Row]]]:
+    found: dict[str, tuple[Told, Sequence[Row]]] = {}
+    if (ablation := findings.ablation) is not None:
+        by_metric = sorted(ablation.cells, key=lambda row: curves.ABLATED.index(row["metric"]))
+        found |= {"ablation": (ablation.told, by_metric), "ablation-text": (ablation.told, ablation.text)}
+        found["encounters"] = (ablation.told, ablation.rates if len(ablation.rates) > 1 else ())
+    if (scaling := findings.scaling) is not None:
+        by_metric = sorted(scaling.cells, key=lambda row: curves.SCALED.index(row["metric"]))
+        found |= {"scaling": (scaling.told, by_metric), "beyond": (scaling.told, _beyond(scaling.curve))}
+    return found
+
+
+def _beyond(curve: Sequence[Row]) -> list[Row]:
+    """One row for each larger fleet than the paper's, load and architecture, with a column for each metric."""
+    found: dict[tuple[int, int, str], Row] = {}
+    for row in curve:
+        if row["fleet_size"] > curves.LARGEST:
+            key = (row["fleet_size"], row["teams_working"], row["architecture"])
+            line = found.setdefault(key, dict.fromkeys(curves.SCALED) | dict(zip(("fleet_size", "teams_working", "architecture"), key, strict=True)) | {"n": 0})
+            line[row["metric"]] = row["mean"]
+            line["n"] = max(line["n"], row["n"])
+    return [found[key] for key in sorted(found, key=lambda key: (key[0], key[1], ARCHITECTURES.index(key[2])))]
+
+
+def drawings(findings: Findings) -> dict[str, bytes]:
+    """The figures of both sections, by name; none over a dial of which the ledger has one place alone."""
+    drawn: dict[str, bytes] = {}
+    if (ablation := findings.ablation) is not None:
+        drawn["ablation"] = curves.ablation(ablation.cells)
+        if len(ablation.rates) > 1:
+            drawn["encounters"] = curves.encounters(ablation.curve, _dialled(findings))
+    if (scaling := findings.scaling) is not None and scaling.curve:
+        drawn["scaling"] = curves.scaling(scaling.curve, scaling.cells)
+        if len({row["teams_working"] for row in scaling.curve if row["fleet_size"] == curves.LARGEST}) > 1:
+            drawn["loads"] = curves.loads(scaling.curve, scaling.cells)
+    return drawn
+
+
+def _dialled(findings: Findings) -> list[Row]:
+    """The printed successes without a shared registry: of all scenarios, and of those that the text names."""
+    ablation = findings.ablation
+    every = () if ablation is None else (*ablation.cells, *ablation.text)
+    return [row for row in every if row["configuration"] == "without-shared-registry" and row["metric"] == "coordination_success"]
+
+
+def ablation(findings: Findings) -> dict[str, Any] | None:
+    """What the sentences on the ablations say: counts of answers, where the dial gives the printed numbers, what cannot follow and why."""
+    found = findings.ablation
+    if found is None:
+        return None
+    meets = []
+    for row in _dialled(findings):
+        points = curves.points_of(found.curve, "encounter_mean_s", metric=row["metric"], scenario=row["scenario"])
+        at = [printing.significant(one, 2) for one in curves.crossings(points, row["paper"])] if len(points) > 1 else []
+        meets.append({"scenario": (row["scenario"] or "all scenarios").replace("-", " "), "paper": row["paper_printed"], "at": at})
+    proofs = [_named(row) | {"because": row["because"]} for row in (*found.cells, *found.text) if row["class"] == "cannot follow"]
+    mean = found.encounter_mean_s
+    return {
+        **_told(findings, found.told),
+        **_answers((*found.cells, *found.text)),
+        "encounter_mean_s": None if mean is None else printing.significant(mean, 2),
+        "meets": meets if len(found.rates) > 1 else [],
+        "proofs": proofs,
+    }
+
+
+def scaling(findings: Findings) -> dict[str, Any] | None:
+    """What the sentences on larger fleets say: counts of answers, where the printed numbers lie between the ends of the load, and which load they need."""
+    found = findings.scaling
+    if found is None:
+        return None
+    lies = Counter(row["lies"] for row in found.cells if row["lies"] is not None)
+    loads = []
+    for row in found.cells:
+        if row["fleet_size"] == curves.LARGEST and row["metric"] == "authority_conflicts":
+            at_size = [one for one in found.curve if one["fleet_size"] == curves.LARGEST]
+            points = curves.points_of(at_size, "teams_working", metric=row["metric"], architecture=row["architecture"])
+            at = [printing.number(one, 1) for one in curves.crossings(points, row["paper"])] if len(points) > 1 else []
+            loads.append({"architecture": row["architecture"].upper(), "paper": row["paper_printed"], "at": at})
+    return {
+        **_told(findings, found.told),
+        **_answers([row for row in found.cells if row["lies"] is None]),
+        "open": sum(lies.values()),
+        "between": lies["between"],
+        "below": lies["below both"],
+        "above": lies["above both"],
+        "loads": loads,
+    }
+
+
+def _told(findings: Findings, told: Told) -> dict[str, Any]:
+    """The head that it is of, and its model where the results are of another."""
+    another = told.model_version if findings.model_version is not None and told.model_version != findings.model_version else None
+    named = {"size": printing.integer(told.size), "root": told.root, "runs": printing.integer(told.run_count), "commits": told.commits}
+    return {**named, "completeness": told.completeness, "another_model": another and printing.words(another)}
+
+
+def _answers(rows: Sequence[Row]) -> dict[str, int]:
+    given, could = Counter(row["gives"] for row in rows), Counter(row["could"] for row in rows)
+    counts = {"judged": sum(given.values()) - given[None], "drawn": sum(could.values()) - could[None], "could": could["yes"], "could_not": could["no"]}
+    return counts | {"gives": given["yes"], "gives_not": given["no"], "undecided": given["undecided"]}
+
+
+def _named(row: Row) -> dict[str, str]:
+    """A cell in words: its metric, configuration and scenario, and the printed number."""
+    where = "" if row["scenario"] is None else f", {row['scenario'].replace('-', ' ')}"
+    return {"title": f"{specs.metric(row['metric']).title}, {printing.configuration(row['configuration'])}{where}", "paper": row["paper_printed"]}

@@ -1,0 +1,87 @@
+"""The experiments of the paper by name: what `reproduce` makes, one ledger each.
+
+`results` is the table of results. `ablation` is FSAR in full and without one mechanism each, and without the registry over the rates at which robots
+meet. `scaling` is the table of fleet sizes at both ends of the load that the text leaves open, with loads in between and fleets beyond.
+`workflows` are the three workflows. Each ledger has an origin of its own, so a key signs each under another name. Paper: sec:evaluation.
+"""
+
+from collections.abc import Iterator
+from typing import Literal, get_args
+
+import msgspec
+
+from fsar_ledger.constants import Constants, Load
+from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration, without
+from fsar_ledger.ledger.note import Signer
+
+from .experiment import ORIGIN, WORKFLOWS_ORIGIN, Experiment, workflow_experiment
+from .simulation import ARCHITECTURES, SCENARIOS
+
+Name = Literal["results", "ablation", "scaling", "workflows"]
+NAMES: tuple[Name, ...] = get_args(Name)
+
+RUNS: dict[Name, int] = {"results": 200, "ablation": 40, "scaling": 20, "workflows": 1}
+"""Runs of each scenario, architecture and configuration: what the registration asks for, twice the paper's, and the paper's."""
+
+ENCOUNTERS_S = (30.0, 60.0, 180.0, 300.0)
+"""Mean times between encounters of two robots, beside that of the model."""
+
+TABLED_SIZES, LOADED_SIZE = (4, 8, 16), 16
+"""Fleet sizes of the paper's table, and the one that is played at every load."""
+
+BEYOND: dict[int, int] = {32: 5, 64: 10}
+"""Larger fleets, and how many times fewer runs they have: one run of 64 robots costs as much as twenty of four."""
+
+_ORIGINS: dict[Name, str] = {"results": ORIGIN, "ablation": "fsar-ledger/ablation", "scaling": "fsar-ledger/scaling", "workflows": WORKFLOWS_ORIGIN}
+
+
+class Named(msgspec.Struct, frozen=True):
+    """One ledger to be made: under which name and origin, of which experiments, one after the other."""
+
+    name: Name
+    origin: str
+    parts: tuple[Experiment, ...]
+
+    @property
+    def size(self) -> int:
+        """How many runs there are."""
+        return sum(part.size for part in self.parts)
+
+    def signer(self, signer: Signer | None) -> Signer | None:
+        """Return the same secret under this ledger's name: under the key's own for `results`, else under that and the experiment's. None: unsigned."""
+        return signer if signer is None or self.name == "results" else signer.under(f"{signer.verifier.name}/{self.name}")
+
+
+def named(name: Name, seed: int, runs: int | None = None) -> Named:
+    """Return the experiment of this name, with so many runs of each scenario (None: `RUNS`; the workflows are scripts, and always one)."""
+    many = RUNS[name] if runs is None or name == "workflows" else runs
+    parts = {"results": _results, "ablation": _ablation, "scaling": _scaling, "workflows": _workflows}[name]
+    return Named(name, _ORIGINS[name], tuple(parts(seed, many)))
+
+
+def _results(seed: int, runs: int) -> Iterator[Experiment]:
+    yield Experiment(ARCHITECTURES, SCENARIOS, runs, seed)
+
+
+def _ablation(seed: int, runs: int) -> Iterator[Experiment]:
+    yield Experiment(("fsar",), SCENARIOS, runs, seed, configurations=CONFIGURATIONS)
+    alone: tuple[Configuration, ...] = (without(["shared-registry"]),)
+    for mean in ENCOUNTERS_S:
+        world = msgspec.structs.replace(Constants().world, encounter_mean_s=mean)
+        yield Experiment(("fsar",), SCENARIOS, runs, seed, configurations=alone, constants=Constants(world))
+
+
+def _scaling(seed: int, runs: int) -> Iterator[Experiment]:
+    """All teams work, which is the default, or fewer."""
+    for size in TABLED_SIZES:
+        yield Experiment(ARCHITECTURES, SCENARIOS, runs, seed, size)
+    for size in (*TABLED_SIZES[1:], *BEYOND):
+        fewer = -(-runs // BEYOND.get(size, 1))
+        if size in BEYOND:
+            yield Experiment(ARCHITECTURES, SCENARIOS, fewer, seed, size)
+        for teams in range(1, size // 4) if size == LOADED_SIZE else (1,):
+            yield Experiment(ARCHITECTURES, SCENARIOS, fewer, seed, size, constants=Constants(load=Load(teams_working=teams)))
+
+
+def _workflows(seed: int, runs: int) -> Iterator[Experiment]:
+    yield workflow_experiment(seed, runs)

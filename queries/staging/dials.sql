@@ -1,0 +1,52 @@
+-- Title: The dials that the paper leaves open, as each setting has them
+-- Paper: tab:scaling
+-- Grain: one row per setting (kind, source, model version, constants, fleet size)
+-- Units: setting as in run_settings; encounter_mean_s in s; teams_working teams, all of the fleet's unless the runs say otherwise; made_alike_but,
+--        the same text for settings of one kind, source and model that differ in fleet size and these two dials alone
+-- NULL: source, model_version, constants and fleet_size as in run_groups; a dial of a source that records none and has no default
+-- Example: fsar-ledger query staging/dials LEDGER
+-- What a simulated run does not record has its default, as far as this version knows it.
+WITH settings AS (
+    SELECT DISTINCT
+        run_started.kind,
+        run_started.source,
+        run_started.model_version,
+        run_started.fleet_size,
+        run_settings.setting,
+        run_settings.constants,
+        run_settings.parameter_set,
+        to_json([run_started.kind, run_started.source, run_started.model_version])::VARCHAR AS model
+    FROM run_started
+    INNER JOIN run_settings ON run_started.run_id = run_settings.run_id
+),
+
+by_set AS (
+    SELECT
+        model,
+        parameter_set,
+        any_value(value) FILTER (WHERE name = 'world.encounter_mean_s') AS encounter_mean_s,
+        any_value(value) FILTER (WHERE name = 'load.teams_working') AS teams_working,
+        list(name || '=' || value ORDER BY name) FILTER (
+            WHERE
+            name NOT IN ('world.encounter_mean_s', 'load.teams_working')
+            AND (model ->> '$[0]' <> 'simulated' OR value IS DISTINCT FROM default_of(name))
+        ) AS others
+    FROM constants
+    GROUP BY model, parameter_set
+)
+
+SELECT
+    settings.setting,
+    settings.kind,
+    settings.source,
+    settings.model_version,
+    settings.constants,
+    settings.fleet_size,
+    coalesce(
+        try_cast(by_set.encounter_mean_s AS DOUBLE),
+        if(settings.kind = 'simulated', try_cast(default_of('world.encounter_mean_s') AS DOUBLE), NULL)
+    ) AS encounter_mean_s,
+    coalesce(try_cast(by_set.teams_working AS BIGINT), settings.fleet_size // 4) AS teams_working,
+    sha256(to_json([settings.model, if(by_set.model IS NULL, settings.parameter_set, NULL), to_json(by_set.others)::VARCHAR])::VARCHAR) AS made_alike_but
+FROM settings
+LEFT JOIN by_set ON settings.model = by_set.model AND settings.parameter_set = by_set.parameter_set
