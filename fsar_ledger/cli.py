@@ -16,7 +16,7 @@ from typing import Annotated
 import typer
 
 from . import printable
-from .commands import judging, recover, reporting, trust, witness
+from .commands import judging, multiverse, recover, reporting, trust, witness
 from .commands.memory import bounded, reading
 from .commands.options import (
     AdoptOption,
@@ -157,6 +157,7 @@ def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: Json
 
 app.command(epilog=judging.METRICS)(reading(judging.metrics))
 app.command(epilog=judging.STATISTICS)(reading(judging.statistics))
+app.command(epilog=multiverse.MULTIVERSE)(reading(multiverse.multiverse))
 
 
 @app.command(

@@ -30,7 +30,8 @@ MEANS = """
                 WHEN any_value(definitions.is_pooled)
                     THEN sum(measured.numerator)::DOUBLE / nullif(sum(measured.denominator)::DOUBLE, 0) / any_value(definitions.numerator_units)
                 ELSE avg(CASE WHEN measured.not_observed IS NULL THEN coalesce(measured.value, definitions.undefined_value) END ORDER BY measured.run_id)
-            END AS mean
+            END AS mean,
+            count(measured.not_observed) AS runs_not_observed
         FROM {metric} AS measured
         INNER JOIN {definitions} AS definitions ON definitions.metric = '{name}'
         INNER JOIN runs ON measured.run_id = runs.run_id
@@ -60,7 +61,10 @@ class Reading(msgspec.Struct, frozen=True):
 
 
 class Universe(msgspec.Struct, frozen=True, kw_only=True):
-    """The mean of one metric for one architecture when these readings replace ours. None: undefined or not observed."""
+    """The mean of one metric for one architecture when these readings replace ours, but for runs whose source does not record what it rests on.
+
+    None: undefined or not observed.
+    """
 
     metric: str
     architecture: str | None
@@ -73,6 +77,7 @@ class Universe(msgspec.Struct, frozen=True, kw_only=True):
     constants: str | None
     readings: Chosen
     mean: float | None
+    runs_not_observed: int
 
 
 class Cell(msgspec.Struct, frozen=True, kw_only=True):
@@ -100,6 +105,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     moved_by: float | None
     lowest_under: Chosen | None
     highest_under: Chosen | None
+    runs_not_observed: int
 
 
 class Ranking(msgspec.Struct, frozen=True, kw_only=True):
@@ -249,6 +255,7 @@ def cells(found: Iterable[Universe]) -> Iterator[Cell]:
             moved_by=moved_by or None,
             lowest_under=lowest[1],
             highest_under=highest[1],
+            runs_not_observed=ours.runs_not_observed,
         )
 
 
