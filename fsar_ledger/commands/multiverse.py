@@ -24,7 +24,7 @@ MULTIVERSE = examples(
 )
 OURS = "our reading"
 CELL = ("metric", "architecture", "ours", "lowest", "highest", "combinations", "most_moving", "moved_by")
-RANKING = ("metric", "better", "ours", "combinations", "same", "fsar_best", "changed_under", "fsar_not_best_under")
+RANKING = ("metric", "better", "order", "combinations", "same_order", "changed_under", "fsar_best", "fsar_not_best_under")
 WHERE_TELLING = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
 """Columns that a table for people has only where they tell rows apart."""
 WHERE_ANY = ("undefined", "runs_not_observed")
@@ -87,6 +87,18 @@ def _told(found: "Multiverse") -> "Iterator[printable.Shown]":
         if number:
             yield printable.line("")
         yield table_text(rows, _columns(rows, columns))
+        if rows is rankings:
+            yield printable.lines("", *_verdicts(found.rankings))
+
+
+def _verdicts(rankings: "Sequence[Ranking]") -> Iterator[str]:
+    """In words: by how many rankings FSAR is the best one, and how many survive."""
+    for what, counted in (("FSAR is the best one", "fsar_best"), ("the order of the architectures is ours", "same_order")):
+        judged = [row for row in rankings if getattr(row, counted) is not None]
+        always = sum(getattr(row, counted) == row.combinations for row in judged)
+        never = sum(getattr(row, counted) == 0 for row in judged)
+        if judged:
+            yield f"{what} under every combination in {always} of {len(judged)}, under none in {never}, under some in {len(judged) - always - never}"
 
 
 def _columns(rows: "Sequence[Row]", columns: tuple[str, ...]) -> list[str]:

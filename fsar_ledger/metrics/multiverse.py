@@ -111,8 +111,8 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
 class Ranking(msgspec.Struct, frozen=True, kw_only=True):
     """Whether the order of the architectures by one metric is the same under every combination of readings, and whether FSAR is the best one.
 
-    `ours` is the order under our reading, the best first, `=` between equals; it is that of means, whatever chance has to do with it.
-    `same`, `fsar_best` count combinations; `changed_under`, `fsar_not_best_under` name the smallest combinations under which it is not so.
+    `order` is the one under our reading, the best first, `=` between equals; it is that of means, whatever chance has to do with it.
+    `same_order`, `fsar_best` count combinations; `changed_under`, `fsar_not_best_under` name the smallest combinations under which it is not so.
     None: fewer than two architectures have a mean, or FSAR is none of them.
     """
 
@@ -125,9 +125,9 @@ class Ranking(msgspec.Struct, frozen=True, kw_only=True):
     source: str | None
     model_version: str | None
     constants: str | None
-    ours: str | None
+    order: str | None
     combinations: int
-    same: int | None
+    same_order: int | None
     fsar_best: int | None
     changed_under: tuple[Chosen, ...] | None
     fsar_not_best_under: tuple[Chosen, ...] | None
@@ -203,6 +203,17 @@ class Relations:
         self._database.define(name, made_by.reading_from(names), is_stored=is_stored)
         self._made[query.relation, telling] = (name, is_stored)
 
+    def means(self, metric: str, chosen: Chosen, *, pools_seeds: bool = False) -> list[Universe]:
+        """The mean of this metric for each architecture and setting under these readings. Raises: as `Database.rows`."""
+        sql = MEANS.format(
+            metric=self.under(metric, frozenset(chosen)),
+            definitions=self.under("metric_definitions", frozenset(chosen)),
+            name=metric,
+            seed="NULL::BIGINT" if pools_seeds else "runs.seed",
+            settings_order=SETTINGS,
+        )
+        return typed([{**row, "metric": metric, "readings": chosen} for row in self._database.rows(sql)], Universe)
+
     def forget(self) -> None:
         """Nothing that was made here is there any more."""
         for name, is_stored in reversed(self._made.values()):
@@ -222,11 +233,7 @@ def multiverse(database: Database, metrics: Sequence[str] = (), *, pools_seeds: 
 def universes(database: Database, metric: str, *, pools_seeds: bool = False) -> list[Universe]:
     """The mean of this metric for each architecture and setting under every combination of its readings. Raises: as `Database.rows`."""
     relations = Relations(database, [one for one in readings() if metric in one.moves])
-    found: list[Universe] = []
-    for chosen in combinations(metric):
-        under = {name: relations.under(relation, frozenset(chosen)) for name, relation in (("metric", metric), ("definitions", "metric_definitions"))}
-        sql = MEANS.format(**under, name=metric, seed="NULL::BIGINT" if pools_seeds else "runs.seed", settings_order=SETTINGS)
-        found += typed([{**row, "metric": metric, "readings": chosen} for row in database.rows(sql)], Universe)
+    found = [one for chosen in combinations(metric) for one in relations.means(metric, chosen, pools_seeds=pools_seeds)]
     relations.forget()
     return found
 
@@ -276,9 +283,9 @@ def rankings(found: Iterable[Universe], better: Mapping[str, str]) -> Iterator[R
             metric=first.metric,
             better=better[first.metric],
             **_conditions(first),
-            ours=" > ".join(" = ".join(equals) for equals in ours) if is_ranked else None,
+            order=" > ".join(" = ".join(equals) for equals in ours) if is_ranked else None,
             combinations=len(orders),
-            same=len(orders) - len(changed) if is_ranked else None,
+            same_order=len(orders) - len(changed) if is_ranked else None,
             fsar_best=len(orders) - len(lost) if has_fsar else None,
             changed_under=smallest(changed) if is_ranked else None,
             fsar_not_best_under=smallest(lost) if has_fsar else None,
