@@ -12,7 +12,7 @@
 -- Example: fsar-ledger query readings/only_agents_are_traversed LEDGER
 SELECT
     * REPLACE (
-        coalesce(
+        is_local OR coalesce(
             len(path) > 0 AND (starts_with(decided_by, 'robot/') OR starts_with(decided_by, 'supervisor/'))
             AND len(list_filter(path, LAMBDA one: starts_with(one, 'agent/'))) = 0,
             FALSE
