@@ -18,9 +18,8 @@ if TYPE_CHECKING:
 
 MULTIVERSE = examples(
     "fsar-ledger multiverse out/ledger",
-    "fsar-ledger multiverse out/ledger --metric governance_locality",
-    "fsar-ledger multiverse out/ledger --json",
-    "fsar-ledger multiverse out/ledger --svg out/multiverse.svg",
+    "fsar-ledger multiverse out/ledger --metric authority_conflicts --json",
+    "fsar-ledger multiverse out/ledger --metric human_intervention --svg out/multiverse.svg",
 )
 OURS = "our reading"
 CELL = ("metric", "architecture", "ours", "lowest", "highest", "combinations", "most_moving", "moved_by")
@@ -50,6 +49,7 @@ def multiverse(
     the best one, and the smallest combinations under which it is not so. Nothing is simulated again. --json has the mean under each combination, too.
     """
     from fsar_ledger.ledger.place import require_outside
+    from fsar_ledger.metrics.multiverse import Cell
     from fsar_ledger.metrics.multiverse import multiverse as read
 
     from .answering import answering, of_plans, warn_of_missing
@@ -66,8 +66,7 @@ def multiverse(
             answer = {name: getattr(found, name) for name in found.__struct_fields__}
             show(json_text(database.head, {**of_plans(database), **answer}, database.rows_verified))
         elif as_csv:
-            cells = plain(found.cells)
-            show(csv_text(cells, list(cells[0]) if cells else (), raw=raw), raw=raw)
+            show(csv_text(plain(found.cells), Cell.__struct_fields__, raw=raw), raw=raw)
         else:
             show(printable.joined(*_told(found)))
         _draw(svg, found)
