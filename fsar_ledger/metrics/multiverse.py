@@ -22,9 +22,13 @@ Chosen = tuple[str, ...]
 CONDITIONS = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
 """What tells groups of runs apart that are never ranked together."""
 
+AT_ONCE = 8
+"""Combinations that are judged by one statement: more are hardly quicker, and each takes memory."""
+
 MEANS = """
-    WITH means AS (
+    WITH measured AS ({measured}), definitions AS ({definitions}), means AS (
         SELECT
+            measured.universe,
             runs.architecture, runs.configuration, runs.fleet_size, {seed} AS seed, runs.kind, runs.source, runs.model_version, settings.constants,
             CASE
                 WHEN any_value(definitions.is_pooled)
@@ -32,16 +36,18 @@ MEANS = """
                 ELSE avg(CASE WHEN measured.not_observed IS NULL THEN coalesce(measured.value, definitions.undefined_value) END ORDER BY measured.run_id)
             END AS mean,
             count(measured.not_observed) AS runs_not_observed
-        FROM {metric} AS measured
-        INNER JOIN {definitions} AS definitions ON definitions.metric = '{name}'
+        FROM measured
+        INNER JOIN definitions ON measured.universe = definitions.universe
         INNER JOIN runs ON measured.run_id = runs.run_id
         INNER JOIN run_settings AS settings ON measured.run_id = settings.run_id
         GROUP BY ALL
     )
     SELECT *
     FROM means
-    ORDER BY {settings_order}, list_position(['fsar', 'cfc', 'dhma'], architecture), architecture
+    ORDER BY universe, {order}, list_position(['fsar', 'cfc', 'dhma'], architecture), architecture
 """
+MEASURED = "SELECT {universe} AS universe, run_id, numerator, denominator, value, not_observed FROM {metric}"
+DEFINED = "SELECT {universe} AS universe, is_pooled, numerator_units, undefined_value FROM {definitions} WHERE metric = '{name}'"
 
 
 class Reading(msgspec.Struct, frozen=True):
@@ -175,6 +181,7 @@ class Relations:
         self._replaced = {one.name: one.replaces for one in using}
         found = {source for name in self._replaced for source in database.library.relations[name].sources()}
         self._kept = (found | set(self._replaced.values())) & database.library.relations.keys()
+        self._readings_of: dict[str, frozenset[str]] = {}
         self._made: dict[tuple[str, frozenset[str]], tuple[str, bool]] = {}
 
     def under(self, relation: str, chosen: frozenset[str]) -> str:
@@ -182,14 +189,20 @@ class Relations:
         query = self._database.library.relations.get(relation)
         if query is None:
             return relation  # the events, or a step of the query that reads it
-        below = {one.relation for one in self._database.library.needs([relation])}
-        telling = frozenset(name for name in chosen if self._replaced[name] in below)
+        telling = chosen & self._telling(relation)
         if not telling and relation not in self._kept:
             self._database.prepare(relation)
             return relation
         if (relation, telling) not in self._made:
             self._make(query, telling)
         return self._made[relation, telling][0]
+
+    def _telling(self, relation: str) -> frozenset[str]:
+        """The readings that replace this relation, or something that it is made of."""
+        if relation not in self._readings_of:
+            below = {one.relation for one in self._database.library.needs([relation])}
+            self._readings_of[relation] = frozenset(name for name, replaced in self._replaced.items() if replaced in below)
+        return self._readings_of[relation]
 
     def _make(self, query: Query, telling: frozenset[str]) -> None:
         """The relation under these readings, all of which it hangs on: the last one that replaces it reads it under the others."""
@@ -203,16 +216,16 @@ class Relations:
         self._database.define(name, made_by.reading_from(names), is_stored=is_stored)
         self._made[query.relation, telling] = (name, is_stored)
 
-    def means(self, metric: str, chosen: Chosen, *, pools_seeds: bool = False) -> list[Universe]:
-        """The mean of this metric for each architecture and setting under these readings. Raises: as `Database.rows`."""
+    def means(self, metric: str, combined: Sequence[Chosen], *, pools_seeds: bool = False) -> list[Universe]:
+        """The mean of this metric for each architecture and setting under each of these combinations, in their order. Raises: as `Database.rows`."""
+        under = [{name: self.under(name, frozenset(chosen)) for name in (metric, "metric_definitions")} for chosen in combined]
         sql = MEANS.format(
-            metric=self.under(metric, frozenset(chosen)),
-            definitions=self.under("metric_definitions", frozenset(chosen)),
-            name=metric,
+            measured=" UNION ALL ".join(MEASURED.format(universe=at, metric=names[metric]) for at, names in enumerate(under)),
+            definitions=" UNION ALL ".join(DEFINED.format(universe=at, definitions=names["metric_definitions"], name=metric) for at, names in enumerate(under)),
             seed="NULL::BIGINT" if pools_seeds else "runs.seed",
-            settings_order=SETTINGS,
+            order=SETTINGS,
         )
-        return typed([{**row, "metric": metric, "readings": chosen} for row in self._database.rows(sql)], Universe)
+        return typed([{**row, "metric": metric, "readings": combined[row["universe"]]} for row in self._database.rows(sql)], Universe)
 
     def forget(self) -> None:
         """Nothing that was made here is there any more."""
@@ -233,7 +246,9 @@ def multiverse(database: Database, metrics: Sequence[str] = (), *, pools_seeds: 
 def universes(database: Database, metric: str, *, pools_seeds: bool = False) -> list[Universe]:
     """The mean of this metric for each architecture and setting under every combination of its readings. Raises: as `Database.rows`."""
     relations = Relations(database, [one for one in readings() if metric in one.moves])
-    found = [one for chosen in combinations(metric) for one in relations.means(metric, chosen, pools_seeds=pools_seeds)]
+    all_of_them = combinations(metric)
+    parts = [all_of_them[at : at + AT_ONCE] for at in range(0, len(all_of_them), AT_ONCE)]
+    found = [one for part in parts for one in relations.means(metric, part, pools_seeds=pools_seeds)]
     relations.forget()
     return found
 

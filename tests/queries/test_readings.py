@@ -199,7 +199,7 @@ def relations(cases: Database) -> Relations:
 
 def means(relations: Relations, metric: str, *chosen: str) -> dict[str | None, float | None]:
     """The mean of this metric for each architecture under these readings."""
-    return {one.architecture: one.mean for one in relations.means(metric, chosen)}
+    return {one.architecture: one.mean for one in relations.means(metric, [chosen])}
 
 
 def test_every_reading_has_a_case_here() -> None:
