@@ -22,7 +22,7 @@ MULTIVERSE = examples(
     "fsar-ledger multiverse out/ledger --metric human_intervention --svg out/multiverse.svg",
 )
 OURS = "our reading"
-CELL = ("metric", "architecture", "ours", "lowest", "highest", "combinations", "most_moving", "moved_by")
+CELL = ("metric", "architecture", "paper", "ours", "lowest", "highest", "combinations", "most_moving", "moved_by")
 RANKING = ("metric", "better", "order", "combinations", "same_order", "changed_under", "fsar_best", "fsar_not_best_under")
 WHERE_TELLING = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
 """Columns that a table for people has only where they tell rows apart."""
@@ -44,9 +44,10 @@ def multiverse(
 ) -> None:
     """Read a ledger in every way that the paper's text allows.
 
-    For each cell of the results table: ours, the lowest and the highest mean over all combinations of readings, and the reading that moves it
-    most when it alone replaces ours. For each metric: whether the order of the architectures is the same under all of them, under how many FSAR is
-    the best one, and the smallest combinations under which it is not so. Nothing is simulated again. --json has the mean under each combination, too.
+    For each cell of the results table: what the paper prints, ours, the lowest and the highest mean over all combinations of readings, and the
+    reading that moves it most when it alone replaces ours. For each metric: whether the order of the architectures is the same under all of them,
+    under how many FSAR is the best one, and the smallest combinations under which it is not so. Nothing is simulated again. --json has the mean
+    under each combination, too.
     """
     from fsar_ledger.ledger.place import require_outside
     from fsar_ledger.metrics.multiverse import Cell
@@ -96,8 +97,11 @@ def _verdicts(rankings: "Sequence[Ranking]") -> Iterator[str]:
         judged = [row for row in rankings if getattr(row, counted) is not None]
         always = sum(getattr(row, counted) == row.combinations for row in judged)
         never = sum(getattr(row, counted) == 0 for row in judged)
+        some = len(judged) - always - never
         if judged:
-            yield f"{what} under every combination in {always} of {len(judged)}, under none in {never}, under some in {len(judged) - always - never}"
+            yield f"{what} under every combination in {always} of {printable.counted(len(judged), 'ranking')}, under some in {some}, under none in {never}"
+        else:
+            yield f"whether {what}: nothing to rank; that takes means of two architectures{', one of them FSAR' if counted == 'fsar_best' else ''}"
 
 
 def _columns(rows: "Sequence[Row]", columns: tuple[str, ...]) -> list[str]:

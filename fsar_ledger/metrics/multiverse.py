@@ -15,12 +15,16 @@ import msgspec
 from .database import Database
 from .library import READINGS, Query, library
 from .results import SETTINGS, typed
+from .verdicts import published
 
 Chosen = tuple[str, ...]
 """The readings that replace ours, by name and in order; () is our reading."""
 
 CONDITIONS = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
 """What tells groups of runs apart that are never ranked together."""
+
+PRINTED = ("full", 4)
+"""Configuration and fleet size of the paper's results table."""
 
 AT_ONCE = 8
 """Combinations that are judged by one statement: more are hardly quicker, and each takes memory."""
@@ -33,7 +37,8 @@ MEANS = """
             CASE
                 WHEN any_value(definitions.is_pooled)
                     THEN sum(measured.numerator)::DOUBLE / nullif(sum(measured.denominator)::DOUBLE, 0) / any_value(definitions.numerator_units)
-                ELSE avg(CASE WHEN measured.not_observed IS NULL THEN coalesce(measured.value, definitions.undefined_value) END ORDER BY measured.run_id)
+                WHEN count(measured.value) > 0 -- else nothing happened that could be counted
+                    THEN avg(CASE WHEN measured.not_observed IS NULL THEN coalesce(measured.value, definitions.undefined_value) END ORDER BY measured.run_id)
             END AS mean,
             count(measured.not_observed) AS runs_not_observed
         FROM measured
@@ -89,8 +94,8 @@ class Universe(msgspec.Struct, frozen=True, kw_only=True):
 class Cell(msgspec.Struct, frozen=True, kw_only=True):
     """The range of one cell over all combinations of readings, and which reading moves it most when it alone replaces ours.
 
-    `ours`, `lowest`, `highest`, `moved_by` in the metric's unit; of several combinations with the same mean that of fewest readings is named.
-    None: undefined or not observed; `most_moving` where no reading alone moves the cell.
+    `paper`, `ours`, `lowest`, `highest`, `moved_by` in the metric's unit; of several combinations with the same mean that of fewest readings is named.
+    None: undefined or not observed; `paper` but for whole architectures of four robots; `most_moving` where no reading alone moves the cell.
     """
 
     metric: str
@@ -102,6 +107,7 @@ class Cell(msgspec.Struct, frozen=True, kw_only=True):
     source: str | None
     model_version: str | None
     constants: str | None
+    paper: float | None
     ours: float | None
     lowest: float | None
     highest: float | None
@@ -264,10 +270,12 @@ def cells(found: Iterable[Universe]) -> Iterator[Cell]:
         highest = max(means, key=lambda each: each[0], default=(None, None))
         alone = [] if ours.mean is None else [(mean - ours.mean, names[0]) for mean, names in means if len(names) == 1]
         moved_by, moving = max(alone, key=lambda each: abs(each[0]), default=(0.0, None))
+        printed = published().get((ours.metric, ours.architecture or ""))
         yield Cell(
             metric=ours.metric,
             architecture=ours.architecture,
             **_conditions(ours),
+            paper=printed.mean if printed is not None and (ours.configuration, ours.fleet_size) == PRINTED else None,
             ours=ours.mean,
             lowest=lowest[0],
             highest=highest[0],

@@ -1,9 +1,9 @@
 """The figure "Every reading": a specification curve for each metric, from the rows of `metrics/multiverse.py`. Same rows, same bytes."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from fsar_ledger.metrics.multiverse import CONDITIONS, Chosen, Multiverse, Reading, Universe
+from fsar_ledger.metrics.multiverse import CONDITIONS, Cell, Chosen, Multiverse, Reading, Universe
 from fsar_ledger.report import figures, specs
 
 COLUMNS = 2
@@ -12,6 +12,7 @@ CURVE, MARK = 10.0, 1.0
 SMALL = 5.0  # points
 MARKERS = ("o", "s", "^")  # also told apart in grey
 OURS: dict[str, Any] = {"color": "#999999", "linewidth": 0.8, "linestyle": (0, (3, 2)), "zorder": 1}
+PAPER: dict[str, Any] = figures.DIAMOND | {"markersize": 3.5, "markeredgewidth": 0.8, "zorder": 4}
 
 Column = tuple[Chosen, dict[str, float]]
 """A combination of readings, and the mean of each architecture under it."""
@@ -33,9 +34,9 @@ def curves(found: Multiverse, kind: str = "svg") -> bytes:
         for row, pair in enumerate(pairs):
             for column, spec in enumerate(pair):
                 columns = ordered(found.universes, spec)
-                _curve(axes[2 * row, column], spec, columns)
+                _curve(axes[2 * row, column], spec, columns, printed(found.cells, spec))
                 _marks(axes[2 * row + 1, column], moving[spec.name], columns, max(len(moving[one.name]) for one in pair))
-        figure.legend(*_legend(), loc="outside lower center", ncols=len(figures.COLOURS) + 1, frameon=False)
+        figure.legend(*_legend(), loc="outside lower center", ncols=len(figures.COLOURS) + 2, frameon=False)
         return figures.rendered(figure, kind)
 
 
@@ -60,8 +61,19 @@ def lead(means: dict[str, float], better: str) -> float:
     return means["fsar"] - max(others) if better == "higher" else min(others) - means["fsar"]
 
 
-def _curve(panel: Any, spec: specs.MetricSpec, columns: Sequence[Column]) -> None:
-    """The means of each architecture, the line of our reading, and a bar over the combinations under which FSAR is the best one."""
+def printed(cells: Sequence[Cell], spec: specs.MetricSpec) -> dict[str, float]:
+    """What the paper prints for each architecture, where it prints something for the first setting of this metric."""
+    mine = [one for one in cells if one.metric == spec.name]
+    place = [getattr(mine[0], name) for name in CONDITIONS] if mine else []
+    return {
+        one.architecture: one.paper * spec.scale
+        for one in mine
+        if one.architecture is not None and one.paper is not None and [getattr(one, name) for name in CONDITIONS] == place
+    }
+
+
+def _curve(panel: Any, spec: specs.MetricSpec, columns: Sequence[Column], paper: Mapping[str, float]) -> None:
+    """The means of each architecture, the paper's on the line of our reading, and a ground for the combinations under which FSAR is the best one."""
     panel.set_visible(True)
     for (architecture, colour), marker in zip(figures.COLOURS.items(), MARKERS, strict=True):
         points = [(at, means[architecture]) for at, (_, means) in enumerate(columns) if architecture in means]
@@ -69,8 +81,10 @@ def _curve(panel: Any, spec: specs.MetricSpec, columns: Sequence[Column]) -> Non
     best = [at for at, (_, means) in enumerate(columns) if lead(means, spec.better) > 0]
     if best:
         panel.axvspan(best[0] - 0.5, best[-1] + 0.5, color=figures.COLOURS["fsar"], alpha=0.08, linewidth=0, zorder=0)
-    _frame(panel, columns)
-    highest = max((mean for _, means in columns for mean in means.values()), default=1.0)
+    at = _frame(panel, columns)
+    for architecture, mean in paper.items():
+        panel.plot(at, mean, **PAPER | {"markeredgecolor": figures.COLOURS[architecture]})
+    highest = max([*paper.values(), *(mean for _, means in columns for mean in means.values())], default=1.0)
     panel.set_ylim(0, figures.HEADROOM * highest or 1.0)
     panel.tick_params(axis="y", labelsize=6)
     panel.set_title(f"{spec.title}: FSAR best under {len(best)} of {len(columns)}", fontsize=7.5)
@@ -90,11 +104,13 @@ def _marks(panel: Any, readings: Sequence[Reading], columns: Sequence[Column], l
     panel.spines["left"].set_visible(False)
 
 
-def _frame(panel: Any, columns: Sequence[Column]) -> None:
-    """The line of our reading, and room for every combination."""
-    panel.axvline(next((at for at, (names, _) in enumerate(columns) if not names), 0), **OURS)
+def _frame(panel: Any, columns: Sequence[Column]) -> int:
+    """The line of our reading, whose place is returned, and room for every combination."""
+    ours = next((at for at, (names, _) in enumerate(columns) if not names), 0)
+    panel.axvline(ours, **OURS)
     panel.set_xlim(-0.7, max(len(columns), 1) - 0.3)
     panel.set_xticks([])
+    return ours
 
 
 def _legend() -> tuple[list[Any], list[str]]:
@@ -102,4 +118,4 @@ def _legend() -> tuple[list[Any], list[str]]:
 
     drawn = zip(figures.COLOURS.values(), MARKERS, strict=True)
     lines: list[Any] = [Line2D([], [], color=colour, marker=marker, markersize=3.5, linewidth=0.6) for colour, marker in drawn]
-    return [*lines, Line2D([], [], **OURS)], [*(name.upper() for name in figures.COLOURS), "our reading"]
+    return [*lines, Line2D([], [], **OURS), Line2D([], [], **PAPER)], [*(name.upper() for name in figures.COLOURS), "our reading", "printed in the paper"]

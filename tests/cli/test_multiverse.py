@@ -14,12 +14,13 @@ def test_people_see_ranges_rankings_and_what_the_readings_say(call: Call, ledger
     called = call("multiverse", ledger, *ONE)
     assert called.code == 0
     ranges, rankings, verdicts, told = called.out.split("\n\n")
-    assert ranges.splitlines()[0].split() == ["metric", "architecture", "ours", "lowest", "highest", "combinations", "most_moving", "moved_by"]
+    assert ranges.splitlines()[0].split() == ["metric", "architecture", "paper", "ours", "lowest", "highest", "combinations", "most_moving", "moved_by"]
     assert [line.split()[:2] for line in ranges.splitlines()[2:]] == [["human_intervention", name] for name in ("fsar", "cfc", "dhma")]
     assert rankings.splitlines()[0].split() == [
         *("metric", "better", "order", "combinations", "same_order", "changed_under", "fsar_best", "fsar_not_best_under")
     ]
     assert verdicts.startswith("FSAR is the best one under every combination in ")
+    assert verdicts.splitlines()[1].startswith("the order of the architectures is ours under every combination in ")
     assert "reviews_are_no_interventions  R37         A review by the fleet supervisor is no intervention" in told
 
 
@@ -53,3 +54,12 @@ def test_a_metric_that_is_none_is_an_error_that_names_the_nearest(call: Call, le
     called = call("multiverse", ledger, "--metric", "human_interventions")
     assert (called.code, called.out) == (2, "")
     assert "unknown metric 'human_interventions'; did you mean 'human_intervention'?" in called.err
+
+
+def test_a_ledger_in_which_nothing_can_be_ranked_says_so(call: Call, tmp_path: Path) -> None:
+    assert call("simulate", tmp_path / "one", "--architecture", "fsar", "--scenario", "door-relay", "--runs", "1", "--workers", "1").code == 0
+    verdicts = call("multiverse", tmp_path / "one", *ONE).out.split("\n\n")[2]
+    assert verdicts.splitlines() == [
+        "whether FSAR is the best one: nothing to rank; that takes means of two architectures, one of them FSAR",
+        "whether the order of the architectures is ours: nothing to rank; that takes means of two architectures",
+    ]

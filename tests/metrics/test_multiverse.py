@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 import pytest
+from msgspec import structs
 
 from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.metrics.multiverse import Cell, Chosen, Ranking, Relations, Universe, cells, combinations, multiverse, ranked, rankings, readings, smallest
@@ -84,6 +85,15 @@ def test_an_architecture_that_a_reading_leaves_undefined_is_not_ranked_as_before
 def test_of_combinations_the_smallest_are_named() -> None:
     assert smallest([("a",), ("a", "b"), ("b", "c"), ("b", "c", "d")]) == (("a",), ("b", "c"))
     assert smallest([(), ("a",)]) == ((),)
+
+
+def test_the_papers_number_stands_beside_cells_of_its_table_alone() -> None:
+    shown = universes({(): {"fsar": 0.1, "cfc": 0.3, "other": 0.2}}, "human_intervention")
+    assert [one.paper for one in cells(shown)] == [0.14, 0.32, None]
+    assert [one.paper for changed in ({"fleet_size": 8}, {"configuration": "no-trust"}) for one in cells([structs.replace(shown[0], **changed)])] == [
+        None,
+        None,
+    ]
 
 
 def test_settings_are_never_ranked_together() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from fsar_ledger.metrics.database import Database, from_rows
 from fsar_ledger.metrics.library import library
-from fsar_ledger.metrics.multiverse import Reading, Relations, combinations, multiverse, readings
+from fsar_ledger.metrics.multiverse import Multiverse, Reading, Relations, combinations, multiverse, readings
 from fsar_ledger.metrics.results import metric_rows
 from tests.queries.histories import Row, S, event, run
 
@@ -173,22 +173,24 @@ CASES: dict[str, tuple[str, Runs, float, float]] = {
 }
 
 
-@pytest.fixture(scope="module")
-def cases() -> Iterator[Database]:
-    """The runs of all cases, those of each as an architecture of its own."""
-    rows = [
-        row
-        for name, (_, runs, _, _) in CASES.items()
-        for at, events in enumerate(runs)
-        for row in run(*timed(events), run_id=f"{name}-{at}", run=at, architecture=name)
-    ]
-    with from_rows(rows) as database:
-        yield database
-
-
 def timed(events: list[Row]) -> list[Row]:
     """The events in the order of their times, those of one instant as they stand."""
     return sorted(events, key=lambda row: int(str(row["time_us"])))
+
+
+CASE_ROWS = [
+    row
+    for name, (_, runs, _, _) in CASES.items()
+    for at, events in enumerate(runs)
+    for row in run(*timed(events), run_id=f"{name}-{at}", run=at, architecture=name)
+]
+"""The runs of all cases, those of each as an architecture of its own."""
+
+
+@pytest.fixture(scope="module")
+def cases() -> Iterator[Database]:
+    with from_rows(CASE_ROWS) as database:
+        yield database
 
 
 @pytest.fixture(scope="module")
@@ -278,6 +280,21 @@ def test_what_is_not_observed_is_not_observed_under_any_reading() -> None:
     assert {(row.order, row.same_order, row.fsar_best, row.changed_under) for row in found.rankings} == {(None, None, None, None)}
 
 
+def test_where_no_run_failed_no_convention_makes_a_mean(relations: Relations) -> None:
+    for metric in ("recovery_containment", "reassignment_latency_s"):
+        assert means(relations, metric, "published_convention")["conflict_of_pair"] is None
+
+
 def test_our_reading_is_the_mean_of_the_metrics(cases: Database, relations: Relations) -> None:
     table = {(row.metric, row.architecture): row.mean for row in metric_rows(cases)}
     assert {(metric, name): mean for metric in METRICS for name, mean in means(relations, metric).items()} == table
+
+
+@pytest.mark.slow
+def test_every_combination_is_the_same_bits_on_any_number_of_threads() -> None:
+    assert len({repr(everything(threads)) for threads in (1, 2, 4)}) == 1
+
+
+def everything(threads: int) -> Multiverse:
+    with from_rows(CASE_ROWS, threads=threads) as database:
+        return multiverse(database)

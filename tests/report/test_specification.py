@@ -5,7 +5,7 @@ import re
 import pytest
 
 from fsar_ledger.metrics.database import from_rows
-from fsar_ledger.metrics.multiverse import Chosen, Multiverse, Universe, readings
+from fsar_ledger.metrics.multiverse import Chosen, Multiverse, Universe, cells, readings
 from fsar_ledger.report import specification, specs
 
 MEANS: dict[Chosen, tuple[float | None, float, float]] = {
@@ -25,7 +25,7 @@ def found(means: dict[Chosen, tuple[float | None, float, float]] = MEANS, metric
         for seed, of_seed in ((1, mine), (2, (0.9, 0.1, 0.1)))
         for name, mean in zip(("fsar", "cfc", "dhma"), of_seed, strict=True)
     ]
-    return Multiverse(tuple(one for one in readings() if metric in one.moves), (), (), tuple(universes))
+    return Multiverse(tuple(one for one in readings() if metric in one.moves), tuple(cells(universes)), (), tuple(universes))
 
 
 def words(svg: bytes) -> list[str]:
@@ -53,7 +53,12 @@ def test_the_lead_is_over_the_better_one(better: str, lead: float) -> None:
 def test_the_figure_says_how_often_fsar_is_best_and_names_the_readings() -> None:
     drawn = words(specification.curves(found()))
     assert "Human interventions (%): FSAR best under 2 of 4" in drawn
-    assert {"level four is fleet (R9)", "reviews are no interventions (R37)", "FSAR", "CFC", "DHMA", "our reading"} <= set(drawn)
+    assert {"level four is fleet (R9)", "reviews are no interventions (R37)", "FSAR", "CFC", "DHMA", "our reading", "printed in the paper"} <= set(drawn)
+
+
+def test_the_papers_numbers_stand_on_the_line_of_our_reading() -> None:
+    assert specification.printed(found().cells, specs.metric("human_intervention")) == pytest.approx({"fsar": 14, "cfc": 32, "dhma": 19})
+    assert specification.printed(found(metric="policy_violations").cells, specs.metric("human_intervention")) == {}
 
 
 def test_the_figure_is_the_same_bytes_twice_and_shows_its_rows() -> None:
