@@ -280,6 +280,59 @@ def test_what_is_not_observed_is_not_observed_under_any_reading() -> None:
     assert {(row.order, row.same_order, row.fsar_best, row.changed_under) for row in found.rankings} == {(None, None, None, None)}
 
 
+REPORTED = event("RoutineReported", robot="robot/B1", requested_by="robot/B1", executed_by="robot/B1")
+TOGETHER = [
+    # Metric, readings, events, the mean as we read them, and the mean when all these readings replace ours.
+    (
+        "governance_locality",
+        ("closings_decide_nothing", "denials_decide_each_time", "only_agents_are_traversed", "routine_decides_nothing"),
+        [MOTION, decided("service/coordination", name="RequestClosed"), decided("robot/A1", "robot/A1", "robot/B1"), DENIED, DENIED],
+        1 / 4,
+        1 / 3,
+    ),
+    (
+        "audit_attributability",
+        ("absent_supervisors_are_excused", "denials_are_records", "handoffs_leave_no_records", "principals_on_the_record"),
+        [
+            *(event("SupervisorLeft", supervisor="supervisor/B1"), REPORTED, decided("coordinator", name="RequestDenied"), event("InternalHandoff")),
+            *(started(), event("ExecutionFinished", action_id="a1", robot="robot/B1", executed_by="robot/B1")),
+        ],
+        1 / 2,
+        1 / 2,
+    ),
+    ("authority_conflicts", ("conflict_of_pair", "instants_are_shared"), [*claimed(0, "x", 5), *claimed(5, "y", 9), *claimed(5, "z", 9)], 1.0, 3.0),
+    (
+        "reassignment_latency_s",
+        ("latency_of_departures", "ordered_retry_is_fleet"),
+        [*failed(0, "local", after_us=S, ordered_by="coordinator"), *failed(0, "local", after_us=S, action="a2")],
+        1.0,
+        1 / 2,
+    ),
+    (
+        "policy_violations",
+        ("motions_are_no_actions", "review_is_no_denial"),
+        [window("review"), MOTION, started(), *({**row, "time_us": 5} for row in (window("deny"), MOTION, started("a2")))],
+        4.0,
+        1.0,
+    ),
+]
+
+
+@pytest.mark.parametrize(("metric", "chosen", "events", "ours", "theirs"), TOGETHER, ids=[metric for metric, *_ in TOGETHER])
+def test_readings_that_go_together_are_all_read(metric: str, chosen: tuple[str, ...], events: list[Row], ours: float, theirs: float) -> None:
+    with from_rows(run(*timed(events))) as database:
+        parts = [tuple(name for name in chosen if name != left_out) for left_out in chosen]
+        mine, together, *others = [one.mean for one in Relations(database, readings()).means(metric, [(), chosen, *parts])]
+    assert (mine, together) == pytest.approx((ours, theirs))
+    assert [mean for mean in others if mean == together] == [], "each of them tells"
+
+
+def test_a_run_that_is_not_observed_is_counted_by_no_convention() -> None:
+    with from_rows([*run(*failed(0, "human", after_us=S), run_id="seen"), *run(run_id="blind", observes=["fleet"])]) as database:
+        (mine,) = Relations(database, readings()).means("recovery_containment", [("published_convention",)])
+    assert (mine.mean, mine.runs_not_observed) == (0.0, 1)
+
+
 def test_where_no_run_failed_no_convention_makes_a_mean(relations: Relations) -> None:
     for metric in ("recovery_containment", "reassignment_latency_s"):
         assert means(relations, metric, "published_convention")["conflict_of_pair"] is None
