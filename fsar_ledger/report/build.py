@@ -40,6 +40,7 @@ def write_report(
         WriteFailed: `out` cannot be written.
     """
     require_outside(out, f"--out {out}")
+    typeset.require_place(out)
     demanded = demanded or required_look(ledger, workers, progress)
     theirs = None if workflows is None else required_look(workflows, workers, progress)
     findings = gather(ledger, workflows, demanded, theirs, pools_seeds=pools_seeds)
