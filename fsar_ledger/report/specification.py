@@ -7,8 +7,10 @@ from fsar_ledger.metrics.multiverse import CONDITIONS, Cell, Chosen, Multiverse,
 from fsar_ledger.report import figures, specs
 
 COLUMNS = 2
-CURVE, MARK = 10.0, 1.0
-"""Height of a curve, and of the line of marks of one reading, as parts of a panel."""
+CURVE, MARK, GAP = 10.0, 1.0, 2.5
+"""Height of a curve, of the line of marks of one reading, and of the space below, as parts of a panel."""
+PLACE = {"left": 0.172, "right": 0.99, "bottom": 0.025, "top": 0.98, "wspace": 0.74, "hspace": 0.04}
+"""Where the panels stand. A layout that is solved for has other last digits in each process."""
 SMALL = 5.0  # points
 MARKERS = ("o", "s", "^")  # also told apart in grey
 OURS: dict[str, Any] = {"color": "#999999", "linewidth": 0.8, "linestyle": (0, (3, 2)), "zorder": 1}
@@ -26,17 +28,18 @@ def curves(found: Multiverse, kind: str = "svg") -> bytes:
     chosen = [spec for spec in specs.metrics() if any(one.metric == spec.name for one in found.universes)]
     pairs = [chosen[at : at + COLUMNS] for at in range(0, len(chosen), COLUMNS)] or [[]]
     moving = {spec.name: [one for one in found.readings if spec.name in one.moves] for spec in chosen}
-    ratios = [ratio for pair in pairs for ratio in (CURVE, MARK * max((len(moving[spec.name]) for spec in pair), default=1))]
+    ratios = [ratio for pair in pairs for ratio in (CURVE, MARK * max((len(moving[spec.name]) for spec in pair), default=1), GAP)]
     with figures.canvas(specs.figure("specification-curves"), len(ratios), COLUMNS, height_ratios=ratios) as (figure, axes):
-        figure.get_layout_engine().set(hspace=0.0, h_pad=0.04)
+        figure.set_layout_engine(None)
+        figure.subplots_adjust(**PLACE)
         for panel in axes.flat:
             panel.set_visible(False)
         for row, pair in enumerate(pairs):
             for column, spec in enumerate(pair):
                 columns = ordered(found.universes, spec)
-                _curve(axes[2 * row, column], spec, columns, printed(found.cells, spec))
-                _marks(axes[2 * row + 1, column], moving[spec.name], columns, max(len(moving[one.name]) for one in pair))
-        figure.legend(*_legend(), loc="outside lower center", ncols=len(figures.COLOURS) + 2, frameon=False)
+                _curve(axes[3 * row, column], spec, columns, printed(found.cells, spec))
+                _marks(axes[3 * row + 1, column], moving[spec.name], columns, max(len(moving[one.name]) for one in pair))
+        figure.legend(*_legend(), loc="lower center", ncols=len(figures.COLOURS) + 2, frameon=False)
         return figures.rendered(figure, kind)
 
 
