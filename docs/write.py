@@ -1,7 +1,7 @@
 """Writes the parts of these pages that are real output, or (--check) says which of them are out of date.
 
-    python docs/write.py            docs/queries.md, docs/event-types.json, the example in docs/ledger-format.md, the table of constants in docs/model.md,
-                                    and the output in every ```console block
+    python docs/write.py            docs/queries.md, docs/event-types.json, the example in docs/ledger-format.md, the tables of constants and of readings
+                                    in docs/model.md, and the output in every ```console block
     python docs/write.py --check    exit code 1 and a diff where a page would change
 
 Within a ```console block, lines after `$ ` (and `> ` for more of the same) are commands; they run in order, in an empty folder for each page.
@@ -38,6 +38,7 @@ from fsar_ledger.ledger.releases import FINGERPRINTS
 from fsar_ledger.ledger.schema import CONCERNED, SCHEMA, STANDS_ALONE, STORED
 from fsar_ledger.ledger.tiles import node_of, tile_reader
 from fsar_ledger.metrics.library import Query, library
+from fsar_ledger.metrics.multiverse import readings
 from fsar_ledger.report.gather import flat
 from fsar_ledger.report.provenance import WORDS, origins
 
@@ -50,6 +51,7 @@ FOLDERS = {
     "staging": "Staging: one view for each event type, and the runs",
     "facts": "Facts: what the events mean",
     "metrics": "Metrics: the judging rules",
+    "readings": "Readings: relations as they are when the paper is read otherwise",
     "statistics": "Statistics: architectures compared over paired runs",
     "cases": "Cases: the paper's four cases, claim by claim, and the events behind each number",
     "tables": "Tables: the paper's two tables of marks, and what each mark rests on",
@@ -124,6 +126,14 @@ def with_constants(page: str) -> str:
     return re.sub(r"<!-- constants -->\n.*<!-- /constants -->", lambda _: f"<!-- constants -->\n{text}\n<!-- /constants -->", page, flags=re.DOTALL)
 
 
+def with_readings(page: str) -> str:
+    """The page with the table of all readings that are not ours: which question each answers, and what in the paper allows it."""
+    rows = [f"| `{one.name}` | {one.reading} | {one.question} | {', '.join(one.moves)} | `{one.paper.split()[0]}` | {one.why} |" for one in readings()]
+    head = ["| reading | instead of | question | moves | paper | why the text allows it |", "|---|---|---|---|---|---|"]
+    text = "\n".join(["", f"{len(rows)} readings:", "", *head, *rows, ""])
+    return re.sub(r"<!-- readings -->\n.*<!-- /readings -->", lambda _: f"<!-- readings -->\n{text}\n<!-- /readings -->", page, flags=re.DOTALL)
+
+
 def event_types() -> str:
     """What a verifier must know of events: the fingerprint of each release's columns, today's columns, and each type's required, optional, limited fields.
 
@@ -190,7 +200,7 @@ def main(arguments: list[str]) -> int:
     """The pages are written, or compared."""
     pages = {page: with_output(page.read_text("utf-8")) for page in PAGES} | {DOCS / "queries.md": queries_page()}
     pages |= {DOCS / "event-types.json": event_types(), FORMAT: format_page(FORMAT.read_text("utf-8"))}
-    pages[DOCS / "model.md"] = with_constants(pages[DOCS / "model.md"])
+    pages[DOCS / "model.md"] = with_readings(with_constants(pages[DOCS / "model.md"]))
     stale = {page: text for page, text in pages.items() if not page.exists() or page.read_text("utf-8") != text}
     if arguments != ["--check"]:
         for page, text in stale.items():

@@ -18,7 +18,7 @@ from typing import Annotated
 import typer
 
 from . import printable
-from .commands import fitting, judging, recover, reporting, sides, trust, witness
+from .commands import fitting, judging, multiverse, recover, reporting, sides, trust, witness
 from .commands.memory import bounded, reading
 from .commands.options import (
     WORTH_ROBOTS,
@@ -164,6 +164,7 @@ def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: Json
 app.command(epilog=judging.METRICS)(reading(judging.metrics))
 app.command(epilog=judging.STATISTICS)(reading(judging.statistics))
 app.command(epilog=sides.COMPARE)(reading(sides.compare))
+app.command(epilog=multiverse.MULTIVERSE)(reading(multiverse.multiverse))
 
 
 @app.command(

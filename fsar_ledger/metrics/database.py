@@ -146,11 +146,16 @@ class Database:
         except (duckdb.Error, UnicodeDecodeError) as error:  # what a damaged file holds as text may be none
             raise self._failure(error) from error
 
-    def define(self, name: str, sql: str) -> None:
-        """The SELECT is the relation of this name, whatever packaged query has it. Raises: as `table`."""
-        self._execute(f"CREATE VIEW {name} AS\n{sql}", None)
+    def define(self, name: str, sql: str, *, is_stored: bool = False) -> None:
+        """The SELECT, or its rows as they are now, is the relation of this name, whatever packaged query has it. Raises: as `table`."""
+        self._execute(f"CREATE {'TABLE' if is_stored else 'VIEW'} {name} AS\n{sql}", None)
         self._made.add(name)
         self._given[name] = "defined"
+
+    def undefine(self, name: str, *, is_stored: bool = False) -> None:
+        """The relation that `define` made is gone."""
+        self._execute(f"DROP {'TABLE' if is_stored else 'VIEW'} {name}", None)
+        self._made.discard(name)
 
     def prepare(self, sql: str) -> None:
         """Every relation that this SQL mentions exists, with all that it reads."""

@@ -3,6 +3,10 @@
 A query file starts with comment lines `-- Key: text`. Title, Paper, Grain, Units, NULL and Example are required.
 `Parameters: name = default, ...` makes it a query that is run with values instead of a view. `Stored: <reason>`
 keeps its rows once computed for as long as a connection lives.
+
+A file in `readings/` is another reading of a relation: it has its columns, reads it, and differs in the one thing that `Title`
+says (`metrics/multiverse.py`). `Reading` is the number of ours, `Replaces` the relation, `Moves` the metrics that hang on it;
+`Question` is what it answers otherwise than we do, and `Why` on what words of the paper.
 """
 
 import difflib
@@ -22,11 +26,14 @@ from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.schema import ENVELOPE, LAYOUTS
 
 REQUIRED_KEYS = ("Title", "Paper", "Grain", "Units", "NULL", "Example")
-KEYS = (*REQUIRED_KEYS, "Parameters", "Stored")
+READINGS = "readings/"
+READING_KEYS = ("Reading", "Question", "Replaces", "Moves", "Why")
+KEYS = (*REQUIRED_KEYS, *READING_KEYS, "Parameters", "Stored")
 
 _HEADER_LINE = re.compile(r"^-- (?:(\w+): )?\s*(.*)$")
 _TEXT_OR_COMMENT = re.compile(r"'(?:[^']|'')*'|--[^\n]*|/\*.*?\*/", re.DOTALL)
 _SOURCE = re.compile(r"\b(?:FROM|JOIN)\s+([a-z_][a-z0-9_]*)", re.IGNORECASE)
+_TEXT_OR_SOURCE = re.compile(rf"{_TEXT_OR_COMMENT.pattern}|(\b(?:FROM|JOIN)\s+)([a-z_]\w*)\b(\s+AS\b)?", re.DOTALL)
 _WORD = re.compile(r"[a-z_][a-z0-9_]*", re.IGNORECASE)
 _VERSIONED = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 
@@ -62,6 +69,17 @@ class Query(msgspec.Struct, frozen=True):
         """What stands behind FROM or JOIN: relations and its own steps."""
         return set(_SOURCE.findall(_TEXT_OR_COMMENT.sub(" ", self.sql)))
 
+    def reading_from(self, others: Mapping[str, str]) -> str:
+        """Its SQL, with other relations behind FROM and JOIN under the names that it knows: `FROM others[name] AS name`."""
+
+        def renamed(match: re.Match[str]) -> str:
+            before, name, alias = match.groups()
+            if name not in others or others[name] == name:
+                return match[0]
+            return f"{before}{others[name]}{alias or f' AS {name}'}"
+
+        return _TEXT_OR_SOURCE.sub(renamed, self.sql)
+
 
 def parse(name: str, sql: str) -> Query:
     """The query of this text.
@@ -82,7 +100,8 @@ def parse(name: str, sql: str) -> Query:
             raise ValueError(f"{name}: header line {line!r}: expected each of {', '.join(KEYS)} at most once")
         header[key] = text
         last = key
-    missing = [key for key in REQUIRED_KEYS if not header.get(key)]
+    required = (*REQUIRED_KEYS, *READING_KEYS) if name.startswith(READINGS) else REQUIRED_KEYS
+    missing = [key for key in required if not header.get(key)]
     if missing:
         raise ValueError(f"{name}: header lacks {', '.join(missing)}")
     return Query(name, sql, header, _parameters(header.get("Parameters", "")))

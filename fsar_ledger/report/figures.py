@@ -35,8 +35,8 @@ HEADROOM = 1.1  # height of a panel, as a multiple of its highest value
 
 
 @contextmanager
-def canvas(spec: specs.FigureSpec, rows: int, columns: int) -> Iterator[tuple[Any, Any]]:
-    """A figure of this size and its panels, in rows. Only Agg draws, with these settings and no others."""
+def canvas(spec: specs.FigureSpec, rows: int, columns: int, **grid: Any) -> Iterator[tuple[Any, Any]]:
+    """A figure of the spec's size and its panels, with what matplotlib calls the ratios of rows and columns. Only Agg draws, with these settings."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -45,7 +45,7 @@ def canvas(spec: specs.FigureSpec, rows: int, columns: int) -> Iterator[tuple[An
     with mpl.rc_context(settings):
         figure = Figure(figsize=(spec.width_in, spec.height_in), layout="constrained")
         FigureCanvasAgg(figure)
-        yield figure, figure.subplots(rows, columns, squeeze=False)
+        yield figure, figure.subplots(rows, columns, squeeze=False, **grid)
 
 
 @contextmanager
@@ -174,7 +174,7 @@ def effects(rows: Sequence[Row], kind: str = "svg") -> bytes:
     """
     from matplotlib.lines import Line2D
 
-    with _canvas(specs.figure("effects"), 1, 1) as (figure, axes):
+    with canvas(specs.figure("effects"), 1, 1) as (figure, axes):
         panel = axes[0, 0]
         names = [spec.name for spec in specs.metrics()]
         for at in range(1, len(names), 2):

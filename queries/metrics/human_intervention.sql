@@ -8,8 +8,7 @@ WITH judged AS (
     SELECT
         run_id,
         1 AS numerator
-    FROM supervisor_called
-    WHERE supervisor = 'supervisor/fleet'
+    FROM interventions
     GROUP BY run_id
 )
 

@@ -1,0 +1,331 @@
+"""Every cell of the results table under every reading of the paper that its text allows, and whether the ranking survives.
+
+A reading (`queries/readings/*.sql`) replaces one relation by another with the same columns, so that readings of different
+questions go together, and those of one question exclude each other. The multiverse of a metric is every combination of the
+readings that move it; the one without any is ours. Nothing is simulated again: the ledger is the same, it is read otherwise.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cache
+from itertools import groupby, product
+from typing import Any
+
+import msgspec
+
+from .database import Database
+from .library import READINGS, Query, library
+from .results import SETTINGS, typed
+from .verdicts import published
+
+Chosen = tuple[str, ...]
+"""The readings that replace ours, by name and in order; () is our reading."""
+
+CONDITIONS = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
+"""What tells groups of runs apart that are never ranked together."""
+
+PRINTED = ("full", 4)
+"""Configuration and fleet size of the paper's results table."""
+
+AT_ONCE = 8
+"""Combinations that are judged by one statement: more are hardly quicker, and each takes memory."""
+
+MEANS = """
+    WITH measured AS ({measured}), definitions AS ({definitions}), means AS (
+        SELECT
+            measured.universe,
+            runs.architecture, runs.configuration, runs.fleet_size, {seed} AS seed, runs.kind, runs.source, runs.model_version, settings.constants,
+            CASE
+                WHEN any_value(definitions.is_pooled)
+                    THEN sum(measured.numerator)::DOUBLE / nullif(sum(measured.denominator)::DOUBLE, 0) / any_value(definitions.numerator_units)
+                WHEN count(measured.value) > 0 -- else nothing happened that could be counted
+                    THEN avg(CASE WHEN measured.not_observed IS NULL THEN coalesce(measured.value, definitions.undefined_value) END ORDER BY measured.run_id)
+            END AS mean,
+            count(measured.not_observed) AS runs_not_observed
+        FROM measured
+        INNER JOIN definitions ON measured.universe = definitions.universe
+        INNER JOIN runs ON measured.run_id = runs.run_id
+        INNER JOIN run_settings AS settings ON measured.run_id = settings.run_id
+        GROUP BY ALL
+    )
+    SELECT *
+    FROM means
+    ORDER BY universe, {order}, list_position(['fsar', 'cfc', 'dhma'], architecture), architecture
+"""
+MEASURED = "SELECT {universe} AS universe, run_id, numerator, denominator, value, not_observed FROM {metric}"
+DEFINED = "SELECT {universe} AS universe, is_pooled, numerator_units, undefined_value FROM {definitions} WHERE metric = '{name}'"
+
+
+class Reading(msgspec.Struct, frozen=True):
+    """One reading other than ours: what it says, the number of ours, the question that both answer, and on what words of the paper it rests.
+
+    `replaces` is a relation, `moves` are the metrics that hang on it.
+    """
+
+    name: str
+    title: str
+    reading: str
+    question: str
+    why: str
+    paper: str
+    replaces: str
+    moves: tuple[str, ...]
+
+
+class Universe(msgspec.Struct, frozen=True, kw_only=True):
+    """The mean of one metric for one architecture when these readings replace ours, but for runs whose source does not record what it rests on.
+
+    None: undefined or not observed.
+    """
+
+    metric: str
+    architecture: str | None
+    configuration: str | None
+    fleet_size: int | None
+    seed: int | None
+    kind: str
+    source: str | None
+    model_version: str | None
+    constants: str | None
+    readings: Chosen
+    mean: float | None
+    runs_not_observed: int
+
+
+class Cell(msgspec.Struct, frozen=True, kw_only=True):
+    """The range of one cell over all combinations of readings, and which reading moves it most when it alone replaces ours.
+
+    `paper`, `ours`, `lowest`, `highest`, `moved_by` in the metric's unit; of several combinations with the same mean that of fewest readings is named.
+    None: undefined or not observed; `paper` but for whole architectures of four robots; `most_moving` where no reading alone moves the cell.
+    """
+
+    metric: str
+    architecture: str | None
+    configuration: str | None
+    fleet_size: int | None
+    seed: int | None
+    kind: str
+    source: str | None
+    model_version: str | None
+    constants: str | None
+    paper: float | None
+    ours: float | None
+    lowest: float | None
+    highest: float | None
+    combinations: int
+    undefined: int
+    most_moving: str | None
+    moved_by: float | None
+    lowest_under: Chosen | None
+    highest_under: Chosen | None
+    runs_not_observed: int
+
+
+class Ranking(msgspec.Struct, frozen=True, kw_only=True):
+    """Whether the order of the architectures by one metric is the same under every combination of readings, and whether FSAR is the best one.
+
+    `order` is the one under our reading, the best first, `=` between equals; it is that of means, whatever chance has to do with it.
+    `same_order`, `fsar_best` count combinations; `changed_under`, `fsar_not_best_under` name the smallest combinations under which it is not so.
+    None: fewer than two architectures have a mean, or FSAR is none of them.
+    """
+
+    metric: str
+    better: str
+    configuration: str | None
+    fleet_size: int | None
+    seed: int | None
+    kind: str
+    source: str | None
+    model_version: str | None
+    constants: str | None
+    order: str | None
+    combinations: int
+    same_order: int | None
+    fsar_best: int | None
+    changed_under: tuple[Chosen, ...] | None
+    fsar_not_best_under: tuple[Chosen, ...] | None
+
+
+class Multiverse(msgspec.Struct, frozen=True):
+    """All that is to be said: the readings, the range of each cell, the rankings, and the mean in each universe."""
+
+    readings: tuple[Reading, ...]
+    cells: tuple[Cell, ...]
+    rankings: tuple[Ranking, ...]
+    universes: tuple[Universe, ...]
+
+
+@cache
+def readings() -> tuple[Reading, ...]:
+    """All readings other than ours, by name."""
+    return tuple(_reading(query) for name, query in sorted(library().queries.items()) if name.startswith(READINGS))
+
+
+def _reading(query: Query) -> Reading:
+    told = query.header
+    moves = tuple(name.strip() for name in told["Moves"].split(","))
+    return Reading(query.relation, told["Title"], told["Reading"], told["Question"], told["Why"], told["Paper"], told["Replaces"], moves)
+
+
+def combinations(metric: str) -> tuple[Chosen, ...]:
+    """Every combination of the readings that move this metric: at most one of each question; ours first, then those of fewer readings first."""
+    questions: dict[str, list[str]] = {}
+    for one in readings():
+        if metric in one.moves:
+            questions.setdefault(one.question, []).append(one.name)
+    chosen = (tuple(sorted(filter(None, choice))) for choice in product(*(("", *names) for names in questions.values())))
+    return tuple(sorted(chosen, key=lambda names: (len(names), names)))
+
+
+class Relations:
+    """The relations of a ledger as they are when some readings replace ours: each is made once, and shared by all combinations that leave it the same.
+
+    What readings replace or read is stored, what follows from it is not.
+    """
+
+    def __init__(self, database: Database, using: Sequence[Reading]):
+        self._database = database
+        self._replaced = {one.name: one.replaces for one in using}
+        found = {source for name in self._replaced for source in database.library.relations[name].sources()}
+        self._kept = (found | set(self._replaced.values())) & database.library.relations.keys()
+        self._readings_of: dict[str, frozenset[str]] = {}
+        self._made: dict[tuple[str, frozenset[str]], tuple[str, bool]] = {}
+
+    def under(self, relation: str, chosen: frozenset[str]) -> str:
+        """The name under which this relation now is to be had. Raises: as `Database.define`."""
+        query = self._database.library.relations.get(relation)
+        if query is None:
+            return relation  # the events, or a step of the query that reads it
+        telling = chosen & self._telling(relation)
+        if not telling and relation not in self._kept:
+            self._database.prepare(relation)
+            return relation
+        if (relation, telling) not in self._made:
+            self._make(query, telling)
+        return self._made[relation, telling][0]
+
+    def _telling(self, relation: str) -> frozenset[str]:
+        """The readings that replace this relation, or something that it is made of."""
+        if relation not in self._readings_of:
+            below = {one.relation for one in self._database.library.needs([relation])}
+            self._readings_of[relation] = frozenset(name for name, replaced in self._replaced.items() if replaced in below)
+        return self._readings_of[relation]
+
+    def _make(self, query: Query, telling: frozenset[str]) -> None:
+        """The relation under these readings, all of which it hangs on: the last one that replaces it reads it under the others."""
+        last = max((name for name in telling if self._replaced[name] == query.relation), default=None)
+        made_by = query if last is None else self._database.library.relations[last]
+        names = {source: self.under(source, telling) for source in made_by.sources() - {query.relation}}
+        if last is not None:
+            names[query.relation] = self.under(query.relation, telling - {last})
+        is_stored = query.is_stored or (last is None and query.relation in self._kept) or made_by.is_stored
+        name = f"{query.relation}_{len(self._made)}"
+        self._database.define(name, made_by.reading_from(names), is_stored=is_stored)
+        self._made[query.relation, telling] = (name, is_stored)
+
+    def means(self, metric: str, combined: Sequence[Chosen], *, pools_seeds: bool = False) -> list[Universe]:
+        """The mean of this metric for each architecture and setting under each of these combinations, in their order. Raises: as `Database.rows`."""
+        under = [{name: self.under(name, frozenset(chosen)) for name in (metric, "metric_definitions")} for chosen in combined]
+        sql = MEANS.format(
+            measured=" UNION ALL ".join(MEASURED.format(universe=at, metric=names[metric]) for at, names in enumerate(under)),
+            definitions=" UNION ALL ".join(DEFINED.format(universe=at, definitions=names["metric_definitions"], name=metric) for at, names in enumerate(under)),
+            seed="NULL::BIGINT" if pools_seeds else "runs.seed",
+            order=SETTINGS,
+        )
+        return typed([{**row, "metric": metric, "readings": combined[row["universe"]]} for row in self._database.rows(sql)], Universe)
+
+    def forget(self) -> None:
+        """Nothing that was made here is there any more."""
+        for name, is_stored in reversed(self._made.values()):
+            self._database.undefine(name, is_stored=is_stored)
+        self._made.clear()
+
+
+def multiverse(database: Database, metrics: Sequence[str] = (), *, pools_seeds: bool = False) -> Multiverse:
+    """The multiverse of these metrics (all: none named), over the runs of each seed by itself, or of all seeds. Raises: as `Database.rows`."""
+    definitions = database.rows("SELECT metric, better FROM metric_definitions ORDER BY position")
+    better = {row["metric"]: row["better"] for row in definitions if row["metric"] in (metrics or [one["metric"] for one in definitions])}
+    found = [one for metric in better for one in universes(database, metric, pools_seeds=pools_seeds)]
+    used = tuple(one for one in readings() if set(one.moves) & better.keys())
+    return Multiverse(used, tuple(cells(found)), tuple(rankings(found, better)), tuple(found))
+
+
+def universes(database: Database, metric: str, *, pools_seeds: bool = False) -> list[Universe]:
+    """The mean of this metric for each architecture and setting under every combination of its readings. Raises: as `Database.rows`."""
+    relations = Relations(database, [one for one in readings() if metric in one.moves])
+    all_of_them = combinations(metric)
+    parts = [all_of_them[at : at + AT_ONCE] for at in range(0, len(all_of_them), AT_ONCE)]
+    found = [one for part in parts for one in relations.means(metric, part, pools_seeds=pools_seeds)]
+    relations.forget()
+    return found
+
+
+def cells(found: Iterable[Universe]) -> Iterator[Cell]:
+    """The range of each cell, in the order of the universes of our reading."""
+    by_cell: dict[tuple[object, ...], list[Universe]] = {}
+    for one in found:
+        by_cell.setdefault((one.metric, *_conditions(one).values(), one.architecture), []).append(one)
+    for ours, *others in by_cell.values():
+        means = [(one.mean, one.readings) for one in (ours, *others) if one.mean is not None]
+        lowest = min(means, key=lambda each: each[0], default=(None, None))
+        highest = max(means, key=lambda each: each[0], default=(None, None))
+        alone = [] if ours.mean is None else [(mean - ours.mean, names[0]) for mean, names in means if len(names) == 1]
+        moved_by, moving = max(alone, key=lambda each: abs(each[0]), default=(0.0, None))
+        printed = published().get((ours.metric, ours.architecture or ""))
+        yield Cell(
+            metric=ours.metric,
+            architecture=ours.architecture,
+            **_conditions(ours),
+            paper=printed.mean if printed is not None and (ours.configuration, ours.fleet_size) == PRINTED else None,
+            ours=ours.mean,
+            lowest=lowest[0],
+            highest=highest[0],
+            combinations=1 + len(others),
+            undefined=1 + len(others) - len(means),
+            most_moving=moving if moved_by else None,
+            moved_by=moved_by or None,
+            lowest_under=lowest[1],
+            highest_under=highest[1],
+            runs_not_observed=ours.runs_not_observed,
+        )
+
+
+def rankings(found: Iterable[Universe], better: Mapping[str, str]) -> Iterator[Ranking]:
+    """Whether each ranking survives, in the order of the universes of our reading."""
+    by_place: dict[tuple[object, ...], dict[Chosen, list[Universe]]] = {}
+    for one in found:
+        by_place.setdefault((one.metric, *_conditions(one).values()), {}).setdefault(one.readings, []).append(one)
+    for under in by_place.values():
+        first = under[()][0]
+        orders = {names: ranked(mine, better[first.metric]) for names, mine in under.items()}
+        ours = orders[()]
+        changed = [names for names, order in orders.items() if order != ours]
+        lost = [names for names, order in orders.items() if not order or order[0] != ("fsar",)]
+        is_ranked = sum(map(len, ours)) > 1
+        has_fsar = is_ranked and any("fsar" in equals for equals in ours)
+        yield Ranking(
+            metric=first.metric,
+            better=better[first.metric],
+            **_conditions(first),
+            order=" > ".join(" = ".join(equals) for equals in ours) if is_ranked else None,
+            combinations=len(orders),
+            same_order=len(orders) - len(changed) if is_ranked else None,
+            fsar_best=len(orders) - len(lost) if has_fsar else None,
+            changed_under=smallest(changed) if is_ranked else None,
+            fsar_not_best_under=smallest(lost) if has_fsar else None,
+        )
+
+
+def ranked(mine: Iterable[Universe], better: str) -> tuple[tuple[str, ...], ...]:
+    """The architectures that have a mean, the best first, equal ones together by name."""
+    sign = -1 if better == "higher" else 1
+    ordered = sorted((sign * one.mean, one.architecture or "unnamed") for one in mine if one.mean is not None)
+    return tuple(tuple(name for _, name in equals) for _, equals in groupby(ordered, key=lambda each: each[0]))
+
+
+def smallest(sets: Sequence[Chosen]) -> tuple[Chosen, ...]:
+    """Those of these combinations of which no other one is a part."""
+    return tuple(one for one in sets if not any(set(other) < set(one) for other in sets))
+
+
+def _conditions(one: Universe) -> dict[str, Any]:
+    return {name: getattr(one, name) for name in CONDITIONS}

@@ -1,0 +1,14 @@
+-- Title: What agents of one robot pass to each other is no record
+-- Paper: sec:evaluation:qualitative
+-- Reading: R21
+-- Question: whether internal hand-offs are records
+-- Replaces: coordination_events
+-- Moves: audit_attributability
+-- Why: The definition lists no hand-offs; a case counts four of them for each action as unattributed.
+-- Grain: one row per record
+-- Units: as in coordination_events
+-- NULL: as in coordination_events
+-- Example: fsar-ledger query readings/handoffs_leave_no_records LEDGER
+SELECT *
+FROM coordination_events
+WHERE record_kind <> 'handoff'

@@ -1,0 +1,14 @@
+-- Title: Motions of routine are not governed
+-- Paper: sec:evaluation:metrics
+-- Reading: R42
+-- Question: what is an action
+-- Replaces: governed_starts
+-- Moves: policy_violations
+-- Why: Actions that proceed despite a check: a motion that serves no request is no action on which anybody checks.
+-- Grain: one row per execution or motion that policy governs
+-- Units: as in governed_starts
+-- NULL: as in governed_starts
+-- Example: fsar-ledger query readings/motions_are_no_actions LEDGER
+SELECT *
+FROM governed_starts
+WHERE action_id IS NOT NULL
