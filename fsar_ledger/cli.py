@@ -16,7 +16,7 @@ from typing import Annotated
 import typer
 
 from . import printable
-from .commands import judging, recover, reporting, trust, witness
+from .commands import judging, recover, reporting, sensitivity, trust, witness
 from .commands.memory import bounded, reading
 from .commands.options import (
     AdoptOption,
@@ -64,7 +64,7 @@ from .errors import FsarLedgerError
 
 INTERRUPTED = 130
 CONTINUES = "what is committed stays, and the same command continues there"
-AFTER_INTERRUPTION = {"simulate": CONTINUES, "reproduce": CONTINUES, "recover": "what was mended stays; run it again"}
+AFTER_INTERRUPTION = {"simulate": CONTINUES, "reproduce": CONTINUES, "recover": "what was mended stays; run it again"} | sensitivity.AFTER_INTERRUPTION
 SHOWN_ROWS = 100
 
 app = typer.Typer(
@@ -330,6 +330,9 @@ def calibrate(
     with Progress("tried", "parameter sets") as progress:
         fit(out, progress, workers_of(workers))
     _show(printable.line(f"{out}"))
+
+
+app.command(epilog=sensitivity.SENSITIVITY)(sensitivity.sensitivity)
 
 
 @app.command(epilog=examples("fsar-ledger reproduce", "fsar-ledger reproduce --out out/paper"))

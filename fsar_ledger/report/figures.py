@@ -32,7 +32,8 @@ BAND_SE = 2.0  # the acceptance band of the distance figure, in standard errors
 
 
 @contextmanager
-def _canvas(spec: specs.FigureSpec, rows: int, columns: int) -> Iterator[tuple[Any, Any]]:
+def canvas(spec: specs.FigureSpec, rows: int, columns: int) -> Iterator[tuple[Any, Any]]:
+    """A figure of the spec's size and its panels, with these settings and no others."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -120,7 +121,7 @@ def evaluation_results(rows: Sequence[Row], kind: str = "svg") -> bytes:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    with _canvas(specs.figure("evaluation-results"), 2, 4) as (figure, axes):
+    with canvas(specs.figure("evaluation-results"), 2, 4) as (figure, axes):
         for panel, spec in zip(axes.flat, specs.metrics(), strict=True):
             _panel(panel, spec, rows)
         handles: list[Any] = [Patch(color=colour, alpha=0.75, label=f"{name.upper()}, this ledger") for name, colour in COLOURS.items()]
@@ -135,7 +136,7 @@ def distances(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
     Each row holds metric, architecture and distance_se (None: no value).
     """
-    with _canvas(specs.figure("distances"), 1, 1) as (figure, axes):
+    with canvas(specs.figure("distances"), 1, 1) as (figure, axes):
         panel = axes[0, 0]
         names = [spec.name for spec in specs.metrics()]
         panel.axvspan(-BAND_SE, BAND_SE, color="#eeeeee", zorder=0)
