@@ -80,6 +80,14 @@ class Sensitivity(msgspec.Struct, frozen=True):
     effects: tuple[Effect, ...]
 
 
+class Section(msgspec.Struct, frozen=True):
+    """What the report has to say: a sentence, and if there are effects of its runs the heat map (SVG) and the rows of the dozen."""
+
+    sentence: str
+    figure: bytes | None
+    rows: list[dict[str, Any]]
+
+
 _TYPES: dict[Any, pa.DataType] = {str: pa.string(), int: pa.int64(), float: pa.float64(), float | None: pa.float64()}
 SCHEMA = pa.schema([pa.field(field.name, _TYPES[field.type], field.type == float | None) for field in msgspec.structs.fields(Effect)])
 
@@ -96,21 +104,57 @@ def read_sensitivity(path: Path, model_version: str, parameters: str) -> Sensiti
     Raises:
         UsageError: The file cannot be read, is another file, or of another model or other constants.
     """
+    found = _read(path)
+    if why := _mismatch(found.about, model_version, parameters):
+        raise UsageError(f"{path}: {why}")
+    return found
+
+
+def section(path: Path | None, model_version: str, parameters: str) -> Section:
+    """What a report about runs of this model with these constants has to say of how much hangs on what.
+
+    Raises:
+        UsageError: The file cannot be read or is another file.
+    """
+    if path is None:
+        return Section(f"How much of each number hangs on each constant was not looked at for this report: {MADE_BY} does it, in most of an hour.", None, [])
+    found = _read(path)
+    if why := _mismatch(found.about, model_version, parameters):
+        return Section(f"The effects that were given are not of these runs: {why}.", None, [])
+    about, still = found.about, sum(furthest == 0 for furthest in reach(found).values())
+    sentence = (
+        f"{len(about.factors)} factors, all constants of world and structure, the load and the size of the fleet, were each varied {about.trajectories} times, over {about.evaluations} "
+        f"evaluations of {about.runs} runs per scenario and architecture; {still} of them move nothing."
+    )
+    return Section(sentence, heat_map(found), dozen(found))
+
+
+def _read(path: Path) -> Sensitivity:
+    if not path.is_file():
+        raise UsageError(f"{path}: found no such file, expected one of `{MADE_BY}`")
     try:
-        table = pq.read_table(path)
+        table = pq.ParquetFile(path).read()
         about = msgspec.json.decode((table.schema.metadata or {}).get(METADATA, b""), type=About)
         effects = msgspec.convert(table.select(SCHEMA.names).to_pylist(), tuple[Effect, ...])
     except (pa.ArrowException, KeyError, msgspec.MsgspecError) as error:
         raise UsageError(f"{path}: found no file of effects ({str(error).splitlines()[0]:.200}), expected one of `{MADE_BY}`") from error
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror or str(error):.200}), expected a file of `{MADE_BY}`") from error
+    grid = {(spec.name, architecture, factor) for spec in specs.metrics() for architecture in ARCHITECTURES for factor in about.factors}
+    if {(one.metric, one.architecture, one.factor) for one in effects} != grid or len(effects) != len(grid) or not set(about.dozen) <= set(about.factors):
+        raise UsageError(f"{path}: found no file of effects (a row for each cell and factor is not there), expected one of `{MADE_BY}`")
+    return Sensitivity(about, effects)
+
+
+def _mismatch(about: About, model_version: str, parameters: str) -> str | None:
+    """Why the effects say nothing of runs of this model with these constants."""
     if about.model_version != model_version:
         found = printable.value(about.model_version)
-        raise UsageError(f"{path}: found effects of model {found}, expected those of model {model_version}; make them again: {MADE_BY}")
+        return f"found effects of model {found}, expected those of model {printable.value(model_version)}; make them again: {MADE_BY}"
     if differing := _differing(about.parameters, parameters):
         named = ", ".join(differing[:MAX_NAMED]) + (f" and {len(differing) - MAX_NAMED} more" if len(differing) > MAX_NAMED else "")
-        raise UsageError(f"{path}: found effects around other constants ({named}), expected those of these runs; make them again: {MADE_BY}")
-    return Sensitivity(about, effects)
+        return f"found effects around other constants ({named}), expected those of these runs; make them again: {MADE_BY}"
+    return None
 
 
 def _differing(theirs: str, ours: str) -> list[str]:

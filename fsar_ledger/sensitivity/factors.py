@@ -7,7 +7,7 @@ double. Load and fleet size have two settings each, the first of which is the ba
 Outages are no factors: their rates are 0 by default, and twice nothing is nothing.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Literal
 
 import msgspec
@@ -96,9 +96,9 @@ def _like(base: float, value: float) -> Any:
     return round(value) if isinstance(base, int) else float(f"{value:.6g}")
 
 
-def factors(constants: Constants | None = None) -> tuple[Factor, ...]:
-    """All factors around these constants (None: the package's own), in the order of `constants.py`; a larger load and the size of the fleet come last."""
-    base, words = constants or Constants(), origins()
+def factors() -> tuple[Factor, ...]:
+    """All factors around the package's constants, in the order of `constants.py`; load and the size of the fleet come last."""
+    base, words = Constants(), origins()
     found: list[Factor] = []
     for group in ("world", "structure"):
         part = getattr(base, group)
@@ -116,24 +116,27 @@ def _kind(name: str) -> Kind:
     return "share" if name in SHARES else "count" if name in COUNTS else "scaled"
 
 
-def setting(all_factors: tuple[Factor, ...], positions: Mapping[str, float]) -> Setting:
-    """The setting with these factors at these positions and all others at their base."""
-    values = {factor.name: factor.at(positions[factor.name]) if factor.name in positions else factor.value for factor in all_factors}
-    fleet_size = values.pop("fleet.size")
+def setting(all_factors: Iterable[Factor], positions: Mapping[str, float]) -> Setting:
+    """The setting with these factors at these positions, and all else as it is in this package."""
+    fleet_size, base = 4, Constants()
+    durations = dict(base.world.durations)
     groups: dict[str, dict[str, Any]] = {"world": {}, "structure": {}, "load": {}}
-    durations: list[tuple[str, Range]] = []
-    for dotted, value in values.items():
-        group, _, name = dotted.partition(".")
-        if name.startswith("durations."):
-            durations.append((name.removeprefix("durations."), value))
+    for factor in all_factors:
+        if factor.name not in positions:
+            continue
+        value = factor.at(positions[factor.name])
+        group, _, name = factor.name.partition(".")
+        if group == "fleet":
+            fleet_size = value
+        elif name.startswith("durations."):
+            durations[name.removeprefix("durations.")] = value
         else:
             groups[group][name] = value
-    load = Load(**groups["load"])
-    replace, base = msgspec.structs.replace, Constants()
+    replace = msgspec.structs.replace
     constants = Constants(
-        replace(base.world, durations=tuple(durations), **groups["world"]),
+        replace(base.world, durations=tuple(durations.items()), **groups["world"]),
         replace(base.structure, **groups["structure"]),
-        load=None if (load.teams_working, load.task_sets) == (None, 1) else load,
+        load=Load(**groups["load"]),
     )
     return Setting(_without_unused(constants, fleet_size), fleet_size)
 
@@ -141,8 +144,7 @@ def setting(all_factors: tuple[Factor, ...], positions: Mapping[str, float]) -> 
 def _without_unused(constants: Constants, fleet_size: int) -> Constants:
     """The same world in its one form: no load where one team has its tasks once, no interval where there is but one set."""
     load = constants.load
-    if load is None:
-        return constants
+    assert load is not None
     teams = None if fleet_size == 4 else load.teams_working
     interval_s = Load().interval_s if load.task_sets == 1 else load.interval_s
     used = Load(teams, load.task_sets, interval_s)
