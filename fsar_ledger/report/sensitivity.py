@@ -123,8 +123,8 @@ def section(path: Path | None, model_version: str, parameters: str) -> Section:
         return Section(f"The effects that were given are not of these runs: {why}.", None, [])
     about, still = found.about, sum(furthest == 0 for furthest in reach(found).values())
     sentence = (
-        f"{len(about.factors)} factors, all constants of world and structure, the load and the size of the fleet, were each varied {about.trajectories} times, over {about.evaluations} "
-        f"evaluations of {about.runs} runs per scenario and architecture; {still} of them move nothing."
+        f"{len(about.factors)} factors, all constants of world and structure, the load and the size of the fleet, were each varied {about.trajectories} times, "
+        f"over {about.evaluations} evaluations of {about.runs} runs per scenario and architecture; {still} of them move nothing."
     )
     return Section(sentence, heat_map(found), dozen(found))
 
