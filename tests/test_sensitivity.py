@@ -14,7 +14,7 @@ import pytest
 from fsar_ledger.constants import Constants, negatives, write_constants
 from fsar_ledger.errors import UsageError, WriteFailed
 from fsar_ledger.report.provenance import origins
-from fsar_ledger.report.sensitivity import METADATA, Sensitivity, dozen, heat_map, reach, read_sensitivity, section, table_of
+from fsar_ledger.report.sensitivity import METADATA, Sensitivity, dozen, heat_map, reach, read_sensitivity, section, table_of, that_matter
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS
 from fsar_ledger.sensitivity.emulator import design, indices, terms
@@ -206,6 +206,21 @@ def test_the_parts_of_the_variance_are_those_of_the_law(found: Sensitivity) -> N
     assert of["structure.sync_period_us"].sobol_first is None  # it moves nothing, so it is none of the dozen
     assert found.about.dozen[0] == "world.message"
     assert "structure.sync_period_us" not in found.about.dozen
+
+
+def test_no_metric_fills_the_list_of_those_that_matter(found: Sensitivity) -> None:
+    def margins(metric: str, factor: str) -> float:
+        if metric == "recovery_containment":
+            return 1.0 if factor == "load.task_sets" else 0.5
+        return float(10 + NAMES.index(factor))
+
+    effects = [msgspec.structs.replace(one, mu_star_margins=margins(one.metric, one.factor)) for one in found.effects]
+    effects = [msgspec.structs.replace(one, mu_star_margins=0.0) if one.factor == "world.message" else one for one in effects]
+    changed = [msgspec.structs.replace(one, mu_star_margins=9.0) if one.factor == "load.task_sets" and one.mu_star_margins != 1 else one for one in effects]
+    about = Sensitivity(found.about, tuple(changed))
+    assert that_matter(about, 2) == ("structure.sync_period_us", "load.task_sets")  # the second moves containment furthest, and any cell least
+    assert that_matter(about, 3) == ("structure.sync_period_us", "world.context_rate_per_s", "load.task_sets")
+    assert that_matter(about, 12) == ("structure.sync_period_us", "world.context_rate_per_s", "world.window_mean_s", "load.task_sets")
 
 
 def test_a_cell_that_is_never_defined_has_no_effects(found: Sensitivity) -> None:

@@ -70,7 +70,7 @@ class About(msgspec.Struct, frozen=True, kw_only=True):
     evaluations: int
     factors: tuple[str, ...]
     dozen: tuple[str, ...]
-    """The factors that move some cell furthest, in margins; the first moves it furthest."""
+    """The factors that matter most (`that_matter`), the one that moves a cell furthest first."""
 
 
 class Sensitivity(msgspec.Struct, frozen=True):
@@ -174,6 +174,20 @@ def reach(found: Sensitivity) -> dict[str, float]:
     for effect in found.effects:
         furthest[effect.factor] = max(furthest[effect.factor], effect.mu_star_margins or 0.0)
     return dict(sorted(furthest.items(), key=lambda item: -item[1]))
+
+
+def that_matter(found: Sensitivity, most: int) -> tuple[str, ...]:
+    """So many factors: the one that moves each metric furthest, then those that move any cell furthest, in margins; by their reach, the furthest first.
+
+    Else a metric with a narrow margin would fill the list, and of the others nothing would be known.
+    """
+    furthest: dict[str, tuple[float, str]] = {}
+    for effect in found.effects:
+        if effect.mu_star_margins and effect.mu_star_margins > furthest.get(effect.metric, (0.0, ""))[0]:
+            furthest[effect.metric] = effect.mu_star_margins, effect.factor
+    by_reach = [name for name, margins in reach(found).items() if margins > 0]
+    chosen = dict.fromkeys([*(name for _, name in furthest.values()), *by_reach])
+    return tuple(sorted(list(chosen)[:most], key=by_reach.index))
 
 
 def dozen(found: Sensitivity) -> list[dict[str, Any]]:

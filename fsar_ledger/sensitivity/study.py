@@ -1,4 +1,4 @@
-"""The study: screen all factors, take the dozen that move a cell furthest, tell their parts of the variance, write it down.
+"""The study: screen all factors, take the dozen that matter most, tell their parts of the variance, write it down.
 
 Every trajectory meets worlds of its own seed, the same at all its points, so what an effect owes to the worlds it was found in shows in the
 spread between trajectories. The polynomial is of one seed; all factors but the dozen are at their base there.
@@ -16,7 +16,7 @@ from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.errors import UsageError, WriteFailed
 from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.metrics.verdicts import MARGINS
-from fsar_ledger.report.sensitivity import About, Effect, Sensitivity, reach, table_of
+from fsar_ledger.report.sensitivity import About, Effect, Sensitivity, table_of, that_matter
 from fsar_ledger.runtime.simulation import MODEL_VERSION
 
 from .emulator import Indices, design, indices, terms
@@ -159,7 +159,7 @@ def _studied(study: _Study, answers: Answers, ask: Evaluate, workers: int, progr
     answer_all(screening, answers, ask, workers, told)
     about = _about(study, len(screening))
     first = Sensitivity(about, tuple(study.effects(answers.found)))
-    dozen = tuple(name for name, furthest in list(reach(first).items())[:DOZEN] if furthest > 0)
+    dozen = that_matter(first, DOZEN)
     positions, questions = study.of_dozen(dozen)
     answer_all({question.key: question for question in questions}, answers, ask, workers, told)
     chosen = [factor for name in dozen for factor in study.factors if factor.name == name]
