@@ -2,6 +2,7 @@
 
 import json
 import math
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -334,15 +335,21 @@ def test_a_file_of_another_model_of_other_constants_or_of_another_kind_is_refuse
             read_sensitivity(path, MODEL_VERSION, own)
 
 
-def test_a_report_has_the_effects_of_its_runs_or_says_how_to_make_them(file: Path, found: Sensitivity) -> None:
-    own = write_constants(Constants())
-    there = section(file, MODEL_VERSION, own)
+def test_a_report_has_the_effects_of_its_runs_or_says_how_to_make_them(found: Sensitivity) -> None:
+    own = sha256(write_constants(Constants()).encode()).hexdigest()
+    there = section(found, MODEL_VERSION, {own, "another load"})
     assert there.figure == heat_map(found)
-    assert there.rows == dozen(found)
+    assert there.table is not None
+    assert [row[0].printed for row in there.table.rows] == list(found.about.dozen)
     assert there.sentence.endswith("1 of them move nothing.")
-    for path, model, why in ((None, MODEL_VERSION, "was not looked at"), (file, "0", "expected those of model 0")):
-        missing = section(path, model, own)
-        assert (missing.figure, missing.rows) == (None, [])
+    for given, model, digest, why in (
+        (None, MODEL_VERSION, own, "was not looked at"),
+        (found, "0", own, "expected those of model 0"),
+        (found, None, own, "expected those of model unknown"),
+        (found, MODEL_VERSION, "other", "around other constants"),
+    ):
+        missing = section(given, model, {digest})
+        assert (missing.figure, missing.table) == (None, None)
         assert why in missing.sentence
         assert "fsar-ledger sensitivity --out FILE.parquet" in missing.sentence
 
@@ -351,7 +358,7 @@ def test_the_table_names_the_cell_that_each_of_the_dozen_moves_furthest(found: S
     rows = dozen(found)
     assert [row["factor"] for row in rows] == list(found.about.dozen) == [name for name, furthest in reach(found).items() if furthest]
     assert rows[0]["range"] == "(0.025 to 0.25) to (0.1 to 1)"
-    assert rows[0]["furthest"].split()[0] in ("governance_locality", "audit_attributability")  # the smallest margins
+    assert rows[0]["metric"] in ("governance_locality", "audit_attributability")  # the smallest margins
     assert rows[0]["mu_star_margins"] == pytest.approx(6 / 0.02, rel=1e-5)
 
 

@@ -154,6 +154,9 @@ CosignedOption = Annotated[
 WorkflowLedgerOption = Annotated[
     Path | None, typer.Option("--workflows", metavar="LEDGER", help="A ledger of the paper's three workflows.", show_default="say that there is none")
 ]
+SensitivityOption = Annotated[
+    Path | None, typer.Option("--sensitivity", metavar="FILE", help="A file of `fsar-ledger sensitivity`.", show_default="say how to make one")
+]
 
 RUNS = 20  # per scenario and architecture, as in the paper
 

@@ -7,7 +7,7 @@ import typer
 
 from fsar_ledger import printable
 
-from .options import LedgerArgument, PoolOption, WorkersOption, WorkflowLedgerOption, examples, pools_seeds, workers_of
+from .options import LedgerArgument, PoolOption, SensitivityOption, WorkersOption, WorkflowLedgerOption, examples, pools_seeds, workers_of
 from .progress import Progress
 from .terminal import show
 
@@ -18,6 +18,7 @@ def report(
     ledger: LedgerArgument,
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The PDF; replaced if it exists.", show_default=False)],
     workflows: WorkflowLedgerOption = None,
+    sensitivity: SensitivityOption = None,
     pool: PoolOption = None,
     workers: WorkersOption = None,
 ) -> None:
@@ -30,5 +31,5 @@ def report(
 
     pooled = pools_seeds(pool)
     with Progress("verified", "segments") as progress:
-        write_report(ledger, out, workflows, workers_of(workers), progress, pools_seeds=pooled)
+        write_report(ledger, out, workflows, workers_of(workers), progress, pools_seeds=pooled, sensitivity=sensitivity)
     show(printable.line(f"{out}"))

@@ -15,6 +15,7 @@ from fsar_ledger.report.calibration import Record
 from fsar_ledger.report.findings import Findings, Row, Workflows, answer
 from fsar_ledger.report.gather import flat
 from fsar_ledger.report.printing import Table
+from fsar_ledger.report.sensitivity import Section
 
 PACKAGES = ("duckdb", "pyarrow", "numpy", "scipy", "msgspec", "matplotlib", "typst")
 POOLED = ("recovery_containment", "reassignment_latency_s")  # metrics that a run without failures does not define
@@ -205,10 +206,11 @@ def _misses(findings: Findings, record: Record | None) -> list[dict[str, Any]]:
     ]
 
 
-def data(findings: Findings, record: Record | None) -> dict[str, Any]:
+def data(findings: Findings, record: Record | None, effects: Section | None = None) -> dict[str, Any]:
     """All that the template prints; tables keep each value beside its print."""
     tables = _ledger_tables(findings) | _fit_tables(findings, record) | _workflow_tables(findings)
     tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()}
+    tables |= {"sensitivity": effects.table} if effects and effects.table else {}
     return {
         "head": {
             "commits": findings.commits,
@@ -222,7 +224,9 @@ def data(findings: Findings, record: Record | None) -> dict[str, Any]:
         "answer": _sayable(answer(findings)),
         "tables": tables,
         "figures": {name: _figure(findings, name) for name in ("evaluation-results", "distances")}
-        | {name: _figure(findings, name, findings.workflows) for name in _workflow_figures(findings)},
+        | {name: _figure(findings, name, findings.workflows) for name in _workflow_figures(findings)}
+        | ({"sensitivity": _figure(findings, "sensitivity") | {"source": ""}} if effects and effects.figure else {}),
+        "sensitivity": effects and effects.sentence,
         "workflows": _workflows(findings),
         "mechanisms": specs.passages("mechanisms"),
         "readings": specs.passages("readings"),
@@ -240,9 +244,10 @@ def _sayable(numbers: Row) -> Row:
     return numbers | {"undefined": undefined}
 
 
-def drawings(findings: Findings) -> dict[str, bytes]:
+def drawings(findings: Findings, effects: Section | None = None) -> dict[str, bytes]:
     """The figures as SVG, by file name."""
     drawn = {"evaluation-results": figures.evaluation_results(findings.cells), "distances": figures.distances(findings.cells)}
+    drawn |= {"sensitivity": effects.figure} if effects and effects.figure else {}
     return {f"{name}.svg": svg for name, svg in (drawn | _workflow_figures(findings)).items()}
 
 

@@ -32,8 +32,8 @@ BAND_SE = 2.0  # the acceptance band of the distance figure, in standard errors
 
 
 @contextmanager
-def canvas(spec: specs.FigureSpec, rows: int, columns: int) -> Iterator[tuple[Any, Any]]:
-    """A figure of the spec's size and its panels, with these settings and no others."""
+def canvas(spec: specs.FigureSpec, rows: int, columns: int, **grid: Any) -> Iterator[tuple[Any, Any]]:
+    """A figure of the spec's size and its panels, with what matplotlib calls the ratios of rows and columns. Only Agg draws, with these settings."""
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -42,7 +42,7 @@ def canvas(spec: specs.FigureSpec, rows: int, columns: int) -> Iterator[tuple[An
     with mpl.rc_context(settings):
         figure = Figure(figsize=(spec.width_in, spec.height_in), layout="constrained")
         FigureCanvasAgg(figure)
-        yield figure, figure.subplots(rows, columns, squeeze=False)
+        yield figure, figure.subplots(rows, columns, squeeze=False, **grid)
 
 
 @contextmanager

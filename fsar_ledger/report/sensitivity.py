@@ -1,7 +1,8 @@
 """The file that `fsar-ledger sensitivity` writes, for whoever reads it: its rows, which model it is of, the figure and the table of it."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -11,14 +12,16 @@ import pyarrow.parquet as pq
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
-from fsar_ledger.report import figures, specs
-from fsar_ledger.report.gather import flat
+from fsar_ledger.metrics import models
+from fsar_ledger.parameters import BadParameters, read_parameters
+from fsar_ledger.report import figures, printing, specs
 
 METADATA = b"fsar-ledger-sensitivity"
 MADE_BY = "fsar-ledger sensitivity --out FILE.parquet"
 ARCHITECTURES = ("fsar", "cfc", "dhma")
 BOUNDS = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)  # of a cell of the heat map, in margins
 SHOWN_FROM = 0.5  # margins: a factor that moves no cell by so much is only counted
+MAX_SHOWN = 46  # factors: a page
 MAX_NAMED = 5  # constants that differ, in a message
 
 
@@ -81,11 +84,11 @@ class Sensitivity(msgspec.Struct, frozen=True):
 
 
 class Section(msgspec.Struct, frozen=True):
-    """What the report has to say: a sentence, and if there are effects of its runs the heat map (SVG) and the rows of the dozen."""
+    """What the report has to say: a sentence, and if there are effects of its runs the heat map (SVG) and the table of the dozen."""
 
     sentence: str
-    figure: bytes | None
-    rows: list[dict[str, Any]]
+    figure: bytes | None = None
+    table: printing.Table | None = None
 
 
 _TYPES: dict[Any, pa.DataType] = {str: pa.string(), int: pa.int64(), float: pa.float64(), float | None: pa.float64()}
@@ -104,39 +107,42 @@ def read_sensitivity(path: Path, model_version: str, parameters: str) -> Sensiti
     Raises:
         UsageError: The file cannot be read, is another file, or of another model or other constants.
     """
-    found = _read(path)
-    if why := _mismatch(found.about, model_version, parameters):
-        raise UsageError(f"{path}: {why}")
+    found = open_effects(path)
+    if found.about.model_version != model_version:
+        raise UsageError(f"{path}: {_of_another_model(found.about, model_version)}")
+    if found.about.parameters != parameters:
+        differing = models.differing(*(read_parameters(text) for text in (found.about.parameters, parameters)))
+        named = ", ".join(map(printable.value, differing[:MAX_NAMED])) + (f" and {len(differing) - MAX_NAMED} more" if len(differing) > MAX_NAMED else "")
+        raise UsageError(f"{path}: found effects around other constants ({named}), expected those of these runs; make them again: {MADE_BY}")
     return found
 
 
-def section(path: Path | None, model_version: str, parameters: str) -> Section:
-    """What a report about runs of this model with these constants has to say of how much hangs on what.
-
-    Raises:
-        UsageError: The file cannot be read or is another file.
-    """
-    if path is None:
-        return Section(f"How much of each number hangs on each constant was not looked at for this report: {MADE_BY} does it, in most of an hour.", None, [])
-    found = _read(path)
-    if why := _mismatch(found.about, model_version, parameters):
-        return Section(f"The effects that were given are not of these runs: {why}.", None, [])
+def section(found: Sensitivity | None, model_version: str | None, digests: Collection[str]) -> Section:
+    """What a report about runs of this model has to say of how much hangs on what; their constants have one of these SHA-256, as a ledger records them."""
+    if found is None:
+        return Section(f"How much of each number hangs on each constant was not looked at for this report; {MADE_BY} does it, in most of an hour.")
     about, still = found.about, sum(furthest == 0 for furthest in reach(found).values())
+    if about.model_version != model_version:
+        return Section(f"The effects that were given are not of these runs: {_of_another_model(about, model_version)}.")
+    if sha256(about.parameters.encode()).hexdigest() not in digests:
+        return Section(f"The effects that were given are not of these runs: found effects around other constants; make them again: {MADE_BY}.")
     sentence = (
         f"{len(about.factors)} factors, all constants of world and structure, the load and the size of the fleet, were each varied {about.trajectories} times, "
         f"over {about.evaluations} evaluations of {about.runs} runs per scenario and architecture; {still} of them move nothing."
     )
-    return Section(sentence, heat_map(found), dozen(found))
+    return Section(sentence, heat_map(found), printing.table("sensitivity", dozen(found)))
 
 
-def _read(path: Path) -> Sensitivity:
+def open_effects(path: Path) -> Sensitivity:
+    """The effects in the file, whatever they are of. Raises: UsageError if it cannot be read or is another file."""
     if not path.is_file():
         raise UsageError(f"{path}: found no such file, expected one of `{MADE_BY}`")
     try:
         table = pq.ParquetFile(path).read()
         about = msgspec.json.decode((table.schema.metadata or {}).get(METADATA, b""), type=About)
         effects = msgspec.convert(table.select(SCHEMA.names).to_pylist(), tuple[Effect, ...])
-    except (pa.ArrowException, KeyError, msgspec.MsgspecError) as error:
+        read_parameters(about.parameters)
+    except (pa.ArrowException, KeyError, msgspec.MsgspecError, BadParameters) as error:
         raise UsageError(f"{path}: found no file of effects ({str(error).splitlines()[0]:.200}), expected one of `{MADE_BY}`") from error
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror or str(error):.200}), expected a file of `{MADE_BY}`") from error
@@ -146,26 +152,9 @@ def _read(path: Path) -> Sensitivity:
     return Sensitivity(about, effects)
 
 
-def _mismatch(about: About, model_version: str, parameters: str) -> str | None:
-    """Why the effects say nothing of runs of this model with these constants."""
-    if about.model_version != model_version:
-        found = printable.value(about.model_version)
-        return f"found effects of model {found}, expected those of model {printable.value(model_version)}; make them again: {MADE_BY}"
-    if differing := _differing(about.parameters, parameters):
-        named = ", ".join(differing[:MAX_NAMED]) + (f" and {len(differing) - MAX_NAMED} more" if len(differing) > MAX_NAMED else "")
-        return f"found effects around other constants ({named}), expected those of these runs; make them again: {MADE_BY}"
-    return None
-
-
-def _differing(theirs: str, ours: str) -> list[str]:
-    """The names of the constants that the two have otherwise."""
-    if theirs == ours:
-        return []
-    try:
-        one, other = (dict(flat("", msgspec.json.decode(text))) for text in (theirs, ours))
-    except (msgspec.MsgspecError, TypeError, AttributeError):
-        return ["unreadable"]
-    return [printable.value(name) for name in sorted(one.keys() | other.keys()) if one.get(name) != other.get(name)] or ["written otherwise"]
+def _of_another_model(about: About, expected: str | None) -> str:
+    found, wanted = (printable.value(one or "unknown") for one in (about.model_version, expected))
+    return f"found effects of model {found}, expected those of model {wanted}; make them again: {MADE_BY}"
 
 
 def reach(found: Sensitivity) -> dict[str, float]:
@@ -202,7 +191,8 @@ def dozen(found: Sensitivity) -> list[dict[str, Any]]:
                 "from": most.origin,
                 "range": f"{most.low} to {most.high}" if " to " not in most.low else f"({most.low}) to ({most.high})",
                 "cells": sum((effect.mu_star_margins or 0.0) >= 1 for effect in of_factor),
-                "furthest": f"{most.metric} {most.architecture}",
+                "metric": most.metric,
+                "architecture": most.architecture,
                 "mu_margins": most.mu_margins,
                 "mu_star_margins": most.mu_star_margins,
                 "conf": most.mu_star_conf_margins,
@@ -220,10 +210,10 @@ def heat_map(found: Sensitivity, kind: str = "svg") -> bytes:
 
     A cell that was undefined is crossed out.
     """
-    shown = [name for name, furthest in reach(found).items() if furthest >= SHOWN_FROM] or list(found.about.factors[:1])
+    shown = [name for name, furthest in reach(found).items() if furthest >= SHOWN_FROM][:MAX_SHOWN] or list(found.about.factors[:1])
     columns = [(spec.name, architecture) for spec in specs.metrics() for architecture in ARCHITECTURES]
     at = {(effect.factor, effect.metric, effect.architecture): effect for effect in found.effects}
-    spec = specs.FigureSpec("", "", "", "", 7.4, 1.7 + 0.135 * len(shown))
+    spec = msgspec.structs.replace(specs.figure("sensitivity"), height_in=1.7 + 0.135 * len(shown))
     with figures.canvas(spec, 1, 1) as (figure, axes):
         panel = axes[0, 0]
         _cells(figure, panel, [[at.get((name, *column)) for column in columns] for name in shown])
