@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from fsar_ledger.cli import run
 from fsar_ledger.constants import Constants, negatives, write_constants
 from fsar_ledger.errors import UsageError, WriteFailed
 from fsar_ledger.report.provenance import origins
@@ -378,3 +379,18 @@ def test_a_small_study_of_the_simulator_is_the_same_with_any_number_of_workers(t
     assert (tmp_path / "1.parquet").read_bytes() == (tmp_path / "2.parquet").read_bytes()
     moved = {(effect.factor, effect.architecture) for effect in made[0].effects if effect.mu_star}
     assert moved == {("structure.sync_period_us", "cfc"), *(("world.window_mean_s", architecture) for architecture in ARCHITECTURES)}
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--out", "effects.csv"), "--out effects.csv: found a file name that ends in '.csv', expected .parquet"),
+        (("--out", "effects.parquet", "--runs", "0"), "--runs 0: expected 1 to 9999"),
+        (("--out", "effects.parquet", "--trajectories", "1"), "--trajectories 1: expected 2 to 9999"),
+        (("--out", "effects.parquet", "--points", "-1"), "--points -1: expected 0 to 65536"),
+    ],
+)
+def test_a_call_that_cannot_be_carried_out_is_one_message(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str) -> None:
+    assert run(["sensitivity", *arguments]) == 2
+    assert capsys.readouterr().err == f"fsar-ledger: {said}\n"
+    assert not list(Path().glob("effects*"))
