@@ -12,15 +12,19 @@ import difflib
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 import tempfile
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import msgspec
 
+from fsar_ledger.cli import run
 from fsar_ledger.constants import Constants, Load, Outages
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
@@ -40,6 +44,8 @@ from fsar_ledger.report.provenance import WORDS, origins
 DOCS = Path(__file__).resolve().parent
 PAGES = (DOCS / "audit-example.md", DOCS / "model.md", DOCS / "recovery.md")
 FORMAT = DOCS / "ledger-format.md"
+NEEDS_NO_SHELL = re.compile(r"fsar-ledger(?: (?:[\w./-]+|\"[^\"$`\\\\]*\"))+")
+"""One command of ours whose words are plain, or stand in quotes and mean themselves there."""
 FOLDERS = {
     "staging": "Staging: one view for each event type, and the runs",
     "facts": "Facts: what the events mean",
@@ -60,10 +66,29 @@ def answered(block: str, folder: Path) -> Iterator[str]:
     for command in re.findall(r"^\$ .*\n(?:> .*\n)*", block, flags=re.MULTILINE):
         yield command
         text = "\n".join(line[2:] for line in command.splitlines())
-        path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-        surroundings = {**os.environ, "PATH": path, "XDG_CACHE_HOME": f"{folder}/.cache"}  # nothing is remembered of other ledgers
-        done = subprocess.run(["sh", "-c", text], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False, env=surroundings)
-        yield done.stdout
+        yield called(text, folder) if NEEDS_NO_SHELL.fullmatch(text) else said_in_a_shell(text, folder)
+
+
+def called(text: str, folder: Path) -> str:
+    """What a command of ours prints; it runs in this process, which has its libraries already."""
+    before, cache = Path.cwd(), os.environ.get("XDG_CACHE_HOME", "")
+    os.environ["XDG_CACHE_HOME"] = f"{folder}/.cache"  # nothing is remembered of other ledgers
+    os.chdir(folder)
+    try:
+        with redirect_stdout(StringIO()) as said, redirect_stderr(said):
+            run(shlex.split(text)[1:])
+        return said.getvalue()
+    finally:
+        os.chdir(before)
+        os.environ["XDG_CACHE_HOME"] = cache  # empty is as if it were not there
+
+
+def said_in_a_shell(text: str, folder: Path) -> str:
+    """What any other command prints."""
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    surroundings = {**os.environ, "PATH": path, "XDG_CACHE_HOME": f"{folder}/.cache"}
+    done = subprocess.run(["sh", "-c", text], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False, env=surroundings)
+    return done.stdout
 
 
 def queries_page() -> str:

@@ -1,30 +1,39 @@
 """The entry of the command `fsar-ledger` and of `python -m fsar_ledger`."""
 
+import gc
 import os
 import sys
-from contextlib import suppress
 from types import TracebackType
 
 from . import __version__, printable
 from .commands.terminal import Enough, say, say_failure, show
+from .errors import WriteFailed
 
 
 def main() -> None:
     """The command has run and the process has ended with its exit code; `--version` answers before anything slow is imported."""
     sys.excepthook = _failed
     if sys.argv[1:] == ["--version"]:
-        with suppress(Enough):
+        try:
             show(printable.line(f"fsar-ledger {__version__}"))
+        except Enough:
+            pass
+        except WriteFailed as problem:
+            say(str(problem))
+            sys.exit(1)
         return
     if os.name != "posix":
         say(f"found an operating system that is not POSIX ({os.name}), expected Linux or macOS; on Windows use WSL")
         sys.exit(2)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # nothing here multiplies matrices that are worth a thread, and each takes its time to start
+    gc.set_threshold(50_000, 20, 100)  # libraries make many objects as they are imported, and no garbage
     try:
         from .cli import run
     except KeyboardInterrupt:
         say("interrupted; nothing was changed")
         sys.exit(130)
-    sys.exit(run(sys.argv[1:]))
+    code = run(sys.argv[1:])
+    os._exit(code)  # all is written and closed; to take the libraries down again would take a tenth of a short command's time
 
 
 def _failed(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

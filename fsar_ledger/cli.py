@@ -7,9 +7,11 @@ the errors of `errors.py`; `run` turns it into one message on stderr and its exi
 0 fine, 1 a write failed, a worker was killed or an audit found something, 2 the call was wrong, 3 the ledger is damaged, 130 interrupted.
 """
 
+import errno
 import time
 from collections.abc import Sequence
 from contextlib import nullcontext
+from functools import cache
 from pathlib import Path
 from typing import Annotated
 
@@ -19,6 +21,7 @@ from . import printable
 from .commands import judging, recover, reporting, sensitivity, trust, witness
 from .commands.memory import bounded, reading
 from .commands.options import (
+    WORTH_ROBOTS,
     AdoptOption,
     ArchitectureOption,
     AuditedOption,
@@ -125,8 +128,9 @@ def simulate(
 
     experiment = experiment_of(architecture, scenario, runs, seed, fleet_size, without, workflow, (teams_working, task_sets))
     signer = trust.signer_of(key, adopts=adopt)
+    processes = workers_of(workers, experiment.size * experiment.fleet_size // WORTH_ROBOTS)
     with Progress("simulated", "batches") as progress:
-        made = carry_out(out, experiment, workers_of(workers), progress, signer, trust.origin_of(origin), adopts=adopt)
+        made = carry_out(out, experiment, processes, progress, signer, trust.origin_of(origin), adopts=adopt)
     _show(simulated_text(out, made, trust.signed_lines(out, signer), as_json=as_json))
 
 
@@ -355,13 +359,17 @@ def reproduce(
     _show(printable.joined(text, printable.lines("", took, str(out / "report.pdf"))))
 
 
+_commands = cache(lambda: typer.main.get_command(app))
+
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""Why a help text that is written by others does not arrive."""
+
+
 def run(arguments: Sequence[str]) -> int:
     """The command has run; returns its exit code. What a user can cause is one message on stderr, never a traceback."""
     try:
         require_text(arguments)
-        code = typer.main.get_command(app).main(
-            args=list(arguments) or ["--help"], prog_name="fsar-ledger", standalone_mode=False, obj=lambda: int(time.time())
-        )
+        code = _commands().main(args=list(arguments) or ["--help"], prog_name="fsar-ledger", standalone_mode=False, obj=lambda: int(time.time()))
     except Enough:
         return 0
     except FsarLedgerError as problem:
@@ -375,9 +383,9 @@ def run(arguments: Sequence[str]) -> int:
         _say("memory: the system gave no more of it; close other programs, or do less at once")
         return 1
     except OSError as problem:
-        if problem.filename is None:
+        if problem.filename is None and problem.errno not in NO_ROOM:
             raise
-        _say(f"{problem.filename}: {problem.strerror}")
+        _say(f"{problem.filename or 'the answer'}: {problem.strerror}")
         return 1
     except KeyboardInterrupt:
         code = INTERRUPTED

@@ -134,6 +134,8 @@ class Outages(msgspec.Struct, frozen=True):
     link_mean_s: Chosen[float] = 10.0  # how long they are down, exponential
     loss_rate_per_s: Chosen[float] = 0.0  # actuators that are lost until they are serviced, Poisson
     from_s: Chosen[float] = 0.0  # none of these before then
+    # Who asked another goes on without an answer after this: ten times the longest message. It holds, as this, in runs without the group, too.
+    answer_s: Chosen[float] = 5.0
 
 
 class Load(msgspec.Struct, frozen=True):
@@ -160,12 +162,22 @@ class Constants(msgspec.Struct, frozen=True):
 def write_constants(constants: Constants) -> str:
     """Return the constants as `RunStarted.parameters` holds them: JSON in the order of the fields, without absent groups.
 
-    Equal constants are one text, whether a caller gave 240 or 240.0.
+    Equal constants are one text, whether a caller gave 240 or 240.0, 0.0 or -0.0.
 
     Raises:
         BadParameters: JSON has no word for one of them, as for a length without end; a very long one does as well.
     """
-    return _written(decoded(_written(constants), type(constants)))
+    found = decoded(_written(constants), type(constants))
+    text = _written(found)
+    return _written(msgspec.convert(_unsigned_zeros(msgspec.to_builtins(found)), type(found))) if "-0.0" in text else text
+
+
+def _unsigned_zeros(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _unsigned_zeros(one) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [_unsigned_zeros(one) for one in value]
+    return 0.0 if isinstance(value, float) and not value else value
 
 
 def _written(constants: Constants) -> str:

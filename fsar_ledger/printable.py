@@ -9,6 +9,7 @@ that are more than two on one. Escapes are those of Python: `\\n`, `\\x1b`, `\\u
 import re
 import shlex
 import unicodedata
+from collections.abc import Iterable
 from typing import NewType
 
 Shown = NewType("Shown", str)
@@ -22,6 +23,9 @@ MAX_LINE = 4_000
 
 MAX_MARKS = 2
 """Marks on one letter; Vietnamese needs two."""
+
+NAMED = 5
+"""So many things are named in a sentence, or a line each; the rest are counted."""
 
 _UNSEEN = "\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180d\u180f\u2800\u3164\ufe00-\ufe0f\uffa0\U000e0100-\U000e01ef"  # printable, Unicode says, and blank
 _RIGHT_TO_LEFT = "\u0590-\u08ff\ufb1d-\ufdff\ufe70-\ufeff\U00010800-\U00010fff\U0001e800-\U0001efff"
@@ -131,3 +135,10 @@ def _escaped(text: str, *, is_whole: bool) -> str:
 def counted(count: int, what: str) -> str:
     """So many of them, in words: 1 run, 2 runs."""
     return f"{count:,} {what}{'' if count == 1 else 's'}"
+
+
+def some(parts: Iterable[str], what: str = "more") -> str:
+    """The first few of them, and how many more there are, in words: a, b, c, d, e and 3 more."""
+    named = list(parts)
+    more = len(named) - NAMED
+    return ", ".join(named[:NAMED]) + (f" and {more:,} {what}" if more > 0 else "")

@@ -124,3 +124,10 @@ def test_a_line_goes_on_behind_a_mark_on_a_narrow_terminal() -> None:
     assert folded("x" * 20, 20) == "x" * 20
     for line in folded("a" * 500, 40).split("\n"):
         assert len(line) <= 40
+
+
+@pytest.mark.parametrize(
+    ("count", "said"), [(0, ""), (2, "0, 1"), (5, "0, 1, 2, 3, 4"), (6, "0, 1, 2, 3, 4 and 1 more"), (2_005, "0, 1, 2, 3, 4 and 2,000 more")]
+)
+def test_the_first_five_are_named_and_the_others_counted(count: int, said: str) -> None:
+    assert printable.some(map(str, range(count))) == said

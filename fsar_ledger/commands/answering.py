@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from fsar_ledger.ledger.opening import open_for_answers
 from fsar_ledger.metrics.verified import is_remembered, required_look
 
-from .options import workers_of
+from .memory import readers_of
 from .progress import Progress
 from .terminal import say
 
@@ -55,7 +55,7 @@ def demanded_head(ledger: Path, *, verified: bool) -> str | None:
     if not verified:
         return None
     newest = open_for_answers(ledger).record_sha256
-    return newest if is_remembered(newest) else looked_head(ledger, workers_of(None))
+    return newest if is_remembered(newest) else looked_head(ledger, readers_of(None, ledger))
 
 
 def looked_head(ledger: Path, workers: int) -> str:

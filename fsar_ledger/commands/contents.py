@@ -4,22 +4,26 @@ A plan that is on record says what is missing. Where there is none (live runs, l
 then the shape of what is there is told, and never that it is complete.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from itertools import count, product
 from pathlib import Path
+from string import ascii_uppercase
 from typing import Any
 
 import msgspec
+from msgspec import structs
 
 from fsar_ledger import printable
 from fsar_ledger.ledger.read import Head, open_ledger
-from fsar_ledger.metrics.models import Model, differing, models
+from fsar_ledger.metrics.models import Model, models
 from fsar_ledger.metrics.observing import Unobserved, never_observed, shown
+from fsar_ledger.metrics.plans import completeness
 
 from .answering import answering
 from .plans import Shown, plans, shape
 from .simulated import runs
 
-# Grain: one row per model (kind of run, model version, constants), seed, fleet size, architecture and configuration; NULL where runs have none.
+# Grain: one row per model (kind of run, source, model version, constants), seed, fleet size, architecture and configuration; NULL where runs have none.
 # A rectangle has, for each scenario of its model, seed and fleet size, all runs from 0 to the highest number there; runs without a number make none.
 GROUPS = """
 WITH sizes AS (
@@ -33,8 +37,9 @@ planned AS (
 groups AS (
     SELECT
         runs.kind,
+        runs.source,
         runs.model_version,
-        runs.parameters_sha256,
+        settings.parameter_set,
         runs.seed,
         runs.fleet_size,
         runs.architecture,
@@ -47,14 +52,16 @@ groups AS (
         sum(sizes.event_count)::BIGINT AS events
     FROM runs
     INNER JOIN sizes ON runs.run_id = sizes.run_id
+    INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
     LEFT JOIN planned ON runs.run_id = planned.run_id
-    GROUP BY runs.kind, runs.model_version, runs.parameters_sha256, runs.seed, runs.fleet_size, runs.architecture, runs.configuration
+    GROUP BY runs.kind, runs.source, runs.model_version, settings.parameter_set, runs.seed, runs.fleet_size, runs.architecture, runs.configuration
 )
 
 SELECT
     kind,
+    source,
     model_version,
-    parameters_sha256,
+    parameter_set,
     seed,
     fleet_size,
     architecture,
@@ -65,19 +72,19 @@ SELECT
     len(list_distinct(flatten(list(scenarios) OVER world)))::HUGEINT * (max(last) OVER world + 1)::HUGEINT - numbered AS runs_to_rectangle,
     events
 FROM groups
-WINDOW world AS (PARTITION BY kind, model_version, parameters_sha256, seed, fleet_size)
+WINDOW world AS (PARTITION BY kind, source, model_version, parameter_set, seed, fleet_size)
 ORDER BY ALL
 """
 
-MODELS = 5
-"""So many models are named to people; a ledger of one simulation has one."""
+MAX_DIFFERING = 1_000
+"""Characters of the constants of one model that differ from those of others."""
 
-COLUMNS = ("model", "seed", "fleet_size", "architecture", "configuration", "scenarios", "runs", "runs_unplanned", "runs_to_rectangle", "events")
+COLUMNS = ("constants", "seed", "fleet_size", "architecture", "configuration", "scenarios", "runs", "runs_unplanned", "runs_to_rectangle", "events")
 """Of `groups`, what people are shown."""
 
 
 class Contents(msgspec.Struct, frozen=True):
-    """The runs of a ledger: `groups` by model, seed, fleet size, architecture and configuration; `models` numbered from 1; `plans` by what they name.
+    """The runs of a ledger: `groups` by model, seed, fleet size, architecture and configuration; `models` with their constants; `plans` by what they name.
 
     `rows_verified` is that of the `Database` they come from; `not_observed` are the concerns that some runs do not observe.
     """
@@ -85,6 +92,9 @@ class Contents(msgspec.Struct, frozen=True):
     groups: list[dict[str, Any]]
     models: list[dict[str, Any]]
     plans: list[dict[str, Any]]
+    missing: int | None
+    """Runs that were planned and are missing, each counted once; None where plans name too much to tell."""
+
     rows_verified: bool | None = None
     not_observed: list[Unobserved] = []
 
@@ -117,6 +127,7 @@ class Contents(msgspec.Struct, frozen=True):
             "runs": self.run_count,
             "runs_unplanned": self.unplanned,
             "is_complete": self.is_complete,
+            "missing_count": self.missing,
             "not_observed": self.not_observed,
         }
 
@@ -129,7 +140,8 @@ class Contents(msgspec.Struct, frozen=True):
         if not self.plans:
             nothing = "no plan is on record, so nothing says whether they are all that was meant"
             return [f"{held}; {nothing}" if self.groups else "no runs yet, and no plan on record"]
-        of_plans = "not complete" if self.is_complete is False else "complete: all that was planned is there"
+        lacking = "not complete" if self.missing is None else f"not complete: {runs(self.missing)} of what was planned {_are(self.missing)} missing"
+        of_plans = lacking if self.is_complete is False else "complete: all that was planned is there"
         if not self.unplanned:
             return [f"{held}, {of_plans}"]
         kinds = ", ".join(f"{count:,} {printable.value(kind)}" for kind, count in self.unplanned.items())
@@ -149,7 +161,7 @@ class Contents(msgspec.Struct, frozen=True):
         smaller = sum(bool(plan["larger_plans"]) for plan in self.plans)
         if not smaller:
             return []
-        of_all = f"{smaller:,} of {len(self.plans):,} plans {'is' if smaller == 1 else 'are'} part of a larger one"
+        of_all = f"{smaller:,} of {len(self.plans):,} plans {_are(smaller)} part of a larger one"
         return [f"enlarged: {of_all}; runs, run ids and metrics are as if it had been planned so large at once, the root is not"]
 
     def _unlike(self) -> list[str]:
@@ -163,24 +175,17 @@ class Contents(msgspec.Struct, frozen=True):
         return ["a rectangle: each group has all runs of all scenarios of its model, seed and fleet size"] if measured and not self.plans else []
 
     def _models(self) -> list[str]:
-        lines = []
-        for model in self.models[:MODELS]:
-            version = model["model_version"]
-            about = f"{printable.value(model['kind'])}, {'no model' if version is None else f'model {printable.value(version)}'}"
-            others = ", ".join(map(printable.value, model["differs_in"][:MODELS])) + (", ..." if len(model["differs_in"]) > MODELS else "")
-            if model["parameters"] is None:
-                about += f", parameters that cannot be read, SHA-256 {model['parameters_sha256'][:12]}"
-            unlike = f", other constants than model 1: {others}" if others and model["parameters"] else ""
-            lines.append(about if len(self.models) == 1 else f"model {model['number']}: {about}, {runs(model['runs'])}{unlike}")
-        more = len(self.models) - MODELS
-        return [*lines, f"and {more:,} more, --json names all"] if more > 0 else lines
+        if len(self.models) == 1:
+            return [_described(self.models[0])]
+        more = len(self.models) - printable.NAMED
+        return [*map(_among_others, self.models[: printable.NAMED]), *([f"and {more:,} more, --json names all"] if more > 0 else [])]
 
     def _unseen(self) -> list[str]:
         return [f"not observed, so that no answer is about it: {shown(self.not_observed)}"] if self.not_observed else []
 
     def rows(self) -> list[dict[str, Any]]:
         """The groups as people are shown them: only columns that say something."""
-        is_dull = {"model": len(self.models) == 1, "runs_unplanned": not self.plans or not self.unplanned}
+        is_dull = {"constants": len(self.models) == 1, "runs_unplanned": not self.plans or not self.unplanned}
         return [{name: group[name] for name in COLUMNS if not is_dull.get(name)} for group in self.groups]
 
 
@@ -193,24 +198,50 @@ def contents(ledger: Path, *, verified: bool = False) -> tuple[Head, Contents]:
     with answering(ledger, verified=verified) as database:
         assert database.head is not None  # only a database over rows in memory has none
         found = sorted(models(database), key=lambda one: (-one.runs, one.model_version or "", one.text or ""))
-        numbers = {(one.kind, one.model_version, one.sha256): number for number, one in enumerate(found, 1)}
-        groups = [{"model": numbers[row["kind"], row["model_version"], row["parameters_sha256"]], **row} for row in database.rows(GROUPS)]
+        letters = dict(zip((_key(structs.asdict(one)) for one in found if one.text is not None), _letters(), strict=False))
+        groups = [{"constants": letters.get(_key(row)), **row} for row in database.rows(GROUPS)]
         planned = plans(database, Shown(ledger, open_ledger(ledger)))
-        return database.head, Contents(groups, _numbered(found), planned, database.rows_verified, never_observed(database))
+        named = [_of_model(one, letters.get(_key(structs.asdict(one)))) for one in found]
+        missing = completeness(database).missing
+        return database.head, Contents(groups, named, planned, missing, database.rows_verified, never_observed(database))
 
 
-def _numbered(found: list[Model]) -> list[dict[str, Any]]:
-    """The models, each with the names of the constants in which it differs from the first that can be read."""
-    first: Mapping[str, Any] = next((one.parameters for one in found if one.parameters), {})
-    return [
-        {
-            "number": number,
-            "kind": one.kind,
-            "model_version": one.model_version,
-            "parameters": one.parameters,
-            "parameters_sha256": one.sha256,
-            "runs": one.runs,
-            "differs_in": [] if one.parameters is None else differing(first, one.parameters),
-        }
-        for number, one in enumerate(found, 1)
-    ]
+def _are(number: int) -> str:
+    return "is" if number == 1 else "are"
+
+
+def _key(row: Mapping[str, Any]) -> tuple[str | None, ...]:
+    return row["kind"], row["source"], row["model_version"], row["parameter_set"]
+
+
+def _letters() -> Iterator[str]:
+    """A to Z, AA, AB and so on."""
+    return ("".join(letters) for length in count(1) for letters in product(ascii_uppercase, repeat=length))
+
+
+def _of_model(one: Model, letter: str | None) -> dict[str, Any]:
+    """What programs are told of a model; `differing` names the constants that other runs of the same kind, source and version have otherwise."""
+    return {
+        "constants": letter,
+        "kind": one.kind,
+        "source": one.source,
+        "model_version": one.model_version,
+        "runs": one.runs,
+        "differing": one.constants,
+        "parameters": one.parameters,
+        "parameters_sha256": one.sha256,
+    }
+
+
+def _described(model: Mapping[str, Any]) -> str:
+    """What a model is, in words."""
+    version = "no model" if model["model_version"] is None else f"model version {printable.value(model['model_version'])}"
+    unread = f"parameters that cannot be read, SHA-256 {model['parameters_sha256'][:12]}" if model["parameters"] is None else None
+    return ", ".join(filter(None, (printable.value(model["kind"]), model["source"] and printable.value(model["source"]), version, unread)))
+
+
+def _among_others(model: Mapping[str, Any]) -> str:
+    """The same beside others: under its letter, with the constants that are not those of others."""
+    letter = "no constants on record" if model["constants"] is None else f"constants {model['constants']}"
+    differing = f": {printable.value(model['differing'], MAX_DIFFERING)}" if model["differing"] and model["parameters"] is not None else ""
+    return f"{letter}: {_described(model)}, {runs(model['runs'])}{differing}"

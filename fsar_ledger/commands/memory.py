@@ -24,6 +24,8 @@ PER_WORKER_BYTES = 192 << 20
 """And so much for each core or worker beyond two, which have processes or threads with buffers of their own: `verify` takes 150 MiB for each."""
 
 MACHINE_SHARE = 0.8
+WORTH_BYTES = 400 << 10
+"""Bytes of segments that are verified in about the time that a process takes to start (0.4 s)."""
 
 
 def reading(command: Callable[..., None]) -> Callable[..., None]:
@@ -72,11 +74,20 @@ def bounded(asked_mib: int | None, *ledgers: Path | None, workers: int | None = 
 
 def default_bytes(*ledgers: Path | None, workers: int | None = None) -> int:
     """What a command over these ledgers may take, given its workers: in proportion to what their segments take on disk, and never all of the machine."""
+    more = max(0, (workers_of(None) if workers is None else workers) - 2)
+    return min(BASE_BYTES + PER_WORKER_BYTES * more + PER_BYTE * stored(*ledgers), int(MACHINE_SHARE * memory.installed()))
+
+
+def readers_of(asked: int | None, *ledgers: Path | None) -> int:
+    """The number of processes that read these ledgers: as asked, else one for each core, but no more than have enough to do. Raises: as `workers_of`."""
+    return workers_of(asked, stored(*ledgers) // WORTH_BYTES)
+
+
+def stored(*ledgers: Path | None) -> int:
+    """The bytes that the segments of these ledgers take, staged ones too."""
     from fsar_ledger.ledger.record import SEGMENTS, STAGING
 
-    stored = sum(_stored(ledger / folder) for ledger in ledgers if ledger is not None for folder in (SEGMENTS, STAGING))
-    more = max(0, (workers_of(None) if workers is None else workers) - 2)
-    return min(BASE_BYTES + PER_WORKER_BYTES * more + PER_BYTE * stored, int(MACHINE_SHARE * memory.installed()))
+    return sum(_stored(ledger / folder) for ledger in ledgers if ledger is not None for folder in (SEGMENTS, STAGING))
 
 
 def _stored(folder: Path) -> int:

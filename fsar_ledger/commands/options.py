@@ -16,6 +16,9 @@ if TYPE_CHECKING:
 
 _Name = TypeVar("_Name", bound=str)
 
+WORTH_ROBOTS = 320
+"""Robots to be simulated, over all runs, that take about as long as a process takes to start (0.4 s)."""
+
 LedgerArgument = Annotated[Path, typer.Argument(metavar="LEDGER", help="The folder of a ledger.", show_default=False)]
 NewLedgerArgument = Annotated[Path, typer.Argument(metavar="OUT", help="The folder of the ledger: new, or one to continue or to enlarge.", show_default=False)]
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer as JSON, with the head (size, root) of the ledger.")]
@@ -61,7 +64,10 @@ ParameterOption = Annotated[
     list[str] | None, typer.Option("--param", metavar="NAME=VALUE", help="A parameter of the query; may be repeated.", show_default=False)
 ]
 WorkersOption = Annotated[
-    int | None, typer.Option("--workers", metavar="N", help="Processes at once; the answer is the same for any number.", show_default="one per core")
+    int | None,
+    typer.Option(
+        "--workers", metavar="N", help="Processes at once; the answer is the same for any number.", show_default="one per core, if there is enough to do"
+    ),
 ]
 ArchitectureOption = Annotated[
     list[str] | None, typer.Option("--architecture", metavar="NAME", help="fsar, cfc or dhma; may be repeated.", show_default="all; with --without, fsar")
@@ -258,14 +264,15 @@ def did_you_mean(asked: str, names: Sequence[str]) -> str:
     return "" if found is None else f"did you mean {printable.value(found)}? "
 
 
-def workers_of(asked: int | None) -> int:
-    """The number of processes: as asked, else one for each core that this process may use.
+def workers_of(asked: int | None, worth: int | None = None) -> int:
+    """The number of processes: as asked, else one for each core that this process may use, but no more than the work is worth.
 
     Raises:
         UsageError: fewer than one was asked for.
     """
     if asked is None:
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return cores if worth is None else max(1, min(cores, worth))
     if asked < 1:
         raise UsageError(f"--workers {asked}: expected at least 1; leave the option out for one per core")
     return asked

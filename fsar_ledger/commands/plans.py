@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
 
 PARAMETERS = "SELECT run_id, parameters FROM experiment_planned"
-NAMED = 5
-"""So many names of a list are told."""
 
 
 class Shown(NamedTuple):
@@ -43,7 +41,7 @@ def shape(plan: Mapping[str, Any]) -> str:
 
 
 def _some(names: list[str], what: str) -> str:
-    return ", ".join(map(printable.value, names)) if len(names) < NAMED else f"{len(names):,} {what}"
+    return ", ".join(map(printable.value, names)) if len(names) < printable.NAMED else f"{len(names):,} {what}"
 
 
 def continues_with(plan: Mapping[str, Any], parameters: str, ledger: Shown) -> str | None:

@@ -10,7 +10,8 @@ import typer
 from fsar_ledger import printable
 from fsar_ledger.printable import Shown
 
-from .options import JsonOption, LedgerArgument, TrustedKeyOption, WorkersOption, examples, workers_of
+from .memory import readers_of
+from .options import JsonOption, LedgerArgument, TrustedKeyOption, WorkersOption, examples
 from .progress import Progress
 from .terminal import show
 
@@ -54,7 +55,7 @@ def recover(
 
     asked = Asked(trusted=None if trusted_key is None else read_verifier(trusted_key), anchor=None if anchor is None else read_anchor(anchor))
     with Progress("examined", "segments") as progress:
-        found = mend(ledger, workers_of(workers), progress, asked, into)
+        found = mend(ledger, readers_of(workers, ledger), progress, asked, into)
     show(recovery_json(ledger, found, into) if as_json else recovery_text(ledger, found, asked, into))
     if found.outcome == "damaged":
         raise typer.Exit(DAMAGED)

@@ -7,7 +7,8 @@ import typer
 
 from fsar_ledger import printable
 
-from .options import LedgerArgument, PoolOption, SensitivityOption, WorkersOption, WorkflowLedgerOption, examples, pools_seeds, workers_of
+from .memory import readers_of
+from .options import LedgerArgument, PoolOption, SensitivityOption, WorkersOption, WorkflowLedgerOption, examples, pools_seeds
 from .progress import Progress
 from .terminal import show
 
@@ -31,5 +32,5 @@ def report(
 
     pooled = pools_seeds(pool)
     with Progress("verified", "segments") as progress:
-        write_report(ledger, out, workflows, workers_of(workers), progress, pools_seeds=pooled, sensitivity=sensitivity)
+        write_report(ledger, out, workflows, readers_of(workers, ledger), progress, pools_seeds=pooled, sensitivity=sensitivity)
     show(printable.line(f"{out}"))

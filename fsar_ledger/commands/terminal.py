@@ -10,6 +10,7 @@ from contextlib import suppress
 from typing import TextIO
 
 from fsar_ledger import printable
+from fsar_ledger.errors import WriteFailed
 from fsar_ledger.printable import Shown
 
 ON = "  | "
@@ -26,13 +27,13 @@ class Enough(Exception):
 
 
 def show(text: Shown, *, raw: bool = False) -> None:
-    """The text is on stdout; `raw` is for programs and may be anything, as long as stdout is no terminal. Raises: Enough where nobody reads it."""
+    """The text is on stdout; `raw` is for programs and may be anything, as long as stdout is no terminal. Raises: Enough where nobody reads it; WriteFailed."""
     _write(sys.stdout, text if raw and not sys.stdout.isatty() else printable.net(text))
 
 
 def say(*messages: str) -> None:
     """The messages are on stderr, each after the name of the command; where one goes on in another line, that stands behind a mark, whoever broke it."""
-    with suppress(Enough):
+    with suppress(Enough, WriteFailed):
         _write(sys.stderr, "".join(map(_message, messages)))
 
 
@@ -44,7 +45,7 @@ def _message(text: str) -> Shown:
 
 def say_failure(trace: str) -> None:
     """The lines that Python has for a mistake of ours are on stderr, harmless whatever they quote."""
-    with suppress(Enough):
+    with suppress(Enough, WriteFailed):
         _write(sys.stderr, printable.net(trace))
 
 
@@ -60,8 +61,18 @@ def _write(stream: TextIO, text: str) -> None:
         stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
         stream.flush()
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        _divert(stream)
         raise Enough from None
+    except OSError as error:
+        _divert(stream)
+        raise WriteFailed(
+            f"the answer could not be written ({error.strerror}); what stands there is not all of it, send it to a place that has room"
+        ) from error
+
+
+def _divert(stream: TextIO) -> None:
+    """What is still to be written goes nowhere, so that nothing fails once more when the process ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def folded(line: str, width: int) -> str:

@@ -9,6 +9,7 @@ from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted, ReplayMismatch, UsageError
 from fsar_ledger.printable import Shown
 
+from .memory import readers_of
 from .options import (
     CosignedOption,
     JsonOption,
@@ -19,7 +20,6 @@ from .options import (
     WitnessPolicyOption,
     WorkersOption,
     examples,
-    workers_of,
 )
 from .progress import Progress
 from .terminal import show
@@ -149,8 +149,8 @@ def verify(
         trusted = seen.log
     asked = Asked(quick, trusted, kept, seen.evidence.checkpoints if seen is not None else ())
     with Progress("verified", "segments") as progress:
-        report = whole_look(ledger, workers_of(workers), progress, asked)
-    again = replayed(ledger, report, workers_of(workers)) if replay else None
+        report = whole_look(ledger, readers_of(workers, ledger), progress, asked)
+    again = replayed(ledger, report, readers_of(workers, ledger)) if replay else None
     if as_json:
         show(verdict_json(report, again, seen.json() if seen is not None else None))
     if not report.ok:

@@ -12,7 +12,7 @@ EVENTS_OF: Mapping[str, tuple[str, ...]] = {
     ),
     "trust": ("TrustSet", "RoleTrustSet", "TrustThresholdsSet"),
     # rules and windows, a robot's own and the fleet's
-    "policy": ("PolicyRuleSet", "PolicyWindowOpened", "PolicyWindowClosed", "PolicyConflictEscalated"),
+    "policy": ("PolicyRuleSet", "RolePolicyRuleSet", "PolicyWindowOpened", "PolicyWindowClosed", "PolicyConflictEscalated"),
     "task": ("TaskArrived", "StepBegan", "StepCompleted", "TaskCompleted", "TaskAbandoned"),
     # requests between robots, from the gap to the end, and how they are decided
     "request": (

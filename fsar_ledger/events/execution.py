@@ -166,7 +166,7 @@ class ExecutionFinished(Event, frozen=True):
 
 
 class ExecutionWithdrawn(Event, frozen=True):
-    """The action no longer occupies this robot: its contract is void or it was reassigned."""
+    """The action no longer occupies this robot: its contract is void, it was reassigned, or its task was given up before it began."""
 
     task_id: str
     action_id: str

@@ -7,8 +7,8 @@ class PolicyRuleSet(Event, frozen=True):
     """P_i(e, sigma) is this from now on: of one robot (`local`) or of the fleet for it, None for every robot. Paper: app:foundations.
 
     For one `capability`, in one `context` (task), or (None) for all; the strictest rule that applies holds. A rule
-    replaces the one with the same scope, robot, capability and context. A fleet rule that says `allow` is a mandate:
-    where the robot's own policy denies, the two conflict.
+    replaces the one with the same scope, robot, capability and context, and that of the robot's role (`RolePolicyRuleSet`).
+    A fleet rule that says `allow` is a mandate: where the robot's own policy denies, the two conflict.
     """
 
     scope: PolicyScope
@@ -17,6 +17,23 @@ class PolicyRuleSet(Event, frozen=True):
     context: str | None
     outcome: PolicyOutcome
     decided_by: str | None
+
+
+class RolePolicyRuleSet(Event, frozen=True):
+    """Every robot of `role` has this rule from now on, as its own (`local`) or as the fleet's for it, also robots that join later. Paper: app:foundations.
+
+    They must be in the `domain` or below it; empty is the whole fleet. A rule about the very robot with the same scope, capability and context
+    replaces it for that robot, stricter or not, and so does the role's rule of a smaller domain. Of what is left the strictest holds.
+    Reading: R36.
+    """
+
+    scope: PolicyScope
+    role: str
+    outcome: PolicyOutcome
+    domain: str = ""
+    capability: str | None = None
+    context: str | None = None
+    decided_by: str | None = None
 
 
 class PolicyConflictEscalated(Event, frozen=True):
@@ -34,4 +51,4 @@ class PolicyConflictEscalated(Event, frozen=True):
     fleet: PolicyOutcome
 
 
-PolicyEvent = PolicyRuleSet | PolicyConflictEscalated
+PolicyEvent = PolicyRuleSet | RolePolicyRuleSet | PolicyConflictEscalated

@@ -59,7 +59,10 @@ class CapabilityWithdrawn(Event, frozen=True):
 
 
 class AvailabilityChanged(Event, frozen=True):
-    """The robot has reported another availability, of one capability or (None) of all that it advertises. Paper: sec:architecture:registry."""
+    """Another availability is known, of one capability or (None) of all that the robot advertises. Paper: sec:architecture:registry.
+
+    The robot has reported it; with the reason `no answer` it did not answer somebody, and the registry has it offline.
+    """
 
     robot: str
     capability: str | None

@@ -55,7 +55,7 @@ class RequestRelayed(Event, frozen=True):
 
 
 class RequestUnanswered(Event, frozen=True):
-    """No candidate is known for the step; the robot goes on looking."""
+    """No candidate is known for the step, or the one that was asked (`executed_by`) has not answered in time; it is tried again."""
 
     task_id: str
     action_id: str

@@ -26,7 +26,7 @@ from fsar_ledger.ledger.bounds import MAX_NAME_BYTES, MAX_ROWS, MAX_SEGMENT_BYTE
 from fsar_ledger.ledger.check import disordered, unprintable
 from fsar_ledger.ledger.codec import RunRecord, encode_hashed
 from fsar_ledger.ledger.derived import catch_up, check_folders, write_derived
-from fsar_ledger.ledger.held import HeldRuns, runs_of
+from fsar_ledger.ledger.held import Held, HeldRuns, runs_of
 from fsar_ledger.ledger.layout import read_file, read_layout
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.note import Note, Signer, VerifierKey, checkpoint_of, is_name
@@ -184,6 +184,12 @@ class Writer:
         if self._lock >= 0:
             disk.close(self._lock)
             self._lock = -1
+
+    def held(self) -> Held:
+        """The runs and the plans that the ledger holds, read row by row, before anything is appended. Raises: LedgerCorrupted if they cannot be read."""
+        assert self._held is None, "the writer has appended, or was asked before"
+        self._held = HeldRuns(self._opened, by_row=True)
+        return self._held.told()
 
     def append(self, staged: Staged) -> Head:
         """The staged segment is part of the ledger, durably. Appending the newest segment once more changes nothing.

@@ -15,20 +15,19 @@ Integers: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 
 _TAGS = tuple(STORED)
 _UNKNOWN = len(_TAGS)  # the code of every type that is not in STORED
+_FIELDS = tuple({field.name: field for field in layout.fields} for layout in STORED.values())
 
 
 def _holders(name: str, *, required: bool) -> Mask:
     """For each type code, whether events of this type have the column, or (`required`) must have a value in it."""
-    fields = ({field.name: field for field in layout.fields} for layout in STORED.values())
-    holds = [name in own and not (required and own[name].is_nullable) for own in fields]
+    holds = [name in own and not (required and own[name].is_nullable) for own in _FIELDS]
     return np.array([*holds, False])
 
 
 _ALLOWED = {name: _holders(name, required=False) for name in PAYLOAD}
 _REQUIRED = {name: _holders(name, required=True) for name in PAYLOAD}
 _LITERALS: dict[str, list[tuple[int, Field]]] = {
-    name: [(code, field) for code, layout in enumerate(STORED.values()) for field in layout.fields if field.name == name and field.values is not None]
-    for name in PAYLOAD
+    name: [(code, own[name]) for code, own in enumerate(_FIELDS) if name in own and own[name].values is not None] for name in PAYLOAD
 }
 
 

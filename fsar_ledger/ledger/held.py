@@ -1,17 +1,30 @@
 """Which runs a ledger holds, for its writer: a run is in one commit, and only who knows all of them can tell.
 
 They are read once, before the first batch is appended: of each segment the few hundred bytes at its beginning that hold the dictionary of `run_id`.
-Ten thousand commits take a second.
+Ten thousand commits take a second. Who goes on with an experiment has to know exactly which runs are there, and which plans: that takes the rows.
 """
 
+from itertools import repeat
 from pathlib import Path
+from typing import NamedTuple
+
+import pyarrow as pa
 
 from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger.arrow import whole
+from fsar_ledger.ledger.check import standing_alone
 from fsar_ledger.ledger.layout import dictionary_of_runs, read_file
 from fsar_ledger.ledger.read import LedgerView
 from fsar_ledger.ledger.segment import read_table
 
 _BEGINNING_BYTES = 1 << 14
+
+
+class Held(NamedTuple):
+    """The names of the runs that a ledger holds, and of its plans."""
+
+    runs: frozenset[str]
+    plans: frozenset[str]
 
 
 class HeldRuns:
@@ -21,15 +34,27 @@ class HeldRuns:
         LedgerCorrupted: A segment is missing or its runs cannot be read.
     """
 
-    def __init__(self, view: LedgerView):
+    def __init__(self, view: LedgerView, *, by_row: bool = False):
         self._commits: dict[str, tuple[int, Path]] = {}
-        for record in view.records:
-            self.add(record.number, view.place(record.number), record.rows)
+        self._plans: set[str] = set()
+        tables = view.tables(["run_id", "type"]) if by_row else repeat(None)
+        for record, table in zip(view.records, tables, strict=False):
+            path = view.place(record.number)
+            if table is None:
+                self.add(record.number, path, record.rows)
+                continue
+            runs = table.column("run_id")
+            self.add(record.number, path, record.rows, runs.unique().to_pylist())
+            self._plans.update(runs.filter(pa.array(standing_alone(whole(table.column("type"))))).to_pylist())
 
     def add(self, number: int, path: Path, rows: int, runs: list[str] | None = None) -> None:
         """The runs of this commit, whose segment of so many rows has this path, are held too; they are read there unless they are given."""
         for run in _read(path, rows) if runs is None else runs:
             self._commits.setdefault(run, (number, path))
+
+    def told(self) -> Held:
+        """The names of these runs, and of the plans, where they were read row by row."""
+        return Held(frozenset(self._commits.keys() - self._plans), frozenset(self._plans))
 
     def first_of(self, runs: list[str]) -> tuple[str, int] | None:
         """The first of these runs that a commit holds, and the commit's number; None if there is none."""

@@ -4,16 +4,13 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from fsar_ledger.printable import counted
+from fsar_ledger.printable import counted, some
 
 from .database import Database
 from .results import StatisticRow, typed
 
 MIN_WILCOXON = 6
 """Pairs that differ from which on Wilcoxon's test has a p (`statistics/wilcoxon_tests`)."""
-
-MAX_NAMED = 5
-"""So many metrics, seeds or comparisons are named in one sentence; the rest are counted."""
 
 DIFFERS = {
     "setting": "were made under other constants, or by another model",
@@ -183,11 +180,11 @@ def not_compared(database: Database) -> list[str]:
     kinds = database.rows(KINDS)
     if not kinds:
         return ["found no runs; `fsar-ledger simulate` makes some"]
-    names = [f"{counted(row['runs'], 'run')} ({row['kind']}) of {row['architecture'] or 'no named architecture'}" for row in kinds[:MAX_NAMED]]
-    more = f" and {len(kinds) - MAX_NAMED:,} kinds more" if len(kinds) > MAX_NAMED else ""
+    names = [f"{counted(row['runs'], 'run')} ({row['kind']}) of {row['architecture'] or 'no named architecture'}" for row in kinds]
+    held = some(names, "kinds more")
     if all(row["nameless"] == row["runs"] for row in kinds):
-        return [f"found {', '.join(names)}{more}, all without seed, scenario, fleet size or number; runs that are not known to have met one world are no pairs"]
-    return [f"found {', '.join(names)}{more}; expected fsar, cfc or dhma, or the configurations of one architecture"]
+        return [f"found {held}, all without seed, scenario, fleet size or number; runs that are not known to have met one world are no pairs"]
+    return [f"found {held}; expected fsar, cfc or dhma, or the configurations of one architecture"]
 
 
 def left_over(database: Database) -> list[str]:

@@ -22,7 +22,7 @@ from fsar_ledger.ledger.segment import read_table
 
 from . import relation
 from .functions import register
-from .library import Library, library, values
+from .library import Library, library, staging_sql, values
 from .verified import is_verified
 
 LOCK = (
@@ -41,6 +41,8 @@ DUCKDB_SHARE = 0.75
 """Of the memory that a process may take, what DuckDB may."""
 
 BATCH_ROWS = 10_000
+FEW_ROWS = 20_000
+"""To copy so many rows costs less than what planning over an Arrow table takes longer than over a table of DuckDB's own."""
 SHOWN = 200
 """Characters of a name, or of a line, that a message repeats."""
 OUT_OF_MEMORY = (duckdb.OutOfMemoryException, pa.ArrowMemoryError)
@@ -56,6 +58,8 @@ FAULTS_OF_SQL = (
 )
 """What DuckDB says of the SQL, or of this machine, and never because a segment is damaged."""
 
+_GIVEN = "given"
+_NULLABLE = pa.schema([field.with_nullable(True) for field in SCHEMA])
 _NAME = re.compile(r"\"(?:[^\"]|\"\")*\"|'(?:[^']|'')*'")
 _UNSHOWABLE = re.compile(r"\b(?:BIGNUM|BIT|GEOMETRY|TIME WITH TIME ZONE|UHUGEINT|UNION|VARIANT)\b")
 """Types whose values Arrow or Python would change without a word, or cannot hold."""
@@ -84,6 +88,8 @@ class Database:
         self.rows_verified = rows_verified
         """Whether the rows were compared with the root of the head, by a whole look; None where there is no head."""
         self.library = queries or library()
+        self.source: str | None = None
+        """What has all columns and rows of `events` and stands in SQL for less: through a view of so many columns each plan takes twice as long."""
         self._segments = tuple(segments)
         self._made: set[str] = set()
         self._connection = duckdb.connect(":memory:", config={"threads": threads} if threads else {})
@@ -111,6 +117,16 @@ class Database:
         self._connection.register(name, table)
         self._made.add(name)
 
+    def refill(self, events: pa.Table) -> None:
+        """`events` are these few rows from now on, in a table of DuckDB's own, NULL in columns that they lack; what was stored of others is gone."""
+        for name in sorted(self._made & {query.relation for query in self.library.queries.values() if query.is_stored}):
+            self._execute(f"DROP TABLE {name}", None)
+            self._made.discard(name)
+        self._connection.register(_GIVEN, _with_all_columns(events))
+        self._execute(f"CREATE OR REPLACE TABLE events AS SELECT * FROM {_GIVEN}", None)
+        self._connection.unregister(_GIVEN)
+        self._made.add("events")
+
     def drop(self, name: str) -> None:
         """The relation that `hold` made is gone, and what it held."""
         self._connection.unregister(name)
@@ -134,7 +150,8 @@ class Database:
             if query.relation in self._made or query.parameters:
                 continue
             kind = "TABLE" if query.is_stored else "VIEW"
-            self._execute(f"CREATE {kind} {query.relation} AS\n{query.sql}", None)
+            sql = staging_sql(query.tag, self.source) if query.tag and self.source else query.sql
+            self._execute(f"CREATE {kind} {query.relation} AS\n{sql}", None)
             self._made.add(query.relation)
 
     def table(self, sql: str, params: Mapping[str, Value] | None = None) -> pa.Table:
@@ -149,7 +166,16 @@ class Database:
 
     def rows(self, sql: str, params: Mapping[str, Value] | None = None) -> list[dict[str, Any]]:
         """The answer to one SELECT as dictionaries. Raises: as `table`."""
-        return plain_rows(self.table(sql, params))
+        self.prepare(sql)
+        try:
+            found = self._connection.execute(sql, dict(params) if params else None)  # a relation would plan it twice
+            names = [column[0] for column in found.description or ()]
+            rows: list[dict[str, Any]] = []
+            while part := found.fetchmany(BATCH_ROWS):
+                rows += [dict(zip(names, row, strict=True)) for row in part]
+            return rows
+        except (duckdb.Error, UnicodeDecodeError) as error:  # what a damaged file holds as text may be none
+            raise self._failure(error) from error
 
     def query(self, name: str, given: Mapping[str, str] | None = None) -> pa.Table:
         """The rows of a packaged query, sorted by all their columns from the left.
@@ -285,8 +311,7 @@ def connect(ledger: Path, threads: int | None = None, demanded: str | None = Non
     database = Database(view.head, segments, threads, rows_verified=rows_verified)
     try:
         if segments:
-            parts = relation.native_parts(segments, [record.release for record in view.records])
-            relation.hold_events(database, parts, relation.upcast(database, segments))
+            relation.hold_segments(database, segments, [record.release for record in view.records])
         else:
             database.hold("events", SCHEMA.empty_table())
     except BaseException:
@@ -297,19 +322,35 @@ def connect(ledger: Path, threads: int | None = None, demanded: str | None = Non
 
 def from_table(events: pa.Table, threads: int | None = None) -> Database:
     """A database over rows in memory; columns that the table lacks are NULL."""
-    columns = [events[name] if name in events.column_names else pa.nulls(len(events), SCHEMA.field(name).type) for name in SCHEMA.names]
     database = Database(None, (), threads)
-    database.hold("events", pa.Table.from_arrays(columns, names=SCHEMA.names))
+    if len(events) <= FEW_ROWS:
+        database.refill(events)
+    else:
+        database.hold("events", _with_all_columns(events))
     return database
 
 
 def from_rows(rows: Sequence[Mapping[str, Value]], threads: int | None = None) -> Database:
-    """A database over these rows; columns that a row lacks are NULL. For tests and small questions.
+    """A database over these rows; columns that a row lacks are NULL. For tests and small questions. Raises: as `table_of`."""
+    return from_table(table_of(rows), threads)
+
+
+def table_of(rows: Sequence[Mapping[str, Value]]) -> pa.Table:
+    """These rows with all columns of events; those that a row lacks are NULL.
 
     Raises:
         ValueError: A row has a column that events do not have.
     """
-    if unknown := sorted({name for row in rows for name in row} - set(SCHEMA.names)):
+    names = SCHEMA.names
+    if unknown := sorted({name for row in rows for name in row} - set(names)):
         raise ValueError(f"rows: found columns {', '.join(unknown)}, expected those of the ledger's schema")
-    schema = pa.schema([field.with_nullable(True) for field in SCHEMA])
-    return from_table(pa.Table.from_pylist([{name: row.get(name) for name in schema.names} for row in rows], schema=schema), threads)
+    return pa.Table.from_pylist([{name: row.get(name) for name in names} for row in rows], schema=_NULLABLE)
+
+
+def _with_all_columns(events: pa.Table) -> pa.Table:
+    """The table as it is, or with NULL in the columns that it lacks."""
+    if events.column_names == SCHEMA.names:
+        return events
+    present = set(events.column_names)
+    columns = [events[field.name] if field.name in present else pa.nulls(len(events), field.type) for field in SCHEMA]
+    return pa.Table.from_arrays(columns, names=SCHEMA.names)

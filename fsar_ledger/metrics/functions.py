@@ -9,29 +9,24 @@
 | `gamma_quantile(p, shape)` | the quantile of the gamma distribution of scale 1: exact bounds of a Poisson count |
 | `binomial_half_sf2(k, n)` | exact two-sided p of k of n fair coin tosses, k <= n/2 |
 | `constants_of(parameters)` | name and value of each constant in a run's parameters, sorted by name; NULL where they cannot be read |
+| `default_of(name)` | the value of a constant of this version in a run that does not record it; NULL where it has no such constant |
 
 NULL in, NULL out.
 """
 
-import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import duckdb
-import msgspec
 import numpy as np
 import pyarrow as pa
 from duckdb.func import FunctionNullHandling, PythonUDFType
 from numpy.typing import NDArray
 
-from fsar_ledger.parameters import BadParameters, read_parameters
+from .naming import constants_of, default_of
 
 Vector = NDArray[np.float64]
 
-MAX_PARAMETERS = 65_536
-"""Characters of parameters that are read constant by constant; those of the model have 2,000. Longer ones are only the same or not."""
-
-_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
 _CONSTANTS = pa.list_(pa.struct([("name", pa.string()), ("value", pa.string())]))
 
 
@@ -91,45 +86,14 @@ UNARY = {"norm_sf2": norm_sf2, "norm_quantile": norm_quantile}
 BINARY = {"t_sf2": t_sf2, "t_quantile": t_quantile, "gamma_quantile": gamma_quantile, "binomial_half_sf2": binomial_half_sf2}
 
 
-def constants_of(parameters: str | None) -> list[dict[str, str]] | None:
-    """The constants by name, `world.message.high_s` or `world.durations["carry.heavy"].low_s`, with their values as JSON; what is null is not there.
-
-    Numbers that are equal are the same text, however they were written; None where the text is no parameters of a run, or too long.
-    """
-    if parameters is None or len(parameters) > MAX_PARAMETERS:
-        return None
-    try:
-        found = dict(_constants("", read_parameters(parameters)))
-    except (BadParameters, UnicodeError):
-        return None
-    return [{"name": name, "value": found[name]} for name in sorted(found)]
-
-
-def _constants(name: str, value: Any) -> Iterator[tuple[str, str]]:
-    """The leaves below a value: of objects by key, of lists of [name, value] by name, of other lists by number."""
-    if value is None:
-        return
-    parts: list[tuple[str, Any]]
-    if isinstance(value, dict) and value:
-        dot = "." if name else ""
-        parts = [(f"{dot}{key}" if _PLAIN.fullmatch(key) else f"{dot}{_json(key)}", inner) for key, inner in value.items()]
-    elif isinstance(value, list) and value:
-        named = all(isinstance(one, list) and len(one) == 2 and isinstance(one[0], str) for one in value) and len({one[0] for one in value}) == len(value)
-        parts = [(f"[{_json(one[0])}]", one[1]) for one in value] if named else [(f"[{at}]", inner) for at, inner in enumerate(value)]
-    else:
-        yield name, _json(int(value) if isinstance(value, float) and value.is_integer() and abs(value) < 2**53 else value)
-        return
-    for part, inner in parts:
-        yield from _constants(name + part, inner)
-
-
-def _json(value: Any) -> str:
-    return msgspec.json.encode(value).decode()
-
-
 def _read(column: pa.Array) -> pa.Array:
     """The constants of each text of an Arrow column."""
     return pa.array([constants_of(text) for text in column.to_pylist()], _CONSTANTS)
+
+
+def _defaults(column: pa.Array) -> pa.Array:
+    """The default of each name of an Arrow column."""
+    return pa.array(map(default_of, column.to_pylist()), pa.string())
 
 
 def register(connection: duckdb.DuckDBPyConnection) -> None:
@@ -140,3 +104,4 @@ def register(connection: duckdb.DuckDBPyConnection) -> None:
         connection.create_function(name, _binary(binary), ["DOUBLE", "DOUBLE"], "DOUBLE", type=PythonUDFType.ARROW)
     kind = "STRUCT(name VARCHAR, value VARCHAR)[]"
     connection.create_function("constants_of", _read, ["VARCHAR"], kind, type=PythonUDFType.ARROW, null_handling=FunctionNullHandling.SPECIAL)
+    connection.create_function("default_of", _defaults, ["VARCHAR"], "VARCHAR", type=PythonUDFType.ARROW, null_handling=FunctionNullHandling.SPECIAL)

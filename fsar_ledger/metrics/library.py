@@ -34,13 +34,14 @@ _VERSIONED = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 class Query(msgspec.Struct, frozen=True):
     """One relation that SQL can name: a packaged file, or a view that is generated from an event type.
 
-    `name` is `folder/relation`; `parameters` maps names to defaults (None: a value must be given).
+    `name` is `folder/relation`; `parameters` maps names to defaults (None: a value must be given); `tag` is the event type whose view it is.
     """
 
     name: str
     sql: str
     header: dict[str, str]
     parameters: dict[str, str | None] = {}
+    tag: str | None = None
 
     @property
     def relation(self) -> str:
@@ -101,11 +102,15 @@ def view_name(tag: str) -> str:
     return _VERSIONED.sub("_", tag.partition(".")[0]).lower()
 
 
+def staging_sql(tag: str, source: str = "events") -> str:
+    """The SELECT of one event type's envelope and fields, from whatever has all columns of `events`."""
+    names = [f'"{field.name}"' for field in (*ENVELOPE, *LAYOUTS[tag].fields) if field.name != "type"]
+    return f"SELECT {', '.join(names)}\nFROM {source}\nWHERE type = '{tag}'\n"
+
+
 def staging_query(tag: str) -> Query:
     """The view of one event type: the envelope and the fields of the type, one row an event."""
     layout = LAYOUTS[tag]
-    names = [f'"{field.name}"' for field in (*ENVELOPE, *layout.fields) if field.name != "type"]
-    sql = f"SELECT {', '.join(names)}\nFROM events\nWHERE type = '{tag}'\n"
     title = (layout.cls.__doc__ or "").strip().splitlines()[0]
     header = {
         "Title": title,
@@ -115,7 +120,7 @@ def staging_query(tag: str) -> Query:
         "NULL": "the record does not name it",
         "Example": f"fsar-ledger query staging/{view_name(tag)} LEDGER",
     }
-    return Query(f"staging/{view_name(tag)}", sql, header)
+    return Query(f"staging/{view_name(tag)}", staging_sql(tag), header, tag=tag)
 
 
 def concerns_query() -> Query:

@@ -1,6 +1,5 @@
 """The models of a ledger: with which constants its runs were played, as they record it."""
 
-from collections.abc import Iterator, Mapping
 from hashlib import sha256
 from typing import Any
 
@@ -11,21 +10,34 @@ from fsar_ledger.metrics.database import Database
 from fsar_ledger.parameters import BadParameters, read_parameters
 
 MODELS = """
-    SELECT kind, model_version, parameters, count(*) AS runs, min(run_id) AS first
-    FROM run_started
-    GROUP BY kind, model_version, parameters
+    SELECT
+        started.kind,
+        started.source,
+        started.model_version,
+        settings.parameter_set,
+        any_value(settings.constants) AS constants,
+        arg_min(started.parameters, started.run_id) AS parameters,
+        count(*) AS runs,
+        min(started.run_id) AS first
+    FROM run_started AS started
+    INNER JOIN run_settings AS settings ON started.run_id = settings.run_id
+    GROUP BY started.kind, started.source, started.model_version, settings.parameter_set
     ORDER BY first
 """
 
 
 class Model(msgspec.Struct, frozen=True):
-    """The runs of one kind and model version under the same constants: their text as recorded and what it says, their number, the first one's name.
+    """The runs of one kind, source and model version under the same constants, by value; `text` is how the first of them records these.
 
-    Runs that were not simulated may have neither a model nor constants, and as parameters a text that is none: `parameters` is None then.
+    `constants` names those that other runs of the same model have otherwise, None where there are none. Runs that were not simulated may have neither
+    a model nor constants, and as parameters a text that is none: `parameters` is None then.
     """
 
     kind: str
+    source: str | None
     model_version: str | None
+    parameter_set: str | None
+    constants: str | None
     text: str | None
     parameters: dict[str, Any] | None
     runs: int
@@ -33,30 +45,26 @@ class Model(msgspec.Struct, frozen=True):
 
     @property
     def sha256(self) -> str | None:
-        """The digest of the constants, as `runs.parameters_sha256` has it."""
+        """The digest of the constants, as `runs.parameters_sha256` has it for the first of the runs."""
         return None if self.text is None else sha256(self.text.encode()).hexdigest()
 
 
 def models(database: Database) -> tuple[Model, ...]:
     """All models, in the order of the names of their first runs. Raises: LedgerCorrupted if a simulated run records something else as its parameters."""
     return tuple(
-        Model(row["kind"], row["model_version"], row["parameters"], _read(row["kind"], row["first"], row["parameters"]), row["runs"], row["first"])
+        Model(
+            kind=row["kind"],
+            source=row["source"],
+            model_version=row["model_version"],
+            parameter_set=row["parameter_set"],
+            constants=row["constants"],
+            text=row["parameters"],
+            parameters=_read(row["kind"], row["first"], row["parameters"]),
+            runs=row["runs"],
+            first=row["first"],
+        )
         for row in database.rows(MODELS)
     )
-
-
-def differing(first: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
-    """The names of the constants in which two sets of parameters differ, `group.constant`, one that only one of them has too."""
-    return list(_differing("", first, other))
-
-
-def _differing(above: str, first: Mapping[str, Any], other: Mapping[str, Any]) -> Iterator[str]:
-    for name in dict.fromkeys((*first, *other)):
-        one, two = first.get(name), other.get(name)
-        if isinstance(one, Mapping) and isinstance(two, Mapping) and not above:
-            yield from _differing(f"{name}.", one, two)
-        elif one != two or (name in first) != (name in other):
-            yield f"{above}{name}"
 
 
 def _read(kind: str, run: str, parameters: str | None) -> dict[str, Any] | None:

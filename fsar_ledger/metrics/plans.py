@@ -7,6 +7,10 @@ import msgspec
 from .database import Database
 
 EXPERIMENTS = "SELECT * FROM experiments ORDER BY planned_count DESC, plan"
+MISSING = "SELECT missing_count FROM missing_runs"
+MAX_COMBINATIONS = 10_000
+"""Of architecture, configuration and scenario in a plan that `missing_runs` reads."""
+
 UNPLANNED = "SELECT count(*) AS runs FROM unplanned_runs"
 
 
@@ -16,6 +20,8 @@ class Completeness(msgspec.Struct, frozen=True):
     plans: int
     unfinished: tuple[dict[str, Any], ...]
     unplanned: int
+    missing: int | None
+    """How many runs of these plans are missing, each counted once, however many plans name it; None where plans name too much to tell."""
 
     def warning(self) -> str | None:
         """What is missing; None where nothing is, as far as plans say."""
@@ -26,9 +32,9 @@ class Completeness(msgspec.Struct, frozen=True):
         return f"not complete: {first['missing_count']:,} of the {first['planned_count']:,} runs of a plan are missing{more}"
 
     def answer(self) -> dict[str, object]:
-        """The same for programs: `complete` is None where no plan tells, or some runs are in none; `missing_count` sums what each unfinished plan lacks."""
+        """The same for programs: `complete` is None where no plan tells, or some runs are in none; `missing_count` counts each run once."""
         told = None if not self.plans or self.unplanned else True
-        return {"complete": False if self.unfinished else told, "missing_count": sum(plan["missing_count"] for plan in self.unfinished)}
+        return {"complete": False if self.unfinished else told, "missing_count": self.missing}
 
     def sentence(self) -> str:
         """What the plans say, whatever it is."""
@@ -42,4 +48,15 @@ def completeness(database: Database) -> Completeness:
     """What the plans of this ledger say of its runs. Raises: as `Database.rows`."""
     rows = database.rows(EXPERIMENTS)
     [counted] = database.rows(UNPLANNED)
-    return Completeness(len(rows), tuple(row for row in rows if row["missing_count"] and not row["larger_plans"]), counted["runs"])
+    unfinished = tuple(row for row in rows if row["missing_count"] and not row["larger_plans"])
+    return Completeness(len(rows), unfinished, counted["runs"], _missing(database, unfinished))
+
+
+def _missing(database: Database, unfinished: tuple[dict[str, Any], ...]) -> int | None:
+    lacking: list[int] = [plan["missing_count"] for plan in unfinished]
+    if len(unfinished) < 2:
+        return sum(lacking)
+    if any(len(plan["architectures"]) * len(plan["configurations"]) * len(plan["scenarios"]) > MAX_COMBINATIONS for plan in unfinished):
+        return None
+    lacking = [row["missing_count"] for row in database.rows(MISSING)]
+    return sum(lacking)

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
 from fsar_ledger.ledger.codec import upcast_rows
-from fsar_ledger.ledger.releases import FINGERPRINTS, SCHEMAS
+from fsar_ledger.ledger.releases import FINGERPRINTS, RELEASE, SCHEMAS
 from fsar_ledger.ledger.schema import COLUMNS, RETIRED, Kind
 from fsar_ledger.ledger.segment import read_table
 
@@ -23,13 +23,16 @@ _SQL_TYPES: dict[Kind, str] = {"string": "VARCHAR", "integer": "BIGINT", "boolea
 _STORED, _UPCAST = "events_as_stored", "events_upcast"
 
 
-def native_parts(segments: Sequence[Path], releases: Sequence[str]) -> list[str]:
-    """One SELECT of all columns for the segments of each set of columns, given the release of each segment."""
+def hold_segments(database: "Database", segments: Sequence[Path], releases: Sequence[str]) -> None:
+    """The database's `events` are the rows of these segments, given the release of each. Raises: as `upcast`."""
+    newest = upcast(database, segments)
     alike: dict[str, list[Path]] = {}
     for path, release in zip(segments, releases, strict=True):
         alike.setdefault(FINGERPRINTS[release], []).append(path)
     present = {FINGERPRINTS[release]: frozenset(SCHEMAS[release].names) for release in releases}
-    return [_select(paths, present[fingerprint]) for fingerprint, paths in alike.items()]
+    hold_events(database, [_select(paths, present[fingerprint]) for fingerprint, paths in alike.items()], newest)
+    if newest is None and alike.keys() == {FINGERPRINTS[RELEASE]}:
+        database.source = _parquet(segments)
 
 
 def _select(paths: Sequence[Path], present: frozenset[str]) -> str:

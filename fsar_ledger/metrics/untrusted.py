@@ -35,7 +35,11 @@ ENVIRONMENT = {"ARROW_DEFAULT_MEMORY_POOL": "system", "MALLOC_ARENA_MAX": "1", "
 NEEDED = ("LD_LIBRARY_PATH",)
 """What it is given of the caller's environment: some interpreters do not start without it."""
 
-START = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from fsar_ledger.metrics.locked import answer; answer(int(sys.argv[2]))"
+START = (
+    "import gc, json, os, sys; gc.disable(); sys.path[:] = json.loads(sys.argv[1]); "
+    "from fsar_ledger.metrics.locked import answer; gc.enable(); answer(int(sys.argv[2])); os._exit(0)"
+)
+"""Imports make no garbage worth looking for, and what the process holds need not be put away: it only ends."""
 
 
 DYING_S = 5

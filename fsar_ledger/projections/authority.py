@@ -8,11 +8,11 @@ from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted, Aut
 from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome
 from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.knowledge import FleetRuleLearned
-from fsar_ledger.events.policy import PolicyRuleSet
+from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.supervision import SupervisorResponded
 from fsar_ledger.events.world import PolicyWindowOpened
 
-from .policy import Rule
+from .policy import RoleRule, Rule, key_of
 
 HANDLES = (
     AuthorityClaimed
@@ -22,6 +22,7 @@ HANDLES = (
     | SupervisorResponded
     | PolicyWindowOpened
     | PolicyRuleSet
+    | RolePolicyRuleSet
     | FleetRuleLearned
     | ExecutionFinished
 )
@@ -34,7 +35,7 @@ class Later(msgspec.Struct, frozen=True, gc=False):
     """Policy that came after an approval, which the approval therefore does not cover: windows, rules, and fleet rules heard by robot."""
 
     windows: frozenset[str] = frozenset()
-    rules: frozenset[Rule] = frozenset()
+    rules: frozenset[Rule | RoleRule] = frozenset()
     heard: dict[str, PolicyOutcome] = {}
 
 
@@ -79,7 +80,7 @@ def evolve(state: Authority, event: HANDLES) -> Authority:
             if not left:
                 del claims[event.action_id]
             return Authority(claims, state.rights, state.approvals)
-        case PolicyWindowOpened() | PolicyRuleSet() | FleetRuleLearned():
+        case PolicyWindowOpened() | PolicyRuleSet() | RolePolicyRuleSet() | FleetRuleLearned():
             if not state.approvals:
                 return state
             approvals = {action: _with(later, event) for action, later in state.approvals.items()}
@@ -99,13 +100,13 @@ def evolve(state: Authority, event: HANDLES) -> Authority:
             assert_never(event)
 
 
-def _with(later: Later, event: PolicyWindowOpened | PolicyRuleSet | FleetRuleLearned) -> Later:
+def _with(later: Later, event: PolicyWindowOpened | PolicyRuleSet | RolePolicyRuleSet | FleetRuleLearned) -> Later:
     """What came after the approval, this included."""
     match event:
         case PolicyWindowOpened():
             return Later(later.windows | {event.window}, later.rules, later.heard)
-        case PolicyRuleSet():
-            return Later(later.windows, later.rules | {(event.scope, event.robot, event.capability, event.context)}, later.heard)
+        case PolicyRuleSet() | RolePolicyRuleSet():
+            return Later(later.windows, later.rules | {key_of(event)}, later.heard)
         case FleetRuleLearned():
             return Later(later.windows, later.rules, {**later.heard, event.robot: event.outcome})
         case _:

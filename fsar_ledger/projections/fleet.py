@@ -5,7 +5,7 @@ from typing import assert_never
 
 import msgspec
 
-from fsar_ledger.constants import Structure, read_constants
+from fsar_ledger.constants import Constants, Outages, Structure, read_constants
 from fsar_ledger.events.configuration import lacks
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 
@@ -26,7 +26,7 @@ class Robot(msgspec.Struct, frozen=True, gc=False):
 class Fleet(msgspec.Struct, frozen=True, gc=False):
     """The run's structure, the mechanisms that its configuration is without, and its robots by name, in order of joining.
 
-    `teams` is the highest number of a team.
+    `teams` is the highest number of a team. Units: `answer_us` microseconds for which who asked another waits for the answer.
     """
 
     without: frozenset[str] = frozenset()
@@ -34,6 +34,7 @@ class Fleet(msgspec.Struct, frozen=True, gc=False):
     structure: Structure = Structure()
     robots: dict[str, Robot] = {}
     teams: int = 1
+    answer_us: int = round(Outages().answer_s * 1e6)
 
 
 INITIAL = Fleet()
@@ -43,7 +44,8 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
     """The fleet after the event."""
     match event:
         case RunStarted():
-            return Fleet(lacks(event.configuration or ""), event.fleet_size or 0, _structure(event.parameters), state.robots)
+            structure, answer_us = _structure(event.parameters)
+            return Fleet(lacks(event.configuration or ""), event.fleet_size or 0, structure, state.robots, answer_us=answer_us)
         case RobotJoined():
             robot = Robot(event.robot, event.role, event.team, event.supervisor, event.domain, event.place)
             return msgspec.structs.replace(state, robots={**state.robots, event.robot: robot}, teams=max(state.teams, event.team))
@@ -52,6 +54,7 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
 
 
 @lru_cache(maxsize=4)
-def _structure(parameters: str | None) -> Structure:
-    """The structural constants of a run, ours if it records none; all runs of an experiment have the same."""
-    return Structure() if parameters is None else read_constants(parameters).structure
+def _structure(parameters: str | None) -> tuple[Structure, int]:
+    """The structural constants of a run, ours if it records none, and the time for an answer; all runs of an experiment have the same."""
+    constants = Constants() if parameters is None else read_constants(parameters)
+    return constants.structure, round((constants.outages or Outages()).answer_s * 1e6)

@@ -1,27 +1,87 @@
 """Policy that was set by rule. Paper: eq:policy, app:foundations."""
 
-from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope
-from fsar_ledger.events.policy import PolicyRuleSet
+from collections.abc import Container, Iterator
+from typing import assert_never
 
+import msgspec
+
+from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope
+from fsar_ledger.events.fleet import RobotJoined
+from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
+
+from .trust import Member, around
 from .world import stricter
 
-HANDLES = PolicyRuleSet
+HANDLES = RobotJoined | PolicyRuleSet | RolePolicyRuleSet
 
 Rule = tuple[PolicyScope, str | None, str | None, str | None]  # scope, robot, capability, context; None: all of them
-Policy = dict[Rule, PolicyOutcome]
-
-INITIAL: Policy = {}
+RoleRule = tuple[PolicyScope, str, str, str | None, str | None]  # scope, role, domain, capability, context
 
 
-def ruled(state: Policy, scope: PolicyScope, robot: str, capability: str | None, context: str | None) -> PolicyOutcome | None:
-    """The strictest rule of this scope that applies, or None when nothing is ruled."""
+class Policy(msgspec.Struct, frozen=True, gc=False):
+    """`rules`: those of single robots, and of every robot; `of_roles`: those of roles; `members`: robot -> its role and domain."""
+
+    rules: dict[Rule, PolicyOutcome] = {}
+    of_roles: dict[RoleRule, PolicyOutcome] = {}
+    members: dict[str, Member] = {}
+
+    @property
+    def is_empty(self) -> bool:
+        """True while nothing is ruled."""
+        return not self.rules and not self.of_roles
+
+
+INITIAL = Policy()
+
+
+def ruled(
+    state: Policy, scope: PolicyScope, robot: str, capability: str | None, context: str | None, among: Container[Rule | RoleRule] | None = None
+) -> PolicyOutcome | None:
+    """The strictest rule of this scope that applies, of all or of those `among` them, or None when nothing is ruled. Reading: R36.
+
+    About the same capability and context the rule of the very robot replaces those of its role, and that of a smaller domain those of
+    larger ones; a rule of every robot applies beside them.
+    """
     outcome: PolicyOutcome | None = None
-    for (of, about, what, where), found in state.items():
-        if of == scope and about in (None, robot) and what in (None, capability) and where in (None, context):
+    for rule, found in _applying(state, scope, robot, capability, context):
+        if among is None or rule in among:
             outcome = found if outcome is None else stricter(outcome, found)
     return outcome
 
 
+def _applying(state: Policy, scope: PolicyScope, robot: str, capability: str | None, context: str | None) -> Iterator[tuple[Rule | RoleRule, PolicyOutcome]]:
+    """The rules that apply, without those that another replaces."""
+    for about in ((capability, context), (capability, None), (None, context), (None, None)):
+        of_all: Rule = (scope, None, *about)
+        if of_all in state.rules:
+            yield of_all, state.rules[of_all]
+        own: Rule = (scope, robot, *about)
+        if own in state.rules:
+            yield own, state.rules[own]
+        elif state.of_roles and robot in state.members:
+            role, domain = state.members[robot]
+            of_role: Iterator[RoleRule] = ((scope, role, one, *about) for one in around(domain))
+            nearest = next((rule for rule in of_role if rule in state.of_roles), None)
+            if nearest is not None:
+                yield nearest, state.of_roles[nearest]
+
+
 def evolve(state: Policy, event: HANDLES) -> Policy:
     """The rules after the event."""
-    return {**state, (event.scope, event.robot, event.capability, event.context): event.outcome}
+    match event:
+        case RobotJoined():
+            return Policy(state.rules, state.of_roles, {**state.members, event.robot: (event.role, event.domain)})
+        case PolicyRuleSet() | RolePolicyRuleSet():
+            rule = key_of(event)
+            if len(rule) == 4:
+                return Policy({**state.rules, rule: event.outcome}, state.of_roles, state.members)
+            return Policy(state.rules, {**state.of_roles, rule: event.outcome}, state.members)
+        case _:
+            assert_never(event)
+
+
+def key_of(event: PolicyRuleSet | RolePolicyRuleSet) -> Rule | RoleRule:
+    """What the rule is about; a later one about the same replaces it."""
+    if isinstance(event, PolicyRuleSet):
+        return event.scope, event.robot, event.capability, event.context
+    return event.scope, event.role, event.domain, event.capability, event.context

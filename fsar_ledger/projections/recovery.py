@@ -6,14 +6,16 @@ import msgspec
 
 from fsar_ledger.events.envelope import FailureCause, RecoveryLevel
 from fsar_ledger.events.execution import ExecutionFailed
-from fsar_ledger.events.recovery import AssistanceRequested, FailureResolved, RecoveryAttempted, RecoveryEscalated
+from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceDeclined, AssistanceRequested, FailureResolved, RecoveryAttempted, RecoveryEscalated
 from fsar_ledger.events.supervision import SupervisorCalled
 
-HANDLES = ExecutionFailed | RecoveryAttempted | RecoveryEscalated | AssistanceRequested | SupervisorCalled | FailureResolved
+HANDLES = (
+    ExecutionFailed | RecoveryAttempted | RecoveryEscalated | AssistanceRequested | AssistanceAdmitted | AssistanceDeclined | SupervisorCalled | FailureResolved
+)
 
 
 class Recovery(msgspec.Struct, frozen=True, gc=False):
-    """The open failure of one action: the attempts it took, the helpers that were asked and how often a supervisor was called.
+    """The open failure of one action: the attempts it took, the helpers that were asked, the one whose answer is waited for, and the calls of supervisors.
 
     Units: `detected_us` run time, `deadline_us` run time at which the local level's budget ends, `since_us` run time at which recovery turned to
     whoever was asked for help last.
@@ -29,6 +31,7 @@ class Recovery(msgspec.Struct, frozen=True, gc=False):
     tried: tuple[str, ...] = ()
     calls: int = 0
     since_us: int = 0
+    awaited: str | None = None
 
 
 Recoveries = dict[str, Recovery]  # action -> open failure
@@ -45,10 +48,14 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
             changed = msgspec.structs.replace(state[event.failed_action], number=event.number, deadline_us=event.deadline_us)
             return {**state, event.failed_action: changed}
         case RecoveryEscalated():
-            return {**state, event.failed_action: msgspec.structs.replace(state[event.failed_action], level=event.to_level)}
+            return {**state, event.failed_action: msgspec.structs.replace(state[event.failed_action], level=event.to_level, awaited=None)}
         case AssistanceRequested():
             known = state[event.failed_action]
-            return {**state, event.failed_action: msgspec.structs.replace(known, tried=(*known.tried, event.helper), since_us=event.since_us or 0)}
+            asked = msgspec.structs.replace(known, tried=(*known.tried, event.helper), since_us=event.since_us or 0, awaited=event.helper)
+            return {**state, event.failed_action: asked}
+        case AssistanceAdmitted() | AssistanceDeclined():
+            action_id = event.action_id or ""
+            return {**state, action_id: msgspec.structs.replace(state[action_id], awaited=None)} if action_id in state else state
         case SupervisorCalled():
             called = state.get(event.action_id)
             if called is None or event.purpose != "recovery":

@@ -84,15 +84,20 @@ class Cache(msgspec.Struct, frozen=True, gc=False):
 
 
 class Registry(msgspec.Struct, frozen=True, gc=False):
-    """`domains`: robot -> its domain; `modules`: robot -> what it possesses; `offers`: robots' surfaces; `caches`: holder -> its copy."""
+    """`domains`: robot -> its domain; `modules`: robot -> what it possesses; `offers`: robots' surfaces; `caches`: holder -> its copy.
+
+    `silent`: robot that did not answer -> how available each of its capabilities was said to be before.
+    """
 
     domains: dict[str, str] = {}
     modules: dict[str, dict[str, Module]] = {}
     offers: Offers = Offers()
     caches: dict[str, Cache] = {}
+    silent: dict[str, dict[str, Availability]] = {}
 
 
 INITIAL = Registry()
+NO_ANSWER = "no answer"  # reason of `AvailabilityChanged` for a robot that others found silent
 
 
 def possesses(state: Registry, robot: str, capability: str) -> bool:
@@ -161,10 +166,11 @@ def evolve(state: Registry, event: HANDLES) -> Registry:
         case CapabilityWithdrawn():
             return _put(state, event.robot, event.capability, None)
         case AvailabilityChanged():
-            for record in tuple(surface(state, event.robot)):
-                if event.capability in (None, record.capability):
-                    state = _put(state, event.robot, record.capability, replace(record, availability=event.availability))
-            return state
+            changed = [record for record in surface(state, event.robot) if event.capability in (None, record.capability)]
+            silent = _silent(state, event, changed)
+            for record in changed:
+                state = _put(state, event.robot, record.capability, replace(record, availability=event.availability))
+            return state if silent is state.silent else replace(state, silent=silent)
         case CapabilityDeprecated():
             known = advertisement(state, event.robot, event.capability)
             if known is None or known.version != event.version:
@@ -195,7 +201,19 @@ def _record(state: Registry, event: CapabilityAdvertised) -> Advertisement:
 
 def _put(state: Registry, robot: str, capability: str, record: Advertisement | None) -> Registry:
     changed = _changed(state.offers, path_of(state.domains.get(robot, "")), robot, capability, record)
-    return Registry(state.domains, state.modules, changed, state.caches)
+    return Registry(state.domains, state.modules, changed, state.caches, state.silent)
+
+
+def _silent(state: Registry, event: AvailabilityChanged, changed: list[Advertisement]) -> dict[str, dict[str, Availability]]:
+    """Who is silent by now: whoever did not answer, but for what it has spoken of since."""
+    known = state.silent.get(event.robot)
+    if event.reason == NO_ANSWER and event.availability == "offline":
+        return {**state.silent, event.robot: {**(known or {}), **{record.capability: record.availability for record in changed}}}
+    if known is None:
+        return state.silent
+    others = {robot: before for robot, before in state.silent.items() if robot != event.robot}
+    left = {capability: before for capability, before in known.items() if event.capability not in (None, capability)}
+    return {**others, event.robot: left} if left else others
 
 
 def _changed(found: Offers, path: tuple[str, ...], robot: str, capability: str, record: Advertisement | None) -> Offers:

@@ -5,7 +5,7 @@ from typing import assert_never
 import msgspec
 
 from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome, Result
-from fsar_ledger.events.execution import ExecutionFinished
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued
 from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import (
@@ -17,17 +17,20 @@ from fsar_ledger.events.request import (
     RequestAccepted,
     RequestClosed,
     RequestCountered,
+    RequestDeferred,
     RequestDenied,
     RequestIssued,
     RequestRelayed,
+    RequestUnanswered,
 )
 from fsar_ledger.events.supervision import SupervisorCalled
-from fsar_ledger.events.task import StepBegan, StepCompleted
+from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned
 from fsar_ledger.events.world import OutsiderRequestInjected
 
 HANDLES = (
     StepBegan
     | StepCompleted
+    | TaskAbandoned
     | OutsiderRequestInjected
     | RegistryQueried
     | RequestIssued
@@ -41,7 +44,10 @@ HANDLES = (
     | ContractVoided
     | RequestDenied
     | RequestCountered
+    | RequestDeferred
+    | RequestUnanswered
     | OfferAnswered
+    | ExecutionQueued
     | ExecutionFinished
     | RequestClosed
 )
@@ -53,7 +59,10 @@ class Request(msgspec.Struct, frozen=True, gc=False):
     `is_adhoc`: it was issued by itself and is no step of a task, whatever its context; it is kept when it is over, so
     that its name is not used again. `offered` is the override level of the counter-offer that waits for an answer,
     `offers` counts them; `result` is known once the execution is over; `is_over`: it was refused, closed or let go, and
-    nothing is decided about it any more.
+    nothing is decided about it any more. `is_relayed`: the relay has passed it on; `is_heard`: who was asked has
+    put it off, or before a supervisor, `is_received`: a robot has it, in its queue
+    or before H_F who orders two; `is_unanswered`: the time for an answer was over;
+    `silent`: the robots whose time it was.
     """
 
     task_id: str
@@ -81,6 +90,11 @@ class Request(msgspec.Struct, frozen=True, gc=False):
     offered: OverrideLevel | None = None
     result: Result | None = None
     is_over: bool = False
+    is_relayed: bool = False
+    is_heard: bool = False
+    is_received: bool = False
+    is_unanswered: bool = False
+    silent: tuple[str, ...] = ()
 
 
 Requests = dict[str, Request]
@@ -99,6 +113,9 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
             return _ended(state, event)
         case StepCompleted():
             return {name: request for name, request in state.items() if name != event.action_id}
+        case TaskAbandoned():  # what a robot has goes on or is withdrawn there; nobody answers the rest
+            kept = {name: request for name, request in state.items() if request.is_adhoc or request.is_received or request.task_id != event.task_id}
+            return state if len(kept) == len(state) else kept
         case OutsiderRequestInjected():
             injected = Request(event.task_id, event.task_id, event.robot, event.capability, 0, 1, True, (event.peer,), target=event.peer)
             return {**state, event.task_id: injected}
@@ -110,24 +127,31 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
         case RequestIssued():
             return _issued(state, event)
         case RequestRelayed():
-            return _changed(state, event.action_id, carried=event.carried_policy)
+            return _changed(state, event.action_id, carried=event.carried_policy, is_relayed=True)
         case CommandIssued():
-            return _changed(state, event.action_id, target=event.robot, seen_busy=event.seen_busy)
+            return _changed(state, event.action_id, target=event.robot, seen_busy=event.seen_busy, is_unanswered=False)
         case BidReceived():
-            bids = (*state[event.action_id].bids, (event.robot, event.outcome))
+            earlier = tuple(bid for bid in state[event.action_id].bids if bid[0] != event.robot)  # one that answers late was asked again
+            bids = (*earlier, (event.robot, event.outcome))
             return _changed(state, event.action_id, bids=bids)
         case AwardMade():
             action_id = next(name for name, request in state.items() if request.task_id == event.task_id)
             return _changed(state, action_id, target=event.robot, is_questioned=False)
         case SupervisorCalled():
-            return state if event.robot is None else _changed(state, event.action_id, target=event.robot)
+            return _called(state, event)
+        case ExecutionQueued():
+            return _changed(state, event.action_id, is_received=True)
+        case RequestDeferred():
+            return _changed(state, event.action_id, is_heard=True)
         case RequestAccepted():
             return _changed(state, event.action_id, target=event.executed_by, is_accepted=True)
         case ContractQuestioned():
             return _changed(state, event.action_id, is_questioned=True)
         case ContractVoided():
             known = state[event.action_id]
-            return _changed(state, event.action_id, bids=(), target=None, is_accepted=False, is_questioned=False, round=known.round + 1)
+            return _changed(state, event.action_id, bids=(), target=None, is_accepted=False, is_questioned=False, is_received=False, round=known.round + 1)
+        case RequestUnanswered():
+            return _unanswered(state, event)
         case RequestCountered():
             return _changed(state, event.action_id, offers=event.round, offered=event.override)
         case OfferAnswered():
@@ -155,6 +179,23 @@ def _ended(state: Requests, event: ExecutionFinished | RequestClosed | RequestDe
     if isinstance(event, ExecutionFinished):
         return _changed(state, known.action_id, result=event.result) if known.is_adhoc or event.result != "success" else state
     return _changed(state, known.action_id, is_over=True)
+
+
+def _called(state: Requests, event: SupervisorCalled) -> Requests:
+    """A supervisor has it before them; whoever calls one to order two requests has received them."""
+    known = state.get(event.action_id)
+    if known is None:
+        return state
+    is_received = known.is_received or event.purpose == "ordering"
+    return _changed(state, event.action_id, is_heard=True, is_received=is_received, target=event.robot or known.target)
+
+
+def _unanswered(state: Requests, event: RequestUnanswered) -> Requests:
+    """The request is over for who did not answer; without a name nobody did, or there was nobody to ask."""
+    if event.action_id not in state:
+        return state
+    silent = state[event.action_id].silent if event.executed_by is None else (*state[event.action_id].silent, event.executed_by)
+    return _changed(state, event.action_id, silent=silent, target=None, is_accepted=False, is_unanswered=True)
 
 
 def _answered(state: Requests, event: OfferAnswered) -> Requests:

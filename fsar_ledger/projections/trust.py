@@ -69,8 +69,8 @@ def _holding(state: Trust, robot: str, peer: str, capability: str | None, contex
         return found
     if state.of_roles and robot in state.members and peer in state.members:
         (role, domain), (peer_role, peer_domain) = state.members[robot], state.members[peer]
-        for around in _around_both(domain, peer_domain):
-            entries = state.of_roles.get((role, peer_role, around))
+        for of_both in (one for one in around(domain) if is_within(peer_domain, one)):
+            entries = state.of_roles.get((role, peer_role, of_both))
             if entries is not None and (found := _most_specific(entries, capability, context)) is not None:
                 return found
     return (None, None), "none"
@@ -83,18 +83,17 @@ def _most_specific(entries: Entries, capability: str | None, context: str | None
     return None
 
 
-def _around_both(domain: str, other: str) -> Iterator[str]:
-    """The domains that both lie in, the smallest first; at last the whole fleet."""
+def around(domain: str) -> Iterator[str]:
+    """The domain itself and those that it lies in, the smallest first; at last the whole fleet."""
     while domain:
-        if is_within(other, domain):
-            yield domain
+        yield domain
         domain = domain.rpartition("/")[0]
     yield ""
 
 
-def is_within(domain: str, around: str) -> bool:
+def is_within(domain: str, other: str) -> bool:
     """True when the one domain is the other or lies below it; everything lies in the fleet's own, the empty one."""
-    return around in ("", domain) or domain.startswith(around + "/")
+    return other in ("", domain) or domain.startswith(other + "/")
 
 
 def covers(scope: TrustScope, required: TrustScope) -> bool:

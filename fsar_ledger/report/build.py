@@ -43,6 +43,7 @@ def write_report(
         WriteFailed: `out` cannot be written.
     """
     require_outside(out, f"--out {out}")
+    typeset.require_place(out)
     given = None if sensitivity is None else open_effects(sensitivity)
     demanded = demanded or required_look(ledger, workers, progress)
     theirs = None if workflows is None else required_look(workflows, workers, progress)

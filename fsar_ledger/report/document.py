@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 
 import fsar_ledger
+from fsar_ledger import printable
 from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.report import contradictions, figures, printing, provenance, sequence, specs
 from fsar_ledger.report.calibration import Record
@@ -21,7 +22,6 @@ PACKAGES = ("duckdb", "pyarrow", "numpy", "scipy", "msgspec", "matplotlib", "typ
 POOLED = ("recovery_containment", "reassignment_latency_s")  # metrics that a run without failures does not define
 MISS_SE = 2  # a cell misses beyond this many standard errors at n = 100
 MAX_DIFFERING = 2_000  # characters of what is said of a pair's worlds
-MAX_VERSIONS = 5  # of models, named in a sentence
 SHOWN_WEIGHTS = 3  # constants named for each direction of the fit
 
 
@@ -95,7 +95,7 @@ def _workflows(findings: Findings) -> dict[str, Any] | None:
         return None
     reasons = [reason for row in found.coverage for reason in row["reasons"]]
     head = {"size": printing.integer(found.size), "root": found.root, "runs": printing.integer(found.run_count), "commits": found.commits}
-    return head | {"reasons": reasons}
+    return head | {"reasons": reasons, "others": found.others and printable.counted(found.others, "run")}
 
 
 def _fit_tables(findings: Findings, record: Record | None) -> dict[str, Table]:
@@ -150,8 +150,7 @@ def _changed(findings: Findings, record: Record | None) -> str | None:
     versions = [findings.model_version] if findings.model_version else sorted({row["model_version"] for row in findings.models} - {None})
     if record is None or not versions or versions == [record.model_version]:
         return None
-    named = [printing.words(one) for one in versions[:MAX_VERSIONS]] + ([f"{len(versions) - MAX_VERSIONS:,} more"] if len(versions) > MAX_VERSIONS else [])
-    ran = f"of version {named[0]}" if len(versions) == 1 else f"of versions {', '.join(named[:-1])} and {named[-1]}"
+    ran = f"of version{'' if len(versions) == 1 else 's'} {printable.some(map(printing.words, versions))}"
     fitted = "a model whose version is not on record" if record.model_version is None else f"model version {printing.words(record.model_version)}"
     return f"The model has changed since the fit: the constants were fitted to {fitted}, and these runs are {ran}."
 
@@ -220,6 +219,7 @@ def data(findings: Findings, record: Record | None, effects: Section | None = No
             "completeness": findings.completeness,
         },
         "shown": findings.shown and printing.words(findings.shown),
+        "unjudged": findings.unjudged and printing.words(findings.unjudged, MAX_DIFFERING),
         "differing": [printing.words(one, MAX_DIFFERING) for one in findings.differing],
         "answer": _sayable(answer(findings)),
         "tables": tables,

@@ -26,6 +26,7 @@ class Workflows(msgspec.Struct, frozen=True):
     """What one head of a ledger of the paper's workflows has to say.
 
     coverage: one row per mechanism: its cell in the paper and ours for each workflow, and the verdict; None where nothing exercises it.
+    others: runs of workflows that were made otherwise than most (seed, constants, model), and have no part in this.
     story: the steps of the first request of the door relay; recovery: those of the first failure of the layered recovery; empty without such a run.
     """
 
@@ -36,6 +37,7 @@ class Workflows(msgspec.Struct, frozen=True):
     coverage: tuple[Row, ...]
     story: tuple[Row, ...]
     recovery: tuple[Row, ...]
+    others: int = 0
 
 
 class Findings(msgspec.Struct, frozen=True):
@@ -55,6 +57,7 @@ class Findings(msgspec.Struct, frozen=True):
     completeness: whether all that was planned is there, as a clause.
     workflows: what another ledger says of the paper's workflows; None without one.
     model_version: that of the runs in the tables; shown: which runs these are, where the ledger holds others of their configuration and fleet size.
+    unjudged: in words, which numbers no verdict compares with the printed tables, since they are over other runs, and which these are; None where none are.
     differing: in words, the pairs of runs that are left out since they met different worlds.
     """
 
@@ -78,6 +81,7 @@ class Findings(msgspec.Struct, frozen=True):
     workflows: Workflows | None = None
     model_version: str | None = None
     shown: str | None = None
+    unjudged: str | None = None
     differing: tuple[str, ...] = ()
 
 
@@ -89,9 +93,9 @@ def significance_level(p: float) -> str:
     return next((name for bound, name in LEVELS if p < bound), "n.s.")
 
 
-def with_agreement(test: Row) -> Row:
-    """The test with `sign_agrees`, `level` and `level_agrees` against the paper's row; None where the ledger has no test."""
-    if test["t"] is None or test["p"] is None:
+def with_agreement(test: Row, *, is_judged: bool = True) -> Row:
+    """The test with `sign_agrees`, `level` and `level_agrees` against the paper's row; None where the ledger has no test, or none that is judged."""
+    if test["t"] is None or test["p"] is None or not is_judged:
         return test | {"sign_agrees": None, "level": None, "level_agrees": None}
     level = significance_level(test["p"])
     same_sign = (test["t"] > 0) == (test["paper_t"] > 0) and test["t"] != 0

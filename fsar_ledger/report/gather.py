@@ -5,7 +5,7 @@ with the paper's.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import TypeAlias
@@ -18,7 +18,7 @@ from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.models import models
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
-from fsar_ledger.report import marks, printing, specs
+from fsar_ledger.report import marks, printing, specs, whole
 from fsar_ledger.report.findings import ARCHITECTURES, COMPARISONS, MAIN_CONFIGURATION, MAIN_FLEET_SIZE, SCENARIOS, Findings, Row, Source, with_agreement
 
 QUERIES = (
@@ -35,17 +35,14 @@ QUERIES = (
 Setting: TypeAlias = tuple[str | None, int | None, int | None, str, str | None, str | None, str | None]
 """Configuration, fleet size, seed (None: all seeds), kind, source, model version and differing constants of runs that were made alike."""
 
+SETTING = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
+"""Its names in `CHOSEN_SQL`."""
+
 METRICS = tuple(spec.name for spec in specs.metrics())
 
 MAX_SPANS = 20
 """Ranges of seeds that a cell of a table lists."""
 
-DIFFERING_SQL = """
-    SELECT texts.parameters, min(sets.constants) AS constants
-    FROM parameter_texts AS texts
-    INNER JOIN parameter_sets AS sets ON texts.model = sets.model AND texts.parameter_set = sets.parameter_set
-    GROUP BY texts.parameters
-"""
 BACKGROUND_SQL = "SELECT * FROM background"
 CHOSEN_SQL = """
     SELECT runs.run_id
@@ -58,6 +55,24 @@ CHOSEN_SQL = """
         AND runs.source IS NOT DISTINCT FROM $source
         AND runs.model_version IS NOT DISTINCT FROM $model_version
         AND settings.constants IS NOT DISTINCT FROM $constants
+"""
+OF_MAIN_SQL = f"""
+    WITH chosen AS ({CHOSEN_SQL})
+    SELECT runs.architecture, runs.scenario, count(*) AS runs
+    FROM runs
+    INNER JOIN chosen ON runs.run_id = chosen.run_id
+    WHERE list_contains(['fsar', 'cfc', 'dhma'], runs.architecture)
+    GROUP BY ALL
+    ORDER BY ALL
+"""
+PAIRS_OF_MAIN_SQL = f"""
+    WITH chosen AS ({CHOSEN_SQL})
+    SELECT run_pairs.comparison, run_pairs.scenario, count(*) AS runs
+    FROM run_pairs
+    INNER JOIN chosen ON run_pairs.first_run_id = chosen.run_id
+    WHERE run_pairs.differs IS NULL AND list_contains(['fsar-cfc', 'fsar-dhma', 'cfc-dhma'], run_pairs.comparison)
+    GROUP BY ALL
+    ORDER BY ALL
 """
 RUNS_SQL = """
     SELECT
@@ -101,9 +116,9 @@ def _blank(cls: type[msgspec.Struct]) -> Row:
     return dict.fromkeys(cls.__struct_fields__)
 
 
-def _cells(rows: Iterable[MetricRow]) -> tuple[Row, ...]:
+def _cells(rows: Iterable[MetricRow], apart: Collection[str]) -> tuple[Row, ...]:
     found = {(row.metric, row.architecture): row for row in rows}
-    judged = {(one.metric, one.architecture): one for one in verdicts.compare(found.values())}
+    judged = {(one.metric, one.architecture): one for one in verdicts.compare(found.values()) if one.architecture not in apart}
     printed = {(row["metric"], row["architecture"]): row["mean"] for row in specs.paper_table("results")}
     cells = []
     for spec in specs.metrics():
@@ -128,7 +143,7 @@ def _judged(one: verdicts.Comparison | None) -> Row:
     return {"difference": _interval(msgspec.structs.asdict(one)), "distance_se": one.distance_se, "verdict": one.verdict}
 
 
-def _tests(rows: Iterable[StatisticRow]) -> tuple[Row, ...]:
+def _tests(rows: Iterable[StatisticRow], apart: Collection[str]) -> tuple[Row, ...]:
     found = {(row.metric, row.comparison): row for row in rows}
     printed = {(row["metric"], row["comparison"]): row for row in specs.paper_table("significance")}
     tests = []
@@ -139,7 +154,7 @@ def _tests(rows: Iterable[StatisticRow]) -> tuple[Row, ...]:
             test = msgspec.structs.asdict(row) if row is not None else _blank(StatisticRow)
             beside = {"paper_t": float(paper["t"]), "paper_p": paper["p"], "paper_d": float(paper["cohens_d"]), "paper_level": paper["significance"]}
             named = {"metric": spec.name, "comparison": comparison}
-            tests.append(with_agreement(test | named | _effect(test) | beside))
+            tests.append(with_agreement(test | named | _effect(test) | beside, is_judged=comparison not in apart))
     return tuple(tests)
 
 
@@ -212,13 +227,12 @@ def _span(low: int, high: int) -> str:
 def _models(database: Database) -> tuple[tuple[Row, ...], dict[str, str]]:
     """The sets of constants in the ledger, and those of its first run that says any by dotted name."""
     found = models(database)
-    named = {row["parameters"]: row["constants"] for row in database.rows(DIFFERING_SQL)}
     rows: tuple[Row, ...] = tuple(
         {
             "model_version": one.model_version,
             "kind": one.kind,
             "runs": one.runs,
-            "constants": named.get(one.text),
+            "constants": one.constants,
             "parameters_sha256": one.sha256,
         }
         for one in found
@@ -267,12 +281,15 @@ def gather(
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `fsar_ledger.metrics.database.connect`; SequenceConflict, too.
         QueryFailed: A packaged query fails on this ledger's data.
     """
+    of_workflows = None if workflows is None else marks.workflows(workflows, demanded_of_workflows)  # first: it may be another ledger by mistake
     with connect(ledger, demanded=demanded) as database:
         head = database.head
         every, every_by_scenario = (metric_rows(database, one, pools_seeds=pools_seeds) for one in (False, True))
         main = _main(every)
         overall, by_scenario = ([row for row in rows if _setting(row) == main] for rows in (every, every_by_scenario))
         tests = [row for row in statistic_rows(database, pools_seeds=pools_seeds) if _setting(row) == main]
+        runs_held, pairs_held = _held(database, main)
+        apart = whole.apart(runs_held, pairs_held)
         kinds, parameters = _models(database)
         names = (*QUERIES, *(marks.QUERIES if workflows is not None else ()))
         needed = database.library.needs(database.library.find(name).relation for name in names)
@@ -284,8 +301,8 @@ def gather(
             size=head.size if head else 0,
             root=head.root if head else "",
             run_count=sum(row["runs"] for row in runs),
-            cells=_cells(overall),
-            tests=_tests(tests),
+            cells=_cells(overall, apart),
+            tests=_tests(tests, apart),
             scenarios=_scenarios(overall, by_scenario),
             rule=_rule(),
             others=others,
@@ -293,13 +310,14 @@ def gather(
             models=kinds,
             parameters=parameters,
             sources=tuple(Source(name=query.name, sha256=query.sha256) for query in sorted(needed, key=lambda query: query.name) if _is_file(query.name)),
-            features=marks.features(graded),
+            features=marks.features(graded, apart),
             evidence=tuple(graded),
             background=background,
             completeness=completeness(database).sentence(),
-            workflows=None if workflows is None else marks.workflows(workflows, demanded_of_workflows),
+            workflows=of_workflows,
             model_version=main[5] if main else None,
             shown=_shown(main, others),
+            unjudged=whole.why_apart(runs_held, pairs_held),
             differing=tuple(map(str, differing_worlds(database))),
         )
 
@@ -313,14 +331,24 @@ def _shown(main: Setting | None, others: tuple[Row, ...]) -> str | None:
     return f"The tables are of {', '.join(filter(None, named))}; runs made otherwise are never taken together with these."
 
 
+def _held(database: Database, main: Setting | None) -> tuple[dict[str, dict[str | None, int]], dict[str, dict[str | None, int]]]:
+    """The runs that the tables are of, by architecture and scenario, and their pairs, by comparison and scenario."""
+    if main is None:
+        return {}, {}
+    chosen = dict(zip(SETTING, main, strict=True))
+    return whole.held(database.rows(OF_MAIN_SQL, chosen), "architecture"), whole.held(database.rows(PAIRS_OF_MAIN_SQL, chosen), "comparison")
+
+
 def _of_main(ledger: Path, demanded: str | None, database: Database, main: Setting | None, *, alone: bool) -> tuple[list[Row], tuple[Row, ...]]:
-    """The marks and the background of the runs that the tables are of; what else the ledger holds has no part in them."""
-    if alone or main is None:
+    """The marks and the background of the runs that the tables are of; what else the ledger holds has no part in them, and of no tables there are none."""
+    if main is None:
+        return [], ()
+    if alone and main[2] is not None:
         return marks.graded(database), _background(database.rows(BACKGROUND_SQL))
-    names = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
-    chosen = database.table(CHOSEN_SQL, dict(zip(names, main, strict=True)))
+    chosen = database.table(CHOSEN_SQL, dict(zip(SETTING, main, strict=True)))
     with connect(ledger, demanded=demanded) as narrowed:
         narrowed.hold("chosen_runs", chosen)
         narrowed.prepare("SELECT * FROM run_started")
-        narrowed.define("runs", f"SELECT * FROM ({narrowed.library.find('staging/runs').sql}) WHERE run_id IN (SELECT run_id FROM chosen_runs)")
+        seed = "* REPLACE (NULL::BIGINT AS seed)" if main[2] is None else "*"  # all seeds are asked for together
+        narrowed.define("runs", f"SELECT {seed} FROM ({narrowed.library.find('staging/runs').sql}) WHERE run_id IN (SELECT run_id FROM chosen_runs)")
         return marks.graded(narrowed), _background(narrowed.rows(BACKGROUND_SQL))

@@ -3,7 +3,7 @@
 Grades and cells come from `queries/tables/`; here they are only laid beside the printed ones.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from pathlib import Path
 
 from fsar_ledger.errors import UsageError
@@ -18,6 +18,15 @@ WORKFLOWS = {
     "workflow-layered-recovery": "workflow_2_layered_recovery",
     "workflow-human-supervision": "workflow_3_human_supervision",
 }
+GROUPS = """
+    SELECT made_alike, count(*) AS runs
+    FROM run_groups
+    INNER JOIN runs USING (run_id)
+    WHERE list_contains($names, runs.scenario)
+    GROUP BY made_alike
+    ORDER BY count(*) DESC, min(run_id)
+"""
+FIRST = "SELECT scenario, min(run_id) AS run_id FROM runs INNER JOIN run_groups USING (run_id) WHERE made_alike = $made_alike GROUP BY scenario"
 AGREES, DIFFERS = "agrees", "differs"
 NOT_OBSERVABLE = "not observable"  # the cell of a mechanism that the runs do not record
 
@@ -34,13 +43,13 @@ def graded(database: Database) -> list[Row]:
     ]
 
 
-def features(grades: Sequence[Row]) -> tuple[Row, ...]:
-    """The table "Architectural comparison" with our grades beside the paper's. Paper: tab:baseline_context."""
+def features(grades: Sequence[Row], apart: Collection[str] = ()) -> tuple[Row, ...]:
+    """The table "Architectural comparison" with our grades beside the paper's, no verdict on architectures apart. Paper: tab:baseline_context."""
     ours = {(row["feature"], row["architecture"]): row["grade"] for row in grades}
     rows = []
     for printed in specs.paper_table("architecture_features"):
         pairs = {name: (printed[name.upper()], ours.get((printed["feature"], name))) for name in ARCHITECTURES}
-        row: Row = {"feature": printed["feature"], "verdict": verdict({name.upper(): pair for name, pair in pairs.items()})}
+        row: Row = {"feature": printed["feature"], "verdict": verdict({name.upper(): pair for name, pair in pairs.items() if name not in apart})}
         for name, (paper, grade) in pairs.items():
             row |= {f"{name}_paper": paper, f"{name}_ours": grade}
         rows.append(row | {name.lower(): printed[name] for name in NOT_RUN})
@@ -64,24 +73,27 @@ def workflows(ledger: Path, demanded: str | None = None) -> Workflows:
         NotALedger, FormatVersionMismatch, LedgerCorrupted, SequenceConflict: as `connect`.
     """
     with connect(ledger, demanded=demanded) as database:
-        runs = {row["scenario"]: row["run_id"] for row in database.rows("SELECT scenario, min(run_id) AS run_id FROM runs GROUP BY scenario")}
-        if not runs.keys() & WORKFLOWS.keys():
+        groups = database.rows(GROUPS, {"names": list(WORKFLOWS)})
+        if not groups:
             raise UsageError(f"--workflows {ledger}: found no run of {', '.join(WORKFLOWS)}; make one with `fsar-ledger simulate`")
-        head = database.head
+        head, main = database.head, groups[0]["made_alike"]
+        runs = {row["scenario"]: row["run_id"] for row in database.rows(FIRST, {"made_alike": main})}
         return Workflows(
             commits=head.commits if head else 0,
             size=head.size if head else 0,
             root=head.root if head else "",
             run_count=sum(row["runs"] for row in database.rows("SELECT count(*) AS runs FROM runs")),
-            coverage=_coverage(database),
+            coverage=_coverage(database, main),
+            others=sum(row["runs"] for row in groups[1:]),
             story=_first(database, "request_story", runs.get("workflow-door-relay"), "RequestIssued.v1"),
             recovery=_first(database, "failure_story", runs.get("workflow-layered-recovery"), "ExecutionFailed.v1"),
         )
 
 
-def _coverage(database: Database) -> tuple[Row, ...]:
-    """The table "FSAR mechanisms exercised by each workflow" with our cells beside the paper's. Paper: tab:coverage."""
-    ours = {(row["mechanism"], row["workflow"]): row["cell"] for row in plain_rows(database.query("tables/mechanism_coverage"))}
+def _coverage(database: Database, main: str) -> tuple[Row, ...]:
+    """The table "FSAR mechanisms exercised by each workflow" with the cells of runs made alike beside the paper's. Paper: tab:coverage."""
+    found = plain_rows(database.query("tables/mechanism_coverage"))
+    ours = {(row["mechanism"], row["workflow"]): row["cell"] for row in found if row["made_alike"] == main}
     rows = []
     for printed in specs.paper_table("mechanism_coverage"):
         name = printed["mechanism"]

@@ -1,7 +1,7 @@
 """The file that `fsar-ledger sensitivity` writes, for whoever reads it: its rows, which model it is of, the figure and the table of it."""
 
 import math
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -12,7 +12,6 @@ import pyarrow.parquet as pq
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
-from fsar_ledger.metrics import models
 from fsar_ledger.parameters import BadParameters, read_parameters
 from fsar_ledger.report import figures, printing, specs
 
@@ -111,7 +110,7 @@ def read_sensitivity(path: Path, model_version: str, parameters: str) -> Sensiti
     if found.about.model_version != model_version:
         raise UsageError(f"{path}: {_of_another_model(found.about, model_version)}")
     if found.about.parameters != parameters:
-        differing = models.differing(*(read_parameters(text) for text in (found.about.parameters, parameters)))
+        differing = list(_differing("", *(read_parameters(text) for text in (found.about.parameters, parameters))))
         named = ", ".join(map(printable.value, differing[:MAX_NAMED])) + (f" and {len(differing) - MAX_NAMED} more" if len(differing) > MAX_NAMED else "")
         raise UsageError(f"{path}: found effects around other constants ({named}), expected those of these runs; make them again: {MADE_BY}")
     return found
@@ -150,6 +149,16 @@ def open_effects(path: Path) -> Sensitivity:
     if {(one.metric, one.architecture, one.factor) for one in effects} != grid or len(effects) != len(grid) or not set(about.dozen) <= set(about.factors):
         raise UsageError(f"{path}: found no file of effects (a row for each cell and factor is not there), expected one of `{MADE_BY}`")
     return Sensitivity(about, effects)
+
+
+def _differing(above: str, one: Mapping[str, Any], other: Mapping[str, Any]) -> Iterator[str]:
+    """The dotted names of the constants that the two have otherwise, also those that only one of them has."""
+    for name in dict.fromkeys((*one, *other)):
+        ours, theirs = one.get(name), other.get(name)
+        if isinstance(ours, Mapping) and isinstance(theirs, Mapping):
+            yield from _differing(f"{above}{name}.", ours, theirs)
+        elif (name in one, ours) != (name in other, theirs):
+            yield f"{above}{name}"
 
 
 def _of_another_model(about: About, expected: str | None) -> str:

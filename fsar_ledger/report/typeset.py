@@ -39,6 +39,28 @@ def _compiled(root: Path) -> bytes:
     return compiled
 
 
+def require_place(path: Path) -> None:
+    """Raises: WriteFailed where it can be told, before the work is done, that the file cannot be written."""
+    try:
+        _require_file(path)
+        above = next(folder for folder in path.absolute().parents if folder.exists())
+        if not above.is_dir():
+            raise NotADirectoryError(f"{above} is a file; expected a folder")
+        if not os.access(above, os.W_OK):
+            raise PermissionError(f"{above} may not be written to")
+    except OSError as error:
+        raise _unwritten(path, error) from error
+
+
+def _require_file(path: Path) -> None:
+    if path.is_dir():
+        raise IsADirectoryError(f"it is a folder; expected the name of a file, such as {path / 'report.pdf'}")
+
+
+def _unwritten(path: Path, error: OSError) -> WriteFailed:
+    return WriteFailed(f"{path}: cannot be written: {error.strerror or error}. Nothing was changed; free space or choose another --out.")
+
+
 def publish(path: Path, content: bytes) -> None:
     """The file has this content, or is as it was: written beside it, made durable, renamed.
 
@@ -47,16 +69,14 @@ def publish(path: Path, content: bytes) -> None:
     partial = path.with_name(f".{path.name}.{os.getpid()}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        if path.is_dir():
-            raise IsADirectoryError(f"it is a folder; expected the name of a file, such as {path / 'report.pdf'}")
+        _require_file(path)
         with partial.open("wb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
         os.replace(partial, path)
     except OSError as error:
-        reason = error.strerror or str(error)
-        raise WriteFailed(f"{path}: cannot be written: {reason}. Nothing was changed; free space or choose another --out.") from error
+        raise _unwritten(path, error) from error
     finally:
         _discard(partial)
 

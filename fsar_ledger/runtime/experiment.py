@@ -7,7 +7,7 @@ from concurrent.futures import Future
 from itertools import filterfalse
 from math import ceil
 from pathlib import Path
-from typing import TypeAlias, get_args
+from typing import ParamSpec, TypeAlias, get_args
 
 import msgspec
 
@@ -19,8 +19,9 @@ from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.ledger.append import Staged, Writer, stage
 from fsar_ledger.ledger.bounds import MAX_LIST_VALUES, MAX_ROWS
 from fsar_ledger.ledger.note import Signer
-from fsar_ledger.ledger.read import Head, open_ledger
-from fsar_ledger.runtime.plan import held, plan_record
+from fsar_ledger.ledger.read import Head
+from fsar_ledger.printable import some
+from fsar_ledger.runtime.plan import plan_record
 from fsar_ledger.runtime.simulation import MODEL_VERSION, RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.workers import WorkerPool
 
@@ -30,9 +31,9 @@ from .world.workflows import FLEET_SIZE, WORKFLOWS
 ORIGIN = "fsar-ledger/simulated"
 WORKFLOWS_ORIGIN = "fsar-ledger/workflows"  # of the second ledger of `reproduce`: no key signs two trees under one origin
 BATCH_RUNS = 25  # runs in a commit, if it holds so many, whatever the number of workers
-MAX_NAMED = 5  # of constants that are wrong
 IN_FLIGHT = 2  # batches per worker that may be under way, so that memory stays flat
 
+_P = ParamSpec("_P")
 Progress = Callable[[int, int], None]
 Batch: TypeAlias = tuple[RunSpec, ...]
 
@@ -66,7 +67,7 @@ class Experiment(msgspec.Struct, frozen=True):
             asked = ", ".join(self.architectures)
             raise InvalidExperiment(f"mechanisms are taken out of FSAR only: found architectures {asked}, expected fsar; leave out --architecture")
         if wrong := negatives(self.constants):
-            raise InvalidExperiment(f"constants: found {', '.join(wrong[:MAX_NAMED])}, expected 0 or more")
+            raise InvalidExperiment(f"constants: found {some(wrong)}, expected 0 or more")
         self._require_workflows_as_written()
         self._require_possible_load()
         self._put_in_order()
@@ -208,20 +209,6 @@ class Made(msgspec.Struct, frozen=True):
     held: int
 
 
-def simulate(
-    out: Path,
-    experiment: Experiment,
-    workers: int,
-    progress: Progress | None = None,
-    signer: Signer | None = None,
-    origin: str | None = None,
-    *,
-    adopts: bool = False,
-) -> Head:
-    """As `carry_out`; returns the head of the ledger."""
-    return carry_out(out, experiment, workers, progress, signer, origin, adopts=adopts).head
-
-
 def carry_out(
     out: Path,
     experiment: Experiment,
@@ -250,7 +237,7 @@ def carry_out(
     constants, plan = experiment.constants, plan_record(experiment.plan())
     name = origin or (signer.verifier.name if signer is not None else ORIGIN)
     with Writer(out, name, signer, adopts=adopts) as writer:
-        found = held(open_ledger(out))
+        found = writer.held()
         missing = experiment.batches(lambda spec: run_id(run_started(spec, constants)) in found.runs) if found.runs else experiment.batches()
         if missing and plan.run_id not in found.plans:
             writer.append(stage(out, [plan]))
@@ -264,6 +251,17 @@ def carry_out(
             if progress is not None:
                 progress(done, batches)
         return Made(writer.head, experiment.size, made, len(found.runs) + made)
+
+
+def _head_of(function: Callable[_P, Made]) -> Callable[_P, Head]:
+    def headed(*given: _P.args, **options: _P.kwargs) -> Head:
+        return function(*given, **options).head
+
+    return headed
+
+
+simulate = _head_of(carry_out)
+"""As `carry_out`; returns the head of the ledger."""
 
 
 def _stage(out: Path, batch: Batch, constants: Constants) -> Staged:

@@ -1,15 +1,11 @@
-"""A plan in a ledger: the name it goes by, and what of it is there."""
+"""A plan in a ledger, and the name it goes by."""
 
 from hashlib import sha256
 
 import msgspec
-import pyarrow as pa
 
 from fsar_ledger.events.experiment import ExperimentPlanned
-from fsar_ledger.ledger.arrow import whole
-from fsar_ledger.ledger.check import standing_alone
 from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.ledger.read import LedgerView
 
 
 def plan_id(planned: ExperimentPlanned) -> str:
@@ -30,20 +26,3 @@ def misnamed(record: RunRecord) -> tuple[str, str, str] | None:
     expected = plan_record(planned)
     pairs = (("run_id", record.run_id, expected.run_id), ("time_us", record.times_us[0], expected.times_us[0]))
     return next(((field, f"{found!r:.300}", repr(right)) for field, found, right in pairs if found != right), None)
-
-
-class Held(msgspec.Struct, frozen=True):
-    """The names of the runs that a ledger holds, and of its plans."""
-
-    runs: frozenset[str]
-    plans: frozenset[str]
-
-
-def held(ledger: LedgerView) -> Held:
-    """What the ledger holds. Raises: LedgerCorrupted for a segment that cannot be read."""
-    names: set[str] = set()
-    plans: set[str] = set()
-    for table in ledger.tables(["run_id", "type"]):
-        names.update(table.column("run_id").unique().to_pylist())
-        plans.update(table.column("run_id").filter(pa.array(standing_alone(whole(table.column("type"))))).to_pylist())
-    return Held(frozenset(names - plans), frozenset(plans))

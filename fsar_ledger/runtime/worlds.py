@@ -6,16 +6,14 @@ one seed that met different worlds are no pair. So a reader is told.
 """
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from itertools import combinations
 
 import msgspec
 
-from fsar_ledger.constants import Constants, read_constants
 from fsar_ledger.events.fleet import RunStarted
-
-MAX_NAMED = 5
-"""A remark names so many constants or groups of runs, and counts the others."""
+from fsar_ledger.metrics.naming import unlike_ours
+from fsar_ledger.printable import NAMED, some
 
 KINDS = {"other constants": "met a world or a structure that is not this version's", "another load": "had other work than by default"}
 
@@ -53,13 +51,13 @@ def remarks_on(found: Iterable[Played]) -> tuple[str, ...]:
             met.setdefault(world, {}).setdefault(who, set()).add(number)
     total = sum(count.total() for count in runs.values())
     lines = [
-        f"{_kind(differences)}: {counts.total():,} of {total:,} runs ({_some(f'{count:,} of {who}' for who, count in counts.items())}) "
-        f"{KINDS[_kind(differences)]}: {_some(differences)}"
+        f"{_kind(differences)}: {counts.total():,} of {total:,} runs ({some(f'{count:,} of {who}' for who, count in counts.items())}) "
+        f"{KINDS[_kind(differences)]}: {some(differences)}"
         for parameters, counts in runs.items()
-        if (differences := list(_differences(parameters)))
+        if (differences := unlike_ours(parameters))
     ]
-    if len(lines) > MAX_NAMED:
-        lines[MAX_NAMED:] = [f"other constants: {len(lines) - MAX_NAMED:,} sets more"]
+    if len(lines) > NAMED:
+        lines[NAMED:] = [f"other constants: {len(lines) - NAMED:,} sets more"]
     unlike = [world for world, sides in met.items() if any(one.isdisjoint(other) for one, other in combinations(sides.values(), 2))]
     if unlike:
         seed, scenario, fleet_size, run = unlike[0]
@@ -73,26 +71,3 @@ def remarks_on(found: Iterable[Played]) -> tuple[str, ...]:
 
 def _kind(differences: Iterable[str]) -> str:
     return "another load" if all(one.startswith("load.") for one in differences) else "other constants"
-
-
-def _differences(parameters: str) -> Iterator[str]:
-    """The constants that are not this version's."""
-    constants = read_constants(parameters)
-    for part in Constants.__struct_fields__:
-        actual = getattr(constants, part)
-        for name in actual.__struct_fields__ if actual is not None else ():  # a group that may be absent is by default as one of its defaults
-            own = getattr(getattr(Constants(), part) or type(actual)(), name)
-            if getattr(actual, name) != own:
-                yield f"{part}.{name} {_short(getattr(actual, name))} (here {_short(own)})"
-
-
-def _short(value: object) -> str:
-    if isinstance(value, msgspec.Struct):
-        return " to ".join(repr(one) for one in msgspec.structs.astuple(value))
-    return f"{value!a:.60}"
-
-
-def _some(parts: Iterable[str]) -> str:
-    """The first few of them, and how many more there are."""
-    named = list(parts)
-    return ", ".join(named[:MAX_NAMED]) + (f" and {len(named) - MAX_NAMED:,} more" if len(named) > MAX_NAMED else "")

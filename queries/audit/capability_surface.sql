@@ -34,8 +34,8 @@ trusted AS (
         ON
             trusting.run_id = trust.run_id AND trusting.seq = trust.seq AND trust.context IS NULL AND trust.time_us <= $at_us::BIGINT
             AND (trust.capability IS NULL OR surfaces.capability = trust.capability)
-    INNER JOIN robot_joined AS peers ON trusted.run_id = peers.run_id AND trusted.robot = peers.robot AND peers.time_us <= $at_us::BIGINT
-    INNER JOIN robot_joined AS owners ON surfaces.run_id = owners.run_id AND surfaces.robot = owners.robot
+    INNER JOIN fleet_members AS peers ON trusted.run_id = peers.run_id AND trusted.robot = peers.robot AND peers.joined_us <= $at_us::BIGINT
+    INNER JOIN fleet_members AS owners ON surfaces.run_id = owners.run_id AND surfaces.robot = owners.robot
     WHERE
         surfaces.robot <> trusted.robot
         AND (len(surfaces.visible_to) = 0 OR list_contains(surfaces.visible_to, peers.role))

@@ -11,7 +11,7 @@ WITH subjects AS (
         members.run_id,
         members.robot,
         scopes.scope
-    FROM robot_joined AS members
+    FROM fleet_members AS members
     CROSS JOIN (VALUES ('local'), ('fleet')) AS scopes (scope)
     WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot)
 ),

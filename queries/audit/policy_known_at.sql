@@ -22,7 +22,7 @@ WITH copies AS (
         END AS outcome,
         copies.time_us AS as_of_us
     FROM copy_synced AS copies
-    INNER JOIN robot_joined AS members ON copies.run_id = members.run_id
+    INNER JOIN fleet_members AS members ON copies.run_id = members.run_id
     CROSS JOIN (VALUES ('local'), ('fleet')) AS scopes (scope)
 ),
 

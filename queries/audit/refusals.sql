@@ -29,7 +29,7 @@ refused AS (
         time_us,
         type,
         CASE type
-            WHEN 'RequestUnanswered.v1' THEN 'no candidate'
+            WHEN 'RequestUnanswered.v1' THEN CASE WHEN executed_by IS NULL THEN 'no candidate' ELSE 'no answer' END
             WHEN 'AssistanceDeclined.v1' THEN 'helper busy'
             WHEN 'RequestCountered.v1' THEN 'override'
             ELSE reason

@@ -39,9 +39,9 @@ actions AS (
         max(time_us) FILTER (type IN ('ExecutionFinished.v1', 'RequestClosed.v1', 'RequestDenied.v1', 'RequestUnanswered.v1')) AS ended_us,
         coalesce(
             arg_max(result, seq) FILTER (type IN ('ExecutionFinished.v1', 'RequestClosed.v1')),
-            arg_max(CASE type WHEN 'RequestDenied.v1' THEN 'denied: ' || reason ELSE 'nobody to ask' END, seq) FILTER (
-                type IN ('RequestDenied.v1', 'RequestUnanswered.v1')
-            ),
+            arg_max(
+                CASE WHEN type = 'RequestDenied.v1' THEN 'denied: ' || reason WHEN executed_by IS NULL THEN 'nobody to ask' ELSE 'no answer' END, seq
+            ) FILTER (type IN ('RequestDenied.v1', 'RequestUnanswered.v1')),
             CASE WHEN count(*) FILTER (type = 'ExecutionStarted.v1') > 0 THEN 'not finished' ELSE 'not begun' END
         ) AS result,
         count(*) FILTER (

@@ -45,6 +45,6 @@ SELECT
     latest.action_id,
     latest.on_behalf_of,
     latest.since_us
-FROM robot_joined AS members
+FROM fleet_members AS members
 LEFT JOIN latest ON members.run_id = latest.run_id AND members.robot = latest.robot AND latest.doing <> 'done'
-WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot) AND members.time_us <= $at_us::BIGINT
+WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot) AND members.joined_us <= $at_us::BIGINT

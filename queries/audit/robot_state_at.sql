@@ -67,7 +67,7 @@ SELECT
         ELSE 'idle'
     END AS state,
     held.action_id
-FROM robot_joined AS members
+FROM fleet_members AS members
 LEFT JOIN held ON members.run_id = held.run_id AND members.robot = held.robot
 LEFT JOIN outages AS off
     ON members.run_id = off.run_id AND members.robot = off.robot AND off.what = 'off' AND $at_us BETWEEN off.since_us AND coalesce(off.until_us - 1, $at_us)
@@ -76,4 +76,4 @@ LEFT JOIN outages AS degraded
         members.run_id = degraded.run_id AND members.robot = degraded.robot AND degraded.what = 'degraded'
         AND degraded.since_us <= $at_us::BIGINT AND (degraded.until_us IS NULL OR degraded.until_us > $at_us::BIGINT)
 LEFT JOIN advertised ON members.run_id = advertised.run_id AND members.robot = advertised.robot
-WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot) AND members.time_us <= $at_us::BIGINT
+WHERE $run IN ('all', members.run_id) AND $robot IN ('all', members.robot) AND members.joined_us <= $at_us::BIGINT

@@ -26,6 +26,8 @@ WITH decided AS (
             WHEN 'TrustSet.v1' THEN peer || ' ' || scope || coalesce(' in ' || context, '')
             WHEN 'TrustThresholdsSet.v1' THEN 'promote after ' || promote_after || ', downgrade after ' || downgrade_after
             WHEN 'PolicyRuleSet.v1' THEN scope || ' ' || outcome || coalesce(' in ' || context, '')
+            WHEN 'RolePolicyRuleSet.v1'
+                THEN role || coalesce(' of ' || nullif(domain, ''), '') || ' ' || scope || ' ' || outcome || coalesce(' in ' || context, '')
             WHEN 'SupervisionDensitySet.v1' THEN 'review every ' || review_every
             WHEN 'AuthorityGranted.v1' THEN 'up to ' || override
             WHEN 'AuthorityRevoked.v1' THEN reason

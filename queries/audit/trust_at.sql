@@ -1,7 +1,7 @@
 -- Title: The trust in force at a time
 -- Paper: eq:trust
 -- Grain: one row per run, ordered pair of robots and entry about it that had been set by then; asked about a capability or context, only the one that holds
--- Units: since_us, until_us, at_us microseconds of run time, half-open; the default time is after the end of every run
+-- Units: since_us (not before both were members), until_us, at_us microseconds of run time, half-open; the default time is after the end of every run
 -- NULL: role, peer_role, domain of an entry about the very pair; capability, context when the entry is about all of them; until_us when it was not set
 --   again; set_by for what the fleet was founded with; a pair without a row had no trust
 -- Example: fsar-ledger query audit/trust_at LEDGER --param run=RUN --param robot=robot/B1 --param peer=robot/A1 --param at_us=30000000
@@ -9,7 +9,7 @@
 -- Parameters: run = all, robot = all, peer = all, capability = all, context = all, at_us = 9007199254740991
 WITH entries AS (
     SELECT
-        found.* EXCLUDE (robot, peer),
+        found.* EXCLUDE (robot, peer) REPLACE (greatest(found.since_us, trusting.joined_us, trusted.joined_us) AS since_us),
         trusting.robot,
         trusted.robot AS peer,
         $capability = 'all' AND $context = 'all' AS is_listed
@@ -21,7 +21,7 @@ WITH entries AS (
         AND $robot IN ('all', trusting.robot)
         AND $peer IN ('all', trusted.robot)
         AND trusting.robot <> trusted.robot
-        AND found.since_us <= $at_us::BIGINT
+        AND greatest(found.since_us, trusting.joined_us, trusted.joined_us) <= $at_us::BIGINT
         AND (found.until_us IS NULL OR found.until_us > $at_us::BIGINT)
 )
 

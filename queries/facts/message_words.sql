@@ -12,7 +12,7 @@ WITH words (type, part, sender, receiver, words, detail) AS (
     ('RegistryQueried.v1', 2, 'registry', 'requester', 'candidates', 'candidates'),
     ('RequestIssued.v1', 1, 'decider', 'target', 'request', 'capability'),
     ('RequestRelayed.v1', 1, 'decider', 'executor', 'passes the request on', NULL),
-    ('RequestUnanswered.v1', 1, 'decider', 'decider', 'knows nobody to ask', 'capability'),
+    ('RequestUnanswered.v1', 1, 'decider', 'decider', 'asks in vain for', 'capability'),
     ('PeerSought.v1', 1, 'robot', 'robot', 'looks again among the peers it met', NULL),
     ('CandidateMatched.v1', 1, 'decider', 'decider', 'considers a candidate', 'capability'),
     ('BidSubmitted.v1', 1, 'robot', 'requester', 'bid', 'outcome'),

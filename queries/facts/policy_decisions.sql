@@ -4,6 +4,7 @@
 -- Units: time_us microseconds of run time
 -- NULL: never; is_against_*: that policy had not allowed for a second (two messages) or longer; is_heeded: refused, put to review or approved in one
 -- Example: fsar-ledger query facts/policy_decisions LEDGER
+-- Stored: the evidence of governance reads it twice
 WITH approvals AS (
     SELECT
         run_id,

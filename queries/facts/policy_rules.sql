@@ -1,29 +1,65 @@
 -- Title: Policy that is set by rule, robot by robot, until another rule replaces it
 -- Paper: eq:policy, app:foundations
--- Grain: one row per PolicyRuleSet event and robot that it is about; a rule for every robot is one row for each member of the fleet
+-- Grain: one row per PolicyRuleSet or RolePolicyRuleSet event and robot for which it comes into force; a rule for every robot, or for a role, is one row
+--        for each member of the fleet that it is about, also for those that joined later
 -- Units: set_us, until_us microseconds of run time, half-open; seq, until_seq positions in the run
--- NULL: capability, context when the rule is about all of them; until_us, until_seq when nothing replaced it
+-- NULL: role, domain for a rule about no role (an empty domain is the whole fleet); capability, context when the rule is about all of them; until_us,
+--   until_seq when nothing replaced it; decided_by for what the fleet was founded with
 -- Example: fsar-ledger query facts/policy_rules LEDGER
-WITH rules AS (
-    -- A rule replaces the one with the same scope, robot, capability and context.
+WITH stated AS (
     SELECT
-        run_id,
-        seq,
-        time_us AS set_us,
-        scope,
-        robot,
-        capability,
-        context,
-        outcome,
-        decided_by,
-        lead(time_us) OVER same AS until_us,
-        lead(seq) OVER same AS until_seq
+        *,
+        NULL AS role,
+        NULL AS domain,
+        CASE WHEN robot IS NOT NULL THEN 1024 END AS nearness
     FROM policy_rule_set
-    WINDOW same AS (PARTITION BY run_id, scope, robot, capability, context ORDER BY seq)
+    UNION ALL BY NAME
+    SELECT
+        *,
+        NULL AS robot,
+        CASE domain WHEN '' THEN 0 ELSE least(len(string_split(domain, '/')), 1023) END AS nearness
+    FROM role_policy_rule_set
+),
+
+of_members AS (
+    SELECT
+        stated.* EXCLUDE (robot),
+        members.robot
+    FROM stated
+    INNER JOIN fleet_members AS members
+        ON
+            stated.run_id = members.run_id
+            AND CASE
+                WHEN stated.role IS NULL THEN coalesce(stated.robot, members.robot) = members.robot
+                ELSE
+                    stated.role = members.role
+                    AND (stated.domain IN ('', coalesce(members.domain, '')) OR starts_with(members.domain, stated.domain || '/'))
+            END
+),
+
+in_force AS (
+    -- A rule replaces the one of the same scope, capability and context: that of the very robot those of its role, that of a smaller domain those of
+    -- larger ones, and neither is replaced by them. What is ruled for every robot holds beside the others.
+    SELECT *
+    FROM of_members
+    QUALIFY
+        nearness IS NULL
+        OR nearness >= max(nearness) OVER (PARTITION BY run_id, robot, nearness IS NULL, scope, capability, context ORDER BY seq)
 )
 
 SELECT
-    rules.* EXCLUDE (robot),
-    members.robot
-FROM rules
-INNER JOIN robot_joined AS members ON rules.run_id = members.run_id AND (rules.robot = members.robot OR rules.robot IS NULL)
+    run_id,
+    seq,
+    time_us AS set_us,
+    scope,
+    role,
+    domain,
+    capability,
+    context,
+    outcome,
+    decided_by,
+    lead(time_us) OVER same AS until_us,
+    lead(seq) OVER same AS until_seq,
+    robot
+FROM in_force
+WINDOW same AS (PARTITION BY run_id, robot, nearness IS NULL, scope, capability, context ORDER BY seq)

@@ -21,6 +21,7 @@ records AS (
         type,
         coalesce(failed_action, action_id) AS action_id,
         helper,
+        number,
         deadline_us,
         reason,
         to_level,
@@ -38,21 +39,40 @@ records AS (
         )
         OR (type IN ('SupervisorCalled.v1', 'SupervisorResponded.v1') AND purpose = 'recovery')
     WINDOW so_far AS (PARTITION BY run_id, coalesce(failed_action, action_id) ORDER BY seq ROWS BETWEEN UNBOUNDED PRECEDING AND CURRENT ROW)
+),
+
+helped AS (
+    SELECT DISTINCT
+        run_id,
+        action_id,
+        failure,
+        helper
+    FROM assistance_ended
 )
 
 SELECT
-    records.*,
+    records.* EXCLUDE (number),
     ranks.rank,
     targets.rank AS to_rank,
     allowed.t_max_us,
     allowed.n_max,
     records.type IN ('RecoveryAttempted.v1', 'AssistanceRequested.v1', 'SupervisorCalled.v1')
     OR (records.type = 'ReassignmentDecided.v1' AND records.helper IS NOT NULL) AS is_use,
-    -- What a failure can be resolved by at the level.
-    records.type IN ('RecoveryAttempted.v1', 'AssistanceAdmitted.v1', 'SupervisorResponded.v1')
+    -- What a failure can be resolved by at the level: an attempt that did not fail, help that was given to its end, a takeover, a human.
+    records.type = 'SupervisorResponded.v1'
+    OR (records.type = 'RecoveryAttempted.v1' AND fruitless.run_id IS NULL)
+    OR (records.type = 'AssistanceAdmitted.v1' AND helped.run_id IS NOT NULL)
     OR (records.type = 'ReassignmentDecided.v1' AND records.helper IS NOT NULL) AS is_remedy
 FROM records
 LEFT JOIN ranks ON records.level = ranks.level
 LEFT JOIN ranks AS targets ON records.to_level = targets.level
+LEFT JOIN recovery_attempt_failed AS fruitless
+    ON
+        records.run_id = fruitless.run_id AND records.action_id = fruitless.action_id
+        AND records.failure = fruitless.failure AND records.number = fruitless.number
+LEFT JOIN helped
+    ON
+        records.run_id = helped.run_id AND records.action_id = helped.action_id
+        AND records.failure = helped.failure AND records.helper = helped.helper
 ASOF LEFT JOIN recovery_allowances AS allowed
     ON records.run_id = allowed.run_id AND records.robot = allowed.robot AND records.level = allowed.level AND records.seq >= allowed.since_seq

@@ -29,7 +29,7 @@ robots AS (
     SELECT
         run_id,
         robot
-    FROM robot_joined
+    FROM fleet_members
     UNION
     SELECT
         run_id,

@@ -1,24 +1,34 @@
 -- Title: The robots that each entry of trust is about, on either side
 -- Paper: eq:trust
 -- Grain: one row per TrustSet or RoleTrustSet event, side and robot; an entry about roles has one for each member, also for those that joined later
--- Units: none
+-- Units: joined_us microseconds of run time, from which on the robot is a member; 0 where nobody recorded that it joined
 -- NULL: never; is_trusting: the robot is one that trusts, else one that is trusted
 -- Example: fsar-ledger query facts/trust_parties LEDGER
 -- An entry is about a pair when one robot is on its trusting side and the other on its trusted side: so no row is needed for each pair.
 SELECT
-    run_id,
-    seq,
-    unnest([TRUE, FALSE]) AS is_trusting,
-    unnest([robot, peer]) AS robot
-FROM trust_set
+    pairs.run_id,
+    pairs.seq,
+    pairs.is_trusting,
+    pairs.robot,
+    coalesce(members.joined_us, 0) AS joined_us
+FROM (
+    SELECT
+        run_id,
+        seq,
+        unnest([TRUE, FALSE]) AS is_trusting,
+        unnest([robot, peer]) AS robot
+    FROM trust_set
+) AS pairs
+LEFT JOIN fleet_members AS members ON pairs.run_id = members.run_id AND pairs.robot = members.robot
 UNION ALL
 SELECT
     entries.run_id,
     entries.seq,
     sides.is_trusting,
-    members.robot
+    members.robot,
+    members.joined_us
 FROM role_trust_set AS entries
 CROSS JOIN (VALUES (TRUE), (FALSE)) AS sides (is_trusting)
-INNER JOIN robot_joined AS members
+INNER JOIN fleet_members AS members
     ON entries.run_id = members.run_id AND CASE WHEN sides.is_trusting THEN entries.role ELSE entries.peer_role END = members.role
 WHERE entries.domain IN ('', coalesce(members.domain, '')) OR starts_with(members.domain, entries.domain || '/')

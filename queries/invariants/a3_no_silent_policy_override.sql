@@ -6,18 +6,16 @@
 -- NULL: action_id for a motion
 -- Example: fsar-ledger query invariants/a3_no_silent_policy_override LEDGER
 WITH holds AS (
-    -- A hold ends when a supervisor approves, a window of the robot closes, a rule is set, or the fleet tells it another rule.
     SELECT
         starts.run_id,
         starts.seq,
-        max(said.seq) FILTER (said.type = 'ExecutionHeld.v1' AND starts.action_id = said.action_id) AS held_seq,
-        max(said.seq) FILTER (said.type <> 'ExecutionHeld.v1') AS changed_seq
+        max(held.seq) AS held_seq,
+        max(ends.seq) AS changed_seq
     FROM execution_started AS starts
-    INNER JOIN events AS said ON starts.run_id = said.run_id AND starts.seq > said.seq
-    WHERE
-        (said.type IN ('ExecutionHeld.v1', 'PolicyWindowClosed.v1', 'FleetRuleLearned.v1') AND starts.robot = said.robot)
-        OR (said.type = 'PolicyRuleSet.v1' AND coalesce(said.robot, starts.robot) = starts.robot)
-        OR (said.type = 'SupervisorResponded.v1' AND said.purpose = 'review' AND coalesce(said.approves, TRUE) AND starts.action_id = said.action_id)
+    INNER JOIN execution_held AS held
+        ON starts.run_id = held.run_id AND starts.action_id = held.action_id AND starts.robot = held.robot AND starts.seq > held.seq
+    LEFT JOIN hold_ends AS ends
+        ON starts.run_id = ends.run_id AND (starts.robot = ends.robot OR starts.action_id = ends.action_id) AND starts.seq > ends.seq
     GROUP BY starts.run_id, starts.seq
 ),
 

@@ -40,7 +40,7 @@ judged AS (
         ) AS lacks
     FROM cross_robot_records AS records
     LEFT JOIN phases ON records.run_id = phases.run_id AND records.seq = phases.seq
-    LEFT JOIN robot_joined AS members ON records.run_id = members.run_id AND records.robot = members.robot
+    LEFT JOIN fleet_members AS members ON records.run_id = members.run_id AND records.robot = members.robot
     LEFT JOIN supervisor_absences AS absences
         ON
             records.run_id = absences.run_id AND members.supervisor = absences.supervisor
@@ -65,7 +65,7 @@ SELECT
     admitted.action_id,
     admitted.helper || ' helps ' || admitted.robot || ': a principal is missing' AS found
 FROM assistance_admitted AS admitted
-LEFT JOIN robot_joined AS members ON admitted.run_id = members.run_id AND admitted.helper = members.robot
+LEFT JOIN fleet_members AS members ON admitted.run_id = members.run_id AND admitted.helper = members.robot
 LEFT JOIN supervisor_absences AS absences
     ON
         admitted.run_id = absences.run_id AND members.supervisor = absences.supervisor

@@ -27,7 +27,7 @@ judged AS (
         lacking.*,
         NOT lacking.has_supervisor AND absences.supervisor IS NULL AS lacks_supervisor
     FROM lacking
-    LEFT JOIN robot_joined AS members ON lacking.run_id = members.run_id AND lacking.robot = members.robot
+    LEFT JOIN fleet_members AS members ON lacking.run_id = members.run_id AND lacking.robot = members.robot
     LEFT JOIN supervisor_absences AS absences
         ON
             lacking.run_id = absences.run_id AND members.supervisor = absences.supervisor

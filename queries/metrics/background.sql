@@ -3,7 +3,7 @@
 -- Grain: one row per architecture, configuration, seed and setting (kind, source, model version, constants, fleet size)
 -- Units: counts, and shares of them: of decisions, of local decisions, of coordination events and of policy violations those of routine operations;
 --        of coordination events that are not attributable those whose supervisor alone is missing, during a recorded absence (R8)
--- NULL: seed of runs that have none; constants where all runs of the kind and model have the same; a share of nothing;
+-- NULL: seed, source, model version of runs that have none; constants where all runs of the kind and model have the same; a share of nothing;
 --       runs that do not observe decisions, records and policy are left out
 -- Example: fsar-ledger query metrics/background LEDGER
 WITH absent AS (
@@ -48,6 +48,9 @@ SELECT
     runs.architecture,
     runs.configuration,
     runs.fleet_size,
+    runs.kind,
+    runs.source,
+    runs.model_version,
     runs.seed,
     settings.constants,
     count(counted.decided) AS decisions,
@@ -66,7 +69,8 @@ LEFT JOIN counted ON runs.run_id = counted.run_id
 LEFT JOIN unobservable AS hidden
     ON runs.run_id = hidden.run_id AND hidden.judge IN ('governance_locality', 'audit_attributability', 'policy_violations')
 WHERE hidden.run_id IS NULL
-GROUP BY runs.architecture, runs.configuration, runs.fleet_size, runs.seed, settings.setting, settings.constants
+GROUP BY
+    runs.architecture, runs.configuration, runs.kind, runs.source, runs.model_version, runs.fleet_size, runs.seed, settings.setting, settings.constants
 ORDER BY
     runs.configuration <> 'full', runs.configuration, runs.fleet_size, settings.constants, settings.setting, runs.seed,
     list_position(['fsar', 'cfc', 'dhma'], runs.architecture)

@@ -4,6 +4,7 @@
 -- Units: constants, those in which the readable sets of one model differ, as NAME=VALUE: the first five, and how many more
 -- NULL: constants where all runs of the model have the same
 -- Example: fsar-ledger query staging/parameter_sets LEDGER
+-- What a simulated run does not record has its default, as far as this version knows it; a set that only so would look like another is told by its digest.
 WITH varying AS (
     SELECT
         model,
@@ -21,17 +22,40 @@ sets AS (
     FROM parameter_texts
 ),
 
-differing AS (
+shown AS (
     SELECT
         sets.model,
         sets.parameter_set,
-        list(varying.name || '=' || coalesce(constants.value[:60], 'absent') ORDER BY varying.name) AS named,
-        coalesce(bool_or(length(constants.value) > 60), FALSE) AS is_cut
+        varying.name,
+        coalesce(constants.value, if(sets.model ->> '$[0]' = 'simulated', default_of(varying.name), NULL), 'absent') AS told
     FROM sets
     INNER JOIN varying ON sets.model = varying.model
     LEFT JOIN constants ON sets.model = constants.model AND sets.parameter_set = constants.parameter_set AND varying.name = constants.name
     WHERE sets.is_readable
-    GROUP BY sets.model, sets.parameter_set
+    WINDOW each_name AS (PARTITION BY sets.model, varying.name)
+    QUALIFY min(told) OVER each_name <> max(told) OVER each_name
+),
+
+named AS (
+    SELECT
+        model,
+        parameter_set,
+        list(name || '=' || told[:60] ORDER BY name) AS parts,
+        bool_or(length(told) > 60) AS is_cut
+    FROM shown
+    GROUP BY model, parameter_set
+),
+
+differing AS (
+    SELECT
+        sets.*,
+        count(*) OVER (PARTITION BY sets.model) > 1 AS is_one_of_many,
+        coalesce(nullif(array_to_string(named.parts[:5], ', '), ''), 'nothing else by default')
+        || if(len(named.parts) > 5, ' and ' || (len(named.parts) - 5) || ' more', '') AS named,
+        coalesce(len(named.parts) > 5 OR named.is_cut, FALSE) OR count(*) OVER (PARTITION BY sets.model, named.parts) > 1 AS is_short
+    FROM sets
+    LEFT JOIN named ON sets.model = named.model AND sets.parameter_set = named.parameter_set
+    WHERE sets.is_readable
 )
 
 SELECT
@@ -39,10 +63,7 @@ SELECT
     sets.parameter_set,
     CASE
         WHEN NOT sets.is_readable THEN 'unreadable, SHA-256 ' || sets.parameter_set[12:23]
-        ELSE
-            array_to_string(differing.named[:5], ', ')
-            || CASE WHEN len(differing.named) > 5 THEN ' and ' || (len(differing.named) - 5) || ' more' ELSE '' END
-            || CASE WHEN len(differing.named) > 5 OR differing.is_cut THEN ' (set ' || sets.parameter_set[:8] || ')' ELSE '' END
+        WHEN differing.is_one_of_many THEN differing.named || if(differing.is_short, ' (set ' || sets.parameter_set[:8] || ')', '')
     END AS constants
 FROM sets
 LEFT JOIN differing ON sets.model = differing.model AND sets.parameter_set = differing.parameter_set

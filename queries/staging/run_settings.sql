@@ -1,8 +1,9 @@
 -- Title: Under what each run was made: kind, source, model, constants and fleet size
 -- Paper: sec:evaluation:setup
 -- Grain: one row per run
--- Units: setting, the same text for runs of the same kind, source, model version, constants by value and fleet size; constants as in parameter_sets
--- NULL: constants where the runs of the same kind, source and model version have the same, or none
+-- Units: setting, the same text for runs of the same kind, source, model version, constants by value and fleet size; parameter_set, constants as in
+--        parameter_sets
+-- NULL: parameter_set of runs that record no parameters; constants where the runs of the same kind, source and model version have the same, or none
 -- Example: fsar-ledger query staging/run_settings LEDGER
 -- Stored: every metric and comparison reads it
 WITH started AS (
@@ -17,6 +18,7 @@ WITH started AS (
 SELECT
     started.run_id,
     sha256(to_json([started.model, sets.parameter_set, started.fleet_size::VARCHAR])::VARCHAR) AS setting,
+    texts.parameter_set,
     sets.constants
 FROM started
 LEFT JOIN parameter_texts AS texts ON started.model = texts.model AND started.parameters = texts.parameters

@@ -1,9 +1,10 @@
 -- Title: What shows governed delegation: trust where it was needed, policies that were composed, a registry that hides
 -- Paper: tab:baseline_context, eq:trust, eq:policy, sec:architecture:registry
--- Grain: one row per architecture, configuration and part
+-- Grain: one row per made_alike (as in run_groups) and part
 -- Units: numerator, denominator counts
 -- NULL: never; no row for a part that nothing in the ledger could show, and none of runs that do not observe what it rests on
 -- Example: fsar-ledger query tables/evidence_of_governance LEDGER
+-- Stored: in one plan with the other two, DuckDB plans longer than it computes
 WITH outsiders AS (
     SELECT
         attempts.run_id,
@@ -61,12 +62,11 @@ counted AS (
 )
 
 SELECT
-    runs.architecture,
-    runs.configuration,
+    runs.made_alike,
     counted.fact.part,
     count(*) FILTER (coalesce(counted.fact.holds, FALSE)) AS numerator,
     count(*) AS denominator
-FROM runs
+FROM run_groups AS runs
 INNER JOIN counted ON runs.run_id = counted.fact.run_id
 LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND counted.fact.part = hidden.judge
 WHERE hidden.run_id IS NULL

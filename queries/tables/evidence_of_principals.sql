@@ -1,9 +1,10 @@
 -- Title: What shows who a principal is and who decides: robots as one principal, central decisions, agents inside robots, attribution
 -- Paper: tab:baseline_context, sec:model:invariants (I1, I5)
--- Grain: one row per architecture, configuration and part
+-- Grain: one row per made_alike (as in run_groups) and part
 -- Units: numerator, denominator counts
 -- NULL: never; no row for a part that nothing in the ledger could show, and none of runs that do not observe what it rests on
 -- Example: fsar-ledger query tables/evidence_of_principals LEDGER
+-- Stored: in one plan with the other two, DuckDB plans longer than it computes
 WITH named AS (
     SELECT DISTINCT
         run_id,
@@ -14,12 +15,12 @@ WITH named AS (
 robots AS (
     -- agent/A1/planning is a part of robot/A1.
     SELECT
-        robot_joined.run_id,
-        robot_joined.robot,
+        fleet_members.run_id,
+        fleet_members.robot,
         count(DISTINCT named.principal) AS parts
-    FROM robot_joined
-    LEFT JOIN named ON robot_joined.run_id = named.run_id AND starts_with(named.principal, 'agent/' || robot_joined.robot[7:] || '/')
-    GROUP BY robot_joined.run_id, robot_joined.robot
+    FROM fleet_members
+    LEFT JOIN named ON fleet_members.run_id = named.run_id AND starts_with(named.principal, 'agent/' || fleet_members.robot[7:] || '/')
+    GROUP BY fleet_members.run_id, fleet_members.robot
 ),
 
 assignments AS (
@@ -56,12 +57,11 @@ counted AS (
 )
 
 SELECT
-    runs.architecture,
-    runs.configuration,
+    runs.made_alike,
     counted.fact.part,
     sum(counted.fact.numerator)::BIGINT AS numerator,
     sum(counted.fact.denominator)::BIGINT AS denominator
-FROM runs
+FROM run_groups AS runs
 INNER JOIN counted ON runs.run_id = counted.fact.run_id
 LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND counted.fact.part = hidden.judge
 WHERE hidden.run_id IS NULL

@@ -1,9 +1,10 @@
 -- Title: What shows layered recovery: who begins it, which levels it comes to, and whether one is skipped
 -- Paper: tab:baseline_context, eq:recovery
--- Grain: one row per architecture, configuration and part
+-- Grain: one row per made_alike (as in run_groups) and part
 -- Units: numerator, denominator counts; of the levels, those that any failure came to and all four
 -- NULL: never; no row for runs without failures, and none of runs that do not observe what a part rests on
 -- Example: fsar-ledger query tables/evidence_of_recovery LEDGER
+-- Stored: in one plan with the other two, DuckDB plans longer than it computes
 WITH first_steps AS (
     SELECT
         run_id,
@@ -27,15 +28,14 @@ moves AS (
 judged AS (
     SELECT
         runs.run_id,
-        runs.architecture,
-        runs.configuration,
+        runs.made_alike,
         -- By the robot that failed, or an agent in it: agent/A1/execution is a part of robot/A1.
         coalesce(
             first_steps.decided_by = failures.robot OR starts_with(first_steps.decided_by, 'agent/' || failures.robot[7:] || '/'), FALSE
         ) AS is_own,
         coalesce(moves.is_outward, FALSE) AS is_outward
     FROM failures
-    INNER JOIN runs ON failures.run_id = runs.run_id
+    INNER JOIN run_groups AS runs ON failures.run_id = runs.run_id
     LEFT JOIN first_steps
         ON failures.run_id = first_steps.run_id AND failures.action_id = first_steps.action_id AND failures.failure = first_steps.failure
     LEFT JOIN moves ON failures.run_id = moves.run_id AND failures.action_id = moves.action_id AND failures.failure = moves.failure
@@ -44,8 +44,7 @@ judged AS (
 parts AS (
     SELECT
         run_id,
-        architecture,
-        configuration,
+        made_alike,
         unnest([
             { 'part': 'failures that the robot itself begins to recover', 'holds': is_own }, { 'part': 'failures that skip no level', 'holds': is_outward }
         ]) AS fact
@@ -53,8 +52,7 @@ parts AS (
 )
 
 SELECT
-    parts.architecture,
-    parts.configuration,
+    parts.made_alike,
     parts.fact.part,
     count(*) FILTER (parts.fact.holds) AS numerator,
     count(*) AS denominator
@@ -64,13 +62,12 @@ WHERE hidden.run_id IS NULL
 GROUP BY ALL
 UNION ALL
 SELECT
-    runs.architecture,
-    runs.configuration,
+    runs.made_alike,
     'levels of recovery in use' AS part,
     count(DISTINCT recovery_moves.level) AS numerator,
     4 AS denominator
 FROM recovery_moves
-INNER JOIN runs ON recovery_moves.run_id = runs.run_id
+INNER JOIN run_groups AS runs ON recovery_moves.run_id = runs.run_id
 LEFT JOIN unobservable AS hidden ON runs.run_id = hidden.run_id AND hidden.judge = 'levels of recovery in use'
 WHERE hidden.run_id IS NULL
-GROUP BY runs.architecture, runs.configuration
+GROUP BY runs.made_alike

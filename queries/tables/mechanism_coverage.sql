@@ -1,6 +1,6 @@
 -- Title: FSAR mechanisms exercised by each workflow, in the words of the paper's table
 -- Paper: tab:coverage
--- Grain: one row per workflow and mechanism; runs of one workflow that differ show each of their cells
+-- Grain: one row per workflow, made_alike (as in run_groups) and mechanism; runs of one workflow that differ show each of their cells
 -- Units: runs count
 -- NULL: cell when no event of the workflow exercises the mechanism; 'not observable' where its runs do not record what would show it
 -- Example: fsar-ledger query tables/mechanism_coverage LEDGER
@@ -10,9 +10,7 @@ WITH seen AS (
         runs.run_id,
         runs.scenario,
         count(*) FILTER (events.type = 'RequestIssued.v1') AS requests,
-        count(*) FILTER (
-            events.type = 'AssistanceRequested.v1' OR (events.type = 'RecoveryEscalated.v1' AND events.to_level = 'peer')
-        ) AS peer_questions,
+        count(*) FILTER (events.type = 'AssistanceRequested.v1' OR (events.type = 'RecoveryEscalated.v1' AND events.to_level = 'peer')) AS peer_questions,
         count(*) FILTER (events.type = 'RequestAdmitted.v1') AS admitted,
         string_agg(DISTINCT events.trust, ', ' ORDER BY events.trust DESC) FILTER (events.type = 'RequestAdmitted.v1') AS trust,
         bool_and(coalesce(events.may_request AND events.may_execute AND events.override = 'none' AND events.is_audited, FALSE)) FILTER (
@@ -71,9 +69,11 @@ cells AS (
 
 SELECT
     cells.scenario AS workflow,
+    alike.made_alike,
     cells.fact.mechanism,
     array_to_string(list_sort(array_agg(DISTINCT if(hidden.run_id IS NULL, cells.fact.cell, 'not observable'))), ' / ') AS cell,
     count(DISTINCT cells.run_id) AS runs
 FROM cells
+INNER JOIN run_groups AS alike ON cells.run_id = alike.run_id
 LEFT JOIN unobservable AS hidden ON cells.run_id = hidden.run_id AND cells.fact.mechanism = hidden.judge
-GROUP BY cells.scenario, cells.fact.mechanism
+GROUP BY cells.scenario, cells.fact.mechanism, alike.made_alike

@@ -46,10 +46,11 @@ def call(capsys: pytest.CaptureFixture[str]) -> Call:
 
 @pytest.fixture(scope="session")
 def ledger(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A small ledger that tests may read but not change: two scenarios, two runs, three architectures."""
+    """A small ledger that tests may read but not change: two scenarios, two runs, three architectures; its rows are known to be those under its root."""
     path = tmp_path_factory.mktemp("cli") / "out" / "ledger"
-    called = in_a_process("simulate", path, *SMALL)
-    assert called.code == 0, called.err
+    for command in (("simulate", path, *SMALL), ("verify", path)):
+        called = in_a_process(*command)
+        assert called.code == 0, called.err
     return path
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-import typer
 
+from fsar_ledger import cli
 from fsar_ledger.ledger.append import Writer
 from fsar_ledger.runtime.experiment import ORIGIN
 from tests.cli.conftest import SMALL, Call, one_message
@@ -122,7 +122,7 @@ def test_after_ctrl_c_each_command_says_what_is_left(call: Call, monkeypatch: py
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(typer.main, "get_command", lambda app: SimpleNamespace(main=interrupted))
+    monkeypatch.setattr(cli, "_commands", lambda: SimpleNamespace(main=interrupted))
     left = {"simulate": "the same command continues there", "reproduce": "the same command continues there", "recover": "run it again"}
     one_message(call(command, "x"), 130, "interrupted; ", left.get(command, "nothing was changed"))
 
@@ -275,3 +275,10 @@ def test_an_output_that_cannot_be_written_is_named(call: Call, ledger: Path, tmp
     (tmp_path / arguments[1]).mkdir()
     one_message(call(arguments[0], ledger, "--out", tmp_path / arguments[1]), 1, arguments[1])
     assert {path.name for path in tmp_path.iterdir()} == {"file", arguments[1]}
+
+
+def test_a_report_that_cannot_be_written_is_not_begun(call: Call, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    for out, found in ((tmp_path, "it is a folder"), (tmp_path / "file" / "x" / "x.pdf", "is a file")):
+        one_message(call("report", tmp_path / "nowhere", "--out", out), 1, str(out), found)
+    assert (tmp_path / "file").read_text() == "in the way"

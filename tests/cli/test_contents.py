@@ -135,21 +135,45 @@ def test_two_shapes_in_one_ledger_are_two_plans_and_both_are_complete(call: Call
     assert "enlarged: " not in text
 
 
+def test_what_two_interrupted_experiments_have_in_common_is_missing_once(call: Call, tmp_path: Path) -> None:
+    planned_only(tmp_path / "ledger", small("fsar", "cfc", runs=3))
+    planned_only(tmp_path / "ledger", small("fsar", scenarios=("door-relay", "fleet-contention")))
+    found = info(call, tmp_path / "ledger")
+    assert ([plan["missing_count"] for plan in found["plans"]], found["missing_count"]) == ([6, 4], 8)
+    assert "0 runs, not complete: 8 runs of what was planned are missing\n" in said(call, tmp_path / "ledger")
+
+
 def test_two_parameter_sets_are_told_apart_and_the_constants_named(call: Call, tmp_path: Path) -> None:
     simulate(tmp_path / "ledger", small(runs=3), 1)
     planned_only(tmp_path / "ledger", small(constants=OTHER))
     simulate(tmp_path / "ledger", small(runs=1, constants=OTHER), 1)
     found = info(call, tmp_path / "ledger")
-    assert [(group["model"], group["runs"], group["runs_to_rectangle"]) for group in sorted(found["groups"], key=lambda group: group["model"])] == [
-        (1, 3, 0),
-        (2, 1, 0),
-    ]
-    assert [model["differs_in"] for model in found["models"]] == [[], ["world.window_mean_s"]]
+    assert sorted((group["constants"], group["runs"], group["runs_to_rectangle"]) for group in found["groups"]) == [("A", 3, 0), ("B", 1, 0)]
+    assert [model["differing"] for model in found["models"]] == ["world.window_mean_s=11.3", "world.window_mean_s=12"]
     assert [(plan["planned_count"], plan["missing_count"], plan["continues_with"]) for plan in found["plans"]] == [(3, 0, None), (2, 1, None), (1, 0, None)]
     assert found["is_complete"] is False
     text = said(call, tmp_path / "ledger")
     assert "1 of 2 runs of door-relay x 2 runs x fsar, seed 42, 4 robots; go on with the version and the constants that began it" in text
-    assert "model 2: simulated, model 2, 1 run, other constants than model 1: world.window_mean_s" in text
+    assert "constants A: simulated, model version 2, 3 runs: world.window_mean_s=11.3\n" in text
+    assert "constants B: simulated, model version 2, 1 run: world.window_mean_s=12\n" in text
+
+
+def test_a_constant_of_a_group_that_is_absent_is_named_with_its_default(call: Call, tmp_path: Path) -> None:
+    simulate(tmp_path / "ledger", small(), 1)
+    simulate(tmp_path / "ledger", small(runs=1, fleet_size=8, constants=Constants(load=Load(teams_working=1, task_sets=2))), 1)
+    text = said(call, tmp_path / "ledger")
+    assert "constants A: simulated, model version 2, 2 runs: load.task_sets=1, load.teams_working=default\n" in text
+    assert "constants B: simulated, model version 2, 1 run: load.task_sets=2, load.teams_working=1\n" in text
+
+
+def test_runs_of_two_models_are_told_by_their_versions(call: Call, tmp_path: Path) -> None:
+    simulate(tmp_path / "ledger", small(), 1)
+    foreign = RunStarted(kind="foreign", observes=(), source="example.org")
+    appended(tmp_path / "ledger", RunRecord("night", (0,), (None,), (foreign,)), live("shift"))
+    text = said(call, tmp_path / "ledger")
+    assert "constants A: simulated, model version 2, 2 runs\n" in text
+    assert "constants B: live, model version 2, 1 run\n" in text
+    assert "no constants on record: foreign, example.org, no model, 1 run\n" in text
 
 
 def test_runs_that_were_not_simulated_are_in_no_plan_and_nothing_is_said_of_what_is_missing(call: Call, tmp_path: Path) -> None:
@@ -169,7 +193,7 @@ def test_runs_of_another_system_have_no_model_and_no_rectangle(call: Call, tmp_p
     assert [(group["scenarios"], group["seed"], group["runs_to_rectangle"], group["events"]) for group in found["groups"]] == [(0, None, None, 1)]
     text = said(call, tmp_path / "ledger")
     assert "1 run; no plan is on record" in text
-    assert "foreign, no model\n" in text
+    assert "foreign, example.org, no model\n" in text
     assert "rectangle:" not in text
 
 

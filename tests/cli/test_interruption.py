@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.cli.conftest import SMALL, in_a_process
+from tests.cli.conftest import SMALL, Call, in_a_process
 
 COMMAND = [sys.executable, "-m", "fsar_ledger"]
 SEVERAL_COMMITS = ("--scenario", "door-relay", "--runs", "60", "--seed", "11")
@@ -29,7 +29,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
 
 
 @pytest.mark.parametrize("workers", [pytest.param("1", marks=pytest.mark.slow), "2"])
-def test_an_interrupted_simulation_can_be_continued(tmp_path: Path, workers: str, whole: dict[str, int]) -> None:
+def test_an_interrupted_simulation_can_be_continued(call: Call, tmp_path: Path, workers: str, whole: dict[str, int]) -> None:
     out = tmp_path / "stopped"
     arguments = [*COMMAND, "simulate", str(out), *SEVERAL_COMMITS, "--workers", workers]
     process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
@@ -40,8 +40,8 @@ def test_an_interrupted_simulation_can_be_continued(tmp_path: Path, workers: str
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
     assert err.splitlines() == ["fsar-ledger: interrupted; what is committed stays, and the same command continues there"]
-    assert in_a_process("verify", out).code == 0
-    info = json.loads(in_a_process("info", out, "--json").out)
+    assert call("verify", out).code == 0
+    info = json.loads(call("info", out, "--json").out)
     assert info["head"]["size"] < whole["size"]
     [plan] = info["plans"]
     assert (info["is_complete"], plan["planned_count"], plan["there_count"] + plan["missing_count"]) == (False, 180, 180)
@@ -77,17 +77,16 @@ def limited_disk(*arguments: object, file_bytes_max: int) -> subprocess.Complete
 
 
 @pytest.mark.parametrize("workers", ["1", "2"])
-def test_a_full_disk_ends_a_simulation_without_half_a_commit(tmp_path: Path, workers: str) -> None:
+def test_a_full_disk_ends_a_simulation_without_half_a_commit(call: Call, ledger: Path, tmp_path: Path, workers: str) -> None:
     small = (*SMALL[:-1], workers)
-    whole = json.loads(in_a_process("simulate", tmp_path / "whole", *small, "--json").out)["head"]
     called = limited_disk("simulate", tmp_path / "full", *small, file_bytes_max=4096)
     assert called.returncode == 1, called.stderr
     assert "Traceback" not in called.stderr
     assert called.stderr.startswith("fsar-ledger: ")
     assert len(called.stderr.splitlines()) == 1
     assert list((tmp_path / "full").glob("segments/*")) == []
-    continued = in_a_process("simulate", tmp_path / "full", *small, "--json")
-    assert json.loads(continued.out)["head"] == whole
+    continued = call("simulate", tmp_path / "full", *small, "--json")
+    assert json.loads(continued.out)["head"] == json.loads(call("info", ledger, "--json").out)["head"]
 
 
 @pytest.mark.parametrize("name", ["events.csv", "events.parquet"])

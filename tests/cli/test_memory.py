@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger import memory
-from fsar_ledger.commands.memory import BASE_BYTES, PER_BYTE, PER_WORKER_BYTES, bounded, default_bytes
+from fsar_ledger.commands.memory import BASE_BYTES, PER_BYTE, PER_WORKER_BYTES, WORTH_BYTES, bounded, default_bytes, readers_of
+from fsar_ledger.commands.options import workers_of
 from fsar_ledger.errors import LimitReached, UsageError
 from fsar_ledger.ledger.problem import unexpected
 from fsar_ledger.metrics.database import from_rows
@@ -85,6 +86,14 @@ def test_the_default_grows_with_what_the_segments_take(ledger: Path, tmp_path: P
     assert default_bytes(tmp_path, workers=2) == BASE_BYTES
     monkeypatch.setattr(memory, "installed", lambda: 1 << 29)
     assert default_bytes(ledger, workers=2) == int(0.8 * (1 << 29))
+
+
+def test_processes_are_started_where_there_is_enough_to_do_or_they_are_asked_for(ledger: Path, tmp_path: Path) -> None:
+    assert [readers_of(asked, ledger) for asked in (None, 1, 8)] == [1, 1, 8]
+    (tmp_path / "segments").mkdir()
+    (tmp_path / "segments" / "large").write_bytes(bytes(2 * WORTH_BYTES))
+    assert readers_of(None, tmp_path) == min(2, workers_of(None))
+    assert [workers_of(None, worth) for worth in (0, 1, 10_000)] == [1, 1, workers_of(None)]
 
 
 def test_too_little_memory_is_no_damage() -> None:

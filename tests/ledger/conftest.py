@@ -6,8 +6,16 @@ from pathlib import Path
 
 import pytest
 
+from tests.ledger.crash_writer import Nursery
 from tests.ledger.damage import write_ledger
 from tests.ledger.forgery import examined_once
+
+
+@pytest.fixture(scope="session")
+def nursery() -> Iterator[Nursery]:
+    """Where processes are born that are killed."""
+    with Nursery() as nursery:
+        yield nursery
 
 
 @pytest.fixture(scope="module")

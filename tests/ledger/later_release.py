@@ -1,4 +1,4 @@
-"""A made-up later release: a copy of the package in which event types were changed the way the README says, run in processes of its own.
+"""A made-up later release: a copy of the package in which event types were changed the way the README says, run in a process of its own.
 
 `StepBegan` went through two versions: v2 said `is_own`, v3 says `is_delegated` instead; `RobotJoined` has a new optional field `depot`.
 """
@@ -9,7 +9,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple, Self
 
 ROOT = Path(__file__).resolve().parents[2]
 RELEASE = "0.4.0"
@@ -65,8 +65,39 @@ EDITS = (
 )
 
 
+SERVE = """
+import io, json, sys, traceback
+from contextlib import redirect_stderr, redirect_stdout
+from fsar_ledger.cli import run
+
+for line in sys.stdin:
+    code, words = json.loads(line)
+    out, err, status = io.StringIO(), io.StringIO(), 0
+    with redirect_stdout(out), redirect_stderr(err):
+        try:
+            if code is None:
+                status = run(words)
+            else:
+                sys.argv[1:] = words
+                exec(code, {})
+        except Exception:
+            status = 1
+            traceback.print_exc()
+    print(json.dumps([status, out.getvalue(), err.getvalue()]), flush=True)
+"""
+"""Answers each line, some code or None and its arguments, with one. To start a process for each would take most of the time."""
+
+
+class Said(NamedTuple):
+    """How a command of the later release ended, and what it printed."""
+
+    code: int
+    out: str
+    err: str
+
+
 class LaterRelease:
-    """The later release in a folder of its own."""
+    """The later release in a folder of its own, and at work there. Use as a context manager."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -80,23 +111,34 @@ class LaterRelease:
             assert text.count(before) == 1, f"{name}: expected {before!r} once"
             file.write_text(text.replace(before, after), "utf-8")
 
-    def call(self, *arguments: object) -> subprocess.CompletedProcess[str]:
+    def __enter__(self) -> Self:
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (self._folder, ROOT)))}
+        command = [sys.executable, "-c", SERVE]
+        self._process = subprocess.Popen(command, cwd=self._folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._process.communicate()
+
+    def call(self, *arguments: object) -> Said:
         """The command of this release, with these arguments."""
-        return self._python("-m", "fsar_ledger", *map(str, arguments))
+        return self._ask(None, *arguments)
 
     def answer(self, *arguments: object) -> Any:
         """What the command says as JSON."""
         done = self.call(*arguments, "--json")
-        assert done.returncode == 0, done.stderr
-        return json.loads(done.stdout)
+        assert done.code == 0, done.err
+        return json.loads(done.out)
 
     def run(self, code: str, *arguments: object) -> Any:
         """What this code, which prints JSON, prints."""
-        done = self._python("-c", code, *map(str, arguments))
-        assert done.returncode == 0, done.stderr
-        return json.loads(done.stdout)
+        done = self._ask(code, *arguments)
+        assert done.code == 0, done.err
+        return json.loads(done.out)
 
-    def _python(self, *arguments: str) -> subprocess.CompletedProcess[str]:
-        paths = os.pathsep.join(map(str, (self._folder, ROOT)))
-        environment = {**os.environ, "PYTHONPATH": paths}
-        return subprocess.run([sys.executable, *arguments], cwd=self._folder, capture_output=True, text=True, check=False, env=environment)
+    def _ask(self, code: str | None, *arguments: object) -> Said:
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        self._process.stdin.write(json.dumps([code, [str(argument) for argument in arguments]]) + "\n")
+        self._process.stdin.flush()
+        return Said(*json.loads(self._process.stdout.readline()))

@@ -1,6 +1,7 @@
 """A later release opens ledgers of this one, and this one refuses what a later release wrote. See `later_release.py`."""
 
 import shutil
+from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
@@ -41,8 +42,9 @@ print(json.dumps(head.root))
 
 
 @pytest.fixture(scope="module")
-def later(tmp_path_factory: pytest.TempPathFactory) -> LaterRelease:
-    return LaterRelease(tmp_path_factory.mktemp("later"))
+def later(tmp_path_factory: pytest.TempPathFactory) -> Iterator[LaterRelease]:
+    with LaterRelease(tmp_path_factory.mktemp("later")) as later:
+        yield later
 
 
 @pytest.fixture(scope="module")
@@ -77,7 +79,7 @@ def test_a_later_release_decodes_retired_types_as_their_newest_version(later: La
 def test_metrics_and_queries_over_retired_types_give_the_same_answers(later: LaterRelease, capsys: pytest.CaptureFixture[str]) -> None:
     for question in (("metrics", OLD), ("query", "facts/cross_robot_records", OLD), ("query", "facts/policy_decisions", OLD)):
         assert cli.run([*map(str, question), "--json"]) == 0
-        assert later.call(*question, "--json").stdout == capsys.readouterr().out
+        assert later.call(*question, "--json").out == capsys.readouterr().out
 
 
 COUNTED = """
@@ -120,7 +122,7 @@ def test_a_ledger_that_a_later_release_continued_holds_both_kinds_of_segments(la
 
 def test_a_ledger_of_this_release_is_exported_as_it_is_stored(later: LaterRelease, tmp_path: Path) -> None:
     done = later.call("export", OLD, "--out", tmp_path / "events.csv")
-    assert done.returncode == 0, done.stderr
+    assert done.code == 0, done.err
     text = (tmp_path / "events.csv").read_text("utf-8")
     assert text.count('"StepBegan.v1"') == stored("StepBegan.v1")
     assert "StepBegan.v3" not in text

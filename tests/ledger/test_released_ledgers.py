@@ -78,7 +78,7 @@ def test_constants_of_a_live_run_that_cannot_be_read_are_shown_as_such_and_stop_
         _, found = contents(path)
     assert found is not None, "a ledger that verifies is called damaged"
     [unread] = [model for model in found.models if model["parameters"] is None]
-    assert (unread["kind"], unread["runs"], unread["differs_in"]) == ("live", 1, [])
+    assert (unread["kind"], unread["runs"], unread["differing"]) == ("live", 1, f"unreadable, SHA-256 {unread['parameters_sha256'][:12]}")
     assert any(f"parameters that cannot be read, SHA-256 {unread['parameters_sha256'][:12]}" in line for line in found.summary())
     text, _ = audit(path, ["i4"], [], as_json=False)
     assert "1 run with parameters that cannot be read: recovery budgets that they set are unknown, and none is judged" in text

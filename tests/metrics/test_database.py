@@ -6,8 +6,9 @@ import pyarrow as pa
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted, NotALedger, QueryFailed, UnknownQuery
+from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger.schema import SCHEMA
-from fsar_ledger.metrics.database import Database, connect, from_rows, from_table
+from fsar_ledger.metrics.database import Database, Value, connect, from_rows, from_table, plain_rows, table_of
 from fsar_ledger.metrics.library import REQUIRED_KEYS, Library, Query
 from fsar_ledger.metrics.untrusted import run_untrusted
 from tests.metrics.conftest import record
@@ -167,3 +168,18 @@ def test_a_stored_relation_is_computed_once_and_a_view_each_time() -> None:
     with Database(None, (), queries=Library([stored, view])) as database:
         assert database.rows("SELECT x FROM stored") == database.rows("SELECT x FROM stored")
         assert database.rows('SELECT x FROM "view"') != database.rows('SELECT x FROM "view"')
+
+
+def test_a_refilled_database_answers_of_its_new_rows_alone() -> None:
+    started: dict[str, Value] = {"type": "RunStarted.v2", "seq": 0, "time_us": 0, "observes": list(CONCERNS), "parameters": "{}", "kind": "simulated"}
+    with from_rows([{**started, "run_id": "old"}]) as database:
+        assert [row["run_id"] for row in database.rows("SELECT DISTINCT run_id FROM run_metrics")] == ["old"]
+        database.refill(table_of([{**started, "run_id": "new"}, {**started, "run_id": "newer"}]))
+        for relation in ("events", "run_started", "runs", "run_metrics"):
+            assert [row["run_id"] for row in database.rows(f"SELECT DISTINCT run_id FROM {relation} ORDER BY ALL")] == ["new", "newer"], relation
+
+
+def test_rows_are_those_of_the_table_whatever_their_types() -> None:
+    sql = "SELECT sum(i) AS whole, avg(i) AS mean, list(i) AS many, {'a': max(i)} AS one, NULL AS nothing, 1.50 AS money FROM range(3) AS t(i)"
+    with from_rows([]) as database:
+        assert database.rows(sql) == plain_rows(database.table(sql))

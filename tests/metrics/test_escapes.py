@@ -133,6 +133,13 @@ CANNOT_BE_SHOWN = {
 
 REFUSED = REACHES_OUT | IS_NO_SELECT | TAKES_ALL_MEMORY | CANNOT_BE_SHOWN
 
+ALIKE = {"read a text", "read a blob", "read json", "read a database", "read by a name in a text", "guess a csv", "metadata of a segment"} | {
+    "list what DuckDB has installed",
+    "fetch by name",
+    "fetch from a bucket",
+}
+"""Readers that one lock stops with others: here all are tried on the locks (`test_duckdbs_locks_hold_by_themselves`), in a process each with the soaks."""
+
 
 @pytest.fixture(scope="module")
 def base(tmp_path_factory: pytest.TempPathFactory) -> Path:
@@ -179,7 +186,7 @@ def ledger_in(base: Path) -> Path:
     return base / "the auditor's ledger"
 
 
-@pytest.mark.parametrize("escape", REFUSED)
+@pytest.mark.parametrize("escape", [pytest.param(name, marks=pytest.mark.slow) if name in ALIKE else name for name in REFUSED])
 def test_it_is_refused_for_its_reason_and_leaves_no_trace(surrounded: Path, escape: str) -> None:
     sql, reason = REFUSED[escape]
     with pytest.raises(QueryFailed) as refused:

@@ -3,6 +3,8 @@
 import itertools
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,7 @@ from scipy import stats
 
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger.schema import SCHEMA
-from fsar_ledger.metrics.database import from_table
+from fsar_ledger.metrics.database import Database, from_table
 from fsar_ledger.metrics.results import StatisticRow, statistic_rows
 
 Vector = NDArray[np.float64]
@@ -59,9 +61,26 @@ def run_metrics(values: Mapping[tuple[str, str], Sequence[float | None]], publis
     return pa.Table.from_pylist(rows, schema=pa.schema([(name, kinds.get(name, pa.int64())) for name in rows[0]]))
 
 
+@cache
+def opened(threads: int | None) -> Database:
+    """One connection for all tests: each holds its own values."""
+    return from_table(SCHEMA.empty_table(), threads)
+
+
+@contextmanager
+def over(table: pa.Table, threads: int | None = None) -> Iterator[Database]:
+    """A database whose `run_metrics` are these."""
+    database = opened(threads)
+    database.refill(SCHEMA.empty_table())
+    database.hold("run_metrics", table)
+    try:
+        yield database
+    finally:
+        database.drop("run_metrics")
+
+
 def compared(table: pa.Table, defined_only: bool = False) -> list[StatisticRow]:
-    with from_table(SCHEMA.empty_table()) as database:
-        database.hold("run_metrics", table)
+    with over(table) as database:
         return statistic_rows(database, defined_only)
 
 
@@ -253,8 +272,7 @@ def test_undefined_values_count_by_the_published_convention_or_leave_the_pair_ou
 def test_the_answer_is_the_same_bits_on_any_number_of_threads() -> None:
     answers = set()
     for threads in (1, 2, 4):
-        with from_table(SCHEMA.empty_table(), threads=threads) as database:
-            database.hold("run_metrics", family())
+        with over(family(), threads) as database:
             answers.add(repr(statistic_rows(database)))
     assert len(answers) == 1
 
@@ -266,8 +284,7 @@ def test_the_cluster_bootstrap_takes_every_sample_of_scenarios() -> None:
     flat = [(scenario, float(value)) for scenario, values in differences.items() for value in values]
     table = run_metrics({(METRIC, "fsar"): [value for _, value in flat], (METRIC, "cfc"): [0.0] * len(flat)})
     scenarios = pa.array([scenario for scenario, _ in flat] * 2)
-    with from_table(SCHEMA.empty_table()) as database:
-        database.hold("run_metrics", table.set_column(table.column_names.index("scenario"), "scenario", scenarios))
+    with over(table.set_column(table.column_names.index("scenario"), "scenario", scenarios)) as database:
         rows = database.query("statistics/cluster_bootstrap").to_pylist()
     (row,) = [row for row in rows if row["test"].startswith("published/") and "/42/" in row["test"]]
     assert len(rows) == 4, "two bases, one seed and all seeds"

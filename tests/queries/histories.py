@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.metrics.database import Value, from_rows
+from fsar_ledger.metrics.database import Value
+from tests.recycled import from_rows
 
 Row = Mapping[str, Value]
 S = 1_000_000

@@ -8,17 +8,14 @@ from typing import Any
 import pytest
 
 from fsar_ledger.errors import QueryFailed
-from fsar_ledger.metrics.database import Database, connect, from_rows, plain_rows
+from fsar_ledger.metrics.database import Database, connect, plain_rows
 from fsar_ledger.metrics.library import library
 from fsar_ledger.runtime.experiment import Experiment, simulate
 from tests.queries.histories import Row, event, run
+from tests.recycled import from_rows
 
 QUESTIONS = [name for name in library().queries if name.startswith("audit/")]
-ROBOTS = (
-    event("RobotJoined", robot="robot/A1", role="A", team=1, supervisor="supervisor/A1"),
-    event("RobotJoined", robot="robot/B1", role="B", team=1, supervisor="supervisor/B1"),
-    event("RobotJoined", robot="robot/C1", role="C", team=1, supervisor="supervisor/C1"),
-)
+ROBOTS = tuple(event("RobotJoined", robot=f"robot/{one}1", role=one, team=1, supervisor=f"supervisor/{one}1") for one in "ABC")
 
 
 def asked(name: str, columns: str, *events: Row, configuration: str = "full", **given: Any) -> list[tuple[Any, ...]]:

@@ -4,8 +4,9 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.metrics.database import from_rows, plain_rows
+from fsar_ledger.metrics.database import plain_rows
 from tests.queries.histories import Row, answer, event, run
+from tests.recycled import from_rows
 
 
 def asked(name: str, columns: str, *events: Row, **given: Any) -> list[tuple[Any, ...]]:

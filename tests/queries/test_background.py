@@ -2,9 +2,9 @@
 
 import pytest
 
-from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.metrics.results import metric_rows
 from tests.queries.histories import Row, answer, event, run
+from tests.recycled import from_rows
 
 BESIDE = ("numerator", "denominator", "value", "numerator_without_routine", "denominator_without_routine", "value_without_routine")
 WHOLE = {"requested_by": "robot/A1", "executed_by": "robot/A1", "supervised_by": "supervisor/A1"}
@@ -50,7 +50,11 @@ def test_a_summary_has_both_means_where_routine_is_counted_and_one_elsewhere() -
 def shares(*events: Row) -> dict[str, object]:
     with from_rows(run(*events)) as database:
         [row] = database.query("metrics/background").to_pylist()
-    return {name: value for name, value in row.items() if name not in ("architecture", "configuration", "fleet_size", "constants", "seed")}
+    return {
+        name: value
+        for name, value in row.items()
+        if name not in ("architecture", "configuration", "fleet_size", "kind", "source", "model_version", "constants", "seed")
+    }
 
 
 def test_shares_of_routine_are_counted() -> None:

@@ -10,9 +10,10 @@ from scipy import stats
 from fsar_ledger.events.concerns import EVENTS_OF
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.metrics.comparing import DifferingWorlds, differing_worlds, imputed, left_over, not_compared, remarks_on, too_few
-from fsar_ledger.metrics.database import Value, from_rows
+from fsar_ledger.metrics.database import Value
 from fsar_ledger.metrics.results import StatisticRow, statistic_rows
 from tests.queries.histories import Row, S, answer, event, run
+from tests.recycled import from_rows
 
 OBSTRUCTED = event("ObstructionAppeared", 2 * S, robot="robot/A1", obstruction="o1")
 MET = event("PeersMet", 2 * S, robot="robot/A1", peer="robot/B1")

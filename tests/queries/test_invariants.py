@@ -11,10 +11,10 @@ from fsar_ledger.constants import Constants
 from fsar_ledger.events.configuration import Configuration
 from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.ledger.codec import encode
-from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.metrics.invariants import audit_rows, chosen, invariants
 from fsar_ledger.runtime.architectures.wiring import Wiring
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from tests.recycled import from_rows
 
 Row = dict[str, Any]
 Seeds = Callable[[list[Row]], list[int]]

@@ -12,7 +12,6 @@ from fsar_ledger.events.execution import ExecutionStarted, RoutinePerformed
 from fsar_ledger.events.recovery import RecoveryEscalated
 from fsar_ledger.events.request import RequestAccepted
 from fsar_ledger.ledger.codec import encode
-from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.invariants import audit_rows, chosen, invariants
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.execution import start as start_as_fsar
@@ -20,6 +19,7 @@ from fsar_ledger.runtime.architectures.wiring import Wiring
 from fsar_ledger.runtime.handlers.commands import DecideRoutine, StartAction
 from fsar_ledger.runtime.handlers.execution import started
 from tests.queries.test_invariants import RUNS, record
+from tests.recycled import from_table
 
 
 def changed(event: type[AnyEvent], **fields: Any) -> Wiring:

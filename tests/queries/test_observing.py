@@ -12,13 +12,14 @@ from fsar_ledger.events import EVENT_TYPES, RETIRED_TYPES
 from fsar_ledger.events.concerns import CONCERNS, EVENTS_OF
 from fsar_ledger.ledger.codec import encode
 from fsar_ledger.ledger.schema import LAYOUTS
-from fsar_ledger.metrics.database import Database, from_rows, from_table
+from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.invariants import audit_rows, invariants
 from fsar_ledger.metrics.library import library
 from fsar_ledger.metrics.observing import types_read
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
 from tests.queries.histories import answer, event, run
+from tests.recycled import from_rows, from_table
 
 OF_NO_CONCERN = {"RunStarted", "ExperimentPlanned"}
 """They say what a run is."""

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+from fsar_ledger.metrics.database import from_rows
+from fsar_ledger.metrics.plans import completeness
 from tests.queries.histories import answer, run
 
 
@@ -55,6 +57,27 @@ def test_plans_that_do_not_contain_each_other_are_not_larger() -> None:
     others = [plan("p2", run_count=1, scenarios=["door-relay", "fleet-contention", "x", "y", "z"]), plan("p3", seed=41, run_count=9)]
     others += [plan("p4", run_count=9, parameters='{"world":{}}'), plan("p5", run_count=9, architectures=["fsar", "dhma"])]
     assert [row[-1] for row in counted(plan(), *others)] == [0] * 5
+
+
+def test_a_run_that_two_plans_name_is_missing_once() -> None:
+    plans = [*plan(run_count=3), *plan("p2", architectures=["fsar"], scenarios=["door-relay", "fleet-contention"])]
+    there = run(run_id="a")
+    assert [row[3] for row in counted(plans, there)] == [5, 3]
+    columns = ("architecture", "scenario", "planned_count", "there_count", "missing_count")
+    assert answer("audit/missing_runs", plans, there, columns=columns) == [
+        ("cfc", "door-relay", 3, 0, 3),
+        ("fsar", "door-relay", 3, 1, 2),
+        ("fsar", "fleet-contention", 2, 0, 2),
+    ]
+    with from_rows([*plans, *there]) as database:
+        assert completeness(database).answer() == {"complete": False, "missing_count": 7}
+
+
+def test_a_plan_of_endless_names_stops_no_answer() -> None:
+    names = [f"n{at}" for at in range(1000)]
+    plans = [*plan(run_count=3), *plan("p2", architectures=names, scenarios=names, configurations=names)]
+    with from_rows(plans) as database:
+        assert completeness(database).answer() == {"complete": False, "missing_count": None}
 
 
 def test_a_name_that_a_plan_repeats_counts_once() -> None:

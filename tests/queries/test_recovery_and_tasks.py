@@ -45,6 +45,11 @@ def test_latency_of_other_resolutions_runs_to_leaving_the_first_level() -> None:
     assert measured("reassignment_latency_s", failed(1 * S), left(3 * S)) == (2 * S, 1, 2.0), "never resolved"
 
 
+def test_a_level_that_the_reaction_to_the_failure_left_at_once_took_no_time() -> None:
+    assert measured("reassignment_latency_s", failed(1 * S), left(1 * S + 1), resolved(60 * S, "human")) == (0, 1, 0.0)
+    assert measured("reassignment_latency_s", failed(1 * S), left(1 * S + 2), resolved(60 * S, "human")) == (2, 1, 2e-06)
+
+
 def test_the_first_departure_counts() -> None:
     assert measured("reassignment_latency_s", failed(0), left(5 * S), left(2 * S, "AssistanceRequested"), resolved(9 * S, "peer")) == (2 * S, 1, 2.0)
 

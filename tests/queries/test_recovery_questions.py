@@ -30,6 +30,12 @@ LADDER = (
     event("SupervisorResponded", 63, action_id="t1/1", purpose="recovery", decided_by="supervisor/D1"),
     failure("FailureResolved", 63, level="human"),
 )
+HELPED = (
+    *LADDER[:5],
+    failure("AssistanceRequested", 22, level="peer", helper="robot/A1"),
+    failure("AssistanceAdmitted", 22, level="peer", helper="robot/A1"),
+)
+BY_PEER, BY_ROBOT = failure("FailureResolved", 28, level="peer"), failure("FailureResolved", 13, level="local")
 AT_ONCE = (FAILED, failure("RecoveryEscalated", 11, level="local", to_level="peer", reason="budget exhausted"))
 
 
@@ -94,6 +100,10 @@ def test_a_budget_counts_from_the_moment_in_which_it_was_set() -> None:
         ((*LADDER[:9], *LADDER[8:]), []),
         ((*LADDER[:9], LADDER[8], *LADDER[8:]), ["use 3 of level human, which has a budget of 2"]),
         (LADDER[:9] + LADDER[10:], ["resolved at level human, where nothing was done"]),
+        ((*HELPED, failure("AssistanceEnded", 27, helper="robot/A1"), BY_PEER), []),
+        ((*HELPED, failure("AssistanceFailed", 27, helper="robot/A1", cause="obstruction"), BY_PEER), ["resolved at level peer, where nothing was done"]),
+        ((*LADDER[:2], failure("RecoveryAttemptFailed", 12, number=1), BY_ROBOT), ["resolved at level local, where nothing was done"]),
+        ((*LADDER[:2], BY_ROBOT), []),
         ((*LADDER[:5], failure("AssistanceRequested", 40, level="peer", helper="robot/A1")), []),
         ((*LADDER[:5], failure("AssistanceRequested", 41, level="peer", helper="robot/A1")), ["recovery acts after the time budget of its level"]),
         ((*LADDER[:5], failure("AssistanceAdmitted", 22, level="peer", helper="robot/A1")), ["help by robot/A1, who had not been asked"]),

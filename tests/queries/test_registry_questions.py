@@ -7,7 +7,7 @@ import pytest
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.ledger.codec import encode
-from fsar_ledger.metrics.database import from_table, plain_rows
+from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.registry import surface
 from fsar_ledger.runtime.handlers.fleet import execution_state
@@ -15,6 +15,7 @@ from fsar_ledger.runtime.handlers.registry import FILTERS
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.queries.histories import Row, answer, event, run
 from tests.queries.test_audit_questions import ROBOTS, asked, offer, trust
+from tests.recycled import from_table
 
 B1 = {"robot": "robot/B1", "capability": "lift"}
 
@@ -251,7 +252,7 @@ def test_sql_and_the_fold_agree_on_states_and_surfaces_throughout_a_run_with_a_d
             apply(state, one)
             is_last = seq + 1 == len(record.events) or record.times_us[seq + 1] > record.times_us[seq]
             is_telling = type(one).__name__.startswith(("Availability", "Actuator", "ExecutionFailed", "Assistance", "Recovery"))
-            if not is_last or record.times_us[seq] == 0 or (seq % 9 and not is_telling):
+            if not is_last or record.times_us[seq] == 0 or (seq % 27 and not is_telling):
                 continue
             given = {"at_us": str(record.times_us[seq])}
             states = {row["robot"]: row["state"] for row in plain_rows(database.query("audit/robot_state_at", given))}

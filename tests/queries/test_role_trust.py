@@ -10,10 +10,11 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import TrustScope
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.trust import RoleTrustSet, TrustSet
-from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.projections import trust
+from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.world.scenarios import founding
 from tests.queries.histories import Row, answer, event, run
+from tests.recycled import from_rows
 
 DOOR, LIFT = "door.open.secure", "carry.heavy"
 DOMAINS = ("", "hall", "hall/cell", "hall/cell/bay", "hallway", "yard")
@@ -114,3 +115,27 @@ def test_the_trust_of_a_fleet_is_six_entries_whatever_its_size(fleet_size: int) 
     assert len(answer("facts/trust_precedence", rows)) == len(answer("facts/trust_in_force", rows)) == 6
     assert len(answer("facts/trust_parties", rows)) == 3 * fleet_size
     assert len(answer("audit/trust_at", rows)) == 6 * (fleet_size // 4) ** 2, "of pairs only where pairs are asked for"
+
+
+def test_no_trust_is_in_force_before_both_robots_are_members() -> None:
+    rows = run(
+        event("RobotJoined", 0, robot="robot/B1", role="B", team=1, domain=""),
+        event("RoleTrustSet", 5, role="B", peer_role="A", scope="task", domain=""),
+        event("RobotJoined", 20, robot="robot/A1", role="A", team=1, domain=""),
+    )
+    with from_rows(rows) as database:
+
+        def trusted(at_us: int) -> list[tuple[str, int]]:
+            return [(row["peer"], row["since_us"]) for row in database.query("audit/trust_at", {"at_us": str(at_us)}).to_pylist()]
+
+        assert (trusted(19), trusted(20), trusted(99)) == ([], [("robot/A1", 20)], [("robot/A1", 20)])
+
+
+def test_a_robot_that_is_recorded_as_joining_twice_is_one_member_as_in_the_state() -> None:
+    joined = [RobotJoined("robot/B1", "A", 1, None, "hall"), RobotJoined("robot/A1", "A", 1, None), RobotJoined("robot/B1", "B", 2, None, "yard")]
+    state = fold(joined)
+    rows = run(*(row(one, number) for number, one in enumerate(joined)))
+    members = answer("facts/fleet_members", rows, columns=("robot", "role", "team", "domain", "joined_us"))
+    of_state = [(name, robot.role, robot.team, robot.domain) for name, robot in state.fleet.robots.items()]
+    assert sorted((*known, 0 if known[0] == "robot/B1" else 1) for known in of_state) == sorted((*member[:3], member[3] or "", member[4]) for member in members)
+    assert (len(answer("audit/robot_activity", rows)), len(answer("audit/policy_at", rows))) == (2, 4)

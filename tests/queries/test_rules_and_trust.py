@@ -9,7 +9,7 @@ from fsar_ledger.events.policy import PolicyRuleSet
 from fsar_ledger.events.supervision import SupervisionDensitySet
 from fsar_ledger.events.trust import TrustThresholdsSet
 from fsar_ledger.ledger.codec import encode
-from fsar_ledger.metrics.database import from_rows, from_table, plain_rows
+from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.metrics.invariants import audit_rows, chosen, invariants
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.execution import start as start_as_fsar
@@ -18,6 +18,7 @@ from fsar_ledger.runtime.architectures.wiring import Wiring
 from fsar_ledger.runtime.handlers.commands import StartAction
 from fsar_ledger.runtime.handlers.execution import started as has_started
 from tests.queries.histories import Row, answer, event, measured, run
+from tests.recycled import from_rows, from_table
 from tests.runtime.governed import H_F, governed, record
 
 H_B = "supervisor/B1"

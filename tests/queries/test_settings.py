@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsar_ledger.metrics.database import Value, from_rows
-from fsar_ledger.metrics.functions import MAX_PARAMETERS
+from fsar_ledger.metrics.database import Value
+from fsar_ledger.metrics.naming import MAX_PARAMETERS
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
 from tests.queries.histories import Row, answer, event, run
+from tests.recycled import from_rows
 
 LOW, HIGH = '{"world":{"rate_per_s":0.01,"windows":{"mean_s":11.3}}}', '{"world":{"rate_per_s":0.03,"windows":{"mean_s":11.3}}}'
 

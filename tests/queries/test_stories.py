@@ -5,8 +5,9 @@ from typing import Any
 import pytest
 
 from fsar_ledger.ledger.schema import LAYOUTS
-from fsar_ledger.metrics.database import from_rows, plain_rows
+from fsar_ledger.metrics.database import plain_rows
 from tests.queries.histories import Row, S, event, run
+from tests.recycled import from_rows
 
 A, B, C = "robot/A1", "robot/B1", "robot/C1"
 
@@ -114,11 +115,13 @@ def test_a_request_has_its_parties_and_its_result() -> None:
 
 def test_a_request_without_an_end_is_told_by_how_far_it_came() -> None:
     denied = event("RequestDenied", 3 * S, **about(by=B), reason="trust")
-    nobody = event("RequestUnanswered", 3 * S, **about(by=A), capability="lift")
+    nobody = event("RequestUnanswered", 3 * S, **about(by=A, executed_by=None), capability="lift")
+    silent = event("RequestUnanswered", 3 * S, **about(by=A), capability="lift")
     assert asked("requests", "result", request()) == [("not begun",)]
     assert asked("requests", "result", request(), STARTED) == [("not finished",)]
     assert asked("requests", "result", request(), denied) == [("denied: trust",)]
     assert asked("requests", "result", QUERY, nobody) == [("nobody to ask",)]
+    assert asked("requests", "result", QUERY, silent) == [("no answer",)]
 
 
 def test_only_approval_allows_and_unknown_principals_stay_open() -> None:

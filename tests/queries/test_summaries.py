@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.metrics.results import MetricRow, metric_rows
 from tests.queries.histories import Row, S, event, run
+from tests.recycled import from_rows
 
 SUPERVISORS_CALL = event("SupervisorCalled", 1, supervisor="supervisor/fleet")
 

@@ -6,9 +6,10 @@ import pytest
 
 from fsar_ledger.events.configuration import CONFIGURATIONS
 from fsar_ledger.events.envelope import Scenario
-from fsar_ledger.metrics.database import Value, connect, from_rows, plain_rows
+from fsar_ledger.metrics.database import Value, connect, plain_rows
 from fsar_ledger.runtime.experiment import Experiment, simulate
 from tests.queries.histories import Row, S, event, run
+from tests.recycled import from_rows
 
 A, B, C = "robot/A1", "robot/B1", "robot/C1"
 JOINED = tuple(event("RobotJoined", robot=robot, role=robot[6], team=1, supervisor=None) for robot in (A, B, C))
@@ -293,6 +294,44 @@ def test_the_human_supervision_shows_both_scopes_and_a_conflict() -> None:
 )
 def test_other_events_give_other_cells(mechanism: str, cell: str, events: tuple[Row, ...]) -> None:
     assert cells(*events)[mechanism] == cell
+
+
+OTHERWISE: dict[str, dict[str, Any]] = {
+    "seed": {"seed": 43},
+    "fleet_size": {"fleet_size": 8},
+    "constants": {"parameters": '{"world":{"rate_per_s":0.03}}'},
+    "model_version": {"model_version": "another"},
+    "kind": {"kind": "live"},
+}
+
+
+LOW = '{"world":{"rate_per_s":0.01}}'
+
+
+def made_otherwise(query: str, *events: Row, **dimensions: Any) -> tuple[list[Row], list[Row]]:
+    """The rows of one run that did nothing, alone and beside a run each that was made otherwise, of these events."""
+    ours = run(**{"parameters": LOW, **dimensions})
+    others = [row for name, more in OTHERWISE.items() for row in run(*events, run_id=name, **{"parameters": LOW, **dimensions, **more})]
+    with from_rows(ours) as alone, from_rows([*ours, *others]) as together:
+        return list(plain_rows(alone.query(query))), list(plain_rows(together.query(query)))
+
+
+def test_features_of_runs_made_otherwise_are_marked_apart() -> None:
+    alone, together = made_otherwise("tables/architecture_features", *JOINED)
+    assert len(together) == 8 * (1 + len(OTHERWISE))
+    dimensions = ("architecture", "configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
+    assert len({tuple(row[name] for name in dimensions) for row in together}) == 1 + len(OTHERWISE)
+    kept = [(row["feature"], row["evidence"]) for row in together if row["grade"] is None and row["feature"] == "single_agent_robot"]
+    assert kept == [("single_agent_robot", "robots that appear as one principal not shown")]
+    assert {row["grade"] for row in alone} == {None}
+
+
+def test_mechanisms_of_workflows_made_otherwise_are_in_rows_of_their_own() -> None:
+    alone, together = made_otherwise("tables/mechanism_coverage", FOUND, asked(), scenario="workflow-door-relay")
+    [ours] = {row["made_alike"] for row in alone}
+    assert len(together) == 9 * (1 + len(OTHERWISE))
+    assert {row["cell"] for row in together if row["made_alike"] == ours} == {None}
+    assert {row["cell"] for row in together if row["mechanism"] == "inter_robot_request"} == {None, "yes"}
 
 
 def test_only_workflows_are_covered_and_runs_that_differ_show_both_cells() -> None:

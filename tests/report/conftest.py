@@ -18,7 +18,8 @@ from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import PolicyWindowOpened, TaskArrived
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.report.findings import SCENARIOS
+from fsar_ledger.report.findings import SCENARIOS, Findings
+from fsar_ledger.report.gather import gather
 
 ARCHITECTURES: tuple[Architecture, ...] = ("fsar", "cfc", "dhma")
 PARAMETERS = '{"structure":{"poll_us":1000000},"world":{"message":{"high_s":0.5,"low_s":0.05},"motion_share":0.24}}'
@@ -124,3 +125,15 @@ def make_ledger(tmp_path_factory: pytest.TempPathFactory) -> Make:
 def ledger(make_ledger: Make) -> Path:
     """Three architectures, five scenarios, two runs of each."""
     return make_ledger()
+
+
+@pytest.fixture(scope="session")
+def alone(ledger: Path) -> Findings:
+    """What that ledger says, with no ledger of workflows beside it."""
+    return gather(ledger)
+
+
+@pytest.fixture(scope="session")
+def findings(alone: Findings) -> Findings:
+    """What a report is made of."""
+    return alone

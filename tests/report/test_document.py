@@ -16,17 +16,12 @@ from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
-from fsar_ledger.report import document, printing, specs
+from fsar_ledger.report import document, printing, specs, whole
 from fsar_ledger.report.findings import SCENARIOS, Findings, answer, significance_level, with_agreement
 from fsar_ledger.report.gather import flat, gather
 from fsar_ledger.report.sensitivity import Section
 
 Make = Callable[..., Path]
-
-
-@pytest.fixture(scope="module")
-def findings(ledger: Path) -> Findings:
-    return gather(ledger)
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +112,58 @@ def test_reasons_name_cells_of_the_results_table(findings: Findings) -> None:
     assert {passage.id for passage in specs.passages("reasons")} <= cells
 
 
+SHAPES = {
+    "workflows only": (("workflow-door-relay", "workflow-layered-recovery"), (), "2 runs of workflow-door-relay, 2 runs of workflow-layered-recovery"),
+    "some scenarios": (SCENARIOS[:2], (), "2 runs of collaborative-delivery, 2 runs of door-relay"),
+    "uneven runs": (SCENARIOS, SCENARIOS[:1], "3 runs of door-relay, 2 runs of failure-recovery-chain"),
+}
+
+
+@pytest.mark.parametrize("shape", ["workflows only", "uneven runs", pytest.param("some scenarios", marks=pytest.mark.slow)])
+def test_runs_of_another_shape_than_the_papers_have_numbers_and_no_verdict_and_that_is_said(make_ledger: Make, tmp_path: Path, shape: str) -> None:
+    scenarios, more, held = SHAPES[shape]
+    path = shutil.copytree(make_ledger(scenarios=scenarios), tmp_path / "ledger")
+    with Writer(path, "test") as writer:
+        for scenario in more:
+            kept = [run for run in open_ledger(path).runs() if run.run_id.startswith(f"{scenario}-1-")]
+            events = [[msgspec.structs.replace(run.events[0], run=2), *run.events[1:]] for run in kept]
+            writer.append(stage(path, [RunRecord(f"2-{run.run_id}", run.times_us, run.caused_by, one) for run, one in zip(kept, events, strict=True)]))
+    found = gather(path)
+    assert found.unjudged is not None
+    assert "The printed tables are over 5 scenarios with equally many runs of each, but of FSAR, CFC, DHMA this ledger has " in found.unjudged
+    assert held in found.unjudged
+    assert sum(row["mean"] is not None for row in found.cells) > 18
+    assert {row["verdict"] for row in (*found.cells, *found.features)} == {row["distance_se"] for row in found.cells} == {None}
+    assert {row["sign_agrees"] for row in found.tests} == {row["level_agrees"] for row in found.tests} == {None}
+    assert any(row["t"] is not None for row in found.tests)
+    said = document.data(found, None)
+    assert (said["unjudged"], said["misses"], said["answer"]["judged"]) == (found.unjudged, [], 0)
+
+
+def test_only_the_architecture_of_another_shape_is_not_judged(make_ledger: Make, findings: Findings, tmp_path: Path) -> None:
+    path = shutil.copytree(make_ledger(architectures=("fsar", "dhma")), tmp_path / "ledger")
+    part = list(open_ledger(make_ledger(architectures=("cfc",), scenarios=SCENARIOS[1:])).runs())
+    with Writer(path, "test") as writer:
+        writer.append(stage(path, part))
+    found = gather(path)
+    assert found.unjudged is not None
+    assert "but of CFC this ledger has 2 runs of collaborative-delivery, " in found.unjudged
+    assert [row for row in found.cells if row["architecture"] != "cfc"] == [row for row in findings.cells if row["architecture"] != "cfc"]
+    assert {row["verdict"] for row in found.cells if row["architecture"] == "cfc"} == {None}
+    assert {row["comparison"] for row in found.tests if row["sign_agrees"] is not None} == {"fsar-dhma"}
+
+
+def test_pairs_of_another_shape_than_the_papers_are_not_judged() -> None:
+    runs: whole.Held = dict.fromkeys(SCENARIOS, 2)
+    even: whole.Held = dict.fromkeys(SCENARIOS, 1)
+    held, pairs = {"fsar": runs, "cfc": runs}, {"fsar-cfc": {**even, "door-relay": 2}}
+    assert whole.apart(held, pairs) == {"fsar-cfc"}
+    said = whole.why_apart(held, pairs)
+    assert said is not None
+    assert "but of FSAR vs CFC this ledger has 1 pair of collaborative-delivery, 2 pairs of door-relay, " in said
+    assert whole.why_apart(held, {"fsar-cfc": even}) is None
+
+
 def test_single_run_has_values_and_no_verdict(make_ledger: Make) -> None:
     said = answer(gather(make_ledger(scenarios=("fleet-contention",), runs=1)))
     assert said["valued"] > 20
@@ -143,6 +190,8 @@ def test_tables_are_of_one_seed_and_the_others_stand_apart(ledger: Path, tmp_pat
     assert found.shown == "The tables are of seed 42, simulated runs, model 1; runs made otherwise are never taken together with these."
     pooled = gather(several, pools_seeds=True)
     assert (pooled.others, max(row["n"] for row in pooled.cells)) == ((), 11)
+    assert [row["architecture"] for row in pooled.background] == [row["architecture"] for row in findings.background]
+    assert [(row["feature"], row["architecture"]) for row in pooled.evidence] == [(row["feature"], row["architecture"]) for row in findings.evidence]
 
 
 def test_pairs_that_met_different_worlds_are_named_in_the_document(findings: Findings) -> None:

@@ -1,18 +1,16 @@
 """What the figures show, and that they are the same bytes each time."""
 
 import re
-from pathlib import Path
 
 import pytest
 
 from fsar_ledger.report import figures, specs
-from fsar_ledger.report.findings import Row
-from fsar_ledger.report.gather import gather
+from fsar_ledger.report.findings import Findings, Row
 
 
 @pytest.fixture(scope="module")
-def cells(ledger: Path) -> tuple[Row, ...]:
-    return gather(ledger).cells
+def cells(findings: Findings) -> tuple[Row, ...]:
+    return findings.cells
 
 
 @pytest.fixture(scope="module")

@@ -10,13 +10,11 @@ from xml.etree import ElementTree
 import msgspec
 import pyarrow as pa
 import pyarrow.csv as pa_csv
-import pytest
 
 from fsar_ledger.commands import output
 from fsar_ledger.commands.files import _write_tables
 from fsar_ledger.report import document, printing, sequence, typeset
 from fsar_ledger.report.findings import Findings
-from fsar_ledger.report.gather import gather
 from tests.report.test_sequence import STORY, told
 from tests.terminal import PAINT, painted
 
@@ -41,11 +39,6 @@ MARKUP = (
 )
 PAYLOADS = (*FORMULAS, *MARKUP, *PAINT.values())
 TAGS = {"svg", "defs", "g", "path", "use", "style", "metadata", "RDF", "Work", "type", "format", "clipPath", "rect"}
-
-
-@pytest.fixture(scope="module")
-def findings(ledger: Path) -> Findings:
-    return gather(ledger)
 
 
 def drawn(kind: str, payloads: Sequence[str]) -> Iterator[bytes]:

@@ -1,5 +1,6 @@
 """The paper's two tables of marks in the report: ours beside the paper's, and what a difference is called."""
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,9 @@ import msgspec
 import pytest
 
 from fsar_ledger.errors import UsageError
+from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.metrics.database import connect, plain_rows
 from fsar_ledger.report import document, marks, specs, write_report
 from fsar_ledger.report.findings import Findings
@@ -65,6 +69,19 @@ def test_a_feature_agrees_or_differs_where_the_ledger_shows_it(ours: tuple[str |
     assert marks.features(graded)[0]["verdict"] == verdict
 
 
+def test_workflows_of_another_seed_have_no_part_in_the_table(make_ledger: Make, tmp_path: Path) -> None:
+    ours = make_ledger(architectures=("fsar",), scenarios=("workflow-door-relay",))
+    several = shutil.copytree(ours, tmp_path / "several")
+    kept = next(open_ledger(ours).runs())
+    other = RunRecord("another", (0,), (None,), [msgspec.structs.replace(kept.events[0], seed=43)])
+    with Writer(several, "test") as writer:
+        writer.append(stage(several, [other]))
+    alone, found = marks.workflows(ours), marks.workflows(several)
+    assert (alone.others, found.others, found.run_count) == (0, 1, 3)
+    assert found.coverage == alone.coverage
+    assert any(row["workflow-door-relay_ours"] for row in found.coverage)
+
+
 def test_the_tables_hold_the_answers_of_their_queries(ledger: Path, findings: Findings) -> None:
     tables = printed(findings)["tables"]
     with connect(ledger) as database:
@@ -109,12 +126,12 @@ def test_every_cell_of_the_coverage_stands_beside_the_papers_and_agrees_or_has_i
     }
 
 
-def test_both_figures_are_drawn_from_the_ledger_of_workflows(findings: Findings, ledger: Path) -> None:
+def test_both_figures_are_drawn_from_the_ledger_of_workflows(findings: Findings, alone: Findings) -> None:
     drawn = document.drawings(findings)
     assert set(drawn) == {f"{name}.svg" for name in printed(findings)["figures"]}
     assert b"query: door.open.secure" in drawn["workflow-door-relay.svg"]
     assert b"budget exhausted" in drawn["workflow-layered-recovery.svg"]
-    assert set(document.drawings(gather(ledger))) == {"evaluation-results.svg", "distances.svg"}
+    assert set(document.drawings(alone)) == {"evaluation-results.svg", "distances.svg"}
 
 
 def test_the_tables_of_the_workflows_name_the_head_that_they_were_asked_of(findings: Findings) -> None:
@@ -126,10 +143,10 @@ def test_the_tables_of_the_workflows_name_the_head_that_they_were_asked_of(findi
     assert {"tables/mechanism_coverage", "audit/request_story", "facts/messages"} <= {source.name for source in findings.sources}
 
 
-def test_without_workflows_the_report_says_so_and_a_ledger_without_them_is_refused(ledger: Path, make_ledger: Make) -> None:
-    alone = printed(gather(ledger))
-    assert alone["workflows"] is None
-    assert "mechanism-coverage" not in alone["tables"]
+def test_without_workflows_the_report_says_so_and_a_ledger_without_them_is_refused(alone: Findings, ledger: Path, make_ledger: Make) -> None:
+    said = printed(alone)
+    assert said["workflows"] is None
+    assert "mechanism-coverage" not in said["tables"]
     with pytest.raises(UsageError, match="found no run of workflow-door-relay"):
         gather(ledger, make_ledger(runs=1, architectures=("cfc",)))
 

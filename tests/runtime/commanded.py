@@ -5,7 +5,7 @@ from fsar_ledger.runtime.handlers.advertising import DeprecateCapability, Withdr
 from fsar_ledger.runtime.handlers.authority import GrantAuthority, RevokeAuthority
 from fsar_ledger.runtime.handlers.commands import Command
 from fsar_ledger.runtime.handlers.fleet import JoinFleet, RemoveCapability
-from fsar_ledger.runtime.handlers.policy import SetPolicyRule
+from fsar_ledger.runtime.handlers.policy import SetPolicyRule, SetRolePolicyRule
 from fsar_ledger.runtime.handlers.recovery import SetRecoveryBudget
 from fsar_ledger.runtime.handlers.registry import CacheRegistry, ConsultRegistry, Query
 from fsar_ledger.runtime.handlers.request import AnswerOffer, RequestCapability
@@ -33,6 +33,7 @@ COMMANDS: list[tuple[int, Command]] = [
     (61 * S, SetPolicyRule(H_F, "fleet", None, "carry.heavy", None, "allow")),
     (62 * S, SetPolicyRule("supervisor/D1", "local", "robot/D1", "carry.heavy", None, "deny")),
     (63 * S, RequestCapability("robot/A1", "robot/D1", "carry.heavy", "visit", "q4")),  # mandated, and denied
+    (64 * S, SetRolePolicyRule(H_F, "B", "review", capability=DOOR)),
     (70 * S, SubmitTask("robot/C1", "round", ("C navigate.indoor", "C inspect.visual"), 60 * S)),
     (80 * S, DeprecateCapability("robot/C1", "inspect.visual", "1.0.0")),
     (81 * S, WithdrawCapability("robot/C1", "inspect.visual", "cleaning")),

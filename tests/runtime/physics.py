@@ -13,10 +13,10 @@ from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionPaused, ExecutionResumed, ExecutionStarted, RoutinePerformed
 from fsar_ledger.events.recovery import AssistanceEnded
 from fsar_ledger.ledger.codec import RunRecord, encode
-from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
+from tests.recycled import from_table
 
 EVERY = pytest.mark.parametrize("architecture", get_args(Architecture))
 RUNS = 3

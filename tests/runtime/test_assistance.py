@@ -3,6 +3,7 @@
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FailureCause
 from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceFailed, AssistanceRequested, RecoveryBudgetSet, RecoveryEscalated
+from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import ActuatorDegraded, Grade, ObstructionAppeared, RobotWentOff
 from fsar_ledger.projections.fold import State, apply
@@ -36,8 +37,12 @@ def ended(state: State, helper: str, drawn: int = 1) -> tuple[Event, ...]:
 def asked_again(state: State, now_us: int = 9_000_000) -> tuple[Event, ...]:
     """What comes of the question that follows help that failed."""
     apply(state, AssistanceFailed("A1-1", ACTION, state.execution.actions[ACTION].robot, A, 1, "obstruction"))
-    [again] = [one.command for react in FSAR.reacts[AssistanceFailed] for one in react(state, AssistanceFailed("A1-1", ACTION, B, A, 1, "obstruction"), 0)]
+    [again, last] = [
+        one.command for react in FSAR.reacts[AssistanceFailed] for one in react(state, AssistanceFailed("A1-1", ACTION, B, A, 1, "obstruction"), 0)
+    ]
     assert isinstance(again, AskPeers)
+    assert isinstance(last, AskPeers)
+    assert last.is_last
     again.now_us = now_us
     return ask_peers(state, again)
 
@@ -105,7 +110,9 @@ def test_the_next_peer_is_asked_as_long_as_the_budget_lasts() -> None:
 def test_a_peer_that_does_not_answer_is_nobodys_help() -> None:
     state = failed(executing(B, DOOR), "peer")
     apply(state, RobotWentOff(A))
-    escalated = ask_peers(state, AskPeers(ACTION, 2_500_000, now_us=3_000_000))[0]
+    assert ask_peers(state, AskPeers(ACTION, 2_500_000, now_us=3_000_000)) == ()
+    escalated, silent = ask_peers(state, AskPeers(ACTION, 2_500_000, failure=1, is_last=True, now_us=8_000_000))[:2]
+    assert silent == AvailabilityChanged(A, None, "offline", "no answer")
     assert isinstance(escalated, RecoveryEscalated)
     assert escalated.reason == "no trusted peer"
 

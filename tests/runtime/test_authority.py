@@ -11,7 +11,7 @@ from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
 from fsar_ledger.events.knowledge import FleetRuleLearned
-from fsar_ledger.events.policy import PolicyRuleSet
+from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.request import RequestAdmitted, RequestClosed, RequestDenied
 from fsar_ledger.events.supervision import SupervisionDensitySet, SupervisorResponded
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
@@ -23,6 +23,7 @@ from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.authority import ExpireContext, GrantAuthority, ReleaseAuthority, RevokeAuthority, RevokeDistrusted
 from fsar_ledger.runtime.handlers.commands import Command, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
+from fsar_ledger.runtime.handlers.withdrawal import WithdrawTask
 from tests.runtime.histories import given, types
 from tests.runtime.live import decided, of, played
 from tests.runtime.test_requests import relayed, verdict
@@ -152,7 +153,7 @@ def test_a_context_that_ends_ends_the_rights_that_were_given_for_it_and_no_other
     broad = AuthorityGranted("robot/A1", "robot/B1", None, None, "none", H_F)
     for over in (TaskCompleted("visit"), TaskAbandoned("visit")):
         state = given("fsar", broad, GRANTED)
-        [command] = scheduled(state, over)
+        [command] = [one for one in scheduled(state, over) if not isinstance(one, WithdrawTask)]
         assert command == ExpireContext("visit")
         [revoked] = play(state, command)
         assert revoked == AuthorityRevoked("robot/A1", "robot/B1", DOOR, "visit", "context expired", TRUST)
@@ -308,6 +309,25 @@ def test_a_rule_that_is_set_after_the_approval_holds_the_start_and_one_set_befor
     other = approved(rule)
     apply(other, msgspec.structs.replace(rule, capability="door.open.basic", outcome="deny"))
     assert types(play(other, START)) == ["ExecutionStarted"], "about something else"
+
+
+def test_a_rule_of_the_role_that_is_set_after_the_approval_holds_the_start_unless_the_robot_is_an_exception() -> None:
+    own = PolicyRuleSet("local", "robot/B1", DOOR, None, "review", H_B)
+    of_role = RolePolicyRuleSet("local", "B", "review", "", DOOR)
+    assert types(play(approved(of_role), START)) == ["ExecutionStarted"], "known when it was given"
+    cases: list[tuple[Event, Event, str]] = [
+        (opened("w1", "review"), of_role, "ExecutionHeld"),
+        (of_role, own, "ExecutionHeld"),
+        (own, of_role, "ExecutionStarted"),
+        (own, msgspec.structs.replace(of_role, outcome="deny"), "ExecutionStarted"),
+        (own, msgspec.structs.replace(of_role, capability=None), "ExecutionHeld"),
+        (opened("w1", "review"), msgspec.structs.replace(of_role, role="A"), "ExecutionStarted"),
+        (opened("w1", "review"), msgspec.structs.replace(of_role, domain="yard"), "ExecutionStarted"),
+    ]
+    for before, after, expected in cases:
+        state = approved(before)
+        apply(state, after)
+        assert types(play(state, START)) == [expected], (before, after)
 
 
 def test_what_was_approved_is_forgotten_when_it_is_done() -> None:

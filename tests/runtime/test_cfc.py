@@ -3,9 +3,10 @@
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR
 from fsar_ledger.events.knowledge import CopySynced, WorkQueued
-from fsar_ledger.events.request import CommandIssued, GapDetected
+from fsar_ledger.events.request import CommandIssued, GapDetected, RequestDenied
 from fsar_ledger.events.world import ActuatorDegraded, ObstructionAppeared
 from fsar_ledger.projections.fold import State, apply
+from fsar_ledger.runtime.architectures.cfc import CFC
 from fsar_ledger.runtime.architectures.cfc.coordinator import ProcessWork, ReachCoordinator, Sync, reach_coordinator, sync, until_next_sync_us
 from fsar_ledger.runtime.architectures.cfc.execution import SafeStop, decide_routine, safe_stop, start
 from fsar_ledger.runtime.architectures.cfc.recovery import ReachHelper, end_attempt, reach_helper
@@ -27,7 +28,7 @@ def commanded(*before) -> State:  # type: ignore[no-untyped-def]
 
 def running(*before) -> State:  # type: ignore[no-untyped-def]
     state = commanded(*before)
-    for event in receive_command(state, ReceiveCommand(ACTION)):
+    for event in receive_command(state, ReceiveCommand(ACTION, "robot/B1")):
         apply(state, event)
     for event in approach(state, TakeTurn(ACTION)):
         apply(state, event)
@@ -88,7 +89,7 @@ def second_delegation(state: State) -> None:
 def test_a_second_command_for_a_robot_not_seen_busy_disputes_the_running_action() -> None:
     state = running()
     second_delegation(state)
-    claim, called = receive_command(state, ReceiveCommand("A1-2/2.1"))
+    claim, called = receive_command(state, ReceiveCommand("A1-2/2.1", "robot/B1"))
     assert claim == AuthorityClaimed("A1-1", ACTION, "execution", "robot/A1", "assigned again: A1-2/2.1")
     assert called.purpose == "ordering"  # type: ignore[attr-defined]
     apply(state, claim)
@@ -99,7 +100,7 @@ def test_a_second_command_for_a_robot_seen_busy_only_waits() -> None:
     state = running()
     apply(state, CopySynced(busy=("robot/B1",)))
     second_delegation(state)
-    assert types(receive_command(state, ReceiveCommand("A1-2/2.1"))) == ["ExecutionQueued"]
+    assert types(receive_command(state, ReceiveCommand("A1-2/2.1", "robot/B1"))) == ["ExecutionQueued"]
 
 
 def test_the_command_says_whether_the_robot_was_seen_busy() -> None:
@@ -190,3 +191,16 @@ def test_the_next_sync_is_never_now() -> None:
     period = state.fleet.structure.sync_period_us
     assert until_next_sync_us(state, period) == period + 1
     assert until_next_sync_us(state, period - 1) == 2
+
+
+def test_a_step_given_up_before_the_coordinator_comes_to_it_is_denied_by_the_coordinator() -> None:
+    for begun in (DELEGATED_STEP, OWN_STEP):
+        state = given("cfc", ARRIVED, begun, WorkQueued("A1-9", "A1-9/1.1", "step", 900_000_000))
+        made = reach_coordinator(state, ReachCoordinator(begun.action_id, "step", now_us=2_000_000))
+        denied = [event for event in made if isinstance(event, RequestDenied)]
+        assert len(denied) == 1
+        assert (denied[0].decided_by, denied[0].path, denied[0].reason) == ("coordinator", ("coordinator",), "no time left")
+        assert types(made)[-2:] == ["RequestDenied", "TaskAbandoned"]
+        for event in made:
+            apply(state, event)
+        assert all(react(state, denied[0], 2_000_000) == () for react in CFC.reacts[RequestDenied]), "nobody turns to it again"

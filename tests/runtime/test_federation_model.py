@@ -28,7 +28,6 @@ from fsar_ledger.events.world import (
     SupervisorReturned,
 )
 from fsar_ledger.ledger.codec import encode
-from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.invariants import audit_rows, chosen
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import surface
@@ -38,6 +37,7 @@ from fsar_ledger.runtime.handlers.request import AnswerOffer, ReportResult, Requ
 from fsar_ledger.runtime.handlers.supervision import RespondToCall
 from fsar_ledger.runtime.handlers.task import SubmitTask
 from fsar_ledger.runtime.handlers.trust import SetTrustThresholds
+from tests.recycled import from_table
 from tests.runtime.bench import HELPER, PUBLIC, ROBOTS, TRUST, Bench, arguments, founding
 
 COUNTS: Counter[str] = Counter()

@@ -12,6 +12,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import CONFIGURATIONS
 from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.events.fleet import RobotJoined
+from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.trust import RoleTrustSet
 from fsar_ledger.events.world import ObstructionAppeared, PeersMet, RoutineDue, TaskArrived
@@ -19,6 +20,7 @@ from fsar_ledger.ledger import append
 from fsar_ledger.ledger.bounds import MAX_LIST_VALUES, MAX_ROWS
 from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.projections.fold import fold
+from fsar_ledger.projections.policy import ruled
 from fsar_ledger.runtime.capacity import expected
 from fsar_ledger.runtime.experiment import Experiment, simulate
 from fsar_ledger.runtime.handlers.attribution import nearest_first
@@ -133,6 +135,14 @@ def test_the_founding_of_a_thousand_robots_grows_with_the_robots_and_not_with_th
         assert sum(isinstance(event, RoleTrustSet) for event in events) == 6
     state = fold(founding(1024))
     assert (len(state.fleet.robots), len(state.trust.entries), len(state.trust.of_roles)) == (1024, 0, 6)
+
+
+def test_the_rules_of_a_thousand_robots_are_as_many_as_its_roles_and_exceptions() -> None:
+    exception = PolicyRuleSet("fleet", "robot/B7", None, None, "allow", None)
+    state = fold((RolePolicyRuleSet("fleet", "B", "deny"), *founding(1024), exception))
+    assert (len(state.policy.of_roles), len(state.policy.rules)) == (1, 1)
+    outcomes = Counter(ruled(state.policy, "fleet", robot, "door.open.secure", None) for robot in state.fleet.robots)
+    assert outcomes == {None: 768, "deny": 255, "allow": 1}
 
 
 # --- runs of large fleets, and what a commit can hold ---

@@ -8,10 +8,11 @@ import pytest
 from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.events.configuration import MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Workflow
+from fsar_ledger.events.request import RequestUnanswered
 from fsar_ledger.ledger.codec import encode
-from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.invariants import audit_rows, chosen
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
+from tests.recycled import from_table
 
 BROKEN_WITHOUT: dict[Configuration, set[str]] = {
     "without-trust-evaluation": {"i3", "i5", "a3", "a5"},  # what an outsider asks for runs unchecked, with no supervisor on record
@@ -41,9 +42,15 @@ def test_all_ten_hold_on_fsar_in_every_scenario(fleet_size: int) -> None:
     assert broken(RunSpec(42, "fsar", "full", scenario, fleet_size, run) for scenario in SCENARIOS for run in range(12)) == set()
 
 
-def test_all_ten_hold_where_robots_and_links_fail() -> None:
+def test_nine_hold_where_robots_and_links_fail_and_i5_names_the_requests_that_found_nobody() -> None:
+    """Reading R41: where the only robot that could serve is known to be silent, a request has no executor to name."""
     failing = Constants(outages=Outages(0.02, 8.0, 0.03, 6.0, 0.002))
-    assert broken((RunSpec(42, "fsar", "full", scenario, 4, run) for scenario in SCENARIOS for run in range(8)), failing) == set()
+    runs = [simulate_run(RunSpec(42, "fsar", "full", scenario, 4, run), failing) for scenario in SCENARIOS for run in range(8)]
+    unanswered = {event.action_id for run in runs for event in run.events if isinstance(event, RequestUnanswered) and event.executed_by is None}
+    with from_table(encode(runs)) as database:
+        assert {row.invariant.partition("_")[0] for row in audit_rows(database, chosen(())) if row.events} == {"i5"}
+        lacking = {row["action_id"] for row in database.query("invariants/i5_audit_attributability").to_pylist()}
+    assert lacking <= unanswered
 
 
 def test_all_ten_hold_on_runs_that_once_broke_one() -> None:

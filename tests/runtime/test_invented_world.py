@@ -8,12 +8,12 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
 from itertools import cycle
-from typing import Any, get_args
+from typing import Any, get_args, get_type_hints
 
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Load, Outages, Structure, WorldConstants, write_constants
+from fsar_ledger.constants import DURATIONS, Constants, Load, Outages, Range, Structure, WorldConstants, write_constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.fleet import RunStarted
@@ -30,6 +30,7 @@ from fsar_ledger.events.world import (
     WorldEvent,
 )
 from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.metrics.naming import default_of, unlike_ours
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.replay import replay_run
@@ -219,6 +220,13 @@ def started_with(world: WorldConstants, spec: RunSpec = SPECS[0]) -> RunStarted:
     return run_started(spec, Constants(world))
 
 
+def first_constant(group: str) -> str:
+    """The name of a constant of the group, from its type."""
+    hint = get_type_hints(Constants)[group]
+    [kind] = [one for one in (hint, *get_args(hint)) if isinstance(one, type) and issubclass(one, msgspec.Struct)]
+    return kind.__struct_fields__[0]
+
+
 CALM = WorldConstants(obstruction_rate_per_s=1e-9, context_rate_per_s=1e-9, fleet_rule_rate_per_s=1e-9)
 
 
@@ -230,8 +238,8 @@ def test_a_run_under_other_constants_is_no_doubt_but_told() -> None:
     [remark] = remarks_on(played([started, run_started(SPECS[1], CONSTANTS)]))
     assert remark == (
         f"other constants: 1 of 2 runs (1 of {SPECS[0].architecture}) met a world or a structure that is not this version's: "
-        "world.context_rate_per_s 1e-09 (here 0.0229), world.fleet_rule_rate_per_s 1e-09 (here 0.00674), "
-        "world.obstruction_rate_per_s 1e-09 (here 0.0145), structure.local_attempts 9 (here 2)"
+        "structure.local_attempts=9 (here 2), world.context_rate_per_s=1e-9 (here 0.0229), "
+        "world.fleet_rule_rate_per_s=1e-9 (here 0.00674), world.obstruction_rate_per_s=1e-9 (here 0.0145)"
     )
 
 
@@ -247,10 +255,25 @@ def test_runs_of_one_seed_under_different_constants_are_said_to_be_no_pairs() ->
 def test_another_load_is_said_as_such_and_pairs_under_a_common_one_are_pairs() -> None:
     both = [Constants(), Constants(load=Load(task_sets=2))]
     one, other = (RunSpec(9, architecture, "full", "door-relay", 4, 1) for architecture in ("fsar", "cfc"))
-    said = "another load: 2 of 4 runs (1 of fsar, 1 of cfc) had other work than by default: load.task_sets 2 (here 1)"
+    said = "another load: 2 of 4 runs (1 of fsar, 1 of cfc) had other work than by default: load.task_sets=2 (here 1)"
     assert remarks_on(played([run_started(spec, constants) for spec in (one, other) for constants in both])) == (said,)
     assert len(remarks_on(played([run_started(one, constants) for constants in both]))) == 1
     assert remarks_on(played([run_started(one, both[0]), run_started(other, both[1])]))[-1].startswith("no pairs: under 1 of 1")
+
+
+def test_one_length_among_many_is_named_alone_and_a_group_that_may_be_absent_by_its_defaults() -> None:
+    durations = tuple((name, Range(1.0, 4.5) if name == "grasp.robust" else length) for name, length in DURATIONS)
+    other = Constants(WorldConstants(durations=durations), load=Load(teams_working=1), outages=Outages(from_s=3.0))
+    assert unlike_ours(write_constants(other)) == [
+        "load.teams_working=1 (here default)",
+        "outages.from_s=3 (here 0)",
+        'world.durations["grasp.robust"].high_s=4.5 (here 4)',
+    ]
+    assert unlike_ours(write_constants(Constants(load=Load(), outages=Outages()))) == []
+
+
+def test_every_group_that_may_be_absent_has_defaults() -> None:
+    assert [name for name in Constants.__struct_fields__ if default_of(f"{name}.{first_constant(name)}") is None] == []
 
 
 def test_remarks_are_few_and_short_whatever_the_constants() -> None:

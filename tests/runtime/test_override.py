@@ -26,10 +26,10 @@ from fsar_ledger.events.policy import PolicyRuleSet
 from fsar_ledger.events.recovery import AssistanceAdmitted
 from fsar_ledger.events.registry import CapabilityAdvertised
 from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, RequestClosed, RequestDenied
-from fsar_ledger.events.task import StepBegan
+from fsar_ledger.events.task import StepBegan, TaskAbandoned
 from fsar_ledger.events.world import ObstructionAppeared, TaskArrived
 from fsar_ledger.ledger.codec import RunRecord, encode
-from fsar_ledger.metrics.database import from_table, plain_rows
+from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.metrics.library import library
 from fsar_ledger.projections import execution
 from fsar_ledger.projections.authority import LEVELS, rank
@@ -40,6 +40,7 @@ from fsar_ledger.runtime.handlers.commands import DetectObstruction, ResumeActio
 from fsar_ledger.runtime.handlers.request import RequestCapability
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.world.schedule import schedule
+from tests.recycled import from_table
 from tests.runtime.histories import given, types
 from tests.runtime.live import decided, of, played
 
@@ -357,9 +358,12 @@ def test_amid_tasks_failures_and_changing_policy_nothing_is_lost_or_doubled(seed
     admitted = [event.action_id for _, event in of(run, RequestAdmitted)]  # type: ignore[attr-defined]
     finished = [event.action_id for _, event in of(run, ExecutionFinished)]  # type: ignore[attr-defined]
     assert len(finished) == len(set(finished))
-    assert set(admitted) | set(preempted) <= set(finished)
+    withdrawn = {event.action_id for _, event in of(run, ExecutionWithdrawn) if run.state.execution.actions[event.action_id].stage == "withdrawn"}  # type: ignore[attr-defined]
+    assert set(admitted) | set(preempted) <= set(finished) | withdrawn
+    given_up = {event.task_id for _, event in of(run, TaskAbandoned)}  # type: ignore[attr-defined]
+    assert {run.state.execution.actions[name].task_id for name in withdrawn} <= given_up
     assert {f"q{number}" for number in range(24)} <= {event.action_id for _, event in of(run, RequestClosed, RequestDenied)}  # type: ignore[attr-defined]
-    assert (run.state.execution.current, run.state.execution.actions, run.state.authority.claims, run.state.task) == ({}, {}, {}, {})
+    assert (run.state.execution.current, set(run.state.execution.actions), run.state.authority.claims, run.state.task) == ({}, withdrawn, {}, {})
     assert run.state == fold(run.events)
     moving: dict[str, str] = {}
     for _, event in of(run, ExecutionStarted, ExecutionResumed, ExecutionPaused, ExecutionFailed, ExecutionPreempted, ExecutionFinished, ExecutionWithdrawn):

@@ -8,6 +8,7 @@ import pytest
 from fsar_ledger.constants import Constants, Outages, Range
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.execution import (
+    ApproachStarted,
     ExecutionFailed,
     ExecutionFinished,
     ExecutionHalted,
@@ -15,6 +16,8 @@ from fsar_ledger.events.execution import (
     ExecutionQueued,
     ExecutionResumed,
     ExecutionStarted,
+    ExecutionWithdrawn,
+    OwnStepDecided,
     RoutinePerformed,
     RoutineWithheld,
 )
@@ -27,9 +30,9 @@ from fsar_ledger.events.recovery import (
     FailureResolved,
     RecoveryEscalated,
 )
-from fsar_ledger.events.request import RequestAccepted, RequestAdmitted
+from fsar_ledger.events.request import AwardMade, CommandIssued, RequestAccepted, RequestAdmitted
 from fsar_ledger.events.supervision import ActuatorServiced, SupervisorCalled
-from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
+from fsar_ledger.events.task import StepBegan, TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import ActuatorDegraded, LinkWentDown, PolicyWindowOpened, RobotCameBack, RobotWentOff, TaskArrived
 from fsar_ledger.projections.execution import HELPING
 from fsar_ledger.projections.fold import State, apply
@@ -227,6 +230,29 @@ def test_every_task_comes_to_an_end_whatever_happens(architecture: Architecture)
     for runs in worlds:
         ends = [event.task_id for event in of(runs.events, TaskCompleted, TaskAbandoned) if isinstance(event, TaskCompleted | TaskAbandoned)]
         assert sorted(ends) == sorted(event.task_id for event in of(runs.events, TaskArrived) if isinstance(event, TaskArrived))
+
+
+@EVERY
+def test_nothing_of_a_task_begins_after_it_was_given_up_and_nobody_claims_what_nobody_does(architecture: Architecture) -> None:
+    begins = (ApproachStarted, ExecutionQueued, ExecutionStarted, RequestAdmitted, RequestAccepted, CommandIssued, AwardMade, OwnStepDecided, StepBegan)
+    worlds = (
+        failing(architecture, MIXED),
+        failing(architecture, Outages(off_rate_per_s=0.01, off_mean_s=FOREVER)),
+        played(architecture, budget_base_s=0.0, budget_delegated_s=2.0, budget_own_s=4.0),
+    )
+    withdrawn = 0
+    for record in (record for runs in worlds for record in runs.records):
+        over: set[str | None] = set()
+        state = State()
+        for event in record.events:
+            if isinstance(event, TaskAbandoned):
+                over.add(event.task_id)
+            withdrawn += isinstance(event, ExecutionWithdrawn) and event.task_id in over
+            assert not (isinstance(event, begins) and event.task_id in over), event
+            apply(state, event)
+        for name in (claim.action_id for claims in state.authority.claims.values() for claim in claims if claim.task_id in over):
+            assert state.execution.actions[name].stage in ("running", "paused", "halted", "failed"), name
+    assert withdrawn
 
 
 # Actuators that are lost

@@ -9,8 +9,9 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.events.envelope import POLICY
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
+from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.knowledge import FleetRuleLearned
-from fsar_ledger.events.policy import PolicyConflictEscalated, PolicyRuleSet
+from fsar_ledger.events.policy import PolicyConflictEscalated, PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestDenied
 from fsar_ledger.events.task import TaskCompleted
@@ -21,7 +22,16 @@ from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, decide_own_step, start
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, evaluate_request, take_turn
 from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
-from fsar_ledger.runtime.handlers.policy import SetPolicyRule, compose, conflict, own_policy, set_policy_rule
+from fsar_ledger.runtime.handlers.policy import (
+    SetPolicyRule,
+    SetRolePolicyRule,
+    compose,
+    conflict,
+    fleet_policy,
+    own_policy,
+    set_policy_rule,
+    set_role_policy_rule,
+)
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, types, window
 
@@ -79,6 +89,36 @@ def test_the_fleets_rules_are_set_by_the_fleet_supervisor(robot: str | None) -> 
 )
 def test_a_rule_that_cannot_be_set_is_rejected(command: SetPolicyRule, reason: str) -> None:
     assert refusal(set_policy_rule(given("fsar", ARRIVED, TaskCompleted("A1-1")), command)).startswith(reason)
+
+
+def test_the_fleet_supervisor_rules_by_role_and_a_robot_stays_an_exception() -> None:
+    yard = (RobotJoined("robot/B8", "B", 8, None, "yard"), RobotJoined("robot/B9", "B", 9, None, "yard/gate"))
+    state = given("fsar", rule("allow", capability=DOOR, scope="fleet"), *yard)
+    [event] = set_role_policy_rule(state, SetRolePolicyRule(H_F, "B", "deny", capability=DOOR))
+    assert event == RolePolicyRuleSet("fleet", "B", "deny", "", DOOR, None, H_F)
+    apply(state, event)
+    apply(state, RobotJoined("robot/B7", "B", 7, None, "hall"))
+    assert [fleet_policy(state, robot, DOOR, None) for robot in (B, "robot/B7", "robot/B8", A)] == ["allow", "deny", "deny", "allow"]
+    [event] = set_role_policy_rule(state, SetRolePolicyRule(H_F, "B", "review", "yard", DOOR))
+    apply(state, event)
+    assert [fleet_policy(state, robot, DOOR, None) for robot in (B, "robot/B7", "robot/B8", "robot/B9")] == ["allow", "deny", "review", "review"]
+    assert compose(state, "allow", "robot/B9", DOOR, None) == "review"
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"),
+    [
+        (SetRolePolicyRule(H_B, "B", "deny"), "supervisor/B1 supervises one robot"),
+        (SetRolePolicyRule("supervisor/X9", "B", "deny"), "unknown supervisor supervisor/X9"),
+        (SetRolePolicyRule(H_F, "b", "deny"), "unknown role b, expected one of A, B, C, D"),
+        (SetRolePolicyRule(H_F, "B", "deny", "hall"), "unknown domain hall"),
+        (SetRolePolicyRule(H_F, "B", "deny", capability="fly"), "unknown capability fly"),
+        (SetRolePolicyRule(H_F, "B", "deny", context="A1-1"), "task A1-1 is over"),
+        (SetRolePolicyRule(H_F, "B", "maybe"), "unknown outcome maybe, expected one of allow, deny, review"),  # type: ignore[arg-type]
+    ],
+)
+def test_a_rule_of_a_role_that_cannot_be_set_is_rejected(command: SetRolePolicyRule, reason: str) -> None:
+    assert refusal(set_role_policy_rule(given("fsar", ARRIVED, TaskCompleted("A1-1")), command)).startswith(reason)
 
 
 @for_all(st.lists(RULE, max_size=8), st.sampled_from([A, B, C]), st.sampled_from([DOOR, "carry.package"]), st.sampled_from(["A1-1", "A1-2"]))
@@ -172,14 +212,35 @@ def test_a_start_that_a_rule_held_goes_on_when_the_rule_is_replaced() -> None:
     assert isinstance(held, ExecutionHeld)
     apply(state, held)
 
-    def woken(event: PolicyRuleSet) -> list[object]:
+    def woken(event: PolicyRuleSet | RolePolicyRuleSet) -> list[object]:
         apply(state, event)
-        return [one.command for react in FSAR.reacts[PolicyRuleSet] for one in react(state, event, 6)]
+        return [one.command for react in FSAR.reacts[type(event)] for one in react(state, event, 6)]
 
     assert woken(rule("review", robot=A)) == []
+    assert woken(RolePolicyRuleSet("local", "A", "allow")) == [], "the robot's own stands"
     assert woken(rule("allow", robot=B)) == []
     assert woken(rule("allow", robot=A)) == [StartAction("A1-1/1.1")]
     assert types(start(state, StartAction("A1-1/1.1", now_us=9, drawn=7))) == ["ExecutionStarted"]
+
+
+def test_what_a_rule_of_the_role_held_goes_on_when_that_or_the_robots_exception_allows() -> None:
+    for lifted in (RolePolicyRuleSet("local", "A", "allow"), rule("allow", robot=A)):
+        state = given("fsar", ARRIVED, OWN_STEP)
+        for event in (*decide_own_step(state, DecideOwnStep("A1-1/1.1")), RolePolicyRuleSet("local", "A", "deny")):
+            apply(state, event)
+        [held] = start(state, StartAction("A1-1/1.1", now_us=5, drawn=7))
+        assert isinstance(held, ExecutionHeld)
+        apply(state, held)
+        apply(state, lifted)
+        assert [one.command for react in FSAR.reacts[type(lifted)] for one in react(state, lifted, 6)] == [StartAction("A1-1/1.1")]
+        assert types(start(state, StartAction("A1-1/1.1", now_us=9, drawn=7))) == ["ExecutionStarted"]
+
+
+def test_a_rule_of_the_role_is_a_mandate_for_each_of_its_robots_without_an_exception() -> None:
+    mandate = RolePolicyRuleSet("fleet", "B", "allow", "", DOOR)
+    assert types(conflict(given("fsar", rule("deny"), mandate), "A1-1", "A1-1/2.1", A, B, DOOR)) == ["PolicyConflictEscalated"]
+    assert conflict(given("fsar", rule("deny"), mandate, rule("deny", capability=DOOR, scope="fleet")), "A1-1", "A1-1/2.1", A, B, DOOR) == ()
+    assert conflict(given("fsar", rule("deny"), RolePolicyRuleSet("fleet", "A", "allow")), "A1-1", "A1-1/2.1", A, B, DOOR) == ()
 
 
 def test_in_a_run_nothing_starts_under_a_rule_that_denies_and_it_all_goes_on_when_the_rule_is_lifted() -> None:

@@ -17,7 +17,6 @@ from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.codec import RunRecord, encode
-from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.architectures.wiring import Wiring
 from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
@@ -25,6 +24,7 @@ from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, kernel, simulate_run, wiring
 from fsar_ledger.runtime.world.draws import Draws, Stream, run_key
 from fsar_ledger.runtime.world.schedule import Fact, schedule
+from tests.recycled import from_table
 from tests.runtime.histories import finished
 
 WORLD_TYPES = get_args(WorldEvent)

@@ -5,7 +5,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Load, WorldConstants, read_constants, write_constants
+from fsar_ledger.constants import Constants, Load, Range, WorldConstants, read_constants, write_constants
 from fsar_ledger.events import UPCASTS
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.fleet import RunStarted
@@ -56,6 +56,14 @@ def test_equal_constants_are_one_text() -> None:
     assert ours.world == given.world
     assert write_constants(given) == write_constants(Constants(load=Load(task_sets=2, interval_s=30.0)))
     assert write_constants(given).startswith(write_constants(ours)[:-1])
+
+
+def test_zero_is_one_text_whatever_its_sign() -> None:
+    durations = (("-0.0", Range(-0.0, 1.0)),)
+    one, other = (Constants(WorldConstants(obstruction_rate_per_s=zero, durations=(("-0.0", Range(zero, 1.0)),))) for zero in (0.0, -0.0))
+    assert one == other
+    assert write_constants(one) == write_constants(other)
+    assert read_constants(write_constants(other)).world.durations == durations
 
 
 def test_a_simulated_run_observes_every_concern() -> None:

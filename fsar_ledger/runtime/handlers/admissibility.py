@@ -143,9 +143,8 @@ def holding(state: State, action: Action) -> tuple[PolicyOutcome, PolicyOutcome]
 def _came_later(state: State, action: Action, later: Later) -> tuple[PolicyOutcome, PolicyOutcome]:
     """The executor's own policy and the fleet's rule as they would be had only that been said which came after the approval."""
     about = (action.robot, action.capability, action.task_id)
-    rules = {rule: outcome for rule, outcome in state.policy.items() if rule in later.rules}
-    own = ruled(rules, "local", *about) or "allow"
+    own = ruled(state.policy, "local", *about, among=later.rules) or "allow"
     for window, outcome in state.world.local.get(action.robot, ()):
         if window in later.windows:
             own = stricter(own, outcome)
-    return own, stricter(later.heard.get(action.robot, "allow"), ruled(rules, "fleet", *about) or "allow")
+    return own, stricter(later.heard.get(action.robot, "allow"), ruled(state.policy, "fleet", *about, among=later.rules) or "allow")

@@ -4,13 +4,14 @@ from typing import get_args
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import POLICY, PolicyOutcome, PolicyScope
-from fsar_ledger.events.policy import PolicyConflictEscalated, PolicyRuleSet
+from fsar_ledger.events.policy import PolicyConflictEscalated, PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import ruled
+from fsar_ledger.projections.trust import is_within
 from fsar_ledger.projections.world import in_force, stricter
 
 from .commands import Actors, Decides, PublicCommand, Reacts
-from .rejection import expired_context, not_in_charge, rejected, unknown_capability, unknown_robot
+from .rejection import expired_context, not_in_charge, rejected, unknown_capability, unknown_robot, unknown_word
 from .supervision import supervisor_for
 
 
@@ -25,16 +26,27 @@ class SetPolicyRule(PublicCommand):
     outcome: PolicyOutcome
 
 
+class SetRolePolicyRule(PublicCommand):
+    """H_F sets the fleet's rule for every robot of the role, in a domain or (empty) in the whole fleet."""
+
+    issued_by: str
+    role: str
+    outcome: PolicyOutcome
+    domain: str = ""
+    capability: str | None = None
+    context: str | None = None
+
+
 def own_policy(state: State, robot: str, capability: str | None, context: str | None) -> PolicyOutcome:
     """P_i(e, sigma): the strictest of the robot's open windows and of its rules. Paper: app:foundations."""
     window = in_force(state.world.local, robot)
-    return stricter(window, ruled(state.policy, "local", robot, capability, context) or "allow") if state.policy else window
+    return window if state.policy.is_empty else stricter(window, ruled(state.policy, "local", robot, capability, context) or "allow")
 
 
 def fleet_policy(state: State, robot: str, capability: str | None, context: str | None) -> PolicyOutcome:
     """The fleet's rules for the robot, and that for its zone as it last heard it."""
     heard = state.knowledge.fleet_rule.get(robot, "allow")
-    return stricter(heard, ruled(state.policy, "fleet", robot, capability, context) or "allow") if state.policy else heard
+    return heard if state.policy.is_empty else stricter(heard, ruled(state.policy, "fleet", robot, capability, context) or "allow")
 
 
 def compose(state: State, carried: PolicyOutcome, executor: str, capability: str, context: str | None) -> PolicyOutcome:
@@ -80,6 +92,21 @@ def set_policy_rule(state: State, command: SetPolicyRule) -> tuple[Event, ...]:
     return (PolicyRuleSet(command.scope, command.robot, command.capability, command.context, command.outcome, command.issued_by),)
 
 
+def set_role_policy_rule(state: State, command: SetRolePolicyRule) -> tuple[Event, ...]:
+    """The fleet's rule for the robots of the role from now on, where nothing is set about the same for the very robot. Paper: app:foundations."""
+    inside = [robot for robot in state.fleet.robots.values() if is_within(robot.domain, command.domain)]
+    refused = not_in_charge(state, command.issued_by, None, is_fleet_matter=True)
+    if refused is None and not inside:
+        refused = f"unknown domain {command.domain}, expected one that a member is in"
+    refused = refused or unknown_word("role", command.role, sorted({robot.role for robot in inside}))
+    refused = refused or unknown_capability(state, command.capability) or expired_context(state, command.context)
+    refused = refused or unknown_word("outcome", command.outcome, get_args(PolicyOutcome))
+    if refused is not None:
+        return rejected(command, command.role, refused, command.issued_by)
+    about = (command.domain, command.capability, command.context, command.issued_by)
+    return (RolePolicyRuleSet("fleet", command.role, command.outcome, *about),)
+
+
 def _unfit(state: State, command: SetPolicyRule) -> str | None:
     """Why this supervisor may not set this rule, or why there is no such rule; or None."""
     if command.scope not in get_args(PolicyScope) or command.outcome not in get_args(PolicyOutcome):
@@ -95,6 +122,6 @@ def _unfit(state: State, command: SetPolicyRule) -> str | None:
     return refused
 
 
-DECIDES: Decides = {SetPolicyRule: set_policy_rule}
+DECIDES: Decides = {SetPolicyRule: set_policy_rule, SetRolePolicyRule: set_role_policy_rule}
 ACTORS: Actors = {}
 REACTS: Reacts = {}

@@ -1,9 +1,9 @@
 """Centralized fleet controller: one coordinator decides everything on synced copies; robots only execute."""
 
 from fsar_ledger.runtime.architectures.wiring import Wiring, wire
-from fsar_ledger.runtime.handlers import assistance, supervision, task
+from fsar_ledger.runtime.handlers import assistance, supervision, task, withdrawal
 from fsar_ledger.runtime.handlers import execution as bodies
 
 from . import answers, coordinator, execution, recovery, request
 
-CFC: Wiring = wire(task, bodies, assistance, supervision, coordinator, request, execution, recovery, own=answers.OWN, instead=answers.INSTEAD)
+CFC: Wiring = wire(task, bodies, assistance, supervision, withdrawal, coordinator, request, execution, recovery, own=answers.OWN, instead=answers.INSTEAD)

@@ -4,7 +4,7 @@ from typing import Any
 
 from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, PolicyOutcome
 from fsar_ledger.events.knowledge import CopySynced, WorkQueued
-from fsar_ledger.events.request import GapDetected
+from fsar_ledger.events.request import GapDetected, RequestDenied
 from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.world import SyncPhaseSet
 from fsar_ledger.projections.fold import State
@@ -13,6 +13,8 @@ from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.actors import nobody
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle
 from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, Reacts, Scheduled
+
+NO_TIME = "no time left"  # why a step is denied whose task would be given up before the coordinator comes to it
 
 
 class Sync(Command):
@@ -94,11 +96,11 @@ def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
     )
 
 
-def reach_coordinator(state: State, command: ReachCoordinator) -> tuple[GapDetected | WorkQueued | TaskAbandoned, ...]:
+def reach_coordinator(state: State, command: ReachCoordinator) -> tuple[GapDetected | WorkQueued | RequestDenied | TaskAbandoned, ...]:
     """The item waits for the coordinator; a gap is on record without who has it.
 
     The coordinator knows its own queue: a step that it would come to only after the task is given up is given up at once, so that a queue
-    that grows faster than it is served stays as long as tasks last.
+    that grows faster than it is served stays as long as tasks last. The denial of the step says on record that it was the coordinator's decision.
     """
     action = state.execution.actions.get(command.action_id)
     request = state.request.get(command.action_id)
@@ -113,10 +115,13 @@ def reach_coordinator(state: State, command: ReachCoordinator) -> tuple[GapDetec
     ready_us = max(state.knowledge.ready_us, command.now_us) + service_us
     task = state.task.get(task_id)
     is_hopeless = is_matching and task is not None and ready_us > given_up_us(task, state.fleet.structure.expiry_budgets)
-    queued = TaskAbandoned(task_id) if is_hopeless else WorkQueued(task_id, command.action_id, command.item, ready_us)
+    queued: tuple[WorkQueued | RequestDenied | TaskAbandoned, ...] = (WorkQueued(task_id, command.action_id, command.item, ready_us),)
+    if is_hopeless:
+        denied = RequestDenied(task_id, None, None, **by_coordinator(), executed_by=None, reason=NO_TIME)
+        queued = (denied, TaskAbandoned(task_id))
     if command.item == "step" and request is not None and request.is_delegated:
-        return (GapDetected(task_id, None, None, None, FLEET_SUPERVISOR, request.capability), queued)
-    return (queued,)
+        return (GapDetected(task_id, None, None, None, FLEET_SUPERVISOR, request.capability), *queued)
+    return queued
 
 
 def _first_sync(state: State, event: SyncPhaseSet, _now_us: int) -> tuple[Scheduled, ...]:

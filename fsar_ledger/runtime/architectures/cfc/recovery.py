@@ -19,13 +19,14 @@ from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
+from fsar_ledger.projections.registry import NO_ANSWER
 from fsar_ledger.runtime.handlers import assistance
-from fsar_ledger.runtime.handlers.actors import body, helping
+from fsar_ledger.runtime.handlers.actors import body, helping, nobody
 from fsar_ledger.runtime.handlers.attribution import helpers, is_idle
 from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, message
 from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
 
-from .coordinator import ProcessWork, by_coordinator, copied_policy, to_coordinator
+from .coordinator import ProcessWork, ReachCoordinator, by_coordinator, copied_policy, reach_coordinator, to_coordinator
 
 
 class ReachHelper(Command):
@@ -33,6 +34,14 @@ class ReachHelper(Command):
 
     action_id: str
     helper: str
+
+
+class GoOnWithoutHelp(Command):
+    """The coordinator has waited long enough for the helper's answer."""
+
+    action_id: str
+    helper: str
+    failure: int
 
 
 def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
@@ -44,6 +53,8 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
         return (ReplanOrdered(action.task_id, **by_coordinator(), executed_by=action.robot),) if action.stage == "paused" else ()
     recovery = state.recovery.get(command.action_id)
     if recovery is None:
+        return ()
+    if command.item == NO_ANSWER and recovery.awaited is None:  # it has answered at last
         return ()
     copy = state.knowledge.copy
     if command.item == "failure" and action.robot not in copy.degraded and copied_policy(state, action.robot) == "allow":
@@ -95,6 +106,8 @@ def reach_helper(state: State, command: ReachHelper) -> tuple[Event, ...]:
     if failure is None:
         return ()
     action, recovery = failure
+    if recovery.awaited != command.helper:  # another was asked meanwhile, or H_F
+        return ()
     if not is_idle(state, command.helper):
         return (AssistanceDeclined(action.task_id, action.action_id, action.robot, command.helper, recovery.failure),)
     return (
@@ -112,6 +125,14 @@ def reach_helper(state: State, command: ReachHelper) -> tuple[Event, ...]:
             level="fleet",
         ),
     )
+
+
+def go_on_without_help(state: State, command: GoOnWithoutHelp) -> tuple[Event, ...]:
+    """A helper that has not answered in time is work for the coordinator again. Reading: R44."""
+    failure = open_failure(state, command.action_id)
+    if failure is None or (failure[1].failure, failure[1].awaited) != (command.failure, command.helper):
+        return ()
+    return reach_coordinator(state, ReachCoordinator(command.action_id, NO_ANSWER, now_us=command.now_us))
 
 
 def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
@@ -137,9 +158,10 @@ def _on_attempt_failed(_state: State, event: RecoveryAttemptFailed, _now_us: int
     return (to_coordinator(event.action_id, "retry-failed", message(event.robot, f"{event.action_id}/{event.failure}", "retry-report")),)
 
 
-def _on_order(_state: State, event: AssistanceRequested, _now_us: int) -> tuple[Scheduled, ...]:
+def _on_order(state: State, event: AssistanceRequested, _now_us: int) -> tuple[Scheduled, ...]:
     order = message(COORDINATOR, _key(event, event.failed_action), f"order/{event.helper}")
-    return (Scheduled(ReachHelper(event.failed_action, event.helper), 0, (order,)),)
+    late = GoOnWithoutHelp(event.failed_action, event.helper, event.failure)
+    return (Scheduled(ReachHelper(event.failed_action, event.helper), 0, (order,)), Scheduled(late, state.fleet.answer_us))
 
 
 def _on_decline(_state: State, event: AssistanceDeclined, _now_us: int) -> tuple[Scheduled, ...]:
@@ -154,10 +176,11 @@ def _on_no_help(_state: State, event: AssistanceFailed, _now_us: int) -> tuple[S
     return (to_coordinator(event.action_id, "no help", message(event.helper, _key(event, event.action_id), f"no help/{event.helper}")),)
 
 
-DECIDES: Decides = {EndAttempt: end_attempt, ReachHelper: reach_helper, EndAssistance: end_assistance}
+DECIDES: Decides = {EndAttempt: end_attempt, ReachHelper: reach_helper, GoOnWithoutHelp: go_on_without_help, EndAssistance: end_assistance}
 ACTORS: Actors = {
     EndAttempt: body,
     ReachHelper: helping,
+    GoOnWithoutHelp: nobody,
 }
 REACTS: Reacts = {
     ExecutionFailed: _on_failure,

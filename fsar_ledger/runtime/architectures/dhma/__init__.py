@@ -2,8 +2,8 @@
 
 from fsar_ledger.runtime.architectures.wiring import Wiring, wire
 from fsar_ledger.runtime.handlers import execution as bodies
-from fsar_ledger.runtime.handlers import supervision, task
+from fsar_ledger.runtime.handlers import supervision, task, withdrawal
 
 from . import agents, authority, execution, recovery, request, talk
 
-DHMA: Wiring = wire(task, bodies, supervision, talk, agents, request, authority, execution, recovery)
+DHMA: Wiring = wire(task, bodies, supervision, withdrawal, talk, agents, request, authority, execution, recovery)

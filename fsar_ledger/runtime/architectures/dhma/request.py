@@ -19,11 +19,13 @@ from fsar_ledger.events.request import (
     RequestDeferred,
     RequestDenied,
     RequestIssued,
+    RequestUnanswered,
 )
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
+from fsar_ledger.projections.supervision import is_asked
 from fsar_ledger.runtime.handlers.actors import named, requester, target
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, on_shift, pending_of_other_task
 from fsar_ledger.runtime.handlers.commands import (
@@ -76,6 +78,20 @@ class Award(Command):
     """All bids are in, or H_F has approved the one under review."""
 
     action_id: str
+
+
+class CloseBidding(Command):
+    """The requester has waited long enough for the bids of this round."""
+
+    action_id: str
+    round: int
+
+
+class GoOnWithout(Command):
+    """The requester has waited long enough for the word of the robot that was awarded the contract in this round."""
+
+    action_id: str
+    round: int
 
 
 class AcceptAward(Command):
@@ -142,18 +158,43 @@ def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
 def receive_bid(state: State, command: ReceiveBid) -> tuple[Event, ...]:
     """The planner knows the bid."""
     request = state.request.get(command.action_id)
-    return () if request is None else (BidReceived(request.task_id, request.action_id, command.robot, command.outcome),)
+    return () if request is None or request.is_unanswered else (BidReceived(request.task_id, request.action_id, command.robot, command.outcome),)
 
 
 def award(state: State, command: Award) -> tuple[Event, ...]:
     """The contract is awarded, or the best bid is put before H_F."""
     request = state.request.get(command.action_id)
     best = best_bid(request) if request is not None else None
-    if request is None or best is None:
+    if request is None or best is None or request.target is not None or is_asked(state.supervision, command.action_id, "review"):
         return ()
     if best[1] == "review" and command.action_id not in state.supervision.approved:
         return (SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "review"),)
     return (AwardMade(request.task_id, request.requester, None, on_shift(state, request.requester), best[0]),)
+
+
+def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
+    """Who has not bid in time counts as a refusal: the contract goes to the best of the others, or nobody has answered. Reading: R44."""
+    request = state.request.get(command.action_id)
+    if request is None or request.is_unanswered or request.round != command.round or len(request.bids) == len(request.candidates):
+        return ()
+    if best_bid(request) is not None:
+        return award(state, Award(command.action_id, now_us=command.now_us))
+    return (_unanswered(state, request, None),)
+
+
+def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
+    """An award that was not accepted in time is no contract: the step is tried again later. Reading: R44."""
+    request = state.request.get(command.action_id)
+    if request is None or request.round != command.round or request.target is None or request.is_accepted:
+        return ()
+    return (_unanswered(state, request, request.target),)
+
+
+def _unanswered(state: State, request: Request, executor: str | None) -> RequestUnanswered:
+    robot = request.requester
+    context = {**_context(state, request, robot), "executed_by": executor}
+    del context["request_id"]
+    return RequestUnanswered(**context, **path(robot, ("communication",)), capability=request.capability)
 
 
 def accept_award(state: State, command: AcceptAward) -> tuple[Event, ...]:
@@ -219,7 +260,12 @@ def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, 
 def _on_call(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
     assert event.action_id is not None
     request = state.request[event.action_id]
-    return tuple(scheduled for robot in event.candidates for scheduled in call(state, request, robot))
+    calls = tuple(scheduled for robot in event.candidates for scheduled in call(state, request, robot))
+    return (*calls, _closing(state, request))
+
+
+def _closing(state: State, request: Request) -> Scheduled:
+    return Scheduled(CloseBidding(request.action_id, request.round), state.fleet.answer_us, (at_once(request.requester),))
 
 
 def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled, ...]:
@@ -253,7 +299,12 @@ def _on_award(state: State, event: AwardMade, _now_us: int) -> tuple[Scheduled, 
     if task is None:  # given up meanwhile
         return ()
     request = state.request[task.action_id]
-    return (Scheduled(AcceptAward(request.action_id), 0, (message(request.requester, request.action_id, f"award/{request.round}"),)),)
+    told = Scheduled(AcceptAward(request.action_id), 0, (message(request.requester, request.action_id, f"award/{request.round}"),))
+    return (told, Scheduled(GoOnWithout(request.action_id, request.round), state.fleet.answer_us, (at_once(request.requester),)))
+
+
+def _on_unanswered(state: State, event: RequestUnanswered, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(BeginStep(event.task_id, event.action_id), state.fleet.structure.back_off_us),)
 
 
 def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Scheduled, ...]:
@@ -263,7 +314,8 @@ def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Schedul
     said, record = talk(state, event.robot, VOIDING, key, "void")
     agreed, other = talk(state, request.requester, RELAY, key, "again", (*said, message(event.robot, key, "void")))
     calls = tuple(scheduled for robot in request.candidates for scheduled in call(state, request, robot, agreed))
-    return (*calls, record, other)
+    closing = Scheduled(CloseBidding(request.action_id, request.round), state.fleet.answer_us, agreed)
+    return (*calls, record, other, closing)
 
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
@@ -287,6 +339,8 @@ DECIDES: Decides = {
     EvaluateBid: evaluate_bid,
     ReceiveBid: receive_bid,
     Award: award,
+    CloseBidding: close_bidding,
+    GoOnWithout: go_on_without,
     AcceptAward: accept_award,
     CloseRequest: close_request,
 }
@@ -296,6 +350,8 @@ ACTORS: Actors = {
     EvaluateBid: named,
     ReceiveBid: requester,
     Award: requester,
+    CloseBidding: requester,
+    GoOnWithout: requester,
     AcceptAward: target,
     CloseRequest: requester,
 }
@@ -307,6 +363,7 @@ REACTS: Reacts = {
     BidReceived: _on_bid_received,
     SupervisorResponded: _on_response,
     AwardMade: _on_award,
+    RequestUnanswered: _on_unanswered,
     ContractVoided: _on_void,
     ExecutionFinished: _on_finish,
     RequestClosed: _on_close,

@@ -1,12 +1,19 @@
-"""FSAR: a robot whose actuator failed it tells the registry, and again when it was serviced. Paper: sec:architecture:registry."""
+"""FSAR: the registry hears who can do what: of a worn actuator from its robot, of silence from whoever got no answer. Paper: sec:architecture:registry.
+
+Reading R44: the paper marks a robot offline that leaves "through failure detection". Nobody sees that a robot is off; the registry has it offline from the
+moment at which somebody waited for its answer in vain until its own word that it is back has come in.
+"""
+
+from collections.abc import Iterable
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Availability
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.supervision import ActuatorServiced
+from fsar_ledger.events.world import LinkCameUp, RobotCameBack
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.registry import surface
+from fsar_ledger.projections.registry import NO_ANSWER, surface
 from fsar_ledger.runtime.handlers.actors import nobody
 from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reacts, Scheduled, message
 
@@ -16,6 +23,28 @@ class ReportActuator(Command):
 
     robot: str
     is_degraded: bool
+
+
+class ReportBack(Command):
+    """The robot's word that it can be asked again has reached the registry."""
+
+    robot: str
+
+
+def found_silent(state: State, robots: Iterable[str]) -> tuple[AvailabilityChanged, ...]:
+    """The registry has those offline who did not answer; without one nobody is told."""
+    if "shared-registry" in state.fleet.without:
+        return ()
+    news = [robot for robot in dict.fromkeys(robots) if robot not in state.registry.silent and any(surface(state.registry, robot))]
+    return tuple(AvailabilityChanged(robot, None, "offline", NO_ANSWER) for robot in news)
+
+
+def report_back(state: State, command: ReportBack) -> tuple[AvailabilityChanged, ...]:
+    """What the robot advertises is as available as before it was found silent."""
+    before = state.registry.silent.get(command.robot, {})
+    if len(set(before.values())) == 1 and len(before) == len(tuple(surface(state.registry, command.robot))):
+        return (AvailabilityChanged(command.robot, None, next(iter(before.values())), "answers again"),)
+    return tuple(AvailabilityChanged(command.robot, capability, availability, "answers again") for capability, availability in before.items())
 
 
 def report_actuator(state: State, command: ReportActuator) -> tuple[Event, ...]:
@@ -46,8 +75,15 @@ def _on_service(state: State, event: ActuatorServiced, now_us: int) -> tuple[Sch
     return (Scheduled(ReportActuator(event.robot, False), 0, (message(event.robot, f"{event.robot}/{now_us}", "serviced"),)),)
 
 
-DECIDES: Decides = {ReportActuator: report_actuator}
+def _on_back(state: State, event: RobotCameBack | LinkCameUp, now_us: int) -> tuple[Scheduled, ...]:
+    if event.robot not in state.registry.silent:
+        return ()
+    return (Scheduled(ReportBack(event.robot), 0, (message(event.robot, f"{event.robot}/{now_us}", "back"),)),)
+
+
+DECIDES: Decides = {ReportActuator: report_actuator, ReportBack: report_back}
 ACTORS: Actors = {
     ReportActuator: nobody,
+    ReportBack: nobody,
 }
-REACTS: Reacts = {ExecutionFailed: _on_failure, ActuatorServiced: _on_service}
+REACTS: Reacts = {ExecutionFailed: _on_failure, ActuatorServiced: _on_service, RobotCameBack: _on_back, LinkCameUp: _on_back}

@@ -65,7 +65,7 @@ def _visible(state: State, request: Request) -> list[str]:
 
 def _relays(state: State, request: Request, name: str) -> list[str]:
     """Peers that both the requester and the executor trust, so that each link is admissible by itself, nearest team first."""
-    others = [peer for peer in state.fleet.robots if peer not in (name, request.requester)]
+    others = [peer for peer in state.fleet.robots if peer not in (name, request.requester) and peer not in state.registry.silent]
     about = (request.capability, request.task_id)
     near = nearest_first(state, others, request.requester)
     return [peer for peer in near if trusts(state, peer, request.requester, *about) and trusts(state, name, peer, *about)]
@@ -110,11 +110,11 @@ def _among_met(state: State, request: Request, now_us: int) -> Found:
     return (), None
 
 
-def unanswered(state: State, request: Request) -> RequestUnanswered:
-    """The requester knows of nobody to ask."""
+def unanswered(state: State, request: Request, executor: str | None = None) -> RequestUnanswered:
+    """The requester knows of nobody to ask, or has waited for the word of this executor in vain."""
     robot = request.requester
     supervisor = on_shift(state, robot)
-    return RequestUnanswered(request.task_id, request.action_id, robot, robot, None, supervisor, (robot,), request.capability)
+    return RequestUnanswered(request.task_id, request.action_id, robot, robot, executor, supervisor, (robot,), request.capability)
 
 
 def _met(state: State, request: Request, found: tuple[str, ...], relay: str | None) -> RegistryQueried:

@@ -4,7 +4,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import POLICY
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionPaused, ExecutionQueued, OwnStepDecided, RoutinePerformed, RoutineWithheld
 from fsar_ledger.events.knowledge import FleetRuleLearned
-from fsar_ledger.events.policy import PolicyRuleSet
+from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import ContextChanged, PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections.execution import Action
@@ -112,11 +112,11 @@ def _on_window_closed(state: State, event: PolicyWindowClosed, now_us: int) -> t
     return _on_fleet_rule(state, event, now_us) if event.scope == "fleet" else _let_go(state, event.robot)
 
 
-def _on_rule(state: State, event: PolicyRuleSet, _now_us: int) -> tuple[Scheduled, ...]:
+def _on_rule(state: State, event: PolicyRuleSet | RolePolicyRuleSet, _now_us: int) -> tuple[Scheduled, ...]:
     """What waits for a robot's own policy tries again when that may have changed; what polls the fleet's does so by itself."""
     if event.scope == "fleet":
         return ()
-    robots = tuple(state.execution.current) if event.robot is None else (event.robot,)
+    robots = (event.robot,) if isinstance(event, PolicyRuleSet) and event.robot is not None else tuple(state.execution.current)
     return tuple(start for robot in robots for start in _let_go(state, robot))
 
 
@@ -156,6 +156,7 @@ REACTS: Reacts = {
     PolicyWindowOpened: _on_fleet_rule,
     PolicyWindowClosed: _on_window_closed,
     PolicyRuleSet: _on_rule,
+    RolePolicyRuleSet: _on_rule,
     ExecutionPaused: _on_pause,
     ContextChanged: pause_running,
 }

@@ -1,10 +1,10 @@
 """FSAR: who may help with a failure or take the step over, and if nobody may, why. Paper: sec:model:recovery, levels 2 and 3.
 
 The checks are those of any request: who can, shows it and is there, trust, authority, policy, then whether the robot
-is free. What remains after one is judged by the next; the check after which nobody remains is the reason. Who does not answer,
-because it is off or its link is down, is nobody's help: what the others are asked for here is their word. Reading: a
-substitute is asked for its own capability, so that its advertisement's terms are what counts, and what holds of the step's
-capability holds for it as well.
+is free. What remains after one is judged by the next; the check after which nobody remains is the reason. All are
+asked at once and give their word; who does not answer, because it is off or its link is down, is nobody's help, which is
+known only when the time for an answer is over (R44). Reading: a substitute is asked for its own capability, so that its
+advertisement's terms are what counts, and what holds of the step's capability holds for it as well.
 """
 
 from collections.abc import Iterable
@@ -18,7 +18,7 @@ from fsar_ledger.projections.authority import right_of
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.recovery import Recovery
-from fsar_ledger.projections.registry import Advertisement, advertisement
+from fsar_ledger.projections.registry import NO_ANSWER, Advertisement, advertisement
 from fsar_ledger.projections.trust import covers, scope_of
 from fsar_ledger.projections.world import is_linked, stricter
 from fsar_ledger.runtime.handlers.attribution import family, helpers, is_idle, is_reachable, kin, means, on_shift, stand_ins
@@ -28,7 +28,13 @@ from fsar_ledger.runtime.handlers.registry import Filter, Query, rejecting_filte
 
 ASSISTING_SCOPES = ("task", "session", "persistent")  # capability scope does not cover assistance
 
-Found = tuple[str | None, str]  # who, or why nobody
+
+class Found(NamedTuple):
+    """Who, or why nobody; and who of those that were asked does not answer."""
+
+    robot: str | None
+    reason: str
+    silent: tuple[str, ...] = ()
 
 
 class Candidate(NamedTuple):
@@ -42,7 +48,7 @@ class Candidate(NamedTuple):
 def peer(state: State, action: Action, recovery: Recovery) -> Found:
     """The nearest peer not asked before that can help, is trusted to, whose policy and the asking robot's allow it, and that is idle."""
     if "shared-registry" in state.fleet.without:
-        return None, "no shared registry"
+        return Found(None, "no shared registry")
     found = _bodies(state, action) if recovery.cause == "obstruction" else _stand_ins(state, action, action.robot)
     return _first(state, action, action.robot, [one for one in found if one.robot not in recovery.tried], "peer")
 
@@ -79,7 +85,7 @@ def reassignee(state: State, action: Action) -> Found:
     """The nearest robot that may execute the step for whom it was: able, trusted, allowed by all three policies, and idle."""
     request = state.request.get(action.action_id)
     if action.capability == NAVIGATION or request is None:
-        return None, "the robot's own way"
+        return Found(None, "the robot's own way")
     found = [one for one in _stand_ins(state, action, action.on_behalf_of) if one.robot != action.on_behalf_of]
     return _first(state, action, action.on_behalf_of, found, "robot", request.carried)
 
@@ -120,18 +126,19 @@ def _first(state: State, action: Action, asking: str, found: list[Candidate], ki
     """The nearest idle candidate that passes every check, or the check after which nobody remained."""
     able = [one for one in found if one.left_out_by not in ("visibility", "availability")]
     if not able:
-        return None, f"no capable {kind}"
+        return Found(None, f"no capable {kind}")
+    silent = tuple(dict.fromkeys(one.robot for one in able if not is_linked(state.world, one.robot)))
     able = [one for one in able if is_linked(state.world, one.robot)]
     if not able:
-        return None, "no answer"
+        return Found(None, NO_ANSWER, silent)
     trusted = [one for one in able if one.left_out_by != "trust"]
     if not trusted:
-        return None, f"no trusted {kind}"
+        return Found(None, f"no trusted {kind}", silent)
     entitled = [one for one in trusted if _may_ask(state, asking, one, action)]
     if not entitled:
-        return None, "authority"
+        return Found(None, "authority", silent)
     willing = [one.robot for one in entitled if one.left_out_by is None and _is_allowed(state, asking, one, action, carried)]
-    return _first_idle(state, willing, "policy", f"{kind} busy")
+    return Found(*_first_idle(state, willing, "policy", f"{kind} busy"), silent)
 
 
 def _is_allowed(state: State, asking: str, one: Candidate, action: Action, carried: PolicyOutcome | None) -> bool:
@@ -151,7 +158,7 @@ def _may_ask(state: State, asking: str, one: Candidate, action: Action) -> bool:
     return not any(isinstance(right, AuthorityRevoked) for right in rights)
 
 
-def _first_idle(state: State, willing: Iterable[str], nobody_willing: str, nobody_idle: str) -> Found:
+def _first_idle(state: State, willing: Iterable[str], nobody_willing: str, nobody_idle: str) -> tuple[str | None, str]:
     reason = nobody_willing
     for name in willing:
         if is_idle(state, name):

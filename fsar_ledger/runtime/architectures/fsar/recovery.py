@@ -33,7 +33,8 @@ from fsar_ledger.runtime.handlers.recovery import attempt_result, attempt_succee
 from fsar_ledger.runtime.handlers.supervision import supervisor_for
 
 from .authority import released
-from .helpers import peer, peer_query, reassignee
+from .availability import found_silent
+from .helpers import Found, peer, peer_query, reassignee
 
 EXHAUSTED = "budget exhausted"
 
@@ -45,17 +46,28 @@ class StartRecovery(Command):
 
 
 class AskPeers(Command):
-    """The question for help has reached the peers. Units: `since_us` run time at which recovery turned to them."""
+    """The question for help has reached the peers, after `asked` of them; `is_last` when the time for an answer about this `failure` is over.
+
+    Units: `since_us` run time at which recovery turned to them.
+    """
 
     action_id: str
     since_us: int = 0
+    asked: int = 0
+    failure: int = 0
+    is_last: bool = False
 
 
 class ConsiderReassignment(Command):
-    """The failure has reached the recovery orchestrator. Units: `since_us` run time at which recovery turned to it."""
+    """The failure has reached the recovery orchestrator, and those it asks; `is_last` when the time for an answer about this `failure` is over.
+
+    Units: `since_us` run time at which recovery turned to it.
+    """
 
     action_id: str
     since_us: int = 0
+    failure: int = 0
+    is_last: bool = False
 
 
 class CallNext(Command):
@@ -136,19 +148,24 @@ def _is_exhausted(state: State, action: Action, level: RecoveryLevel, spent_us: 
 def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
     """A trusted idle peer helps, or recovery goes to the fleet. Paper: sec:model:recovery, level 2."""
     match open_failure(state, command.action_id):
-        case action, recovery if recovery.level == "peer":
+        case action, recovery if recovery.level == "peer" and not (
+            command.is_last and (command.failure, command.asked) != (recovery.failure, len(recovery.tried))
+        ):
             if _is_exhausted(state, action, "peer", command.now_us - command.since_us, len(recovery.tried)):
                 return (_escalated(state, action, recovery, "fleet", RECOVERY, EXHAUSTED),)
-            helper, reason = peer(state, action, recovery)
+            helper, reason, silent = peer(state, action, recovery)
+            if silent and not command.is_last:
+                return ()
             query = peer_query(state, action, recovery)
             if helper is None:
-                return (*query, _escalated(state, action, recovery, "fleet", RECOVERY, reason))
+                return (*query, _escalated(state, action, recovery, "fleet", RECOVERY, reason), *found_silent(state, silent))
             about: dict[str, Any] = {"robot": action.robot, "helper": helper, "failure": recovery.failure}
             admitting = {**_context(state, action, helper), "supervised_by": on_shift(state, helper)}
             return (
                 *query,
                 AssistanceRequested(**_context(state, action, action.robot), **about, level="peer", failed_action=action.action_id, since_us=command.since_us),
                 AssistanceAdmitted(**admitting, **about, level="peer"),
+                *found_silent(state, silent),
             )
         case _:
             return ()
@@ -162,11 +179,13 @@ def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
 def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[Event, ...]:
     """Another robot takes the step over from a declared checkpoint, or a supervisor is called. Paper: sec:model:recovery, level 3."""
     match open_failure(state, command.action_id):
-        case action, recovery if recovery.level == "fleet":
+        case action, recovery if recovery.level == "fleet" and not (command.is_last and command.failure != recovery.failure):
             if _is_exhausted(state, action, "fleet", command.now_us - command.since_us, 0):
                 return _to_human(state, action, recovery, EXHAUSTED)
             resume_at = checkpoint(state.task, action.task_id, action.step)
-            helper, reason = reassignee(state, action) if resume_at is not None else (None, "no checkpoint")
+            helper, reason, silent = reassignee(state, action) if resume_at is not None else Found(None, "no checkpoint")
+            if silent and not command.is_last:
+                return ()
             decided = ReassignmentDecided(
                 **_context(state, action, RECOVERY),
                 robot=action.robot,
@@ -176,8 +195,8 @@ def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[
                 reason=None if helper is not None else reason,
             )
             if helper is None or resume_at is None:
-                return (decided, *_to_human(state, action, recovery, f"no feasible reassignment: {reason}"))
-            return (decided, *_handed_over(state, action, recovery, helper, resume_at))
+                return (decided, *_to_human(state, action, recovery, f"no feasible reassignment: {reason}"), *found_silent(state, silent))
+            return (decided, *_handed_over(state, action, recovery, helper, resume_at), *found_silent(state, silent))
         case _:
             return ()
 
@@ -224,13 +243,23 @@ def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[S
     return (Scheduled(end, state.fleet.structure.retry_preparation_us, (Draw("retry", key),), Draw("reliability", "retry/" + key)),)
 
 
-def _on_escalation(_state: State, event: RecoveryEscalated, now_us: int) -> tuple[Scheduled, ...]:
+def _on_escalation(state: State, event: RecoveryEscalated, now_us: int) -> tuple[Scheduled, ...]:
     key = f"{event.failed_action}/{event.failure}"
     if event.to_level == "peer":
-        return (Scheduled(AskPeers(event.failed_action, now_us), 0, (message(event.robot, key, "peer"),)),)
+        return _asking(state, event.failed_action, now_us, (message(event.robot, key, "peer"),))
     if event.to_level == "fleet":  # the peers' refusals come back before the orchestrator is asked
-        return (Scheduled(ConsiderReassignment(event.failed_action, now_us), 0, (message(event.robot, key, "answer"), message(event.robot, key, "fleet"))),)
+        told = (message(event.robot, key, "answer"), message(event.robot, key, "fleet"))
+        last = Scheduled(ConsiderReassignment(event.failed_action, now_us, event.failure, is_last=True), state.fleet.answer_us, told)
+        return (Scheduled(ConsiderReassignment(event.failed_action, now_us), 0, told), last)
     return ()
+
+
+def _asking(state: State, action_id: str, since_us: int, told: tuple[Draw, ...]) -> tuple[Scheduled, ...]:
+    """The peers are asked, and waited for no longer than for an answer."""
+    recovery = state.recovery[action_id]
+    asked = len(recovery.tried)
+    last = Scheduled(AskPeers(action_id, since_us, asked, recovery.failure, is_last=True), state.fleet.answer_us, told)
+    return (Scheduled(AskPeers(action_id, since_us, asked), 0, told), last)
 
 
 def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
@@ -242,7 +271,7 @@ def _on_no_help(state: State, event: AssistanceFailed, _now_us: int) -> tuple[Sc
     """The robot is told, and turns to the next peer as long as the budget of the level lasts."""
     recovery, key = state.recovery[event.action_id], f"{event.action_id}/{event.failure}"
     told = (message(event.helper, key, f"no help/{event.helper}"), message(event.robot, key, f"peer/{len(recovery.tried)}"))
-    return (Scheduled(AskPeers(event.action_id, recovery.since_us), 0, told),)
+    return _asking(state, event.action_id, recovery.since_us, told)
 
 
 def _on_call(state: State, event: SupervisorCalled, _now_us: int) -> tuple[Scheduled, ...]:

@@ -32,6 +32,7 @@ from fsar_ledger.runtime.handlers.policy import conflict, own_policy
 from fsar_ledger.runtime.handlers.supervision import is_due_for_review
 from fsar_ledger.runtime.handlers.trust import trusts
 
+from .availability import ReportBack, found_silent, report_back
 from .contention import held_up, in_order, put_in_order
 from .discovery import unanswered
 
@@ -50,6 +51,12 @@ class RelayRequest(Command):
 
 class EvaluateRequest(Command):
     """The request has reached the executor."""
+
+    action_id: str
+
+
+class GoOnWithout(Command):
+    """The requester has waited long enough for a word about its request."""
 
     action_id: str
 
@@ -90,7 +97,7 @@ def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
 def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
     """The peer has passed the request on, its own policy composed, or denied its link of the chain. Paper: eq:nontransitive."""
     request = state.request.get(command.action_id)
-    if request is None or request.relay is None:
+    if request is None or request.relay is None or request.silent:
         return ()
     relay, about = request.relay, (request.capability, request.task_id)
     supervisor = on_shift(state, relay)
@@ -106,6 +113,8 @@ def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
 def evaluate_request(state: State, command: EvaluateRequest) -> tuple[Event, ...]:
     """The executor has admitted, countered or denied the request, or asked H_F for review. Paper: eq:admissible, phase 4."""
     request = state.request.get(command.action_id)
+    if request is not None and request.silent:  # too late; it was found silent, and its word says otherwise
+        return report_back(state, ReportBack(request.silent[0]))
     if request is None or not _is_open(state, request) or is_asked(state.supervision, request.action_id, "review"):
         return ()
     return _judged(state, request, evaluate(state, request, request.candidates[0]), command.now_us)
@@ -122,9 +131,21 @@ def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
     return _judged(state, request, evaluate(state, request, executor, is_reviewed=True), command.now_us, is_reviewed=True)
 
 
+def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
+    """The requester has had no word in time: it tries again later, and the registry knows who was silent. Reading: R44."""
+    request = state.request.get(command.action_id)
+    if request is None or not request.candidates or request.is_heard or request.is_received or request.offers or not _is_open(state, request):
+        return ()
+    executor = request.candidates[0]
+    silent = executor if request.relay is None or request.is_relayed else request.relay
+    return (unanswered(state, request, executor), *found_silent(state, (silent,)))
+
+
 def _is_open(state: State, request: Request) -> bool:
     """True while the request waits for the executor's word."""
-    has_word = request.is_over or request.is_accepted or request.offered is not None
+    if not request.is_adhoc and request.task_id not in state.task:  # its task was given up
+        return False
+    has_word = request.is_over or request.is_accepted or request.is_unanswered or request.offered is not None
     return not has_word and request.action_id not in state.execution.actions
 
 
@@ -228,7 +249,8 @@ def _on_request(state: State, event: RequestIssued, _now_us: int) -> tuple[Sched
     if request is None or not (request.is_adhoc or _is_step(state, request)):
         return ()
     next_one: Command = RelayRequest(event.action_id) if event.relay else EvaluateRequest(event.action_id)
-    return (Scheduled(next_one, 0, (message(request.requester, event.action_id, 2),)),)
+    asked = Scheduled(next_one, 0, (message(request.requester, event.action_id, 2),))
+    return (asked, Scheduled(GoOnWithout(event.action_id), state.fleet.answer_us, (at_once(request.requester),)))
 
 
 def _on_relay(_state: State, event: RequestRelayed, _now_us: int) -> tuple[Scheduled, ...]:
@@ -293,6 +315,7 @@ DECIDES: Decides = {
     IssueRequest: issue_request,
     RelayRequest: relay_request,
     EvaluateRequest: evaluate_request,
+    GoOnWithout: go_on_without,
     AdmitReviewed: admit_reviewed,
     TakeTurn: take_turn,
     CloseRequest: close_request,
@@ -301,6 +324,7 @@ ACTORS: Actors = {
     IssueRequest: requester,
     RelayRequest: relay,
     EvaluateRequest: asked,
+    GoOnWithout: requester,
     AdmitReviewed: asked,
     CloseRequest: nobody,
 }

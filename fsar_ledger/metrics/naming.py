@@ -1,0 +1,86 @@
+"""The constants of a run by name: the one way in which queries, `info`, the report and replay name those in which runs differ."""
+
+import re
+from collections.abc import Iterator
+from functools import cache
+from typing import Any
+
+import msgspec
+
+from fsar_ledger.constants import Constants, Load, Outages, read_constants, write_constants
+from fsar_ledger.parameters import BadParameters, read_parameters
+
+MAX_PARAMETERS = 65_536
+"""Characters of parameters that are read constant by constant; those of the model have 2,000. Longer ones are only the same or not."""
+
+MAX_SHOWN = 60
+"""Characters of a name, or of a value, that are shown; no constant of the model has more."""
+
+DEFAULT = "default"
+"""What stands for the value of a constant that is not set, and is none by default."""
+
+_PLAIN = re.compile(r"[A-Za-z_][A-Za-z0-9_-]*")
+
+
+def constants_of(parameters: str | None) -> list[dict[str, str]] | None:
+    """The constants by name, `world.message.high_s` or `world.durations["carry.heavy"].low_s`, with their values as JSON; what is null is not there.
+
+    Numbers that are equal are the same text, however they were written; None where the text is no parameters of a run, or too long.
+    """
+    if parameters is None or len(parameters) > MAX_PARAMETERS:
+        return None
+    try:
+        found = dict(_constants("", read_parameters(parameters)))
+    except (BadParameters, UnicodeError):
+        return None
+    return [{"name": name, "value": found[name]} for name in sorted(found)]
+
+
+def _constants(name: str, value: Any) -> Iterator[tuple[str, str]]:
+    """The leaves below a value: of objects by key, of lists of [name, value] by name, of other lists by number."""
+    if value is None:
+        return
+    parts: list[tuple[str, Any]]
+    if isinstance(value, dict) and value:
+        dot = "." if name else ""
+        parts = [(f"{dot}{key}" if _PLAIN.fullmatch(key) else f"{dot}{_json(key)}", inner) for key, inner in value.items()]
+    elif isinstance(value, list) and value:
+        named = all(isinstance(one, list) and len(one) == 2 and isinstance(one[0], str) for one in value) and len({one[0] for one in value}) == len(value)
+        parts = [(f"[{_json(one[0])}]", one[1]) for one in value] if named else [(f"[{at}]", inner) for at, inner in enumerate(value)]
+    else:
+        yield name, _json(int(value) if isinstance(value, float) and value.is_integer() and abs(value) < 2**53 else value)
+        return
+    for part, inner in parts:
+        yield from _constants(name + part, inner)
+
+
+def _json(value: Any) -> str:
+    return msgspec.json.encode(value).decode()
+
+
+def default_of(name: str) -> str | None:
+    """The value that a constant of this version has in a run of the model that does not record it; None where there is no such constant."""
+    return _own().get(name)
+
+
+def unlike_ours(parameters: str) -> list[str]:
+    """The constants of a run of this model that are not this version's, as `NAME=VALUE (here VALUE)`. Raises: BadParameters."""
+    found, own = _whole(read_constants(parameters)), _own()
+    return [
+        f"{name:.{MAX_SHOWN}}={found.get(name, 'absent'):.{MAX_SHOWN}} (here {own.get(name, 'absent'):.{MAX_SHOWN}})"
+        for name in sorted({*found, *own})
+        if found.get(name) != own.get(name)
+    ]
+
+
+@cache
+def _own() -> dict[str, str]:
+    return _whole(Constants())
+
+
+def _whole(constants: Constants) -> dict[str, str]:
+    """Every constant by name, also those of groups that may be absent: they are then as by default."""
+    groups = msgspec.structs.replace(constants, outages=constants.outages or Outages(), load=constants.load or Load())
+    unset = {f"{group}.{name}": DEFAULT for group in groups.__struct_fields__ for name in getattr(groups, group).__struct_fields__}
+    found = {one["name"]: one["value"] for one in constants_of(write_constants(groups)) or ()}
+    return {name: value for name, value in unset.items() if not any(one.startswith(name) for one in found)} | found

@@ -1,0 +1,20 @@
+-- Title: Runs, and which of them may be counted together
+-- Paper: sec:evaluation:setup
+-- Grain: one row per run
+-- Units: made_alike, the same text for runs of one architecture, configuration, seed and setting (kind, source, model version, constants, fleet size);
+--        fleet_size robots; constants as in parameter_sets
+-- NULL: what the run does not have; constants where all runs of the kind and model have the same
+-- Example: fsar-ledger query staging/run_groups LEDGER
+SELECT
+    runs.run_id,
+    to_json([runs.architecture, runs.configuration, runs.seed::VARCHAR, settings.setting])::VARCHAR AS made_alike,
+    runs.architecture,
+    runs.configuration,
+    runs.fleet_size,
+    runs.seed,
+    runs.kind,
+    runs.source,
+    runs.model_version,
+    settings.constants
+FROM runs
+INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id

@@ -1,0 +1,164 @@
+"""Nobody knows that a robot is off before it has not answered, and nobody waits longer for an answer than is said, whoever governs. Reading: R44."""
+
+from functools import cache
+
+import msgspec
+import pytest
+
+from fsar_ledger.constants import Constants, Outages
+from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityReleased
+from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued
+from fsar_ledger.events.knowledge import WorkQueued
+from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceRequested, RecoveryEscalated
+from fsar_ledger.events.registry import AvailabilityChanged
+from fsar_ledger.events.request import AwardMade, CommandIssued, RequestIssued, RequestUnanswered
+from fsar_ledger.events.task import StepCompleted, TaskAbandoned, TaskCompleted
+from fsar_ledger.events.world import LinkCameUp, LinkWentDown, ObstructionAppeared, RobotCameBack, RobotWentOff, TaskArrived
+from fsar_ledger.runtime.kernel import Kernel
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, founding_of, wiring
+from fsar_ledger.runtime.world.draws import Draws, run_key
+from fsar_ledger.runtime.world.schedule import Fact, schedule
+from tests.runtime.physics import EVERY, LAWLESS, OURS, QUIET
+
+S = 1_000_000
+ANSWER_US = round(Outages().answer_s * S)
+CALM = msgspec.structs.replace(OURS, **QUIET, **LAWLESS, context_rate_per_s=0.0, routine_rate_per_s=0.0, encounter_mean_s=5.0)
+A, B, B2, DOOR = "robot/A1", "robot/B1", "robot/B2", "door.open.secure"
+TASK = TaskArrived("A1-1", A, 1, (f"A {DOOR} B",), 90 * S, 91 * S)
+
+
+def ran(architecture: Architecture, facts: list[Fact], size: int = 8) -> Kernel:
+    """The run of two teams in a calm world, in which this happens and nothing else."""
+    spec, constants = RunSpec(5, architecture, "full", "door-relay", size, 0), Constants(world=CALM)
+    one = Kernel(wiring(architecture), facts, Draws(run_key(5, "door-relay", 0), CALM), *founding_of(spec, constants))
+    one.run()
+    return one
+
+
+@cache
+def without(architecture: Architecture, scenario: str, robot: str, ends: type[Event]) -> Kernel:
+    """The run of a scenario for two teams in a calm world, one robot off or without a link from the beginning."""
+    spec, constants = RunSpec(5, architecture, "full", scenario, 8, 0), Constants(world=CALM)  # type: ignore[arg-type]
+    facts = ((1, ends(robot)), *schedule(CALM, 5, spec.scenario, 0, 8))
+    one = Kernel(wiring(architecture), facts, Draws(run_key(5, spec.scenario, 0), CALM), *founding_of(spec, constants))
+    one.run()
+    return one
+
+
+def of(run: Kernel, *kinds: type[Event]) -> list[tuple[int, Event]]:
+    """The events of these kinds with their times."""
+    return [(time_us, event) for time_us, event in zip(run.times_us, run.events, strict=True) if isinstance(event, kinds)]
+
+
+@EVERY
+@pytest.mark.parametrize("ends", [RobotWentOff, LinkWentDown])
+def test_where_another_robot_could_serve_nobody_waits_for_ever_for_one_that_is_silent(architecture: Architecture, ends: type[Event]) -> None:
+    """Each robot in its turn; a task in which the silent one acts itself can only be given up."""
+    tasks = 0
+    for scenario in SCENARIOS:
+        for robot in ("robot/A1", "robot/B1", "robot/C1", "robot/D1"):
+            run = without(architecture, scenario, robot, ends)
+            done = {event.task_id for _, event in of(run, TaskCompleted) if isinstance(event, TaskCompleted)}
+            for _, event in of(run, TaskArrived):
+                assert isinstance(event, TaskArrived)
+                if all(f"robot/{step.partition(' ')[0]}{event.team}" != robot for step in event.steps):
+                    tasks += 1
+                    assert event.task_id in done, (scenario, robot, event.task_id, event.steps)
+    assert tasks
+
+
+def helped(architecture: Architecture) -> Kernel:
+    """Something stays in the way of A while B, the first that could help, is off."""
+    own = TaskArrived("A1-1", A, 1, ("A navigate.indoor",), 90 * S, 91 * S)
+    return ran(architecture, [(1, RobotWentOff(B)), (S, own), (S + 100, ObstructionAppeared(A, "o"))])
+
+
+@pytest.mark.parametrize("architecture", ["fsar", "cfc"])
+def test_that_a_helper_is_silent_is_known_when_the_time_for_its_answer_is_over(architecture: Architecture) -> None:
+    """Under DHMA robots do not help each other."""
+    run = helped(architecture)
+    turned = [time_us for time_us, event in of(run, RecoveryEscalated, AssistanceRequested) if getattr(event, "to_level", "peer") == "peer"]
+    helping = of(run, AssistanceAdmitted)
+    assert len(helping) == 1
+    admitted_us, admitted = helping[0]
+    assert isinstance(admitted, AssistanceAdmitted)
+    assert admitted.helper != B
+    assert ANSWER_US <= admitted_us - turned[0] <= ANSWER_US + 2 * S
+    asked = [event.helper for _, event in of(run, AssistanceRequested) if isinstance(event, AssistanceRequested)]
+    assert asked == ([admitted.helper] if architecture == "fsar" else [B, admitted.helper])  # the coordinator orders one by one
+    assert of(run, TaskCompleted)
+
+
+def test_the_registry_has_a_silent_robot_offline_until_it_has_reported_back() -> None:
+    later = msgspec.structs.replace(TASK, task_id="A1-2")
+    last = msgspec.structs.replace(TASK, task_id="A1-3")
+    for ends, begins in ((RobotWentOff, RobotCameBack), (LinkWentDown, LinkCameUp)):
+        run = ran("fsar", [(1, ends(B)), (S, TASK), (30 * S, later), (60 * S, begins(B)), (61 * S, last)])
+        asked = [(event.action_id, event.executed_by) for _, event in of(run, RequestIssued) if isinstance(event, RequestIssued)]
+        assert asked == [("A1-1/1.1", B), ("A1-1/1.2", B2), ("A1-2/1.1", B2), ("A1-3/1.1", B)]
+        (gone_us, gone), (back_us, back) = of(run, AvailabilityChanged)
+        assert (gone, back) == (AvailabilityChanged(B, None, "offline", "no answer"), AvailabilityChanged(B, None, "ready", "answers again"))
+        assert gone_us - of(run, RequestIssued)[0][0] == ANSWER_US
+        assert 60 * S < back_us < 61 * S
+
+
+def test_what_a_robot_has_said_of_itself_since_stands_when_it_reports_back() -> None:
+    before = AvailabilityChanged(B, "door.open.basic", "restricted", "inspection")
+    run = ran("fsar", [(1, before), (2, RobotWentOff(B)), (S, TASK), (60 * S, RobotCameBack(B))])
+    back = {event.capability: event.availability for _, event in of(run, AvailabilityChanged)[2:] if isinstance(event, AvailabilityChanged)}
+    assert back["door.open.basic"] == "restricted"
+    assert back[DOOR] == "ready"
+    assert run.state.registry.silent == {}
+
+
+def test_a_requester_without_a_link_blames_nobody() -> None:
+    run = ran("fsar", [(S, TASK), (S + 200_000, LinkWentDown(A)), (40 * S, LinkCameUp(A))])
+    assert of(run, AvailabilityChanged) == []
+    assert of(run, TaskCompleted)
+
+
+def test_a_command_that_nobody_confirmed_is_taken_back_and_not_carried_out_later() -> None:
+    run = ran("cfc", [(1, RobotWentOff(B)), (S, TASK), (7 * S, RobotCameBack(B))])  # a second after it was
+    commanded = [event.robot for _, event in of(run, CommandIssued) if isinstance(event, CommandIssued)]
+    assert commanded == [B, B2]
+    [(late_us, late)] = of(run, RequestUnanswered)
+    assert isinstance(late, RequestUnanswered)
+    assert (late.decided_by, late.executed_by, late.requested_by) == ("coordinator", B, None)
+    assert late_us - of(run, CommandIssued)[0][0] == ANSWER_US
+    assert [event.dimension for time_us, event in of(run, AuthorityReleased) if isinstance(event, AuthorityReleased) and time_us == late_us] == [
+        "execution",
+        "override",
+    ]
+    assert [event.robot for _, event in of(run, ExecutionQueued) if isinstance(event, ExecutionQueued)] == [B2]
+    assert len(of(run, StepCompleted)) == 1
+
+
+def test_an_order_to_a_silent_helper_is_not_carried_out_after_another_was_asked() -> None:
+    run = helped("cfc")
+    facts: list[Fact] = [(time_us, event) for time_us, event in of(run, RobotWentOff, TaskArrived, ObstructionAppeared)]
+    [(admitted_us, _)] = of(run, AssistanceAdmitted)
+    again = ran("cfc", [*facts, (admitted_us + S, RobotCameBack(B))])
+    assert len(of(again, AssistanceAdmitted)) == 1
+    assert [event.item for _, event in of(again, WorkQueued) if isinstance(event, WorkQueued)].count("no answer") == 1
+
+
+def test_a_contract_whose_award_is_not_accepted_is_awarded_anew() -> None:
+    calm = ran("dhma", [(S, TASK)])
+    [(awarded_us, first)] = of(calm, AwardMade)
+    assert isinstance(first, AwardMade)
+    run = ran("dhma", [(S, TASK), (awarded_us + 1, RobotWentOff(first.robot)), (60 * S, RobotCameBack(first.robot))])
+    [(late_us, late)] = of(run, RequestUnanswered)
+    assert isinstance(late, RequestUnanswered)
+    assert (late_us, late.executed_by) == (awarded_us + ANSWER_US, first.robot)
+    assert [event.robot for _, event in of(run, AwardMade) if isinstance(event, AwardMade)] == [first.robot, ({B, B2} - {first.robot}).pop()]
+    assert [event.robot for _, event in of(run, ExecutionQueued) if isinstance(event, ExecutionQueued)] == [({B, B2} - {first.robot}).pop()]
+
+
+@EVERY
+def test_where_nobody_else_could_serve_the_robot_is_asked_until_it_is_back(architecture: Architecture) -> None:
+    run = ran(architecture, [(1, RobotWentOff(B)), (S, TASK), (60 * S, RobotCameBack(B))], size=4)
+    assert len(of(run, RequestUnanswered)) >= 1
+    assert of(run, TaskCompleted)
+    assert of(run, ExecutionFailed, TaskAbandoned) == []
