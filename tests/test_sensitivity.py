@@ -12,6 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+import fsar_ledger
 from fsar_ledger.cli import run
 from fsar_ledger.constants import Constants, negatives, write_constants
 from fsar_ledger.errors import UsageError, WriteFailed
@@ -277,9 +278,10 @@ def test_more_trajectories_begin_with_the_same_ones(tmp_path: Path) -> None:
     assert asked[4] < asked[5]
 
 
-def test_what_another_version_left_is_not_gone_on_with(tmp_path: Path) -> None:
+def test_what_another_program_left_is_not_gone_on_with(tmp_path: Path) -> None:
     partial = tmp_path / "effects.parquet.partial"
-    for text in ('{"package":"0.0.1","model_version":"1"}\n', "something else\n", '{"package"'):
+    other = json.dumps({"package": fsar_ledger.__version__, "model_version": MODEL_VERSION, "program": "0" * 32}) + "\n"
+    for text in (other, "something else\n", '{"package"'):
         partial.write_text(text)
         if text.endswith("\n"):
             with pytest.raises(UsageError, match="remove the file"):

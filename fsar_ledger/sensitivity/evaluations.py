@@ -7,7 +7,9 @@ nothing else, and since the answers are looked up by what was asked, a finished 
 import os
 from collections.abc import Callable, Mapping
 from concurrent.futures import as_completed
+from functools import cache
 from hashlib import sha256
+from importlib.resources import files
 from pathlib import Path
 
 import msgspec
@@ -39,7 +41,7 @@ class Question(msgspec.Struct, frozen=True):
 
     @property
     def key(self) -> str:
-        """A digest of all that the answer depends on, but for the version of the program."""
+        """A digest of all that the answer depends on, but for the program."""
         parts = (write_constants(self.setting.constants), self.setting.fleet_size, self.seed, self.runs)
         return sha256(msgspec.json.encode(parts)).hexdigest()[:32]
 
@@ -66,6 +68,18 @@ class _Header(msgspec.Struct, frozen=True):
 
     package: str
     model_version: str
+    program: str
+
+
+@cache
+def _program() -> str:
+    """A digest of all code and queries: an answer of yesterday's is none of today's, also while the model is being changed."""
+    digest = sha256()
+    for package, kind in (("fsar_ledger", "py"), ("fsar_ledger.queries", "sql")):
+        root = Path(str(files(package)))
+        for path in sorted(root.rglob(f"*.{kind}")):
+            digest.update(f"{path.relative_to(root)}\0".encode() + path.read_bytes())
+    return digest.hexdigest()[:32]
 
 
 class _Line(msgspec.Struct, frozen=True):
@@ -87,7 +101,7 @@ class Answers:
         """
         self._path = path
         self.found: dict[str, Answer] = {}
-        header = _Header(fsar_ledger.__version__, MODEL_VERSION)
+        header = _Header(fsar_ledger.__version__, MODEL_VERSION, _program())
         try:
             whole = path.read_bytes() if path.exists() else b""
             lines = whole[: whole.rfind(b"\n") + 1].splitlines()
@@ -102,7 +116,7 @@ class Answers:
     def _read(self, lines: list[bytes], header: _Header) -> None:
         try:
             if lines and msgspec.json.decode(lines[0], type=_Header) != header:
-                raise UsageError(f"{self._path}: found evaluations of another version, expected those of {header.package}; remove the file to begin again")
+                raise UsageError(f"{self._path}: found evaluations of another program, expected those of this one; remove the file to begin again")
             for line in lines[1:]:
                 one = msgspec.json.decode(line, type=_Line)
                 if len(one.values) != len(CELLS):
