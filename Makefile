@@ -14,7 +14,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test check check-style check-types check-sql check-imports soak soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers soak-reverts bench docs sbom clean
+.PHONY: help setup reproduce test check check-style check-types check-sql check-imports soak soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers soak-reverts soak-sensitivity bench docs sbom clean
 
 help:
 	@echo "make setup      a .venv with the command fsar-ledger in it"
@@ -22,6 +22,7 @@ help:
 	@echo "make test       every check and every test"
 	@echo "make check      the checks without the tests: style, types, imports, SQL"
 	@echo "make soak       the long tests, over an hour: make soak-tests, -federation, -crash, -damage, -verifier, -agreement, -flips, -readers, -reverts are its parts"
+	@echo "make soak-sensitivity   how much of each number hangs on each constant, most of an hour; goes on where it was interrupted"
 	@echo "make bench      the benchmarks, as ratios"
 	@echo "make docs       write the pages that hold real output again"
 	@echo "make sbom       the software bill of materials, CycloneDX 1.6, into dist/fsar-ledger.cdx.json"
@@ -97,6 +98,10 @@ soak-readers: setup
 # Each fix that is on record in tests/reverts taken out alone: its test fails by its own assertion.
 soak-reverts: setup
 	$(BIN)/python -m tests.reverts.soak
+
+# Every constant, the load and the size of the fleet varied: which cell each of them moves, and how far. No test; the fit makes it worth doing again.
+soak-sensitivity: setup
+	$(BIN)/fsar-ledger sensitivity --out $(OUT)/sensitivity.parquet --svg $(OUT)/sensitivity.svg
 
 bench: setup
 	$(BIN)/python benchmarks/command_line.py

@@ -39,7 +39,7 @@ from fsar_ledger.ledger.schema import CONCERNED, SCHEMA, STANDS_ALONE, STORED
 from fsar_ledger.ledger.tiles import node_of, tile_reader
 from fsar_ledger.metrics.library import Query, library
 from fsar_ledger.metrics.multiverse import readings
-from fsar_ledger.report.gather import flat
+from fsar_ledger.report.printing import flat
 from fsar_ledger.report.provenance import WORDS, origins
 
 DOCS = Path(__file__).resolve().parent

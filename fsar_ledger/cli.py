@@ -18,7 +18,7 @@ from typing import Annotated
 import typer
 
 from . import printable
-from .commands import fitting, judging, multiverse, recover, reporting, sides, trust, witness
+from .commands import fitting, judging, multiverse, recover, reporting, sensitivity, sides, trust, witness
 from .commands.memory import bounded, reading
 from .commands.options import (
     WORTH_ROBOTS,
@@ -69,7 +69,7 @@ from .errors import FsarLedgerError
 
 INTERRUPTED = 130
 CONTINUES = "what is committed stays, and the same command continues there"
-AFTER_INTERRUPTION = {"simulate": CONTINUES, "reproduce": CONTINUES, "recover": "what was mended stays; run it again"}
+AFTER_INTERRUPTION = {"simulate": CONTINUES, "reproduce": CONTINUES, "recover": "what was mended stays; run it again"} | sensitivity.AFTER_INTERRUPTION
 SHOWN_ROWS = 100
 
 app = typer.Typer(
@@ -326,6 +326,9 @@ app.command(epilog=reporting.REPORT)(reading(reporting.report))
 
 app.command(epilog=fitting.CALIBRATE)(fitting.calibrate)
 app.command(epilog=fitting.PREDICT)(fitting.predict)
+
+
+app.command(epilog=sensitivity.SENSITIVITY)(sensitivity.sensitivity)
 
 
 @app.command(epilog=examples("fsar-ledger reproduce", "fsar-ledger reproduce --out out/paper --only results --runs 20"))

@@ -176,6 +176,9 @@ BesideOption = Annotated[
         show_default="say what is missing",
     ),
 ]
+SensitivityOption = Annotated[
+    Path | None, typer.Option("--sensitivity", metavar="FILE", help="A file of `fsar-ledger sensitivity`.", show_default="say how to make one")
+]
 
 RUNS = 20  # per scenario and architecture, as in the paper
 

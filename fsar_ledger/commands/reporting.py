@@ -8,7 +8,16 @@ import typer
 from fsar_ledger import printable
 
 from .memory import readers_of
-from .options import BesideOption, LedgerArgument, PoolOption, WorkersOption, WorkflowLedgerOption, examples, pools_seeds
+from .options import (
+    BesideOption,
+    LedgerArgument,
+    PoolOption,
+    SensitivityOption,
+    WorkersOption,
+    WorkflowLedgerOption,
+    examples,
+    pools_seeds,
+)
 from .progress import Progress
 from .terminal import show
 
@@ -23,6 +32,7 @@ def report(
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The PDF; replaced if it exists.", show_default=False)],
     beside: BesideOption = None,
     workflows: WorkflowLedgerOption = None,
+    sensitivity: SensitivityOption = None,
     pool: PoolOption = None,
     workers: WorkersOption = None,
 ) -> None:
@@ -35,5 +45,5 @@ def report(
 
     pooled = pools_seeds(pool)
     with Progress("verified", "segments") as progress:
-        write_report(ledger, out, workflows, readers_of(workers, ledger), progress, beside=beside or (), pools_seeds=pooled)
+        write_report(ledger, out, workflows, readers_of(workers, ledger), progress, beside=beside or (), pools_seeds=pooled, sensitivity=sensitivity)
     show(printable.line(f"{out}"))

@@ -275,7 +275,7 @@ def cells(found: Iterable[Universe]) -> Iterator[Cell]:
             metric=ours.metric,
             architecture=ours.architecture,
             **_conditions(ours),
-            paper=printed.mean if printed is not None and (ours.configuration, ours.fleet_size) == PRINTED else None,
+            paper=printed.value if printed is not None and (ours.configuration, ours.fleet_size) == PRINTED else None,
             ours=ours.mean,
             lowest=lowest[0],
             highest=highest[0],

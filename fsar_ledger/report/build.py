@@ -8,6 +8,7 @@ from fsar_ledger.metrics.verified import required_look
 from fsar_ledger.report import document, figures, typeset
 from fsar_ledger.report.calibration import recorded
 from fsar_ledger.report.gather import gather
+from fsar_ledger.report.sensitivity import open_effects, section
 
 
 def write_report(
@@ -20,6 +21,7 @@ def write_report(
     *,
     beside: Sequence[Path] = (),
     pools_seeds: bool = False,
+    sensitivity: Path | None = None,
 ) -> None:
     """The PDF about the ledger's present head, and about those of the ledgers beside it, is at `out`, complete or not at all.
 
@@ -33,21 +35,26 @@ def write_report(
         workers: Processes that compare rows.
         progress: Told of segments compared, done and in all.
         pools_seeds: Whether the tables are of the runs of all seeds together.
+        sensitivity: The file of `fsar-ledger sensitivity`; the report has it if it is of these runs, else it says how to make it.
         demanded: The newest record of the ledger, if a whole look just saw it (`required_look`); None looks now.
 
     Raises:
-        UsageError: The ledger of workflows holds no workflow, one beside it nothing for the report, or `out` lies inside a ledger.
+        UsageError: The ledger of workflows holds no workflow, one beside it nothing for the report, `out` lies inside a ledger, or `sensitivity` is
+            something else.
         NotALedger, FormatVersionMismatch, LedgerCorrupted: The ledger cannot be read, or its rows are not those under its root.
         SequenceConflict: Somebody appended meanwhile.
         WriteFailed: `out` cannot be written.
     """
     require_outside(out, f"--out {out}")
     typeset.require_place(out)
+    given = None if sensitivity is None else open_effects(sensitivity)
     demanded = demanded or required_look(ledger, workers, progress)
     theirs = {one: required_look(one, workers, progress) for one in (*([] if workflows is None else [workflows]), *beside)}
     findings = gather(ledger, workflows, demanded, theirs, pools_seeds=pools_seeds)
-    laid_out = document.encoded(document.data(findings, recorded()))
-    typeset.publish(out, typeset.pdf(laid_out, document.drawings(findings)))
+    digests = {row["parameters_sha256"] for row in findings.models if row["model_version"] == findings.model_version}
+    effects = section(given, findings.model_version, digests)
+    laid_out = document.encoded(document.data(findings, recorded(), effects))
+    typeset.publish(out, typeset.pdf(laid_out, document.drawings(findings, effects)))
 
 
 def result_figure_svg(ledger: Path, out: Path) -> None:

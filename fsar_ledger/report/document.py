@@ -14,8 +14,8 @@ from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.report import contradictions, figures, printing, provenance, sections, sequence, specs
 from fsar_ledger.report.calibration import Record
 from fsar_ledger.report.findings import Findings, Row, Told, Workflows, answer
-from fsar_ledger.report.gather import flat
-from fsar_ledger.report.printing import Table
+from fsar_ledger.report.printing import Table, flat
+from fsar_ledger.report.sensitivity import Section
 
 PACKAGES = ("duckdb", "pyarrow", "numpy", "scipy", "msgspec", "matplotlib", "typst")
 POOLED = ("recovery_containment", "reassignment_latency_s")  # metrics that a run without failures does not define
@@ -203,11 +203,12 @@ def _misses(findings: Findings, record: Record | None) -> list[dict[str, Any]]:
     ]
 
 
-def data(findings: Findings, record: Record | None) -> dict[str, Any]:
+def data(findings: Findings, record: Record | None, effects: Section | None = None) -> dict[str, Any]:
     """All that the template prints; tables keep each value beside its print."""
     tables = _ledger_tables(findings) | _fit_tables(findings, record) | _workflow_tables(findings)
     tables |= sections.tables(findings, lambda query, told: _source(findings, query, told))
     tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()}
+    tables |= {"sensitivity": effects.table} if effects and effects.table else {}
     return {
         "head": {
             "commits": findings.commits,
@@ -223,9 +224,11 @@ def data(findings: Findings, record: Record | None) -> dict[str, Any]:
         "tables": tables,
         "figures": {name: _figure(findings, name) for name in ("evaluation-results", "distances", "effects")}
         | {name: _figure(findings, name, findings.workflows) for name in _workflow_figures(findings)}
-        | {name: _figure(findings, name, getattr(findings, sections.FIGURES[name]).told) for name in sections.drawings(findings)},
+        | {name: _figure(findings, name, getattr(findings, sections.FIGURES[name]).told) for name in sections.drawings(findings)}
+        | ({"sensitivity": _figure(findings, "sensitivity") | {"source": ""}} if effects and effects.figure else {}),
         "ablation": sections.ablation(findings),
         "scaling": sections.scaling(findings),
+        "sensitivity": effects and effects.sentence,
         "workflows": _workflows(findings),
         "mechanisms": specs.passages("mechanisms"),
         "readings": specs.passages("readings"),
@@ -244,10 +247,11 @@ def _sayable(numbers: Row) -> Row:
     return numbers | {"undefined": undefined, "table_share": None if share is None else printing.probability(share)}
 
 
-def drawings(findings: Findings) -> dict[str, bytes]:
+def drawings(findings: Findings, effects: Section | None = None) -> dict[str, bytes]:
     """The figures as SVG, by file name."""
     drawn = {"evaluation-results": figures.evaluation_results(findings.cells), "distances": figures.distances(findings.cells)}
     drawn["effects"] = figures.effects(findings.tests)
+    drawn |= {"sensitivity": effects.figure} if effects and effects.figure else {}
     return {f"{name}.svg": svg for name, svg in (drawn | _workflow_figures(findings) | sections.drawings(findings)).items()}
 
 

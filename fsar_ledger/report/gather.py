@@ -5,7 +5,7 @@ with the paper's.
 """
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from importlib.resources import files
 from pathlib import Path
 from typing import TypeAlias
@@ -275,31 +275,7 @@ def _models(database: Database) -> tuple[tuple[Row, ...], dict[str, str]]:
         }
         for one in found
     )
-    return rows, dict(flat("", next((one.parameters for one in found if one.parameters), {})))
-
-
-def flat(name: str, value: object) -> Iterator[tuple[str, str]]:
-    """Nested constants as dotted names and printed values, sorted by name within each level.
-
-    A mapping of low_s and high_s is a range of seconds; a list of [name, value] pairs is read as a mapping.
-    """
-    if isinstance(value, list) and value and all(isinstance(item, list) and len(item) == 2 and isinstance(item[0], str) for item in value):
-        value = dict(value)
-    if isinstance(value, Mapping):
-        if value.keys() == {"low_s", "high_s"}:
-            yield name, f"{_plain(value['low_s'])} to {_plain(value['high_s'])} s"
-            return
-        for key, inner in sorted(value.items()):
-            yield from flat(f"{name}.{key}" if name else str(key), inner)
-        return
-    yield name, ", ".join(map(_plain, value)) if isinstance(value, list) else _plain(value)
-
-
-def _plain(value: object) -> str:
-    """A constant as it is printed: whole numbers in groups of three, others with the digits they have."""
-    if isinstance(value, int) and not isinstance(value, bool):
-        return printing.integer(value)
-    return f"{value:g}".replace("-", printing.MINUS) if isinstance(value, float) else str(value)
+    return rows, dict(printing.flat("", next((one.parameters for one in found if one.parameters), {})))
 
 
 def _is_file(query: str) -> bool:

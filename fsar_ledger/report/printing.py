@@ -4,7 +4,7 @@ A cell keeps the value beside its print, so that a test (or a reader of the data
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 import msgspec
@@ -173,3 +173,27 @@ def table(name: str, rows: Sequence[Row], source: str = "") -> Table:
         rows=tuple(filled),
         begins=tuple(begins),
     )
+
+
+def flat(name: str, value: object) -> Iterator[tuple[str, str]]:
+    """Nested constants as dotted names and printed values, sorted by name within each level.
+
+    A mapping of low_s and high_s is a range of seconds; a list of [name, value] pairs is read as a mapping.
+    """
+    if isinstance(value, list) and value and all(isinstance(item, list) and len(item) == 2 and isinstance(item[0], str) for item in value):
+        value = dict(value)
+    if isinstance(value, Mapping):
+        if value.keys() == {"low_s", "high_s"}:
+            yield name, f"{_plain(value['low_s'])} to {_plain(value['high_s'])} s"
+            return
+        for key, inner in sorted(value.items()):
+            yield from flat(f"{name}.{key}" if name else str(key), inner)
+        return
+    yield name, ", ".join(map(_plain, value)) if isinstance(value, list) else _plain(value)
+
+
+def _plain(value: object) -> str:
+    """A constant as it is printed: whole numbers in groups of three, others with the digits they have."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        return integer(value)
+    return f"{value:g}".replace("-", MINUS) if isinstance(value, float) else str(value)

@@ -16,9 +16,11 @@ from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
-from fsar_ledger.report import document, specs, whole
+from fsar_ledger.report import document, printing, specs, whole
 from fsar_ledger.report.findings import SCENARIOS, Findings, answer, significance_level, with_agreement
-from fsar_ledger.report.gather import flat, gather
+from fsar_ledger.report.gather import gather
+from fsar_ledger.report.printing import flat
+from fsar_ledger.report.sensitivity import Section
 
 Make = Callable[..., Path]
 
@@ -234,13 +236,22 @@ def test_head_and_query_hashes_are_those_of_the_ledger_and_the_files(ledger: Pat
 def test_every_table_spec_is_used_and_every_figure_has_its_query(printed: dict[str, Any]) -> None:
     named = {entry.name.removesuffix(".toml") for entry in files("fsar_ledger.reports").joinpath("tables").iterdir()}
     from_the_fit = {"calibrated-parameters", "residuals", "directions", "switch-offs"}
-    assert named == set(printed["tables"]) | from_the_fit | {"other-runs", "mechanism-coverage"}
+    assert named == set(printed["tables"]) | from_the_fit | {"other-runs", "mechanism-coverage", "sensitivity"}
     for name in named:
         tomllib.loads(specs.text("tables", f"{name}.toml"))
         assert specs.table(name).caption
     for name, figure in printed["figures"].items():
         assert ("statistics/pairwise_tests.sql" if name == "effects" else "metrics/metric_summary.sql") in figure["source"]
         assert figure["alt"]
+
+
+def test_the_effects_of_constants_stand_where_they_were_given(findings: Findings) -> None:
+    effects = Section("70 were varied.", b"<svg/>", printing.table("sensitivity", []))
+    data, without = document.data(findings, None, effects), document.data(findings, None, Section("None were varied."))
+    assert (data["sensitivity"], without["sensitivity"]) == ("70 were varied.", "None were varied.")
+    assert data["tables"].keys() - without["tables"].keys() == data["figures"].keys() - without["figures"].keys() == {"sensitivity"}
+    assert document.drawings(findings, effects)["sensitivity.svg"] == b"<svg/>"
+    assert "sensitivity.svg" not in document.drawings(findings)
 
 
 def test_constants_of_the_first_run_are_listed_by_name(findings: Findings) -> None:

@@ -12,7 +12,7 @@ from fsar_ledger.constants import Chosen, Constants, Structure, WorldConstants, 
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.metrics.results import MetricRow
 from fsar_ledger.report import document, provenance
-from fsar_ledger.report.gather import flat
+from fsar_ledger.report.printing import flat
 from fsar_ledger.report.provenance import GIVEN, WORDS, origins
 from fsar_ledger.runtime.simulation import ARCHITECTURES
 

@@ -1,0 +1,116 @@
+"""Sobol indices of a few factors, from a polynomial that stands for the simulator.
+
+The polynomial is of degree three in each factor and has the product of each two. Its terms are orthonormal under the law of the design (each
+factor uniform over its range or its settings, independent of the others), so the squares of its coefficients are parts of the variance, and
+the indices are sums of them: nothing more is drawn. How well it stands for the simulator is told by predicting each point from all others.
+"""
+
+from collections.abc import Sequence
+from hashlib import blake2b
+from itertools import combinations
+
+import msgspec
+import numpy as np
+
+from .factors import Factor
+from .morris import Matrix, Vector
+
+DEGREE = 3
+GRID = 840  # positions that stand for the law of a factor; settings of 2 to 8 take equal parts of it
+PENALTIES = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0)
+LEAST_R2 = 0.8
+"""Below this the polynomial says too little of the simulator, and no index is given."""
+
+
+class Indices(msgspec.Struct, frozen=True):
+    """What each factor has of the variance of one cell: alone, and with others. `r2` is of points that the polynomial had not seen.
+
+    None where the cell does not vary, is undefined at a point, or there are fewer points than terms; the indices also where R2 is below 0.8.
+    """
+
+    r2: float | None
+    first: tuple[float, ...] | None
+    total: tuple[float, ...] | None
+
+
+class Terms(msgspec.Struct, frozen=True):
+    """The polynomial at each point of a design: a column for each term, and the factors that it is of."""
+
+    values: Matrix
+    of: tuple[tuple[int, ...], ...]
+
+
+def design(points: int, names: Sequence[str]) -> Matrix:
+    """So many points of the unit cube, a position for each of these factors: a Sobol sequence, shifted by hashes of the names."""
+    from scipy.stats import qmc
+
+    if not points:
+        return np.zeros((0, len(names)))
+    sequence = qmc.Sobol(len(names), scramble=False).random_base2((points - 1).bit_length())[:points]
+    shifts = [int.from_bytes(blake2b(name.encode(), digest_size=6, person=b"sobol").digest(), "big") / 2**48 for name in names]
+    return np.asarray((sequence + np.array(shifts)) % 1.0)
+
+
+def terms(factors: Sequence[Factor], positions: Matrix) -> Terms:
+    """The terms of the polynomial of these factors, without the constant."""
+    columns: list[Vector] = []
+    of: list[tuple[int, ...]] = []
+    linear: dict[int, Vector] = {}
+    for number, factor in enumerate(factors):
+        powers = _orthonormal(factor, positions[:, number])
+        columns += list(powers)
+        of += [(number,)] * len(powers)
+        linear[number] = powers[0]
+    for one, other in combinations(range(len(factors)), 2):
+        columns.append(linear[one] * linear[other])
+        of.append((one, other))
+    return Terms(np.array(columns).T.reshape(len(positions), len(of)), tuple(of))
+
+
+def _orthonormal(factor: Factor, positions: Vector) -> list[Vector]:
+    """Polynomials of the factor at these positions, with mean 0, variance 1 and no covariance under its law: as many as its settings tell apart."""
+    grid = _coordinates(factor, (np.arange(GRID) + 0.5) / GRID)
+    here = _coordinates(factor, positions)
+    degree = min(DEGREE, len(factor.settings) - 1) if factor.settings else DEGREE
+    _, triangle = np.linalg.qr(np.vander(grid, degree + 1, increasing=True) / np.sqrt(GRID))
+    found = np.linalg.solve(triangle.T, np.vander(here, degree + 1, increasing=True).T)
+    signs = np.sign(np.diag(triangle))
+    return [np.asarray(sign * row) for sign, row in zip(signs[1:], found[1:], strict=True)]
+
+
+def _coordinates(factor: Factor, positions: Vector) -> Vector:
+    """Where on a line from -1 to 1 the factor is: at its position, or at the number of its setting."""
+    count = len(factor.settings)
+    return np.asarray(2 * np.minimum(np.floor(positions * count), count - 1) / (count - 1) - 1 if count else 2 * positions - 1)
+
+
+def indices(found: Terms, outputs: Vector, factor_count: int) -> Indices:
+    """The indices of one cell, whose values at the points of the design these are."""
+    if np.isnan(outputs).any() or len(outputs) <= len(found.of) + 1 or np.ptp(outputs) == 0:
+        return Indices(None, None, None)
+    r2, coefficients = _fitted(found.values, outputs)
+    variances = coefficients**2
+    if r2 < LEAST_R2:
+        return Indices(r2, None, None)
+    whole = float(variances.sum())
+    first = [sum(float(part) for part, of in zip(variances, found.of, strict=True) if of == (factor,)) / whole for factor in range(factor_count)]
+    total = [sum(float(part) for part, of in zip(variances, found.of, strict=True) if factor in of) / whole for factor in range(factor_count)]
+    return Indices(r2, tuple(first), tuple(total))
+
+
+def _fitted(values: Matrix, outputs: Vector) -> tuple[float, Vector]:
+    """R2 of each point predicted from all others, and the coefficients, under the penalty that predicts best."""
+    centre, mean = values.mean(axis=0), float(outputs.mean())
+    left, singular, right = np.linalg.svd(values - centre, full_matrices=False)
+    centred = outputs - mean
+    along = left.T @ centred
+    best: tuple[float, Vector] | None = None
+    for penalty in PENALTIES:
+        kept = singular**2 / (singular**2 + penalty)
+        leverage = 1 / len(outputs) + (left**2) @ kept
+        missed = (centred - left @ (kept * along)) / np.maximum(1 - leverage, 1e-9)
+        r2 = 1 - float(missed @ missed) / float(centred @ centred)
+        if best is None or r2 > best[0]:
+            best = r2, np.asarray(right.T @ (singular / (singular**2 + penalty) * along))
+    assert best is not None
+    return best

@@ -1,0 +1,151 @@
+"""What is varied, and how far: every number of the world and of the structure, how much there is to do, and how large the fleet is.
+
+One rule for all, whether the paper prints a constant, the fit found it or we chose it: a length, a rate or a range is halved to doubled, a
+share or a probability has its odds halved to doubled, so that it stays between 0 and 1, and a count takes every whole number from half to
+double. Load and fleet size have two settings each, the first of which is the base.
+
+Outages are no factors: their rates are 0 by default, and twice nothing is nothing.
+"""
+
+from collections.abc import Iterable, Mapping
+from typing import Any, Literal
+
+import msgspec
+
+from fsar_ledger.constants import Constants, Load, Range
+from fsar_ledger.report.provenance import origins
+
+SHARES = (
+    "world.context_window_share",
+    "world.review_share",
+    "world.motion_share",
+    "world.degradation_probability",
+    "world.degraded_reliability",
+    "structure.ordering_response_ppm",
+    "structure.hop_ppm",
+)
+"""Constants that lie between 0 and 1, or 0 and a million parts."""
+
+COUNTS = (
+    "world.floor_teams",
+    "structure.expiry_budgets",
+    "structure.local_attempts",
+    "structure.negotiation_rounds",
+    "structure.peer_helpers",
+    "structure.fleet_reassignments",
+    "structure.human_calls",
+)
+
+SETTINGS: dict[str, tuple[Any, Any]] = {"load.teams_working": (None, 1), "load.task_sets": (1, 2), "fleet.size": (4, 8)}
+"""Factors with two settings: all teams work, or one; each team has its tasks once, or twice; the fleet is of one team, or of two."""
+
+PPM = 1_000_000
+Kind = Literal["scaled", "share", "count", "settings"]
+
+
+class Factor(msgspec.Struct, frozen=True):
+    """One thing that is varied. `origin` is the word of `constants.py` for where its value is from; `value` is its base."""
+
+    name: str
+    kind: Kind
+    value: Any
+    origin: str
+
+    @property
+    def settings(self) -> tuple[Any, ...]:
+        """All values that the factor can have, in their order; empty where it has a whole range of them."""
+        if self.kind == "settings":
+            return SETTINGS[self.name]
+        return tuple(range((self.value + 1) // 2, 2 * self.value + 1)) if self.kind == "count" else ()
+
+    @property
+    def is_switch(self) -> bool:
+        """Whether there are two settings and nothing between them."""
+        return len(self.settings) == 2
+
+    def at(self, position: float) -> Any:
+        """The value at a position from 0 (lowest) to 1 (highest); settings take equal parts of it."""
+        if settings := self.settings:
+            return settings[min(int(position * len(settings)), len(settings) - 1)]
+        factor = 2.0 ** (2 * position - 1)
+        if self.kind == "share":
+            whole = PPM if isinstance(self.value, int) else 1
+            odds = factor * self.value / (whole - self.value)
+            return _like(self.value, whole * odds / (1 + odds))
+        if isinstance(self.value, Range):
+            return Range(*(_like(one, one * factor) for one in msgspec.structs.astuple(self.value)))
+        return _like(self.value, self.value * factor)
+
+    def shown(self, position: float | None = None) -> str:
+        """The base, or the value at a position, as text."""
+        value = self.value if position is None else self.at(position)
+        if isinstance(value, Range):
+            return f"{value.low_s:g} to {value.high_s:g}"
+        return "all" if value is None else f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+class Setting(msgspec.Struct, frozen=True):
+    """What one evaluation is of: constants, and a fleet of so many robots."""
+
+    constants: Constants
+    fleet_size: int
+
+
+def _like(base: float, value: float) -> Any:
+    """Six significant digits, so that no last bit of an exponential is in a ledger's parameters; a whole number where the base is one."""
+    return round(value) if isinstance(base, int) else float(f"{value:.6g}")
+
+
+def factors() -> tuple[Factor, ...]:
+    """All factors around the package's constants, in the order of `constants.py`; load and the size of the fleet come last."""
+    base, words = Constants(), origins()
+    found: list[Factor] = []
+    for group in ("world", "structure"):
+        part = getattr(base, group)
+        for name in part.__struct_fields__:
+            value, dotted = getattr(part, name), f"{group}.{name}"
+            if name == "durations":
+                found += [Factor(f"{dotted}.{capability}", "scaled", one, words[f"{dotted}.{capability}"]) for capability, one in value]
+            else:
+                found.append(Factor(dotted, _kind(dotted), value, words[dotted]))
+    found += [Factor(name, "settings", settings[0], words.get(name, "chosen")) for name, settings in SETTINGS.items()]
+    return (*found, Factor("load.interval_s", "scaled", Load().interval_s, words["load.interval_s"]))
+
+
+def _kind(name: str) -> Kind:
+    return "share" if name in SHARES else "count" if name in COUNTS else "scaled"
+
+
+def setting(all_factors: Iterable[Factor], positions: Mapping[str, float]) -> Setting:
+    """The setting with these factors at these positions, and all else as it is in this package."""
+    fleet_size, base = 4, Constants()
+    durations = dict(base.world.durations)
+    groups: dict[str, dict[str, Any]] = {"world": {}, "structure": {}, "load": {}}
+    for factor in all_factors:
+        if factor.name not in positions:
+            continue
+        value = factor.at(positions[factor.name])
+        group, _, name = factor.name.partition(".")
+        if group == "fleet":
+            fleet_size = value
+        elif name.startswith("durations."):
+            durations[name.removeprefix("durations.")] = value
+        else:
+            groups[group][name] = value
+    replace = msgspec.structs.replace
+    constants = Constants(
+        replace(base.world, durations=tuple(durations.items()), **groups["world"]),
+        replace(base.structure, **groups["structure"]),
+        load=Load(**groups["load"]),
+    )
+    return Setting(_without_unused(constants, fleet_size), fleet_size)
+
+
+def _without_unused(constants: Constants, fleet_size: int) -> Constants:
+    """The same world in its one form: no load where one team has its tasks once, no interval where there is but one set."""
+    load = constants.load
+    assert load is not None
+    teams = None if fleet_size == 4 else load.teams_working
+    interval_s = Load().interval_s if load.task_sets == 1 else load.interval_s
+    used = Load(teams, load.task_sets, interval_s)
+    return msgspec.structs.replace(constants, load=None if used == Load() else used)

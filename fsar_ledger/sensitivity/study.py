@@ -1,0 +1,225 @@
+"""The study: screen all factors, take the dozen that matter most, tell their parts of the variance, write it down.
+
+Every trajectory meets worlds of its own seed, the same at all its points, so what an effect owes to the worlds it was found in shows in the
+spread between trajectories. The polynomial is of one seed; all factors but the dozen are at their base there.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pyarrow.parquet as pq
+
+from fsar_ledger.constants import Constants, write_constants
+from fsar_ledger.errors import UsageError, WriteFailed
+from fsar_ledger.ledger.place import require_outside
+from fsar_ledger.metrics.verdicts import MARGINS
+from fsar_ledger.report.sensitivity import About, Effect, Sensitivity, table_of, that_matter
+from fsar_ledger.runtime.simulation import MODEL_VERSION
+
+from .emulator import Indices, design, indices, terms
+from .evaluations import CELLS, Answers, Evaluate, Question, answer_all, evaluate
+from .factors import Factor, factors, setting
+from .morris import Matrix, Vector, by_chance, elementary_effects, summary, trajectory
+
+SEED = 20_270_001  # of the first trajectory, the next has the next; never used for a published number or a fit
+BASE_SEED = SEED + 10_000  # of the repeats of the base, and its next ones
+EMULATOR_SEED = SEED + 20_000
+REPEATS = 10  # of the base, in other worlds: what chance alone does
+DOZEN = 12
+DIGITS = 6  # of what is written: the last bits of a sum are not the same on every machine
+
+Progress = Callable[[int, int], None]
+
+
+class Size(msgspec.Struct, frozen=True):
+    """How much is done: trajectories, runs of each scenario and architecture at each point, points for the polynomial (0: no Sobol indices)."""
+
+    trajectories: int = 20
+    runs: int = 10
+    points: int = 512
+
+    def __post_init__(self) -> None:
+        for name, least, most in (("trajectories", 2, 9_999), ("runs", 1, 9_999), ("points", 0, 1 << 16)):
+            if not least <= getattr(self, name) <= most:
+                raise UsageError(f"--{name} {getattr(self, name)}: expected {least} to {most}")
+
+
+class _Study:
+    """What is asked, and what is known of it."""
+
+    def __init__(self, size: Size, subject: tuple[Factor, ...]) -> None:
+        self.size, self.factors = size, subject
+        self.names = [factor.name for factor in subject]
+        self.paths = [trajectory(number, self.names) for number in range(size.trajectories)]
+        self.points = [[self._question(self.names, point, SEED + number) for point in path.points] for number, path in enumerate(self.paths)]
+        self.bases = [self._question([], np.zeros(0), BASE_SEED + number) for number in range(REPEATS)]
+
+    def _question(self, names: Sequence[str], positions: Vector, seed: int) -> Question:
+        at = dict(zip(names, map(float, positions), strict=True))
+        return Question(setting(self.factors, at), seed, self.size.runs)
+
+    def screening(self) -> dict[str, Question]:
+        """All that is asked before the dozen are known; what is the same setting is asked once."""
+        return {question.key: question for question in (*self.bases, *(one for path in self.points for one in path))}
+
+    def of_dozen(self, dozen: Sequence[str]) -> tuple[Matrix, list[Question]]:
+        """The design of the polynomial, and what is asked there."""
+        positions = design(self.size.points, dozen)
+        return positions, [self._question(dozen, point, EMULATOR_SEED) for point in positions]
+
+    def effects(self, found: Mapping[str, tuple[float | None, ...]]) -> list[Effect]:
+        """The effect of each factor on each cell, cells in their order, without Sobol indices."""
+        outputs = [_matrix(found, path) for path in self.points]
+        bases = _matrix(found, self.bases)
+        return [effect for cell in range(len(CELLS)) for effect in self._of_cell(cell, [one[:, cell] for one in outputs], bases[:, cell])]
+
+    def _of_cell(self, cell: int, outputs: list[Vector], bases: Vector) -> Iterable[Effect]:
+        metric, architecture = CELLS[cell]
+        switches = [factor.is_switch for factor in self.factors]
+        moves = np.array([elementary_effects(path, values, switches) for path, values in zip(self.paths, outputs, strict=True)])
+        known = bases[~np.isnan(bases)]
+        deviation = float(np.std(known, ddof=1)) if len(known) > 1 else None
+        for number, factor in enumerate(self.factors):
+            one = summary(moves[:, number])
+            chance = None if deviation is None else by_chance(deviation, is_switch=factor.is_switch)
+            lengths = {"mu": one.mu, "mu_star": one.mu_star, "sigma": one.sigma, "mu_star_conf": one.mu_star_conf, "by_chance": chance}
+            margin = MARGINS[metric]
+            yield Effect(
+                metric=metric,
+                architecture=architecture,
+                factor=factor.name,
+                origin=factor.origin,
+                low=factor.shown(0.0),
+                base=factor.shown(),
+                high=factor.shown(1.0),
+                base_mean=_rounded(float(np.mean(known)) if len(known) else None),
+                margin=margin,
+                effects=one.count,
+                **{name: _rounded(length) for name, length in lengths.items()},
+                **{f"{name}_margins": _rounded(None if length is None else length / margin) for name, length in lengths.items()},
+                sobol_first=None,
+                sobol_total=None,
+                emulator_r2=None,
+            )
+
+
+def sensitivity(
+    out: Path,
+    size: Size,
+    workers: int = 1,
+    progress: Progress | None = None,
+    *,
+    ask: Evaluate = evaluate,
+    subject: tuple[Factor, ...] | None = None,
+) -> Sensitivity:
+    """The effects are in the file, which is replaced if it exists, and returned. Takes long; what is finished is kept in FILE.partial meanwhile.
+
+    Args:
+        out: The Parquet file.
+        size: How much is done.
+        workers: Processes that evaluate.
+        progress: Told of evaluations made, of those that were still to make.
+        ask: What answers a question, in another process unless `workers` is 1.
+        subject: What is varied; None: everything.
+
+    Raises:
+        UsageError: The file does not end in .parquet, lies inside a ledger, or FILE.partial is of another version.
+        WriteFailed: One of the files cannot be written.
+        WorkerDied: A process was ended.
+    """
+    if out.suffix != ".parquet":
+        raise UsageError(f"--out {out}: found a file name that ends in {out.suffix or 'nothing'!r}, expected .parquet")
+    require_outside(out, f"--out {out}")
+    _require_place(out)
+    answers = Answers(out.with_name(out.name + ".partial"))
+    try:
+        found = _studied(_Study(size, subject or factors()), answers, ask, workers, progress)
+    finally:
+        answers.close()
+    _write(out, found)
+    answers.finish()
+    return found
+
+
+def _studied(study: _Study, answers: Answers, ask: Evaluate, workers: int, progress: Progress | None) -> Sensitivity:
+    screening = study.screening()
+    open_ones = [key for key in screening if key not in answers.found]
+    kept = len(answers.found) - (len(screening) - len(open_ones))  # of the polynomial's points, if it came so far
+    total, made = len(open_ones) + max(0, study.size.points - kept), 0
+
+    def told() -> None:
+        nonlocal made
+        made += 1
+        if progress is not None:
+            progress(made, max(total, made))
+
+    answer_all(screening, answers, ask, workers, told)
+    about = _about(study, len(screening))
+    first = Sensitivity(about, tuple(study.effects(answers.found)))
+    dozen = that_matter(first, DOZEN)
+    positions, questions = study.of_dozen(dozen)
+    answer_all({question.key: question for question in questions}, answers, ask, workers, told)
+    chosen = [factor for name in dozen for factor in study.factors if factor.name == name]
+    polynomial, outputs = terms(chosen, positions) if chosen and len(questions) else None, _matrix(answers.found, questions)
+    parts = [Indices(None, None, None) if polynomial is None else indices(polynomial, outputs[:, cell], len(dozen)) for cell in range(len(CELLS))]
+    effects = tuple(_with_indices(effect, parts[CELLS.index((effect.metric, effect.architecture))], dozen) for effect in first.effects)
+    evaluations = len(screening.keys() | {question.key for question in questions})
+    return Sensitivity(msgspec.structs.replace(about, dozen=dozen, evaluations=evaluations), effects)
+
+
+def _about(study: _Study, evaluations: int) -> About:
+    return About(
+        model_version=MODEL_VERSION,
+        parameters=write_constants(Constants()),
+        fleet_size=4,
+        seed=SEED,
+        trajectories=study.size.trajectories,
+        runs=study.size.runs,
+        points=study.size.points,
+        repeats=REPEATS,
+        evaluations=evaluations,
+        factors=tuple(study.names),
+        dozen=(),
+    )
+
+
+def _with_indices(effect: Effect, parts: Indices, dozen: tuple[str, ...]) -> Effect:
+    if effect.factor not in dozen:
+        return effect
+    at = dozen.index(effect.factor)
+    first, total = (None if one is None else _rounded(one[at]) for one in (parts.first, parts.total))
+    return msgspec.structs.replace(effect, sobol_first=first, sobol_total=total, emulator_r2=_rounded(parts.r2))
+
+
+def _matrix(found: Mapping[str, tuple[float | None, ...]], questions: Sequence[Question]) -> Matrix:
+    """A row for each question, a column for each cell, NaN where it is undefined."""
+    rows = [[math.nan if value is None else value for value in found[question.key]] for question in questions]
+    return np.array(rows, dtype=np.float64).reshape(len(questions), len(CELLS))
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else float(f"{value:.{DIGITS}g}")
+
+
+def _require_place(out: Path) -> None:
+    """An hour of work should not end in a refusal."""
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise WriteFailed(f"{out}: cannot be written ({error.strerror}); give a path in a folder that can be made") from error
+    if out.is_dir():
+        raise WriteFailed(f"{out}: cannot be written (it is a folder); expected the name of a file, such as {out / 'sensitivity.parquet'}")
+
+
+def _write(out: Path, found: Sensitivity) -> None:
+    temporary = out.with_name(f".{out.name}.tmp")
+    try:
+        pq.write_table(table_of(found), temporary, compression="zstd")
+        temporary.replace(out)
+    except OSError as error:
+        raise WriteFailed(f"{out}: cannot be written ({error.strerror or error}); make room and call it again, which goes on from there") from error
+    finally:
+        temporary.unlink(missing_ok=True)
