@@ -18,7 +18,7 @@ READY := .venv/.ready
 
 help:
 	@echo "make setup      a .venv with the command fsar-ledger in it"
-	@echo "make reproduce  simulate the paper's experiment, measure it, typeset the report into $(OUT)/"
+	@echo "make reproduce  simulate the paper's experiments, measure them, typeset the report into $(OUT)/"
 	@echo "make test       every check and every test"
 	@echo "make check      the checks without the tests: style, types, imports, SQL"
 	@echo "make soak       the long tests, over an hour: make soak-tests, -federation, -crash, -damage, -verifier, -agreement, -flips, -readers, -reverts are its parts"
@@ -114,7 +114,7 @@ bench: setup
 
 docs: reproduce
 	$(BIN)/python docs/write.py
-	$(BIN)/python -c 'from pathlib import Path; from fsar_ledger.report import result_figure_svg; result_figure_svg(Path("$(OUT)/ledger"), Path("docs/results.svg"))'
+	$(BIN)/python -c 'from pathlib import Path; from fsar_ledger.report import result_figure_svg; result_figure_svg(Path("$(OUT)/results"), Path("docs/results.svg"))'
 
 # What the package and its tests are made of: versions, hashes and licences of all that requirements.txt installs.
 sbom: setup

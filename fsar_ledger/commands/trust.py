@@ -69,6 +69,19 @@ def key_new(
     show(printable.line(str(new_key(file, ORIGIN if name is None else short("--name", name)))))
 
 
+@keys.command("public", epilog=examples('fsar-ledger key public out/fleet.key.pub --name "example.org/fleet/ablation"'))
+def key_public(
+    file: Annotated[str, typer.Argument(metavar="KEY", help="A public key: a .pub file, or the key itself.", show_default=False)],
+    name: Annotated[str, typer.Option(metavar="NAME", help="The origin of the ledger that it shall verify.", show_default=False)],
+) -> None:
+    """Print a public key under another name, for `verify --trusted-key`: `reproduce` signs each ledger with one secret under a name of its own."""
+    from fsar_ledger.ledger.note import VerifierKey, read_verifier
+
+    if (origin := origin_of(name, "--name")) is None:
+        raise UsageError("--name: expected the origin of a ledger")
+    show(printable.line(str(VerifierKey(origin, read_verifier(file).public))))
+
+
 def signer_of(key: Path | None, *, adopts: bool = False) -> "Signer | None":
     """The key in this file, if one was given. Raises: UsageError if there is none in it, or if what others wrote shall be adopted without one."""
     if key is None:
@@ -80,13 +93,13 @@ def signer_of(key: Path | None, *, adopts: bool = False) -> "Signer | None":
     return read_signer(key)
 
 
-def origin_of(name: str | None) -> str | None:
+def origin_of(name: str | None, option: str = "--origin") -> str | None:
     """The origin that was asked for, if any. Raises: UsageError if no ledger can have it."""
     from fsar_ledger.ledger.note import is_name
 
     if name is not None and not is_name(name):
-        raise UsageError(f"--origin {name!r}: expected a printable name without spaces and plus signs")
-    return None if name is None else short("--origin", name)
+        raise UsageError(f"{option} {name!r}: expected a printable name without spaces and plus signs")
+    return None if name is None else short(option, name)
 
 
 def short(option: str, name: str) -> str:

@@ -49,6 +49,8 @@ class Alike(NamedTuple):
 
 def ablation_of(database: Database, *, pools_seeds: bool = False) -> Ablation | None:
     """The ablations that the ledger holds; None where there are none."""
+    if not _has(database, "architecture = 'fsar' AND fleet_size = 4 AND list_contains($configurations, configuration)", list(CONFIGURATIONS[1:])):
+        return None
     rows = [row for row in dialled_rows(database, pools_seeds=pools_seeds) if (row.architecture, row.fleet_size) == ("fsar", MAIN_FLEET_SIZE)]
     tables: dict[tuple[Alike, float | None], list[DialledRow]] = {}
     for row in rows:
@@ -71,6 +73,8 @@ def ablation_of(database: Database, *, pools_seeds: bool = False) -> Ablation | 
 
 def scaling_of(database: Database, *, pools_seeds: bool = False) -> Scaling | None:
     """The fleets of other sizes than four robots that the ledger holds, with those of four that were made alike; None where there are none."""
+    if not _has(database, "fleet_size <> 4 AND list_contains($configurations, configuration)", [FULL]):
+        return None
     rows = [row for row in dialled_rows(database, pools_seeds=pools_seeds) if row.configuration == FULL and row.architecture in ARCHITECTURES]
     sizes: dict[Alike, set[int]] = {}
     counts: Counter[Alike] = Counter()
@@ -179,6 +183,12 @@ def _count(of_scenarios: whole.Held, place: Place) -> int:
     """The fewest runs of a scenario that an experiment would be drawn from."""
     counts = of_scenarios if place.scenario is None else {place.scenario: of_scenarios.get(place.scenario, 0)}
     return min(counts.values(), default=0)
+
+
+def _has(database: Database, condition: str, configurations: list[str]) -> bool:
+    """Whether the ledger holds such runs: most hold none, and need not be measured again to know it."""
+    found = database.rows(f"SELECT count(*) AS runs FROM runs WHERE {condition}", {"configurations": configurations})
+    return int(found[0]["runs"]) > 0
 
 
 def _told(database: Database, row: DialledRow) -> Told:

@@ -289,3 +289,17 @@ def test_a_file_that_proves_nothing_ends_with_3(call: Call, tmp_path: Path, data
     (tmp_path / "file").write_bytes(data)
     one_message(call("verify-proof", tmp_path / "file"), 3, str(tmp_path / "file"))
     one_message(call("verify-proof", tmp_path / "none"), 2, str(tmp_path / "none"))
+
+
+def test_a_public_key_under_another_name_verifies_what_the_same_secret_signed_under_it(call: Call, tmp_path: Path) -> None:
+    from fsar_ledger.ledger.note import read_signer
+    from fsar_ledger.runtime.experiment import Experiment, simulate
+
+    assert call("key", "new", tmp_path / "arm.key", "--name", "example.org/arm").code == 0
+    signer = read_signer(tmp_path / "arm.key").under("example.org/arm/ablation")
+    simulate(tmp_path / "ledger", Experiment(("fsar",), ("door-relay",), 1), 1, signer=signer)
+    said = call("key", "public", tmp_path / "arm.key.pub", "--name", "example.org/arm/ablation")
+    assert said.out.strip() == str(signer.verifier)
+    assert "signed by example.org/arm/ablation+" in call("verify", tmp_path / "ledger", "--trusted-key", said.out.strip()).out
+    assert call("verify", tmp_path / "ledger", "--trusted-key", tmp_path / "arm.key.pub").code == 3
+    one_message(call("key", "public", tmp_path / "arm.key.pub", "--name", "two words"), 2, "without spaces")
