@@ -78,6 +78,7 @@ def statistics(
     architectures, or over those of all ablations. Runs that did not meet the same world are named first, and left out: exit code 1 where facts differ
     that an experiment makes alike. What cannot be compared is said, and why. A run without failures counts as the paper counts it (containment 1,
     latency 0 s); `query statistics/pairwise_tests_defined` leaves such pairs out.
+    Beside it, in the columns pooled_*, stands the test of what the results table prints: containment and latency pooled over failures.
     """
     from .answering import answering, of_plans, warn_of_missing
     from .comparing import compared

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 COMPARE = examples(
     "fsar-ledger compare out/ledger --first fsar --second cfc",
     "fsar-ledger compare out/ledger --first fsar --second dhma --by scenario",
-    "fsar-ledger compare out/ledger out/large --first fsar --json",
+    "fsar-ledger compare out/ledger out/large --first fsar --verified --json",
 )
 LEFT_OUT = {
     "facts": "did not meet the same facts of the world, although made under the same constants",

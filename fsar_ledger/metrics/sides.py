@@ -95,7 +95,8 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
     def held(self) -> str:
         """What its runs are numbered by, in words."""
         unnamed = "" if self.named_count == self.run_count else f", {self.run_count - self.named_count:,} of them without seed, scenario, number or size"
-        return f"{self}{unnamed} under seeds {printable.some(map(str, self.seeds or ())) or '-'}, {printable.some(self.scenarios or ()) or 'no scenario'}"
+        seeds = f"seed{'' if len(self.seeds) == 1 else 's'} {printable.some(map(str, self.seeds))}" if self.seeds else "no seed"
+        return f"{self}{unnamed} under {seeds}, {printable.some(map(printable.value, self.scenarios or ())) or 'no scenario'}"
 
 
 class LeftOut(msgspec.Struct, frozen=True, kw_only=True):

@@ -63,7 +63,7 @@ def test_an_output_that_is_no_ledger_is_left_alone(call: Call, tmp_path: Path) -
     assert contents_of(folder) == {"cat.txt": b"miau"}
 
 
-@pytest.mark.parametrize("command", ["info", "metrics", "statistics", "verify"])
+@pytest.mark.parametrize("command", ["info", "metrics", "statistics", "compare", "verify"])
 def test_a_place_without_ledger_is_named(call: Call, tmp_path: Path, command: str) -> None:
     one_message(call(command, tmp_path / "nowhere"), 2, str(tmp_path / "nowhere"), "simulate")
 
@@ -149,6 +149,7 @@ def test_verify_doubts_another_format_version(call: Call, copy: Path) -> None:
     [
         (("metrics",), ()),
         (("statistics",), ()),
+        (("compare",), ("--first", "fsar", "--second", "cfc")),
         (("info",), ()),
         (("query", "failures"), ()),
         (("sql",), ("SELECT 1",)),

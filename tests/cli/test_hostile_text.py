@@ -55,6 +55,7 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
     run, action = first_of(ledger, call, "run_id"), first_of(ledger, call, "action_id")
     out, key, proof = place / FOLDER, place / "evil\x1b[2J.key", place / "proof\x1b]0;x\x07.tlog-proof"
     yield from (("info", ledger), ("verify", ledger, "--replay", "--workers", 1), ("explain", ledger, "--run", run, "--request", action))
+    yield from (("compare", ledger), ("compare", ledger, "--first", EVIL), ("compare", ledger, ledger))
     yield from (("metrics", ledger), ("statistics", ledger), ("audit", ledger), ("query", "failures", ledger))
     yield "sql", ledger, f"SELECT run_id, robot, path, 'e' || robot AS \"{EVIL}\" FROM events WHERE robot IS NOT NULL LIMIT 3"
     yield "sql", ledger, "SELECT CAST(run_id AS INTEGER) FROM events"
@@ -76,7 +77,13 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("witness", "ask", ledger, "--policy", state / "none"),
     )
     yield from (("simulate", ledger, "--runs", 1), ("simulate", out, "--scenario", EVIL), ("simulate", out, "--origin", EVIL), ("reproduce", "--out", ledger))
-    yield from (("report", ledger, "--out", ledger / "x.pdf"), ("calibrate", "--out", out, "--workers", EVIL), (EVIL,), (f"--{EVIL}",))
+    yield from (
+        ("report", ledger, "--out", ledger / "x.pdf"),
+        ("calibrate", "--out", out, "--workers", EVIL),
+        ("predict", "--out", out, "--workers", EVIL),
+        (EVIL,),
+        (f"--{EVIL}",),
+    )
 
 
 def more_calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]:

@@ -33,7 +33,7 @@ print("done")
 """
 
 
-@pytest.mark.parametrize("verb", ["info", "metrics", "statistics", "audit", "explain", "verify", "recover"])
+@pytest.mark.parametrize("verb", ["info", "metrics", "statistics", "compare", "audit", "explain", "verify", "recover"])
 def test_every_command_that_reads_states_its_memory(call: Call, ledger: Path, verb: str) -> None:
     one_message(call(verb, ledger, "--memory", "255"), 2, "--memory 255", "at least 256")
 

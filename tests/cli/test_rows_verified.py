@@ -14,7 +14,7 @@ from tests.metrics.conftest import record
 
 from .conftest import Call, one_message
 
-WITH_JSON = ("metrics", "statistics", "audit", "info", "explain", "query runs", "sql")
+WITH_JSON = ("metrics", "statistics", "compare", "audit", "info", "explain", "query runs", "sql")
 ANSWERS = (*WITH_JSON, "export")
 
 
@@ -42,6 +42,8 @@ def small(tmp_path: Path) -> Path:
 
 def words(verb: str, ledger: Path, *options: str) -> list[object]:
     """The call of this verb."""
+    if verb == "compare":
+        return [verb, ledger, "--first", "fsar", "--second", "cfc", *options]
     own = ["SELECT count(*) AS events FROM events"] if verb == "sql" else ["--out", str(ledger.parent / "events.csv")] if verb == "export" else []
     return [*verb.split(), ledger, *own, *options]
 
