@@ -1,16 +1,16 @@
-"""Nobody knows that a robot is off before it has not answered, and nobody waits longer for an answer than is said, whoever governs. Reading: R44."""
+"""Nobody knows that a robot is off before it has not answered, and who asked waits no longer for a message to be delivered than is said, whoever governs. Reading: R44."""
 
 from functools import cache
 
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Outages
+from fsar_ledger.constants import Constants, Outages, Range
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityReleased
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued
-from fsar_ledger.events.knowledge import WorkQueued
+from fsar_ledger.events.knowledge import BidReceived, WorkQueued
 from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceRequested, RecoveryEscalated
 from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.request import AwardMade, CommandIssued, RequestIssued, RequestUnanswered
@@ -162,3 +162,39 @@ def test_where_nobody_else_could_serve_the_robot_is_asked_until_it_is_back(archi
     assert len(of(run, RequestUnanswered)) >= 1
     assert of(run, TaskCompleted)
     assert of(run, ExecutionFailed, TaskAbandoned) == []
+
+
+@EVERY
+def test_where_nobody_is_off_nobody_is_found_silent_as_long_as_each_message_is_delivered_in_time(architecture: Architecture) -> None:
+    """Bids and relayed requests take several messages of up to 4.9 s; the time for an answer is for the delivery of one."""
+    slow = msgspec.structs.replace(CALM, message=Range(0.49, 4.9))
+    for run in range(3):
+        spec, constants = RunSpec(5, architecture, "full", "door-relay", 4, run), Constants(world=slow)
+        facts = schedule(slow, 5, spec.scenario, run, 4)
+        one = Kernel(wiring(architecture), facts, Draws(run_key(5, spec.scenario, run), slow), *founding_of(spec, constants))
+        one.run()
+        assert of(one, RequestIssued, CommandIssued, AwardMade)
+        assert of(one, RequestUnanswered, AvailabilityChanged) == []
+
+
+def test_a_bid_on_its_way_is_waited_for_when_another_candidate_is_silent() -> None:
+    slow = msgspec.structs.replace(CALM, message=Range(2.0, 2.5))
+    spec, constants = RunSpec(5, "dhma", "full", "door-relay", 8, 0), Constants(world=slow)
+    facts: list[Fact] = [(1, RobotWentOff(B)), (S, TASK)]
+    run = Kernel(wiring("dhma"), facts, Draws(run_key(5, "door-relay", 0), slow), *founding_of(spec, constants))
+    run.run()
+    (asked_us, _), *_ = of(run, RequestIssued)
+    assert [time_us - asked_us > ANSWER_US for time_us, _ in of(run, BidReceived)] == [True]
+    assert [event.robot for _, event in of(run, AwardMade) if isinstance(event, AwardMade)] == [B2]
+    assert of(run, RequestUnanswered) == []
+
+
+def test_a_relayed_request_is_two_messages_and_each_has_its_time() -> None:
+    slow = msgspec.structs.replace(CALM, message=Range(2.6, 3.0))
+    spec, constants = RunSpec(5, "fsar", "full", "door-relay", 4, 0), Constants(world=slow)
+    relayed = TaskArrived("D1-1", "robot/D1", 1, (f"D {DOOR} B",), 90 * S, 91 * S)
+    run = Kernel(wiring("fsar"), [(S, relayed)], Draws(run_key(5, "door-relay", 0), slow), *founding_of(spec, constants))
+    run.run()
+    assert [event.relay for _, event in of(run, RequestIssued) if isinstance(event, RequestIssued)] == [A]
+    assert of(run, RequestUnanswered, AvailabilityChanged) == []
+    assert of(run, TaskCompleted)
