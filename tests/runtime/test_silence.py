@@ -1,4 +1,4 @@
-"""Nobody knows that a robot is off before it has not answered, and who asked waits no longer for a message to be delivered than is said, whoever governs. Reading: R44."""
+"""Nobody knows that a robot is off before it has not answered, and whether a message was delivered is waited for no longer than is said. Reading: R44."""
 
 from functools import cache
 
@@ -9,7 +9,7 @@ from fsar_ledger.constants import Constants, Outages, Range
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityReleased
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued
+from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionStarted, ExecutionWithdrawn
 from fsar_ledger.events.knowledge import BidReceived, WorkQueued
 from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceRequested, RecoveryEscalated
 from fsar_ledger.events.registry import AvailabilityChanged
@@ -198,3 +198,23 @@ def test_a_relayed_request_is_two_messages_and_each_has_its_time() -> None:
     assert [event.relay for _, event in of(run, RequestIssued) if isinstance(event, RequestIssued)] == [A]
     assert of(run, RequestUnanswered, AvailabilityChanged) == []
     assert of(run, TaskCompleted)
+
+
+@EVERY
+def test_a_robot_that_nobody_can_reach_does_not_know_that_a_task_was_given_up(architecture: Architecture) -> None:
+    """Of three robots that are still on their way one is linked, one without a link for long, and one until before it would begin."""
+    short = TaskArrived("A1-1", A, 1, (f"A {DOOR} B",), 2 * S, 2 * S)
+    [(queued_us, queued)] = of(ran(architecture, [(S, short)]), ExecutionQueued)
+    assert isinstance(queued, ExecutionQueued)
+    down = (queued_us + 1000, LinkWentDown(queued.robot))
+    linked = ran(architecture, [(S, short)])
+    for_long = ran(architecture, [(S, short), down, (80 * S, LinkCameUp(queued.robot))])
+    in_time = ran(architecture, [(S, short), down, (5 * S, LinkCameUp(queued.robot))])
+    [(given_up_us, _)] = of(linked, TaskAbandoned)
+    [(told_us, _)] = of(linked, ExecutionWithdrawn)
+    assert 50_000 <= told_us - given_up_us <= 500_000
+    assert of(for_long, ExecutionWithdrawn) == []
+    [(begun_us, _)] = of(for_long, ExecutionStarted)
+    assert begun_us > 5 * S
+    assert [time_us for time_us, _ in of(in_time, ExecutionWithdrawn)] == [5 * S + 1]
+    assert of(linked, ExecutionStarted) == of(in_time, ExecutionStarted) == []
