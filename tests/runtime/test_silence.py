@@ -14,8 +14,10 @@ from fsar_ledger.events.knowledge import BidReceived, WorkQueued
 from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceRequested, RecoveryEscalated
 from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.request import AwardMade, CommandIssued, RequestIssued, RequestUnanswered
+from fsar_ledger.events.supervision import ActuatorServiced
 from fsar_ledger.events.task import StepCompleted, TaskAbandoned, TaskCompleted
-from fsar_ledger.events.world import LinkCameUp, LinkWentDown, ObstructionAppeared, RobotCameBack, RobotWentOff, TaskArrived
+from fsar_ledger.events.world import ActuatorDegraded, LinkCameUp, LinkWentDown, ObstructionAppeared, RobotCameBack, RobotWentOff, TaskArrived
+from fsar_ledger.projections.registry import surface
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, founding_of, wiring
 from fsar_ledger.runtime.world.draws import Draws, run_key
@@ -218,3 +220,28 @@ def test_a_robot_that_nobody_can_reach_does_not_know_that_a_task_was_given_up(ar
     assert begun_us > 5 * S
     assert [time_us for time_us, _ in of(in_time, ExecutionWithdrawn)] == [5 * S + 1]
     assert of(linked, ExecutionStarted) == of(in_time, ExecutionStarted) == []
+
+
+@pytest.mark.parametrize(("ends", "begins"), [(LinkWentDown, LinkCameUp), (RobotWentOff, RobotCameBack)])
+def test_a_robot_that_reports_back_says_what_has_become_of_its_actuator_since(ends: type[Event], begins: type[Event]) -> None:
+    """Whichever of its two words, that it is back and that it was serviced, comes in first."""
+    worn = ActuatorDegraded(B)
+    said = AvailabilityChanged(B, None, "degraded", "actuator")
+    own_word = AvailabilityChanged(B, None, "degraded", "dusty lens")
+    first = set()
+    for start, since, after in (
+        ([(1, worn), (2, said)], [(30 * S, ActuatorServiced(B))], "ready"),
+        ([(1, worn), (2, said)], [(59_700_000, ActuatorServiced(B))], "ready"),
+        ([(1, worn), (2, said)], [(59_999_999, ActuatorServiced(B))], "ready"),
+        ([(1, worn), (2, said)], [], "degraded"),
+        ([(2, own_word)], [], "degraded"),
+        ([], [(30 * S, worn)], "degraded"),
+        ([], [], "ready"),
+    ):
+        facts: list[Fact] = [*start, (3, ends(B)), (S, TASK), *since, (60 * S, begins(B))]  # type: ignore[list-item]
+        run = ran("fsar", facts, size=4)
+        words = [event.reason for time_us, event in of(run, AvailabilityChanged) if isinstance(event, AvailabilityChanged) and time_us > 60 * S]
+        first.add(tuple(words))
+        assert {record.availability for record in surface(run.state.registry, B)} == {after}, (start, since, words)
+        assert run.state.registry.silent == {}
+    assert first == {("answers again",), ("answers again", "actuator")}
