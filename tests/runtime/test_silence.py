@@ -17,7 +17,6 @@ from fsar_ledger.events.request import AwardMade, CommandIssued, RequestIssued, 
 from fsar_ledger.events.supervision import ActuatorServiced
 from fsar_ledger.events.task import StepCompleted, TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import ActuatorDegraded, LinkCameUp, LinkWentDown, ObstructionAppeared, RobotCameBack, RobotWentOff, TaskArrived
-from fsar_ledger.projections.registry import surface
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, founding_of, wiring
 from fsar_ledger.runtime.world.draws import Draws, run_key
@@ -238,10 +237,22 @@ def test_a_robot_that_reports_back_says_what_has_become_of_its_actuator_since(en
         ([], [(30 * S, worn)], "degraded"),
         ([], [], "ready"),
     ):
-        facts: list[Fact] = [*start, (3, ends(B)), (S, TASK), *since, (60 * S, begins(B))]  # type: ignore[list-item]
+        facts: list[Fact] = [*start, (3, ends(B)), (S, TASK), *since, (60 * S, begins(B))]
         run = ran("fsar", facts, size=4)
-        words = [event.reason for time_us, event in of(run, AvailabilityChanged) if isinstance(event, AvailabilityChanged) and time_us > 60 * S]
-        first.add(tuple(words))
-        assert {record.availability for record in surface(run.state.registry, B)} == {after}, (start, since, words)
+        words = [event for time_us, event in of(run, AvailabilityChanged) if isinstance(event, AvailabilityChanged) and 60 * S < time_us < 61 * S]
+        first.add(tuple(word.reason for word in words))
+        assert words[-1] == AvailabilityChanged(B, None, after, words[-1].reason), (start, since, words)
         assert run.state.registry.silent == {}
     assert first == {("answers again",), ("answers again", "actuator")}
+
+
+def test_a_silent_robot_that_nobody_would_choose_is_not_waited_for() -> None:
+    """B is the nearest that may help, and those that are off are farther."""
+    own = TaskArrived("A1-1", A, 1, ("A navigate.indoor",), 90 * S, 91 * S)
+    facts: list[Fact] = [(S, own), (S + 100, ObstructionAppeared(A, "o"))]
+    calm = of(ran("fsar", facts), AssistanceAdmitted)
+    assert [event.helper for _, event in calm if isinstance(event, AssistanceAdmitted)] == [B]
+    for far in ("robot/D1", "robot/D2", B2):
+        off = ran("fsar", [(1, RobotWentOff(far)), *facts])
+        assert of(off, AssistanceAdmitted) == calm, far
+        assert of(off, AvailabilityChanged) == []
