@@ -8,7 +8,7 @@ import pytest
 from fsar_ledger.constants import Constants, Outages, Range
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityReleased
-from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.events.envelope import Architecture, Availability
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionStarted, ExecutionWithdrawn
 from fsar_ledger.events.knowledge import BidReceived, WorkQueued
 from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceRequested, RecoveryEscalated
@@ -191,11 +191,7 @@ def test_a_bid_on_its_way_is_waited_for_when_another_candidate_is_silent() -> No
 
 
 def test_a_relayed_request_is_two_messages_and_each_has_its_time() -> None:
-    slow = msgspec.structs.replace(CALM, message=Range(2.6, 3.0))
-    spec, constants = RunSpec(5, "fsar", "full", "door-relay", 4, 0), Constants(world=slow)
-    relayed = TaskArrived("D1-1", "robot/D1", 1, (f"D {DOOR} B",), 90 * S, 91 * S)
-    run = Kernel(wiring("fsar"), [(S, relayed)], Draws(run_key(5, "door-relay", 0), slow), *founding_of(spec, constants))
-    run.run()
+    run = relayed(2.6, 3.0)
     assert [event.relay for _, event in of(run, RequestIssued) if isinstance(event, RequestIssued)] == [A]
     assert of(run, RequestUnanswered, AvailabilityChanged) == []
     assert of(run, TaskCompleted)
@@ -228,7 +224,7 @@ def test_a_robot_that_reports_back_says_what_has_become_of_its_actuator_since(en
     said = AvailabilityChanged(B, None, "degraded", "actuator")
     own_word = AvailabilityChanged(B, None, "degraded", "dusty lens")
     first = set()
-    for start, since, after in (
+    cases: tuple[tuple[list[Fact], list[Fact], Availability], ...] = (
         ([(1, worn), (2, said)], [(30 * S, ActuatorServiced(B))], "ready"),
         ([(1, worn), (2, said)], [(59_700_000, ActuatorServiced(B))], "ready"),
         ([(1, worn), (2, said)], [(59_999_999, ActuatorServiced(B))], "ready"),
@@ -236,7 +232,8 @@ def test_a_robot_that_reports_back_says_what_has_become_of_its_actuator_since(en
         ([(2, own_word)], [], "degraded"),
         ([], [(30 * S, worn)], "degraded"),
         ([], [], "ready"),
-    ):
+    )
+    for start, since, after in cases:
         facts: list[Fact] = [*start, (3, ends(B)), (S, TASK), *since, (60 * S, begins(B))]
         run = ran("fsar", facts, size=4)
         words = [event for time_us, event in of(run, AvailabilityChanged) if isinstance(event, AvailabilityChanged) and 60 * S < time_us < 61 * S]
@@ -256,3 +253,25 @@ def test_a_silent_robot_that_nobody_would_choose_is_not_waited_for() -> None:
         off = ran("fsar", [(1, RobotWentOff(far)), *facts])
         assert of(off, AssistanceAdmitted) == calm, far
         assert of(off, AvailabilityChanged) == []
+
+
+def relayed(low_s: float, high_s: float, *facts: Fact) -> Kernel:
+    """The run of one team in which D asks B through A, with messages of this length."""
+    slow = msgspec.structs.replace(CALM, message=Range(low_s, high_s))
+    spec, constants = RunSpec(5, "fsar", "full", "door-relay", 4, 0), Constants(world=slow)
+    task = TaskArrived("D1-1", "robot/D1", 1, (f"D {DOOR} B",), 90 * S, 91 * S)
+    run = Kernel(wiring("fsar"), [*facts, (S, task)], Draws(run_key(5, "door-relay", 0), slow), *founding_of(spec, constants))
+    run.run()
+    return run
+
+
+def test_where_the_relay_is_silent_the_relay_is_named_and_heard_when_its_word_comes_late() -> None:
+    for run in (relayed(0.05, 0.5, (1, RobotWentOff(A))), relayed(5.5, 6.0)):
+        (asked_us, asked), *_ = of(run, RequestIssued)
+        (late_us, late), *_ = of(run, RequestUnanswered)
+        assert isinstance(asked, RequestIssued)
+        assert isinstance(late, RequestUnanswered)
+        assert (asked.relay, asked.executed_by, late.executed_by) == (A, B, A)
+        assert late_us - asked_us == ANSWER_US
+    words = [(event.robot, event.availability) for _, event in of(relayed(5.5, 6.0), AvailabilityChanged) if isinstance(event, AvailabilityChanged)]
+    assert words[:2] == [(A, "offline"), (A, "ready")]

@@ -3,9 +3,9 @@
 The checks are those of any request: who can, shows it and is there, trust, authority, policy, then whether the robot
 is free. What remains after one is judged by the next; the check after which nobody remains is the reason. All are
 asked at once and give their word; who does not answer, because it is off or its link is down, is nobody's help, which is
-known only when the time for an answer is over (R44). Only those that would
-come before whoever is chosen are waited for. Reading: a substitute is asked for its own capability, so that its
-advertisement's terms are what counts, and what holds of the step's capability holds for it as well.
+known only when the time for an answer is over (R44); only those that would come before whoever is chosen are waited for.
+Reading: a substitute is asked for its own capability, so that its advertisement's terms are what counts, and what holds of
+the step's capability holds for it as well.
 """
 
 from collections.abc import Iterable

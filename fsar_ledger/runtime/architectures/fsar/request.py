@@ -98,8 +98,10 @@ def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
 def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
     """The peer has passed the request on, its own policy composed, or denied its link of the chain. Paper: eq:nontransitive."""
     request = state.request.get(command.action_id)
-    if request is None or request.relay is None or request.silent:
+    if request is None or request.relay is None:
         return ()
+    if request.silent:  # too late, as of an executor
+        return report_back(state, ReportBack(request.silent[0]))
     relay, about = request.relay, (request.capability, request.task_id)
     supervisor = on_shift(state, relay)
     ids = (request.task_id, request.action_id, request.action_id, relay, request.requester, request.candidates[0], supervisor)
@@ -141,7 +143,7 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
         return ()
     executor = request.candidates[0]
     silent = executor if request.relay is None or request.is_relayed else request.relay
-    return (unanswered(state, request, executor), *found_silent(state, (silent,)))
+    return (unanswered(state, request, silent), *found_silent(state, (silent,)))
 
 
 def _is_open(state: State, request: Request) -> bool:
