@@ -275,3 +275,15 @@ def test_where_the_relay_is_silent_the_relay_is_named_and_heard_when_its_word_co
         assert late_us - asked_us == ANSWER_US
     words = [(event.robot, event.availability) for _, event in of(relayed(5.5, 6.0), AvailabilityChanged) if isinstance(event, AvailabilityChanged)]
     assert words[:2] == [(A, "offline"), (A, "ready")]
+
+
+@EVERY
+def test_an_acceptance_that_was_given_before_the_link_went_down_counts(architecture: Architecture) -> None:
+    calm = ran(architecture, [(S, TASK)])
+    [(queued_us, queued)] = of(calm, ExecutionQueued)
+    assert isinstance(queued, ExecutionQueued)
+    run = ran(architecture, [(S, TASK), (queued_us + 1, LinkWentDown(queued.robot)), (40 * S, LinkCameUp(queued.robot))])
+    assert of(run, RequestUnanswered, AvailabilityChanged) == []
+    assert of(run, ExecutionQueued) == [(queued_us, queued)]
+    [(done_us, _)] = of(run, TaskCompleted)
+    assert done_us > 40 * S
