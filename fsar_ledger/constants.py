@@ -134,7 +134,7 @@ class Outages(msgspec.Struct, frozen=True):
     link_mean_s: Chosen[float] = 10.0  # how long they are down, exponential
     loss_rate_per_s: Chosen[float] = 0.0  # actuators that are lost until they are serviced, Poisson
     from_s: Chosen[float] = 0.0  # none of these before then
-    # Who asked another goes on without an answer after this: ten times the longest message. It holds, as this, in runs without the group, too.
+    # Who asked another takes it for silence when the message was not delivered within this: ten times the longest. It holds without the group, too.
     answer_s: Chosen[float] = 5.0
 
 

@@ -10,6 +10,7 @@ from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import (
     AwardMade,
+    BidSubmitted,
     CommandIssued,
     ContractQuestioned,
     ContractVoided,
@@ -36,6 +37,7 @@ HANDLES = (
     | RequestIssued
     | RequestRelayed
     | CommandIssued
+    | BidSubmitted
     | BidReceived
     | SupervisorCalled
     | AwardMade
@@ -62,7 +64,7 @@ class Request(msgspec.Struct, frozen=True, gc=False):
     nothing is decided about it any more. `is_relayed`: the relay has passed it on; `is_heard`: who was asked has
     put it off, or before a supervisor, `is_received`: a robot has it, in its queue
     or before H_F who orders two; `is_unanswered`: the time for an answer was over;
-    `silent`: the robots whose time it was.
+    `silent`: the robots whose time it was. `bidders`: who has sent its bid, `bids`: those that have come in.
     """
 
     task_id: str
@@ -77,6 +79,7 @@ class Request(msgspec.Struct, frozen=True, gc=False):
     carried: PolicyOutcome = "allow"
     target: str | None = None
     seen_busy: bool = False
+    bidders: tuple[str, ...] = ()
     bids: tuple[tuple[str, PolicyOutcome], ...] = ()
     is_accepted: bool = False
     is_questioned: bool = False
@@ -130,6 +133,8 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
             return _changed(state, event.action_id, carried=event.carried_policy, is_relayed=True)
         case CommandIssued():
             return _changed(state, event.action_id, target=event.robot, seen_busy=event.seen_busy, is_unanswered=False)
+        case BidSubmitted():
+            return _bid(state, event)
         case BidReceived():
             earlier = tuple(bid for bid in state[event.action_id].bids if bid[0] != event.robot)  # one that answers late was asked again
             bids = (*earlier, (event.robot, event.outcome))
@@ -149,7 +154,9 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
             return _changed(state, event.action_id, is_questioned=True)
         case ContractVoided():
             known = state[event.action_id]
-            return _changed(state, event.action_id, bids=(), target=None, is_accepted=False, is_questioned=False, is_received=False, round=known.round + 1)
+            return _changed(
+                state, event.action_id, bidders=(), bids=(), target=None, is_accepted=False, is_questioned=False, is_received=False, round=known.round + 1
+            )
         case RequestUnanswered():
             return _unanswered(state, event)
         case RequestCountered():
@@ -188,6 +195,14 @@ def _called(state: Requests, event: SupervisorCalled) -> Requests:
         return state
     is_received = known.is_received or event.purpose == "ordering"
     return _changed(state, event.action_id, is_heard=True, is_received=is_received, target=event.robot or known.target)
+
+
+def _bid(state: Requests, event: BidSubmitted) -> Requests:
+    """A bid names the task, which has one step at a time."""
+    for name, request in state.items():
+        if request.task_id == event.task_id and not request.is_adhoc:
+            return _changed(state, name, bidders=(*request.bidders, event.robot))
+    return state
 
 
 def _unanswered(state: Requests, event: RequestUnanswered) -> Requests:

@@ -23,21 +23,30 @@ WITH conjuncts (reason, conjunct) AS (
     ('override', 'authority')
 ),
 
+offered AS (
+    SELECT DISTINCT
+        run_id,
+        action_id
+    FROM registry_queried
+    WHERE len(candidates) > 0
+),
+
 refused AS (
     SELECT
-        run_id,
-        time_us,
-        type,
-        CASE type
-            WHEN 'RequestUnanswered.v1' THEN CASE WHEN executed_by IS NULL THEN 'no candidate' ELSE 'no answer' END
+        events.run_id,
+        events.time_us,
+        events.type,
+        CASE events.type
+            WHEN 'RequestUnanswered.v1' THEN if(events.executed_by IS NULL AND offered.action_id IS NULL, 'no candidate', 'no answer')
             WHEN 'AssistanceDeclined.v1' THEN 'helper busy'
             WHEN 'RequestCountered.v1' THEN 'override'
-            ELSE reason
+            ELSE events.reason
         END AS reason,
-        CASE type WHEN 'AssistanceDeclined.v1' THEN helper ELSE decided_by END AS decided_by
+        CASE events.type WHEN 'AssistanceDeclined.v1' THEN events.helper ELSE events.decided_by END AS decided_by
     FROM events
+    LEFT JOIN offered ON events.run_id = offered.run_id AND events.action_id = offered.action_id
     WHERE
-        type IN (
+        events.type IN (
             'RequestDenied.v1', 'RequestCountered.v1', 'RequestUnanswered.v1', 'AssistanceDeclined.v1', 'ExecutionHeld.v1', 'CommandRejected.v1'
         )
 )

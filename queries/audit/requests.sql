@@ -44,6 +44,7 @@ actions AS (
             ) FILTER (type IN ('RequestDenied.v1', 'RequestUnanswered.v1')),
             CASE WHEN count(*) FILTER (type = 'ExecutionStarted.v1') > 0 THEN 'not finished' ELSE 'not begun' END
         ) AS result,
+        coalesce(max(len(candidates)) FILTER (type = 'RegistryQueried.v1'), 0) > 0 AS is_offered,
         count(*) FILTER (
             target_role IS NOT NULL OR type IN ('RequestIssued.v1', 'CommandIssued.v1', 'RegistryQueried.v1', 'OutsiderRequestInjected.v1')
         ) > 0 AS is_request
@@ -62,7 +63,7 @@ SELECT
     executed_by,
     supervised_by,
     failures,
-    result,
+    if(result = 'nobody to ask' AND is_offered, 'no answer', result) AS result,
     ended_us / 1000000 AS ended_s
 FROM actions
 WHERE is_request OR failures > 0 OR $action = action_id

@@ -120,8 +120,11 @@ def test_a_request_without_an_end_is_told_by_how_far_it_came() -> None:
     assert asked("requests", "result", request()) == [("not begun",)]
     assert asked("requests", "result", request(), STARTED) == [("not finished",)]
     assert asked("requests", "result", request(), denied) == [("denied: trust",)]
-    assert asked("requests", "result", QUERY, nobody) == [("nobody to ask",)]
+    assert asked("requests", "result", {**QUERY, "candidates": []}, nobody) == [("nobody to ask",)]
     assert asked("requests", "result", QUERY, silent) == [("no answer",)]
+    assert asked("requests", "result", {**QUERY, "candidates": [B]}, nobody) == [("no answer",)], "some were asked, and the record names none"
+    for candidates, reason in (([], "no candidate"), ([B], "no answer")):
+        assert asked("refusals", "reason", {**QUERY, "candidates": candidates}, nobody) == [(reason,)]
 
 
 def test_only_approval_allows_and_unknown_principals_stay_open() -> None:

@@ -128,6 +128,7 @@ EMPTY = [CapabilityWithdrawn("robot/B1", name, "jammed") for name in ("navigate.
         ((), ReportAvailability("robot/B1", "teleport", "busy", "x"), "does not advertise teleport"),
         ((), ReportAvailability("robot/B1", None, "asleep", "x"), "unknown, expected one of ready"),  # type: ignore[arg-type]
         (EMPTY, ReportAvailability("robot/B1", None, "busy", "x"), "advertises nothing"),
+        ((), ReportAvailability("robot/B1", None, "offline", "no answer"), "expected a reason of its own"),
         ((), DeprecateCapability("robot/Z9", "door.open.secure", "1.0.0"), "unknown robot"),
         ((WITHDRAWN,), DeprecateCapability(*DOOR, "1.0.0"), "does not advertise"),
         ((), DeprecateCapability(*DOOR, "2.0.0"), "expected 1.0.0"),

@@ -37,7 +37,7 @@ from fsar_ledger.events.world import ActuatorDegraded, LinkWentDown, PolicyWindo
 from fsar_ledger.projections.execution import HELPING
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.world import is_linked
-from tests.runtime.physics import ALWAYS, BLOCKED, EVERY, FOREVER, LATE_HANDS, LAWLESS, MIXED, QUIET, deeds, failing, in_world, of, played, robot_of
+from tests.runtime.physics import ALWAYS, BLOCKED, EVERY, FOREVER, LATE_HANDS, LAWLESS, MIXED, OURS, QUIET, deeds, failing, in_world, of, played, robot_of
 
 
 @EVERY
@@ -233,8 +233,11 @@ def test_every_task_comes_to_an_end_whatever_happens(architecture: Architecture)
 
 
 @EVERY
-def test_nothing_of_a_task_begins_after_it_was_given_up_and_nobody_claims_what_nobody_does(architecture: Architecture) -> None:
-    begins = (ApproachStarted, ExecutionQueued, ExecutionStarted, RequestAdmitted, RequestAccepted, CommandIssued, AwardMade, OwnStepDecided, StepBegan)
+def test_nothing_of_a_task_begins_where_it_is_known_to_be_given_up_and_nobody_claims_what_nobody_does(architecture: Architecture) -> None:
+    """Known is it where it was decided, and at another robot when a message has been under way for its time and both can be reached."""
+    begins = (ExecutionQueued, RequestAdmitted, CommandIssued, AwardMade, OwnStepDecided, StepBegan)
+    goes_on = (ApproachStarted, ExecutionStarted, RequestAccepted)
+    message_us = round(OURS.message.high_s * 1_000_000) + 10
     worlds = (
         failing(architecture, MIXED),
         failing(architecture, Outages(off_rate_per_s=0.01, off_mean_s=FOREVER)),
@@ -243,16 +246,31 @@ def test_nothing_of_a_task_begins_after_it_was_given_up_and_nobody_claims_what_n
     withdrawn = 0
     for record in (record for runs in worlds for record in runs.records):
         over: set[str | None] = set()
+        told_us: dict[str, int] = {}  # by when the action's robot has heard of it
         state = State()
-        for event in record.events:
+        for time_us, event in zip(record.times_us, record.events, strict=True):
             if isinstance(event, TaskAbandoned):
                 over.add(event.task_id)
+                told_us |= {name: time_us + message_us for name, action in state.execution.actions.items() if action.task_id == event.task_id}
+            for name in told_us:
+                if not _is_reached(state, name):
+                    told_us[name] = time_us + message_us
             withdrawn += isinstance(event, ExecutionWithdrawn) and event.task_id in over
             assert not (isinstance(event, begins) and event.task_id in over), event
+            if isinstance(event, goes_on) and event.task_id in over:
+                action = state.execution.actions[str(event.action_id)]
+                assert action.robot != action.requested_by, event
+                assert time_us <= told_us[action.action_id], event
             apply(state, event)
         for name in (claim.action_id for claims in state.authority.claims.values() for claim in claims if claim.task_id in over):
-            assert state.execution.actions[name].stage in ("running", "paused", "halted", "failed"), name
+            assert state.execution.actions[name].stage in ("running", "paused", "halted", "failed") or not _is_reached(state, name), name
     assert withdrawn
+
+
+def _is_reached(state: State, action_id: str) -> bool:
+    """True when who has the action and who asked for it can reach each other, or it is over."""
+    action = state.execution.actions.get(action_id)
+    return action is None or all(is_linked(state.world, end or "") for end in (action.robot, action.requested_by))
 
 
 # Actuators that are lost

@@ -1,21 +1,22 @@
-"""Nobody knows that a robot is off before it has not answered, and nobody waits longer for an answer than is said, whoever governs. Reading: R44."""
+"""Nobody knows that a robot is off before it has not answered, and whether a message was delivered is waited for no longer than is said. Reading: R44."""
 
 from functools import cache
 
 import msgspec
 import pytest
 
-from fsar_ledger.constants import Constants, Outages
+from fsar_ledger.constants import Constants, Outages, Range
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityReleased
-from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued
-from fsar_ledger.events.knowledge import WorkQueued
+from fsar_ledger.events.envelope import Architecture, Availability
+from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionStarted, ExecutionWithdrawn
+from fsar_ledger.events.knowledge import BidReceived, WorkQueued
 from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceRequested, RecoveryEscalated
 from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.request import AwardMade, CommandIssued, RequestIssued, RequestUnanswered
+from fsar_ledger.events.supervision import ActuatorServiced
 from fsar_ledger.events.task import StepCompleted, TaskAbandoned, TaskCompleted
-from fsar_ledger.events.world import LinkCameUp, LinkWentDown, ObstructionAppeared, RobotCameBack, RobotWentOff, TaskArrived
+from fsar_ledger.events.world import ActuatorDegraded, LinkCameUp, LinkWentDown, ObstructionAppeared, RobotCameBack, RobotWentOff, TaskArrived
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, founding_of, wiring
 from fsar_ledger.runtime.world.draws import Draws, run_key
@@ -162,3 +163,127 @@ def test_where_nobody_else_could_serve_the_robot_is_asked_until_it_is_back(archi
     assert len(of(run, RequestUnanswered)) >= 1
     assert of(run, TaskCompleted)
     assert of(run, ExecutionFailed, TaskAbandoned) == []
+
+
+@EVERY
+def test_where_nobody_is_off_nobody_is_found_silent_as_long_as_each_message_is_delivered_in_time(architecture: Architecture) -> None:
+    """Bids and relayed requests take several messages of up to 4.9 s; the time for an answer is for the delivery of one."""
+    slow = msgspec.structs.replace(CALM, message=Range(0.49, 4.9))
+    for run in range(3):
+        spec, constants = RunSpec(5, architecture, "full", "door-relay", 4, run), Constants(world=slow)
+        facts = schedule(slow, 5, spec.scenario, run, 4)
+        one = Kernel(wiring(architecture), facts, Draws(run_key(5, spec.scenario, run), slow), *founding_of(spec, constants))
+        one.run()
+        assert of(one, RequestIssued, CommandIssued, AwardMade)
+        assert of(one, RequestUnanswered, AvailabilityChanged) == []
+
+
+def test_a_bid_on_its_way_is_waited_for_when_another_candidate_is_silent() -> None:
+    slow = msgspec.structs.replace(CALM, message=Range(2.0, 2.5))
+    spec, constants = RunSpec(5, "dhma", "full", "door-relay", 8, 0), Constants(world=slow)
+    facts: list[Fact] = [(1, RobotWentOff(B)), (S, TASK)]
+    run = Kernel(wiring("dhma"), facts, Draws(run_key(5, "door-relay", 0), slow), *founding_of(spec, constants))
+    run.run()
+    (asked_us, _), *_ = of(run, RequestIssued)
+    assert [time_us - asked_us > ANSWER_US for time_us, _ in of(run, BidReceived)] == [True]
+    assert [event.robot for _, event in of(run, AwardMade) if isinstance(event, AwardMade)] == [B2]
+    assert of(run, RequestUnanswered) == []
+
+
+def test_a_relayed_request_is_two_messages_and_each_has_its_time() -> None:
+    run = relayed(2.6, 3.0)
+    assert [event.relay for _, event in of(run, RequestIssued) if isinstance(event, RequestIssued)] == [A]
+    assert of(run, RequestUnanswered, AvailabilityChanged) == []
+    assert of(run, TaskCompleted)
+
+
+@EVERY
+def test_a_robot_that_nobody_can_reach_does_not_know_that_a_task_was_given_up(architecture: Architecture) -> None:
+    """Of three robots that are still on their way one is linked, one without a link for long, and one until before it would begin."""
+    short = TaskArrived("A1-1", A, 1, (f"A {DOOR} B",), 2 * S, 2 * S)
+    [(queued_us, queued)] = of(ran(architecture, [(S, short)]), ExecutionQueued)
+    assert isinstance(queued, ExecutionQueued)
+    down = (queued_us + 1000, LinkWentDown(queued.robot))
+    linked = ran(architecture, [(S, short)])
+    for_long = ran(architecture, [(S, short), down, (80 * S, LinkCameUp(queued.robot))])
+    in_time = ran(architecture, [(S, short), down, (5 * S, LinkCameUp(queued.robot))])
+    [(given_up_us, _)] = of(linked, TaskAbandoned)
+    [(told_us, _)] = of(linked, ExecutionWithdrawn)
+    assert 50_000 <= told_us - given_up_us <= 500_000
+    assert of(for_long, ExecutionWithdrawn) == []
+    [(begun_us, _)] = of(for_long, ExecutionStarted)
+    assert begun_us > 5 * S
+    assert [time_us for time_us, _ in of(in_time, ExecutionWithdrawn)] == [5 * S + 1]
+    assert of(linked, ExecutionStarted) == of(in_time, ExecutionStarted) == []
+
+
+@pytest.mark.parametrize(("ends", "begins"), [(LinkWentDown, LinkCameUp), (RobotWentOff, RobotCameBack)])
+def test_a_robot_that_reports_back_says_what_has_become_of_its_actuator_since(ends: type[Event], begins: type[Event]) -> None:
+    """Whichever of its two words, that it is back and that it was serviced, comes in first."""
+    worn = ActuatorDegraded(B)
+    said = AvailabilityChanged(B, None, "degraded", "actuator")
+    own_word = AvailabilityChanged(B, None, "degraded", "dusty lens")
+    first = set()
+    cases: tuple[tuple[list[Fact], list[Fact], Availability], ...] = (
+        ([(1, worn), (2, said)], [(30 * S, ActuatorServiced(B))], "ready"),
+        ([(1, worn), (2, said)], [(59_700_000, ActuatorServiced(B))], "ready"),
+        ([(1, worn), (2, said)], [(59_999_999, ActuatorServiced(B))], "ready"),
+        ([(1, worn), (2, said)], [], "degraded"),
+        ([(2, own_word)], [], "degraded"),
+        ([], [(30 * S, worn)], "degraded"),
+        ([], [], "ready"),
+    )
+    for start, since, after in cases:
+        facts: list[Fact] = [*start, (3, ends(B)), (S, TASK), *since, (60 * S, begins(B))]
+        run = ran("fsar", facts, size=4)
+        words = [event for time_us, event in of(run, AvailabilityChanged) if isinstance(event, AvailabilityChanged) and 60 * S < time_us < 61 * S]
+        first.add(tuple(word.reason for word in words))
+        assert words[-1] == AvailabilityChanged(B, None, after, words[-1].reason), (start, since, words)
+        assert run.state.registry.silent == {}
+    assert first == {("answers again",), ("answers again", "actuator")}
+
+
+def test_a_silent_robot_that_nobody_would_choose_is_not_waited_for() -> None:
+    """B is the nearest that may help, and those that are off are farther."""
+    own = TaskArrived("A1-1", A, 1, ("A navigate.indoor",), 90 * S, 91 * S)
+    facts: list[Fact] = [(S, own), (S + 100, ObstructionAppeared(A, "o"))]
+    calm = of(ran("fsar", facts), AssistanceAdmitted)
+    assert [event.helper for _, event in calm if isinstance(event, AssistanceAdmitted)] == [B]
+    for far in ("robot/D1", "robot/D2", B2):
+        off = ran("fsar", [(1, RobotWentOff(far)), *facts])
+        assert of(off, AssistanceAdmitted) == calm, far
+        assert of(off, AvailabilityChanged) == []
+
+
+def relayed(low_s: float, high_s: float, *facts: Fact) -> Kernel:
+    """The run of one team in which D asks B through A, with messages of this length."""
+    slow = msgspec.structs.replace(CALM, message=Range(low_s, high_s))
+    spec, constants = RunSpec(5, "fsar", "full", "door-relay", 4, 0), Constants(world=slow)
+    task = TaskArrived("D1-1", "robot/D1", 1, (f"D {DOOR} B",), 90 * S, 91 * S)
+    run = Kernel(wiring("fsar"), [*facts, (S, task)], Draws(run_key(5, "door-relay", 0), slow), *founding_of(spec, constants))
+    run.run()
+    return run
+
+
+def test_where_the_relay_is_silent_the_relay_is_named_and_heard_when_its_word_comes_late() -> None:
+    for run in (relayed(0.05, 0.5, (1, RobotWentOff(A))), relayed(5.5, 6.0)):
+        (asked_us, asked), *_ = of(run, RequestIssued)
+        (late_us, late), *_ = of(run, RequestUnanswered)
+        assert isinstance(asked, RequestIssued)
+        assert isinstance(late, RequestUnanswered)
+        assert (asked.relay, asked.executed_by, late.executed_by) == (A, B, A)
+        assert late_us - asked_us == ANSWER_US
+    words = [(event.robot, event.availability) for _, event in of(relayed(5.5, 6.0), AvailabilityChanged) if isinstance(event, AvailabilityChanged)]
+    assert words[:2] == [(A, "offline"), (A, "ready")]
+
+
+@EVERY
+def test_an_acceptance_that_was_given_before_the_link_went_down_counts(architecture: Architecture) -> None:
+    calm = ran(architecture, [(S, TASK)])
+    [(queued_us, queued)] = of(calm, ExecutionQueued)
+    assert isinstance(queued, ExecutionQueued)
+    run = ran(architecture, [(S, TASK), (queued_us + 1, LinkWentDown(queued.robot)), (40 * S, LinkCameUp(queued.robot))])
+    assert of(run, RequestUnanswered, AvailabilityChanged) == []
+    assert of(run, ExecutionQueued) == [(queued_us, queued)]
+    [(done_us, _)] = of(run, TaskCompleted)
+    assert done_us > 40 * S

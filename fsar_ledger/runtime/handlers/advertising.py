@@ -10,7 +10,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Availability, OverrideLevel, TrustScope, Visibility
 from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityDeprecated, CapabilityInstalled, CapabilityWithdrawn
 from fsar_ledger.projections.fold import State
-from fsar_ledger.projections.registry import Advertisement, Contract, Module, advertisement, surface
+from fsar_ledger.projections.registry import NO_ANSWER, Advertisement, Contract, Module, advertisement, surface
 
 from .actors import named
 from .commands import Actors, Command, Decides, PublicCommand, Reacts, Scheduled
@@ -134,6 +134,8 @@ def report_availability(state: State, command: ReportAvailability) -> tuple[Even
         wrong = _not_advertised(state, robot, capability)
     elif wrong is None and not any(surface(state.registry, robot)):
         wrong = f"{robot} advertises nothing, expected something whose availability can change"
+    if wrong is None and command.reason == NO_ANSWER:
+        wrong = f'"{NO_ANSWER}" is what others say of a silent robot, expected a reason of its own'
     if wrong is not None:
         return rejected(command, capability or robot, wrong, command.issued_by)
     return (AvailabilityChanged(robot, capability, command.availability, command.reason),)

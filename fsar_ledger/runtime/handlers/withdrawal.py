@@ -1,39 +1,59 @@
 """What was to be done for a task that is given up is not begun any more, whoever governs. Paper: sec:evaluation:metrics (fleet tasks).
 
 Reading R3: what waits for its robot, approaches or is held is withdrawn, its claims end, and nobody answers what was asked for it. What executes
-by then, or is being recovered, ends as it would have: a robot does not stop in a doorway.
+by then, or is being recovered, ends as it would have: a robot does not stop in a doorway. Whoever asked for it tells each robot that has something of
+the task; until the message is there, the robot does not know. What a robot has by its own word it withdraws at once.
 """
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.execution import ExecutionWithdrawn
 from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 
-from .actors import nobody
+from .actors import named, nobody
 from .authority import released
-from .commands import Actors, Command, Decides, Reacts, Scheduled
+from .commands import Actors, Command, Decides, Reacts, Scheduled, message
 from .execution import holds_robot
 
 WAITING = ("queued", "approaching", "held", "polling")
 
 
 class WithdrawTask(Command):
-    """The task was given up."""
+    """The robot knows that the task was given up."""
+
+    task_id: str
+    robot: str
+
+
+class EndClaims(Command):
+    """The task was given up, and with it what no robot has yet."""
 
     task_id: str
 
 
 def withdraw_task(state: State, command: WithdrawTask) -> tuple[Event, ...]:
-    """Nothing of the task holds or waits for a robot but what executes, and nobody claims what nobody does."""
-    waiting = [
-        action for action in state.execution.actions.values() if action.task_id == command.task_id and _has_not_begun(action) and _is_step(state, action)
-    ]
+    """Nothing of the task holds or waits for this robot but what executes, and nobody claims it."""
+    waiting = [action for action in _waiting(state, command.task_id) if action.robot == command.robot]
     withdrawn = sorted(waiting, key=lambda action: holds_robot(state, action))
-    never = {action.action_id for action in withdrawn}
-    never |= {name for name in state.authority.claims if name not in state.execution.actions and name not in state.request}
-    ended = [claim for name, claims in state.authority.claims.items() if name in never for claim in claims if claim.task_id == command.task_id]
+    ended = _claims(state, command.task_id, {action.action_id for action in withdrawn})
     return (*released(ended), *(ExecutionWithdrawn(action.task_id, action.action_id, action.robot) for action in withdrawn))
+
+
+def end_claims(state: State, command: EndClaims) -> tuple[Event, ...]:
+    """Nobody claims what nobody does."""
+    never = {name for name in state.authority.claims if name not in state.execution.actions and name not in state.request}
+    return released(_claims(state, command.task_id, never))
+
+
+def _waiting(state: State, task_id: str) -> list[Action]:
+    """What robots have of the task and have not begun."""
+    return [action for action in state.execution.actions.values() if action.task_id == task_id and _has_not_begun(action) and _is_step(state, action)]
+
+
+def _claims(state: State, task_id: str, actions: set[str]) -> list[AuthorityClaimed]:
+    return [claim for name, claims in state.authority.claims.items() if name in actions for claim in claims if claim.task_id == task_id]
 
 
 def _has_not_begun(action: Action) -> bool:
@@ -46,10 +66,18 @@ def _is_step(state: State, action: Action) -> bool:
     return request is None or not request.is_adhoc
 
 
-def _on_abandoned(_state: State, event: TaskAbandoned, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(WithdrawTask(event.task_id)),)
+def _on_abandoned(state: State, event: TaskAbandoned, _now_us: int) -> tuple[Scheduled, ...]:
+    asked = {action.robot: action.requested_by or action.on_behalf_of for action in _waiting(state, event.task_id)}
+    told = (_told(event.task_id, robot, by) for robot, by in asked.items())
+    return (Scheduled(EndClaims(event.task_id)), *told)
 
 
-DECIDES: Decides = {WithdrawTask: withdraw_task}
-ACTORS: Actors = {WithdrawTask: nobody}
+def _told(task_id: str, robot: str, by: str) -> Scheduled:
+    if by == robot:
+        return Scheduled(WithdrawTask(task_id, robot))
+    return Scheduled(WithdrawTask(task_id, robot), 0, (message(by, task_id, f"given up/{robot}"),))
+
+
+DECIDES: Decides = {WithdrawTask: withdraw_task, EndClaims: end_claims}
+ACTORS: Actors = {WithdrawTask: named, EndClaims: nobody}
 REACTS: Reacts = {TaskAbandoned: _on_abandoned}

@@ -26,6 +26,7 @@ from fsar_ledger.events.task import StepBegan
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import is_asked
+from fsar_ledger.projections.world import is_linked
 from fsar_ledger.runtime.handlers.actors import named, requester, target
 from fsar_ledger.runtime.handlers.attribution import capable, is_idle, on_shift, pending_of_other_task
 from fsar_ledger.runtime.handlers.commands import (
@@ -45,6 +46,8 @@ from fsar_ledger.runtime.handlers.commands import (
 
 from .agents import snapshot
 from .talk import CALL, EVALUATION, OWN_RESULT, RELAY, RESULT, VOIDING, path, talk
+
+LONGEST = 3  # a call that is delivered within the answer time, and two hops, are over after so many of them
 
 
 class DetectGap(Command):
@@ -81,10 +84,11 @@ class Award(Command):
 
 
 class CloseBidding(Command):
-    """The requester has waited long enough for the bids of this round."""
+    """The time in which the calls of this round should have been delivered is over; `is_last` when who was called in time has judged it, too."""
 
     action_id: str
     round: int
+    is_last: bool = False
 
 
 class GoOnWithout(Command):
@@ -173,9 +177,17 @@ def award(state: State, command: Award) -> tuple[Event, ...]:
 
 
 def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
-    """Who has not bid in time counts as a refusal: the contract goes to the best of the others, or nobody has answered. Reading: R44."""
+    """Whom the call has not reached in time counts as a refusal: the contract goes to the best of the others, or nobody has answered. Reading: R44.
+
+    A bid that is on its way is waited for, and so is a robot that the call has reached but whose agents still judge it.
+    """
     request = state.request.get(command.action_id)
     if request is None or request.is_unanswered or request.round != command.round or len(request.bids) == len(request.candidates):
+        return ()
+    received = {robot for robot, _ in request.bids}
+    if any(robot not in received for robot in request.bidders):
+        return ()
+    if not command.is_last and any(is_linked(state.world, robot) for robot in request.candidates if robot not in received):
         return ()
     if best_bid(request) is not None:
         return award(state, Award(command.action_id, now_us=command.now_us))
@@ -261,11 +273,14 @@ def _on_call(state: State, event: RegistryQueried, _now_us: int) -> tuple[Schedu
     assert event.action_id is not None
     request = state.request[event.action_id]
     calls = tuple(scheduled for robot in event.candidates for scheduled in call(state, request, robot))
-    return (*calls, _closing(state, request))
+    return (*calls, *_closing(state, request, (at_once(request.requester),)))
 
 
-def _closing(state: State, request: Request) -> Scheduled:
-    return Scheduled(CloseBidding(request.action_id, request.round), state.fleet.answer_us, (at_once(request.requester),))
+def _closing(state: State, request: Request, draws: tuple[Draw, ...]) -> tuple[Scheduled, ...]:
+    """The bidding closes when the calls should have been delivered, or later by as long as a call that was delivered takes to be judged at the most."""
+    answer_us = state.fleet.answer_us
+    last = CloseBidding(request.action_id, request.round, is_last=True)
+    return (Scheduled(CloseBidding(request.action_id, request.round), answer_us, draws), Scheduled(last, LONGEST * answer_us, draws))
 
 
 def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled, ...]:
@@ -280,8 +295,8 @@ def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled,
 
 def _on_bid_received(state: State, event: BidReceived, _now_us: int) -> tuple[Scheduled, ...]:
     request = state.request[event.action_id]
-    if len(request.bids) < len(request.candidates):
-        return ()
+    if len(request.bids) < len(request.candidates):  # it may have been the last one that was waited for
+        return _closing(state, request, (at_once(request.requester),))
     if best_bid(request) is None:
         return (Scheduled(BeginStep(event.task_id, event.action_id), state.fleet.structure.back_off_us),)
     return (Scheduled(Award(event.action_id)),)
@@ -314,8 +329,7 @@ def _on_void(state: State, event: ContractVoided, _now_us: int) -> tuple[Schedul
     said, record = talk(state, event.robot, VOIDING, key, "void")
     agreed, other = talk(state, request.requester, RELAY, key, "again", (*said, message(event.robot, key, "void")))
     calls = tuple(scheduled for robot in request.candidates for scheduled in call(state, request, robot, agreed))
-    closing = Scheduled(CloseBidding(request.action_id, request.round), state.fleet.answer_us, agreed)
-    return (*calls, record, other, closing)
+    return (*calls, record, other, *_closing(state, request, agreed))
 
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:

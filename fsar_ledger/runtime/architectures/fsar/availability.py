@@ -40,20 +40,28 @@ def found_silent(state: State, robots: Iterable[str]) -> tuple[AvailabilityChang
 
 
 def report_back(state: State, command: ReportBack) -> tuple[AvailabilityChanged, ...]:
-    """What the robot advertises is as available as before it was found silent."""
-    before = state.registry.silent.get(command.robot, {})
-    if len(set(before.values())) == 1 and len(before) == len(tuple(surface(state.registry, command.robot))):
-        return (AvailabilityChanged(command.robot, None, next(iter(before.values())), "answers again"),)
-    return tuple(AvailabilityChanged(command.robot, capability, availability, "answers again") for capability, availability in before.items())
+    """What the robot advertises is as available as before it was found silent, but for what has become of its actuator since."""
+    return _present(state, command.robot)
+
+
+def _present(state: State, robot: str, is_serviced: bool = False) -> tuple[AvailabilityChanged, ...]:
+    worn: dict[Availability, Availability] = {"ready": "degraded", "busy": "degraded"} if robot in state.world.degraded else {}
+    since: dict[Availability, Availability] = {"degraded": "ready"} if is_serviced else worn
+    now = {capability: since.get(before, before) for capability, before in state.registry.silent.get(robot, {}).items()}
+    if len(set(now.values())) == 1 and len(now) == len(tuple(surface(state.registry, robot))):
+        return (AvailabilityChanged(robot, None, next(iter(now.values())), "answers again"),)
+    return tuple(AvailabilityChanged(robot, capability, availability, "answers again") for capability, availability in now.items())
 
 
 def report_actuator(state: State, command: ReportActuator) -> tuple[Event, ...]:
     """What the robot advertises is degraded, or ready again; what it had restricted or taken offline stays so.
 
-    A word that was overtaken by what has happened since changes nothing.
+    A word that was overtaken by what has happened since changes nothing; of a silent robot it says that it is back as well.
     """
     if command.is_degraded != (command.robot in state.world.degraded):
         return ()
+    if command.robot in state.registry.silent:
+        return _present(state, command.robot, is_serviced=not command.is_degraded)
     before: tuple[Availability, ...] = ("ready", "busy") if command.is_degraded else ("degraded",)
     after: Availability = "degraded" if command.is_degraded else "ready"
     shown = tuple(surface(state.registry, command.robot))

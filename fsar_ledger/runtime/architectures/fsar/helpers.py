@@ -3,8 +3,9 @@
 The checks are those of any request: who can, shows it and is there, trust, authority, policy, then whether the robot
 is free. What remains after one is judged by the next; the check after which nobody remains is the reason. All are
 asked at once and give their word; who does not answer, because it is off or its link is down, is nobody's help, which is
-known only when the time for an answer is over (R44). Reading: a substitute is asked for its own capability, so that its
-advertisement's terms are what counts, and what holds of the step's capability holds for it as well.
+known only when the time for an answer is over (R44); only those that would come before whoever is chosen are waited for.
+Reading: a substitute is asked for its own capability, so that its advertisement's terms are what counts, and what holds of
+the step's capability holds for it as well.
 """
 
 from collections.abc import Iterable
@@ -30,7 +31,7 @@ ASSISTING_SCOPES = ("task", "session", "persistent")  # capability scope does no
 
 
 class Found(NamedTuple):
-    """Who, or why nobody; and who of those that were asked does not answer."""
+    """Who, or why nobody; and who of those that would come before does not answer."""
 
     robot: str | None
     reason: str
@@ -127,18 +128,24 @@ def _first(state: State, action: Action, asking: str, found: list[Candidate], ki
     able = [one for one in found if one.left_out_by not in ("visibility", "availability")]
     if not able:
         return Found(None, f"no capable {kind}")
-    silent = tuple(dict.fromkeys(one.robot for one in able if not is_linked(state.world, one.robot)))
-    able = [one for one in able if is_linked(state.world, one.robot)]
+    chosen = _chosen(state, action, asking, [one for one in able if is_linked(state.world, one.robot)], kind, carried)
+    order = tuple(dict.fromkeys(one.robot for one in able if chosen.robot is None or one.left_out_by is None))
+    before = order if chosen.robot is None else order[: order.index(chosen.robot)]
+    return chosen._replace(silent=tuple(robot for robot in before if not is_linked(state.world, robot)))
+
+
+def _chosen(state: State, action: Action, asking: str, able: list[Candidate], kind: str, carried: PolicyOutcome | None) -> Found:
+    """Who is chosen of those that answer."""
     if not able:
-        return Found(None, NO_ANSWER, silent)
+        return Found(None, NO_ANSWER)
     trusted = [one for one in able if one.left_out_by != "trust"]
     if not trusted:
-        return Found(None, f"no trusted {kind}", silent)
+        return Found(None, f"no trusted {kind}")
     entitled = [one for one in trusted if _may_ask(state, asking, one, action)]
     if not entitled:
-        return Found(None, "authority", silent)
+        return Found(None, "authority")
     willing = [one.robot for one in entitled if one.left_out_by is None and _is_allowed(state, asking, one, action, carried)]
-    return Found(*_first_idle(state, willing, "policy", f"{kind} busy"), silent)
+    return Found(*_first_idle(state, willing, "policy", f"{kind} busy"))
 
 
 def _is_allowed(state: State, asking: str, one: Candidate, action: Action, carried: PolicyOutcome | None) -> bool:

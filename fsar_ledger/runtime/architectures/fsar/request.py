@@ -56,9 +56,10 @@ class EvaluateRequest(Command):
 
 
 class GoOnWithout(Command):
-    """The requester has waited long enough for a word about its request."""
+    """The time in which the request should have been delivered is over: to whom it was sent, or (`is_relayed`) to whom the relay has passed it on."""
 
     action_id: str
+    is_relayed: bool = False
 
 
 class AdmitReviewed(Command):
@@ -97,8 +98,10 @@ def issue_request(state: State, command: IssueRequest) -> tuple[Event, ...]:
 def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
     """The peer has passed the request on, its own policy composed, or denied its link of the chain. Paper: eq:nontransitive."""
     request = state.request.get(command.action_id)
-    if request is None or request.relay is None or request.silent:
+    if request is None or request.relay is None:
         return ()
+    if request.silent:  # too late, as of an executor
+        return report_back(state, ReportBack(request.silent[0]))
     relay, about = request.relay, (request.capability, request.task_id)
     supervisor = on_shift(state, relay)
     ids = (request.task_id, request.action_id, request.action_id, relay, request.requester, request.candidates[0], supervisor)
@@ -132,13 +135,15 @@ def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
 
 
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
-    """The requester has had no word in time: it tries again later, and the registry knows who was silent. Reading: R44."""
+    """The request was not delivered in time: the requester tries again later, and the registry knows who was silent. Reading: R44."""
     request = state.request.get(command.action_id)
-    if request is None or not request.candidates or request.is_heard or request.is_received or request.offers or not _is_open(state, request):
+    if request is None or request.is_relayed != command.is_relayed:
+        return ()
+    if not request.candidates or request.is_heard or request.is_received or request.offers or not _is_open(state, request):
         return ()
     executor = request.candidates[0]
     silent = executor if request.relay is None or request.is_relayed else request.relay
-    return (unanswered(state, request, executor), *found_silent(state, (silent,)))
+    return (unanswered(state, request, silent), *found_silent(state, (silent,)))
 
 
 def _is_open(state: State, request: Request) -> bool:
@@ -253,8 +258,10 @@ def _on_request(state: State, event: RequestIssued, _now_us: int) -> tuple[Sched
     return (asked, Scheduled(GoOnWithout(event.action_id), state.fleet.answer_us, (at_once(request.requester),)))
 
 
-def _on_relay(_state: State, event: RequestRelayed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(EvaluateRequest(event.action_id), 0, (message(event.decided_by, event.action_id, 3),)),)
+def _on_relay(state: State, event: RequestRelayed, _now_us: int) -> tuple[Scheduled, ...]:
+    asked = Scheduled(EvaluateRequest(event.action_id), 0, (message(event.decided_by, event.action_id, 3),))
+    late = GoOnWithout(event.action_id, is_relayed=True)
+    return (asked, Scheduled(late, state.fleet.answer_us, (at_once(event.requested_by),)))
 
 
 def _on_denial(state: State, event: RequestDenied, now_us: int) -> tuple[Scheduled, ...]:
