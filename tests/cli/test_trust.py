@@ -83,7 +83,7 @@ def test_a_key_that_cannot_sign_is_refused_before_anything_is_written(call: Call
         one_message(call("simulate", tmp_path / "ledger", *SMALL, "--key", key), 2, part)
         one_message(call("reproduce", "--out", tmp_path / "out", "--key", key), 2, part)
     assert not (tmp_path / "ledger").exists()
-    assert not (tmp_path / "out" / "ledger" / "ledger.json").exists()
+    assert not (tmp_path / "out" / "results" / "ledger.json").exists()
 
 
 def test_a_ledger_has_the_origin_that_was_asked_for_or_the_name_of_its_key(call: Call, tmp_path: Path) -> None:

@@ -4,13 +4,13 @@ from collections import Counter
 
 import pytest
 
-from fsar_ledger.metrics.printed import Place, printed
+from fsar_ledger.metrics.printed import Place, Table, printed
 from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.registration import registration
 
 
 @pytest.mark.parametrize(("table", "count"), [("results", 24), ("ablation", 30), ("ablation_text", 8), ("scaling", 45)])
-def test_each_table_has_its_cells_by_metrics_that_have_margins(table: str, count: int) -> None:
+def test_each_table_has_its_cells_by_metrics_that_have_margins(table: Table, count: int) -> None:
     cells = printed(table)
     assert len(cells) == count
     assert {place.metric for place in cells} <= MARGINS.keys()
@@ -29,7 +29,7 @@ def test_a_claim_of_the_text_is_a_number_in_full_and_one_without_the_mechanism()
 
 
 def test_cells_have_the_class_that_was_registered_for_them_and_are_informed_otherwise() -> None:
-    def classes(table: str) -> Counter[str]:
+    def classes(table: Table) -> Counter[str]:
         return Counter(registration().said_of(table, place._asdict()).kind for place in printed(table))
 
     assert classes("results") == {"fitted": 24}
