@@ -14,7 +14,7 @@ BIN := .venv/bin
 READY := .venv/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test check soak soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers soak-reverts bench docs sbom clean
+.PHONY: help setup reproduce test check check-style check-types check-sql check-imports soak soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers soak-reverts bench docs sbom clean
 
 help:
 	@echo "make setup      a .venv with the command fsar-ledger in it"
@@ -40,11 +40,21 @@ $(READY): requirements.txt pyproject.toml
 reproduce: setup
 	$(BIN)/fsar-ledger reproduce --out $(OUT)
 
+# The checks one beside the other: the types take as long as all the rest.
 check: setup
+	@$(MAKE) --no-print-directory -j 2 check-types check-style check-imports check-sql
+
+check-style:
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+
+check-types:
 	$(BIN)/mypy --strict fsar_ledger tests benchmarks docs .ci/sbom.py
+
+check-sql:
 	$(BIN)/sqlfluff lint --disable-progress-bar queries
+
+check-imports:
 	$(BIN)/lint-imports
 
 test: check

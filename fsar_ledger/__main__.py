@@ -1,21 +1,27 @@
 """The entry of the command `fsar-ledger` and of `python -m fsar_ledger`."""
 
+import atexit
 import gc
 import os
 import sys
-from contextlib import suppress
 from types import TracebackType
 
 from . import __version__, printable
 from .commands.terminal import Enough, say, say_failure, show
+from .errors import WriteFailed
 
 
 def main() -> None:
     """The command has run and the process has ended with its exit code; `--version` answers before anything slow is imported."""
     sys.excepthook = _failed
     if sys.argv[1:] == ["--version"]:
-        with suppress(Enough):
+        try:
             show(printable.line(f"fsar-ledger {__version__}"))
+        except Enough:
+            pass
+        except WriteFailed as problem:
+            say(str(problem))
+            sys.exit(1)
         return
     if os.name != "posix":
         say(f"found an operating system that is not POSIX ({os.name}), expected Linux or macOS; on Windows use WSL")
@@ -28,6 +34,7 @@ def main() -> None:
         say("interrupted; nothing was changed")
         sys.exit(130)
     code = run(sys.argv[1:])
+    atexit._run_exitfuncs()  # libraries clean up after themselves: matplotlib takes its folder away
     os._exit(code)  # all is written and closed; to take the libraries down again would take a tenth of a short command's time
 
 

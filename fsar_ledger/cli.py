@@ -7,6 +7,7 @@ the errors of `errors.py`; `run` turns it into one message on stderr and its exi
 0 fine, 1 a write failed, a worker was killed or an audit found something, 2 the call was wrong, 3 the ledger is damaged, 130 interrupted.
 """
 
+import errno
 import time
 from collections.abc import Sequence
 from contextlib import nullcontext
@@ -346,6 +347,9 @@ def reproduce(
 
 _commands = cache(lambda: typer.main.get_command(app))
 
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
+"""Why a help text that is written by others does not arrive."""
+
 
 def run(arguments: Sequence[str]) -> int:
     """The command has run; returns its exit code. What a user can cause is one message on stderr, never a traceback."""
@@ -365,9 +369,13 @@ def run(arguments: Sequence[str]) -> int:
         _say("memory: the system gave no more of it; close other programs, or do less at once")
         return 1
     except OSError as problem:
-        if problem.filename is None:
+        if problem.filename is None and problem.errno not in NO_ROOM:
             raise
-        _say(f"{problem.filename}: {problem.strerror}")
+        _say(
+            f"{problem.filename}: {problem.strerror}"
+            if problem.filename
+            else f"the output is incomplete ({problem.strerror}); write it where there is free space"
+        )
         return 1
     except KeyboardInterrupt:
         code = INTERRUPTED

@@ -45,6 +45,7 @@ groups AS (
         coalesce(list(DISTINCT runs.scenario) FILTER (runs.scenario IS NOT NULL), []) AS scenarios,
         max(runs.run) AS last,
         count(DISTINCT (runs.scenario, runs.run)) FILTER (runs.scenario IS NOT NULL AND runs.run IS NOT NULL) AS numbered,
+        settings.kind AS made_as,
         count(*) AS runs,
         count(*) FILTER (planned.run_id IS NULL) AS runs_unplanned,
         sum(sizes.event_count)::BIGINT AS events
@@ -52,7 +53,8 @@ groups AS (
     INNER JOIN sizes ON runs.run_id = sizes.run_id
     INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
     LEFT JOIN planned ON runs.run_id = planned.run_id
-    GROUP BY runs.kind, runs.source, runs.model_version, settings.parameter_set, runs.seed, runs.fleet_size, runs.architecture, runs.configuration
+    GROUP BY
+        runs.kind, runs.source, runs.model_version, settings.parameter_set, runs.seed, runs.fleet_size, runs.architecture, runs.configuration, settings.kind
 )
 
 SELECT
@@ -70,7 +72,7 @@ SELECT
     len(list_distinct(flatten(list(scenarios) OVER world)))::HUGEINT * (max(last) OVER world + 1)::HUGEINT - numbered AS runs_to_rectangle,
     events
 FROM groups
-WINDOW world AS (PARTITION BY kind, source, model_version, parameter_set, seed, fleet_size)
+WINDOW world AS (PARTITION BY kind, source, model_version, parameter_set, seed, fleet_size, made_as)
 ORDER BY ALL
 """
 
@@ -138,7 +140,7 @@ class Contents(msgspec.Struct, frozen=True):
         if not self.plans:
             nothing = "no plan is on record, so nothing says whether they are all that was meant"
             return [f"{held}; {nothing}" if self.groups else "no runs yet, and no plan on record"]
-        lacking = "not complete" if self.missing is None else f"not complete: {runs(self.missing)} of what was planned {_are(self.missing)} missing"
+        lacking = "not complete" if self.missing is None else f"not complete: {printable.counted(self.missing, 'planned run')} {_are(self.missing)} missing"
         of_plans = lacking if self.is_complete is False else "complete: all that was planned is there"
         if not self.unplanned:
             return [f"{held}, {of_plans}"]

@@ -199,7 +199,7 @@ def experiment_of(
     from fsar_ledger.runtime.experiment import Experiment
 
     every_architecture, every_scenario = get_args(Architecture), get_args(Scenario)
-    configurations = tuple(dict.fromkeys(ablation(known("mechanism", name.split("+"), MECHANISMS)) for name in without or ()))
+    configurations = tuple(dict.fromkeys(ablation(known("mechanism", _joined(name), MECHANISMS)) for name in without or ()))
     return Experiment(
         architectures=known("architecture", architectures, every_architecture) or (("fsar",) if configurations else every_architecture),
         scenarios=known("scenario", scenarios, every_scenario) or every_scenario,
@@ -209,6 +209,16 @@ def experiment_of(
         fleet_size=fleet_size,
         constants=Constants() if load in ((None, 1), (fleet_size // 4, 1)) else Constants(load=Load(*load)),
     )
+
+
+def _joined(asked: str) -> list[str]:
+    """The names that a + joins. Raises: InvalidExperiment, where one is missing, stands twice, or is joined otherwise."""
+    names = [name.strip() for name in asked.split("+")]
+    if "" in names or len(set(names)) < len(names) or "," in asked:
+        raise InvalidExperiment(
+            f"--without {printable.value(asked)}: expected mechanisms, each once, with + between them, as in trust-evaluation+shared-registry"
+        )
+    return names
 
 
 def _workflows_of(asked: list[str], runs: int | None, seed: int, others: dict[str, Any], architectures: list[str] | None, fleet_size: int) -> "Experiment":

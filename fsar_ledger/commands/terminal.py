@@ -4,12 +4,14 @@ Only text whose values are escaped (`Shown`) can be shown, and it goes through a
 the next one behind a mark, so that no line of the screen begins with what somebody else wrote.
 """
 
+import io
 import os
 import sys
 from contextlib import suppress
 from typing import TextIO
 
 from fsar_ledger import printable
+from fsar_ledger.errors import WriteFailed
 from fsar_ledger.printable import Shown
 
 ON = "  | "
@@ -26,13 +28,13 @@ class Enough(Exception):
 
 
 def show(text: Shown, *, raw: bool = False) -> None:
-    """The text is on stdout; `raw` is for programs and may be anything, as long as stdout is no terminal. Raises: Enough where nobody reads it."""
+    """The text is on stdout; `raw` is for programs and may be anything, as long as stdout is no terminal. Raises: Enough where nobody reads it; WriteFailed."""
     _write(sys.stdout, text if raw and not sys.stdout.isatty() else printable.net(text))
 
 
 def say(*messages: str) -> None:
     """The messages are on stderr, each after the name of the command; where one goes on in another line, that stands behind a mark, whoever broke it."""
-    with suppress(Enough):
+    with suppress(Enough, WriteFailed):
         _write(sys.stderr, "".join(map(_message, messages)))
 
 
@@ -44,11 +46,13 @@ def _message(text: str) -> Shown:
 
 def say_failure(trace: str) -> None:
     """The lines that Python has for a mistake of ours are on stderr, harmless whatever they quote."""
-    with suppress(Enough):
+    with suppress(Enough, WriteFailed):
         _write(sys.stderr, printable.net(trace))
 
 
-def _write(stream: TextIO, text: str) -> None:
+def _write(stream: TextIO | None, text: str) -> None:
+    if stream is None:
+        raise WriteFailed("the output has nowhere to go: it was closed; write it to a file or a pipe")
     try:
         width = (os.get_terminal_size(stream.fileno()).columns or USUAL) if stream.isatty() else 0
     except (OSError, ValueError):
@@ -57,11 +61,30 @@ def _write(stream: TextIO, text: str) -> None:
         text = "\n".join(folded(line, width) for line in text.split("\n"))
     encoding = stream.encoding or "utf-8"
     try:
-        stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
-        stream.flush()
+        _write_whole(stream, text.encode(encoding, "backslashreplace"), encoding)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+        _divert(stream)
         raise Enough from None
+    except OSError as error:
+        _divert(stream)
+        raise WriteFailed(f"the output is incomplete ({error.strerror}); write it where there is free space") from error
+
+
+def _write_whole(stream: TextIO, data: bytes, encoding: str) -> None:
+    """All of it: an unbuffered stream (PYTHONUNBUFFERED) takes what there is room for and says how much, and Python's text layer does not look."""
+    raw = getattr(stream, "buffer", None)
+    if not isinstance(raw, io.RawIOBase):
+        stream.write(data.decode(encoding))
+        stream.flush()
+        return
+    rest = memoryview(data)
+    while rest:
+        rest = rest[raw.write(rest) or 0 :]
+
+
+def _divert(stream: TextIO) -> None:
+    """What is still to be written goes nowhere, so that nothing fails once more when the process ends."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 def folded(line: str, width: int) -> str:

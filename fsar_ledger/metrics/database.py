@@ -92,7 +92,7 @@ class Database:
         """What has all columns and rows of `events` and stands in SQL for less: through a view of so many columns each plan takes twice as long."""
         self._segments = tuple(segments)
         self._made: set[str] = set()
-        self._held: set[str] = set()  # of these, what was not made of a packaged query
+        self._given: dict[str, str] = {}
         self._connection = duckdb.connect(":memory:", config={"threads": threads} if threads else {})
         # The wide relation is read again and again: opening its files once is enough. UTC and no progress bar: the answer is the same anywhere.
         for setting in (f"parquet_metadata_cache = {str(caches_files).lower()}", "TimeZone = 'UTC'", "enable_progress_bar = false"):
@@ -117,10 +117,14 @@ class Database:
         """An Arrow table or dataset is the relation of this name, whatever packaged query has it."""
         self._connection.register(name, table)
         self._made.add(name)
-        self._held.add(name)
+        self._given[name] = "held"
 
     def refill(self, events: pa.Table) -> None:
         """`events` are these few rows from now on, in a table of DuckDB's own, NULL in columns that they lack; what was stored of others is gone."""
+        for name, kind in sorted(self._given.items()):
+            self.drop(name) if kind == "held" else self._execute(f"DROP VIEW {name}", None)
+            self._made.discard(name)
+        self._given.clear()
         for name in sorted(self._made & {query.relation for query in self.library.queries.values() if query.is_stored}):
             self._execute(f"DROP TABLE {name}", None)
             self._made.discard(name)
@@ -133,7 +137,7 @@ class Database:
         """The relation that `hold` made is gone, and what it held."""
         self._connection.unregister(name)
         self._made.discard(name)
-        self._held.discard(name)
+        self._given.pop(name, None)
 
     def direct(self, sql: str) -> list[tuple[Any, ...]]:
         """The rows of one SELECT over files and what this connection holds; names in it are never those of packaged queries. Raises: as `table`."""
@@ -146,11 +150,11 @@ class Database:
         """The SELECT is the relation of this name, whatever packaged query has it. Raises: as `table`."""
         self._execute(f"CREATE VIEW {name} AS\n{sql}", None)
         self._made.add(name)
-        self._held.add(name)
+        self._given[name] = "defined"
 
     def prepare(self, sql: str) -> None:
         """Every relation that this SQL mentions exists, with all that it reads."""
-        for query in self.library.needs(self.library.mentioned(sql), self._held):
+        for query in self.library.needs(self.library.mentioned(sql), self._given):
             if query.relation in self._made or query.parameters:
                 continue
             kind = "TABLE" if query.is_stored else "VIEW"

@@ -68,7 +68,7 @@ CHOSEN_SQL = """
     WHERE
         runs.configuration = $configuration AND runs.fleet_size = $fleet_size
         AND ($seed IS NULL OR runs.seed = $seed)
-        AND runs.kind = $kind
+        AND settings.kind = $kind
         AND runs.source IS NOT DISTINCT FROM $source
         AND runs.model_version IS NOT DISTINCT FROM $model_version
         AND settings.constants IS NOT DISTINCT FROM $constants

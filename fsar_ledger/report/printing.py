@@ -83,7 +83,8 @@ def _interval(value: Sequence[float], name: str) -> str:
 
 
 def _counted(value: float, name: str) -> str:
-    return f"{integer(value)} {specs.metric(name).counted}"
+    counted = specs.metric(name).counted
+    return f"{integer(value)} {counted.removesuffix('s') if value == 1 else counted}"
 
 
 def words(value: object, most: int = MAX_WORDS) -> str:

@@ -71,7 +71,7 @@ SELECT
         WHEN considered.filter = 'visibility' THEN 'not visible outside ' || if(considered.visibility = 'domain', 'its domain', 'its trust')
         WHEN coalesce(considered.trust_scope, 'none') = 'none' THEN 'no trust in the requester'
         WHEN considered.filter = 'trust' THEN 'too little trust in the requester'
-        WHEN contains(runs.configuration, 'shared-registry') THEN 'not met lately'
+        WHEN regexp_matches(runs.configuration, '^without-(.*[+])?shared-registry([+]|$)') THEN 'not met lately'
         WHEN considered.domain <> '' THEN 'not reached by the search'
         ELSE 'the record gives no reason'
     END AS reason

@@ -10,7 +10,7 @@ WITH told AS (
     SELECT
         events.* REPLACE (keyed_events.action_id AS action_id),
         events.action_id IS NULL AND events.request_id IS NULL AS is_untied,
-        if(contains(runs.configuration, 'shared-registry'), events.requested_by, 'service/registry') AS registry,
+        if(regexp_matches(runs.configuration, '^without-(.*[+])?shared-registry([+]|$)'), events.requested_by, 'service/registry') AS registry,
         CASE
             WHEN events.purpose = 'review' AND events.robot IS NOT NULL THEN 'coordinator'
             WHEN events.purpose = 'recovery' THEN last_value(events.decided_by IGNORE NULLS) OVER earlier

@@ -48,7 +48,7 @@ SELECT
     runs.architecture,
     runs.configuration,
     runs.fleet_size,
-    runs.kind,
+    settings.kind,
     runs.source,
     runs.model_version,
     runs.seed,
@@ -70,7 +70,7 @@ LEFT JOIN unobservable AS hidden
     ON runs.run_id = hidden.run_id AND hidden.judge IN ('governance_locality', 'audit_attributability', 'policy_violations')
 WHERE hidden.run_id IS NULL
 GROUP BY
-    runs.architecture, runs.configuration, runs.kind, runs.source, runs.model_version, runs.fleet_size, runs.seed, settings.setting, settings.constants
+    runs.architecture, runs.configuration, settings.kind, runs.source, runs.model_version, runs.fleet_size, runs.seed, settings.setting, settings.constants
 ORDER BY
     runs.configuration <> 'full', runs.configuration, runs.fleet_size, settings.constants, settings.setting, runs.seed,
     list_position(['fsar', 'cfc', 'dhma'], runs.architecture)

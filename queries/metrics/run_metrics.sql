@@ -51,7 +51,7 @@ WITH measured AS (
 )
 
 SELECT
-    runs.*,
+    runs.* REPLACE (settings.kind AS kind),
     settings.setting,
     settings.constants,
     definitions.position,

@@ -50,7 +50,7 @@ differing AS (
     SELECT
         sets.*,
         count(*) OVER (PARTITION BY sets.model) > 1 AS is_one_of_many,
-        coalesce(nullif(array_to_string(named.parts[:5], ', '), ''), 'nothing else by default')
+        coalesce(nullif(array_to_string(named.parts[:5], ', '), ''), 'all defaults')
         || if(len(named.parts) > 5, ' and ' || (len(named.parts) - 5) || ' more', '') AS named,
         coalesce(len(named.parts) > 5 OR named.is_cut, FALSE) OR count(*) OVER (PARTITION BY sets.model, named.parts) > 1 AS is_short
     FROM sets

@@ -12,7 +12,7 @@ SELECT
     runs.configuration,
     runs.fleet_size,
     runs.seed,
-    runs.kind,
+    settings.kind,
     runs.source,
     runs.model_version,
     settings.constants

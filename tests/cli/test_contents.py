@@ -140,7 +140,7 @@ def test_what_two_interrupted_experiments_have_in_common_is_missing_once(call: C
     planned_only(tmp_path / "ledger", small("fsar", scenarios=("door-relay", "fleet-contention")))
     found = info(call, tmp_path / "ledger")
     assert ([plan["missing_count"] for plan in found["plans"]], found["missing_count"]) == ([6, 4], 8)
-    assert "0 runs, not complete: 8 runs of what was planned are missing\n" in said(call, tmp_path / "ledger")
+    assert "0 runs, not complete: 8 planned runs are missing\n" in said(call, tmp_path / "ledger")
 
 
 def test_two_parameter_sets_are_told_apart_and_the_constants_named(call: Call, tmp_path: Path) -> None:

@@ -182,4 +182,13 @@ def test_a_refilled_database_answers_of_its_new_rows_alone() -> None:
 def test_rows_are_those_of_the_table_whatever_their_types() -> None:
     sql = "SELECT sum(i) AS whole, avg(i) AS mean, list(i) AS many, {'a': max(i)} AS one, NULL AS nothing, 1.50 AS money FROM range(3) AS t(i)"
     with from_rows([]) as database:
-        assert database.rows(sql) == plain_rows(database.table(sql))
+        assert repr(database.rows(sql)) == repr(plain_rows(database.table(sql)))
+
+
+def test_a_refilled_database_has_forgotten_what_was_defined_and_held_in_it() -> None:
+    with from_rows([]) as database:
+        database.define("runs", "SELECT 1 AS run_id")
+        database.hold("conflicts", pa.table({"run_id": ["mine"]}))
+        assert [database.rows(f"SELECT count(*) AS n FROM {name}") for name in ("runs", "conflicts")] == [[{"n": 1}], [{"n": 1}]]
+        database.refill(pa.table({"run_id": pa.array([], pa.string())}))
+        assert [database.rows(f"SELECT count(*) AS n FROM {name}") for name in ("runs", "conflicts")] == [[{"n": 0}], [{"n": 0}]]

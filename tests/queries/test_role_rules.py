@@ -154,10 +154,13 @@ def test_a_hold_ends_when_a_rule_comes_into_force_for_the_robot() -> None:
         "another domain": (held, {**of_role, "domain": "hall"}, began),
         "an exception": (own, held, of_role, began),
     }
+    named = {"its own": {**own, "time_us": 3}, "every robot's": {**own, "robot": None, "time_us": 3}, "another's": {**own, "robot": "robot/A1", "time_us": 3}}
+    rows = [one for name, events in histories.items() for one in run(joined, *events, run_id=name)]
+    rows += [one for name, rule in named.items() for one in run(held, rule, began, run_id=f"{name}, of a robot that nobody saw join")]
     (a3,) = chosen(["a3"])
-    with from_rows([one for name, events in histories.items() for one in run(joined, *events, run_id=name)]) as database:
+    with from_rows(rows) as database:
         broken = {found["run_id"] for found in database.rows(f"SELECT run_id FROM {a3.relation}")}
-    assert broken == {"nothing", "another role", "another domain", "an exception"}
+    assert broken == {"nothing", "another role", "another domain", "an exception", "another's, of a robot that nobody saw join"}
 
 
 def test_a_refusal_against_a_mandate_of_the_role_is_a_conflict_unless_the_robot_is_an_exception() -> None:

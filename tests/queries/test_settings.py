@@ -156,3 +156,10 @@ def test_constants_of_other_seeds_do_not_keep_seeds_together() -> None:
 def test_a_run_without_a_scenario_counts_once() -> None:
     metrics, _ = judged([run(run_id="a", scenario=None, kind="foreign"), run(run_id="b", scenario=None, kind="foreign")])
     assert {row.n for row in metrics if row.metric == "human_intervention"} == {2}
+
+
+def test_runs_of_workflows_are_no_runs_of_a_scenario_and_have_rows_of_their_own() -> None:
+    rows, _ = judged([*called(1, 1), *called(0, scenario="workflow-door-relay")])
+    calls = [(row.architecture, row.kind, row.n, row.mean) for row in rows if row.metric == "human_intervention"]
+    assert sorted(calls)[:4] == [("cfc", "simulated", 2, 1.0), ("cfc", "workflow", 1, 1.0), ("dhma", "simulated", 2, 1.0), ("dhma", "workflow", 1, 1.0)]
+    assert sorted(calls)[4:] == [("fsar", "simulated", 2, 1.0), ("fsar", "workflow", 1, 0.0)]

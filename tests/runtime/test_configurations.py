@@ -1,6 +1,8 @@
 """Mechanisms are taken out one at a time or several at once, and what lacks several lacks each of them."""
 
+import re
 from itertools import combinations
+from pathlib import Path
 
 import pytest
 
@@ -42,9 +44,15 @@ def test_several_mechanisms_in_one_option_are_one_configuration_and_two_options_
     assert asked.architectures == ("fsar",)
 
 
-@pytest.mark.parametrize(("asked", "said"), [("trust-evaluation+luck", "'luck'"), ("trust-evaluation+", "''"), ("trust", "did you mean 'trust-evaluation'")])
+@pytest.mark.parametrize(("asked", "said"), [("trust-evaluation+luck", "'luck'"), ("trust", "did you mean 'trust-evaluation'")])
 def test_a_mechanism_that_does_not_exist_is_named(asked: str, said: str) -> None:
     with pytest.raises(InvalidExperiment, match=f"unknown mechanism .*{said}"):
+        experiment_of(None, None, 1, 42, 4, [asked])
+
+
+@pytest.mark.parametrize("asked", ["", "+", "trust-evaluation+", "+trust-evaluation", "trust-evaluation,shared-registry", "trust-evaluation+trust-evaluation"])
+def test_mechanisms_that_are_joined_otherwise_are_refused_with_how_to_join_them(asked: str) -> None:
+    with pytest.raises(InvalidExperiment, match=r"--without .*expected mechanisms, each once, with \+ between them, as in "):
         experiment_of(None, None, 1, 42, 4, [asked])
 
 
@@ -65,3 +73,13 @@ def test_without_policy_composition_and_layered_recovery_a_run_shows_what_each_o
     assert calls[2] > calls[0]
     assert violations[3] > violations[2]
     assert calls[3] > calls[1]
+
+
+def test_queries_read_a_name_as_handlers_do() -> None:
+    found = {query: (Path(__file__).parents[2] / "queries" / query).read_text() for query in ("facts/messages.sql", "audit/query_candidates.sql")}
+    patterns = {re.findall(r"regexp_matches\(runs\.configuration, '([^']+)'\)", sql)[0] for sql in found.values()}
+    assert len(patterns) == 1
+    (pattern,) = patterns
+    others = ["with-shared-registry-cache", "without-shared-registry-v2", "shared-registry", "without-unshared-registry", ""]
+    for name in [*map(without, EVERY), *others]:
+        assert bool(re.match(pattern, name)) == ("shared-registry" in lacks(name)), name
