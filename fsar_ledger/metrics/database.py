@@ -92,7 +92,7 @@ class Database:
         """What has all columns and rows of `events` and stands in SQL for less: through a view of so many columns each plan takes twice as long."""
         self._segments = tuple(segments)
         self._made: set[str] = set()
-        self._given: dict[str, str] = {}  # of these, what was not made of a packaged query, and whether it was held or defined
+        self._given: dict[str, str] = {}  # of these, what was not made of a packaged query, and how it was made
         self._connection = duckdb.connect(":memory:", config={"threads": threads} if threads else {})
         # The wide relation is read again and again: opening its files once is enough. UTC and no progress bar: the answer is the same anywhere.
         for setting in (f"parquet_metadata_cache = {str(caches_files).lower()}", "TimeZone = 'UTC'", "enable_progress_bar = false"):
@@ -122,7 +122,7 @@ class Database:
     def refill(self, events: pa.Table) -> None:
         """`events` are these few rows from now on, in a table of DuckDB's own, NULL in columns that they lack; what was stored of others is gone."""
         for name, kind in sorted(self._given.items()):
-            self.drop(name) if kind == "held" else self._execute(f"DROP VIEW {name}", None)
+            self.drop(name) if kind == "held" else self._execute(f"DROP {kind} {name}", None)
             self._made.discard(name)
         self._given.clear()
         for name in sorted(self._made & {query.relation for query in self.library.queries.values() if query.is_stored}):
@@ -150,12 +150,13 @@ class Database:
         """The SELECT, or its rows as they are now, is the relation of this name, whatever packaged query has it. Raises: as `table`."""
         self._execute(f"CREATE {'TABLE' if is_stored else 'VIEW'} {name} AS\n{sql}", None)
         self._made.add(name)
-        self._given[name] = "defined"
+        self._given[name] = "TABLE" if is_stored else "VIEW"
 
     def undefine(self, name: str, *, is_stored: bool = False) -> None:
         """The relation that `define` made is gone."""
         self._execute(f"DROP {'TABLE' if is_stored else 'VIEW'} {name}", None)
         self._made.discard(name)
+        self._given.pop(name, None)
 
     def prepare(self, sql: str) -> None:
         """Every relation that this SQL mentions exists, with all that it reads."""

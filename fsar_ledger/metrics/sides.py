@@ -67,6 +67,7 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
     configuration: str | None
     fleet_size: int | None
     kind: str
+    made_as: str
     source: str | None
     model_version: str | None
     setting: str
@@ -80,14 +81,19 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def name(self) -> str:
         """Its whole name: `fsar:full@A/4`."""
-        return f"{self.architecture or '-'}:{self.configuration or '-'}@{self.letter or '-'}/{'-' if self.fleet_size is None else self.fleet_size}"
+        return f"{self.architecture or '-'}:{self.configuration or '-'}@{self.letter or '-'}/{'-' if self.fleet_size is None else self.fleet_size}{self._end}"
 
     @property
     def names(self) -> set[str]:
         """All by which it can be asked for: the configuration `full`, the constants and the fleet size may be left out."""
         heads = {f"{self.architecture or '-'}:{self.configuration or '-'}"} | ({self.architecture or "-"} if self.configuration in (FULL, None) else set())
         size = "-" if self.fleet_size is None else str(self.fleet_size)
-        return {f"{head}{constants}{robots}" for head in heads for constants in ("", f"@{self.letter or '-'}") for robots in ("", f"/{size}")}
+        return {f"{head}{constants}{robots}{self._end}" for head in heads for constants in ("", f"@{self.letter or '-'}") for robots in ("", f"/{size}")}
+
+    @property
+    def _end(self) -> str:
+        """What tells workflows from the runs of scenarios, which are made under the same constants."""
+        return "+workflow" if self.made_as == "workflow" else ""
 
     def __str__(self) -> str:
         return f"{printable.value(self.name)} ({counted(self.run_count, 'run')})"
@@ -198,7 +204,7 @@ def chosen(held: Sequence[Sequence[Side]], asked: tuple[str | None, str | None],
 
 def _alike(one: Side | None, held: Sequence[Side]) -> list[Side]:
     """Those that are this one but for constants, model and kind of runs; where none is, but for the size of the fleet, too."""
-    named = [side for side in held if one and (side.architecture, side.configuration) == (one.architecture, one.configuration)]
+    named = [side for side in held if one and (side.architecture, side.configuration, side.made_as) == (one.architecture, one.configuration, one.made_as)]
     return [side for side in named if one and side.fleet_size == one.fleet_size] or named
 
 

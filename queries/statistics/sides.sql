@@ -1,7 +1,8 @@
 -- Title: Sides that can be compared: what runs have in common but for seed, scenario and number
 -- Paper: sec:evaluation:significance
 -- Grain: one row per architecture, configuration and setting (kind, source, model version, constants, fleet size)
--- Units: side names the row in one text; run_count runs, named_count those with seed, scenario and number, which a pair takes; seeds, scenarios that they have
+-- Units: side names the row in one text; made_as as kind in run_settings; run_count runs, named_count those with seed, scenario and number, which a pair
+--        takes; seeds, scenarios that they have
 -- NULL: what the runs do not have
 -- Example: fsar-ledger query statistics/sides LEDGER
 SELECT
@@ -10,6 +11,7 @@ SELECT
     runs.configuration,
     runs.fleet_size,
     runs.kind,
+    settings.kind AS made_as,
     runs.source,
     runs.model_version,
     settings.setting,
@@ -21,4 +23,5 @@ SELECT
 FROM runs
 INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
 GROUP BY
-    runs.architecture, runs.configuration, runs.fleet_size, runs.kind, runs.source, runs.model_version, settings.setting, settings.parameter_set
+    runs.architecture, runs.configuration, runs.fleet_size, runs.kind, settings.kind, runs.source, runs.model_version, settings.setting,
+    settings.parameter_set
