@@ -33,7 +33,7 @@ def parse_columns(where: str, text: str) -> pa.Schema:
 def _released() -> dict[str, pa.Schema]:
     """The columns of every release that has a file."""
     found = {}
-    for file in (files("fsar_ledger.ledger") / "columns").iterdir():
+    for file in sorted((files("fsar_ledger.ledger") / "columns").iterdir(), key=lambda file: file.name):
         found[file.name.removesuffix(".txt")] = parse_columns(file.name, file.read_text("utf-8"))
     return found
 

@@ -23,7 +23,7 @@ from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
 from fsar_ledger.runtime.handlers.authority import ExpireContext, GrantAuthority, ReleaseAuthority, RevokeAuthority, RevokeDistrusted
 from fsar_ledger.runtime.handlers.commands import Command, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
-from fsar_ledger.runtime.handlers.withdrawal import WithdrawTask
+from fsar_ledger.runtime.handlers.withdrawal import EndClaims
 from tests.runtime.histories import given, types
 from tests.runtime.live import decided, of, played
 from tests.runtime.test_requests import relayed, verdict
@@ -153,7 +153,7 @@ def test_a_context_that_ends_ends_the_rights_that_were_given_for_it_and_no_other
     broad = AuthorityGranted("robot/A1", "robot/B1", None, None, "none", H_F)
     for over in (TaskCompleted("visit"), TaskAbandoned("visit")):
         state = given("fsar", broad, GRANTED)
-        [command] = [one for one in scheduled(state, over) if not isinstance(one, WithdrawTask)]
+        [command] = [one for one in scheduled(state, over) if not isinstance(one, EndClaims)]
         assert command == ExpireContext("visit")
         [revoked] = play(state, command)
         assert revoked == AuthorityRevoked("robot/A1", "robot/B1", DOOR, "visit", "context expired", TRUST)
