@@ -24,4 +24,4 @@ def test_a_fix_names_a_test_that_exists(name: str) -> None:
 
 
 def test_every_line_of_the_right_answers_has_a_fix() -> None:
-    assert {fix.line for fix in FIXES.values()} == LINES
+    assert {fix.line for fix in FIXES.values()} >= LINES
