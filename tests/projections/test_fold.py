@@ -22,7 +22,6 @@ from tests.runtime.commanded import commanded
 
 RECORDS_ONLY = {
     "ExperimentPlanned",  # of no run
-    "BidSubmitted",
     "CandidateMatched",
     "CommandRejected",
     "ContextChanged",
