@@ -79,11 +79,13 @@ def _are_strings(values: Iterable[object]) -> bool:
 
 
 def require_runs(runs: Sequence[RunRecord]) -> None:
-    """Raises: InvalidRun if a run has no events or other numbers of times or causes, if its name is no string, or if two runs have the same one."""
+    """Raises: InvalidRun if a run has no events or other numbers of times or causes, if its name is no text, or if two runs have the same one."""
     seen: set[str] = set()
     for run in runs:
         if type(run.run_id) is not str:
             raise InvalidRun(f"field run_id: found {run.run_id!r:.80}, expected a string; give each run a name")
+        if not _is_unicode(run.run_id):
+            raise InvalidRun(f"field run_id: found {run.run_id!r:.80}, expected text without surrogates; give each run a name that can be stored")
         sizes = len(run.events), len(run.times_us), len(run.caused_by)
         if not sizes[0] == sizes[1] == sizes[2] or not sizes[0]:
             found = "{} events, {} times and {} causes".format(*sizes)

@@ -137,6 +137,11 @@ def test_a_run_whose_name_is_no_string_is_refused(path: Path, name: Any) -> None
     refused(path, [msgspec.structs.replace(RUN, run_id=name)], "field run_id: found .*, expected a string")
 
 
+def test_a_name_that_no_file_can_hold_as_text_is_refused(path: Path) -> None:
+    with pytest.raises(InvalidRun, match=r"field run_id: found '\\ud800', expected text without surrogates"):
+        stage(path, [msgspec.structs.replace(RUN, run_id="\ud800")])
+
+
 def test_a_name_that_no_record_could_carry_is_refused(path: Path) -> None:
     refused(path, [msgspec.structs.replace(RUN, run_id="é" * 2049)], "field run_id: found a name of 4098 bytes, expected at most 4096")
     append_all(path, [[msgspec.structs.replace(RUN, run_id='"' * 4096)]])
