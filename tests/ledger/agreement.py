@@ -15,6 +15,7 @@ import pyarrow as pa
 
 from fsar_ledger.errors import NotALedger
 from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.ledger import canonical, segment
 from fsar_ledger.ledger.append import Writer
@@ -84,7 +85,8 @@ def odd_run(run_id: str, size: int, draw: random.Random) -> RunRecord:
 
 def long_run(run_id: str, size: int) -> RunRecord:
     """A run of many small events."""
-    return RunRecord(run_id, range(size), [None, *range(size - 1)], [TaskCompleted(f"T{number % 7}") for number in range(size)])
+    events = [RunStarted(kind="live", observes=CONCERNS), *(TaskCompleted(f"T{number % 7}") for number in range(1, size))]
+    return RunRecord(run_id, range(size), [None, *range(size - 1)], events)
 
 
 def write(path: Path, batches: Sequence[Sequence[RunRecord]], signers: Sequence[Signer | None]) -> Path:
