@@ -9,26 +9,13 @@
 -- Units: as in conflicts
 -- NULL: as in conflicts
 -- Example: fsar-ledger query readings/conflict_of_claim LEDGER
-WITH held AS (
-    SELECT
-        run_id,
-        seq,
-        action_id,
-        dimension,
-        claimant,
-        began_us,
-        coalesce(ended_us, 9223372036854775807) AS ended_us
-    FROM claims
-    WHERE (ended_us IS NULL OR ended_us > began_us) AND action_id IS NOT NULL AND dimension IS NOT NULL AND claimant IS NOT NULL
-)
-
 SELECT
     later.run_id,
     later.action_id,
     later.dimension,
     later.began_us
-FROM held AS later
-SEMI JOIN held AS earlier
+FROM held_claims AS later
+SEMI JOIN held_claims AS earlier
     ON
         later.run_id = earlier.run_id AND later.action_id = earlier.action_id AND later.dimension = earlier.dimension
         AND later.claimant <> earlier.claimant AND (earlier.began_us, earlier.seq) < (later.began_us, later.seq) AND later.began_us < earlier.ended_us

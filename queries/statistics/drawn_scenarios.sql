@@ -1,78 +1,15 @@
 -- Title: What experiments of the paper's size would have printed of each scenario: 4,000 of them, drawn from the runs that are here
 -- Paper: sec:evaluation:ablation
--- Grain: one row per drawn experiment, architecture, configuration, setting (kind, source, model version, constants, fleet size), seed,
+-- Grain: one row per drawn experiment (drawn_sums), architecture, configuration, setting (kind, source, model version, constants, fleet size), seed,
 --        scenario and metric
--- Units: setting as in run_settings; value in the metric's unit.
---        An experiment is 20 runs of the scenario, drawn with replacement; the runs of a world are drawn together for all
---        architectures. Nothing is random: which runs a draw takes follows from an MD5 of its number
+-- Units: setting as in run_settings; value in the metric's unit
 -- NULL: value where nothing that the metric counts was drawn
 -- Example: fsar-ledger query statistics/drawn_scenarios LEDGER
-WITH numbered AS (
-    SELECT
-        *,
-        dense_rank() OVER (PARTITION BY architecture, configuration, setting, seed, scenario ORDER BY run) - 1 AS place
-    FROM run_metrics
-    WHERE not_observed IS NULL AND architecture IS NOT NULL AND scenario IS NOT NULL AND run IS NOT NULL
-),
-
-counted AS (
-    SELECT
-        architecture,
-        configuration,
-        setting,
-        seed,
-        scenario,
-        max(place) + 1 AS runs
-    FROM numbered
-    GROUP BY ALL
-),
-
-draws AS (
-    SELECT
-        experiments.draw,
-        scenarios.scenario,
-        md5_number_lower(concat_ws('/', experiments.draw, scenarios.scenario, slots.slot)) AS drawn
-    FROM (SELECT DISTINCT scenario FROM counted) AS scenarios, range(4000) AS experiments (draw), range(20) AS slots (slot)
-),
-
-picked AS (
-    SELECT
-        counted.* EXCLUDE (runs),
-        draws.draw,
-        draws.drawn % counted.runs AS place,
-        count(*) AS times
-    FROM draws
-    INNER JOIN counted ON draws.scenario = counted.scenario
-    GROUP BY ALL
-),
-
-summed AS (
-    SELECT
-        picked.draw,
-        numbered.architecture,
-        numbered.configuration,
-        numbered.fleet_size,
-        numbered.setting,
-        numbered.seed,
-        numbered.kind,
-        numbered.source,
-        numbered.model_version,
-        numbered.constants,
-        numbered.scenario,
-        numbered.position,
-        numbered.metric,
-        sum(picked.times * round(numbered.value * 1e9)::BIGINT)::DOUBLE / nullif(sum(picked.times) FILTER (WHERE numbered.value IS NOT NULL), 0) / 1e9 AS mean,
-        sum(picked.times * numbered.numerator)::DOUBLE / nullif(sum(picked.times * numbered.denominator), 0)::DOUBLE AS ratio
-    FROM picked
-    INNER JOIN numbered
-        ON
-            picked.architecture = numbered.architecture AND picked.configuration = numbered.configuration AND picked.setting = numbered.setting
-            AND picked.seed IS NOT DISTINCT FROM numbered.seed AND picked.scenario = numbered.scenario AND picked.place = numbered.place
-    GROUP BY ALL
-)
-
 SELECT
-    summed.* EXCLUDE (mean, ratio),
-    if(definitions.is_pooled, summed.ratio / definitions.numerator_units, summed.mean) AS value
-FROM summed
-INNER JOIN metric_definitions AS definitions ON summed.metric = definitions.metric
+    sums.* EXCLUDE (value_ppb, defined, numerator, denominator),
+    CASE
+        WHEN definitions.is_pooled THEN sums.numerator::DOUBLE / nullif(sums.denominator, 0)::DOUBLE / definitions.numerator_units
+        ELSE sums.value_ppb::DOUBLE / nullif(sums.defined, 0) / 1e9
+    END AS value
+FROM drawn_sums AS sums
+INNER JOIN metric_definitions AS definitions ON sums.metric = definitions.metric

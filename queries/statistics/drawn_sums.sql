@@ -1,0 +1,72 @@
+-- Title: What experiments of the paper's size, 4,000 of them drawn from the runs that are here, would have summed up in each scenario
+-- Paper: sec:evaluation:setup
+-- Grain: one row per drawn experiment, architecture, configuration, setting (kind, source, model version, constants, fleet size), seed,
+--        scenario and metric
+-- Units: setting as in run_settings; value_ppb billionths of the metric's unit, summed over defined runs; numerator, denominator as in run_metrics, summed.
+--        20 runs of the scenario are drawn with replacement; the runs of a world are drawn together for all
+--        architectures. Nothing is random: which runs a draw takes follows from an MD5 of its number
+-- NULL: value_ppb, defined, numerator, denominator where no drawn run has one
+-- Example: fsar-ledger query statistics/drawn_sums LEDGER
+WITH numbered AS (
+    SELECT
+        *,
+        dense_rank() OVER (PARTITION BY architecture, configuration, setting, seed, scenario ORDER BY run) - 1 AS place
+    FROM run_metrics
+    WHERE not_observed IS NULL AND architecture IS NOT NULL AND scenario IS NOT NULL AND run IS NOT NULL
+),
+
+counted AS (
+    SELECT
+        architecture,
+        configuration,
+        setting,
+        seed,
+        scenario,
+        max(place) + 1 AS runs
+    FROM numbered
+    GROUP BY ALL
+),
+
+draws AS (
+    SELECT
+        experiments.draw,
+        scenarios.scenario,
+        md5_number_lower(concat_ws('/', experiments.draw, scenarios.scenario, slots.slot)) AS drawn
+    FROM (SELECT DISTINCT scenario FROM counted) AS scenarios, range(4000) AS experiments (draw), range(20) AS slots (slot)
+),
+
+picked AS (
+    SELECT
+        counted.* EXCLUDE (runs),
+        draws.draw,
+        draws.drawn % counted.runs AS place,
+        count(*) AS times
+    FROM draws
+    INNER JOIN counted ON draws.scenario = counted.scenario
+    GROUP BY ALL
+)
+
+SELECT
+    picked.draw,
+    numbered.architecture,
+    numbered.configuration,
+    numbered.fleet_size,
+    numbered.setting,
+    numbered.seed,
+    numbered.kind,
+    numbered.source,
+    numbered.model_version,
+    numbered.constants,
+    numbered.scenario,
+    numbered.position,
+    numbered.metric,
+    sum(picked.times * round(numbered.value * 1e9)::BIGINT) AS value_ppb,
+    sum(picked.times) FILTER (WHERE numbered.value IS NOT NULL) AS defined,
+    sum(picked.times * numbered.numerator) AS numerator,
+    sum(picked.times * numbered.denominator) AS denominator
+FROM picked
+INNER JOIN numbered
+    ON
+        picked.architecture = numbered.architecture AND picked.configuration = numbered.configuration AND picked.setting = numbered.setting
+        AND picked.seed IS NOT DISTINCT FROM numbered.seed AND picked.scenario = numbered.scenario AND picked.place = numbered.place
+GROUP BY ALL
