@@ -7,7 +7,6 @@ reading of those segments.
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
@@ -54,28 +53,26 @@ def hold_dataset(database: "Database", stored: Any, segments: Sequence[Path]) ->
 
 def _hold_newest(database: "Database", parts: Sequence[tuple[str, frozenset[str]]], holding: Mapping[str, Sequence[Path]]) -> None:
     """The database's `events` are the rows of these relations, which have these columns, those of the retired types that they hold as their newest versions."""
-    selects = [f"{_select(*part)} WHERE type NOT IN ({_listed(holding)})" for part in parts]
-    selects += [f"{_select(*part, added)} WHERE type = '{tag}'" for tag in holding if (added := _added(tag)) is not None for part in parts]
-    if (newest := _upcast({tag: paths for tag, paths in holding.items() if _added(tag) is None})) is not None:
+    others = {tag: paths for tag, paths in holding.items() if RETIRED[tag].cls not in ADDITIONS}
+    added = [tag for tag in holding if tag not in others]
+    kept = f" WHERE type NOT IN ({_listed(others)})" if others else ""
+    selects = [f"{_select(*part, added)}{kept}" for part in parts]
+    if (newest := _upcast(others)) is not None:
         database.hold(_UPCAST, newest)
         selects.append(f"SELECT * FROM {_UPCAST}")
     database.define("events", "\nUNION ALL\n".join(selects))
 
 
-def _select(source: str, present: frozenset[str], added: Mapping[str, str] = MappingProxyType({})) -> str:
-    """The rows of a relation that has these columns, with all of today's: what is added as the SQL given for it, NULL in others that are not there."""
-    values = {name: f'"{name}"' if name in present else f"CAST(NULL AS {_SQL_TYPES[kind]})" for name, kind in COLUMNS.items()} | dict(added)
+def _select(source: str, present: frozenset[str], added: Sequence[str] = ()) -> str:
+    """The rows of a relation that has these columns, with all of today's, NULL in others; rows of these retired types with what their way adds."""
+    values = {name: f'"{name}"' if name in present else f"CAST(NULL AS {_SQL_TYPES[kind]})" for name, kind in COLUMNS.items()}
+    for tag in added:
+        way = ADDITIONS[RETIRED[tag].cls]
+        for name, value in {**way.added, "type": way.after.__struct_config__.tag}.items():
+            # One look at each row: a second one, for these rows alone, would decode the types of all of them once more.
+            values[name] = f"CASE WHEN type = {_literal(tag)} THEN CAST({_literal(value)} AS {_SQL_TYPES[COLUMNS[name]]}) ELSE {values[name]} END"
     columns = ", ".join(f'{value} AS "{name}"' for name, value in values.items())
     return f"SELECT {columns} FROM {source}"
-
-
-def _added(tag: str) -> Mapping[str, str] | None:
-    """In SQL, the columns of rows of this retired type that are others in its newest version; None where only `_upcast` can tell."""
-    addition = ADDITIONS.get(RETIRED[tag].cls)
-    if addition is None:
-        return None
-    added = {"type": addition.after.__struct_config__.tag, **addition.added}
-    return {name: f"CAST({_literal(value)} AS {_SQL_TYPES[COLUMNS[name]]})" for name, value in added.items()}
 
 
 def _literal(value: Any) -> str:
