@@ -158,9 +158,9 @@ def sentences(findings: Findings) -> dict[str, Any] | None:
         "meaning": [
             {
                 "architecture": architecture.upper(),
-                "each": [{"name": _words(name), "what": what} for name, what in MECHANISMS_OF[architecture].items() if (architecture, name) in held],
+                "each": [{"name": _words(name), "what": what} for name, what in names.items() if (architecture, name) in held],
             }
-            for architecture in ARCHITECTURES
+            for architecture, names in MECHANISMS_OF.items()
             if any(one == architecture for one, _ in held)
         ],
     }

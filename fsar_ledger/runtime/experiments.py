@@ -1,8 +1,9 @@
 """The experiments of the paper by name: what `reproduce` makes, one ledger each.
 
 `results` is the table of results. `ablation` is FSAR in full and without one mechanism each, and without the registry over the rates at which robots
-meet; then every architecture without each of its further mechanisms, to show which number each of them carries. `scaling` is the table of fleet sizes at both ends of the load that the text leaves open, with loads in between and fleets beyond.
-`workflows` are the three workflows. Each ledger has an origin of its own, so a key signs each under another name. Paper: sec:evaluation.
+meet; then every architecture without each of its further mechanisms, to show which number each of them carries. `scaling` is the table of fleet sizes
+at both ends of the load that the text leaves open, with loads in between and fleets beyond. `workflows` are the three workflows. Each ledger has an
+origin of its own, so a key signs each under another name. Paper: sec:evaluation.
 """
 
 from collections.abc import Iterator
@@ -19,6 +20,8 @@ from .simulation import ARCHITECTURES, SCENARIOS
 
 Name = Literal["results", "ablation", "scaling", "workflows"]
 NAMES: tuple[Name, ...] = get_args(Name)
+
+SEED = 42
 
 RUNS: dict[Name, int] = {"results": 200, "ablation": 40, "scaling": 20, "workflows": 1}
 """Runs of each scenario, architecture and configuration: what the registration asks for, twice the paper's, and the paper's."""
