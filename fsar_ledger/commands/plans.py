@@ -51,9 +51,9 @@ def _reproduced(plan: Mapping[str, Any], counts: Sequence[int], ledger: Shown) -
     name = next((one for one in NAMES if one == path.name), "results")
     if name == "results" or not ledger.view.manifest.origin.endswith(f"/{name}"):
         return None
-    for runs in (None, *(count for count in counts if 1 <= count <= MAX_RUNS)):
-        if plan["plan"] in {plan_id(part.plan()) for part in named(name, SEED, runs).parts}:
-            asked = ["--out", printable.word(path.parent), "--only", name, *([] if runs is None else ["--runs", str(runs)])]
+    for many in (None, *(count for count in counts if 1 <= count <= MAX_RUNS)):
+        if plan["plan"] in {plan_id(part.plan()) for part in named(name, SEED, many).parts}:
+            asked = ["--out", printable.word(path.parent), "--only", name, *([] if many is None else ["--runs", str(many)])]
             return " ".join(("fsar-ledger reproduce", *asked, *(["--key KEY"] if _is_signed(ledger.view) else [])))
     return None
 
