@@ -30,7 +30,7 @@ MECHANISMS_OF: dict[Architecture, dict[str, str]] = {
     "dhma": {
         "acknowledged-handoffs": "hand-off is acknowledged (else at once)",
         "planner-claims": "context changes make agents claim override (else no claim)",
-        "recovery-disputes": "recovery is disputed by an engaged planner",
+        "recovery-disputes": "recovery is disputed by an engaged planner (else never)",
         "contract-questioning": "context changes put contracts in question (else they stand)",
         "policy-snapshots": "decisions on snapshots of policy (else on policy as it is)",
         "hop-latency": "agents of a robot hear each other after a while (else at once)",

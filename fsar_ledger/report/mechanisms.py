@@ -74,7 +74,7 @@ def carried(found: Mechanisms) -> list[Row]:
             cell: Row = {"metric": spec.name, "architecture": architecture, "asked": len(asked)}
             most = bearing[0] if bearing else None
             cell |= {name: None if most is None else most[name] for name in ("mechanism", "mean_difference", "interval", "p_holm")}
-            cell |= {"mean": asked[0]["full_mean"] if asked else None, "others": _others(bearing[1:])}
+            cell |= {"mean": (most or asked[0])["full_mean"] if asked else None, "others": _others(bearing[1:])}
             cell["words"] = _words(cell["mechanism"]) if most else "none of these" if asked else None
             cells.append(cell)
     return cells
