@@ -48,8 +48,8 @@ def _reproduced(plan: Mapping[str, Any], counts: Sequence[int], ledger: Shown) -
     from fsar_ledger.runtime.plan import plan_id
 
     path = ledger.path if ledger.path.name else ledger.path.resolve()
-    name = next((one for one in NAMES if one == path.name), "results")
-    if name == "results" or not ledger.view.manifest.origin.endswith(f"/{name}"):
+    name = next((one for one in NAMES if one == path.name), NAMES[0])
+    if name == NAMES[0] or not ledger.view.manifest.origin.endswith(f"/{name}"):
         return None
     for many in (None, *(count for count in counts if 1 <= count <= MAX_RUNS)):
         if plan["plan"] in {plan_id(part.plan()) for part in named(name, SEED, many).parts}:

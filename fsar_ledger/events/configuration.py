@@ -42,6 +42,9 @@ MECHANISMS_OF: dict[Architecture, dict[str, str]] = {
 """All that can be taken out of each architecture: what it is, and what stands in its place. No name is that of two. The handlers know the paper's four;
 what is done instead of each other one says `runtime.switches`."""
 
+ON_RECORD_ALONE = frozenset({"engine-closing", "unnamed-requests", "central-decisions", "handoff-records", "agent-decisions"})
+"""Without these the same is done at the same times, and the record names others for it, or has less: what they carry is how a metric counts."""
+
 EVERY_MECHANISM: tuple[str, ...] = tuple(name for names in MECHANISMS_OF.values() for name in names)
 
 Configuration: TypeAlias = str

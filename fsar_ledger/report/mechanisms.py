@@ -5,7 +5,7 @@ from typing import Any
 
 import msgspec
 
-from fsar_ledger.events.configuration import EVERY_MECHANISM, MECHANISMS_OF, lacks, without
+from fsar_ledger.events.configuration import EVERY_MECHANISM, MECHANISMS_OF, ON_RECORD_ALONE, lacks, without
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.report import printing, specs
@@ -155,6 +155,7 @@ def sentences(findings: Findings) -> dict[str, Any] | None:
         "marked": sum(row["is_marked"] for row in found.rows),
         "tests": len(tested),
         "standing": sum(row["stands"] for row in tested),
+        "on_record": [_words(name) for name in EVERY_MECHANISM if name in ON_RECORD_ALONE and any(name == one for _, one in held)],
         "meaning": [
             {
                 "architecture": architecture.upper(),

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Iterator
+from contextlib import AbstractContextManager
 from typing import Any
 
 import msgspec
@@ -11,7 +12,10 @@ from scipy import stats
 from fsar_ledger.commands.options import experiment_of
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import InvalidExperiment
-from fsar_ledger.events.configuration import MECHANISMS, MECHANISMS_OF, without
+from fsar_ledger.events import Event
+from fsar_ledger.events.configuration import MECHANISMS, MECHANISMS_OF, ON_RECORD_ALONE, without
+from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.request import InternalHandoff
 from fsar_ledger.ledger.codec import encode
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.report import document, mechanisms, specs, typeset
@@ -19,15 +23,15 @@ from fsar_ledger.report.findings import SCENARIOS, Findings, Mechanisms
 from fsar_ledger.report.mechanisms import carried, mechanisms_of
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.experiments import named
-from fsar_ledger.runtime.simulation import simulate_run
-from fsar_ledger.runtime.switches import SWITCHES
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from fsar_ledger.runtime.switches import SWITCHES, Switch
 from tests.recycled import from_table
 
 COPIES, CLAIMS, UNNAMED = "synced-copies", "safe-stop-claims", "unnamed-requests"
 CALM = msgspec.structs.replace(Constants().world, context_rate_per_s=0.0)
 
 
-def played(*experiments: Experiment) -> Database:
+def played(*experiments: Experiment) -> AbstractContextManager[Database]:
     return from_table(encode([simulate_run(spec, one.constants) for one in experiments for spec in one.specs()]))
 
 
@@ -57,6 +61,24 @@ def test_every_mechanism_that_has_a_name_can_be_taken_out_and_names_are_of_one_a
 def test_the_ledger_of_ablations_holds_every_architecture_without_each_mechanism() -> None:
     held = {(one, name) for part in named("ablation", 42, 3).parts for one in part.architectures for name in part.configurations}
     assert held == {(architecture, name) for architecture, names in MECHANISMS_OF.items() for name in ("full", *map(without, ([one] for one in names)))}
+
+
+@pytest.mark.parametrize("switch", [one for one in SWITCHES if one.name in ON_RECORD_ALONE], ids=lambda one: one.name)
+def test_without_what_is_on_record_alone_the_same_is_done_at_the_same_times(switch: Switch) -> None:
+    whole, less = (simulate_run(RunSpec(5, switch.architecture, name, "door-relay", 4, 0), Constants()) for name in ("full", switch.configuration))
+    done, done_less = ([(time, what(event)) for time, event in zip(run.times_us, run.events, strict=True) if is_deed(event)] for run in (whole, less))
+    assert done == done_less
+    assert whole.events[1:] != less.events[1:]
+
+
+def is_deed(event: Event) -> bool:
+    return not isinstance(event, RunStarted | InternalHandoff)
+
+
+def what(event: Event) -> Any:
+    """The event without who is on record for it."""
+    anybody: dict[str, Any] = {name: None if name != "path" else () for name in ("decided_by", "requested_by", "path") if name in event.__struct_fields__}
+    return msgspec.structs.replace(event, **anybody)
 
 
 def test_a_mechanism_is_looked_for_in_the_architecture_that_has_it() -> None:
@@ -93,6 +115,7 @@ def test_a_difference_is_in_full_minus_without_and_its_interval_that_of_the_pair
         if (about := {"m": "authority_conflicts", "c": name})
     }
     full, less = values.values()
+    assert full != less
     expected = stats.ttest_rel(full, less)
     [row] = [one for one in database.rows("SELECT * FROM mechanism_differences WHERE NOT pools_seeds") if _is(one, CLAIMS, "authority_conflicts")]
     low, high = expected.confidence_interval()
