@@ -125,9 +125,14 @@ def _everywhere(change: Callable[[Decide], Decide]) -> Rewire:
     return rewired
 
 
-def _but(kind: type[Event]) -> Callable[[State, Event], Event | None]:
-    """What leaves out events of this type."""
-    return lambda _state, event: None if isinstance(event, kind) else event
+def _leaving_out(kind: type[Event], command: type[Command]) -> Rewire:
+    """The decision on this command makes no event of this type."""
+
+    def rewired(whole: Wiring) -> Wiring:
+        retold = _retold(lambda _state, event: None if isinstance(event, kind) else event, whole.decides[command])
+        return Wiring({**whole.decides, command: retold}, whole.reacts, whole.actors)
+
+    return rewired
 
 
 def _decided_by(event: Any, robot: str) -> Event:
@@ -288,7 +293,6 @@ def _decided_as_one(_state: State, event: Any) -> Event:
 
 _now = partial(_seeing, "knowledge", _copy_of_now)
 _policy_now = partial(_seeing, "knowledge", _snapshots_of_now)
-_engage = dhma_agents.engage_planner
 
 SWITCHES: tuple[Switch, ...] = (
     Switch("trust-evaluation", "fsar", ("policy_violations",)),
@@ -319,9 +323,9 @@ SWITCHES: tuple[Switch, ...] = (
     Switch("unnamed-requests", "cfc", ("audit_attributability",), rewire=_everywhere(partial(_retold, _requester_named))),
     Switch("central-decisions", "cfc", ("governance_locality",), rewire=_everywhere(partial(_retold, _decided_by_robots))),
     Switch("acknowledged-handoffs", "dhma", ("authority_conflicts",), {dhma_authority.PassExecution: _passed_at_once}),
-    Switch("planner-claims", "dhma", ("authority_conflicts",), {dhma_agents.EngagePlanner: _retold(_but(AuthorityClaimed), _engage)}),
+    Switch("planner-claims", "dhma", ("authority_conflicts",), rewire=_leaving_out(AuthorityClaimed, dhma_agents.EngagePlanner)),
     Switch("recovery-disputes", "dhma", ("recovery_containment", "reassignment_latency_s"), {dhma_recovery.Dispute: _nothing}),
-    Switch("contract-questioning", "dhma", ("coordination_success",), {dhma_agents.EngagePlanner: _retold(_but(ContractQuestioned), _engage)}),
+    Switch("contract-questioning", "dhma", ("coordination_success",), rewire=_leaving_out(ContractQuestioned, dhma_agents.EngagePlanner)),
     Switch(
         "policy-snapshots",
         "dhma",

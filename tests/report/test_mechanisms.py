@@ -13,9 +13,10 @@ from fsar_ledger.commands.options import experiment_of
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.configuration import MECHANISMS, MECHANISMS_OF, ON_RECORD_ALONE, without
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.events.request import InternalHandoff
+from fsar_ledger.events.request import ContractQuestioned, InternalHandoff
 from fsar_ledger.ledger.codec import encode
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.report import document, mechanisms, specs, typeset
@@ -56,6 +57,18 @@ def test_every_mechanism_that_has_a_name_can_be_taken_out_and_names_are_of_one_a
     assert [(one.architecture, one.name) for one in SWITCHES] == [(architecture, name) for architecture, names in MECHANISMS_OF.items() for name in names]
     assert len({one.name for one in SWITCHES}) == len(SWITCHES)
     assert {one.name for one in SWITCHES if not one.decides and one.rewire is None} == set(MECHANISMS), "only these are known to the handlers"
+
+
+def test_of_two_mechanisms_that_are_taken_out_neither_puts_the_other_back() -> None:
+    for architecture in MECHANISMS_OF:
+        replaced = [command for one in SWITCHES if one.architecture == architecture for command in one.decides]
+        assert len(replaced) == len(set(replaced)), "the second would decide as if the first were there"
+    names = [without(some) for some in ((), ("planner-claims",), ("contract-questioning",), ("planner-claims", "contract-questioning"))]
+    made = [simulate_run(RunSpec(5, "dhma", name, "mixed-trust-inspection", 4, 0), Constants()).events for name in names]
+    claims = [any(isinstance(event, AuthorityClaimed) and event.reason == "context change" for event in events) for events in made]
+    questions = [any(isinstance(event, ContractQuestioned) for event in events) for events in made]
+    assert claims == [True, False, True, False]
+    assert questions == [True, True, False, False]
 
 
 def test_the_ledger_of_ablations_holds_every_architecture_without_each_mechanism() -> None:
