@@ -11,7 +11,7 @@ import msgspec
 import fsar_ledger
 from fsar_ledger import printable
 from fsar_ledger.constants import Constants, write_constants
-from fsar_ledger.report import contradictions, figures, printing, provenance, sections, sequence, specs
+from fsar_ledger.report import contradictions, figures, mechanisms, printing, provenance, sections, sequence, specs
 from fsar_ledger.report.calibration import Record
 from fsar_ledger.report.findings import Findings, Row, Told, Workflows, answer
 from fsar_ledger.report.printing import Table, flat
@@ -109,7 +109,6 @@ def _fit_tables(findings: Findings, record: Record | None) -> dict[str, Table]:
         "calibrated-parameters": [msgspec.structs.asdict(one) for one in record.parameters],
         "residuals": [msgspec.structs.asdict(one) for one in record.residuals],
         "directions": directions,
-        "switch-offs": [msgspec.structs.asdict(one) for one in record.switch_offs],
     }
     return {name: _table(findings, name, filled) for name, filled in rows.items() if filled}
 
@@ -205,8 +204,12 @@ def _misses(findings: Findings, record: Record | None) -> list[dict[str, Any]]:
 
 def data(findings: Findings, record: Record | None, effects: Section | None = None) -> dict[str, Any]:
     """All that the template prints; tables keep each value beside its print."""
+
+    def sourced(query: str | None, told: Told) -> str:
+        return _source(findings, query, told)
+
     tables = _ledger_tables(findings) | _fit_tables(findings, record) | _workflow_tables(findings)
-    tables |= sections.tables(findings, lambda query, told: _source(findings, query, told))
+    tables |= sections.tables(findings, sourced) | mechanisms.tables(findings, sourced)
     tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()}
     tables |= {"sensitivity": effects.table} if effects and effects.table else {}
     return {
@@ -231,6 +234,7 @@ def data(findings: Findings, record: Record | None, effects: Section | None = No
         "sensitivity": effects and effects.sentence,
         "workflows": _workflows(findings),
         "mechanisms": specs.passages("mechanisms"),
+        "carried": mechanisms.sentences(findings),
         "readings": specs.passages("readings"),
         "contradictions": _contradictions(),
         "background": _background(findings),

@@ -341,6 +341,7 @@ def gather(
             workflows=told.workflows,
             ablation=told.ablation,
             scaling=told.scaling,
+            mechanisms=told.mechanisms,
             model_version=main[5] if main else None,
             shown=_shown(main, otherwise),
             unjudged=whole.why_apart(runs_held, pairs_held),

@@ -19,6 +19,7 @@ from fsar_ledger.ledger.note import read_signer
 from fsar_ledger.ledger.read import EMPTY_HEAD
 from fsar_ledger.runtime import experiment as module
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, Made, simulate
+from fsar_ledger.runtime.experiments import named
 from fsar_ledger.runtime.plan import plan_record
 from fsar_ledger.runtime.simulation import RunSpec, run_started, simulate_run
 from tests.ledger.hostile import stage_anything
@@ -121,6 +122,17 @@ def test_a_signed_ledger_goes_on_with_a_key(call: Call, tmp_path: Path) -> None:
         simulate(tmp_path / "ledger", small(), 1, stop_after(0), signer)
     [plan] = info(call, tmp_path / "ledger")["plans"]
     assert plan["continues_with"].endswith("--architecture fsar --scenario door-relay --runs 2 --key KEY")
+
+
+@pytest.mark.parametrize(("folder", "is_reproduced"), [("ablation", True), ("elsewhere", False)])
+def test_a_ledger_that_reproduce_signed_under_a_name_of_its_own_goes_on_with_reproduce(call: Call, tmp_path: Path, folder: str, is_reproduced: bool) -> None:
+    call("key", "new", tmp_path / "key", "--name", "example.org/fleet")
+    experiment, path = named("ablation", 42, 1), tmp_path / "paper" / folder
+    with pytest.raises(Stopped):
+        simulate(path, experiment.parts[1], 1, stop_after(0), experiment.signer(read_signer(tmp_path / "key")))
+    [plan] = info(call, path)["plans"]
+    wanted = f"fsar-ledger reproduce --out {shlex.quote(str(path.parent))} --only ablation --runs 1 --key KEY" if is_reproduced else None
+    assert plan["continues_with"] == wanted
 
 
 def test_two_shapes_in_one_ledger_are_two_plans_and_both_are_complete(call: Call, tmp_path: Path) -> None:

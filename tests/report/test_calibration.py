@@ -52,7 +52,6 @@ def test_record_is_quoted_with_its_numbers(tmp_path: Path, findings: Findings) -
     assert (data["fit"]["identified"], data["fit"]["directions"]) == (1, 1)
     assert [cell["printed"] for cell in data["tables"]["calibrated-parameters"]["rows"][0]][:5] == ["world.motion_share", "0.2", "0.24", "share", "no"]
     assert data["tables"]["directions"]["rows"][0][3]["printed"] == "b \u22120.90, c 0.30, a 0.10"
-    assert [cell["printed"] for cell in data["tables"]["switch-offs"]["rows"][0]][3:] == ["0.947", "0.991"]
 
 
 def said_of_the_fit(folder: Path, findings: Findings, record: Record | None) -> list[str]:
