@@ -11,16 +11,23 @@ UNNAMED = "informed"
 
 
 class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How the fit is made: the table it aims at, its rule in words, its seed, and how many runs a scenario and architecture judge a point."""
+    """How the fit is made: the table it aims at, its rule in words, its seed, and how many points are judged, on how many runs a scenario and architecture.
+
+    `starts` searches of at most `rough_steps` begin at the best of the `screened` points; one of at most `most_steps` goes on from the best of them.
+    """
 
     aims_at: str
     rule: str
     seed: int
     screened: int
     screened_runs: int
+    starts: int
+    rough_runs: int
+    rough_steps: int
     runs: int
-    judged_runs: int
     most_steps: int
+    enough: float
+    judged_runs: int
 
 
 class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

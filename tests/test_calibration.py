@@ -118,16 +118,18 @@ def test_a_path_that_cannot_be_written_is_refused_before_the_work(tmp_path: Path
 
 @pytest.mark.slow
 def test_the_record_of_a_small_fit_is_complete_and_the_same_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = msgspec.structs.replace(PLAN, screened=2, screened_runs=1, runs=1, judged_runs=1, most_steps=1)
+    plan = msgspec.structs.replace(PLAN, screened=2, screened_runs=1, starts=2, rough_runs=1, rough_steps=1, runs=1, judged_runs=1, most_steps=1)
     for name, value in {"PLAN": plan, "FREE": FREE[:2], "SWITCHES": SWITCHES[:2], "WorkerPool": ThreadPoolExecutor}.items():
         monkeypatch.setattr(calibration, name, value)
     told: list[tuple[int, int]] = []
     for name in ("one.json", "two.json"):
         calibrate(tmp_path / name, lambda done, total: told.append((done, total)), workers=1)
     assert (tmp_path / "one.json").read_bytes() == (tmp_path / "two.json").read_bytes()
-    assert told[-1] == (8, 8)
+    assert told[-1] == (18, 18)
     record = json.loads((tmp_path / "one.json").read_text())
     assert record["objective"]["accepted"] <= record["objective"]["start"]
+    assert len(record["searches"]) == 3
+    assert record["searches"][-1]["start"] == min(search["reached"] for search in record["searches"][:-1])
     assert len(record["residuals"]) == 24
     assert [parameter["name"] for parameter in record["parameters"]] == [free.name for free in FREE[:2]]
     assert len(record["switch_offs"]) == sum(len(switch.metrics) for switch in SWITCHES[:2])

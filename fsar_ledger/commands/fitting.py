@@ -19,7 +19,7 @@ def calibrate(
     out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The record of the fit, as JSON; replaced if it exists.", show_default=False)],
     workers: WorkersOption = None,
 ) -> None:
-    """Make the fit that is registered again; takes half an hour.
+    """Make the fit that is registered again; takes the better part of an hour.
 
     The fit is to the paper's results table alone, of the constants and within the ranges that `reports/registration.toml` names. The record of it
     says where it began, what the data identify and what was accepted.
