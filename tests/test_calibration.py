@@ -15,6 +15,8 @@ from fsar_ledger import calibration
 from fsar_ledger.calibration import FREE, PLAN, at, calibrate, distances, objective, rounded, screened, slopes, with_values
 from fsar_ledger.constants import Constants, Structure, WorldConstants
 from fsar_ledger.errors import WriteFailed
+from fsar_ledger.registration import registration
+from fsar_ledger.runtime.simulation import MODEL_VERSION
 from fsar_ledger.runtime.switches import SWITCHES
 
 RECORD = json.loads(files("fsar_ledger.reports").joinpath("calibration.json").read_text())
@@ -24,6 +26,15 @@ def test_the_constants_are_those_that_the_recorded_fit_accepted() -> None:
     accepted = {parameter["name"]: parameter["accepted"] for parameter in RECORD["parameters"]}
     assert list(accepted) == [free.name for free in FREE]
     assert with_values(list(accepted.values())) == Constants()
+
+
+def test_the_calibration_seed_is_the_registered_one_and_none_that_is_published_or_predicted() -> None:
+    assert RECORD["seeds"] == [PLAN.seed]
+    assert PLAN.seed not in (42, 57721, 61803)
+
+
+def test_the_fit_is_to_the_model_of_this_release() -> None:
+    assert RECORD["model_version"] == registration().model_version == MODEL_VERSION
 
 
 def test_the_free_constants_are_those_that_say_that_they_are_fitted() -> None:
