@@ -26,7 +26,8 @@ LABELS = set((ROOT / "tests" / "paper_labels.txt").read_text().split())
 COMMANDS = {command.name or command.callback.__name__: command for command in app.registered_commands if command.callback} | {
     f"{group.name} {command.name}": command for group in app.registered_groups if group.typer_instance for command in group.typer_instance.registered_commands
 }
-LONG = {"reproduce", "calibrate", "predict", "sensitivity", "witness serve", "witness ask"}  # the last two need each other: tests/witness/test_processes.py
+# The last two need each other (tests/witness/test_processes.py), and `judge` needs what `predict` writes (tests/test_comparison.py).
+LONG = {"reproduce", "calibrate", "predict", "sensitivity", "judge", "witness serve", "witness ask"}
 
 
 def sources() -> Iterator[Path]:

@@ -93,13 +93,13 @@ def test_every_model_of_the_runs_counts(findings: Findings, fitted: str | None, 
 
 
 def test_reasons_that_were_found_with_another_model_are_not_given(findings: Findings) -> None:
-    miss = {"metric": "authority_conflicts", "architecture": "fsar", "gives": "no", "distance": 3.0}
-    cells = tuple(row | miss if (row["metric"], row["architecture"]) == ("authority_conflicts", "fsar") else row for row in findings.cells)
+    miss = {"metric": "authority_conflicts", "architecture": "cfc", "gives": "no", "distance": 3.0}
+    cells = tuple(row | miss if (row["metric"], row["architecture"]) == ("authority_conflicts", "cfc") else row for row in findings.cells)
     missing = msgspec.structs.replace(findings, cells=cells)
 
     def reason(fitted: str) -> str | None:
         misses = document.data(missing, Record(model_version=fitted))["misses"]
-        found: str | None = next(one["reason"] for one in misses if one["title"] == "Authority conflicts (per run), FSAR")
+        found: str | None = next(one["reason"] for one in misses if one["title"] == "Authority conflicts (per run), CFC")
         return found
 
     assert reason("1") is not None
