@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.ledger.bomb_trial import cost_of
-from tests.ledger.bombs import BOMBS, LEDGER, base_ledger
+from tests.ledger.bombs import BOMBS, LEDGER, base_ledger, committed, rows
 
 PROCESSOR_S = 10
 MEMORY_MIB = 1024
@@ -53,3 +53,12 @@ def test_a_bomb_ends_in_a_clear_error_in_little_time_and_memory(intact: Path, tm
 @pytest.mark.parametrize("name", BOMBS)
 def test_every_bomb_and_every_command(intact: Path, tmp_path: Path, name: str) -> None:
     explode(name, intact, tmp_path)
+
+
+@pytest.mark.slow
+def test_rows_that_an_invariant_does_not_judge_take_no_memory_to_audit(tmp_path: Path) -> None:
+    base_ledger(tmp_path / "ledger")
+    committed(lambda: rows(1 << 20, task_id="t"), 4)(tmp_path / "ledger")
+    cost = cost_of(["audit", "ledger"], tmp_path)
+    assert cost.code == 1, cost
+    assert cost.memory_mib < 300, cost  # joined with what is judged they took 520 MiB

@@ -21,6 +21,7 @@ from fsar_ledger.ledger.releases import RELEASE, parse_columns
 from fsar_ledger.ledger.schema import LAYOUTS, RETIRED, SCHEMA, described
 from fsar_ledger.ledger.verify import Asked, verify
 from fsar_ledger.metrics.database import connect
+from fsar_ledger.metrics.library import staging_sql, view_name
 from fsar_ledger.metrics.untrusted import run_untrusted
 from tests.ledger.bomb_trial import cost_of
 from tests.ledger.bombs import base_ledger, commit, runs
@@ -132,6 +133,15 @@ def test_sql_has_rows_of_retired_types_as_their_events_are_decoded(path: Path) -
         assert database.table(select).to_pylist() == expected.sort_by("run_id").to_pylist()
         assert database.rows("SELECT count(*) AS n FROM events WHERE type = 'RunStarted.v1' OR observes IS NOT NULL AND seq > 0") == [{"n": 0}]
     assert run_untrusted(path, select).rows == expected.sort_by("run_id").to_pylist()
+
+
+@pytest.mark.parametrize("version", ["0.1.0", "0.2.0"])  # those with a retired type
+def test_the_view_of_a_type_has_its_rows_as_events_has_them(path: Path) -> None:
+    with connect(path) as database:
+        for tag in {row["type"] for row in database.rows("SELECT DISTINCT type FROM events")}:
+            found = database.table(f"SELECT * FROM {view_name(tag)} ORDER BY ALL")
+            assert found.num_rows > 0, tag
+            assert found.equals(database.table(f"{staging_sql(tag)} ORDER BY ALL")), tag
 
 
 def test_rows_of_a_retired_type_are_not_made_anew_for_an_answer(tmp_path: Path) -> None:

@@ -7,9 +7,9 @@ import pytest
 
 from fsar_ledger.errors import LedgerCorrupted, NotALedger, QueryFailed, UnknownQuery
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.ledger.schema import SCHEMA
+from fsar_ledger.ledger.schema import LAYOUTS, SCHEMA
 from fsar_ledger.metrics.database import Database, Value, connect, from_rows, from_table, plain_rows, table_of
-from fsar_ledger.metrics.library import REQUIRED_KEYS, Library, Query
+from fsar_ledger.metrics.library import REQUIRED_KEYS, Library, Query, staging_sql, view_name
 from fsar_ledger.metrics.untrusted import run_untrusted
 from tests.metrics.conftest import record
 
@@ -44,6 +44,17 @@ def test_an_empty_ledger_has_all_relations_without_rows(empty_ledger: Path) -> N
     with connect(empty_ledger) as database:
         assert database.table("SELECT * FROM events").schema.names == SCHEMA.names
         assert database.query("metrics/metric_summary").num_rows == 0
+
+
+def test_a_type_without_rows_is_looked_for_nowhere(ledger: Path) -> None:
+    with connect(ledger) as database:
+        held = {row["type"] for row in database.rows("SELECT DISTINCT type FROM events")}
+        assert held == LAYOUTS.keys() - database.absent
+        for tag in LAYOUTS:
+            view = f"SELECT * FROM {view_name(tag)}"
+            plan = "".join(str(row) for row in database.rows(f"EXPLAIN {view}"))
+            assert ("PARQUET" in plan) == (tag in held), (tag, plan)
+            assert database.rows(f"DESCRIBE {view}") == database.rows(f"DESCRIBE {staging_sql(tag)}")
 
 
 def test_a_path_without_a_ledger_is_said(tmp_path: Path) -> None:

@@ -183,6 +183,18 @@ def test_a_member_or_an_obstruction_is_no_case_of_who_executes_and_what_a_robot_
         assert [tuple(row.values()) for row in made.rows(sql)] == [("r2", 1)]
 
 
+def test_a_decision_that_names_nobody_is_a_case_of_who_decides() -> None:
+    with from_rows(run(*JOINED, event("RequestAdmitted", 4, path=[]))) as made:
+        judged = next(row for row in audit_rows(made, invariants()) if row.invariant == "a4_thin_federation_interface")
+    assert (judged.holds, judged.events, judged.cases) == (False, 1, 1)
+
+
+def test_attributability_looks_at_each_record(database: Database) -> None:
+    looked = database.rows("SELECT run_id, cases FROM invariant_cases WHERE invariant = 'i5_audit_attributability' ORDER BY ALL")
+    assert looked == database.rows("SELECT run_id, count(*) AS cases FROM coordination_events GROUP BY run_id ORDER BY ALL")
+    assert len(looked) > 3
+
+
 def test_runs_that_do_not_observe_are_left_out_of_a_mean_and_counted() -> None:
     called = event("SupervisorCalled", 1, supervisor="supervisor/fleet")
     blind = [one for one in CONCERNS if one != "supervision"]
