@@ -22,7 +22,7 @@ from fsar_ledger.ledger.segment import read_table
 
 from . import relation
 from .functions import register
-from .library import Library, library, staging_sql, values
+from .library import Library, Query, library, staging_sql, values
 from .verified import is_verified
 
 LOCK = (
@@ -89,7 +89,11 @@ class Database:
         """Whether the rows were compared with the root of the head, by a whole look; None where there is no head."""
         self.library = queries or library()
         self.source: str | None = None
-        """What has all columns and rows of `events` and stands in SQL for less: through a view of so many columns each plan takes twice as long."""
+        """What has all columns and rows of `events`, but for those of `changed`, and stands in SQL for less: segments, or rows as they were stored."""
+        self.changed: frozenset[str] = frozenset()
+        """Names, without version, of event types that are another in `events` than in `source`."""
+        self.absent: frozenset[str] = frozenset()
+        """Event types that have no row in `events`, as far as it was looked: their views read nothing."""
         self._segments = tuple(segments)
         self._made: set[str] = set()
         self._given: dict[str, str] = {}  # of these, what was not made of a packaged query, and how it was made
@@ -164,9 +168,16 @@ class Database:
             if query.relation in self._made or query.parameters:
                 continue
             kind = "TABLE" if query.is_stored else "VIEW"
-            sql = staging_sql(query.tag, self.source) if query.tag and self.source else query.sql
-            self._change(f"CREATE {kind} {query.relation} AS\n{sql}")
+            self._change(f"CREATE {kind} {query.relation} AS\n{self._body(query)}")
             self._made.add(query.relation)
+
+    def _body(self, query: Query) -> str:
+        """What a packaged query selects, in the form that reads least here."""
+        if query.tag is None:
+            return query.sql
+        if query.tag in self.absent:
+            return staging_sql(query.tag, None)
+        return query.sql if self.source is None or query.tag.partition(".")[0] in self.changed else staging_sql(query.tag, self.source)
 
     def table(self, sql: str, params: Mapping[str, Value] | None = None) -> pa.Table:
         """The answer to one SELECT, with `$name` parameters bound.

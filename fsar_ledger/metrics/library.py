@@ -23,11 +23,12 @@ import msgspec
 from fsar_ledger.errors import UnknownQuery
 from fsar_ledger.events.concerns import EVENTS_OF
 from fsar_ledger.events.world import WorldEvent
-from fsar_ledger.ledger.schema import ENVELOPE, LAYOUTS
+from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, LAYOUTS, Kind
 
 REQUIRED_KEYS = ("Title", "Paper", "Grain", "Units", "NULL", "Example")
 READINGS = "readings/"
 READING_KEYS = ("Reading", "Question", "Replaces", "Moves", "Why")
+SQL_TYPES: dict[Kind, str] = {"string": "VARCHAR", "integer": "BIGINT", "boolean": "BOOLEAN", "strings": "VARCHAR[]"}
 KEYS = (*REQUIRED_KEYS, *READING_KEYS, "Parameters", "Stored")
 
 _HEADER_LINE = re.compile(r"^-- (?:(\w+): )?\s*(.*)$")
@@ -121,9 +122,13 @@ def view_name(tag: str) -> str:
     return _VERSIONED.sub("_", tag.partition(".")[0]).lower()
 
 
-def staging_sql(tag: str, source: str = "events") -> str:
-    """The SELECT of one event type's envelope and fields, from whatever has all columns of `events`."""
-    names = [f'"{field.name}"' for field in (*ENVELOPE, *LAYOUTS[tag].fields) if field.name != "type"]
+def staging_sql(tag: str, source: str | None = "events") -> str:
+    """The SELECT of one event type's envelope and fields, from whatever has all columns of `events`; None: from nowhere, where there is no such event."""
+    fields = [field for field in (*ENVELOPE, *LAYOUTS[tag].fields) if field.name != "type"]
+    if source is None:
+        nothing = ", ".join(f'CAST(NULL AS {SQL_TYPES[COLUMNS[field.name]]}) AS "{field.name}"' for field in fields)
+        return f"SELECT {nothing}\nWHERE FALSE\n"
+    names = [f'"{field.name}"' for field in fields]
     return f"SELECT {', '.join(names)}\nFROM {source}\nWHERE type = '{tag}'\n"
 
 

@@ -15,19 +15,22 @@ from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
 from fsar_ledger.events import ADDITIONS
 from fsar_ledger.ledger.codec import upcast_rows
 from fsar_ledger.ledger.releases import FINGERPRINTS, RELEASE, SCHEMAS
-from fsar_ledger.ledger.schema import COLUMNS, RETIRED, Kind
+from fsar_ledger.ledger.schema import COLUMNS, LAYOUTS, RETIRED
 from fsar_ledger.ledger.segment import read_table
+
+from .library import SQL_TYPES
 
 if TYPE_CHECKING:
     from .database import Database
 
-_SQL_TYPES: dict[Kind, str] = {"string": "VARCHAR", "integer": "BIGINT", "boolean": "BOOLEAN", "strings": "VARCHAR[]"}
-_STORED, _UPCAST = "events_as_stored", "events_upcast"
+_DATASET, _UPCAST, _AS_STORED = "events_dataset", "events_upcast", "events_as_stored"
 
 
 def hold_segments(database: "Database", segments: Sequence[Path], releases: Sequence[str]) -> None:
     """The database's `events` are the rows of these segments, given the release of each. Raises: as `_upcast`."""
-    holding = _holding(database, segments)
+    types = _types(database, segments)
+    database.absent = frozenset(tag for tag in LAYOUTS if types is not None and _name(tag) not in set(map(_name, types)))
+    holding = _holding(database, segments, types)
     alike: dict[str, list[Path]] = {}
     for path, release in zip(segments, releases, strict=True):
         alike.setdefault(FINGERPRINTS[release], []).append(path)
@@ -43,12 +46,12 @@ def hold_segments(database: "Database", segments: Sequence[Path], releases: Sequ
 
 def hold_dataset(database: "Database", stored: Any, segments: Sequence[Path]) -> None:
     """The database's `events` are the rows of this Arrow dataset or table over these segments, with the columns of today. Raises: as `_upcast`."""
-    holding = _holding(database, segments)
+    holding = _holding(database, segments, _types(database, segments))
     if not holding:
         database.hold("events", stored)
         return
-    database.hold(_STORED, stored)
-    _hold_newest(database, [(_STORED, frozenset(COLUMNS))], holding)
+    database.hold(_DATASET, stored)
+    _hold_newest(database, [(_DATASET, frozenset(COLUMNS))], holding)
 
 
 def _hold_newest(database: "Database", parts: Sequence[tuple[str, frozenset[str]]], holding: Mapping[str, Sequence[Path]]) -> None:
@@ -61,16 +64,19 @@ def _hold_newest(database: "Database", parts: Sequence[tuple[str, frozenset[str]
         database.hold(_UPCAST, newest)
         selects.append(f"SELECT * FROM {_UPCAST}")
     database.define("events", "\nUNION ALL\n".join(selects))
+    # Most types have no retired rows. Their views need not read a type that is made row by row, of which DuckDB knows nothing before it has read the rest.
+    database.define(_AS_STORED, "\nUNION ALL\n".join(_select(*part) for part in parts))
+    database.source, database.changed = _AS_STORED, frozenset(map(_name, holding))
 
 
 def _select(source: str, present: frozenset[str], added: Sequence[str] = ()) -> str:
     """The rows of a relation that has these columns, with all of today's, NULL in others; rows of these retired types with what their way adds."""
-    values = {name: f'"{name}"' if name in present else f"CAST(NULL AS {_SQL_TYPES[kind]})" for name, kind in COLUMNS.items()}
+    values = {name: f'"{name}"' if name in present else f"CAST(NULL AS {SQL_TYPES[kind]})" for name, kind in COLUMNS.items()}
     for tag in added:
         way = ADDITIONS[RETIRED[tag].cls]
         for name, value in {**way.added, "type": way.after.__struct_config__.tag}.items():
             # One look at each row: a second one, for these rows alone, would decode the types of all of them once more.
-            values[name] = f"CASE WHEN type = {_literal(tag)} THEN CAST({_literal(value)} AS {_SQL_TYPES[COLUMNS[name]]}) ELSE {values[name]} END"
+            values[name] = f"CASE WHEN type = {_literal(tag)} THEN CAST({_literal(value)} AS {SQL_TYPES[COLUMNS[name]]}) ELSE {values[name]} END"
     columns = ", ".join(f'{value} AS "{name}"' for name, value in values.items())
     return f"SELECT {columns} FROM {source}"
 
@@ -94,16 +100,28 @@ def _parquet(paths: Sequence[Path], *options: str) -> str:
     return f"read_parquet([{files}], {', '.join(('hive_partitioning = false', *options))})"
 
 
-def _holding(database: "Database", segments: Sequence[Path]) -> Mapping[str, Sequence[Path]]:
-    """The retired types of which these segments hold rows, and in which; all of both where one cannot be read, so that reading it says what is wrong."""
-    if not RETIRED or not segments:
-        return {}
+def _types(database: "Database", segments: Sequence[Path]) -> frozenset[str] | None:
+    """The event types of which these segments hold rows; None where one cannot be read."""
     try:
-        found = database.direct(f"SELECT DISTINCT type, filename FROM {_parquet(segments, 'filename = true')} WHERE type IN ({_listed(RETIRED)})")
+        return frozenset(str(tag) for (tag,) in (database.direct(f"SELECT DISTINCT type FROM {_parquet(segments)}") if segments else ()))
     except FsarLedgerError:
+        return None
+
+
+def _holding(database: "Database", segments: Sequence[Path], types: frozenset[str] | None) -> Mapping[str, Sequence[Path]]:
+    """The retired types among these of the segments, and which hold them; all of both where one cannot be read, so that reading it says what is wrong."""
+    if types is None:
         return dict.fromkeys(RETIRED, segments)
+    if types.isdisjoint(RETIRED):
+        return {}
+    found = database.direct(f"SELECT DISTINCT type, filename FROM {_parquet(segments, 'filename = true')} WHERE type IN ({_listed(RETIRED)})")
     held = {tag: [path for path in segments if (tag, str(path)) in found] for tag in RETIRED}
     return {tag: paths for tag, paths in held.items() if paths}
+
+
+def _name(tag: str) -> str:
+    """What all versions of an event type are called."""
+    return tag.partition(".")[0]
 
 
 def _listed(tags: Iterable[str]) -> str:

@@ -2,7 +2,8 @@
 -- Paper: sec:evaluation:metrics (audit attributability)
 -- Grain: one row per event of a coordination type
 -- Units: time_us microseconds of run time
--- NULL: a principal that the row itself does not record; action_id when the record is not correlated with an action; part_of when it names no robot
+-- NULL: decided_by, or a principal, that the row itself does not record; action_id when the record is not correlated with an action; part_of when it
+--       names no robot
 -- Example: fsar-ledger query facts/coordination_events LEDGER
 WITH classified AS (
     SELECT
@@ -13,6 +14,7 @@ WITH classified AS (
         event_classes.record_kind,
         events.task_id,
         events.action_id,
+        events.decided_by,
         events.requested_by,
         events.executed_by,
         events.supervised_by,
@@ -65,6 +67,7 @@ SELECT
     task_id,
     action_id,
     part_of,
+    decided_by,
     requested_by,
     executed_by,
     supervised_by,

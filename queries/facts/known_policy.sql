@@ -21,7 +21,10 @@ WITH starts AS (
         coalesce(max(said.seq) FILTER (said.type = 'RequestAdmitted.v1' AND said.outcome <> 'deny'), -1) AS admitted_seq,
         max(said.seq) FILTER (said.type = 'RequestDenied.v1') AS denied_seq
     FROM events
-    LEFT JOIN events AS said ON events.run_id = said.run_id AND events.action_id = said.action_id AND events.seq > said.seq
+    LEFT JOIN events AS said
+        ON
+            events.run_id = said.run_id AND events.action_id = said.action_id AND events.seq > said.seq
+            AND said.type IN ('RequestAdmitted.v1', 'RequestAccepted.v1', 'SupervisorResponded.v1', 'RequestDenied.v1')
     WHERE events.type = 'ExecutionStarted.v1' OR (events.type = 'RoutinePerformed.v1' AND events.operation = 'motion')
     GROUP BY events.run_id, events.seq, events.time_us, events.type, events.task_id, events.action_id, events.robot, events.capability
 ),

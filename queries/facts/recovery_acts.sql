@@ -5,6 +5,7 @@
 -- NULL: failure, robot before any failure of the action; level, rank where the record names none; to_rank unless an escalation; t_max_us, n_max as in
 --       facts/recovery_allowances; helper, deadline_us, reason where the record gives none
 -- Example: fsar-ledger query facts/recovery_acts LEDGER
+-- Stored: I4 and what the audit looked at both read it
 WITH ranks (level, rank) AS (
     VALUES
     ('local', 1),

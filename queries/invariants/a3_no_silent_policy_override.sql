@@ -27,6 +27,7 @@ admissions AS (
         max(CASE said.carried_policy WHEN 'deny' THEN 2 WHEN 'review' THEN 1 ELSE 0 END) AS carried
     FROM request_admitted AS admitted
     INNER JOIN events AS said ON admitted.run_id = said.run_id AND admitted.action_id = said.action_id AND admitted.seq > said.seq
+    WHERE said.type = 'SupervisorResponded.v1' OR said.carried_policy IS NOT NULL
     GROUP BY admitted.run_id, admitted.seq
 ),
 
@@ -76,3 +77,4 @@ SELECT
     findings.found
 FROM findings
 INNER JOIN events ON findings.run_id = events.run_id AND findings.seq = events.seq
+WHERE events.type IN ('ExecutionStarted.v1', 'RoutinePerformed.v1', 'RequestAdmitted.v1', 'RequestDenied.v1', 'ExecutionHeld.v1')

@@ -44,7 +44,9 @@ named AS (
         action_id,
         unnest(list_concat([decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver], coalesce(path, []))) AS principal
     FROM events
-    WHERE coalesce(decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver) IS NOT NULL OR len(path) > 0
+    WHERE
+        decided_by IS NOT NULL OR requested_by IS NOT NULL OR executed_by IS NOT NULL OR supervised_by IS NOT NULL
+        OR claimant IS NOT NULL OR sender IS NOT NULL OR receiver IS NOT NULL OR len(path) > 0
 )
 
 SELECT DISTINCT

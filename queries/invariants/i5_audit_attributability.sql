@@ -9,17 +9,16 @@
 -- own is supervised by H_F, who is always there.
 WITH lacking AS (
     SELECT
-        records.*,
+        *,
         'robot/' || split_part(
             CASE
-                WHEN starts_with(decisions.decided_by, 'robot/') OR starts_with(decisions.decided_by, 'agent/') THEN decisions.decided_by
-                WHEN records.record_kind IN ('gap', 'query', 'request') THEN coalesce(records.requested_by, records.executed_by)
-                ELSE coalesce(records.executed_by, records.requested_by)
+                WHEN starts_with(decided_by, 'robot/') OR starts_with(decided_by, 'agent/') THEN decided_by
+                WHEN record_kind IN ('gap', 'query', 'request') THEN coalesce(requested_by, executed_by)
+                ELSE coalesce(executed_by, requested_by)
             END, '/', 2
         ) AS robot
-    FROM coordination_events AS records
-    INNER JOIN events AS decisions ON records.run_id = decisions.run_id AND records.seq = decisions.seq
-    WHERE NOT records.is_attributable
+    FROM coordination_events
+    WHERE NOT is_attributable
 ),
 
 judged AS (
