@@ -230,14 +230,15 @@ def test_head_and_query_hashes_are_those_of_the_ledger_and_the_files(ledger: Pat
     names, digests = values(printed, "queries", "name"), values(printed, "queries", "sha256")
     assert {"metrics/metric_summary", "statistics/pairwise_tests", "facts/decisions"} <= set(names)
     assert digests == [hashes[name] for name in names]
-    assert hashes["metrics/metric_summary"][:12] in printed["tables"]["evaluation-results"]["source"]
+    assert printed["tables"]["evaluation-results"]["source"] == "queries/metrics/metric_summary.sql"
 
 
 def test_every_table_spec_is_used_and_every_figure_has_its_query(printed: dict[str, Any]) -> None:
     named = {entry.name.removesuffix(".toml") for entry in files("fsar_ledger.reports").joinpath("tables").iterdir()}
     from_the_fit = {"calibrated-parameters", "residuals", "directions", "switch-offs"}
     of_other_ledgers = {"mechanism-coverage", "ablation", "ablation-text", "encounters", "scaling", "beyond"}
-    assert named == set(printed["tables"]) | from_the_fit | {"other-runs", "sensitivity"} | of_other_ledgers
+    of_readings = {"every-reading", "rankings"}
+    assert named == set(printed["tables"]) | from_the_fit | {"other-runs", "sensitivity"} | of_other_ledgers | of_readings
     for name in named:
         tomllib.loads(specs.text("tables", f"{name}.toml"))
         assert specs.table(name).caption
