@@ -140,6 +140,8 @@ def _judged(database: Database, name: Table, table: Sequence[DialledRow]) -> lis
             one = verdicts.judge(row, paper.value, shares.get(place))
             difference = None if one.low is None or one.high is None else (one.low, one.high)
             cell |= {"difference": difference, "distance": one.distance, "gives": one.gives, "share": one.share, "could": one.could}
+            if said.kind == "cannot_follow":  # the paper's own text answers
+                cell |= {"gives": "no", "could": "no"}
         cells.append(cell)
     return cells
 
