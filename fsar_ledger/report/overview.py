@@ -13,7 +13,7 @@ PANELS: dict[str, tuple[str, ...]] = {"Evaluation results": ("results",), "Ablat
 
 REACH = 80.0
 """Margins up to which the axes go; a number farther out stands at the edge."""
-TICKS = (-30, -10, -3, -1, 0, 1, 3, 10, 30)
+TICKS = (-30, -5, -1, 0, 1, 5, 30)
 SPREAD = 0.76
 """The part of a metric's line over which its numbers are spread."""
 
