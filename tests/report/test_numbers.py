@@ -20,9 +20,23 @@ FAILS = "does not"
 def cell(gives: str | None = "yes", kind: str = "informed", **other: Any) -> Row:
     """A cell of a table, of locality unless told; its interval is half a margin wide."""
     found = {
-        "metric": "governance_locality", "architecture": "fsar", "configuration": "full", "fleet_size": 4, "scenario": None, "class": kind,
-        "paper": 0.9, "paper_printed": "0.90", "mean": 0.92, "n": 5, "interval": (0.91, 0.93), "difference": (0.015, 0.025), "distance": 1.0,
-        "gives": gives, "share": 0.2, "could": "yes", "one": 0.94,
+        "metric": "governance_locality",
+        "architecture": "fsar",
+        "configuration": "full",
+        "fleet_size": 4,
+        "scenario": None,
+        "class": kind,
+        "paper": 0.9,
+        "paper_printed": "0.90",
+        "mean": 0.92,
+        "n": 5,
+        "interval": (0.91, 0.93),
+        "difference": (0.015, 0.025),
+        "distance": 1.0,
+        "gives": gives,
+        "share": 0.2,
+        "could": "yes",
+        "one": 0.94,
     }
     return found | other
 
