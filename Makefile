@@ -10,6 +10,9 @@ JOBS ?= 2
 OUT ?= fsar-out
 STEPS ?= 100000
 
+# Tests start processes by the hundred: what is compiled once is kept, whatever the shell says.
+unexport PYTHONDONTWRITEBYTECODE
+
 BIN := .venv/bin
 READY := .venv/.ready
 

@@ -1,7 +1,7 @@
 """Writes the parts of these pages that are real output, or (--check) says which of them are out of date.
 
-    python docs/write.py            docs/queries.md, docs/event-types.json, the example in docs/ledger-format.md, the tables of constants and of readings
-                                    in docs/model.md, and the output in every ```console block
+    python docs/write.py            docs/queries.md, docs/event-types.json, the example in docs/ledger-format.md, the tables of constants, of readings and
+                                    of mechanisms in docs/model.md, and the output in every ```console block
     python docs/write.py --check    exit code 1 and a diff where a page would change
 
 Within a ```console block, lines after `$ ` (and `> ` for more of the same) are commands; they run in order, in an empty folder for each page.
@@ -26,6 +26,7 @@ import msgspec
 
 from fsar_ledger.cli import run
 from fsar_ledger.constants import Constants, Load, Outages
+from fsar_ledger.events.configuration import MECHANISMS_OF
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.ledger import canonical, merkle
@@ -134,6 +135,14 @@ def with_readings(page: str) -> str:
     return re.sub(r"<!-- readings -->\n.*<!-- /readings -->", lambda _: f"<!-- readings -->\n{text}\n<!-- /readings -->", page, flags=re.DOTALL)
 
 
+def with_mechanisms(page: str) -> str:
+    """The page with the table of all that can be taken out of an architecture."""
+    named = [(architecture, name, what) for architecture, names in MECHANISMS_OF.items() for name, what in names.items()]
+    rows = [f"| {architecture} | `{name}` | {what} |" for architecture, name, what in named]
+    text = "\n".join(["", f"{len(rows)} mechanisms:", "", "| of | `--without` | what it is (what stands in its place) |", "|---|---|---|", *rows, ""])
+    return re.sub(r"<!-- mechanisms -->\n.*<!-- /mechanisms -->", lambda _: f"<!-- mechanisms -->\n{text}\n<!-- /mechanisms -->", page, flags=re.DOTALL)
+
+
 def event_types() -> str:
     """What a verifier must know of events: the fingerprint of each release's columns, today's columns, and each type's required, optional, limited fields.
 
@@ -200,7 +209,7 @@ def main(arguments: list[str]) -> int:
     """The pages are written, or compared."""
     pages = {page: with_output(page.read_text("utf-8")) for page in PAGES} | {DOCS / "queries.md": queries_page()}
     pages |= {DOCS / "event-types.json": event_types(), FORMAT: format_page(FORMAT.read_text("utf-8"))}
-    pages[DOCS / "model.md"] = with_readings(with_constants(pages[DOCS / "model.md"]))
+    pages[DOCS / "model.md"] = with_mechanisms(with_readings(with_constants(pages[DOCS / "model.md"])))
     stale = {page: text for page, text in pages.items() if not page.exists() or page.read_text("utf-8") != text}
     if arguments != ["--check"]:
         for page, text in stale.items():

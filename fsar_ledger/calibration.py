@@ -1,15 +1,16 @@
 """Fits world laws and structural lengths to the paper's results table, as `reports/registration.toml` says beforehand.
 
 Nonlinear least squares on the 24 cells of `results.csv`, each difference in margins of its metric, with common random numbers:
-every trial meets the same worlds. Points of a Sobol sequence over the ranges are screened first; from the best of them a bounded
-trust region search goes on (`scipy.optimize.least_squares`). A weak pull to the middle of each range settles what the cells leave open.
+every trial meets the same worlds. Points of a Sobol sequence over the ranges are screened first; from each of the best of them a bounded
+trust region search (`scipy.optimize.least_squares`) goes some steps on few runs, and from where the best of these ended another goes on with
+more runs. A weak pull to the middle of each range settles what the cells leave open.
 
 No other table of the paper is read. A fit is not evidence: the record says how many directions of the constants the 24 cells identify
 at all. Nor are the constants that it leaves alone free of the cells: `constants.py` says of each whether it was chosen after fits.
 """
 
 from collections.abc import Callable, Sequence
-from itertools import count
+from concurrent.futures import Executor
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -35,7 +36,6 @@ from fsar_ledger.workers import WorkerPool
 REGISTERED = registration()
 FREE, PLAN = REGISTERED.free, REGISTERED.fit
 STEP = 0.1  # of a half range, for the central differences of the Jacobian
-MEASURED = 0.05  # the search ends where a step promises less than this share of the objective
 
 Vector = np.ndarray[tuple[int], np.dtype[np.float64]]
 Matrix = np.ndarray[tuple[int, int], np.dtype[np.float64]]
@@ -99,47 +99,76 @@ def distances_at(task: tuple[Vector, int]) -> Vector:
     return distances(measure(at(point), runs))
 
 
+class Judge:
+    """Judges points on several processes, and counts them; `most` is how many the registered plan asks for at most."""
+
+    def __init__(self, pool: Executor, progress: Progress | None) -> None:
+        self.most = 1 + PLAN.screened + (PLAN.starts * PLAN.rough_steps + PLAN.most_steps) * (2 * len(FREE) + 1)
+        self.evaluations = 0
+        self._pool = pool
+        self._progress = progress
+
+    def each(self, points: list[Vector], runs: int) -> list[Vector]:
+        """Return the distances at each point, on this many runs a scenario and architecture."""
+        found = []
+        for distance in self._pool.map(distances_at, [(point, runs) for point in points]):
+            found.append(distance)
+            self.evaluations += 1
+            if self._progress is not None:
+                self._progress(self.evaluations, self.most)
+        return found
+
+
+class Search(msgspec.Struct, frozen=True):
+    """Where a search began and ended, on how many runs, the objective at both, and the slopes of the distances where it ended."""
+
+    start: Vector
+    point: Vector
+    runs: int
+    begun: float
+    reached: float
+    slopes: Matrix
+
+
 def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> None:
-    """Make the fit that is registered, and write its record. Takes half an hour.
+    """Make the fit that is registered, and write its record. Takes the better part of an hour.
 
     Raises:
         UsageError: the file lies inside a ledger.
         WriteFailed: the file cannot be written.
     """
-    from scipy.optimize import least_squares
-
     require_outside(out, f"--out {out}")
     require_writable(out)
-    done, most = count(1), 1 + PLAN.screened + PLAN.most_steps * (2 * len(FREE) + 1)
-    evaluations = 0
+    with WorkerPool(workers) as pool:
+        judge = Judge(pool, progress)
+        points = screened()
+        scores = [objective(found, point) for found, point in zip(judge.each(points, PLAN.screened_runs), points, strict=True)]
+        rough = [search(judge, points[index], PLAN.rough_runs, PLAN.rough_steps) for index in np.argsort(scores, kind="stable")[: PLAN.starts]]
+        best = min(rough, key=lambda one: one.reached)
+        last = search(judge, best.point, PLAN.runs, PLAN.most_steps)
+    record = _record(best.start, last, measure_stored(at(last.point), PLAN.judged_runs, workers), judge.evaluations)
+    record["searches"] = [_told(one) for one in (*rough, last)]
+    record["switch_offs"] = _switch_offs(at(last.point))
+    write_record(out, record)
 
-    def each(points: list[Vector], runs: int) -> list[Vector]:
-        nonlocal evaluations
-        found = []
-        with WorkerPool(workers) as pool:
-            for distance in pool.map(distances_at, [(point, runs) for point in points]):
-                found.append(distance)
-                evaluations = next(done)
-                if progress is not None:
-                    progress(evaluations, most)
-        return found
 
-    points = screened()
-    scores = [objective(found, point) for found, point in zip(each(points, PLAN.screened_runs), points, strict=True)]
-    start = points[int(np.argmin(scores))]
+def search(judge: Judge, start: Vector, runs: int, most_steps: int) -> Search:
+    """Go downhill from a point, within the ranges, until a step gains too little or there were enough."""
+    from scipy.optimize import least_squares
+
+    tried: list[float] = []
 
     def residuals(point: Vector) -> Vector:
         """What the search squares and adds: distances in margins, and places in half ranges."""
-        return np.concatenate([*each([point], PLAN.runs), point])
+        (found,) = judge.each([point], runs)
+        tried.append(objective(found, point))
+        return np.concatenate([found, point])
 
     def jacobian(point: Vector) -> Matrix:
-        return np.vstack([slopes(lambda points: each(points, PLAN.runs), point), np.eye(len(point))])
+        return np.vstack([slopes(lambda points: judge.each(points, runs), point), np.eye(len(point))])
 
-    found = least_squares(residuals, start, jac=jacobian, bounds=(-1.0, 1.0), ftol=MEASURED, xtol=None, gtol=None, max_nfev=PLAN.most_steps)
-    point, of_cells = np.asarray(found.x), np.asarray(found.jac)[: -len(FREE)]
-    record = _record(point, measure_stored(at(point), PLAN.judged_runs, workers), start, of_cells, evaluations)
-    record["switch_offs"] = _switch_offs(at(point))
-    write_record(out, record)
+    found = least_squares(residuals, start, jac=jacobian, bounds=(-1.0, 1.0), ftol=PLAN.enough, xtol=None, gtol=None, max_nfev=most_steps)
+    return Search(start, np.asarray(found.x), runs, tried[0], 2.0 * float(found.cost), np.asarray(found.jac)[: -len(FREE)])
 
 
 def screened() -> list[Vector]:
@@ -164,15 +193,15 @@ def slopes(each: Callable[[list[Vector]], list[Vector]], point: Vector) -> Matri
     return np.asarray(np.array(columns).T)
 
 
-def _record(point: Vector, rows: list[MetricRow], start: Vector, jacobian: Matrix, evaluations: int) -> dict[str, Any]:
-    constants, begun = at(point), at(start)
-    _, singular, directions = np.linalg.svd(jacobian, full_matrices=False)
+def _record(start: Vector, last: Search, rows: list[MetricRow], evaluations: int) -> dict[str, Any]:
+    constants, begun = at(last.point), at(start)
+    _, singular, directions = np.linalg.svd(last.slopes, full_matrices=False)
     printed = published()
     return {
         "objective": {
             "description": PLAN.rule,
             "start": round(objective(distances(measure(begun, PLAN.runs)), start), 3),
-            "accepted": round(objective(distances(rows), point), 3),
+            "accepted": round(objective(distances(rows), last.point), 3),
         },
         "seeds": [PLAN.seed],
         "runs_per_scenario": PLAN.judged_runs,
@@ -201,20 +230,35 @@ def _record(point: Vector, rows: list[MetricRow], start: Vector, jacobian: Matri
     }
 
 
+def _told(one: Search) -> dict[str, Any]:
+    """A search in the record, with where it ended."""
+    ended = at(one.point)
+    return {
+        "runs_per_scenario": one.runs,
+        "start": round(one.begun, 3),
+        "reached": round(one.reached, 3),
+        "ended_at": {free.name: _value(ended, free) for free in FREE},
+    }
+
+
 def _parameter(free: Free, begun: Constants, constants: Constants, directions: Matrix, singular: Vector, index: int) -> dict[str, Any]:
     """A constant is identified when the data alone determine it better than its range does."""
-    part, _, name = free.name.partition(".")
     information = float(((singular * directions[:, index]) ** 2).sum())
     return {
         "name": free.name,
         "unit": free.range.unit,
         "low": free.range.low,
         "high": free.range.high,
-        "start": getattr(getattr(begun, part), name),
-        "accepted": getattr(getattr(constants, part), name),
+        "start": _value(begun, free),
+        "accepted": _value(constants, free),
         "meaning": free.meaning,
         "identified": information > 1,
     }
+
+
+def _value(constants: Constants, free: Free) -> float:
+    part, _, name = free.name.partition(".")
+    return getattr(getattr(constants, part), name)  # type: ignore[no-any-return]
 
 
 def _switch_offs(constants: Constants) -> list[dict[str, Any]]:

@@ -326,6 +326,7 @@ app.command(epilog=reporting.REPORT)(reading(reporting.report))
 
 app.command(epilog=fitting.CALIBRATE)(fitting.calibrate)
 app.command(epilog=fitting.PREDICT)(fitting.predict)
+app.command(epilog=fitting.JUDGE)(fitting.judge)
 
 
 app.command(epilog=sensitivity.SENSITIVITY)(sensitivity.sensitivity)

@@ -28,7 +28,7 @@ SEEDS = (57721, 61803)  # registered, and never used before
 SEED_RUNS = 200  # runs a scenario where the results table is asked for
 ABLATION_RUNS = 40
 SCALING_RUNS = 20  # the paper's
-ENCOUNTERS_S = (30.0, 60.0, 90.0, 180.0, 300.0)
+ENCOUNTERS_S = (30.0, 45.0, 90.0, 120.0, 300.0)
 
 CASES = "cases"
 CLAIMS_SQL = """

@@ -11,16 +11,23 @@ UNNAMED = "informed"
 
 
 class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How the fit is made: the table it aims at, its rule in words, its seed, and how many runs a scenario and architecture judge a point."""
+    """How the fit is made: the table it aims at, its rule in words, its seed, and how many points are judged, on how many runs a scenario and architecture.
+
+    `starts` searches of at most `rough_steps` begin at the best of the `screened` points; one of at most `most_steps` goes on from the best of them.
+    """
 
     aims_at: str
     rule: str
     seed: int
     screened: int
     screened_runs: int
+    starts: int
+    rough_runs: int
+    rough_steps: int
     runs: int
-    judged_runs: int
     most_steps: int
+    enough: float
+    judged_runs: int
 
 
 class Kind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -74,8 +81,17 @@ class Said(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"kin
         return self.table == table and all(place.get(name) in (wanted if isinstance(wanted, list) else [wanted]) for name, wanted in self.where.items())
 
 
-class Registration(msgspec.Struct, frozen=True):
-    """The registration as far as the fit, the verdicts and the tables need it; `margins` by metric, in the metric's unit.
+class Prediction(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What is predicted that nobody has seen, what the paper's claims imply for it, and where the paper claims it."""
+
+    name: str
+    of: str
+    implies: str
+    claim: str
+
+
+class Registration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The whole registration; `margins` by metric, in the metric's unit.
 
     `classes` says what each class of cells means, `cells` the class of a whole table, `cell` that of single cells.
     """
@@ -89,6 +105,7 @@ class Registration(msgspec.Struct, frozen=True):
     classes: dict[str, str]
     cells: dict[str, str]
     cell: tuple[Said, ...]
+    prediction: tuple[Prediction, ...]
 
     def said_of(self, table: str, place: Mapping[str, object]) -> Said:
         """Return what was said of the cell at this place of a table (names as in `where`): of it alone, else of its table; else it is informed."""

@@ -15,6 +15,8 @@ from fsar_ledger import calibration
 from fsar_ledger.calibration import FREE, PLAN, at, calibrate, distances, objective, rounded, screened, slopes, with_values
 from fsar_ledger.constants import Constants, Structure, WorldConstants
 from fsar_ledger.errors import WriteFailed
+from fsar_ledger.registration import registration
+from fsar_ledger.runtime.simulation import MODEL_VERSION
 from fsar_ledger.runtime.switches import SWITCHES
 
 RECORD = json.loads(files("fsar_ledger.reports").joinpath("calibration.json").read_text())
@@ -24,6 +26,15 @@ def test_the_constants_are_those_that_the_recorded_fit_accepted() -> None:
     accepted = {parameter["name"]: parameter["accepted"] for parameter in RECORD["parameters"]}
     assert list(accepted) == [free.name for free in FREE]
     assert with_values(list(accepted.values())) == Constants()
+
+
+def test_the_calibration_seed_is_the_registered_one_and_none_that_is_published_or_predicted() -> None:
+    assert RECORD["seeds"] == [PLAN.seed]
+    assert PLAN.seed not in (42, 57721, 61803)
+
+
+def test_the_fit_is_to_the_model_of_this_release() -> None:
+    assert RECORD["model_version"] == registration().model_version == MODEL_VERSION
 
 
 def test_the_free_constants_are_those_that_say_that_they_are_fitted() -> None:
@@ -118,16 +129,18 @@ def test_a_path_that_cannot_be_written_is_refused_before_the_work(tmp_path: Path
 
 @pytest.mark.slow
 def test_the_record_of_a_small_fit_is_complete_and_the_same_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = msgspec.structs.replace(PLAN, screened=2, screened_runs=1, runs=1, judged_runs=1, most_steps=1)
+    plan = msgspec.structs.replace(PLAN, screened=2, screened_runs=1, starts=2, rough_runs=1, rough_steps=1, runs=1, judged_runs=1, most_steps=1)
     for name, value in {"PLAN": plan, "FREE": FREE[:2], "SWITCHES": SWITCHES[:2], "WorkerPool": ThreadPoolExecutor}.items():
         monkeypatch.setattr(calibration, name, value)
     told: list[tuple[int, int]] = []
     for name in ("one.json", "two.json"):
         calibrate(tmp_path / name, lambda done, total: told.append((done, total)), workers=1)
     assert (tmp_path / "one.json").read_bytes() == (tmp_path / "two.json").read_bytes()
-    assert told[-1] == (8, 8)
+    assert told[-1] == (18, 18)
     record = json.loads((tmp_path / "one.json").read_text())
     assert record["objective"]["accepted"] <= record["objective"]["start"]
+    assert len(record["searches"]) == 3
+    assert record["searches"][-1]["start"] == min(search["reached"] for search in record["searches"][:-1])
     assert len(record["residuals"]) == 24
     assert [parameter["name"] for parameter in record["parameters"]] == [free.name for free in FREE[:2]]
     assert len(record["switch_offs"]) == sum(len(switch.metrics) for switch in SWITCHES[:2])

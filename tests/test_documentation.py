@@ -26,7 +26,8 @@ LABELS = set((ROOT / "tests" / "paper_labels.txt").read_text().split())
 COMMANDS = {command.name or command.callback.__name__: command for command in app.registered_commands if command.callback} | {
     f"{group.name} {command.name}": command for group in app.registered_groups if group.typer_instance for command in group.typer_instance.registered_commands
 }
-LONG = {"reproduce", "calibrate", "predict", "sensitivity", "witness serve", "witness ask"}  # the last two need each other: tests/witness/test_processes.py
+# The last two need each other (tests/witness/test_processes.py), and `judge` needs what `predict` writes (tests/test_comparison.py).
+LONG = {"reproduce", "calibrate", "predict", "sensitivity", "judge", "witness serve", "witness ask"}
 
 
 def sources() -> Iterator[Path]:
@@ -194,6 +195,8 @@ def test_every_quick_example_runs(folder: Path, monkeypatch: pytest.MonkeyPatch,
     monkeypatch.chdir(folder)
     assert run(shlex.split(example, comments=True)[1:]) == 0
     assert capsys.readouterr().err == ""
+    for report in re.findall(r"--out (\S+\.pdf)", example):
+        assert Path(report).read_bytes().startswith(b"%PDF-")
 
 
 def test_the_output_in_the_pages_is_what_the_commands_print() -> None:

@@ -36,7 +36,7 @@ def test_fleets_are_the_papers_those_between_and_one_beyond_at_both_ends_of_the_
 
 def test_encounters_change_nothing_else() -> None:
     worlds = [play.experiment.constants.world for play in registered("encounters")]
-    assert [world.encounter_mean_s for world in worlds] == [30, 60, 90, 180, 300]
+    assert [world.encounter_mean_s for world in worlds] == [30, 45, 90, 120, 300]
     assert len({msgspec.json.encode(msgspec.structs.replace(world, encounter_mean_s=90.0)) for world in worlds}) == 1
 
 

@@ -70,7 +70,8 @@ WorkersOption = Annotated[
     ),
 ]
 ArchitectureOption = Annotated[
-    list[str] | None, typer.Option("--architecture", metavar="NAME", help="fsar, cfc or dhma; may be repeated.", show_default="all; with --without, fsar")
+    list[str] | None,
+    typer.Option("--architecture", metavar="NAME", help="fsar, cfc or dhma; may be repeated.", show_default="all; with --without, whose that is"),
 ]
 AuditedOption = Annotated[
     list[str] | None, typer.Option("--architecture", metavar="NAME", help="Only the runs of fsar, cfc or dhma; may be repeated.", show_default="all")
@@ -92,8 +93,8 @@ WithoutOption = Annotated[
     typer.Option(
         "--without",
         metavar="MECHANISM",
-        help="Take one mechanism out of FSAR: trust-evaluation, policy-composition, layered-recovery or shared-registry, or several at once with + "
-        "between them; repeated: one configuration after the other.",
+        help="Take one mechanism out of FSAR: trust-evaluation, policy-composition, layered-recovery or shared-registry (docs/model.md lists further ones, "
+        "of CFC and DHMA, too), or several of one architecture at once with + between them; repeated: one configuration after the other.",
         show_default=False,
     ),
 ]
@@ -203,7 +204,7 @@ def experiment_of(
     workflows: list[str] | None = None,
     load: tuple[int | None, int] = (None, 1),
 ) -> "Experiment":
-    """The experiment that the options of `simulate` name; the ablations are FSAR's, so with them the default architecture is FSAR alone.
+    """The experiment that the options of `simulate` name; a mechanism is of one architecture, so with one the default is that architecture alone.
 
     `load` is how many teams work (None: all), and how many sets of tasks each of them gets.
 
@@ -217,15 +218,16 @@ def experiment_of(
     from typing import get_args
 
     from fsar_ledger.constants import Constants, Load
-    from fsar_ledger.events.configuration import FULL, MECHANISMS
+    from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, MECHANISMS_OF, lacks
     from fsar_ledger.events.configuration import without as ablation
     from fsar_ledger.events.envelope import Architecture, Scenario
     from fsar_ledger.runtime.experiment import Experiment
 
     every_architecture, every_scenario = get_args(Architecture), get_args(Scenario)
-    configurations = tuple(dict.fromkeys(ablation(known("mechanism", _joined(name), MECHANISMS)) for name in without or ()))
+    configurations = tuple(dict.fromkeys(ablation(known("mechanism", _joined(name), EVERY_MECHANISM)) for name in without or ()))
+    whose = tuple(name for name in every_architecture if any(lacks(one) & set(MECHANISMS_OF[name]) for one in configurations))
     return Experiment(
-        architectures=known("architecture", architectures, every_architecture) or (("fsar",) if configurations else every_architecture),
+        architectures=known("architecture", architectures, every_architecture) or whose or every_architecture,
         scenarios=known("scenario", scenarios, every_scenario) or every_scenario,
         configurations=configurations or (FULL,),
         runs=RUNS if runs is None else runs,

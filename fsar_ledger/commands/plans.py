@@ -1,6 +1,6 @@
 """The plans of a ledger for people: what each names, in a few words, and the call that goes on with it."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
@@ -16,6 +16,7 @@ from .simulated import runs
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
 
+MAX_RUNS = 9999  # of an experiment
 PARAMETERS = "SELECT run_id, parameters FROM experiment_planned"
 
 
@@ -30,7 +31,35 @@ def plans(database: "Database", ledger: Shown) -> list[dict[str, Any]]:
     """Every plan, the largest first, with the call that goes on with it where runs are missing and this version can make them, else None."""
     rows = database.rows(EXPERIMENTS)
     constants = {row["run_id"]: row["parameters"] for row in database.rows(PARAMETERS)} if any(row["missing_count"] for row in rows) else {}
-    return [{**row, "continues_with": continues_with(row, constants[row["plan"]], ledger) if row["missing_count"] else None} for row in rows]
+    counts = sorted({row["run_count"] for row in rows}, reverse=True)
+
+    def call(row: Mapping[str, Any]) -> str | None:
+        return _reproduced(row, counts, ledger) or continues_with(row, constants[row["plan"]], ledger)
+
+    return [{**row, "continues_with": call(row) if row["missing_count"] else None} for row in rows]
+
+
+def _reproduced(plan: Mapping[str, Any], counts: Sequence[int], ledger: Shown) -> str | None:
+    """The call of `reproduce` that goes on with a ledger beside the results, which it made; no key signs that one under its own name.
+
+    `counts` are the runs that the ledger's plans name: `reproduce` was called with one of these, or with none.
+    """
+    from fsar_ledger.runtime.experiments import NAMES, SEED, named
+    from fsar_ledger.runtime.plan import plan_id
+
+    path = ledger.path if ledger.path.name else ledger.path.resolve()
+    name = next((one for one in NAMES if one == path.name), NAMES[0])
+    if name == NAMES[0] or not ledger.view.manifest.origin.endswith(f"/{name}"):
+        return None
+    for many in (None, *(count for count in counts if 1 <= count <= MAX_RUNS)):
+        if plan["plan"] in {plan_id(part.plan()) for part in named(name, SEED, many).parts}:
+            asked = ["--out", printable.word(path.parent), "--only", name, *([] if many is None else ["--runs", str(many)])]
+            return " ".join(("fsar-ledger reproduce", *asked, *(["--key KEY"] if _is_signed(ledger.view) else [])))
+    return None
+
+
+def _is_signed(view: LedgerView) -> bool:
+    return bool(view.records and view.records[-1].signed_note().signatures)
 
 
 def shape(plan: Mapping[str, Any]) -> str:
@@ -97,7 +126,7 @@ def _name(view: LedgerView) -> Iterator[str]:
     """The options that let this ledger be written to: a key where the newest commit is signed, else the origin where it is not the usual one."""
     from fsar_ledger.runtime.experiment import ORIGIN
 
-    if view.records and view.records[-1].signed_note().signatures:
+    if _is_signed(view):
         yield "--key KEY"
     elif view.manifest.origin != ORIGIN:
         yield f"--origin {printable.word(view.manifest.origin)}"

@@ -11,7 +11,7 @@ from fsar_ledger.metrics.results import metric_rows, statistic_rows
 from fsar_ledger.printable import Shown, joined, lines
 from fsar_ledger.report import write_report
 from fsar_ledger.runtime.experiment import Made, carry_out
-from fsar_ledger.runtime.experiments import NAMES, Named, named
+from fsar_ledger.runtime.experiments import NAMES, SEED, Named, named
 
 from .answering import looked_head
 from .files import write_text
@@ -20,7 +20,6 @@ from .output import csv_text, plain, table_text
 from .progress import Progress
 from .simulated import beyond
 
-SEED = 42
 SHOWN = ("architecture", "metric", "mean", "sd", "n", "ci_low", "ci_high")
 
 

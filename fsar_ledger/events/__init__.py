@@ -1,5 +1,6 @@
 """Typed events: the facts a ledger holds. One file per concept, versions of the past in `retired.py`; imports msgspec only."""
 
+from collections.abc import Mapping
 from typing import get_args
 
 from .authority import AuthorityEvent
@@ -18,7 +19,7 @@ from .retired import RETIRED_TYPES, UPCASTERS
 from .supervision import SupervisionEvent
 from .task import TaskEvent
 from .trust import TrustEvent
-from .upcasting import Chains, chains
+from .upcasting import Addition, Chains, additions, chains
 from .world import WorldEvent
 
 AnyEvent = (
@@ -43,10 +44,13 @@ EVENT_TYPES: tuple[type[Event], ...] = get_args(AnyEvent)
 UPCASTS: Chains = chains(EVENT_TYPES, RETIRED_TYPES, UPCASTERS)
 """How an event of each retired type becomes one of today; made, and thereby checked, when the package starts."""
 
+ADDITIONS: Mapping[type[Event], Addition] = additions(RETIRED_TYPES, UPCASTERS)
+"""The retired types whose events become ones of today by what is added to each, so that SQL does it where they lie."""
+
 ALONE: frozenset[type[Event]] = frozenset({ExperimentPlanned})
 """The types of events that are the only one of their run: they are about runs, and happen in none. Event 0 of any other run is `RunStarted`."""
 
 CONCERN_OF: dict[str, str] = {name: concern for concern, names in EVENTS_OF.items() for name in names}
 """The concern of each event type, by its name whatever its version. What says what a run is has none: it is there whatever a run observes."""
 
-__all__ = ["ALONE", "CONCERN_OF", "EVENT_TYPES", "RETIRED_TYPES", "UPCASTS", "AnyEvent", "Event"]
+__all__ = ["ADDITIONS", "ALONE", "CONCERN_OF", "EVENT_TYPES", "RETIRED_TYPES", "UPCASTS", "AnyEvent", "Event"]

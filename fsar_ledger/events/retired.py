@@ -2,14 +2,15 @@
 
 An event type that changes by more than a new optional field gets the next version: `class StepBegan(Event, frozen=True,
 tag="StepBegan.v2")`. What it was moves here as `class StepBeganV1(Event, frozen=True, tag="StepBegan.v1")`, with an
-upcaster to the next version. Rows stay stored, checked and hashed as they are; who reads events meets the newest version only.
+upcaster to the next version: `adding` where that only has more fields, which SQL does where the rows lie, however many they are, else a function
+from event to event. Rows stay stored, checked and hashed as they are; who reads events meets the newest version only.
 """
 
 from typing import Any, Literal
 
 from .envelope import Event
 from .fleet import RunStarted
-from .upcasting import Upcaster
+from .upcasting import Upcaster, adding
 
 
 class RunStartedV1(Event, frozen=True, tag="RunStarted.v1"):
@@ -36,7 +37,8 @@ class RunStartedV1(Event, frozen=True, tag="RunStarted.v1"):
     parameters: str
 
 
-# The concerns of 0.2.0, by name: one that a later release adds was not observed then.
+# The concerns of 0.2.0, by name: one that a later release adds was not observed then. Both kinds of run were made by our own handlers, which record all
+# that they decide, are told and meet.
 _OBSERVED_BY_V1 = (
     "fleet",
     "registry",
@@ -55,24 +57,8 @@ _OBSERVED_BY_V1 = (
 )
 
 
-def _run_started(event: RunStartedV1) -> RunStarted:
-    """Both kinds of run were made by our own handlers, which record all that they decide, are told and meet."""
-    return RunStarted(
-        kind=event.kind,
-        observes=_OBSERVED_BY_V1,
-        architecture=event.architecture,
-        configuration=event.configuration,
-        scenario=event.scenario,
-        seed=event.seed,
-        fleet_size=event.fleet_size,
-        run=event.run,
-        model_version=event.model_version,
-        parameters=event.parameters,
-    )
-
-
 RETIRED_TYPES: tuple[type[Event], ...] = (RunStartedV1,)
 """Every type that was current in a release and is so no more."""
 
-UPCASTERS: tuple[Upcaster[Any, Any], ...] = (Upcaster(RunStartedV1, RunStarted, _run_started),)
+UPCASTERS: tuple[Upcaster[Any, Any], ...] = (adding(RunStartedV1, RunStarted, observes=_OBSERVED_BY_V1),)
 """For each retired type the step to its next version."""

@@ -1,7 +1,7 @@
 """How events of retired types become events of today: one pure function a version, checked when the package starts."""
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
 
 import msgspec
 
@@ -11,6 +11,7 @@ _Before = TypeVar("_Before", bound=Event)
 _After = TypeVar("_After", bound=Event)
 
 Change: TypeAlias = Callable[[Any], Event]
+Value: TypeAlias = str | int | bool | tuple[str, ...] | None
 
 
 class Upcaster(msgspec.Struct, Generic[_Before, _After], frozen=True):
@@ -19,10 +20,56 @@ class Upcaster(msgspec.Struct, Generic[_Before, _After], frozen=True):
     before: type[_Before]
     after: type[_After]
     change: Callable[[_Before], _After]
+    added: Mapping[str, Value] | None = None
+    """What `change` adds to every event, if it does nothing else (`adding`); None for any other change."""
+
+
+class Addition(NamedTuple):
+    """A whole way of changes that only add: rows become rows of `after` by column, however many they are. Nobody has to look at one."""
+
+    after: type[Event]
+    added: Mapping[str, Value]
 
 
 Chains: TypeAlias = Mapping[type[Event], tuple[Change, ...]]
 """For each retired type the changes, in order, that end at a current type."""
+
+
+def adding(before: type[_Before], after: type[_After], **added: Value) -> Upcaster[_Before, _After]:
+    """The step to a next version that has every field of the one before, and these, each with the same value in every event.
+
+    Raises:
+        TypeError: `after` needs a field that neither the version before nor this step gives, lacks one of them, or cannot hold a value.
+    """
+    fields = {field.name: field for field in msgspec.structs.fields(after)}
+    given = {*before.__struct_fields__, *added}
+    lacking = sorted({name for name, field in fields.items() if field.required} - given)
+    if lacking or not given <= fields.keys() or not added.keys().isdisjoint(before.__struct_fields__):
+        own = sorted(fields.keys() - set(before.__struct_fields__))
+        raise TypeError(f"upcaster of {_tag(before)}: found that it adds {sorted(added)} and lacks {lacking}, expected of {own}; write a change instead")
+    for name, value in added.items():
+        try:
+            msgspec.convert(value, fields[name].type)
+        except msgspec.ValidationError as error:
+            raise TypeError(f"upcaster of {_tag(before)}: field {name}: {error}") from error
+
+    def change(event: _Before) -> _After:
+        return after(**{name: getattr(event, name) for name in before.__struct_fields__}, **added)
+
+    return Upcaster(before, after, change, added)
+
+
+def additions(retired: Iterable[type[Event]], upcasters: Iterable[Upcaster[Any, Any]]) -> Mapping[type[Event], Addition]:
+    """For each retired type whose whole way to a current one only adds: that type and what is added on the way. The steps are as `chains` wants them."""
+    steps = {step.before: step for step in upcasters}
+    found: dict[type[Event], Addition] = {}
+    for cls in retired:
+        way = [step := steps[cls]]
+        while step.after in steps:
+            way.append(step := steps[step.after])
+        if all(step.added is not None for step in way):
+            found[cls] = Addition(way[-1].after, {name: value for step in way for name, value in (step.added or {}).items()})
+    return found
 
 
 def chains(current: Iterable[type[Event]], retired: Iterable[type[Event]], upcasters: Iterable[Upcaster[Any, Any]]) -> Chains:

@@ -250,9 +250,9 @@ def decode(table: pa.Table) -> Iterator[RunRecord]:
         yield RunRecord(run_ids[start].as_py(), times_us[start:end], causes[start:end], events[start:end].tolist())
 
 
-def upcast_rows(table: pa.Table) -> pa.Table | None:
-    """Only the rows of retired types, as their newest version would be stored; None if there are none. Raises: as `decode`."""
-    stored = table.filter(pc.is_in(table.column("type"), pa.array(list(RETIRED), pa.string())))
+def upcast_rows(table: pa.Table, tags: Sequence[str] = tuple(RETIRED)) -> pa.Table | None:
+    """Only the rows of these retired types, as their newest version would be stored; None if there are none. Raises: as `decode`."""
+    stored = table.filter(pc.is_in(table.column("type"), pa.array(tags, pa.string())))
     if not stored.num_rows:
         return None
     _require_valid(table)

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import msgspec
 
-from fsar_ledger.printable import counted, some
+from fsar_ledger.printable import NAMED, counted, some
 
 from .database import Database
 from .results import StatisticRow, typed
@@ -163,7 +163,10 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def _named(values: Sequence[object] | None) -> str:
+    """All of a few, else the first and how many more there are."""
     found = [str(one) for one in values or ()]
+    if len(found) > NAMED:
+        return some(found)
     return " and ".join(filter(None, (", ".join(found[:-1]), *found[-1:])))
 
 

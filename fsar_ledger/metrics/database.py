@@ -122,14 +122,14 @@ class Database:
     def refill(self, events: pa.Table) -> None:
         """`events` are these few rows from now on, in a table of DuckDB's own, NULL in columns that they lack; what was stored of others is gone."""
         for name, kind in sorted(self._given.items()):
-            self.drop(name) if kind == "held" else self._execute(f"DROP {kind} {name}", None)
+            self.drop(name) if kind == "held" else self._change(f"DROP {kind} {name}")
             self._made.discard(name)
         self._given.clear()
         for name in sorted(self._made & {query.relation for query in self.library.queries.values() if query.is_stored}):
-            self._execute(f"DROP TABLE {name}", None)
+            self._change(f"DROP TABLE {name}")
             self._made.discard(name)
         self._connection.register(_GIVEN, _with_all_columns(events))
-        self._execute(f"CREATE OR REPLACE TABLE events AS SELECT * FROM {_GIVEN}", None)
+        self._change(f"CREATE OR REPLACE TABLE events AS SELECT * FROM {_GIVEN}")
         self._connection.unregister(_GIVEN)
         self._made.add("events")
 
@@ -148,13 +148,13 @@ class Database:
 
     def define(self, name: str, sql: str, *, is_stored: bool = False) -> None:
         """The SELECT, or its rows as they are now, is the relation of this name, whatever packaged query has it. Raises: as `table`."""
-        self._execute(f"CREATE {'TABLE' if is_stored else 'VIEW'} {name} AS\n{sql}", None)
+        self._change(f"CREATE {'TABLE' if is_stored else 'VIEW'} {name} AS\n{sql}")
         self._made.add(name)
         self._given[name] = "TABLE" if is_stored else "VIEW"
 
     def undefine(self, name: str, *, is_stored: bool = False) -> None:
         """The relation that `define` made is gone."""
-        self._execute(f"DROP {'TABLE' if is_stored else 'VIEW'} {name}", None)
+        self._change(f"DROP {'TABLE' if is_stored else 'VIEW'} {name}")
         self._made.discard(name)
         self._given.pop(name, None)
 
@@ -165,7 +165,7 @@ class Database:
                 continue
             kind = "TABLE" if query.is_stored else "VIEW"
             sql = staging_sql(query.tag, self.source) if query.tag and self.source else query.sql
-            self._execute(f"CREATE {kind} {query.relation} AS\n{sql}", None)
+            self._change(f"CREATE {kind} {query.relation} AS\n{sql}")
             self._made.add(query.relation)
 
     def table(self, sql: str, params: Mapping[str, Value] | None = None) -> pa.Table:
@@ -254,11 +254,17 @@ class Database:
         except (duckdb.Error, pa.ArrowException, OSError) as error:
             raise self._failure(error) from error
 
-    def _execute(self, sql: str, params: Mapping[str, Value] | None) -> pa.Table | None:
+    def _change(self, sql: str) -> None:
+        """Relations are made or gone; there is no answer."""
+        try:
+            self._connection.execute(sql)  # a relation would be made of the answer that there is none, which takes as long as a small view
+        except duckdb.Error as error:
+            raise self._failure(error) from error
+
+    def _execute(self, sql: str, params: Mapping[str, Value] | None) -> pa.Table:
         """DuckDB's answer, its errors made ours."""
         try:
-            relation = self._connection.sql(sql, params=dict(params) if params else None)
-            return None if relation is None else relation.to_arrow_table()
+            return self._connection.sql(sql, params=dict(params) if params else None).to_arrow_table()
         except duckdb.Error as error:
             raise self._failure(error) from error
 

@@ -20,7 +20,7 @@ from fsar_ledger.errors import LedgerCorrupted, QueryFailed
 from fsar_ledger.ledger.schema import SCHEMA
 
 from .database import FAULTS_OF_SQL, OUT_OF_MEMORY, Database
-from .relation import hold_dataset, upcast
+from .relation import hold_dataset
 
 GRACE_S = 5
 """Seconds by which the limits inside this process come later than the caller's, so that it is the caller who says what happened."""
@@ -121,7 +121,7 @@ def _select(question: Question) -> list[pa.RecordBatch]:
     pa.set_io_thread_count(1)
     with Database(None, (), threads=1) as database:
         stored = ds.dataset(segments, schema=SCHEMA, format=_checked()) if segments else SCHEMA.empty_table()
-        hold_dataset(database, stored, upcast(database, [Path(segment) for segment in segments]))
+        hold_dataset(database, stored, [Path(segment) for segment in segments])
         database.lock(limits.seconds + GRACE_S, (limits.memory_bytes - OWN_BYTES) // 2)
         for _ in database.batches("SELECT seq FROM events LIMIT 1"):
             pass  # the threads that reading takes exist from now on, and no other can be started

@@ -1,16 +1,18 @@
 """The relation `events` over segments of every release: each event once, as its newest version, with the columns of today.
 
-Files are read in place. Columns that came after a segment was written are NULL; rows of retired types are left out
-where they are and come from memory, upcast, which costs a ledger that holds some one reading of those segments.
+Files are read in place, and columns that came after a segment was written are NULL. Rows of a retired type whose next versions only add to it are read
+in place, too, with what was added; others are left out where they are and come from memory, upcast one by one, which costs a ledger that holds some one
+reading of those segments.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import pyarrow as pa
 
 from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
+from fsar_ledger.events import ADDITIONS
 from fsar_ledger.ledger.codec import upcast_rows
 from fsar_ledger.ledger.releases import FINGERPRINTS, RELEASE, SCHEMAS
 from fsar_ledger.ledger.schema import COLUMNS, RETIRED, Kind
@@ -24,73 +26,105 @@ _STORED, _UPCAST = "events_as_stored", "events_upcast"
 
 
 def hold_segments(database: "Database", segments: Sequence[Path], releases: Sequence[str]) -> None:
-    """The database's `events` are the rows of these segments, given the release of each. Raises: as `upcast`."""
-    newest = upcast(database, segments)
+    """The database's `events` are the rows of these segments, given the release of each. Raises: as `_upcast`."""
+    holding = _holding(database, segments)
     alike: dict[str, list[Path]] = {}
     for path, release in zip(segments, releases, strict=True):
         alike.setdefault(FINGERPRINTS[release], []).append(path)
     present = {FINGERPRINTS[release]: frozenset(SCHEMAS[release].names) for release in releases}
-    hold_events(database, [_select(paths, present[fingerprint]) for fingerprint, paths in alike.items()], newest)
-    if newest is None and alike.keys() == {FINGERPRINTS[RELEASE]}:
+    parts = [(_parquet(paths), present[fingerprint]) for fingerprint, paths in alike.items()]
+    if holding:
+        _hold_newest(database, parts, holding)
+        return
+    database.define("events", "\nUNION ALL\n".join(_select(*part) for part in parts))
+    if alike.keys() == {FINGERPRINTS[RELEASE]}:
         database.source = _parquet(segments)
 
 
-def _select(paths: Sequence[Path], present: frozenset[str]) -> str:
-    columns = ", ".join(f'"{name}"' if name in present else f'CAST(NULL AS {_SQL_TYPES[kind]}) AS "{name}"' for name, kind in COLUMNS.items())
-    return f"SELECT {columns} FROM {_parquet(paths)}"
+def hold_dataset(database: "Database", stored: Any, segments: Sequence[Path]) -> None:
+    """The database's `events` are the rows of this Arrow dataset or table over these segments, with the columns of today. Raises: as `_upcast`."""
+    holding = _holding(database, segments)
+    if not holding:
+        database.hold("events", stored)
+        return
+    database.hold(_STORED, stored)
+    _hold_newest(database, [(_STORED, frozenset(COLUMNS))], holding)
+
+
+def _hold_newest(database: "Database", parts: Sequence[tuple[str, frozenset[str]]], holding: Mapping[str, Sequence[Path]]) -> None:
+    """The database's `events` are the rows of these relations, which have these columns, those of the retired types that they hold as their newest versions."""
+    others = {tag: paths for tag, paths in holding.items() if RETIRED[tag].cls not in ADDITIONS}
+    added = [tag for tag in holding if tag not in others]
+    kept = f" WHERE type NOT IN ({_listed(others)})" if others else ""
+    selects = [f"{_select(*part, added)}{kept}" for part in parts]
+    if (newest := _upcast(others)) is not None:
+        database.hold(_UPCAST, newest)
+        selects.append(f"SELECT * FROM {_UPCAST}")
+    database.define("events", "\nUNION ALL\n".join(selects))
+
+
+def _select(source: str, present: frozenset[str], added: Sequence[str] = ()) -> str:
+    """The rows of a relation that has these columns, with all of today's, NULL in others; rows of these retired types with what their way adds."""
+    values = {name: f'"{name}"' if name in present else f"CAST(NULL AS {_SQL_TYPES[kind]})" for name, kind in COLUMNS.items()}
+    for tag in added:
+        way = ADDITIONS[RETIRED[tag].cls]
+        for name, value in {**way.added, "type": way.after.__struct_config__.tag}.items():
+            # One look at each row: a second one, for these rows alone, would decode the types of all of them once more.
+            values[name] = f"CASE WHEN type = {_literal(tag)} THEN CAST({_literal(value)} AS {_SQL_TYPES[COLUMNS[name]]}) ELSE {values[name]} END"
+    columns = ", ".join(f'{value} AS "{name}"' for name, value in values.items())
+    return f"SELECT {columns} FROM {source}"
+
+
+def _literal(value: Any) -> str:
+    """A value of an event as SQL writes it."""
+    match value:
+        case None:
+            return "NULL"
+        case str():
+            return "'" + value.replace("'", "''") + "'"
+        case tuple():
+            return f"[{', '.join(map(_literal, value))}]"
+        case _:
+            return str(value).upper()
 
 
 def _parquet(paths: Sequence[Path], *options: str) -> str:
     """These files as SQL reads them."""
-    files = ", ".join("'" + str(path).replace("'", "''") + "'" for path in paths)
+    files = ", ".join(_literal(str(path)) for path in paths)
     return f"read_parquet([{files}], {', '.join(('hive_partitioning = false', *options))})"
 
 
-def upcast(database: "Database", segments: Sequence[Path]) -> pa.Table | None:
-    """The rows of retired types in these segments, as their newest versions; None if there are none. The database looks which segments hold some.
+def _holding(database: "Database", segments: Sequence[Path]) -> Mapping[str, Sequence[Path]]:
+    """The retired types of which these segments hold rows, and in which; all of both where one cannot be read, so that reading it says what is wrong."""
+    if not RETIRED or not segments:
+        return {}
+    try:
+        found = database.direct(f"SELECT DISTINCT type, filename FROM {_parquet(segments, 'filename = true')} WHERE type IN ({_listed(RETIRED)})")
+    except FsarLedgerError:
+        return dict.fromkeys(RETIRED, segments)
+    held = {tag: [path for path in segments if (tag, str(path)) in found] for tag in RETIRED}
+    return {tag: paths for tag, paths in held.items() if paths}
+
+
+def _listed(tags: Iterable[str]) -> str:
+    """These types as SQL lists them."""
+    return ", ".join(map(_literal, tags))
+
+
+def _upcast(holding: Mapping[str, Sequence[Path]]) -> pa.Table | None:
+    """The rows of these retired types, which these segments hold, as their newest versions; None if there are none.
 
     Raises:
         LedgerCorrupted: A segment that holds some cannot be read, or does not hold valid events.
     """
-    if not RETIRED or not segments:
-        return None
-    tables = [rows for path in _holding(database, segments) if (rows := _upcast_segment(path)) is not None]
+    tags = list(holding)
+    paths = dict.fromkeys(path for found in holding.values() for path in found)
+    tables = [rows for path in paths if (rows := _upcast_segment(path, tags)) is not None]
     return pa.concat_tables(tables) if tables else None
 
 
-def _holding(database: "Database", segments: Sequence[Path]) -> Sequence[Path]:
-    """The segments that hold rows of retired types; all of them where one cannot be read, so that reading it says what is wrong."""
+def _upcast_segment(path: Path, tags: Sequence[str]) -> pa.Table | None:
     try:
-        found = database.direct(f"SELECT DISTINCT filename FROM {_parquet(segments, 'filename = true')} WHERE type IN ({_tags()})")
-    except FsarLedgerError:
-        return segments
-    return [path for path in segments if (str(path),) in found]
-
-
-def _tags() -> str:
-    """The retired types as SQL lists them."""
-    return ", ".join(f"'{tag}'" for tag in RETIRED)
-
-
-def _upcast_segment(path: Path) -> pa.Table | None:
-    try:
-        return upcast_rows(read_table(path))
+        return upcast_rows(read_table(path), tags)
     except LedgerCorrupted as error:
         raise type(error)(f"{path}: {error}") from error
-
-
-def hold_events(database: "Database", parts: Sequence[str], newest: pa.Table | None) -> None:
-    """The database's `events` are the rows of these SELECTs, but those of retired types are the ones given as their newest versions."""
-    if newest is not None:
-        database.hold(_UPCAST, newest)
-        parts = [*(f"SELECT * FROM ({part}) WHERE type NOT IN ({_tags()})" for part in parts), f"SELECT * FROM {_UPCAST}"]
-    database.define("events", "\nUNION ALL\n".join(parts))
-
-
-def hold_dataset(database: "Database", stored: Any, newest: pa.Table | None) -> None:
-    """As `hold_events`, for rows that an Arrow dataset or table holds with the columns of today."""
-    if newest is None:
-        database.hold("events", stored)
-        return
-    database.hold(_STORED, stored)
-    hold_events(database, [f"SELECT * FROM {_STORED}"], newest)

@@ -10,7 +10,20 @@ import msgspec
 import fsar_ledger
 from fsar_ledger import printable
 from fsar_ledger.constants import Constants, write_constants
-from fsar_ledger.report import contradictions, everyway, figures, numbers, overview, printing, provenance, sections, sequence, specification, specs
+from fsar_ledger.report import (
+    contradictions,
+    everyway,
+    figures,
+    mechanisms,
+    numbers,
+    overview,
+    printing,
+    provenance,
+    sections,
+    sequence,
+    specification,
+    specs,
+)
 from fsar_ledger.report.calibration import Record
 from fsar_ledger.report.findings import Findings, Row, answer
 from fsar_ledger.report.printing import Table, flat
@@ -92,7 +105,6 @@ def _fit_tables(findings: Findings, record: Record | None) -> dict[str, Table]:
         "calibrated-parameters": [msgspec.structs.asdict(one) for one in record.parameters],
         "residuals": [msgspec.structs.asdict(one) for one in record.residuals],
         "directions": directions,
-        "switch-offs": [msgspec.structs.asdict(one) for one in record.switch_offs],
     }
     return {name: _table(findings, name, filled) for name, filled in rows.items() if filled}
 
@@ -193,15 +205,20 @@ def counted(findings: Findings, record: Record | None) -> tuple[Row, ...]:
 
 def _heads(findings: Findings) -> list[dict[str, str]]:
     """The heads of the other ledgers, for the appendix."""
-    held = {"Ablation": findings.ablation and findings.ablation.told, "Scaling": findings.scaling and findings.scaling.told, "Workflows": findings.workflows}
+    parts = {"Ablation": findings.ablation, "Scaling": findings.scaling, "Mechanisms": findings.mechanisms}
+    held = {name: part and part.told for name, part in parts.items()} | {"Workflows": findings.workflows}
     return [{"name": name, "size": printing.integer(one.size), "runs": printing.integer(one.run_count), "root": one.root} for name, one in held.items() if one]
 
 
 def data(findings: Findings, record: Record | None, effects: Section | None = None) -> dict[str, Any]:
     """All that the template prints; tables keep each value beside its print."""
+
+    def sourced(query: str | None) -> str:
+        return _source(findings, query)
+
     tables = _ledger_tables(findings) | _fit_tables(findings, record) | _workflow_tables(findings)
-    tables |= sections.tables(findings, lambda query: _source(findings, query))
-    tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()} | everyway.tables(findings.multiverse)
+    tables |= sections.tables(findings, sourced) | mechanisms.tables(findings, sourced) | everyway.tables(findings.multiverse)
+    tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()}
     rows = counted(findings, record)
     tables |= {"tally": _table(findings, "tally", numbers.tally(rows))} if rows else {}
     tables |= {"sensitivity": effects.table} if effects and effects.table else {}
@@ -228,6 +245,7 @@ def data(findings: Findings, record: Record | None, effects: Section | None = No
         "sensitivity": effects and effects.sentence,
         "workflows": _workflows(findings),
         "mechanisms": specs.passages("mechanisms"),
+        "carried": mechanisms.sentences(findings),
         "readings": specs.passages("readings"),
         "contradictions": _contradictions(),
         "background": _background(findings),

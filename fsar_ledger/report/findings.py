@@ -79,6 +79,17 @@ class Scaling(msgspec.Struct, frozen=True):
     curve: tuple[Row, ...]
 
 
+class Mechanisms(msgspec.Struct, frozen=True):
+    """What one head says of every architecture in full and without one mechanism, on the same worlds.
+
+    rows: one per architecture, mechanism and metric, as `statistics/mechanism_differences` has it, with interval, is_marked (it excludes 0) and stands
+    (p adjusted over all these tests is below 0.05).
+    """
+
+    told: Told
+    rows: tuple[Row, ...]
+
+
 class Findings(msgspec.Struct, frozen=True):
     """All that one head of a ledger has to say.
 
@@ -98,8 +109,8 @@ class Findings(msgspec.Struct, frozen=True):
     background: one row per architecture: how much of what is counted is routine, how much of what is not attributable is a supervisor off shift.
     cases: one row per number of the paper's four cases: its words and number, ours in both readings; empty where no run is of their scenarios.
     completeness: whether all that was planned is there, as a clause.
-    workflows, ablation, scaling: what another ledger, or this one, says of the paper's workflows, of FSAR without a mechanism and of larger fleets;
-        None without one.
+    workflows, ablation, scaling, mechanisms: what another ledger, or this one, says of the paper's workflows, of FSAR without a mechanism, of larger
+        fleets, and of what each mechanism of any architecture carries; None without one.
     multiverse: the cells under every reading of the text; None where that was not asked for, or the runs are not those of the paper's tables.
     model_version: that of the runs in the tables; shown: which runs these are, where the ledger holds others of their configuration and fleet size.
     unjudged: in words, which numbers no verdict compares with the printed tables, since they are over other runs, and which these are; None where none are.
@@ -127,6 +138,7 @@ class Findings(msgspec.Struct, frozen=True):
     workflows: Workflows | None = None
     ablation: Ablation | None = None
     scaling: Scaling | None = None
+    mechanisms: Mechanisms | None = None
     multiverse: Multiverse | None = None
     model_version: str | None = None
     shown: str | None = None

@@ -349,6 +349,7 @@ def gather(
             ablation=told.ablation,
             scaling=told.scaling,
             multiverse=read,
+            mechanisms=told.mechanisms,
             model_version=main[5] if main else None,
             shown=_shown(main, otherwise),
             unjudged=whole.why_apart(runs_held, pairs_held),

@@ -7,8 +7,8 @@ import msgspec
 
 from fsar_ledger.errors import UsageError
 from fsar_ledger.metrics.database import Database, connect
-from fsar_ledger.report import beside, marks
-from fsar_ledger.report.findings import Ablation, Scaling, Workflows
+from fsar_ledger.report import beside, marks, mechanisms
+from fsar_ledger.report.findings import Ablation, Mechanisms, Scaling, Workflows
 
 WORKFLOWS_SQL = "SELECT count(*) AS runs FROM runs WHERE list_contains($names, scenario)"
 
@@ -19,10 +19,12 @@ class Others(msgspec.Struct, frozen=True):
     workflows: Workflows | None = None
     ablation: Ablation | None = None
     scaling: Scaling | None = None
+    mechanisms: Mechanisms | None = None
 
     def queries(self) -> tuple[str, ...]:
         """The packaged queries that these rest on."""
-        return (*(marks.QUERIES if self.workflows else ()), *(beside.QUERIES if self.ablation or self.scaling else ()))
+        further = (*(beside.QUERIES if self.ablation or self.scaling else ()), *(mechanisms.QUERIES if self.mechanisms else ()))
+        return (*(marks.QUERIES if self.workflows else ()), *further)
 
     def over(self, other: "Others") -> "Others":
         """These, and of the other ones what is missing here."""
@@ -50,7 +52,7 @@ def others(ledgers: Mapping[Path, str | None], workflows: Path | None = None, *,
             here = Others(workflows=marks.workflows(ledger, demanded)).over(here)
         if here == Others():
             raise UsageError(
-                f"--with {ledger}: found no run of a workflow, of FSAR without a mechanism, or of another fleet than of four robots, "
+                f"--with {ledger}: found no run of a workflow, without a mechanism, or of another fleet than of four robots, "
                 "expected some of these; `fsar-ledger reproduce` makes such ledgers"
             )
         found = found.over(here)
@@ -58,5 +60,6 @@ def others(ledgers: Mapping[Path, str | None], workflows: Path | None = None, *,
 
 
 def held(database: Database, *, pools_seeds: bool = False) -> Others:
-    """The ablations and the fleets of other sizes that this ledger holds."""
-    return Others(ablation=beside.ablation_of(database, pools_seeds=pools_seeds), scaling=beside.scaling_of(database, pools_seeds=pools_seeds))
+    """The ablations, the fleets of other sizes and the pairs with and without a mechanism that this ledger holds."""
+    given = {"pools_seeds": pools_seeds}
+    return Others(None, beside.ablation_of(database, **given), beside.scaling_of(database, **given), mechanisms.mechanisms_of(database, **given))

@@ -124,6 +124,7 @@ FORMATS: Mapping[str, Formatter] = {
     "feature": lambda value, _column, _row: specs.labels("feature")[value],
     "mechanism": lambda value, _column, _row: specs.labels("mechanism")[value],
     "agreement": lambda value, _column, _row: "yes" if value else "no",
+    "filled later": lambda _value, _column, _row: "",
     "verdict": lambda value, _column, _row: words(value),
 }
 

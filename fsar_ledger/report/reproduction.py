@@ -26,7 +26,8 @@ def reproduction(findings: Findings, counted: Sequence[Row]) -> bytes:
     Values are in the units of the queries, shares in [0, 1]; null is what is undefined, not judged or not drawn.
     """
     read = findings.multiverse
-    held = {"ablation": findings.ablation and findings.ablation.told, "scaling": findings.scaling and findings.scaling.told, "workflows": findings.workflows}
+    parts = {"ablation": findings.ablation, "scaling": findings.scaling, "mechanisms": findings.mechanisms}
+    held = {name: part and part.told for name, part in parts.items()} | {"workflows": findings.workflows}
     said: dict[str, Any] = {
         "versions": versions(),
         "ledgers": {"results": _head(findings)} | {name: _head(one) for name, one in held.items() if one},
@@ -38,6 +39,7 @@ def reproduction(findings: Findings, counted: Sequence[Row]) -> bytes:
         "table_share": findings.table_share,
         "tests": findings.tests,
         "scenarios": findings.scenarios,
+        "mechanisms": None if findings.mechanisms is None else findings.mechanisms.rows,
         "multiverse": None if read is None else {"readings": read.readings, "cells": read.cells, "rankings": read.rankings, "universes": read.universes},
         "queries": {one.name: one.sha256 for one in findings.sources},
     }

@@ -13,7 +13,7 @@ import msgspec
 
 from fsar_ledger.constants import Constants, negatives, write_constants
 from fsar_ledger.errors import InvalidExperiment
-from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, is_known, rank
+from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, MECHANISMS_OF, Configuration, is_known, lacks, rank
 from fsar_ledger.events.envelope import Architecture, Scenario, Workflow
 from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.ledger.append import Staged, Writer, stage
@@ -63,9 +63,7 @@ class Experiment(msgspec.Struct, frozen=True):
             raise InvalidExperiment(f"seed: found {self.seed}, expected 0 to {2**53 - 1}")
         if self.fleet_size < 4 or self.fleet_size % 4:
             raise InvalidExperiment(f"fleet size: found {self.fleet_size}, expected a multiple of 4 (teams of four roles) from 4")
-        if self.configurations != (FULL,) and self.architectures != ("fsar",):
-            asked = ", ".join(self.architectures)
-            raise InvalidExperiment(f"mechanisms are taken out of FSAR only: found architectures {asked}, expected fsar; leave out --architecture")
+        self._require_mechanisms()
         if wrong := negatives(self.constants):
             raise InvalidExperiment(f"constants: found {some(wrong)}, expected 0 or more")
         self._require_workflows_as_written()
@@ -89,6 +87,15 @@ class Experiment(msgspec.Struct, frozen=True):
             f"fleet size: found {self.fleet_size}, expected at most {largest}: a commit holds {many} and {MAX_ROWS:,} events, and those of so large a "
             f"fleet are more; take a smaller fleet, {'' if at_once == 1 else 'fewer runs or architectures, '}or fewer --teams-working"
         )
+
+    def _require_mechanisms(self) -> None:
+        """Every architecture has what is taken out of it."""
+        for architecture in self.architectures:
+            for name in sorted(frozenset().union(*map(lacks, self.configurations)) - set(MECHANISMS_OF[architecture])):
+                [whose] = [one for one, names in MECHANISMS_OF.items() if name in names]
+                raise InvalidExperiment(
+                    f"without {name}: found architecture {architecture}, expected {whose} alone, whose mechanism it is; one experiment is of one architecture's"
+                )
 
     def _require_possible_load(self) -> None:
         """Each floor holds a team, and what there is to do falls to teams that exist, while the world still happens."""
@@ -188,7 +195,7 @@ def _require_known(what: str, found: tuple[str, ...], expected: tuple[str, ...])
 
 def _require_configurations(found: tuple[Configuration, ...]) -> None:
     if not found or len(set(found)) != len(found) or not all(map(is_known, found)):
-        expected = f"{FULL}, or without- and some of {', '.join(MECHANISMS)}, in this order with + between them; each configuration once"
+        expected = f"{FULL}, or without- and some of {', '.join(EVERY_MECHANISM)}, of one architecture, in this order, with + between; each once"
         raise InvalidExperiment(f"configuration: found {', '.join(found) or 'none'}, expected {expected}")
 
 

@@ -1,8 +1,9 @@
 """The experiments of the paper by name: what `reproduce` makes, one ledger each.
 
 `results` is the table of results. `ablation` is FSAR in full and without one mechanism each, and without the registry over the rates at which robots
-meet. `scaling` is the table of fleet sizes at both ends of the load that the text leaves open, with loads in between and fleets beyond.
-`workflows` are the three workflows. Each ledger has an origin of its own, so a key signs each under another name. Paper: sec:evaluation.
+meet; then every architecture without each of its further mechanisms, to show which number each of them carries. `scaling` is the table of fleet sizes
+at both ends of the load that the text leaves open, with loads in between and fleets beyond. `workflows` are the three workflows. Each ledger has an
+origin of its own, so a key signs each under another name. Paper: sec:evaluation.
 """
 
 from collections.abc import Iterator
@@ -11,7 +12,7 @@ from typing import Literal, get_args
 import msgspec
 
 from fsar_ledger.constants import Constants, Load
-from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration, without
+from fsar_ledger.events.configuration import CONFIGURATIONS, FULL, MECHANISMS, MECHANISMS_OF, Configuration, without
 from fsar_ledger.ledger.note import Signer
 
 from .experiment import ORIGIN, WORKFLOWS_ORIGIN, Experiment, workflow_experiment
@@ -19,6 +20,8 @@ from .simulation import ARCHITECTURES, SCENARIOS
 
 Name = Literal["results", "ablation", "scaling", "workflows"]
 NAMES: tuple[Name, ...] = get_args(Name)
+
+SEED = 42
 
 RUNS: dict[Name, int] = {"results": 200, "ablation": 40, "scaling": 20, "workflows": 1}
 """Runs of each scenario, architecture and configuration: what the registration asks for, twice the paper's, and the paper's."""
@@ -28,6 +31,9 @@ ENCOUNTERS_S = (30.0, 60.0, 180.0, 300.0)
 
 TABLED_SIZES, LOADED_SIZE = (4, 8, 16), 16
 """Fleet sizes of the paper's table, and the one that is played at every load."""
+
+FURTHER = 2
+"""How many times fewer runs there are of what lacks a mechanism that is none of the paper's ablations."""
 
 BEYOND: dict[int, int] = {32: 5, 64: 10}
 """Larger fleets, and how many times fewer runs they have: one run of 64 robots costs as much as twenty of four."""
@@ -69,6 +75,9 @@ def _ablation(seed: int, runs: int) -> Iterator[Experiment]:
     for mean in ENCOUNTERS_S:
         world = msgspec.structs.replace(Constants().world, encounter_mean_s=mean)
         yield Experiment(("fsar",), SCENARIOS, runs, seed, configurations=alone, constants=Constants(world))
+    for architecture, names in MECHANISMS_OF.items():
+        further = tuple(without([name]) for name in names if name not in MECHANISMS)
+        yield Experiment((architecture,), SCENARIOS, -(-runs // FURTHER), seed, configurations=(FULL, *further))
 
 
 def _scaling(seed: int, runs: int) -> Iterator[Experiment]:

@@ -228,7 +228,8 @@ class _Replay(Kernel):
         self._silent: list[tuple[int, Decide]] = []  # when, and who had a turn since the last event and made nothing
         for seq, event in enumerate(events):
             self._require(seq, event, 0, None if seq == 0 else 0)
-        super().__init__(wiring(spec.architecture), self._facts, Draws(run_key(spec.seed, spec.scenario, spec.run), constants.world), events, founded)
+        draws = Draws(run_key(spec.seed, spec.scenario, spec.run), constants.world)
+        super().__init__(wiring(spec.architecture, spec.configuration), self._facts, draws, events, founded)
         self._decides = {command: self._noted(decide) for command, decide in self._decides.items()}
 
     def handler(self) -> str:

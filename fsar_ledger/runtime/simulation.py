@@ -10,7 +10,7 @@ import msgspec
 from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.events.configuration import Configuration
+from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, lacks
 from fsar_ledger.events.envelope import Architecture, Scenario, Workflow
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.codec import RunRecord
@@ -42,11 +42,19 @@ class RunSpec(msgspec.Struct, frozen=True):
 _parameters = lru_cache(maxsize=8)(write_constants)
 
 
-def wiring(architecture: Architecture) -> Wiring:
-    """The architecture's handlers and reactions."""
+def wiring(architecture: Architecture, configuration: Configuration = FULL) -> Wiring:
+    """The architecture's handlers and reactions, without what the configuration lacks; the paper's ablations are known to the handlers themselves."""
     module = import_module(f".architectures.{architecture}", __package__)
-    found: Wiring = getattr(module, architecture.upper())
-    return found
+    whole: Wiring = getattr(module, architecture.upper())
+    return whole if lacks(configuration) <= set(MECHANISMS) else _switched(architecture, configuration)
+
+
+@lru_cache(maxsize=32)
+def _switched(architecture: Architecture, configuration: Configuration) -> Wiring:
+    """One object for all runs, so that the clock plans it once."""
+    from .switches import switched
+
+    return switched(wiring(architecture), architecture, configuration)
 
 
 def run_started(spec: RunSpec, constants: Constants) -> RunStarted:
@@ -76,7 +84,7 @@ def kernel(spec: RunSpec, constants: Constants, structure: Wiring | None = None)
     """The run at its founding, before the world has done anything; `structure` replaces the architecture's own wiring."""
     facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size, constants.outages, constants.load)
     draws = Draws(run_key(spec.seed, spec.scenario, spec.run), constants.world)
-    return Kernel(structure or wiring(spec.architecture), facts, draws, *founding_of(spec, constants))
+    return Kernel(structure or wiring(spec.architecture, spec.configuration), facts, draws, *founding_of(spec, constants))
 
 
 def founding_of(spec: RunSpec, constants: Constants) -> tuple[tuple[Event, ...], State]:

@@ -1,52 +1,268 @@
-"""Mechanisms that can be switched off one at a time, to show which number each of them carries.
+"""Mechanisms that can be taken out one at a time, to show which number each of them carries.
 
-A switch changes one decision of one architecture and leaves the world as it is. It is for the record of
-the fit; no switch is on in any published number.
+A switch changes decisions of one architecture and leaves the world as it is. The four mechanisms of the paper's ablation are known to the
+handlers; what stands in the place of any other one stands here, and no switch is on in a configuration that does not name it.
 """
 
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from functools import lru_cache, partial, wraps
+from types import MappingProxyType
+from typing import Any, NamedTuple
 
 import msgspec
 
+from fsar_ledger.constants import Structure
 from fsar_ledger.events import Event
-from fsar_ledger.events.configuration import Configuration
-from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.events.request import RequestClosed
+from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.configuration import MECHANISMS_OF, Configuration, lacks, without
+from fsar_ledger.events.envelope import COORDINATOR, Architecture
+from fsar_ledger.events.execution import ExecutionFailed, RoutinePerformed
+from fsar_ledger.events.recovery import FailureResolved, RecoveryAttempted, RecoveryAttemptFailed
+from fsar_ledger.events.request import ContractQuestioned, RequestClosed
+from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
+from fsar_ledger.projections.recovery import Recovery
+from fsar_ledger.projections.world import in_force
+from fsar_ledger.runtime.architectures.cfc import coordinator as cfc_coordinator
 from fsar_ledger.runtime.architectures.cfc import execution as cfc_execution
+from fsar_ledger.runtime.architectures.cfc import recovery as cfc_recovery
+from fsar_ledger.runtime.architectures.cfc import request as cfc_request
+from fsar_ledger.runtime.architectures.dhma import agents as dhma_agents
 from fsar_ledger.runtime.architectures.dhma import authority as dhma_authority
+from fsar_ledger.runtime.architectures.dhma import execution as dhma_execution
 from fsar_ledger.runtime.architectures.dhma import recovery as dhma_recovery
+from fsar_ledger.runtime.architectures.dhma import request as dhma_request
+from fsar_ledger.runtime.architectures.dhma import talk as dhma_talk
 from fsar_ledger.runtime.architectures.fsar import authority as fsar_authority
 from fsar_ledger.runtime.architectures.fsar import request as fsar_request
 from fsar_ledger.runtime.architectures.wiring import Wiring
-from fsar_ledger.runtime.handlers.commands import CloseRequest, Command, Decide
-from fsar_ledger.runtime.simulation import wiring
+from fsar_ledger.runtime.handlers.actors import body
+from fsar_ledger.runtime.handlers.attribution import on_shift, principals
+from fsar_ledger.runtime.handlers.commands import CloseRequest, Command, Decide, DecideRoutine, Draw, EndAttempt, React, Scheduled, StartAction
+from fsar_ledger.runtime.handlers.execution import holds_robot, started
+from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
+
+Rewire = Callable[[Wiring], Wiring]
 
 
 class Switch(NamedTuple):
-    """One mechanism: what it is, whose it is, the metrics it should carry, and the decisions without it."""
+    """One mechanism: its name, whose it is, the metrics that it was built for, and the decisions without it.
 
-    mechanism: str
+    `decides` replaces whole decisions; `rewire` changes the wiring in another way. A mechanism that the handlers know has neither.
+    """
+
+    name: str
     architecture: Architecture
     metrics: tuple[str, ...]
-    decides: dict[type[Command], Decide]
-    configuration: Configuration = "full"
+    decides: Mapping[type[Command], Decide] = MappingProxyType({})
+    rewire: Rewire | None = None
+
+    @property
+    def mechanism(self) -> str:
+        """What it is, and what stands in its place."""
+        return MECHANISMS_OF[self.architecture][self.name]
+
+    @property
+    def configuration(self) -> Configuration:
+        """The architecture without this mechanism alone."""
+        return without([self.name])
 
     def structure(self) -> Wiring:
         """The architecture's wiring without the mechanism."""
-        whole = wiring(self.architecture)
-        return Wiring({**whole.decides, **self.decides}, whole.reacts, whole.actors)
+        from .simulation import wiring
+
+        return wiring(self.architecture, self.configuration)
+
+    def taken_out(self, whole: Wiring) -> Wiring:
+        """The wiring without the mechanism."""
+        changed = whole if self.rewire is None else self.rewire(whole)
+        return Wiring({**changed.decides, **self.decides}, changed.reacts, changed.actors)
+
+
+def switched(whole: Wiring, architecture: Architecture, configuration: Configuration) -> Wiring:
+    """The architecture's wiring without what the configuration lacks; what its handlers look at themselves is still in it."""
+    for switch in SWITCHES:
+        if switch.architecture == architecture and switch.name in lacks(configuration):
+            whole = switch.taken_out(whole)
+    return whole
+
+
+# --- how decisions are changed ---
 
 
 def _nothing(_state: State, _command: Command) -> tuple[Event, ...]:
     return ()
 
 
+def _seeing(slot: str, changed: Callable[[State], Any], decide: Callable[..., Any]) -> Callable[..., Any]:
+    """The same decision, or reaction, on a state of which one slot is another."""
+
+    @wraps(decide)
+    def seen(state: State, *about: Any) -> Any:
+        other = State.__new__(State)
+        for name in State.__slots__:
+            setattr(other, name, getattr(state, name))
+        setattr(other, slot, changed(state))
+        return decide(other, *about)
+
+    return seen
+
+
+def _retold(change: Callable[[State, Event], Event | None], decide: Decide) -> Decide:
+    """The same decision, with its events changed one by one, or left out."""
+
+    @wraps(decide)
+    def retold(state: State, command: Command) -> tuple[Event, ...]:
+        return tuple(changed for event in decide(state, command) if (changed := change(state, event)) is not None)
+
+    return retold
+
+
+def _everywhere(change: Callable[[Decide], Decide]) -> Rewire:
+    def rewired(whole: Wiring) -> Wiring:
+        return Wiring({command: change(decide) for command, decide in whole.decides.items()}, whole.reacts, whole.actors)
+
+    return rewired
+
+
+def _leaving_out(kind: type[Event], command: type[Command]) -> Rewire:
+    """The decision on this command makes no event of this type."""
+
+    def rewired(whole: Wiring) -> Wiring:
+        retold = _retold(lambda _state, event: None if isinstance(event, kind) else event, whole.decides[command])
+        return Wiring({**whole.decides, command: retold}, whole.reacts, whole.actors)
+
+    return rewired
+
+
+def _decided_by(event: Any, robot: str) -> Event:
+    found: Event = msgspec.structs.replace(event, decided_by=robot, path=(robot,))
+    return found
+
+
+@lru_cache(maxsize=4)
+def _instead(structure: Structure, name: str) -> Structure:
+    return msgspec.structs.replace(structure, **{name: 0})
+
+
+def _in_no_time(name: str) -> Callable[[State], Any]:
+    """The fleet, with this length of its structure 0."""
+    return lambda state: msgspec.structs.replace(state.fleet, structure=_instead(state.fleet.structure, name))
+
+
+# --- FSAR ---
+
+
 def _closed_by_requester(state: State, command: CloseRequest) -> tuple[Event, ...]:
-    return tuple(
-        msgspec.structs.replace(event, decided_by=event.requested_by, path=(event.requested_by,)) if isinstance(event, RequestClosed) else event
-        for event in fsar_request.close_request(state, command)
+    events = fsar_request.close_request(state, command)
+    return tuple(_decided_by(event, event.requested_by or "") if isinstance(event, RequestClosed) else event for event in events)
+
+
+def _started_unchecked(state: State, command: StartAction) -> tuple[Event, ...]:
+    """The action runs as soon as its robot is there for it."""
+    action = state.execution.actions.get(command.action_id)
+    if action is None or action.stage not in ("queued", "approaching", "preempted") or not holds_robot(state, action):
+        return ()
+    if action.stage == "preempted" and action.has_approach:  # it has to come back first
+        return ()
+    return (started(state, action, command),)
+
+
+def _moved_unchecked(state: State, command: DecideRoutine) -> tuple[Event, ...]:
+    robot = command.robot
+    return (RoutinePerformed(robot, robot, robot, on_shift(state, robot), (robot,), robot, command.operation),)  # type: ignore[arg-type]
+
+
+# --- CFC ---
+
+
+def _copy_of_now(state: State) -> Any:
+    """What is known, with a copy that shows the robots as they are."""
+    (copy,) = cfc_coordinator.sync(state, cfc_coordinator.Sync())
+    return msgspec.structs.replace(state.knowledge, copy=copy)
+
+
+class RetryAlone(Command):
+    """The robot has seen its own failure."""
+
+    action_id: str
+
+
+def _retried(state: State, action: Action, recovery: Recovery) -> RecoveryAttempted:
+    return RecoveryAttempted(
+        task_id=action.task_id,
+        action_id=action.action_id,
+        decided_by=action.robot,
+        path=(action.robot,),
+        **principals(state, action),
+        robot=action.robot,
+        failure=recovery.failure,
+        number=recovery.number + 1,
+        level="local",
+        deadline_us=recovery.detected_us + state.fleet.structure.local_budget_us,
+        failed_action=action.action_id,
     )
+
+
+def _retry_alone(state: State, command: RetryAlone) -> tuple[Event, ...]:
+    failure = open_failure(state, command.action_id)
+    return () if failure is None else (_retried(state, *failure),)
+
+
+def _end_own_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
+    """The robot tries as often as any robot may; then it is the coordinator's."""
+    failure = open_failure(state, command.action_id)
+    if failure is None:
+        return ()
+    action, recovery = failure
+    about = (action.task_id, action.action_id, action.robot, recovery.failure)
+    if attempt_succeeds(state, recovery, command):
+        return (FailureResolved(*about, "local"),)
+    if recovery.number < state.fleet.structure.local_attempts:
+        return (_retried(state, action, recovery),)
+    return (RecoveryAttemptFailed(*about, command.number),)
+
+
+def _on_own_failure(_state: State, event: ExecutionFailed, _now_us: int) -> tuple[Scheduled, ...]:
+    return (Scheduled(RetryAlone(event.action_id)),)
+
+
+def _on_own_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[Scheduled, ...]:
+    key = f"{event.failed_action}/{event.failure}/{event.number}"
+    end = EndAttempt(event.failed_action, event.number)
+    return (Scheduled(end, state.fleet.structure.retry_preparation_us, (Draw("retry", key),), Draw("reliability", "retry/" + key)),)
+
+
+def _recovering_alone(whole: Wiring) -> Wiring:
+    """No word of a failure reaches the coordinator before the robot's own attempts are over."""
+    instead: dict[React, React] = {
+        cfc_recovery.REACTS[ExecutionFailed]: _on_own_failure,
+        cfc_recovery.REACTS[RecoveryAttempted]: _on_own_attempt,
+    }
+    reacts = {event: tuple(instead.get(react, react) for react in several) for event, several in whole.reacts.items()}
+    return Wiring({**whole.decides, RetryAlone: _retry_alone, EndAttempt: _end_own_attempt}, reacts, {**whole.actors, RetryAlone: body})
+
+
+def _requester_named(state: State, event: Any) -> Event:
+    """What names no requester, or the coordinator as such, names the robot whose task it is."""
+    found: Event = event
+    if getattr(event, "requested_by", "") in (None, COORDINATOR):
+        task = state.task.get(event.task_id or "")
+        if task is not None:
+            found = msgspec.structs.replace(event, requested_by=task.robot)
+    return found
+
+
+def _decided_by_robots(state: State, event: Any) -> Event:
+    found: Event = event
+    if getattr(event, "decided_by", None) == COORDINATOR:
+        task = state.task.get(event.task_id or "")
+        robot = event.executed_by or (None if task is None else task.robot)
+        found = event if robot is None else _decided_by(event, robot)
+    return found
+
+
+# --- DHMA ---
 
 
 def _passed_at_once(state: State, command: dhma_authority.PassExecution) -> tuple[Event, ...]:
@@ -56,12 +272,73 @@ def _passed_at_once(state: State, command: dhma_authority.PassExecution) -> tupl
     return (*acknowledged, *events)
 
 
+def _snapshots_of_now(state: State) -> Any:
+    """What is known, with snapshots that show every robot's policy as it is."""
+    return msgspec.structs.replace(state.knowledge, snapshot={robot: in_force(state.world.local, robot) for robot in state.fleet.robots})
+
+
+def _talking_in_no_time(whole: Wiring) -> Wiring:
+    """The agents of a robot hear each other at once; what they say is on record as before."""
+    quick = partial(_seeing, "fleet", _in_no_time("hop_ppm"))
+    return Wiring(whole.decides, {event: tuple(map(quick, several)) for event, several in whole.reacts.items()}, whole.actors)
+
+
+def _decided_as_one(_state: State, event: Any) -> Event:
+    decided_by = getattr(event, "decided_by", None) or ""
+    found: Event = event
+    if decided_by.startswith("agent/"):
+        found = _decided_by(event, f"robot/{decided_by.split('/')[1]}")
+    return found
+
+
+_now = partial(_seeing, "knowledge", _copy_of_now)
+_policy_now = partial(_seeing, "knowledge", _snapshots_of_now)
+
 SWITCHES: tuple[Switch, ...] = (
-    Switch("closing by the coordination engine (else by the requester)", "fsar", ("governance_locality",), {CloseRequest: _closed_by_requester}),
-    Switch("revocation waits for the request boundary (else no claim)", "fsar", ("authority_conflicts",), {fsar_authority.Revoke: _nothing}),
-    Switch("requester's policy and fleet rule composed", "fsar", ("policy_violations",), {}, "without-policy-composition"),
-    Switch("layered recovery", "fsar", ("recovery_containment", "human_intervention"), {}, "without-layered-recovery"),
-    Switch("context changes make robots and supervisors claim (else no claim)", "cfc", ("authority_conflicts",), {cfc_execution.SafeStop: _nothing}),
-    Switch("hand-off is acknowledged (else at once)", "dhma", ("authority_conflicts",), {dhma_authority.PassExecution: _passed_at_once}),
-    Switch("recovery is disputed by an engaged planner", "dhma", ("recovery_containment", "reassignment_latency_s"), {dhma_recovery.Dispute: _nothing}),
+    Switch("trust-evaluation", "fsar", ("policy_violations",)),
+    Switch("policy-composition", "fsar", ("policy_violations",)),
+    Switch("layered-recovery", "fsar", ("recovery_containment", "human_intervention")),
+    Switch("shared-registry", "fsar", ("coordination_success",)),
+    Switch("engine-closing", "fsar", ("governance_locality",), {CloseRequest: _closed_by_requester}),
+    Switch("boundary-revocation", "fsar", ("authority_conflicts",), {fsar_authority.Revoke: _nothing}),
+    Switch("start-check", "fsar", ("policy_violations", "coordination_success"), {StartAction: _started_unchecked, DecideRoutine: _moved_unchecked}),
+    Switch("safe-stop-claims", "cfc", ("authority_conflicts",), {cfc_execution.SafeStop: _nothing}),
+    Switch(
+        "synced-copies",
+        "cfc",
+        ("policy_violations", "authority_conflicts"),
+        {
+            cfc_coordinator.ProcessWork: _now(cfc_request.process),
+            cfc_request.CommandReviewed: _now(cfc_request.command_reviewed),
+            DecideRoutine: _now(cfc_execution.decide_routine),
+        },
+    ),
+    Switch(
+        "coordinator-queue",
+        "cfc",
+        ("coordination_success", "reassignment_latency_s"),
+        {cfc_coordinator.ReachCoordinator: _seeing("fleet", _in_no_time("service_us"), cfc_coordinator.reach_coordinator)},
+    ),
+    Switch("central-recovery", "cfc", ("recovery_containment", "reassignment_latency_s", "human_intervention"), rewire=_recovering_alone),
+    Switch("unnamed-requests", "cfc", ("audit_attributability",), rewire=_everywhere(partial(_retold, _requester_named))),
+    Switch("central-decisions", "cfc", ("governance_locality",), rewire=_everywhere(partial(_retold, _decided_by_robots))),
+    Switch("acknowledged-handoffs", "dhma", ("authority_conflicts",), {dhma_authority.PassExecution: _passed_at_once}),
+    Switch("planner-claims", "dhma", ("authority_conflicts",), rewire=_leaving_out(AuthorityClaimed, dhma_agents.EngagePlanner)),
+    Switch("recovery-disputes", "dhma", ("recovery_containment", "reassignment_latency_s"), {dhma_recovery.Dispute: _nothing}),
+    Switch("contract-questioning", "dhma", ("coordination_success",), rewire=_leaving_out(ContractQuestioned, dhma_agents.EngagePlanner)),
+    Switch(
+        "policy-snapshots",
+        "dhma",
+        ("policy_violations",),
+        {
+            dhma_request.EvaluateBid: _policy_now(dhma_request.evaluate_bid),
+            dhma_execution.PlanOwnStep: _policy_now(dhma_execution.plan_own_step),
+            DecideRoutine: _policy_now(dhma_execution.decide_routine),
+        },
+    ),
+    Switch("hop-latency", "dhma", ("reassignment_latency_s", "coordination_success"), rewire=_talking_in_no_time),
+    Switch("handoff-records", "dhma", ("audit_attributability",), {dhma_talk.HandOver: _nothing}),
+    Switch("agent-decisions", "dhma", ("governance_locality",), rewire=_everywhere(partial(_retold, _decided_as_one))),
+    Switch("nested-queries", "dhma", ("policy_violations", "audit_attributability"), {dhma_authority.RunOutsider: _nothing}),
 )
+assert {(one.architecture, one.name) for one in SWITCHES} == {(architecture, name) for architecture, names in MECHANISMS_OF.items() for name in names}

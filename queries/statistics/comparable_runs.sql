@@ -43,12 +43,12 @@ worlds AS (
         sum(first_runs)::BIGINT AS first_count,
         sum(second_runs)::BIGINT AS second_count,
         count(*) FILTER (WHERE first_runs > 0 AND second_runs > 0) AS shared_worlds,
-        list_sort(list(DISTINCT seed) FILTER (WHERE first_runs > 0))[:5] AS first_seeds,
-        list_sort(list(DISTINCT seed) FILTER (WHERE second_runs > 0))[:5] AS second_seeds,
-        list_sort(list(DISTINCT fleet_size) FILTER (WHERE first_runs > 0))[:5] AS first_fleet_sizes,
-        list_sort(list(DISTINCT fleet_size) FILTER (WHERE second_runs > 0))[:5] AS second_fleet_sizes,
-        list_sort(list(DISTINCT scenario) FILTER (WHERE first_runs > 0))[:5] AS first_scenarios,
-        list_sort(list(DISTINCT scenario) FILTER (WHERE second_runs > 0))[:5] AS second_scenarios
+        list_sort(list(DISTINCT seed) FILTER (WHERE first_runs > 0)) AS first_seeds,
+        list_sort(list(DISTINCT seed) FILTER (WHERE second_runs > 0)) AS second_seeds,
+        list_sort(list(DISTINCT fleet_size) FILTER (WHERE first_runs > 0)) AS first_fleet_sizes,
+        list_sort(list(DISTINCT fleet_size) FILTER (WHERE second_runs > 0)) AS second_fleet_sizes,
+        list_sort(list(DISTINCT scenario) FILTER (WHERE first_runs > 0)) AS first_scenarios,
+        list_sort(list(DISTINCT scenario) FILTER (WHERE second_runs > 0)) AS second_scenarios
     FROM met
     GROUP BY comparison, configuration
 ),

@@ -143,11 +143,6 @@ def test_verify_says_what_was_checked(call: Call, ledger: Path) -> None:
     assert (answer["ok"], answer["problems"]) == (True, [])
 
 
-def test_report_is_a_pdf(call: Call, ledger: Path, tmp_path: Path) -> None:
-    assert call("report", ledger, "--out", tmp_path / "report.pdf").code == 0
-    assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF-")
-
-
 @pytest.mark.parametrize(("seed", "zone", "locale", "workers"), [("1", "UTC", "C", "1"), ("77", "Asia/Kathmandu", "C.UTF-8", "2")])
 def test_the_ledger_is_the_same_whatever_the_surroundings(ledger: Path, tmp_path: Path, seed: str, zone: str, locale: str, workers: str) -> None:
     surroundings = {"PYTHONHASHSEED": seed, "TZ": zone, "LC_ALL": locale}

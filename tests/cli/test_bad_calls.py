@@ -239,6 +239,7 @@ WRITERS = [
     ("key", "new", "PLACE.key"),
     ("calibrate", "--out", "PLACE.json"),
     ("predict", "--out", "PLACE.json"),
+    ("judge", "predictions.json", "--out", "PLACE.json"),
     ("reproduce", "--out", "PLACE"),
 ]
 

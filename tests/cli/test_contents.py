@@ -19,6 +19,7 @@ from fsar_ledger.ledger.note import read_signer
 from fsar_ledger.ledger.read import EMPTY_HEAD
 from fsar_ledger.runtime import experiment as module
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, Made, simulate
+from fsar_ledger.runtime.experiments import named
 from fsar_ledger.runtime.plan import plan_record
 from fsar_ledger.runtime.simulation import RunSpec, run_started, simulate_run
 from tests.ledger.hostile import stage_anything
@@ -26,6 +27,7 @@ from tests.ledger.hostile import stage_anything
 from .conftest import Call, one_message
 
 OTHER = Constants(world=WorldConstants(window_mean_s=12.0))
+OURS = f"world.window_mean_s={WorldConstants().window_mean_s}"
 
 
 class Stopped(Exception):
@@ -123,6 +125,17 @@ def test_a_signed_ledger_goes_on_with_a_key(call: Call, tmp_path: Path) -> None:
     assert plan["continues_with"].endswith("--architecture fsar --scenario door-relay --runs 2 --key KEY")
 
 
+@pytest.mark.parametrize(("folder", "is_reproduced"), [("ablation", True), ("elsewhere", False)])
+def test_a_ledger_that_reproduce_signed_under_a_name_of_its_own_goes_on_with_reproduce(call: Call, tmp_path: Path, folder: str, is_reproduced: bool) -> None:
+    call("key", "new", tmp_path / "key", "--name", "example.org/fleet")
+    experiment, path = named("ablation", 42, 1), tmp_path / "paper" / folder
+    with pytest.raises(Stopped):
+        simulate(path, experiment.parts[1], 1, stop_after(0), experiment.signer(read_signer(tmp_path / "key")))
+    [plan] = info(call, path)["plans"]
+    wanted = f"fsar-ledger reproduce --out {shlex.quote(str(path.parent))} --only ablation --runs 1 --key KEY" if is_reproduced else None
+    assert plan["continues_with"] == wanted
+
+
 def test_two_shapes_in_one_ledger_are_two_plans_and_both_are_complete(call: Call, tmp_path: Path) -> None:
     simulate(tmp_path / "ledger", small("fsar", runs=3), 1)
     simulate(tmp_path / "ledger", small("cfc", scenarios=("fleet-contention",), runs=1), 1)
@@ -149,12 +162,12 @@ def test_two_parameter_sets_are_told_apart_and_the_constants_named(call: Call, t
     simulate(tmp_path / "ledger", small(runs=1, constants=OTHER), 1)
     found = info(call, tmp_path / "ledger")
     assert sorted((group["constants"], group["runs"], group["runs_to_rectangle"]) for group in found["groups"]) == [("A", 3, 0), ("B", 1, 0)]
-    assert [model["differing"] for model in found["models"]] == ["world.window_mean_s=11.3", "world.window_mean_s=12"]
+    assert [model["differing"] for model in found["models"]] == [OURS, "world.window_mean_s=12"]
     assert [(plan["planned_count"], plan["missing_count"], plan["continues_with"]) for plan in found["plans"]] == [(3, 0, None), (2, 1, None), (1, 0, None)]
     assert found["is_complete"] is False
     text = said(call, tmp_path / "ledger")
     assert "1 of 2 runs of door-relay x 2 runs x fsar, seed 42, 4 robots; go on with the version and the constants that began it" in text
-    assert "constants A: simulated, model version 2, 3 runs: world.window_mean_s=11.3\n" in text
+    assert f"constants A: simulated, model version 2, 3 runs: {OURS}\n" in text
     assert "constants B: simulated, model version 2, 1 run: world.window_mean_s=12\n" in text
 
 

@@ -81,6 +81,7 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("report", ledger, "--out", ledger / "x.pdf"),
         ("calibrate", "--out", out, "--workers", EVIL),
         ("predict", "--out", out, "--workers", EVIL),
+        ("judge", EVIL, "--out", out),
         ("sensitivity", "--out", out, "--workers", EVIL),
         ("key", "public", EVIL, "--name", EVIL),
         ("multiverse", ledger, "--metric", "human_intervention"),

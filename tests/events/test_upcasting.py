@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from fsar_ledger.events import EVENT_TYPES, RETIRED_TYPES, UPCASTS, Event
-from fsar_ledger.events.upcasting import Chains, Upcaster, chains
+from fsar_ledger.events.upcasting import Addition, Chains, Upcaster, Value, adding, additions, chains
 
 
 class MovedV1(Event, frozen=True, tag="Moved.v1"):
@@ -24,6 +24,18 @@ class MovedV3(Event, frozen=True, tag="Moved.v3"):
 
 class MovedV4(Event, frozen=True, tag="Moved.v4"):
     millimetres: int
+
+
+class MovedV5(Event, frozen=True, tag="Moved.v5"):
+    millimetres: int
+    by: tuple[str, ...]
+    place: str | None = None
+
+
+class MovedV6(Event, frozen=True, tag="Moved.v6"):
+    millimetres: int
+    is_fast: bool
+    place: str | None
 
 
 class Stopped(Event, frozen=True):
@@ -110,3 +122,35 @@ def test_what_is_retired_today_has_its_way_to_a_current_type() -> None:
 def test_each_fault_of_a_table_is_named(table: Table, message: str) -> None:
     with pytest.raises(TypeError, match=message):
         chains(*table)
+
+
+# --- steps that only add ---
+
+
+def test_a_step_that_adds_keeps_every_field_of_the_version_before() -> None:
+    step = adding(MovedV4, MovedV5, by=("robot/A1",))
+    assert step.change(MovedV4(7)) == MovedV5(7, ("robot/A1",))
+    assert additions((MovedV4,), (step,)) == {MovedV4: Addition(MovedV5, {"by": ("robot/A1",)})}
+
+
+def test_what_is_added_on_the_way_adds_up_and_a_way_with_another_change_adds_nothing() -> None:
+    second, third = adding(MovedV2, MovedV3, is_fast=False), adding(MovedV3, MovedV6, place=None)
+    both = Addition(MovedV6, {"is_fast": False, "place": None})
+    assert additions((MovedV1, MovedV2, MovedV3), (FIRST, second, third)) == {MovedV2: both, MovedV3: Addition(MovedV6, {"place": None})}
+    assert additions((MovedV1, MovedV2), (FIRST, SECOND)) == {}
+
+
+@pytest.mark.parametrize(
+    ("versions", "added", "message"),
+    [
+        ((MovedV4, MovedV5), {}, r"adds \[\] and lacks \['by'\], expected of \['by', 'place'\]"),
+        ((MovedV4, MovedV5), {"by": (), "pace": 1}, r"adds \['by', 'pace'\]"),
+        ((MovedV4, MovedV5), {"by": (), "millimetres": 1}, r"adds \['by', 'millimetres'\]"),
+        ((MovedV3, MovedV5), {"by": ()}, r"upcaster of Moved\.v3: found that it adds \['by'\] and lacks \[\]"),
+        ((MovedV4, MovedV5), {"by": ("a", 1)}, r"upcaster of Moved\.v4: field by: Expected `str`, got `int`"),
+    ],
+    ids=["too little", "an unknown field", "a field that was there", "a field that goes", "another kind"],
+)
+def test_a_step_that_does_not_only_add_is_refused(versions: tuple[type[Event], type[Event]], added: dict[str, Value], message: str) -> None:
+    with pytest.raises(TypeError, match=message):
+        adding(versions[0], versions[1], **added)

@@ -13,7 +13,8 @@ from fsar_ledger.commands.audit import audit
 from fsar_ledger.commands.contents import contents
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.events import ALONE, EVENT_TYPES
-from fsar_ledger.ledger.codec import encode_hashed
+from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.ledger.codec import RunRecord, encode, encode_hashed
 from fsar_ledger.ledger.note import read_verifier
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.releases import RELEASE, parse_columns
@@ -21,6 +22,8 @@ from fsar_ledger.ledger.schema import LAYOUTS, RETIRED, SCHEMA, described
 from fsar_ledger.ledger.verify import Asked, verify
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.untrusted import run_untrusted
+from tests.ledger.bomb_trial import cost_of
+from tests.ledger.bombs import base_ledger, commit, runs
 from tests.ledger.keep_release import COLUMNS, LEDGERS, Kept, keep, stored_types
 from tests.ledger.samples import append_all, made_up_batches
 
@@ -118,6 +121,26 @@ def test_sql_answers_about_a_kept_ledger(path: Path, kept: Kept) -> None:
         assert answer.num_rows > 0
     assert set(answers[0].column("run_id").to_pylist()) == set(answers[1].column("run_id").to_pylist()) == set(kept.runs)
     assert run_untrusted(path, "SELECT count(*) AS events FROM events").rows == [{"events": kept.events}]
+
+
+@pytest.mark.parametrize("version", ["0.1.0", "0.2.0"])  # those with a retired type
+def test_sql_has_rows_of_retired_types_as_their_events_are_decoded(path: Path) -> None:
+    started = [record for record in open_ledger(path).runs() if isinstance(record.events[0], RunStarted)]
+    [expected] = [encode([RunRecord(record.run_id, record.times_us[:1], [None], record.events[:1]) for record in started])]
+    select = "SELECT * FROM events WHERE type = 'RunStarted.v2' ORDER BY run_id"
+    with connect(path) as database:
+        assert database.table(select).to_pylist() == expected.sort_by("run_id").to_pylist()
+        assert database.rows("SELECT count(*) AS n FROM events WHERE type = 'RunStarted.v1' OR observes IS NOT NULL AND seq > 0") == [{"n": 0}]
+    assert run_untrusted(path, select).rows == expected.sort_by("run_id").to_pylist()
+
+
+def test_rows_of_a_retired_type_are_not_made_anew_for_an_answer(tmp_path: Path) -> None:
+    base_ledger(tmp_path / "ledger")
+    old = runs(200_000)
+    commit(tmp_path / "ledger", old, len(old))
+    cost = cost_of(["sql", "ledger", "SELECT count(observes), max(run_id) FROM events"], tmp_path)
+    assert cost.code == 0, cost
+    assert cost.memory_mib < 400, cost  # made anew they took 700 MiB
 
 
 def test_a_writer_of_today_continues_a_kept_ledger(path: Path, kept: Kept, tmp_path: Path) -> None:

@@ -101,6 +101,12 @@ def test_whose_source_records_the_world_records_every_fact_of_it() -> None:
     assert len(observing) == 1 + len(concerns) > 4
 
 
+def test_of_many_seeds_the_first_are_named_and_the_others_counted() -> None:
+    runs = [of("fsar", at, seed=at) for at in range(1, 9)]
+    _, (why, *_), _ = said(*runs, of("cfc", 0, seed=99))
+    assert "fsar (full) under seeds 1, 2, 3, 4, 5 and 3 more, 4 robots, door-relay; cfc (full) under seeds 99, 4 robots" in why
+
+
 def ablated(calls: Sequence[int], *, with_full: bool = True) -> list[list[Row]]:
     """Runs of FSAR, and of FSAR without trust evaluation with so many calls more."""
     full = [of("fsar", at, *[CALL] * (at % 2)) for at in range(len(calls))] if with_full else []

@@ -1,12 +1,15 @@
 """What holds for every packaged query: its header says what it is, it runs on an empty ledger, it repeats itself."""
 
+import re
+from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
 
+import duckdb
 import pytest
 
 from fsar_ledger.ledger.schema import LAYOUTS
-from fsar_ledger.metrics.database import from_rows
+from fsar_ledger.metrics.database import Database, from_rows
 from fsar_ledger.metrics.library import KEYS, REQUIRED_KEYS, Library, Query, library, parse, view_name
 
 FILES = sorted(Path(str(files("fsar_ledger.queries"))).rglob("*.sql"))
@@ -50,13 +53,35 @@ def test_header_goes_on_over_several_lines() -> None:
     assert query.header["Units"] == "one two"
 
 
-@pytest.mark.parametrize("name", PACKAGED)
-def test_query_runs_on_an_empty_ledger(name: str) -> None:
+@pytest.fixture(scope="module")
+def empty() -> Iterator[Database]:
+    """An empty ledger, one for all queries. What one made stands there for the next: whether each finds all that it reads is asked of DuckDB below."""
     with from_rows([]) as database:
-        table = database.query(name)
+        yield database
+
+
+@pytest.mark.parametrize("name", PACKAGED)
+def test_query_runs_on_an_empty_ledger(empty: Database, name: str) -> None:
+    table = empty.query(name)
     constant = name in CONSTANT
     assert (table.num_rows > 0) == constant
     assert table.num_columns > 0
+
+
+def relations_in(sql: str, connection: duckdb.DuckDBPyConnection) -> set[str]:
+    """The relations that DuckDB's own parser finds in a SELECT, wherever they stand, its steps among them."""
+    ((tree,),) = connection.execute("SELECT json_serialize_sql(?)", [sql]).fetchall()
+    assert '"error":false' in tree, tree
+    return set(re.findall(r'"table_name":"(\w+)"', tree))
+
+
+def test_duckdb_reads_nothing_that_the_library_does_not_make_for_a_query() -> None:
+    made = {query.relation for query in library().queries.values()} | {"events"}
+    with duckdb.connect() as connection:
+        assert relations_in("SELECT a.x FROM a, (SELECT y FROM b) WHERE x IN (SELECT z FROM c)", connection) == {"a", "b", "c"}
+        read = {name: relations_in(query.sql, connection) & made for name, query in library().queries.items()}
+    assert [(name, unseen) for name, relations in read.items() if (unseen := relations - library().queries[name].sources())] == []
+    assert len([name for name, relations in read.items() if relations]) > 200
 
 
 def test_every_event_type_has_a_view_with_its_fields_that_runs_on_an_empty_ledger() -> None:

@@ -24,7 +24,8 @@ from tests.recycled import from_rows, from_table
 OF_NO_CONCERN = {"RunStarted", "ExperimentPlanned"}
 """They say what a run is."""
 
-NEEDED = {judge: {one[1] for one in answer("facts/judged_concerns") if one[0] == judge} for judge, _, _ in answer("facts/judged_concerns")}
+_JUDGED = answer("facts/judged_concerns")
+NEEDED = {judge: {one[1] for one in _JUDGED if one[0] == judge} for judge, _, _ in _JUDGED}
 CONCERN_OF = dict(answer("facts/event_concerns"))
 ONLY_RECORDS = {"registry", "message"}
 """Of what `event_classes` names, what is a record and no decision."""

@@ -44,7 +44,7 @@ def test_another_ledger_gives_another_report(make_ledger: Make, ledger: Path, tm
 @pytest.mark.parametrize(
     "contents",
     [
-        {"architectures": ("fsar",)},
+        pytest.param({"architectures": ("fsar",)}, marks=pytest.mark.slow),  # of the others one has one architecture, too, and one no whole experiment
         {"architectures": ("cfc", "dhma"), "scenarios": ("door-relay",), "runs": 1},
         {"architectures": ("fsar",), "configuration": "without-shared-registry"},
         {"fleet_size": 8},

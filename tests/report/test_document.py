@@ -237,8 +237,8 @@ def test_head_and_query_hashes_are_those_of_the_ledger_and_the_files(ledger: Pat
 
 def test_every_table_spec_is_used_and_every_figure_has_its_query(printed: dict[str, Any]) -> None:
     named = {entry.name.removesuffix(".toml") for entry in files("fsar_ledger.reports").joinpath("tables").iterdir()}
-    from_the_fit = {"calibrated-parameters", "residuals", "directions", "switch-offs"}
-    of_other_ledgers = {"mechanism-coverage", "ablation", "ablation-text", "encounters", "scaling", "beyond"}
+    from_the_fit = {"calibrated-parameters", "residuals", "directions"}
+    of_other_ledgers = {"mechanism-coverage", "ablation", "ablation-text", "encounters", "scaling", "beyond", "carried", "mechanism-differences"}
     of_readings = {"every-reading", "rankings"}
     assert named == set(printed["tables"]) | from_the_fit | {"other-runs", "sensitivity"} | of_other_ledgers | of_readings
     for name in named:

@@ -34,7 +34,7 @@ def test_batches_have_25_runs_and_the_last_one_the_rest() -> None:
         ({"architectures": ("cfc", "cfc")}, "each once"),
         ({"scenarios": ("moon",)}, "scenario: found moon"),
         ({"configurations": ("without-luck",)}, "configuration: found without-luck"),
-        ({"configurations": ("without-trust-evaluation",)}, "taken out of FSAR only"),
+        ({"configurations": ("without-trust-evaluation",)}, r"without trust-evaluation: found architecture cfc, expected fsar alone"),
         ({"runs": 0}, "runs: found 0"),
         ({"runs": 10_000}, "runs: found 10000"),
         ({"seed": -1}, "seed: found -1"),

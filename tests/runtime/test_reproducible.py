@@ -15,6 +15,8 @@ import pytest
 from fsar_ledger.ledger.verify import verify
 
 RUNS = ["--runs", "5", "--seed", "9"]
+PINNED = "2157cbb864921c4a48bee5eea6fea6ced75a1d0d1e7ab02e39fdc53dc4e838bb"
+"""The root of the default experiment. Only a new fit, or a new version of the model, may change it."""
 
 
 def command(out: Path, *options: str) -> list[str]:
@@ -110,3 +112,11 @@ def test_simulating_again_adds_nothing(tmp_path: Path, made: Path, expected: dic
     shutil.copytree(made, tmp_path / "ledger")
     simulate(tmp_path / "ledger")
     assert fingerprint(tmp_path / "ledger") == expected
+
+
+@pytest.mark.slow
+def test_the_default_experiment_has_the_root_that_is_pinned(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "fsar_ledger", "simulate", str(tmp_path / "ledger"), "--runs", "20", "--seed", "42"], check=True, capture_output=True, text=True
+    )
+    assert done.stdout.splitlines()[1] == f"root {PINNED}"

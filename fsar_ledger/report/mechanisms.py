@@ -1,0 +1,165 @@
+"""Which mechanism carries which number: each architecture in full beside itself without one mechanism, on the same worlds, metric by metric."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import msgspec
+
+from fsar_ledger.events.configuration import EVERY_MECHANISM, MECHANISMS_OF, ON_RECORD_ALONE, lacks, without
+from fsar_ledger.metrics.database import Database
+from fsar_ledger.metrics.plans import completeness
+from fsar_ledger.report import printing, specs
+from fsar_ledger.report.findings import ARCHITECTURES, MAIN_FLEET_SIZE, Findings, Mechanisms, Row, Told
+from fsar_ledger.report.sections import Sourced
+
+QUERY = "statistics/mechanism_differences"
+QUERIES = (QUERY,)
+LEVEL = 0.05  # of what carries a number, adjusted over all tests of the table
+MAX_OTHERS = 2  # mechanisms named beside the one that carries most
+
+HELD_SQL = """
+    SELECT count(*) AS runs
+    FROM runs
+    WHERE fleet_size = $fleet_size AND list_contains($configurations, configuration)
+"""
+ROWS_SQL = f"""
+    SELECT *
+    FROM {QUERY.partition("/")[2]}
+    WHERE pools_seeds = $pooled AND fleet_size = $fleet_size AND list_contains($configurations, configuration)
+"""
+
+
+def mechanisms_of(database: Database, *, pools_seeds: bool = False) -> Mechanisms | None:
+    """What each mechanism adds to each metric, in the setting with most of them; None where the ledger holds no architecture without one."""
+    chosen: dict[str, Any] = {"fleet_size": MAIN_FLEET_SIZE, "configurations": [without([name]) for name in EVERY_MECHANISM]}
+    if not database.rows(HELD_SQL, chosen)[0]["runs"]:
+        return None
+    tables: dict[tuple[str, int | None], list[Row]] = {}
+    for row in database.rows(ROWS_SQL, chosen | {"pooled": pools_seeds}):
+        tables.setdefault((row["setting"], row["seed"]), []).append(row)
+    if not tables:
+        return None
+    rows = max(tables.values(), key=lambda one: (len(one), sum(row["n"] for row in one)))
+    head = database.head
+    (runs,) = database.rows("SELECT count(*) AS runs FROM runs")
+    said = (0, 0, "") if head is None else (head.commits, head.size, head.root)
+    told = Told(*said, runs["runs"], completeness(database).sentence(), rows[0]["model_version"])
+    return Mechanisms(told, tuple(sorted(map(_named, rows), key=_place)))
+
+
+def _named(row: Row) -> Row:
+    """The row with its mechanism, its interval as one, whether that excludes 0, and whether the difference stands beside all others that are tested."""
+    [mechanism] = lacks(row["configuration"])
+    interval = None if row["ci_low"] is None or row["ci_high"] is None else (row["ci_low"], row["ci_high"])
+    is_marked = interval is not None and not interval[0] <= 0 <= interval[1]
+    stands = row["p_holm"] is not None and row["p_holm"] < LEVEL
+    return row | {"mechanism": mechanism, "interval": interval, "is_marked": is_marked, "stands": stands}
+
+
+def _place(row: Row) -> tuple[int, int, int]:
+    """The order of the table: the paper's architectures, the mechanisms in their order, the metrics in theirs."""
+    names = list(MECHANISMS_OF[row["architecture"]])
+    return ARCHITECTURES.index(row["architecture"]), names.index(row["mechanism"]), row["position"]
+
+
+def carried(found: Mechanisms) -> list[Row]:
+    """One row for each cell of the results table: the mechanism that carries most of it, the further ones, and how many it was asked of."""
+    cells = []
+    for spec in specs.metrics():
+        for architecture in ARCHITECTURES:
+            asked = [row for row in found.rows if (row["metric"], row["architecture"]) == (spec.name, architecture)]
+            bearing = sorted((row for row in asked if row["stands"]), key=lambda row: -abs(row["mean_difference"]))
+            cell: Row = {"metric": spec.name, "architecture": architecture, "asked": len(asked)}
+            most = bearing[0] if bearing else None
+            cell |= {name: None if most is None else most[name] for name in ("mechanism", "mean_difference", "interval", "p_holm")}
+            cell |= {"mean": (most or asked[0])["full_mean"] if asked else None, "others": _others(bearing[1:])}
+            cell["words"] = _words(cell["mechanism"]) if most else "none of these" if asked else None
+            cells.append(cell)
+    return cells
+
+
+def _others(rows: Sequence[Row]) -> str | None:
+    """The next mechanisms in words, with what they add."""
+    told = [f"{_words(row['mechanism'])} {signed(row['metric'], row['mean_difference'])}" for row in rows[:MAX_OTHERS]]
+    more = [f"{len(rows) - MAX_OTHERS} more"] if len(rows) > MAX_OTHERS else []
+    return ", ".join([*told, *more]) or None
+
+
+def _words(mechanism: str) -> str:
+    return mechanism.replace("-", " ")
+
+
+def signed(metric: str, value: float) -> str:
+    """A difference in the metric's printed unit, with its sign."""
+    printed = printing.in_metric(metric, value)
+    return printed if value <= 0 or not any(digit in "123456789" for digit in printed) else f"+{printed}"
+
+
+def tables(findings: Findings, sourced: Sourced) -> dict[str, printing.Table]:
+    """The table mechanism by metric, and that of the cells; none where no ledger has runs without a mechanism."""
+    found = findings.mechanisms
+    if found is None:
+        return {}
+    source = sourced(QUERY)
+    cells = [row | {"mean_difference": None if row["mean_difference"] is None else signed(row["metric"], row["mean_difference"])} for row in carried(found)]
+    return {"mechanism-differences": _wide(found.rows, source), "carried": printing.table("carried", cells, source)}
+
+
+def _wide(rows: Iterable[Row], source: str) -> printing.Table:
+    """One row for each mechanism, with a column for each metric: what the mechanism adds, and below it the interval; strong where that excludes 0."""
+    lines: dict[tuple[str, str], dict[str, Any]] = {}
+    for row in rows:
+        line = lines.setdefault((row["architecture"], row["mechanism"]), {"architecture": row["architecture"], "words": _words(row["mechanism"]), "n": 0})
+        line[row["metric"]] = row
+        line["n"] = max(line["n"], row["n"])
+    blank = dict.fromkeys(spec.name for spec in specs.metrics())
+    plain = printing.table("mechanism-differences", [blank | line for line in lines.values()], source)
+    return msgspec.structs.replace(plain, rows=tuple(tuple(map(_difference, row)) for row in plain.rows))
+
+
+def _difference(cell: printing.Cell) -> printing.Cell:
+    """The cell of a metric: 0 alone where no pair of runs differs, no interval where too few do."""
+    if not isinstance(cell.value, dict):
+        return cell
+    row = cell.value
+    value = [row["mean_difference"], row["ci_low"], row["ci_high"]]
+    if row["mean_difference"] is None:
+        return printing.Cell(value, printing.NOTHING, "quiet")
+    if not row["differing_pairs"]:
+        return printing.Cell(value, "0", "quiet")
+    ends = "no interval" if row["interval"] is None else " to ".join(printing.in_metric(row["metric"], end) for end in row["interval"])
+    return printing.Cell(value, f"{signed(row['metric'], row['mean_difference'])}\n{ends}", "strong" if row["is_marked"] else "plain")
+
+
+def sentences(findings: Findings) -> dict[str, Any] | None:
+    """What the sentences say: whose runs, how many tests stand, and what each mechanism is; None without such runs."""
+    found = findings.mechanisms
+    if found is None:
+        return None
+    tested = [row for row in found.rows if row["p_holm"] is not None]
+    another = found.told.model_version if findings.model_version is not None and found.told.model_version != findings.model_version else None
+    held = {(row["architecture"], row["mechanism"]) for row in found.rows}
+    every = {(architecture, name) for architecture, names in MECHANISMS_OF.items() for name in names}
+    return {
+        "size": printing.integer(found.told.size),
+        "root": found.told.root,
+        "runs": printing.integer(found.told.run_count),
+        "completeness": found.told.completeness,
+        "another_model": another and printing.words(another),
+        "mechanisms": len(held),
+        "missing": len(every - held),
+        "differences": len(found.rows),
+        "unmoved": sum(not row["differing_pairs"] for row in found.rows),
+        "marked": sum(row["is_marked"] for row in found.rows),
+        "tests": len(tested),
+        "standing": sum(row["stands"] for row in tested),
+        "on_record": [_words(name) for name in EVERY_MECHANISM if name in ON_RECORD_ALONE and any(name == one for _, one in held)],
+        "meaning": [
+            {
+                "architecture": architecture.upper(),
+                "each": [{"name": _words(name), "what": what} for name, what in names.items() if (architecture, name) in held],
+            }
+            for architecture, names in MECHANISMS_OF.items()
+            if any(one == architecture for one, _ in held)
+        ],
+    }

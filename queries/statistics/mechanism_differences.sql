@@ -1,0 +1,54 @@
+-- Title: Which mechanism carries which number: an architecture in full beside itself without some mechanism, in pairs, metric by metric
+-- Paper: sec:evaluation:ablation
+-- Grain: one row per architecture, configuration other than full, setting (kind, source, model version, constants, fleet size), metric, and seed or all seeds
+--        (pools_seeds)
+-- Units: first is in full and second without, so mean_difference is what the mechanism adds; n and all else as in side_differences, but p_holm over the
+--        family_tests tests of all mechanisms of all architectures, of one setting and seed
+-- NULL: seed for all seeds; the rest as in side_differences
+-- Example: fsar-ledger query statistics/mechanism_differences LEDGER
+WITH ablated AS (
+    SELECT
+        sides.architecture,
+        comparisons.configuration,
+        sides.setting,
+        sides.fleet_size,
+        sides.kind,
+        sides.source,
+        sides.model_version,
+        differences.pools_seeds,
+        differences.seed,
+        differences.position,
+        differences.metric,
+        differences.n,
+        differences.differing_pairs,
+        differences.first_mean AS full_mean,
+        differences.second_mean AS without_mean,
+        differences.mean_difference,
+        differences.ci_low,
+        differences.ci_high,
+        differences.test,
+        differences.p,
+        differences.d_z
+    FROM side_differences AS differences
+    INNER JOIN side_comparisons AS comparisons
+        ON differences.first_side = comparisons.first_side AND differences.second_side = comparisons.second_side
+    INNER JOIN sides ON differences.second_side = sides.side
+    WHERE comparisons.family LIKE 'ablations of %' AND differences.scenario IS NULL
+),
+
+ranked AS (
+    SELECT
+        *,
+        count(p) OVER family AS family_tests,
+        (count(p) OVER family - row_number() OVER (family ORDER BY p NULLS LAST, architecture, configuration, position) + 1) * p AS bound
+    FROM ablated
+    WINDOW family AS (PARTITION BY setting, pools_seeds, seed)
+)
+
+SELECT
+    * EXCLUDE (bound),
+    CASE
+        WHEN p IS NOT NULL
+            THEN least(1, max(bound) OVER (PARTITION BY setting, pools_seeds, seed ORDER BY p NULLS LAST, architecture, configuration, position))
+    END AS p_holm
+FROM ranked

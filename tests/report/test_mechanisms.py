@@ -1,0 +1,193 @@
+"""Which mechanism carries which number: pairs with and without one, what the query answers, and what the report says of it."""
+
+import json
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from typing import Any
+
+import msgspec
+import pytest
+from scipy import stats
+
+from fsar_ledger.commands.options import experiment_of
+from fsar_ledger.constants import Constants
+from fsar_ledger.errors import InvalidExperiment
+from fsar_ledger.events import Event
+from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.configuration import MECHANISMS, MECHANISMS_OF, ON_RECORD_ALONE, without
+from fsar_ledger.events.fleet import RunStarted
+from fsar_ledger.events.request import ContractQuestioned, InternalHandoff
+from fsar_ledger.ledger.codec import encode
+from fsar_ledger.metrics.database import Database
+from fsar_ledger.report import document, mechanisms, specs, typeset
+from fsar_ledger.report.findings import SCENARIOS, Findings, Mechanisms
+from fsar_ledger.report.mechanisms import carried, mechanisms_of
+from fsar_ledger.runtime.experiment import Experiment
+from fsar_ledger.runtime.experiments import named
+from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from fsar_ledger.runtime.switches import SWITCHES, Switch
+from tests.recycled import from_table
+
+COPIES, CLAIMS, UNNAMED = "synced-copies", "safe-stop-claims", "unnamed-requests"
+CALM = msgspec.structs.replace(Constants().world, context_rate_per_s=0.0)
+
+
+def played(*experiments: Experiment) -> AbstractContextManager[Database]:
+    return from_table(encode([simulate_run(spec, one.constants) for one in experiments for spec in one.specs()]))
+
+
+def of_cfc(*names: str, runs: int = 2, constants: Constants = Constants()) -> Experiment:  # noqa: B008
+    return Experiment(("cfc",), SCENARIOS, runs, 42, 4, ("full", *(without([name]) for name in names)), constants)
+
+
+@pytest.fixture(scope="module")
+def database() -> Iterator[Database]:
+    with played(of_cfc(CLAIMS, COPIES, UNNAMED, runs=3)) as opened:
+        yield opened
+
+
+@pytest.fixture(scope="module")
+def found(database: Database) -> Mechanisms:
+    answered = mechanisms_of(database)
+    assert answered is not None
+    return answered
+
+
+def test_every_mechanism_that_has_a_name_can_be_taken_out_and_names_are_of_one_architecture() -> None:
+    assert [(one.architecture, one.name) for one in SWITCHES] == [(architecture, name) for architecture, names in MECHANISMS_OF.items() for name in names]
+    assert len({one.name for one in SWITCHES}) == len(SWITCHES)
+    assert {one.name for one in SWITCHES if not one.decides and one.rewire is None} == set(MECHANISMS), "only these are known to the handlers"
+
+
+def test_of_two_mechanisms_that_are_taken_out_neither_puts_the_other_back() -> None:
+    for architecture in MECHANISMS_OF:
+        replaced = [command for one in SWITCHES if one.architecture == architecture for command in one.decides]
+        assert len(replaced) == len(set(replaced)), "the second would decide as if the first were there"
+    names = [without(some) for some in ((), ("planner-claims",), ("contract-questioning",), ("planner-claims", "contract-questioning"))]
+    made = [simulate_run(RunSpec(5, "dhma", name, "mixed-trust-inspection", 4, 0), Constants()).events for name in names]
+    claims = [any(isinstance(event, AuthorityClaimed) and event.reason == "context change" for event in events) for events in made]
+    questions = [any(isinstance(event, ContractQuestioned) for event in events) for events in made]
+    assert claims == [True, False, True, False]
+    assert questions == [True, True, False, False]
+
+
+def test_the_ledger_of_ablations_holds_every_architecture_without_each_mechanism() -> None:
+    held = {(one, name) for part in named("ablation", 42, 3).parts for one in part.architectures for name in part.configurations}
+    assert held == {(architecture, name) for architecture, names in MECHANISMS_OF.items() for name in ("full", *map(without, ([one] for one in names)))}
+
+
+@pytest.mark.parametrize("switch", [one for one in SWITCHES if one.name in ON_RECORD_ALONE], ids=lambda one: one.name)
+def test_without_what_is_on_record_alone_the_same_is_done_at_the_same_times(switch: Switch) -> None:
+    whole, less = (simulate_run(RunSpec(5, switch.architecture, name, "door-relay", 4, 0), Constants()) for name in ("full", switch.configuration))
+    done, done_less = ([(time, what(event)) for time, event in zip(run.times_us, run.events, strict=True) if is_deed(event)] for run in (whole, less))
+    assert done == done_less
+    assert whole.events[1:] != less.events[1:]
+
+
+def is_deed(event: Event) -> bool:
+    return not isinstance(event, RunStarted | InternalHandoff)
+
+
+def what(event: Event) -> Any:
+    """The event without who is on record for it."""
+    anybody: dict[str, Any] = {name: None if name != "path" else () for name in ("decided_by", "requested_by", "path") if name in event.__struct_fields__}
+    return msgspec.structs.replace(event, **anybody)
+
+
+def test_a_mechanism_is_looked_for_in_the_architecture_that_has_it() -> None:
+    asked = experiment_of(None, None, 1, 42, 4, [COPIES])
+    assert (asked.architectures, asked.configurations) == (("cfc",), ("without-synced-copies",))
+
+
+@pytest.mark.parametrize(
+    ("architectures", "asked", "why"),
+    [
+        (None, ["synced-copy"], "did you mean 'synced-copies'"),
+        (["fsar"], [COPIES], "without synced-copies: found architecture fsar, expected cfc alone"),
+        (None, [COPIES, "hop-latency"], "found architecture cfc, expected dhma alone"),
+        (None, [f"{COPIES}+hop-latency"], "expected full, or without- and some of .*, of one architecture"),
+    ],
+)
+def test_what_an_architecture_does_not_have_cannot_be_taken_out_of_it(architectures: list[str] | None, asked: list[str], why: str) -> None:
+    with pytest.raises(InvalidExperiment, match=why):
+        experiment_of(architectures, None, 1, 42, 4, asked)
+
+
+def test_where_a_mechanism_has_nothing_to_do_every_difference_is_exactly_0() -> None:
+    with played(of_cfc(CLAIMS, constants=Constants(CALM))) as calm:
+        rows = calm.rows("SELECT * FROM mechanism_differences WHERE NOT pools_seeds")
+    assert len(rows) == 8
+    assert {(row["n"], row["differing_pairs"], row["mean_difference"]) for row in rows} == {(10, 0, 0.0)}
+    assert {row["p"] for row in rows} == {None}
+
+
+def test_a_difference_is_in_full_minus_without_and_its_interval_that_of_the_paired_t_test(database: Database) -> None:
+    values = {
+        name: [row["value"] for row in database.rows("SELECT value FROM run_metrics WHERE metric = $m AND configuration = $c ORDER BY scenario, run", about)]
+        for name in ("full", without([CLAIMS]))
+        if (about := {"m": "authority_conflicts", "c": name})
+    }
+    full, less = values.values()
+    assert full != less
+    expected = stats.ttest_rel(full, less)
+    [row] = [one for one in database.rows("SELECT * FROM mechanism_differences WHERE NOT pools_seeds") if _is(one, CLAIMS, "authority_conflicts")]
+    low, high = expected.confidence_interval()
+    assert row["mean_difference"] == pytest.approx(sum(full) / len(full) - sum(less) / len(less))
+    # differing pairs set the degrees of freedom, so the interval is no narrower than that of all pairs
+    assert row["ci_low"] <= low + 1e-9
+    assert row["ci_high"] >= high - 1e-9
+    assert row["ci_low"] > 0
+
+
+def _is(row: dict[str, Any], mechanism: str, metric: str) -> bool:
+    return (row["configuration"], row["metric"]) == (without([mechanism]), metric)
+
+
+def test_holm_adjusts_the_tests_of_all_mechanisms_together(found: Mechanisms) -> None:
+    tested = sorted((row for row in found.rows if row["p"] is not None), key=lambda row: row["p"])
+    assert {row["family_tests"] for row in found.rows} == {len(tested)}
+    expected = 0.0
+    for at, row in enumerate(tested):
+        expected = max(expected, min(1.0, (len(tested) - at) * row["p"]))
+        assert row["p_holm"] == pytest.approx(expected)
+
+
+def test_a_cell_is_carried_by_the_mechanism_that_moves_it_furthest_of_those_that_stand(found: Mechanisms) -> None:
+    cells = {(cell["metric"], cell["architecture"]): cell for cell in carried(found)}
+    assert len(cells) == 24
+    assert cells["audit_attributability", "cfc"]["mechanism"] == UNNAMED
+    assert cells["governance_locality", "cfc"]["words"] == "none of these"
+    assert cells["governance_locality", "fsar"]["words"] is None, "nothing of FSAR was taken out"
+    louder = msgspec.structs.replace(
+        found,
+        rows=tuple(row | {"mean_difference": -1.0, "stands": True} if _is(row, COPIES, "audit_attributability") else row for row in found.rows),
+    )
+    [cell] = [cell for cell in carried(louder) if (cell["metric"], cell["architecture"]) == ("audit_attributability", "cfc")]
+    assert (cell["mechanism"], cell["others"][:16]) == (COPIES, "unnamed requests")
+
+
+def test_a_ledger_without_such_runs_has_no_section_and_the_report_says_how_to_make_one(findings: Findings) -> None:
+    with played(Experiment(("cfc",), ("door-relay",), 1)) as whole:
+        assert mechanisms_of(whole) is None
+    data = document.data(findings, None)
+    assert data["carried"] is None
+    assert "carried" not in data["tables"]
+    assert "reproduce --only results --only ablation" in specs.text("templates", "report.typ")
+
+
+def test_the_section_has_both_tables_with_what_is_marked_in_bold(findings: Findings, found: Mechanisms) -> None:
+    given = msgspec.structs.replace(findings, mechanisms=found)
+    data: dict[str, Any] = json.loads(document.encoded(document.data(given, None)))
+    rows = {row[1]["printed"]: row for row in data["tables"]["mechanism-differences"]["rows"]}
+    assert list(rows) == ["safe stop claims", "synced copies", "unnamed requests"]
+    at = 3 + [spec.name for spec in specs.metrics()].index("audit_attributability")
+    assert rows["unnamed requests"][at]["tone"] == "strong"
+    assert rows["safe stop claims"][at]["printed"] == "0"
+    said = data["carried"]
+    assert (said["mechanisms"], said["missing"], said["differences"]) == (3, len(SWITCHES) - 3, 24)
+    assert said["unmoved"] == sum(not row["differing_pairs"] for row in found.rows) > 0
+    assert typeset.pdf(document.encoded(document.data(given, None)), document.drawings(given)).startswith(b"%PDF")
+
+
+def test_a_difference_is_printed_with_its_sign_unless_it_is_printed_as_0() -> None:
+    assert [mechanisms.signed("authority_conflicts", value) for value in (0.5, -0.5, 0.001, -0.001)] == ["+0.50", "\u22120.50", "0.00", "0.00"]
