@@ -5,6 +5,7 @@ from typing import Any
 
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database
+from fsar_ledger.metrics.library import READINGS, library
 from fsar_ledger.metrics.multiverse import Chosen, Multiverse, Universe, cells, rankings, readings, universes
 from fsar_ledger.report import printing, specs
 from fsar_ledger.report.findings import ARCHITECTURES, Row
@@ -25,6 +26,11 @@ def every_way(database: Database, setting: Row, *, pools_seeds: bool = False) ->
         found += [one for one in every if one.architecture in ARCHITECTURES and all(getattr(one, name) == value for name, value in setting.items())]
     better = {spec.name: spec.better for spec in specs.metrics()}
     return Multiverse(readings(), tuple(cells(found)), tuple(rankings(found, better)), tuple(found)) if found else None
+
+
+def queries() -> tuple[str, ...]:
+    """The packaged queries that are put in the place of ours."""
+    return tuple(sorted(name for name in library().queries if name.startswith(READINGS)))
 
 
 def tables(found: Multiverse | None) -> dict[str, Table]:

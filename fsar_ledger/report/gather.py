@@ -16,6 +16,7 @@ from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.comparing import differing_worlds
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.models import models
+from fsar_ledger.metrics.multiverse import Multiverse
 from fsar_ledger.metrics.odds import Cell, Odds, odds
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
@@ -316,10 +317,8 @@ def gather(
         drawn = _odds(database, main, runs_held)
         cells = _cells(overall, apart, drawn)
         kinds, parameters, digest = _models(database, main)
-        is_read = reads_every_way and main is not None and not apart
-        read = everyway.every_way(database, dict(zip(SETTING, main or (), strict=False)), pools_seeds=pools_seeds) if is_read else None
         told = told.over(held(database, pools_seeds=pools_seeds))
-        names = (*QUERIES, *told.queries())
+        names = (*QUERIES, *told.queries(), *(everyway.queries() if reads_every_way else ()))
         needed = database.library.needs(database.library.find(name).relation for name in names)
         otherwise = _others(every, main)
         graded, background = _of_main(ledger, demanded, database, main, alone=not otherwise)
@@ -348,13 +347,18 @@ def gather(
             workflows=told.workflows,
             ablation=told.ablation,
             scaling=told.scaling,
-            multiverse=read,
+            multiverse=_read(database, main, pools_seeds=pools_seeds) if reads_every_way and not apart else None,
             mechanisms=told.mechanisms,
             model_version=main[5] if main else None,
             shown=_shown(main, otherwise),
             unjudged=whole.why_apart(runs_held, pairs_held),
             differing=tuple(map(str, differing_worlds(database))),
         )
+
+
+def _read(database: Database, main: Setting | None, *, pools_seeds: bool) -> Multiverse | None:
+    """The cells under every reading of the text, of the runs that the tables are of."""
+    return None if main is None else everyway.every_way(database, dict(zip(SETTING, main, strict=True)), pools_seeds=pools_seeds)
 
 
 def _shown(main: Setting | None, others: tuple[Row, ...]) -> str | None:

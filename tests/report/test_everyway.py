@@ -68,5 +68,6 @@ def test_the_report_has_the_multiverse_of_the_runs_that_its_tables_are_of(ledger
     data = document.data(found, None)
     assert len(data["tables"]["every-reading"].rows) == 24
     assert "specification-curves" in data["figures"]
+    assert {f"readings/{one.name}" for one in found.multiverse.readings} <= {source.name for source in found.sources}
     with connect(ledger) as database:
         assert everyway.every_way(database, dict.fromkeys(SETTING, "another")) is None
