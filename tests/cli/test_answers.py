@@ -179,11 +179,14 @@ def reproduced(call: Call, tmp_path: Path, *only: str) -> None:
     said = call("reproduce", "--out", tmp_path / "out", "--runs", 1, "--workers", "2", "--key", tmp_path / "fleet.key", *asked)
     assert said.code == 0, said.err
     names = {"results", *only} if only else set(EXPERIMENTS)
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {*names, "metrics.csv", "statistics.csv", "report.pdf"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {*names, "metrics.csv", "statistics.csv", "report.pdf", "reproduction.json"}
     assert len(said.out.splitlines()) == 2 + 24 + 3
+    told = json.loads((tmp_path / "out" / "reproduction.json").read_text())
+    assert told["ledgers"].keys() >= names  # of mechanisms too where an ablation is there
     for name in names:
         info = json.loads(call("info", tmp_path / "out" / name, "--json").out)
         assert info["is_complete"], name
+        assert info["head"]["root"] == told["ledgers"][name]["root"]
         origin = f"example.org/fleet{EXPERIMENTS[name]}"
         note = (tmp_path / "out" / name / "checkpoint").read_text()
         assert (note.split("\n")[0], f"\N{EM DASH} {origin} " in note) == (origin, True)
