@@ -343,7 +343,8 @@ def reproduce(
 ) -> None:
     """Do the paper's experiments, judge them, typeset the report.
 
-    FOLDER then holds report.pdf, metrics.csv, statistics.csv and a ledger of each experiment: results/, ablation/, scaling/ and workflows/.
+    FOLDER then holds report.pdf, its numbers as reproduction.json, metrics.csv, statistics.csv and a ledger of each experiment: results/, ablation/,
+    scaling/ and workflows/.
     The key signs results/ under its name NAME, and the others under NAME/ablation, NAME/scaling and NAME/workflows: no two trees have one origin.
     """
     from .commands.reproduce import reproduce as do

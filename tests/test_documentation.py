@@ -195,6 +195,8 @@ def test_every_quick_example_runs(folder: Path, monkeypatch: pytest.MonkeyPatch,
     monkeypatch.chdir(folder)
     assert run(shlex.split(example, comments=True)[1:]) == 0
     assert capsys.readouterr().err == ""
+    for report in re.findall(r"--out (\S+\.pdf)", example):
+        assert Path(report).read_bytes().startswith(b"%PDF-")
 
 
 def test_the_output_in_the_pages_is_what_the_commands_print() -> None:

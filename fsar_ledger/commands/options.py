@@ -181,6 +181,11 @@ SensitivityOption = Annotated[
     Path | None, typer.Option("--sensitivity", metavar="FILE", help="A file of `fsar-ledger sensitivity`.", show_default="say how to make one")
 ]
 
+NumbersOption = Annotated[
+    Path | None,
+    typer.Option("--numbers", metavar="FILE", help="All numbers of the report for programs, as JSON; replaced if it exists.", show_default="not written"),
+]
+
 RUNS = 20  # per scenario and architecture, as in the paper
 
 

@@ -11,6 +11,7 @@ from .memory import readers_of
 from .options import (
     BesideOption,
     LedgerArgument,
+    NumbersOption,
     PoolOption,
     SensitivityOption,
     WorkersOption,
@@ -24,6 +25,7 @@ from .terminal import show
 REPORT = examples(
     "fsar-ledger report out/ledger --out out/report.pdf",
     "fsar-ledger report out/ledger --with out/workflows --with out/untrusting --out out/report.pdf",
+    "fsar-ledger report out/ledger --out out/report.pdf --numbers out/numbers.json",
 )
 
 
@@ -33,6 +35,7 @@ def report(
     beside: BesideOption = None,
     workflows: WorkflowLedgerOption = None,
     sensitivity: SensitivityOption = None,
+    numbers: NumbersOption = None,
     pool: PoolOption = None,
     workers: WorkersOption = None,
 ) -> None:
@@ -45,5 +48,15 @@ def report(
 
     pooled = pools_seeds(pool)
     with Progress("verified", "segments") as progress:
-        write_report(ledger, out, workflows, readers_of(workers, ledger), progress, beside=beside or (), pools_seeds=pooled, sensitivity=sensitivity)
-    show(printable.line(f"{out}"))
+        write_report(
+            ledger,
+            out,
+            workflows,
+            readers_of(workers, ledger),
+            progress,
+            beside=beside or (),
+            pools_seeds=pooled,
+            sensitivity=sensitivity,
+            numbers_out=numbers,
+        )
+    show(printable.lines(*(f"{one}" for one in (out, numbers) if one is not None)))

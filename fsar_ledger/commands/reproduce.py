@@ -46,7 +46,8 @@ def reproduce(
         metrics, statistics = plain(metric_rows(database)), plain(statistic_rows(database))
     write_text(out / "metrics.csv", csv_text(metrics, list(metrics[0])))
     write_text(out / "statistics.csv", csv_text(statistics, list(statistics[0])))
-    write_report(ledger, out / "report.pdf", workers=workers, demanded=demanded, beside=[out / one.name for one in experiments if one.name != "results"])
+    beside = [out / one.name for one in experiments if one.name != "results"]
+    write_report(ledger, out / "report.pdf", workers=workers, demanded=demanded, beside=beside, numbers_out=out / "reproduction.json")
     return joined(table_text(metrics, SHOWN), lines(*beyond(made["results"]))), made["results"].head
 
 

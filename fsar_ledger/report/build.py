@@ -8,6 +8,7 @@ from fsar_ledger.metrics.verified import required_look
 from fsar_ledger.report import document, figures, typeset
 from fsar_ledger.report.calibration import recorded
 from fsar_ledger.report.gather import gather
+from fsar_ledger.report.reproduction import reproduction
 from fsar_ledger.report.sensitivity import open_effects, section
 
 
@@ -22,8 +23,10 @@ def write_report(
     beside: Sequence[Path] = (),
     pools_seeds: bool = False,
     sensitivity: Path | None = None,
+    reads_every_way: bool = True,
+    numbers_out: Path | None = None,
 ) -> None:
-    """The PDF about the ledger's present head, and about those of the ledgers beside it, is at `out`, complete or not at all.
+    """The PDF about the ledger's present head, and about those of the ledgers beside it, is at `out`, complete or not at all; so are its numbers.
 
     First every row of each is compared with its root. Same heads and versions, same bytes.
 
@@ -36,6 +39,8 @@ def write_report(
         progress: Told of segments compared, done and in all.
         pools_seeds: Whether the tables are of the runs of all seeds together.
         sensitivity: The file of `fsar-ledger sensitivity`; the report has it if it is of these runs, else it says how to make it.
+        reads_every_way: Whether the cells are shown under every reading of the text, too.
+        numbers_out: Where the same numbers go for programs (`reproduction`); None: nowhere.
         demanded: The newest record of the ledger, if a whole look just saw it (`required_look`); None looks now.
 
     Raises:
@@ -46,15 +51,20 @@ def write_report(
         WriteFailed: `out` cannot be written.
     """
     require_outside(out, f"--out {out}")
-    typeset.require_place(out)
+    if numbers_out is not None:
+        require_outside(numbers_out, f"--numbers {numbers_out}")
+    for place in filter(None, (out, numbers_out)):
+        typeset.require_place(place)
     given = None if sensitivity is None else open_effects(sensitivity)
     demanded = demanded or required_look(ledger, workers, progress)
     theirs = {one: required_look(one, workers, progress) for one in (*([] if workflows is None else [workflows]), *beside)}
-    findings = gather(ledger, workflows, demanded, theirs, pools_seeds=pools_seeds)
-    digests = {row["parameters_sha256"] for row in findings.models if row["model_version"] == findings.model_version}
-    effects = section(given, findings.model_version, digests)
-    laid_out = document.encoded(document.data(findings, recorded(), effects))
+    findings = gather(ledger, workflows, demanded, theirs, pools_seeds=pools_seeds, reads_every_way=reads_every_way)
+    effects = section(given, findings.model_version, {findings.parameters_sha256} - {None})
+    record = recorded()
+    laid_out = document.encoded(document.data(findings, record, effects))
     typeset.publish(out, typeset.pdf(laid_out, document.drawings(findings, effects)))
+    if numbers_out is not None:
+        typeset.publish(numbers_out, reproduction(findings, document.counted(findings, record)))
 
 
 def result_figure_svg(ledger: Path, out: Path) -> None:

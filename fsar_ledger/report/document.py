@@ -1,8 +1,7 @@
 """Findings become the document: tables, figures, passages and numbers for the sentences, as JSON for the template."""
 
-import platform
 from collections.abc import Mapping, Sequence
-from importlib.metadata import version
+from functools import partial
 from itertools import zip_longest
 from typing import Any
 
@@ -11,25 +10,34 @@ import msgspec
 import fsar_ledger
 from fsar_ledger import printable
 from fsar_ledger.constants import Constants, write_constants
-from fsar_ledger.report import contradictions, figures, mechanisms, printing, provenance, sections, sequence, specs
+from fsar_ledger.report import (
+    contradictions,
+    everyway,
+    figures,
+    mechanisms,
+    numbers,
+    overview,
+    printing,
+    provenance,
+    sections,
+    sequence,
+    specification,
+    specs,
+)
 from fsar_ledger.report.calibration import Record
-from fsar_ledger.report.findings import Findings, Row, Told, Workflows, answer
+from fsar_ledger.report.findings import Findings, Row, answer
 from fsar_ledger.report.printing import Table, flat
+from fsar_ledger.report.reproduction import versions
 from fsar_ledger.report.sensitivity import Section
 
-PACKAGES = ("duckdb", "pyarrow", "numpy", "scipy", "msgspec", "matplotlib", "typst")
 POOLED = ("recovery_containment", "reassignment_latency_s")  # metrics that a run without failures does not define
 MAX_DIFFERING = 2_000  # characters of what is said of a pair's worlds
 SHOWN_WEIGHTS = 3  # constants named for each direction of the fit
 
 
-def _source(findings: Findings, query: str | None, head: Findings | Workflows | Told | None = None) -> str:
-    """Where the numbers of a table come from: query file, its SHA-256, and the head that was asked, shortened to 12 hex digits."""
-    head = head or findings
-    digest = next((one.sha256 for one in findings.sources if one.name == query), None)
-    if digest is None:
-        return ""
-    return f"queries/{query}.sql, SHA-256 {digest[:12]}…; head {head.size} events, root {head.root[:12]}…"
+def _source(findings: Findings, query: str | None) -> str:
+    """Where the numbers of a table come from: the file of the query, whose SHA-256 stands in the appendix; "" where no query is named."""
+    return f"queries/{query}.sql" if any(one.name == query for one in findings.sources) else ""
 
 
 def _table(findings: Findings, name: str, rows: Sequence[Row]) -> Table:
@@ -46,8 +54,7 @@ def _constants(items: Mapping[str, str]) -> list[Row]:
 
 
 def _versions() -> list[Row]:
-    rows: list[Row] = [{"name": "fsar-ledger", "version": fsar_ledger.__version__}, {"name": "Python", "version": platform.python_version()}]
-    return rows + [{"name": name, "version": version(name)} for name in PACKAGES]
+    return [{"name": name, "version": one} for name, one in versions().items()]
 
 
 def _ledger_tables(findings: Findings) -> dict[str, Table]:
@@ -74,18 +81,7 @@ def _ledger_tables(findings: Findings) -> dict[str, Table]:
 
 def _workflow_tables(findings: Findings) -> dict[str, Table]:
     found, name = findings.workflows, "mechanism-coverage"
-    return {} if found is None else {name: printing.table(name, found.coverage, _source(findings, specs.table(name).query, found))}
-
-
-def _workflow_figures(findings: Findings) -> dict[str, bytes]:
-    """The drawings of the workflows that the ledger of workflows holds, by name."""
-    found = findings.workflows
-    drawn: dict[str, bytes] = {}
-    if found is not None and found.story:
-        drawn["workflow-door-relay"] = sequence.sequence(found.story)
-    if found is not None and found.recovery:
-        drawn["workflow-layered-recovery"] = sequence.ladder(found.recovery)
-    return drawn
+    return {} if found is None else {name: printing.table(name, found.coverage, _source(findings, specs.table(name).query))}
 
 
 def _workflows(findings: Findings) -> dict[str, Any] | None:
@@ -118,7 +114,7 @@ def _weights(weights: Mapping[str, float]) -> str:
     return ", ".join(f"{name} {printing.number(weight, 2)}" for name, weight in largest)
 
 
-def _figure(findings: Findings, name: str, head: Findings | Workflows | Told | None = None) -> dict[str, Any]:
+def _figure(findings: Findings, name: str) -> dict[str, Any]:
     spec = specs.figure(name)
     return {
         "file": f"{name}.svg",
@@ -126,7 +122,7 @@ def _figure(findings: Findings, name: str, head: Findings | Workflows | Told | N
         "caption": spec.caption,
         "alt": spec.alt,
         "width_in": spec.width_in,
-        "source": _source(findings, spec.query, head),
+        "source": _source(findings, spec.query),
     }
 
 
@@ -202,15 +198,29 @@ def _misses(findings: Findings, record: Record | None) -> list[dict[str, Any]]:
     ]
 
 
+def counted(findings: Findings, record: Record | None) -> tuple[Row, ...]:
+    """Every printed number with its class and what became of it; none counts as fitted where the fit was of another model."""
+    return numbers.numbers(findings, is_fitted=not _changed(findings, record))
+
+
+def _heads(findings: Findings) -> list[dict[str, str]]:
+    """The heads of the other ledgers, for the appendix."""
+    parts = {"Ablation": findings.ablation, "Scaling": findings.scaling, "Mechanisms": findings.mechanisms}
+    held = {name: part and part.told for name, part in parts.items()} | {"Workflows": findings.workflows}
+    return [{"name": name, "size": printing.integer(one.size), "runs": printing.integer(one.run_count), "root": one.root} for name, one in held.items() if one]
+
+
 def data(findings: Findings, record: Record | None, effects: Section | None = None) -> dict[str, Any]:
     """All that the template prints; tables keep each value beside its print."""
 
-    def sourced(query: str | None, told: Told) -> str:
-        return _source(findings, query, told)
+    def sourced(query: str | None) -> str:
+        return _source(findings, query)
 
     tables = _ledger_tables(findings) | _fit_tables(findings, record) | _workflow_tables(findings)
-    tables |= sections.tables(findings, sourced) | mechanisms.tables(findings, sourced)
+    tables |= sections.tables(findings, sourced) | mechanisms.tables(findings, sourced) | everyway.tables(findings.multiverse)
     tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()}
+    rows = counted(findings, record)
+    tables |= {"tally": _table(findings, "tally", numbers.tally(rows))} if rows else {}
     tables |= {"sensitivity": effects.table} if effects and effects.table else {}
     return {
         "head": {
@@ -220,14 +230,15 @@ def data(findings: Findings, record: Record | None, effects: Section | None = No
             "runs": printing.integer(findings.run_count),
             "completeness": findings.completeness,
         },
+        "heads": _heads(findings),
         "shown": findings.shown and printing.words(findings.shown),
         "unjudged": findings.unjudged and printing.words(findings.unjudged, MAX_DIFFERING),
         "differing": [printing.words(one, MAX_DIFFERING) for one in findings.differing],
         "answer": _sayable(answer(findings)),
+        "said": numbers.said(rows),
+        "every_way": everyway.said(findings.multiverse),
         "tables": tables,
-        "figures": {name: _figure(findings, name) for name in ("evaluation-results", "distances", "effects")}
-        | {name: _figure(findings, name, findings.workflows) for name in _workflow_figures(findings)}
-        | {name: _figure(findings, name, getattr(findings, sections.FIGURES[name]).told) for name in sections.drawings(findings)}
+        "figures": {name: _figure(findings, name) for name in _drawers(findings)}
         | ({"sensitivity": _figure(findings, "sensitivity") | {"source": ""}} if effects and effects.figure else {}),
         "ablation": sections.ablation(findings),
         "scaling": sections.scaling(findings),
@@ -251,12 +262,27 @@ def _sayable(numbers: Row) -> Row:
     return numbers | {"undefined": undefined, "table_share": None if share is None else printing.probability(share)}
 
 
+def _drawers(findings: Findings) -> dict[str, sections.Drawer]:
+    """How the figures that these findings have are drawn, by name."""
+    found: dict[str, sections.Drawer] = {
+        "overview": lambda: overview.overview(numbers.numbers(findings)),
+        "evaluation-results": partial(figures.evaluation_results, findings.cells),
+        "effects": partial(figures.effects, findings.tests),
+    }
+    flows = findings.workflows
+    if flows is not None and flows.story:
+        found["workflow-door-relay"] = partial(sequence.sequence, flows.story)
+    if flows is not None and flows.recovery:
+        found["workflow-layered-recovery"] = partial(sequence.ladder, flows.recovery)
+    if findings.multiverse is not None:
+        found["specification-curves"] = partial(specification.curves, findings.multiverse)
+    return found | sections.drawers(findings)
+
+
 def drawings(findings: Findings, effects: Section | None = None) -> dict[str, bytes]:
     """The figures as SVG, by file name."""
-    drawn = {"evaluation-results": figures.evaluation_results(findings.cells), "distances": figures.distances(findings.cells)}
-    drawn["effects"] = figures.effects(findings.tests)
-    drawn |= {"sensitivity": effects.figure} if effects and effects.figure else {}
-    return {f"{name}.svg": svg for name, svg in (drawn | _workflow_figures(findings) | sections.drawings(findings)).items()}
+    drawn = {name: draw() for name, draw in _drawers(findings).items()} | ({"sensitivity": effects.figure} if effects and effects.figure else {})
+    return {f"{name}.svg": svg for name, svg in drawn.items()}
 
 
 def encoded(document: Mapping[str, Any]) -> bytes:

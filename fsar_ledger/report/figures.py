@@ -8,7 +8,6 @@ from typing import Any
 from unicodedata import combining
 
 from fsar_ledger import printable
-from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.report import specs
 
 Row = Mapping[str, Any]
@@ -132,39 +131,6 @@ def evaluation_results(rows: Sequence[Row], kind: str = "svg") -> bytes:
         handles.append(Line2D([], [], label="printed in the paper", **DIAMOND))
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, handletextpad=0.5, columnspacing=1.6)
         return rendered(figure, kind)
-
-
-def distances(rows: Sequence[Row], kind: str = "svg") -> bytes:
-    """The figure "Distance from the paper": each cell's distance in margins, with its 90 % interval and the band of one margin.
-
-    Each row holds metric, architecture, distance (None: no value) and difference, its interval in the metric's unit.
-    """
-    with canvas(specs.figure("distances"), 1, 1) as (figure, axes):
-        panel = axes[0, 0]
-        names = [spec.name for spec in specs.metrics()]
-        panel.axvspan(-1.0, 1.0, color="#eeeeee", zorder=0)
-        panel.axvline(0, color="#999999", linewidth=0.7, zorder=1)
-        for offset, (architecture, colour) in zip((-0.22, 0.0, 0.22), COLOURS.items(), strict=True):
-            found = [row for row in rows if row["architecture"] == architecture and row["distance"] is not None]
-            heights = [names.index(row["metric"]) + offset for row in found]
-            values = [row["distance"] for row in found]
-            bars = [(value, value) if row["difference"] is None else _in_margins(row) for row, value in zip(found, values, strict=True)]
-            panel.hlines(heights, [low for low, _ in bars], [high for _, high in bars], color=colour, linewidth=1.4, zorder=2)
-            panel.plot(values, heights, marker="o", markersize=4.5, color=colour, linestyle="none", label=architecture.upper(), zorder=3)
-        reach = max([2.0, *(abs(row["distance"]) * 1.12 for row in rows if row["distance"] is not None)])
-        panel.set_xlim(-reach, reach)
-        panel.set_yticks(range(len(names)), [spec.title for spec in specs.metrics()])
-        panel.set_ylim(len(names) - 0.5, -0.5)
-        panel.tick_params(axis="y", length=0)
-        panel.set_xlabel("(this ledger − paper) / margin")
-        panel.legend(loc="upper right", frameon=False, bbox_to_anchor=(1.22, 1.0))
-        return rendered(figure, kind)
-
-
-def _in_margins(row: Row) -> tuple[float, float]:
-    """The interval of a difference in margins of its metric."""
-    low, high = row["difference"]
-    return low / MARGINS[row["metric"]], high / MARGINS[row["metric"]]
 
 
 def effects(rows: Sequence[Row], kind: str = "svg") -> bytes:

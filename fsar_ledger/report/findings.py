@@ -5,6 +5,7 @@ from typing import Any, TypeAlias
 import msgspec
 
 from fsar_ledger.events.envelope import Scenario
+from fsar_ledger.metrics.multiverse import Multiverse
 
 Row: TypeAlias = dict[str, Any]
 
@@ -102,7 +103,7 @@ class Findings(msgspec.Struct, frozen=True):
     table_share: how many of the experiments that are drawn from the runs print a table as far out as the paper's, None where none are drawn.
     others: means of the runs that were made otherwise (configuration, fleet size, seed, kind, model, constants), one column per metric.
     runs: one row per architecture, configuration and fleet size: runs, scenarios, seeds, run_low, run_high.
-    parameters: the constants of the runs by dotted name (of the first run; `models` counts the different sets).
+    parameters: the constants of the runs in the tables by dotted name, and their SHA-256 as the runs record it (`models` counts all sets of the ledger).
     features: one row per architectural feature: the paper's grade and ours for each architecture, its grades of the systems that were not run, the verdict.
     evidence: one row per feature and architecture: grade and what it rests on.
     background: one row per architecture: how much of what is counted is routine, how much of what is not attributable is a supervisor off shift.
@@ -110,6 +111,7 @@ class Findings(msgspec.Struct, frozen=True):
     completeness: whether all that was planned is there, as a clause.
     workflows, ablation, scaling, mechanisms: what another ledger, or this one, says of the paper's workflows, of FSAR without a mechanism, of larger
         fleets, and of what each mechanism of any architecture carries; None without one.
+    multiverse: the cells under every reading of the text; None where that was not asked for, or the runs are not those of the paper's tables.
     model_version: that of the runs in the tables; shown: which runs these are, where the ledger holds others of their configuration and fleet size.
     unjudged: in words, which numbers no verdict compares with the printed tables, since they are over other runs, and which these are; None where none are.
     differing: in words, the pairs of runs that are left out since they met different worlds.
@@ -137,11 +139,13 @@ class Findings(msgspec.Struct, frozen=True):
     ablation: Ablation | None = None
     scaling: Scaling | None = None
     mechanisms: Mechanisms | None = None
+    multiverse: Multiverse | None = None
     model_version: str | None = None
     shown: str | None = None
     unjudged: str | None = None
     table_share: float | None = None
     differing: tuple[str, ...] = ()
+    parameters_sha256: str | None = None
 
 
 LEVELS = ((0.001, "p<.001"), (0.01, "p<.01"), (0.05, "p<.05"))

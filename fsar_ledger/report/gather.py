@@ -16,10 +16,11 @@ from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.comparing import differing_worlds
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.models import models
+from fsar_ledger.metrics.multiverse import Multiverse
 from fsar_ledger.metrics.odds import Cell, Odds, odds
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
-from fsar_ledger.report import cases, marks, printing, specs, whole
+from fsar_ledger.report import cases, everyway, marks, printing, specs, whole
 from fsar_ledger.report.findings import ARCHITECTURES, COMPARISONS, MAIN_CONFIGURATION, MAIN_FLEET_SIZE, SCENARIOS, Findings, Row, Source, with_agreement
 from fsar_ledger.report.others import held, others
 
@@ -262,9 +263,10 @@ def _span(low: int, high: int) -> str:
     return str(low) if low == high else f"{low} to {high}"
 
 
-def _models(database: Database) -> tuple[tuple[Row, ...], dict[str, str]]:
-    """The sets of constants in the ledger, and those of its first run that says any by dotted name."""
+def _models(database: Database, main: Setting | None) -> tuple[tuple[Row, ...], dict[str, str], str | None]:
+    """The sets of constants in the ledger, that of the main runs (without any: of the first run that says some) by dotted name, and its SHA-256."""
     found = models(database)
+    ours = [one for one in found if main is not None and (one.source, one.model_version, one.constants) == main[4:]]
     rows: tuple[Row, ...] = tuple(
         {
             "model_version": one.model_version,
@@ -275,7 +277,8 @@ def _models(database: Database) -> tuple[tuple[Row, ...], dict[str, str]]:
         }
         for one in found
     )
-    return rows, dict(printing.flat("", next((one.parameters for one in found if one.parameters), {})))
+    said = next((one for one in ours or found if one.parameters), None)
+    return rows, dict(printing.flat("", said.parameters if said else {})), said.sha256 if said else None
 
 
 def _is_file(query: str) -> bool:
@@ -290,11 +293,13 @@ def gather(
     beside: Mapping[Path, str | None] | None = None,
     *,
     pools_seeds: bool = False,
+    reads_every_way: bool = False,
 ) -> Findings:
     """All that the ledger's present head has to say, and those of the ledgers beside it, that of workflows among them.
 
     The tables are of one setting: configuration, fleet size, kind, model, constants and seed; of all seeds if they are asked for together.
     Where a newest record is demanded, of no other head; `beside` says which of each other ledger, None: any.
+    `reads_every_way` asks for the multiverse of readings, too, which costs as much as all the rest of the results.
 
     Raises:
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `fsar_ledger.metrics.database.connect`; SequenceConflict, too.
@@ -311,9 +316,9 @@ def gather(
         apart = whole.apart(runs_held, pairs_held)
         drawn = _odds(database, main, runs_held)
         cells = _cells(overall, apart, drawn)
-        kinds, parameters = _models(database)
+        kinds, parameters, digest = _models(database, main)
         told = told.over(held(database, pools_seeds=pools_seeds))
-        names = (*QUERIES, *told.queries())
+        names = (*QUERIES, *told.queries(), *(everyway.queries() if reads_every_way else ()))
         needed = database.library.needs(database.library.find(name).relation for name in names)
         otherwise = _others(every, main)
         graded, background = _of_main(ledger, demanded, database, main, alone=not otherwise)
@@ -332,6 +337,7 @@ def gather(
             runs=runs,
             models=kinds,
             parameters=parameters,
+            parameters_sha256=digest,
             sources=tuple(Source(name=query.name, sha256=query.sha256) for query in sorted(needed, key=lambda query: query.name) if _is_file(query.name)),
             features=marks.features(graded, apart),
             evidence=tuple(graded),
@@ -341,12 +347,18 @@ def gather(
             workflows=told.workflows,
             ablation=told.ablation,
             scaling=told.scaling,
+            multiverse=_read(database, main, pools_seeds=pools_seeds) if reads_every_way and not apart else None,
             mechanisms=told.mechanisms,
             model_version=main[5] if main else None,
             shown=_shown(main, otherwise),
             unjudged=whole.why_apart(runs_held, pairs_held),
             differing=tuple(map(str, differing_worlds(database))),
         )
+
+
+def _read(database: Database, main: Setting | None, *, pools_seeds: bool) -> Multiverse | None:
+    """The cells under every reading of the text, of the runs that the tables are of."""
+    return None if main is None else everyway.every_way(database, dict(zip(SETTING, main, strict=True)), pools_seeds=pools_seeds)
 
 
 def _shown(main: Setting | None, others: tuple[Row, ...]) -> str | None:

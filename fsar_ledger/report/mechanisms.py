@@ -1,6 +1,6 @@
 """Which mechanism carries which number: each architecture in full beside itself without one mechanism, on the same worlds, metric by metric."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import msgspec
@@ -10,6 +10,7 @@ from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.report import printing, specs
 from fsar_ledger.report.findings import ARCHITECTURES, MAIN_FLEET_SIZE, Findings, Mechanisms, Row, Told
+from fsar_ledger.report.sections import Sourced
 
 QUERY = "statistics/mechanism_differences"
 QUERIES = (QUERY,)
@@ -26,9 +27,6 @@ ROWS_SQL = f"""
     FROM {QUERY.partition("/")[2]}
     WHERE pools_seeds = $pooled AND fleet_size = $fleet_size AND list_contains($configurations, configuration)
 """
-
-Sourced = Callable[[str | None, Told], str]
-"""Where numbers come from, in words: of this query, at this head."""
 
 
 def mechanisms_of(database: Database, *, pools_seeds: bool = False) -> Mechanisms | None:
@@ -102,7 +100,7 @@ def tables(findings: Findings, sourced: Sourced) -> dict[str, printing.Table]:
     found = findings.mechanisms
     if found is None:
         return {}
-    source = sourced(QUERY, found.told)
+    source = sourced(QUERY)
     cells = [row | {"mean_difference": None if row["mean_difference"] is None else signed(row["metric"], row["mean_difference"])} for row in carried(found)]
     return {"mechanism-differences": _wide(found.rows, source), "carried": printing.table("carried", cells, source)}
 

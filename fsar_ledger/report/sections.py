@@ -1,38 +1,38 @@
 """The sections "Ablation" and "Scaling": their tables, figures and numbers for the sentences."""
 
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 from fsar_ledger.report import curves, printing, specs
 from fsar_ledger.report.findings import ARCHITECTURES, Findings, Row, Told
 from fsar_ledger.report.printing import Table
 
-Sourced = Callable[[str | None, Told], str]
-"""Where numbers come from, in words: of this query, at this head."""
+Sourced = Callable[[str | None], str]
+"""Where numbers come from, in words: of this query."""
 
-FIGURES: Mapping[str, str] = {"ablation": "ablation", "encounters": "ablation", "scaling": "scaling", "loads": "scaling"}
-"""The figures, and the section of each."""
+Drawer = Callable[[], bytes]
+"""Draws a figure, as SVG."""
 
 
 def tables(findings: Findings, sourced: Sourced) -> dict[str, Table]:
     """The tables of both sections, by name; none of a section that no ledger holds."""
     found: dict[str, Table] = {}
-    for name, (told, rows) in _rows(findings).items():
+    for name, rows in _rows(findings).items():
         if rows:
-            found[name] = printing.table(name, rows, sourced(specs.table(name).query, told))
+            found[name] = printing.table(name, rows, sourced(specs.table(name).query))
     return found
 
 
-def _rows(findings: Findings) -> dict[str, tuple[Told, Sequence[Row]]]:
-    found: dict[str, tuple[Told, Sequence[Row]]] = {}
+def _rows(findings: Findings) -> dict[str, Sequence[Row]]:
+    found: dict[str, Sequence[Row]] = {}
     if (ablation := findings.ablation) is not None:
         by_metric = sorted(ablation.cells, key=lambda row: curves.ABLATED.index(row["metric"]))
-        found |= {"ablation": (ablation.told, by_metric), "ablation-text": (ablation.told, ablation.text)}
-        found["encounters"] = (ablation.told, ablation.rates if len(ablation.rates) > 1 else ())
+        found |= {"ablation": by_metric, "ablation-text": ablation.text, "encounters": ablation.rates if len(ablation.rates) > 1 else ()}
     if (scaling := findings.scaling) is not None:
         by_metric = sorted(scaling.cells, key=lambda row: curves.SCALED.index(row["metric"]))
-        found |= {"scaling": (scaling.told, by_metric), "beyond": (scaling.told, _beyond(scaling.curve))}
+        found |= {"scaling": by_metric, "beyond": _beyond(scaling.curve)}
     return found
 
 
@@ -48,18 +48,18 @@ def _beyond(curve: Sequence[Row]) -> list[Row]:
     return [found[key] for key in sorted(found, key=lambda key: (key[0], key[1], ARCHITECTURES.index(key[2])))]
 
 
-def drawings(findings: Findings) -> dict[str, bytes]:
-    """The figures of both sections, by name; none over a dial of which the ledger has one place alone."""
-    drawn: dict[str, bytes] = {}
+def drawers(findings: Findings) -> dict[str, Drawer]:
+    """How the figures of both sections are drawn, by name; none over a dial of which the ledger has one place alone."""
+    found: dict[str, Drawer] = {}
     if (ablation := findings.ablation) is not None:
-        drawn["ablation"] = curves.ablation(ablation.cells)
+        found["ablation"] = partial(curves.ablation, ablation.cells)
         if len(ablation.rates) > 1:
-            drawn["encounters"] = curves.encounters(ablation.curve, _dialled(findings))
+            found["encounters"] = partial(curves.encounters, ablation.curve, _dialled(findings))
     if (scaling := findings.scaling) is not None and scaling.curve:
-        drawn["scaling"] = curves.scaling(scaling.curve, scaling.cells)
+        found["scaling"] = partial(curves.scaling, scaling.curve, scaling.cells)
         if len({row["teams_working"] for row in scaling.curve if row["fleet_size"] == curves.LARGEST}) > 1:
-            drawn["loads"] = curves.loads(scaling.curve, scaling.cells)
-    return drawn
+            found["loads"] = partial(curves.loads, scaling.curve, scaling.cells)
+    return found
 
 
 def _dialled(findings: Findings) -> list[Row]:

@@ -9,9 +9,9 @@ from fsar_ledger.report import figures, specs
 COLUMNS = 2
 CURVE, MARK, GAP = 10.0, 1.0, 2.5
 """Height of a curve, of the line of marks of one reading, and of the space below, as parts of a panel."""
-PLACE = {"left": 0.172, "right": 0.99, "bottom": 0.025, "top": 0.98, "wspace": 0.74, "hspace": 0.04}
+PLACE = {"left": 0.213, "right": 0.99, "bottom": 0.025, "top": 0.98, "wspace": 0.79, "hspace": 0.04}
 """Where the panels stand. A layout that is solved for has other last digits in each process."""
-SMALL = 5.0  # points
+SMALL = 6.5  # points
 MARKERS = ("o", "s", "^")  # also told apart in grey
 OURS: dict[str, Any] = {"color": "#999999", "linewidth": 0.8, "linestyle": (0, (3, 2)), "zorder": 1}
 PAPER: dict[str, Any] = figures.DIAMOND | {"markersize": 3.5, "markeredgewidth": 0.8, "zorder": 4}

@@ -37,9 +37,9 @@ class Growth(NamedTuple):
 
 
 GROWTH: dict[Architecture, Growth] = {
-    "fsar": Growth(5, 290, 0, 3, 180, 2.0),  # the registry names every candidate in its answer
+    "fsar": Growth(5, 350, 0, 3, 180, 2.0),  # the registry names every candidate in its answer
     "cfc": Growth(6, 350, 0, 12, 190, 0),  # every candidate is matched, but the more there are, the fewer steps the coordinator comes to
-    "dhma": Growth(17, 510, 10.2, 3, 450, 5.2),  # every candidate bids, which takes three agents and a record of each word between them
+    "dhma": Growth(17, 670, 10.2, 3, 450, 5.2),  # every candidate bids, which takes three agents and a record of each word between them
 }
 POLLING_PER_ROBOT = 45  # without a registry each meeting is remembered
 

@@ -4,7 +4,7 @@
 --        scenario and metric
 -- Units: setting as in run_settings; value_ppb billionths of the metric's unit, summed over defined runs; numerator, denominator as in run_metrics, summed.
 --        20 runs of the scenario are drawn with replacement; the runs of a world are drawn together for all
---        architectures. Nothing is random: which runs a draw takes follows from an MD5 of its number
+--        architectures. Nothing is random: which runs a draw takes follows from an MD5 of its number (drawn_places)
 -- NULL: value_ppb, defined, numerator, denominator where no drawn run has one
 -- Example: fsar-ledger query statistics/drawn_sums LEDGER
 WITH numbered AS (
@@ -27,23 +27,14 @@ counted AS (
     GROUP BY ALL
 ),
 
-draws AS (
-    SELECT
-        experiments.draw,
-        scenarios.scenario,
-        md5_number_lower(concat_ws('/', experiments.draw, scenarios.scenario, slots.slot)) AS drawn
-    FROM (SELECT DISTINCT scenario FROM counted) AS scenarios, range(4000) AS experiments (draw), range(20) AS slots (slot)
-),
-
 picked AS (
     SELECT
         counted.* EXCLUDE (runs),
-        draws.draw,
-        draws.drawn % counted.runs AS place,
-        count(*) AS times
-    FROM draws
-    INNER JOIN counted ON draws.scenario = counted.scenario
-    GROUP BY ALL
+        places.draw,
+        places.place,
+        places.times
+    FROM drawn_places AS places
+    INNER JOIN counted ON places.scenario = counted.scenario AND places.runs = counted.runs
 )
 
 SELECT

@@ -254,13 +254,15 @@ def test_every_name_of_an_event_gives_the_same_proof(call: Call, folder: Path) -
         ("", ("expected RUN:SEQ",)),
         ("fsar.full:12", ("found 4 runs that begin so", "give more of its name")),
         ("fsra.full.door:12", ("no such run", "did you mean fsar.full.door-relay", "fsar-ledger query runs")),
-        (f"{RUN}:470", ("found 470 events in run fsar.full.door-relay", "a seq from 0 to 469")),
-        (f"{RUN}:{'9' * 40}", ("found 470 events",)),
+        (f"{RUN}:{{1}}", ("found {1} events in run fsar.full.door-relay", "a seq from 0 to {2}")),
+        (f"{RUN}:{'9' * 40}", ("found {1} events",)),
     ],
 )
 def test_an_event_that_is_not_there_is_explained(call: Call, ledger: Path, event: str, parts: tuple[str, ...]) -> None:
-    size = size_of(ledger)
-    one_message(call("prove", ledger, event.format(size)), 2, *(part.format(size) for part in parts))
+    held = call("sql", ledger, f"SELECT count(*) AS events FROM events INNER JOIN runs USING (run_id) WHERE run_id LIKE '{RUN}%'", "--json")
+    (found,) = json.loads(held.out)["rows"]
+    numbers = (size_of(ledger), found["events"], found["events"] - 1)
+    one_message(call("prove", ledger, event.format(*numbers)), 2, *(part.format(*numbers) for part in parts))
 
 
 def test_a_proof_goes_to_a_new_file_outside_the_ledger(call: Call, copy: Path, tmp_path: Path) -> None:

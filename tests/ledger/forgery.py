@@ -89,9 +89,18 @@ class Examined:
         return msgspec.structs.replace(known, file=file) if known else examine(file, ledger, number, record, second_reader)
 
 
+_examined: dict[tuple[tuple[str, str], ...], Examined] = {}
+
+
 @contextmanager
 def examined_once(ledger: Path | Examined) -> Iterator[None]:
-    """Inside, `verify` and `recover` decode only segments that differ from those that this ledger holds now."""
-    examined = ledger if isinstance(ledger, Examined) else Examined(ledger)
+    """Inside, `verify` and `recover` decode only segments that differ from those that this ledger holds now; of equal ledgers only the first is decoded."""
+    if isinstance(ledger, Examined):
+        examined = ledger
+    else:
+        held = tuple((file.name, sha256_hex(file.read_bytes())) for part in ("commits", "segments") for file in sorted((ledger / part).iterdir()))
+        if held not in _examined:
+            _examined[held] = Examined(ledger)
+        examined = _examined[held]
     with patch.object(verification, "examine", examined), patch.object(recover_prefix, "examine", examined):
         yield

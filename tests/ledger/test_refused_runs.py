@@ -2,6 +2,7 @@
 
 import pickle
 import re
+import shutil
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import product
@@ -34,10 +35,16 @@ RUN = run_of_every_type("run-1", seed=3)
 BATCHES = made_up_batches(4)
 
 
+@pytest.fixture(scope="module")
+def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("intact") / "ledger"
+    append_all(path, BATCHES[:2])
+    return path
+
+
 @pytest.fixture
-def path(tmp_path: Path) -> Path:
-    append_all(tmp_path / "ledger", BATCHES[:2])
-    return tmp_path / "ledger"
+def path(intact: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(intact, tmp_path / "ledger"))
 
 
 def seq_with(condition: Callable[[str, Layout], bool]) -> tuple[int, str]:

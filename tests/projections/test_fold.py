@@ -53,7 +53,8 @@ def emitted() -> set[type[Event]]:
     specs = [RunSpec(8, architecture, "full", scenario, 4, run) for architecture in get_args(Architecture) for scenario in SCENARIOS for run in range(12)]
     specs += [RunSpec(8, "fsar", configuration, scenario, 4, 0) for configuration in CONFIGURATIONS[1:] for scenario in SCENARIOS]
     specs += [RunSpec(8, "fsar", "full", workflow, 4, 0) for workflow in get_args(Workflow)]
-    specs.append(RunSpec(42, "fsar", "full", "mixed-trust-inspection", 4, 82))  # one of the few in which a task changes hands
+    specs.append(RunSpec(42, "fsar", "full", "fleet-contention", 4, 57))  # one of the few in which a task changes hands
+    specs.append(RunSpec(8, "cfc", "full", "fleet-contention", 4, 20))  # and in which a helper is busy
     away = simulate_run(RunSpec(8, "fsar", "full", "fleet-contention", 4, 0), Constants(outages=Outages(0.05, 8.0, 0.03, 6.0))).events
     planned = [Experiment(("fsar",), SCENARIOS, 12, 8).plan()]
     runs = (simulate_run(spec, Constants()).events for spec in specs)

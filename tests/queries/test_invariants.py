@@ -22,8 +22,8 @@ Seeds = Callable[[list[Row]], list[int]]
 
 RUNS: tuple[tuple[Scenario, int], ...] = (
     ("failure-recovery-chain", 12),
-    ("failure-recovery-chain", 17),
-    ("collaborative-delivery", 7),
+    ("failure-recovery-chain", 18),
+    ("collaborative-delivery", 2),
     ("collaborative-delivery", 15),
 )
 """Between them: relays, holds, reviews, an absent supervisor at an execution, and recovery at all four levels."""

@@ -14,30 +14,37 @@ from fsar_ledger.errors import NotALedger, UsageError, WriteFailed
 from fsar_ledger.report import result_figure_png, result_figure_svg, typeset, write_report
 
 Make = Callable[..., Path]
-REPORT = "import sys; from pathlib import Path; from fsar_ledger.report import write_report; write_report(Path(sys.argv[1]), Path(sys.argv[2]))"
+REPORT = """
+import sys
+from pathlib import Path
+from fsar_ledger.report import write_report
+write_report(Path(sys.argv[1]), Path(sys.argv[2]), reads_every_way=sys.argv[3] == "True", numbers_out=Path(sys.argv[2] + ".json"))
+"""
 
 
-def test_same_ledger_gives_the_same_bytes_in_another_process_with_another_hash_seed_and_zone(ledger: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("every_way", [False, pytest.param(True, marks=pytest.mark.slow)])
+def test_same_ledger_gives_the_same_bytes_in_another_process_with_another_hash_seed_and_zone(ledger: Path, tmp_path: Path, every_way: bool) -> None:
     here, there = tmp_path / "here.pdf", tmp_path / "there.pdf"
-    write_report(ledger, here)
+    write_report(ledger, here, reads_every_way=every_way, numbers_out=tmp_path / "here.pdf.json")
     environment = os.environ | {"PYTHONHASHSEED": "7", "TZ": "Asia/Tokyo", "LC_ALL": "C"}
-    subprocess.run([sys.executable, "-c", REPORT, str(ledger), str(there)], env=environment, check=True)
+    subprocess.run([sys.executable, "-c", REPORT, str(ledger), str(there), str(every_way)], env=environment, check=True)
     assert here.read_bytes().startswith(b"%PDF")
     assert here.read_bytes() == there.read_bytes()
+    assert (tmp_path / "here.pdf.json").read_bytes() == (tmp_path / "there.pdf.json").read_bytes()
 
 
 @pytest.mark.slow
 def test_another_ledger_gives_another_report(make_ledger: Make, ledger: Path, tmp_path: Path) -> None:
     one, other = tmp_path / "one.pdf", tmp_path / "other.pdf"
-    write_report(ledger, one)
-    write_report(make_ledger(runs=3), other)
+    write_report(ledger, one, reads_every_way=False)
+    write_report(make_ledger(runs=3), other, reads_every_way=False)
     assert one.read_bytes() != other.read_bytes()
 
 
 @pytest.mark.parametrize(
     "contents",
     [
-        {"architectures": ("fsar",)},
+        pytest.param({"architectures": ("fsar",)}, marks=pytest.mark.slow),  # of the others one has one architecture, too, and one no whole experiment
         {"architectures": ("cfc", "dhma"), "scenarios": ("door-relay",), "runs": 1},
         {"architectures": ("fsar",), "configuration": "without-shared-registry"},
         {"fleet_size": 8},

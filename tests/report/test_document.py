@@ -3,6 +3,7 @@
 import shutil
 import tomllib
 from collections.abc import Callable
+from hashlib import sha256
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ from fsar_ledger.report.findings import SCENARIOS, Findings, answer, significanc
 from fsar_ledger.report.gather import gather
 from fsar_ledger.report.printing import flat
 from fsar_ledger.report.sensitivity import Section
+from tests.report.conftest import PARAMETERS
 
 Make = Callable[..., Path]
 
@@ -230,14 +232,15 @@ def test_head_and_query_hashes_are_those_of_the_ledger_and_the_files(ledger: Pat
     names, digests = values(printed, "queries", "name"), values(printed, "queries", "sha256")
     assert {"metrics/metric_summary", "statistics/pairwise_tests", "facts/decisions"} <= set(names)
     assert digests == [hashes[name] for name in names]
-    assert hashes["metrics/metric_summary"][:12] in printed["tables"]["evaluation-results"]["source"]
+    assert printed["tables"]["evaluation-results"]["source"] == "queries/metrics/metric_summary.sql"
 
 
 def test_every_table_spec_is_used_and_every_figure_has_its_query(printed: dict[str, Any]) -> None:
     named = {entry.name.removesuffix(".toml") for entry in files("fsar_ledger.reports").joinpath("tables").iterdir()}
     from_the_fit = {"calibrated-parameters", "residuals", "directions"}
     of_other_ledgers = {"mechanism-coverage", "ablation", "ablation-text", "encounters", "scaling", "beyond", "carried", "mechanism-differences"}
-    assert named == set(printed["tables"]) | from_the_fit | {"other-runs", "sensitivity"} | of_other_ledgers
+    of_readings = {"every-reading", "rankings"}
+    assert named == set(printed["tables"]) | from_the_fit | {"other-runs", "sensitivity"} | of_other_ledgers | of_readings
     for name in named:
         tomllib.loads(specs.text("tables", f"{name}.toml"))
         assert specs.table(name).caption
@@ -260,6 +263,20 @@ def test_constants_of_the_first_run_are_listed_by_name(findings: Findings) -> No
     assert [row["runs"] for row in findings.models] == [30]
     assert findings.runs[0]["seeds"] == "42"
     assert findings.runs[0]["numbers"] == "0 to 1"
+
+
+def test_constants_are_those_of_the_runs_in_the_tables_and_not_of_others_that_come_first(ledger: Path, tmp_path: Path, findings: Findings) -> None:
+    several = shutil.copytree(ledger, tmp_path / "several")
+    kept = [run for run in open_ledger(ledger).runs() if run.run_id.startswith("fleet-contention-0-")]
+    other = '{"world":{"motion_share":0.5}}'
+    runs = [
+        RunRecord(f"0-{run.run_id}", run.times_us, run.caused_by, [msgspec.structs.replace(run.events[0], parameters=other), *run.events[1:]]) for run in kept
+    ]
+    with Writer(several, "test") as writer:
+        writer.append(stage(several, runs))
+    found = gather(several)
+    assert len(found.models) == 2
+    assert (found.parameters, found.parameters_sha256) == (findings.parameters, sha256(PARAMETERS.encode()).hexdigest())
 
 
 def test_nested_constants_become_dotted_names() -> None:

@@ -42,19 +42,12 @@ def test_missing_value_is_said_in_its_panel_and_the_papers_stays(cells: tuple[Ro
 
 def test_figures_are_the_same_bytes_twice_and_carry_no_date(cells: tuple[Row, ...], plain: bytes) -> None:
     assert figures.evaluation_results(cells) == plain
-    assert figures.distances(cells) == figures.distances(cells)
-    assert b"dc:date" not in plain + figures.distances(cells)
+    assert b"dc:date" not in plain
 
 
 def test_figures_show_the_rows(cells: tuple[Row, ...], plain: bytes) -> None:
     moved = [row | ({"mean": 0.2} if (row["metric"], row["architecture"]) == ("governance_locality", "fsar") else {}) for row in cells]
-    farther = [
-        row | ({"distance": 2.5, "difference": (0.04, 0.06)} if (row["metric"], row["architecture"]) == ("governance_locality", "fsar") else {})
-        for row in cells
-    ]
     assert figures.evaluation_results(moved) != plain
-    assert figures.distances(farther) != figures.distances(cells)
-    assert all(spec.title in words(figures.distances(cells)) for spec in specs.metrics())
 
 
 def test_effects_are_drawn_beside_the_papers_and_what_has_none_leaves_the_papers_alone(findings: Findings) -> None:

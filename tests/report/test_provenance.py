@@ -93,6 +93,6 @@ def test_no_cell_hangs_on_what_was_chosen(architecture: Architecture) -> None:
 
 
 def test_the_report_says_where_each_value_is_from_and_which_are_not_ours() -> None:
-    rows = document._constants({"structure.poll_us": "2\u2009000\u2009000", "world.motion_share": "0.247", "of.another.model": "1"})
+    rows = document._constants({"structure.poll_us": "2\u2009000\u2009000", "world.motion_share": str(Constants().world.motion_share), "of.another.model": "1"})
     said = {row[name]: row[word] for row in rows for name, word in (("name", "from"), ("name2", "from2"))}
     assert said == {"structure.poll_us": GIVEN, "world.motion_share": "fitted", "of.another.model": GIVEN, "": ""}

@@ -20,7 +20,7 @@ from fsar_ledger.events.world import ObstructionAppeared, RoutineDue
 from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.runtime.simulation import RunSpec, run_id, simulate_run
 
-HONEST = simulate_run(RunSpec(5, "fsar", "full", "failure-recovery-chain", 4, 0), Constants())
+HONEST = simulate_run(RunSpec(42, "fsar", "full", "failure-recovery-chain", 4, 59), Constants())
 
 
 def changed(record: RunRecord, seq: int, event: Event | None = None, time_us: int | None = None, caused_by: int | None = None) -> RunRecord:
@@ -150,5 +150,5 @@ FORGERIES = {
     ),
     "a fact of the world is said to have a cause": Forgery(changed(HONEST, OBSTRUCTED, caused_by=1), OBSTRUCTED, "caused_by", "world.schedule.schedule"),
     "the run goes on after its end": Forgery(added(HONEST, LAST + 1, HONEST.events[PERFORMED], LATE, LAST), LAST + 1, "type", None),
-    "the run stops halfway": Forgery(stopped(200), 200, "type", "fsar.recovery.end_attempt"),
+    "the run stops halfway": Forgery(stopped(RESOLVED), RESOLVED, "type", "fsar.recovery.end_attempt"),
 }

@@ -227,6 +227,7 @@ def first_constant(group: str) -> str:
     return kind.__struct_fields__[0]
 
 
+OURS = WorldConstants()
 CALM = WorldConstants(obstruction_rate_per_s=1e-9, context_rate_per_s=1e-9, fleet_rule_rate_per_s=1e-9)
 
 
@@ -238,8 +239,8 @@ def test_a_run_under_other_constants_is_no_doubt_but_told() -> None:
     [remark] = remarks_on(played([started, run_started(SPECS[1], CONSTANTS)]))
     assert remark == (
         f"other constants: 1 of 2 runs (1 of {SPECS[0].architecture}) met a world or a structure that is not this version's: "
-        "structure.local_attempts=9 (here 2), world.context_rate_per_s=1e-9 (here 0.0229), "
-        "world.fleet_rule_rate_per_s=1e-9 (here 0.00674), world.obstruction_rate_per_s=1e-9 (here 0.0145)"
+        f"structure.local_attempts=9 (here 2), world.context_rate_per_s=1e-9 (here {OURS.context_rate_per_s}), "
+        f"world.fleet_rule_rate_per_s=1e-9 (here {OURS.fleet_rule_rate_per_s}), world.obstruction_rate_per_s=1e-9 (here {OURS.obstruction_rate_per_s})"
     )
 
 

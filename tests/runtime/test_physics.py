@@ -147,10 +147,10 @@ def test_with_every_robot_off_nobody_does_anything(architecture: Architecture) -
 
 @EVERY
 def test_from_the_moment_at_which_every_robot_is_off_nobody_does_anything(architecture: Architecture) -> None:
-    off = failing(architecture, Outages(off_rate_per_s=ALWAYS, off_mean_s=FOREVER, from_s=36.0))
+    off = failing(architecture, Outages(off_rate_per_s=ALWAYS, off_mean_s=FOREVER, from_s=28.0))
     times = [time_us for _, time_us, _, _ in deeds(off)]
     assert times
-    assert max(times) <= 36_000_100
+    assert max(times) <= 28_000_100
     assert of(off.events, ExecutionHalted)
     assert off.metrics["coordination_success"] == 0
 

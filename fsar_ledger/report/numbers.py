@@ -1,0 +1,162 @@
+"""Every number that the paper's result tables print, with its class and what became of it: what the first page counts and shows.
+
+Nothing is judged here: the answers are those of the tables (`gives`, the signs and levels of the tests), by the rules that were registered. A number
+that the paper's own text excludes does not stand, whatever the runs say; one that hangs on a dial that the text leaves open is not judged, but has the
+range that the dial gives.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from fsar_ledger.metrics import verdicts
+from fsar_ledger.registration import registration
+from fsar_ledger.report.findings import Findings, Row
+
+STANDS, FAILS, UNDECIDED, OPEN = "stands", "does not", "undecided", "open"
+OUTCOMES = (STANDS, FAILS, UNDECIDED, OPEN)
+
+TABLES: Mapping[str, str] = {
+    "results": "Evaluation results",
+    "ablation": "Ablation",
+    "ablation_text": "Ablation (text)",
+    "cases": "Cases",
+    "significance": "Significance",
+    "scaling": "Scaling",
+}
+"""The tables in the paper's order, as the first page calls them."""
+
+FITTED, INFORMED, EXCLUDED, UNSPECIFIED = "fitted", "informed", "cannot follow", "unspecified"
+BY_CONSTRUCTION = "by construction"
+ALL = "all"
+"""How the table of cases writes a share of 1."""
+
+
+def numbers(findings: Findings, *, is_fitted: bool = True) -> tuple[Row, ...]:
+    """One row for each printed number of the tables whose runs are there, in the paper's order.
+
+    Columns: table, metric, architecture, configuration, fleet_size, scenario, comparison, case (None where they tell nothing), class, printed (as the
+    paper has it), paper, ours, n, interval, difference (90 %), margin, distance and reach (the 90 % interval, or what an open dial gives; both in
+    margins), gives, share, could, outcome. `is_fitted` False: the fit was of another model, so no number counts as fitted.
+    """
+    rows = [_row("results", row, _class(row, is_fitted=is_fitted)) for row in findings.cells if any(one["mean"] is not None for one in findings.cells)]
+    if (ablation := findings.ablation) is not None:
+        rows += [
+            _row(name, row, row["class"], _dialled(row, ablation.curve))
+            for name, found in (("ablation", ablation.cells), ("ablation_text", ablation.text))
+            for row in found
+        ]
+    rows += [_case(row) for row in findings.cases]
+    rows += [_test(row) for row in findings.tests if any(one["t"] is not None for one in findings.tests)]
+    if findings.scaling is not None:
+        rows += [_row("scaling", row, row["class"], [row["mean"], row["one"]]) for row in findings.scaling.cells]
+    return tuple(rows)
+
+
+def _class(row: Row, *, is_fitted: bool) -> str:
+    kind = registration().said_of("results", {"metric": row["metric"], "architecture": row["architecture"]}).kind.replace("_", " ")
+    return INFORMED if kind == FITTED and not is_fitted else kind
+
+
+def _dialled(row: Row, curve: Iterable[Row]) -> list[float | None]:
+    """Our means of this number at every place of the dial that the text leaves open."""
+    same = ("metric", "architecture", "configuration", "scenario")
+    return [point["mean"] for point in curve if all(point[name] == row[name] for name in same)]
+
+
+def _row(table: str, row: Row, kind: str, dial: Sequence[float | None] = ()) -> Row:
+    margin = verdicts.MARGINS[row["metric"]]
+    given = [mean - row["paper"] for mean in dial if mean is not None] if kind == UNSPECIFIED else []
+    ends = (min(given), max(given)) if given else row["difference"]
+    return _blank(table) | {
+        **{name: row.get(name) for name in ("metric", "architecture", "configuration", "fleet_size", "scenario", "n", "interval", "paper")},
+        **{name: row[name] for name in ("difference", "distance", "gives", "share", "could")},
+        "class": kind,
+        "printed": row["paper_printed"],
+        "ours": row["mean"],
+        "margin": margin,
+        "reach": None if ends is None else (ends[0] / margin, ends[1] / margin),
+        "outcome": _outcome(kind, row["gives"]),
+    }
+
+
+def _outcome(kind: str, gives: str | None) -> str:
+    if kind in (EXCLUDED, UNSPECIFIED):
+        return FAILS if kind == EXCLUDED else OPEN
+    return {"yes": STANDS, "no": FAILS}.get(gives or "", UNDECIDED)
+
+
+def _case(row: Row) -> Row:
+    """A number of a case: decided where a mechanism restates it, so that no chance is in it; for the others no margin was registered."""
+    paper, ours = 1.0 if row["paper"] == ALL else float(row["paper"]), row["value"]
+    is_exact = row["class"] == BY_CONSTRUCTION and ours is not None
+    told = {name: row[name] for name in ("case", "architecture", "class")} | {"printed": row["paper"], "paper": paper, "ours": ours}
+    return _blank("cases") | told | {"outcome": (STANDS if ours == paper else FAILS) if is_exact else UNDECIDED}
+
+
+def _test(row: Row) -> Row:
+    """A pairwise test: it stands where the sign of t and the level of significance come out as printed."""
+    is_made, agrees = row["sign_agrees"] is not None, row["sign_agrees"] and row["level_agrees"]
+    return _blank("significance") | {
+        **{name: row[name] for name in ("metric", "comparison", "n")},
+        "class": INFORMED,
+        "printed": f"{row['paper_level']}",
+        "paper": row["paper_t"],
+        "ours": row["t"],
+        "outcome": (STANDS if agrees else FAILS) if is_made else UNDECIDED,
+    }
+
+
+def _blank(table: str) -> Row:
+    where = ("metric", "architecture", "configuration", "fleet_size", "scenario", "comparison", "case")
+    ours = ("class", "printed", "paper", "ours", "n", "interval", "difference", "margin", "distance", "reach", "gives", "share", "could", "outcome")
+    return {"table": table} | dict.fromkeys((*where, *ours))
+
+
+def missing(rows: Iterable[Row]) -> list[str]:
+    """The tables of which no run is there, as the first page calls them."""
+    held = {row["table"] for row in rows}
+    return [title for name, title in TABLES.items() if name not in held]
+
+
+def tally(rows: Sequence[Row]) -> list[Row]:
+    """One row for each table and class: how many numbers are printed, and what became of them; then one for all of them."""
+    counts: dict[tuple[str, str], Counter[str]] = {}
+    for table in TABLES:
+        for row in rows:
+            if row["table"] == table:
+                counts.setdefault((table, row["class"]), Counter())[row["outcome"]] += 1
+    found: list[Row] = [{"table": TABLES[table], "class": kind, **_counted(counted)} for (table, kind), counted in counts.items()]
+    return [*found, {"table": "All", "class": "", **_counted(sum(counts.values(), Counter()))}] if found else []
+
+
+def _counted(counts: Mapping[str, int]) -> Row:
+    return {"printed": sum(counts.values()), **{name: counts.get(name, 0) for name in OUTCOMES}}
+
+
+def said(rows: Sequence[Row]) -> dict[str, Any]:
+    """What the three sentences of the first page count: what stands, what does not, what cannot be decided, by class; and what is not there."""
+    of = {outcome: [row for row in rows if row["outcome"] == outcome] for outcome in OUTCOMES}
+    outside = [row for row in of[OPEN] if row["reach"] is not None and (row["reach"][0] > 1 or row["reach"][1] < -1)]
+    told = [row for row in of[OPEN] if row["reach"] is not None]
+    return {
+        "printed": len(rows),
+        "tables": [title for name, title in TABLES.items() if any(row["table"] == name for row in rows)],
+        "missing": missing(rows),
+        "stands": len(of[STANDS]),
+        "stands_by": _by_class(of[STANDS]),
+        "fails": len(of[FAILS]),
+        "fails_by": _by_class(of[FAILS]),
+        "could": sum(row["could"] == "yes" for row in of[FAILS] if row["class"] != EXCLUDED),
+        "drawn": sum(row["could"] is not None for row in of[FAILS] if row["class"] != EXCLUDED),
+        "undecided": len(of[UNDECIDED]),
+        "unregistered": sum(row["table"] == "cases" for row in of[UNDECIDED]),
+        "open": len(of[OPEN]),
+        "open_told": len(told),
+        "outside": len(outside),
+    }
+
+
+def _by_class(rows: Sequence[Row]) -> list[dict[str, Any]]:
+    """How many of each class, the most first."""
+    return [{"class": kind, "count": count} for kind, count in sorted(Counter(row["class"] for row in rows).items(), key=lambda item: (-item[1], item[0]))]
