@@ -59,7 +59,7 @@ def write_report(
     demanded = demanded or required_look(ledger, workers, progress)
     theirs = {one: required_look(one, workers, progress) for one in (*([] if workflows is None else [workflows]), *beside)}
     findings = gather(ledger, workflows, demanded, theirs, pools_seeds=pools_seeds, reads_every_way=reads_every_way)
-    effects = section(given, findings.model_version, {findings.parameters_sha256} - {None})
+    effects = section(given, findings.model_version, [findings.parameters_sha256 or "unknown"])
     record = recorded()
     laid_out = document.encoded(document.data(findings, record, effects))
     typeset.publish(out, typeset.pdf(laid_out, document.drawings(findings, effects)))
