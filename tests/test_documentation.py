@@ -190,7 +190,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-@pytest.mark.parametrize("example", [example for name, example in examples() if name not in LONG and example != "fsar-ledger simulate out/ledger"])
+@pytest.mark.parametrize(
+    "example",
+    [
+        pytest.param(example, marks=[pytest.mark.slow] if name == "multiverse" else [])  # docs/model.md runs it each time
+        for name, example in examples()
+        if name not in LONG and example != "fsar-ledger simulate out/ledger"
+    ],
+)
 def test_every_quick_example_runs(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], example: str) -> None:
     monkeypatch.chdir(folder)
     assert run(shlex.split(example, comments=True)[1:]) == 0

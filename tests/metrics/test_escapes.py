@@ -66,8 +66,6 @@ REACHES_OUT = {
 
 IS_NO_SELECT = {
     "copy": ("COPY (SELECT 1) TO '{base}/out'", "found COPY, " + ONE),
-    "set": ("SET enable_external_access = true", "found SET"),
-    "two statements": ("SELECT 1; COPY (SELECT 1) TO '{base}/out'", "found SELECT, COPY"),
     "an open pivot": ("PIVOT events ON type USING count(*)", "two statements"),
     "only a comment": ("  -- nothing\n", "found no statement"),
     "syntax": ("SELEC 1", "syntax error"),
@@ -79,6 +77,8 @@ IS_NO_SELECT = {
 }
 
 IS_OF_ANOTHER_KIND = {
+    "set": ("SET enable_external_access = true", "found SET"),
+    "two statements": ("SELECT 1; COPY (SELECT 1) TO '{base}/out'", "found SELECT, COPY"),
     "copy from": ("COPY run_metrics FROM 'secret.csv'", "found COPY"),
     "export": ("EXPORT DATABASE '{base}/out'", "found EXPORT"),
     "attach": ("ATTACH '{base}/out' AS other", "found ATTACH"),
@@ -137,8 +137,18 @@ ALIKE = {"read a text", "read a blob", "read json", "read a database", "read by 
     "list what DuckDB has installed",
     "fetch by name",
     "fetch from a bucket",
+    "read by name",
+    "copy in a step over a segment",
+    "copy explained",
+    "profile to a file",
+    "a function that sets",
+    "a pointer",
+    "a Python function",
+    "insert in a step",
+    "insert explained",
+    "statements as text",
 }
-"""Readers that one lock stops with others: here all are tried on the locks (`test_duckdbs_locks_hold_by_themselves`), in a process each with the soaks."""
+"""Ways that one lock stops with others: here all are tried on the locks (`test_duckdbs_locks_hold_by_themselves`), in a process each with the soaks."""
 
 
 @pytest.fixture(scope="module")
