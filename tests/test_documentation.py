@@ -190,10 +190,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+ELSEWHERE = ("fsar-ledger multiverse out/ledger", "fsar-ledger report out/ledger --out out/report.pdf")
+"""Examples that are part of others which run each time: of `docs/model.md`, and of the one with `--numbers`."""
+
+
 @pytest.mark.parametrize(
     "example",
     [
-        pytest.param(example, marks=[pytest.mark.slow] if name == "multiverse" else [])  # docs/model.md runs it each time
+        pytest.param(example, marks=[pytest.mark.slow] if example in ELSEWHERE else [])
         for name, example in examples()
         if name not in LONG and example != "fsar-ledger simulate out/ledger"
     ],

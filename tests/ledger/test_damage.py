@@ -31,7 +31,7 @@ def test_the_ledger_has_files_of_every_kind(path: Path) -> None:
     assert verify(path).ok
 
 
-@pytest.mark.parametrize("name", ["ledger.json", "checkpoint", "commits/000000000000.json", "commits/000000000001.json"])
+@pytest.mark.parametrize("name", ["ledger.json", "checkpoint", pytest.param("commits/000000000000.json", marks=pytest.mark.slow), "commits/000000000001.json"])
 def test_a_flip_in_every_byte_of_json_and_notes_is_found_and_placed(tmp_path: Path, name: str) -> None:
     path = tmp_path / "ledger"
     write_ledger(path, (3, 3))

@@ -41,13 +41,13 @@ def test_another_ledger_gives_another_report(make_ledger: Make, ledger: Path, tm
     assert one.read_bytes() != other.read_bytes()
 
 
-@pytest.mark.parametrize(
+@pytest.mark.parametrize(  # an ablation alone has one architecture and no experiment of the paper; the soaks try what holds more than that
     "contents",
     [
-        pytest.param({"architectures": ("fsar",)}, marks=pytest.mark.slow),  # of the others one has one architecture, too, and one no whole experiment
-        {"architectures": ("cfc", "dhma"), "scenarios": ("door-relay",), "runs": 1},
+        pytest.param({"architectures": ("fsar",)}, marks=pytest.mark.slow),
+        pytest.param({"architectures": ("cfc", "dhma"), "scenarios": ("door-relay",), "runs": 1}, marks=pytest.mark.slow),
         {"architectures": ("fsar",), "configuration": "without-shared-registry"},
-        {"fleet_size": 8},
+        pytest.param({"fleet_size": 8}, marks=pytest.mark.slow),
         {"architectures": ()},
     ],
     ids=["one architecture", "one run each", "an ablation alone", "another fleet size alone", "no run"],
