@@ -1,7 +1,7 @@
--- Title: Which mechanism carries which number: an architecture in full beside itself without some mechanism, in pairs, metric by metric
+-- Title: Which mechanism carries which number: an architecture in full beside itself without one mechanism, in pairs, metric by metric
 -- Paper: sec:evaluation:ablation
--- Grain: one row per architecture, configuration other than full, setting (kind, source, model version, constants, fleet size), metric, and seed or all seeds
---        (pools_seeds)
+-- Grain: one row per architecture, configuration that lacks one mechanism, setting (kind, source, model version, constants, fleet size), metric, and seed or
+--        all seeds (pools_seeds)
 -- Units: first is in full and second without, so mean_difference is what the mechanism adds; n and all else as in side_differences, but p_holm over the
 --        family_tests tests of all mechanisms of all architectures, of one setting and seed
 -- NULL: seed for all seeds; the rest as in side_differences
@@ -33,7 +33,7 @@ WITH ablated AS (
     INNER JOIN side_comparisons AS comparisons
         ON differences.first_side = comparisons.first_side AND differences.second_side = comparisons.second_side
     INNER JOIN sides ON differences.second_side = sides.side
-    WHERE comparisons.family LIKE 'ablations of %' AND differences.scenario IS NULL
+    WHERE comparisons.family LIKE 'ablations of %' AND comparisons.configuration NOT LIKE '%+%' AND differences.scenario IS NULL
 ),
 
 ranked AS (

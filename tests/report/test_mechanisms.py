@@ -42,7 +42,8 @@ def of_cfc(*names: str, runs: int = 2, constants: Constants = Constants()) -> Ex
 
 @pytest.fixture(scope="module")
 def database() -> Iterator[Database]:
-    with played(of_cfc(CLAIMS, COPIES, UNNAMED, runs=3)) as opened:
+    both = Experiment(("cfc",), SCENARIOS, 3, 42, 4, (without([CLAIMS, COPIES]),))  # is in no family of those that lack one
+    with played(of_cfc(CLAIMS, COPIES, UNNAMED, runs=3), both) as opened:
         yield opened
 
 
