@@ -17,7 +17,8 @@ MECHANISMS_OF: dict[Architecture, dict[str, str]] = {
         "shared-registry": "a registry shows who can do what (else peers that were met)",
         "engine-closing": "closing by the coordination engine (else by the requester)",
         "boundary-revocation": "revocation waits for the request boundary (else no claim)",
-        "start-check": "policy is checked again where work starts (else what was admitted starts)",
+        "start-recheck": "policy is checked again where delegated work starts (else it starts as admitted)",
+        "own-work-check": "policy is checked where own steps and motions start (else nothing checks them)",
     },
     "cfc": {
         "safe-stop-claims": "context changes make robots and supervisors claim (else no claim)",

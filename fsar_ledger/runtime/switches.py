@@ -40,7 +40,7 @@ from fsar_ledger.runtime.handlers.actors import body
 from fsar_ledger.runtime.handlers.attribution import on_shift, principals
 from fsar_ledger.runtime.handlers.commands import CloseRequest, Command, Decide, DecideRoutine, Draw, EndAttempt, React, Scheduled, StartAction
 from fsar_ledger.runtime.handlers.execution import holds_robot, started
-from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
+from fsar_ledger.runtime.handlers.recovery import attempt_result, attempt_succeeds, budget, open_failure
 
 Rewire = Callable[[Wiring], Wiring]
 
@@ -135,8 +135,8 @@ def _leaving_out(kind: type[Event], command: type[Command]) -> Rewire:
     return rewired
 
 
-def _decided_by(event: Any, robot: str) -> Event:
-    found: Event = msgspec.structs.replace(event, decided_by=robot, path=(robot,))
+def _decided_by(event: Any, robot: str | None) -> Event:
+    found: Event = msgspec.structs.replace(event, decided_by=robot, path=() if robot is None else (robot,))
     return found
 
 
@@ -155,7 +155,7 @@ def _in_no_time(name: str) -> Callable[[State], Any]:
 
 def _closed_by_requester(state: State, command: CloseRequest) -> tuple[Event, ...]:
     events = fsar_request.close_request(state, command)
-    return tuple(_decided_by(event, event.requested_by or "") if isinstance(event, RequestClosed) else event for event in events)
+    return tuple(_decided_by(event, event.requested_by) if isinstance(event, RequestClosed) else event for event in events)
 
 
 def _started_unchecked(state: State, command: StartAction) -> tuple[Event, ...]:
@@ -166,6 +166,23 @@ def _started_unchecked(state: State, command: StartAction) -> tuple[Event, ...]:
     if action.stage == "preempted" and action.has_approach:  # it has to come back first
         return ()
     return (started(state, action, command),)
+
+
+def _starting_unchecked(*, is_delegated: bool) -> Rewire:
+    """What others asked for, or what is the robot's own, starts unchecked; the other of them as before."""
+
+    def rewired(whole: Wiring) -> Wiring:
+        checked = whole.decides[StartAction]
+
+        @wraps(checked)
+        def start(state: State, command: Any) -> tuple[Event, ...]:
+            action = state.execution.actions.get(command.action_id)
+            is_meant = action is not None and action.is_delegated == is_delegated
+            return _started_unchecked(state, command) if is_meant else checked(state, command)
+
+        return Wiring({**whole.decides, StartAction: start}, whole.reacts, whole.actors)
+
+    return rewired
 
 
 def _moved_unchecked(state: State, command: DecideRoutine) -> tuple[Event, ...]:
@@ -188,6 +205,12 @@ class RetryAlone(Command):
     action_id: str
 
 
+def _may_try(state: State, recovery: Recovery, tried: int, now_us: int) -> bool:
+    """The robot may try again after so many attempts: neither their number nor the time of its budget is spent."""
+    allowed = budget(state, recovery.robot, "local")
+    return tried < allowed.n_max and now_us < recovery.detected_us + allowed.t_max_us
+
+
 def _retried(state: State, action: Action, recovery: Recovery) -> RecoveryAttempted:
     return RecoveryAttempted(
         task_id=action.task_id,
@@ -199,7 +222,7 @@ def _retried(state: State, action: Action, recovery: Recovery) -> RecoveryAttemp
         failure=recovery.failure,
         number=recovery.number + 1,
         level="local",
-        deadline_us=recovery.detected_us + state.fleet.structure.local_budget_us,
+        deadline_us=recovery.detected_us + budget(state, action.robot, "local").t_max_us,
         failed_action=action.action_id,
     )
 
@@ -210,27 +233,40 @@ def _retry_alone(state: State, command: RetryAlone) -> tuple[Event, ...]:
 
 
 def _end_own_attempt(state: State, command: EndAttempt) -> tuple[Event, ...]:
-    """The robot tries as often as any robot may; then it is the coordinator's."""
+    """The robot tries as often, and as long, as any robot may; then it is the coordinator's."""
     failure = open_failure(state, command.action_id)
-    if failure is None:
+    if failure is None or failure[1].number != command.number:
         return ()
     action, recovery = failure
     about = (action.task_id, action.action_id, action.robot, recovery.failure)
     if attempt_succeeds(state, recovery, command):
         return (FailureResolved(*about, "local"),)
-    if recovery.number < state.fleet.structure.local_attempts:
-        return (_retried(state, action, recovery),)
-    return (RecoveryAttemptFailed(*about, command.number),)
+    failed = RecoveryAttemptFailed(*about, command.number, *attempt_result(state, action, recovery))
+    if _may_try(state, recovery, command.number, command.now_us):
+        return (failed, _retried(state, action, recovery))
+    return (failed,)
 
 
-def _on_own_failure(_state: State, event: ExecutionFailed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(RetryAlone(event.action_id)),)
+def _on_own_failure(state: State, event: ExecutionFailed, now_us: int) -> tuple[Scheduled, ...]:
+    if _may_try(state, state.recovery[event.action_id], 0, now_us):
+        return (Scheduled(RetryAlone(event.action_id)),)
+    return cfc_recovery.REACTS[ExecutionFailed](state, event, now_us)
 
 
-def _on_own_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[Scheduled, ...]:
+def _on_own_attempt(state: State, event: RecoveryAttempted, now_us: int) -> tuple[Scheduled, ...]:
+    if event.decided_by == COORDINATOR:  # it orders one where the robot may not try at all
+        return cfc_recovery.REACTS[RecoveryAttempted](state, event, now_us)
     key = f"{event.failed_action}/{event.failure}/{event.number}"
     end = EndAttempt(event.failed_action, event.number)
     return (Scheduled(end, state.fleet.structure.retry_preparation_us, (Draw("retry", key),), Draw("reliability", "retry/" + key)),)
+
+
+def _on_own_attempt_failed(state: State, event: RecoveryAttemptFailed, now_us: int) -> tuple[Scheduled, ...]:
+    """The coordinator hears of the last one alone."""
+    failure = open_failure(state, event.action_id)
+    if failure is not None and _may_try(state, failure[1], event.number, now_us):
+        return ()
+    return cfc_recovery.REACTS[RecoveryAttemptFailed](state, event, now_us)
 
 
 def _recovering_alone(whole: Wiring) -> Wiring:
@@ -238,6 +274,7 @@ def _recovering_alone(whole: Wiring) -> Wiring:
     instead: dict[React, React] = {
         cfc_recovery.REACTS[ExecutionFailed]: _on_own_failure,
         cfc_recovery.REACTS[RecoveryAttempted]: _on_own_attempt,
+        cfc_recovery.REACTS[RecoveryAttemptFailed]: _on_own_attempt_failed,
     }
     reacts = {event: tuple(instead.get(react, react) for react in several) for event, several in whole.reacts.items()}
     return Wiring({**whole.decides, RetryAlone: _retry_alone, EndAttempt: _end_own_attempt}, reacts, {**whole.actors, RetryAlone: body})
@@ -292,6 +329,7 @@ def _decided_as_one(_state: State, event: Any) -> Event:
 
 
 _now = partial(_seeing, "knowledge", _copy_of_now)
+_served_at_once = partial(_seeing, "fleet", _in_no_time("service_us"))
 _policy_now = partial(_seeing, "knowledge", _snapshots_of_now)
 
 SWITCHES: tuple[Switch, ...] = (
@@ -301,7 +339,14 @@ SWITCHES: tuple[Switch, ...] = (
     Switch("shared-registry", "fsar", ("coordination_success",)),
     Switch("engine-closing", "fsar", ("governance_locality",), {CloseRequest: _closed_by_requester}),
     Switch("boundary-revocation", "fsar", ("authority_conflicts",), {fsar_authority.Revoke: _nothing}),
-    Switch("start-check", "fsar", ("policy_violations", "coordination_success"), {StartAction: _started_unchecked, DecideRoutine: _moved_unchecked}),
+    Switch("start-recheck", "fsar", ("policy_violations", "coordination_success"), rewire=_starting_unchecked(is_delegated=True)),
+    Switch(
+        "own-work-check",
+        "fsar",
+        ("policy_violations", "coordination_success"),
+        {DecideRoutine: _moved_unchecked},
+        _starting_unchecked(is_delegated=False),
+    ),
     Switch("safe-stop-claims", "cfc", ("authority_conflicts",), {cfc_execution.SafeStop: _nothing}),
     Switch(
         "synced-copies",
@@ -317,7 +362,10 @@ SWITCHES: tuple[Switch, ...] = (
         "coordinator-queue",
         "cfc",
         ("coordination_success", "reassignment_latency_s"),
-        {cfc_coordinator.ReachCoordinator: _seeing("fleet", _in_no_time("service_us"), cfc_coordinator.reach_coordinator)},
+        {
+            cfc_coordinator.ReachCoordinator: _served_at_once(cfc_coordinator.reach_coordinator),
+            cfc_recovery.GoOnWithoutHelp: _served_at_once(cfc_recovery.go_on_without_help),
+        },
     ),
     Switch("central-recovery", "cfc", ("recovery_containment", "reassignment_latency_s", "human_intervention"), rewire=_recovering_alone),
     Switch("unnamed-requests", "cfc", ("audit_attributability",), rewire=_everywhere(partial(_retold, _requester_named))),
