@@ -84,10 +84,12 @@ class Mechanisms(msgspec.Struct, frozen=True):
 
     rows: one per architecture, mechanism and metric, as `statistics/mechanism_differences` has it, with interval, is_marked (it excludes 0) and stands
     (p adjusted over all these tests is below 0.05).
+    parameters_sha256: the SHA-256 of the constants as these runs record them, mostly one: runs whose constants have the same values stand together.
     """
 
     told: Told
     rows: tuple[Row, ...]
+    parameters_sha256: tuple[str, ...] = ()
 
 
 class Findings(msgspec.Struct, frozen=True):

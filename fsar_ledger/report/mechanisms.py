@@ -27,6 +27,13 @@ ROWS_SQL = f"""
     FROM {QUERY.partition("/")[2]}
     WHERE pools_seeds = $pooled AND fleet_size = $fleet_size AND list_contains($configurations, configuration)
 """
+DIGESTS_SQL = """
+    SELECT DISTINCT runs.parameters_sha256
+    FROM runs
+    INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
+    WHERE settings.setting = $setting AND runs.parameters_sha256 IS NOT NULL
+    ORDER BY runs.parameters_sha256
+"""
 
 
 def mechanisms_of(database: Database, *, pools_seeds: bool = False) -> Mechanisms | None:
@@ -44,7 +51,8 @@ def mechanisms_of(database: Database, *, pools_seeds: bool = False) -> Mechanism
     (runs,) = database.rows("SELECT count(*) AS runs FROM runs")
     said = (0, 0, "") if head is None else (head.commits, head.size, head.root)
     told = Told(*said, runs["runs"], completeness(database).sentence(), rows[0]["model_version"])
-    return Mechanisms(told, tuple(sorted(map(_named, rows), key=_place)))
+    digests = tuple(row["parameters_sha256"] for row in database.rows(DIGESTS_SQL, {"setting": rows[0]["setting"]}))
+    return Mechanisms(told, tuple(sorted(map(_named, rows), key=_place)), digests)
 
 
 def _named(row: Row) -> Row:
@@ -63,7 +71,10 @@ def _place(row: Row) -> tuple[int, int, int]:
 
 
 def carried(found: Mechanisms) -> list[Row]:
-    """One row for each cell of the results table: the mechanism that carries most of it, the further ones, and how many it was asked of."""
+    """One row for each cell of the results table: the mechanism that carries most of it, the further ones, and how many it was asked of.
+
+    `mean` and `n` are of the pairs of that mechanism, or of the one with most pairs; a further one that is of another number of pairs says so.
+    """
     cells = []
     for spec in specs.metrics():
         for architecture in ARCHITECTURES:
@@ -72,15 +83,20 @@ def carried(found: Mechanisms) -> list[Row]:
             cell: Row = {"metric": spec.name, "architecture": architecture, "asked": len(asked)}
             most = bearing[0] if bearing else None
             cell |= {name: None if most is None else most[name] for name in ("mechanism", "mean_difference", "interval", "p_holm")}
-            cell |= {"mean": (most or asked[0])["full_mean"] if asked else None, "others": _others(bearing[1:])}
+            shown = most or max(asked, key=lambda row: row["n"], default=None)
+            cell |= {name: None if shown is None else shown[source] for name, source in (("mean", "full_mean"), ("n", "n"))}
+            cell["others"] = _others(bearing[1:], cell["n"])
             cell["words"] = _words(cell["mechanism"]) if most else "none of these" if asked else None
             cells.append(cell)
     return cells
 
 
-def _others(rows: Sequence[Row]) -> str | None:
-    """The next mechanisms in words, with what they add."""
-    told = [f"{_words(row['mechanism'])} {signed(row['metric'], row['mean_difference'])}" for row in rows[:MAX_OTHERS]]
+def _others(rows: Sequence[Row], pairs: int | None) -> str | None:
+    """The next mechanisms in words, with what they add, and over how many pairs where it is not over so many as the first."""
+    told = []
+    for row in rows[:MAX_OTHERS]:
+        of = "" if row["n"] == pairs else f" (of {printing.integer(row['n'])} pairs)"
+        told.append(f"{_words(row['mechanism'])} {signed(row['metric'], row['mean_difference'])}{of}")
     more = [f"{len(rows) - MAX_OTHERS} more"] if len(rows) > MAX_OTHERS else []
     return ", ".join([*told, *more]) or None
 
@@ -131,6 +147,13 @@ def _difference(cell: printing.Cell) -> printing.Cell:
     return printing.Cell(value, f"{signed(row['metric'], row['mean_difference'])}\n{ends}", "strong" if row["is_marked"] else "plain")
 
 
+def _other_constants(found: Mechanisms, expected: str | None) -> str | None:
+    """What names the constants of these runs, where those of the results (None: none are known) are others."""
+    if expected is None or expected in found.parameters_sha256:
+        return None
+    return printing.words(", ".join(digest[:12] for digest in found.parameters_sha256) or "not on record")
+
+
 def sentences(findings: Findings) -> dict[str, Any] | None:
     """What the sentences say: whose runs, how many tests stand, and what each mechanism is; None without such runs."""
     found = findings.mechanisms
@@ -146,6 +169,7 @@ def sentences(findings: Findings) -> dict[str, Any] | None:
         "runs": printing.integer(found.told.run_count),
         "completeness": found.told.completeness,
         "another_model": another and printing.words(another),
+        "other_constants": _other_constants(found, findings.parameters_sha256),
         "mechanisms": len(held),
         "missing": len(every - held),
         "differences": len(found.rows),

@@ -165,6 +165,24 @@ def test_a_cell_is_carried_by_the_mechanism_that_moves_it_furthest_of_those_that
     )
     [cell] = [cell for cell in carried(louder) if (cell["metric"], cell["architecture"]) == ("audit_attributability", "cfc")]
     assert (cell["mechanism"], cell["others"][:16]) == (COPIES, "unnamed requests")
+    assert cell["n"] == 15
+    assert "pairs" not in cell["others"]
+
+
+def test_a_mechanism_that_was_taken_out_of_other_runs_says_of_how_many_pairs_it_is(found: Mechanisms) -> None:
+    metric = "audit_attributability"
+    rows = (
+        row | {"n": 1200, "full_mean": 0.25, "mean_difference": -1.0, "stands": True} if _is(row, COPIES, metric) else row | {"full_mean": 0.5}
+        for row in found.rows
+    )
+    more = msgspec.structs.replace(found, rows=tuple(rows))
+    [first] = [cell for cell in carried(more) if (cell["metric"], cell["architecture"]) == (metric, "cfc")]
+    assert (first["mechanism"], first["n"], first["mean"]) == (COPIES, 1200, 0.25)
+    assert first["others"].startswith("unnamed requests")
+    assert first["others"].endswith("(of 15 pairs)")
+    none = msgspec.structs.replace(more, rows=tuple(row | {"stands": False} for row in more.rows))
+    [without_any] = [cell for cell in carried(none) if (cell["metric"], cell["architecture"]) == (metric, "cfc")]
+    assert (without_any["words"], without_any["n"], without_any["mean"]) == ("none of these", 1200, 0.25)
 
 
 def test_a_ledger_without_such_runs_has_no_section_and_the_report_says_how_to_make_one(findings: Findings) -> None:
@@ -185,9 +203,27 @@ def test_the_section_has_both_tables_with_what_is_marked_in_bold(findings: Findi
     assert rows["unnamed requests"][at]["tone"] == "strong"
     assert rows["safe stop claims"][at]["printed"] == "0"
     said = data["carried"]
+    assert said["other_constants"] is not None, "the page has that sentence, too"
     assert (said["mechanisms"], said["missing"], said["differences"]) == (3, len(SWITCHES) - 3, 24)
     assert said["unmoved"] == sum(not row["differing_pairs"] for row in found.rows) > 0
     assert typeset.pdf(document.encoded(document.data(given, None)), document.drawings(given)).startswith(b"%PDF")
+
+
+def test_mechanisms_of_other_constants_than_the_results_say_so(findings: Findings) -> None:
+    with played(of_cfc(CLAIMS, runs=1, constants=Constants(CALM))) as calm:
+        other = mechanisms_of(calm)
+    assert other is not None
+    [digest] = other.parameters_sha256
+    said = mechanisms.sentences(msgspec.structs.replace(findings, mechanisms=other))
+    assert said is not None
+    assert said["other_constants"] == digest[:12]
+    assert "#carried.other_constants" in specs.text("templates", "report.typ")
+    same = mechanisms.sentences(msgspec.structs.replace(findings, mechanisms=other, parameters_sha256=digest))
+    assert same is not None
+    assert same["other_constants"] is None
+    unknown = mechanisms.sentences(msgspec.structs.replace(findings, mechanisms=msgspec.structs.replace(other, parameters_sha256=())))
+    assert unknown is not None
+    assert unknown["other_constants"] == "not on record"
 
 
 def test_a_difference_is_printed_with_its_sign_unless_it_is_printed_as_0() -> None:
