@@ -90,7 +90,7 @@ def _curve(panel: Any, spec: specs.MetricSpec, columns: Sequence[Column], paper:
     highest = max([*paper.values(), *(mean for _, means in columns for mean in means.values())], default=1.0)
     panel.set_ylim(0, figures.HEADROOM * highest or 1.0)
     panel.tick_params(axis="y", labelsize=6)
-    panel.set_title(f"{spec.title}: FSAR best under {len(best)} of {len(columns)}", fontsize=7.5)
+    panel.set_title(f"{spec.title}: FSAR best under {len(best)} of {len(columns)}", fontsize=7.5, loc="right")
 
 
 def _marks(panel: Any, readings: Sequence[Reading], columns: Sequence[Column], lines: int) -> None:
