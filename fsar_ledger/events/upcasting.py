@@ -1,7 +1,6 @@
 """How events of retired types become events of today: one pure function a version, checked when the package starts."""
 
 from collections.abc import Callable, Iterable, Mapping
-from types import UnionType
 from typing import Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar, Union, get_args, get_origin
 
 import msgspec
@@ -13,6 +12,8 @@ _After = TypeVar("_After", bound=Event)
 
 Change: TypeAlias = Callable[[Any], Event]
 Value: TypeAlias = str | int | bool | tuple[str, ...] | None
+
+_UNIONS = (Union, get_origin(int | None))
 
 
 class Upcaster(msgspec.Struct, Generic[_Before, _After], frozen=True):
@@ -50,7 +51,7 @@ def adding(before: type[_Before], after: type[_After], **added: Value) -> Upcast
     if lacking or not given <= fields.keys() or not added.keys().isdisjoint(before.__struct_fields__):
         own = sorted(fields.keys() - set(before.__struct_fields__))
         raise TypeError(f"upcaster of {_tag(before)}: found that it adds {sorted(added)} and lacks {lacking}, expected of {own}; write a change instead")
-    added = {name: value for name, value in _defaults(fields, given).items() if value is not None} | added
+    added = {name: field.default for name, field in fields.items() if name not in given and field.default is not None} | added
     for field in msgspec.structs.fields(before):
         if not _takes(fields[field.name].type, field.type):
             kinds = f"found {field.type} become {fields[field.name].type}"
@@ -67,18 +68,13 @@ def adding(before: type[_Before], after: type[_After], **added: Value) -> Upcast
     return Upcaster(before, after, change, added)
 
 
-def _defaults(fields: Mapping[str, msgspec.structs.FieldInfo], given: set[str]) -> dict[str, Any]:
-    """What the fields that nobody gives hold. A default that is made anew for each event is a list or the like, which no event holds."""
-    return {name: field.default for name, field in fields.items() if name not in given}
-
-
 def _takes(kind: Any, before: Any) -> bool:
     """Whether a field of this type takes every value of the type before: the same one, a wider choice of words, or None as well."""
     if kind == before:
         return True
-    if isinstance(before, UnionType) or get_origin(before) is Union:
+    if get_origin(before) in _UNIONS:
         return all(_takes(kind, one) for one in get_args(before))
-    if isinstance(kind, UnionType) or get_origin(kind) is Union:
+    if get_origin(kind) in _UNIONS:
         return any(_takes(one, before) for one in get_args(kind))
     if get_origin(before) is Literal:
         words = get_args(before)
