@@ -1,15 +1,18 @@
 """Lays what was predicted beside what the paper prints, and beside what its claims were registered to imply.
 
-It reads the record of `prediction.py` and nothing else of ours: no run is played here, and no number can be predicted again after it was compared.
+It reads the record of `prediction.py` and nothing else of ours: no run is played here, and the record is never replaced. That no number was predicted
+again after it was compared is nothing that a program can hold to: `tests/history.py` shows it from the commits of the repository.
 """
 
 from collections.abc import Callable, Iterator
+from hashlib import sha256
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
+from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.errors import FsarLedgerError, UsageError
 from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Architecture
@@ -18,9 +21,9 @@ from fsar_ledger.metrics.printed import Place, Table, printed
 from fsar_ledger.metrics.results import MetricRow
 from fsar_ledger.metrics.verdicts import MARGINS, Answer, judge
 from fsar_ledger.prediction import CASES, SEED, SEEDS, Predicted, Record
-from fsar_ledger.recording import require_writable, write_record
+from fsar_ledger.recording import require_another, require_writable, write_record
 from fsar_ledger.registration import registration
-from fsar_ledger.runtime.simulation import ARCHITECTURES
+from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION
 
 SAME = 22  # of the 24 cells, whatever the seed: registered as `seeds`
 SUCCESS, LOCALITY, CONFLICTS = "coordination_success", "governance_locality", "authority_conflicts"
@@ -77,13 +80,20 @@ class Outcome(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Comparison(msgspec.Struct, frozen=True):
-    """All printed cells and all predictions, with the model and the constants that they rest on."""
+    """The printed cells of the results, ablation and scaling tables, and all predictions, with the model and the constants that they rest on.
+
+    The tests of the significance table and the numbers of the cases are not here: `report` has them.
+    """
 
     model_version: str
     parameters: str
     command: str
     cells: list[CellBeside]
     predictions: list[Outcome]
+
+
+class NotPredicted(Exception):
+    """A number was not played; the message says which."""
 
 
 class Numbers:
@@ -106,11 +116,14 @@ class Numbers:
         configuration: Configuration | str = FULL,
         scenario: str | None = None,
     ) -> Predicted:
-        """Return one of them. Raises: KeyError if it was not played."""
-        return self._by_place[of, seed, size, teams, encounter_s, configuration, architecture, scenario, metric]
+        """Return one of them. Raises: NotPredicted."""
+        place = (of, seed, size, teams, encounter_s, configuration, architecture, scenario, metric)
+        if (found := self._by_place.get(place)) is None:
+            raise NotPredicted(str(place))
+        return found
 
     def mean(self, *place: Any, **named: Any) -> float | None:
-        """Return its mean."""
+        """Return its mean. Raises: NotPredicted."""
         return self.find(*place, **named).mean
 
 
@@ -118,13 +131,19 @@ def compare_predictions(predictions: Path, out: Path) -> None:
     """Write the comparison of a record of predictions.
 
     Raises:
-        FsarLedgerError: the file is no such record.
-        UsageError: it cannot be read, or `out` lies inside a ledger.
+        FsarLedgerError: the file is no such record, or lacks a number.
+        UsageError: it cannot be read, is of another model or other constants, or `out` is the same file or lies inside a ledger.
         WriteFailed: `out` cannot be written.
     """
     require_outside(out, f"--out {out}")
+    require_another(out, f"--out {out}", predictions, "PREDICTIONS")
     require_writable(out)
-    write_record(out, compared(read(predictions)))
+    record = read(predictions)
+    _require_of_today(record, predictions)
+    try:
+        write_record(out, compared(record))
+    except NotPredicted as error:
+        raise FsarLedgerError(f"{predictions}: found no {error}, expected all that `fsar-ledger predict` plays; write it again") from error
 
 
 def read(path: Path) -> Record:
@@ -133,18 +152,33 @@ def read(path: Path) -> Record:
         return msgspec.json.decode(path.read_bytes(), type=Record)
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}); expected what `fsar-ledger predict --out FILE` writes") from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.MsgspecError, RecursionError, ValueError) as error:  # nested without end, a number of thousands of digits
         raise FsarLedgerError(f"{path}: {error}; expected what `fsar-ledger predict --out FILE` writes; write it again") from error
 
 
+def _require_of_today(record: Record, path: Path) -> None:
+    """The record is of the model and the constants that this version has: what is registered is registered of these. Raises: UsageError."""
+    if record.model_version != MODEL_VERSION:
+        raise UsageError(
+            f"{path}: found predictions of model {record.model_version!r:.80}, expected model {MODEL_VERSION!r}; "
+            "judge them with the version that wrote them, or predict again"
+        )
+    if (today := write_constants(Constants())) != record.parameters:
+        raise UsageError(
+            f"{path}: found predictions with the constants {_digest(record.parameters)} (SHA-256), expected those of this version, {_digest(today)}; "
+            "judge them with the version that wrote them, or predict again"
+        )
+
+
+def _digest(parameters: str) -> str:
+    return sha256(parameters.encode("utf-8", "surrogatepass")).hexdigest()[:12]
+
+
 def compared(record: Record) -> Comparison:
-    """Return every printed cell and every prediction with its answer. Raises: FsarLedgerError if a number is missing."""
+    """Return the cells and the predictions with their answers. Raises: NotPredicted if a number is missing."""
     numbers = Numbers(record.numbers)
-    try:
-        cells = [_cell(numbers, place) for table in TABLES for place in printed(table)]
-        outcomes = [_outcome(said.name, said.implies, list(CHECKS[said.name](numbers))) for said in registration().prediction]
-    except KeyError as error:
-        raise FsarLedgerError(f"predictions: found no {error.args[0]}, expected all that `fsar-ledger predict` plays; write them again") from error
+    cells = [_cell(numbers, place) for table in TABLES for place in printed(table)]
+    outcomes = [_outcome(said.name, said.implies, list(CHECKS[said.name](numbers))) for said in registration().prediction]
     return Comparison(record.model_version, record.parameters, "fsar-ledger judge PREDICTIONS --out FILE", cells, outcomes)
 
 

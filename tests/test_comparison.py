@@ -132,7 +132,7 @@ def test_the_comparison_is_written_whole(tmp_path: Path) -> None:
     assert written == msgspec.to_builtins(compared(record()))
 
 
-@pytest.mark.parametrize(("content", "said"), [(b"{", "truncated"), (b"\xff", "expected what"), (b"[]", "array")])
+@pytest.mark.parametrize(("content", "said"), [(b"{", "truncated"), (b"\xff", "expected what"), (b"[]", "array"), (b'{"x":' + b"[" * 100_000, "expected what")])
 def test_a_file_that_is_no_record_is_refused(tmp_path: Path, content: bytes, said: str) -> None:
     (tmp_path / "predictions.json").write_bytes(content)
     with pytest.raises(FsarLedgerError, match=said):
@@ -145,7 +145,34 @@ def test_a_file_that_is_not_there_is_a_mistake_of_the_call(tmp_path: Path) -> No
         compare_predictions(tmp_path / "none.json", tmp_path / "comparison.json")
 
 
-def test_a_record_that_lacks_a_number_is_refused_by_its_place() -> None:
+def written(folder: Path, of: Record) -> Path:
+    path = folder / "predictions.json"
+    path.write_bytes(msgspec.json.encode(of))
+    return path
+
+
+def test_a_record_that_lacks_a_number_is_refused_by_its_place(tmp_path: Path) -> None:
     short = msgspec.structs.replace(record(), numbers=[one for one in NUMBERS if one.fleet_size != 12])
-    with pytest.raises(FsarLedgerError, match=r"found no .*12.*expected all"):
-        compared(short)
+    with pytest.raises(FsarLedgerError, match=r"predictions\.json: found no .*12.*expected all"):
+        compare_predictions(written(tmp_path, short), tmp_path / "comparison.json")
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"model_version": "1"}, rf"predictions\.json: found predictions of model '1', expected model '{MODEL_VERSION}'"),
+        ({"parameters": "{}"}, r"predictions\.json: found predictions with the constants 44136fa355b3 .*, expected those of this version, \w{12};"),
+    ],
+)
+def test_predictions_of_another_model_or_other_constants_are_refused(tmp_path: Path, changed: dict[str, str], said: str) -> None:
+    with pytest.raises(UsageError, match=said):
+        compare_predictions(written(tmp_path, msgspec.structs.replace(record(), **changed)), tmp_path / "comparison.json")
+    assert not (tmp_path / "comparison.json").exists()
+
+
+def test_a_comparison_never_replaces_the_predictions(tmp_path: Path) -> None:
+    path = written(tmp_path, record())
+    before = path.read_bytes()
+    with pytest.raises(UsageError, match="the same file"):
+        compare_predictions(path, tmp_path / "none" / ".." / path.name)
+    assert path.read_bytes() == before

@@ -1,6 +1,6 @@
 """The plans of a ledger for people: what each names, in a few words, and the call that goes on with it."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 
@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
 
 MAX_RUNS = 9999  # of an experiment
+MAX_COUNTS = 32
+"""Of runs that `reproduce` may have been called with, which are tried, the largest first: each costs two milliseconds. `info` shows ledgers of others, too."""
 PARAMETERS = "SELECT run_id, parameters FROM experiment_planned"
 
 
@@ -31,16 +33,16 @@ def plans(database: "Database", ledger: Shown) -> list[dict[str, Any]]:
     """Every plan, the largest first, with the call that goes on with it where runs are missing and this version can make them, else None."""
     rows = database.rows(EXPERIMENTS)
     constants = {row["run_id"]: row["parameters"] for row in database.rows(PARAMETERS)} if any(row["missing_count"] for row in rows) else {}
-    counts = sorted({row["run_count"] for row in rows}, reverse=True)
+    reproduced = reproducing([row["run_count"] for row in rows], ledger) if constants else {}
 
     def call(row: Mapping[str, Any]) -> str | None:
-        return _reproduced(row, counts, ledger) or continues_with(row, constants[row["plan"]], ledger)
+        return reproduced.get(row["plan"]) or continues_with(row, constants[row["plan"]], ledger)
 
     return [{**row, "continues_with": call(row) if row["missing_count"] else None} for row in rows]
 
 
-def _reproduced(plan: Mapping[str, Any], counts: Sequence[int], ledger: Shown) -> str | None:
-    """The call of `reproduce` that goes on with a ledger beside the results, which it made; no key signs that one under its own name.
+def reproducing(counts: Iterable[int], ledger: Shown) -> dict[str, str]:
+    """By plan the call of `reproduce` that goes on with a ledger beside the results, which it made; no key signs that one under its own name.
 
     `counts` are the runs that the ledger's plans name: `reproduce` was called with one of these, or with none.
     """
@@ -50,12 +52,15 @@ def _reproduced(plan: Mapping[str, Any], counts: Sequence[int], ledger: Shown) -
     path = ledger.path if ledger.path.name else ledger.path.resolve()
     name = next((one for one in NAMES if one == path.name), NAMES[0])
     if name == NAMES[0] or not ledger.view.manifest.origin.endswith(f"/{name}"):
-        return None
-    for many in (None, *(count for count in counts if 1 <= count <= MAX_RUNS)):
-        if plan["plan"] in {plan_id(part.plan()) for part in named(name, SEED, many).parts}:
-            asked = ["--out", printable.word(path.parent), "--only", name, *([] if many is None else ["--runs", str(many)])]
-            return " ".join(("fsar-ledger reproduce", *asked, *(["--key KEY"] if _is_signed(ledger.view) else [])))
-    return None
+        return {}
+    found: dict[str, str] = {}
+    possible = sorted({count for count in counts if 1 <= count <= MAX_RUNS}, reverse=True)
+    for many in (None, *possible[:MAX_COUNTS]):
+        asked = ["--out", printable.word(path.parent), "--only", name, *([] if many is None else ["--runs", str(many)])]
+        call = " ".join(("fsar-ledger reproduce", *asked, *(["--key KEY"] if _is_signed(ledger.view) else [])))
+        for part in named(name, SEED, many).parts:
+            found.setdefault(plan_id(part.plan()), call)
+    return found
 
 
 def _is_signed(view: LedgerView) -> bool:

@@ -1,7 +1,7 @@
 """How events of retired types become events of today: one pure function a version, checked when the package starts."""
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Generic, NamedTuple, TypeAlias, TypeVar
+from typing import Any, Generic, Literal, NamedTuple, TypeAlias, TypeVar, Union, get_args, get_origin
 
 import msgspec
 
@@ -12,6 +12,8 @@ _After = TypeVar("_After", bound=Event)
 
 Change: TypeAlias = Callable[[Any], Event]
 Value: TypeAlias = str | int | bool | tuple[str, ...] | None
+
+_UNIONS = (Union, get_origin(int | None))
 
 
 class Upcaster(msgspec.Struct, Generic[_Before, _After], frozen=True):
@@ -38,6 +40,8 @@ Chains: TypeAlias = Mapping[type[Event], tuple[Change, ...]]
 def adding(before: type[_Before], after: type[_After], **added: Value) -> Upcaster[_Before, _After]:
     """The step to a next version that has every field of the one before, and these, each with the same value in every event.
 
+    A new field that is not named here gets its default, in SQL, too.
+
     Raises:
         TypeError: `after` needs a field that neither the version before nor this step gives, lacks one of them, or cannot hold a value.
     """
@@ -47,6 +51,11 @@ def adding(before: type[_Before], after: type[_After], **added: Value) -> Upcast
     if lacking or not given <= fields.keys() or not added.keys().isdisjoint(before.__struct_fields__):
         own = sorted(fields.keys() - set(before.__struct_fields__))
         raise TypeError(f"upcaster of {_tag(before)}: found that it adds {sorted(added)} and lacks {lacking}, expected of {own}; write a change instead")
+    added = {name: field.default for name, field in fields.items() if name not in given and field.default is not None} | added
+    for field in msgspec.structs.fields(before):
+        if not _takes(fields[field.name].type, field.type):
+            kinds = f"found {field.type} become {fields[field.name].type}"
+            raise TypeError(f"upcaster of {_tag(before)}: field {field.name}: {kinds}, expected a type that takes every value; write a change instead")
     for name, value in added.items():
         try:
             msgspec.convert(value, fields[name].type)
@@ -57,6 +66,20 @@ def adding(before: type[_Before], after: type[_After], **added: Value) -> Upcast
         return after(**{name: getattr(event, name) for name in before.__struct_fields__}, **added)
 
     return Upcaster(before, after, change, added)
+
+
+def _takes(kind: Any, before: Any) -> bool:
+    """Whether a field of this type takes every value of the type before: the same one, a wider choice of words, or None as well."""
+    if kind == before:
+        return True
+    if get_origin(before) in _UNIONS:
+        return all(_takes(kind, one) for one in get_args(before))
+    if get_origin(kind) in _UNIONS:
+        return any(_takes(one, before) for one in get_args(kind))
+    if get_origin(before) is Literal:
+        words = get_args(before)
+        return set(words) <= set(get_args(kind)) if get_origin(kind) is Literal else all(type(word) is kind for word in words)
+    return False
 
 
 def additions(retired: Iterable[type[Event]], upcasters: Iterable[Upcaster[Any, Any]]) -> Mapping[type[Event], Addition]:

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from fsar_ledger.ledger.place import require_outside
 from fsar_ledger.metrics.verified import required_look
+from fsar_ledger.recording import require_another
 from fsar_ledger.report import document, figures, typeset
 from fsar_ledger.report.calibration import recorded
 from fsar_ledger.report.gather import gather
@@ -44,8 +45,8 @@ def write_report(
         demanded: The newest record of the ledger, if a whole look just saw it (`required_look`); None looks now.
 
     Raises:
-        UsageError: The ledger of workflows holds no workflow, one beside it nothing for the report, `out` lies inside a ledger, or `sensitivity` is
-            something else.
+        UsageError: The ledger of workflows holds no workflow, one beside it nothing for the report, `out` lies inside a ledger or is `numbers_out`,
+            too, or `sensitivity` is something else.
         NotALedger, FormatVersionMismatch, LedgerCorrupted: The ledger cannot be read, or its rows are not those under its root.
         SequenceConflict: Somebody appended meanwhile.
         WriteFailed: `out` cannot be written.
@@ -53,6 +54,7 @@ def write_report(
     require_outside(out, f"--out {out}")
     if numbers_out is not None:
         require_outside(numbers_out, f"--numbers {numbers_out}")
+        require_another(numbers_out, f"--numbers {numbers_out}", out, f"--out {out}")
     for place in filter(None, (out, numbers_out)):
         typeset.require_place(place)
     given = None if sensitivity is None else open_effects(sensitivity)
@@ -62,9 +64,11 @@ def write_report(
     effects = section(given, findings.model_version, [findings.parameters_sha256 or "unknown"])
     record = recorded()
     laid_out = document.encoded(document.data(findings, record, effects))
-    typeset.publish(out, typeset.pdf(laid_out, document.drawings(findings, effects)))
+    made = {out: typeset.pdf(laid_out, document.drawings(findings, effects))}
     if numbers_out is not None:
-        typeset.publish(numbers_out, reproduction(findings, document.counted(findings, record)))
+        made[numbers_out] = reproduction(findings, document.counted(findings, record))
+    for place, content in made.items():  # nothing is replaced before all is made
+        typeset.publish(place, content)
 
 
 def result_figure_svg(ledger: Path, out: Path) -> None:

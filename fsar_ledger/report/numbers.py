@@ -48,8 +48,8 @@ def numbers(findings: Findings, *, is_fitted: bool = True) -> tuple[Row, ...]:
         ]
     rows += [_case(row) for row in findings.cases]
     rows += [_test(row) for row in findings.tests if any(one["t"] is not None for one in findings.tests)]
-    if findings.scaling is not None:
-        rows += [_row("scaling", row, row["class"], [row["mean"], row["one"]]) for row in findings.scaling.cells]
+    if (scaling := findings.scaling) is not None:
+        rows += [_row("scaling", row, row["class"], [row["mean"], row["one"], *_dialled(row, scaling.curve, "fleet_size")]) for row in scaling.cells]
     return tuple(rows)
 
 
@@ -58,9 +58,9 @@ def _class(row: Row, *, is_fitted: bool) -> str:
     return INFORMED if kind == FITTED and not is_fitted else kind
 
 
-def _dialled(row: Row, curve: Iterable[Row]) -> list[float | None]:
-    """Our means of this number at every place of the dial that the text leaves open."""
-    same = ("metric", "architecture", "configuration", "scenario")
+def _dialled(row: Row, curve: Iterable[Row], *further: str) -> list[float | None]:
+    """Our means of this number at every place of the dial that the text leaves open; `further` names what is the same all over the dial, beside the usual."""
+    same = ("metric", "architecture", "configuration", "scenario", *further)
     return [point["mean"] for point in curve if all(point[name] == row[name] for name in same)]
 
 
@@ -150,7 +150,7 @@ def said(rows: Sequence[Row]) -> dict[str, Any]:
         "could": sum(row["could"] == "yes" for row in of[FAILS] if row["class"] != EXCLUDED),
         "drawn": sum(row["could"] is not None for row in of[FAILS] if row["class"] != EXCLUDED),
         "undecided": len(of[UNDECIDED]),
-        "unregistered": sum(row["table"] == "cases" for row in of[UNDECIDED]),
+        "unregistered": sum(row["table"] == "cases" and row["class"] != BY_CONSTRUCTION and row["ours"] is not None for row in of[UNDECIDED]),
         "open": len(of[OPEN]),
         "open_told": len(told),
         "outside": len(outside),

@@ -1,5 +1,6 @@
 """The figure of the first page: every printed number that has a margin, at its distance from ours. Same rows, same bytes."""
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,8 +13,12 @@ PANELS: dict[str, tuple[str, ...]] = {"Evaluation results": ("results",), "Ablat
 """The panels, from left to right, and the tables of each."""
 
 REACH = 80.0
-"""Margins up to which the axes go; a number farther out stands at the edge."""
+"""Margins up to which the axes go; what is farther out ends at the edge, with an arrow."""
 TICKS = (-30, -5, -1, 0, 1, 5, 30)
+INSIDE = 0.8
+"""Of the axis: where the point of a number farther out stands, so that one sees its arrow."""
+CARETLEFTBASE, CARETRIGHTBASE = 8, 9
+"""Matplotlib's arrowheads that stand on the edge and point outwards; its names for them would load it."""
 SPREAD = 0.76
 """The part of a metric's line over which its numbers are spread."""
 
@@ -58,8 +63,12 @@ def _grounds(panel: Any, lines: int) -> None:
 
 
 def _number(panel: Any, row: Row, height: float) -> None:
-    """A point and its interval; what an open dial gives is a range without a point."""
+    """A point and its interval; what an open dial gives is a range without a point. An arrow at the edge: the number, or its range, goes farther."""
     colour = figures.COLOURS[row["architecture"]]
+    ends = [*(row["reach"] or ()), *([] if row["outcome"] == OPEN else [row["distance"]])]
+    for edge, caret in ((-REACH, CARETLEFTBASE), (REACH, CARETRIGHTBASE)):
+        if any(end / edge > 1 for end in ends):
+            panel.plot(edge, height, color=colour, marker=caret, markersize=3.2, linestyle="none", clip_on=False, zorder=2.5)
     if row["reach"] is not None:
         low, high = (max(-REACH, min(REACH, end)) for end in row["reach"])
         if row["outcome"] == OPEN:
@@ -67,8 +76,8 @@ def _number(panel: Any, row: Row, height: float) -> None:
         else:
             panel.plot([low, high], [height, height], color=colour, linewidth=1.1, zorder=2)
     if row["outcome"] != OPEN:
-        at = max(-REACH * 0.97, min(REACH * 0.97, row["distance"]))
-        panel.plot(at, height, color=colour, zorder=3, **_look(row["outcome"], colour) | {"marker": MARKERS[row["architecture"]]})
+        at = row["distance"] if abs(row["distance"]) <= REACH else math.copysign(REACH * INSIDE, row["distance"])
+        panel.plot(at, height, color=colour, clip_on=False, zorder=3, **_look(row["outcome"], colour) | {"marker": MARKERS[row["architecture"]]})
 
 
 def _look(outcome: str, colour: str) -> dict[str, Any]:

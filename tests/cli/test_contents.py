@@ -9,6 +9,7 @@ from typing import Any
 import msgspec
 import pytest
 
+from fsar_ledger.commands.plans import MAX_COUNTS, MAX_RUNS, Shown, reproducing
 from fsar_ledger.commands.simulated import before, beyond
 from fsar_ledger.constants import Constants, Load, WorldConstants
 from fsar_ledger.events.envelope import Architecture
@@ -16,7 +17,7 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.ledger.note import read_signer
-from fsar_ledger.ledger.read import EMPTY_HEAD
+from fsar_ledger.ledger.read import EMPTY_HEAD, open_ledger
 from fsar_ledger.runtime import experiment as module
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, Made, simulate
 from fsar_ledger.runtime.experiments import named
@@ -134,6 +135,15 @@ def test_a_ledger_that_reproduce_signed_under_a_name_of_its_own_goes_on_with_rep
     [plan] = info(call, path)["plans"]
     wanted = f"fsar-ledger reproduce --out {shlex.quote(str(path.parent))} --only ablation --runs 1 --key KEY" if is_reproduced else None
     assert plan["continues_with"] == wanted
+
+
+def test_however_many_counts_of_runs_the_plans_of_a_ledger_name_only_the_largest_are_tried_and_each_once(tmp_path: Path) -> None:
+    ablation = tmp_path / "ablation"
+    planned_only(ablation, named("ablation", 42, 1).parts[1], named("ablation", 42, 1).origin)
+    calls = reproducing([*range(10_001), 5, 5], Shown(ablation, open_ledger(ablation)))
+    tried = sorted({int(call.rpartition(" ")[2]) for call in calls.values() if "--runs" in call}, reverse=True)
+    assert tried == list(range(MAX_RUNS, MAX_RUNS - MAX_COUNTS, -1))
+    assert any("--runs" not in call for call in calls.values())
 
 
 def test_two_shapes_in_one_ledger_are_two_plans_and_both_are_complete(call: Call, tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """Upcasters are checked when the package starts: gaps, cycles and wrong versions never reach a ledger."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Literal
 
 import pytest
 
@@ -36,6 +36,34 @@ class MovedV6(Event, frozen=True, tag="Moved.v6"):
     millimetres: int
     is_fast: bool
     place: str | None
+
+
+class MovedV7(Event, frozen=True, tag="Moved.v7"):
+    millimetres: int | None
+    pace: Literal["slow", "fast"]
+    place: str = "floor/1"
+    is_fast: bool = False
+    by: str | None = None
+
+
+class MovedV8(Event, frozen=True, tag="Moved.v8"):
+    millimetres: str
+
+
+class MovedV9(Event, frozen=True, tag="Moved.v9"):
+    millimetres: int | None
+    pace: Literal["slow", "fast", "still"] | None
+    place: str
+    is_fast: bool
+    by: str | None
+
+
+class MovedV10(Event, frozen=True, tag="Moved.v10"):
+    millimetres: int
+    pace: Literal["slow"]
+    place: str
+    is_fast: bool
+    by: str | None
 
 
 class Stopped(Event, frozen=True):
@@ -140,6 +168,18 @@ def test_what_is_added_on_the_way_adds_up_and_a_way_with_another_change_adds_not
     assert additions((MovedV1, MovedV2), (FIRST, SECOND)) == {}
 
 
+def test_what_a_new_field_holds_by_default_is_added_in_sql_as_in_python() -> None:
+    step = adding(MovedV4, MovedV7, pace="slow", place="floor/2")
+    event = step.change(MovedV4(7))
+    assert event == MovedV7(7, "slow", "floor/2", False, None)
+    assert additions((MovedV4,), (step,))[MovedV4].added == {"pace": "slow", "place": "floor/2", "is_fast": False}
+    assert adding(MovedV4, MovedV7, pace="slow").added == {"pace": "slow", "place": "floor/1", "is_fast": False}
+
+
+def test_a_field_may_come_to_take_more() -> None:
+    assert adding(MovedV7, MovedV9).change(MovedV7(7, "slow")) == MovedV9(7, "slow", "floor/1", False, None)
+
+
 @pytest.mark.parametrize(
     ("versions", "added", "message"),
     [
@@ -148,8 +188,20 @@ def test_what_is_added_on_the_way_adds_up_and_a_way_with_another_change_adds_not
         ((MovedV4, MovedV5), {"by": (), "millimetres": 1}, r"adds \['by', 'millimetres'\]"),
         ((MovedV3, MovedV5), {"by": ()}, r"upcaster of Moved\.v3: found that it adds \['by'\] and lacks \[\]"),
         ((MovedV4, MovedV5), {"by": ("a", 1)}, r"upcaster of Moved\.v4: field by: Expected `str`, got `int`"),
+        ((MovedV4, MovedV8), {}, r"field millimetres: found <class 'int'> become <class 'str'>, expected a type that takes every value"),
+        ((MovedV7, MovedV10), {}, r"field millimetres: found int \| None become <class 'int'>"),
+        ((MovedV9, MovedV7), {}, r"field pace: found .* become typing.Literal\['slow', 'fast'\]"),
     ],
-    ids=["too little", "an unknown field", "a field that was there", "a field that goes", "another kind"],
+    ids=[
+        "too little",
+        "an unknown field",
+        "a field that was there",
+        "a field that goes",
+        "another kind",
+        "a field of another type",
+        "a field that may be None no more",
+        "a field that takes fewer words",
+    ],
 )
 def test_a_step_that_does_not_only_add_is_refused(versions: tuple[type[Event], type[Event]], added: dict[str, Value], message: str) -> None:
     with pytest.raises(TypeError, match=message):

@@ -71,6 +71,17 @@ def test_report_inside_the_ledger_is_refused(ledger: Path) -> None:
     assert sorted(ledger.rglob("*")) == before
 
 
+@pytest.mark.parametrize("numbers", ["report.pdf", "folder/../report.pdf", "link"])
+def test_report_and_numbers_in_the_same_file_are_refused(ledger: Path, tmp_path: Path, numbers: str) -> None:
+    out = tmp_path / "report.pdf"
+    out.write_bytes(b"old")
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "link").symlink_to(out)
+    with pytest.raises(UsageError, match="the same file"):
+        write_report(ledger, out, numbers_out=tmp_path / numbers)
+    assert out.read_bytes() == b"old"
+
+
 def test_figure_is_written_as_svg_and_png(ledger: Path, tmp_path: Path) -> None:
     result_figure_svg(ledger, tmp_path / "results.svg")
     result_figure_png(ledger, tmp_path / "results.png")

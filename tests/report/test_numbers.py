@@ -42,7 +42,12 @@ def cell(gives: str | None = "yes", kind: str = "informed", **other: Any) -> Row
 
 
 def findings(
-    cells: Iterable[Row] = (), ablation: Iterable[Row] = (), scaling: Iterable[Row] = (), cases: Iterable[Row] = (), tests: Iterable[Row] = ()
+    cells: Iterable[Row] = (),
+    ablation: Iterable[Row] = (),
+    scaling: Iterable[Row] = (),
+    cases: Iterable[Row] = (),
+    tests: Iterable[Row] = (),
+    loads: Iterable[Row] = (),
 ) -> Findings:
     """What ledgers with these rows say."""
     points = ({"metric": "coordination_success", "architecture": "fsar", "configuration": "without-shared-registry", "scenario": None},)
@@ -51,7 +56,7 @@ def findings(
         *(1, 1, "", 1, tuple(cells), tuple(tests), (), (), (), (), (), {}, ()),
         cases=tuple(cases),
         ablation=Ablation(TOLD, 90.0, tuple(ablation), (), curve, ()) if ablation else None,
-        scaling=Scaling(TOLD, tuple(scaling), ()) if scaling else None,
+        scaling=Scaling(TOLD, tuple(scaling), tuple(loads)) if scaling else None,
     )
 
 
@@ -87,6 +92,14 @@ def test_a_number_that_hangs_on_an_open_dial_has_no_verdict_but_the_range_that_t
     assert (said(found)["open"], said(found)["outside"]) == (2, 1), "only the first is farther than a margin from all that the dial gives"
 
 
+def test_the_range_of_a_load_that_the_text_leaves_open_is_that_over_all_loads_at_this_size() -> None:
+    larger = cell(None, "unspecified", fleet_size=16, distance=None, difference=None, paper=0.93)
+    between, other = (larger | {"fleet_size": size, "teams_working": 2, "mean": mean} for size, mean in ((16, 0.99), (8, 0.1)))
+    [found] = numbers(findings(scaling=[larger], loads=[between, other, between | {"mean": None}]))
+    margin = MARGINS["governance_locality"]
+    assert found["reach"] == pytest.approx(((0.92 - 0.93) / margin, (0.99 - 0.93) / margin)), "one team gives 0.94, two give 0.99"
+
+
 def test_a_pairwise_test_stands_where_its_sign_and_its_level_come_out() -> None:
     def test(t: float | None, p: float = 0.02) -> Row:
         named = {"metric": "governance_locality", "comparison": "fsar-cfc", "n": 5}
@@ -104,6 +117,8 @@ def test_a_number_of_a_case_is_decided_exactly_where_a_mechanism_restates_it_and
     found = numbers(findings(cases=rows))
     assert [row["outcome"] for row in found] == [STANDS, FAILS, STANDS, FAILS, UNDECIDED, UNDECIDED]
     assert [row["paper"] for row in found[:3]] == [1.0, 1.0, 3.0]
+    counted = said(numbers(findings(cases=[*rows, case("0.85", None, "informed")])))
+    assert (counted["undecided"], counted["unregistered"]) == (3, 1), "what has no value, or stands by construction, lacks no margin"
 
 
 def test_every_number_of_a_table_is_counted_once_under_its_class_and_all_of_them_at_the_end() -> None:
@@ -157,3 +172,21 @@ def test_the_figure_has_a_panel_for_each_table_that_is_there_and_shows_what_beca
 def test_a_number_far_out_stays_within_the_figure() -> None:
     far = cell("no", distance=-900.0, difference=(-19.0, -17.0))
     assert overview(numbers(findings([far]))) == overview(numbers(findings([far | {"distance": -950.0}])))
+
+
+def test_what_goes_beyond_the_edge_of_the_figure_has_an_arrow_there() -> None:
+    margin = MARGINS["governance_locality"]
+
+    def point(margins: float) -> bytes:
+        return overview(numbers(findings([cell("no", distance=-margins, difference=None)])))
+
+    def interval(margins: float) -> bytes:
+        return overview(numbers(findings([cell("no", difference=(margin, margins * margin))])))
+
+    def dial(margins: float) -> bytes:
+        larger = cell(None, "unspecified", fleet_size=16, distance=None, difference=None, paper=0.0, mean=-margin, one=-margins * margin)
+        return overview(numbers(findings(scaling=[larger])))
+
+    for drawn in (point, interval, dial):
+        assert drawn(79.9) != drawn(90)
+    assert interval(80) != interval(90), "at the edge is not beyond it"
