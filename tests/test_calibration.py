@@ -112,7 +112,7 @@ def test_the_screening_begins_in_the_middle_and_covers_every_range() -> None:
 
 
 def test_a_mechanism_that_is_switched_off_changes_the_number_it_carries() -> None:
-    for switch in (one for one in SWITCHES if one.name in ("layered-recovery", "safe-stop-claims", "acknowledged-handoffs")):
+    for switch in (one for one in SWITCHES if one.name in ("layered-recovery", "safe-stop-claims")):
         whole = {row.metric: row.mean for row in calibration.measure(Constants(), 3, (switch.architecture,))}
         without = {row.metric: row.mean for row in calibration.measure(Constants(), 3, (switch.architecture,), switch)}
         for metric in switch.metrics:
