@@ -17,6 +17,7 @@ from fsar_ledger.report import (
     mechanisms,
     numbers,
     overview,
+    predictions,
     printing,
     provenance,
     sections,
@@ -219,7 +220,8 @@ def data(findings: Findings, record: Record | None, effects: Section | None = No
     tables = _ledger_tables(findings) | _fit_tables(findings, record) | _workflow_tables(findings)
     tables |= sections.tables(findings, sourced) | mechanisms.tables(findings, sourced) | everyway.tables(findings.multiverse)
     tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()}
-    rows = counted(findings, record)
+    rows, foretold = counted(findings, record), predictions.outcomes(findings)
+    tables |= {"predictions": _table(findings, "predictions", foretold)} if foretold else {}
     tables |= {"tally": _table(findings, "tally", numbers.tally(rows))} if rows else {}
     tables |= {"sensitivity": effects.table} if effects and effects.table else {}
     return {
@@ -250,6 +252,7 @@ def data(findings: Findings, record: Record | None, effects: Section | None = No
         "contradictions": _contradictions(),
         "background": _background(findings),
         "misses": _misses(findings, record),
+        "predictions": predictions.said(foretold),
         "fit": _fit(findings, record),
         "version": fsar_ledger.__version__,
     }
