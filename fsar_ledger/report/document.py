@@ -10,6 +10,7 @@ import msgspec
 import fsar_ledger
 from fsar_ledger import printable
 from fsar_ledger.constants import Constants, write_constants
+from fsar_ledger.registration import registration
 from fsar_ledger.report import (
     contradictions,
     everyway,
@@ -166,6 +167,7 @@ def _fit(findings: Findings, record: Record | None) -> dict[str, Any] | None:
         "identified": sum(one.identified for one in record.directions),
         "directions": len(record.directions),
         "changed": _changed(findings, record),
+        "trial": record.model_version == registration().model_version,  # a fit of this registration came after the trial that it tells of
     }
 
 
