@@ -10,6 +10,7 @@ import msgspec
 import fsar_ledger
 from fsar_ledger import printable
 from fsar_ledger.constants import Constants, write_constants
+from fsar_ledger.registration import registration
 from fsar_ledger.report import (
     contradictions,
     everyway,
@@ -17,6 +18,7 @@ from fsar_ledger.report import (
     mechanisms,
     numbers,
     overview,
+    predictions,
     printing,
     provenance,
     sections,
@@ -165,6 +167,7 @@ def _fit(findings: Findings, record: Record | None) -> dict[str, Any] | None:
         "identified": sum(one.identified for one in record.directions),
         "directions": len(record.directions),
         "changed": _changed(findings, record),
+        "trial": record.model_version == registration().model_version,  # a fit of this registration came after the trial that it tells of
     }
 
 
@@ -219,7 +222,8 @@ def data(findings: Findings, record: Record | None, effects: Section | None = No
     tables = _ledger_tables(findings) | _fit_tables(findings, record) | _workflow_tables(findings)
     tables |= sections.tables(findings, sourced) | mechanisms.tables(findings, sourced) | everyway.tables(findings.multiverse)
     tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()}
-    rows = counted(findings, record)
+    rows, foretold = counted(findings, record), predictions.outcomes(findings)
+    tables |= {"predictions": _table(findings, "predictions", foretold)} if foretold else {}
     tables |= {"tally": _table(findings, "tally", numbers.tally(rows))} if rows else {}
     tables |= {"sensitivity": effects.table} if effects and effects.table else {}
     return {
@@ -250,6 +254,7 @@ def data(findings: Findings, record: Record | None, effects: Section | None = No
         "contradictions": _contradictions(),
         "background": _background(findings),
         "misses": _misses(findings, record),
+        "predictions": predictions.said(foretold),
         "fit": _fit(findings, record),
         "version": fsar_ledger.__version__,
     }

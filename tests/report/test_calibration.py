@@ -54,6 +54,11 @@ def test_record_is_quoted_with_its_numbers(tmp_path: Path, findings: Findings) -
     assert data["tables"]["directions"]["rows"][0][3]["printed"] == "b \u22120.90, c 0.30, a 0.10"
 
 
+def test_the_trial_is_told_of_a_fit_that_came_after_it_and_of_no_other(findings: Findings) -> None:
+    told = {version: document.data(findings, Record(model_version=version))["fit"]["trial"] for version in ("1", "2")}
+    assert told == {"1": False, "2": True}
+
+
 def said_of_the_fit(folder: Path, findings: Findings, record: Record | None) -> list[str]:
     """The sentences, as they are typeset, that say that the record of the fit is of another model."""
     (folder / "report.typ").write_text(specs.text("templates", "report.typ"))

@@ -1,0 +1,61 @@
+"""What became of the predictions that were registered before they were run: `reports/comparison.json`, where it is of the report's model."""
+
+from collections.abc import Sequence
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+
+import msgspec
+
+from fsar_ledger.errors import FsarLedgerError
+from fsar_ledger.report.findings import Findings, Row
+from fsar_ledger.report.printing import flat
+
+
+class Outcome(msgspec.Struct, frozen=True):
+    """One prediction: what was registered, how many of its checks hold, and whether it holds."""
+
+    name: str
+    implies: str
+    holds: bool
+    held: int
+    of: int
+
+
+class Record(msgspec.Struct, frozen=True):
+    """The model that the predictions were made and judged with, and what became of each, in the order of the registration."""
+
+    model_version: str
+    parameters: str
+    predictions: list[Outcome]
+
+
+def outcomes(findings: Findings, folder: Traversable | None = None) -> list[Row]:
+    """One row for each prediction; none where the record in this folder (default: the packaged one) is absent, or of another model or constants.
+
+    Raises: FsarLedgerError when the file is there and is not such a record.
+    """
+    path = (folder or files("fsar_ledger.reports")).joinpath("comparison.json")
+    if not path.is_file():
+        return []
+    try:
+        record = msgspec.json.decode(path.read_bytes(), type=Record)
+        constants = dict(flat("", msgspec.json.decode(record.parameters)))
+    except msgspec.DecodeError as error:
+        raise FsarLedgerError(f"reports/comparison.json: {error}; expected what `fsar-ledger judge PREDICTIONS --out FILE` writes; write it again") from error
+    if (record.model_version, constants) != (findings.model_version, findings.parameters):
+        return []
+    return [{"name": one.name, "implies": one.implies, "checks": f"{one.held} of {one.of}", "holds": one.holds} for one in record.predictions]
+
+
+def said(rows: Sequence[Row]) -> Row | None:
+    """How many hold and how many do not, by name, in a sentence for the first page; None without predictions."""
+    if not rows:
+        return None
+    kept, failed = ([row["name"] for row in rows if row["holds"] is answer] for answer in (True, False))
+    holds = f"{len(kept)} {'holds' if len(kept) == 1 else 'hold'}{_listed(kept)}"
+    fails = f"{len(failed)} {'does' if len(failed) == 1 else 'do'} not{_listed(failed)}"
+    return {"sentence": f"Of {len(rows)} predictions registered before they were run, {holds} and {fails}."}
+
+
+def _listed(names: Sequence[str]) -> str:
+    return f" ({', '.join(names)})" if names else ""
