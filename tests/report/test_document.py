@@ -240,7 +240,7 @@ def test_every_table_spec_is_used_and_every_figure_has_its_query(printed: dict[s
     from_the_fit = {"calibrated-parameters", "residuals", "directions"}
     of_other_ledgers = {"mechanism-coverage", "ablation", "ablation-text", "encounters", "scaling", "beyond", "carried", "mechanism-differences"}
     of_readings = {"every-reading", "rankings"}
-    assert named == set(printed["tables"]) | from_the_fit | {"other-runs", "sensitivity"} | of_other_ledgers | of_readings
+    assert named == set(printed["tables"]) | from_the_fit | {"other-runs", "sensitivity", "predictions"} | of_other_ledgers | of_readings
     for name in named:
         tomllib.loads(specs.text("tables", f"{name}.toml"))
         assert specs.table(name).caption
