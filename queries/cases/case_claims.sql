@@ -6,27 +6,13 @@
 --        events a handoff; runs of the scenario, runs_with_case those with a case, runs_not_observed those of which it cannot be told, counted nowhere else
 -- NULL: value where no case arose; numerator and denominator where no run of the scenario observes what the claim rests on; what the runs do not have
 -- Example: fsar-ledger query cases/case_claims LEDGER
-WITH evidence AS (
-    SELECT *
-    FROM case_1_evidence
-    UNION ALL
-    SELECT *
-    FROM case_2_evidence
-    UNION ALL
-    SELECT *
-    FROM case_3_evidence
-    UNION ALL
-    SELECT *
-    FROM case_4_evidence
-),
-
-judged AS (
+WITH judged AS (
     SELECT
         run_id,
         claim,
         sum(counted)::BIGINT AS numerator,
         count(*) AS denominator
-    FROM evidence
+    FROM case_evidence
     GROUP BY run_id, claim
 ),
 

@@ -6,21 +6,7 @@
 -- NULL: seq, type where nothing is counted; action_id, that of the event, else that of the thing, where neither names one
 -- Example: fsar-ledger query cases/case_events LEDGER --param number=3 --param architecture=cfc
 -- Parameters: number = all, claim = all, architecture = all, run = all
-WITH evidence AS (
-    SELECT *
-    FROM case_1_evidence
-    UNION ALL
-    SELECT *
-    FROM case_2_evidence
-    UNION ALL
-    SELECT *
-    FROM case_3_evidence
-    UNION ALL
-    SELECT *
-    FROM case_4_evidence
-),
-
-asked AS (
+WITH asked AS (
     SELECT
         CASE
             WHEN count(*) = 0 THEN error('found number=' || $number || ', claim=' || $claim || ', expected those of a row of cases/case_definitions, or all')
@@ -40,7 +26,7 @@ chosen AS (
         evidence.seq AS case_seq,
         evidence.counted,
         unnest(if(len(evidence.evidence) = 0, [NULL], evidence.evidence)) AS seq
-    FROM evidence
+    FROM case_evidence AS evidence
     INNER JOIN case_definitions AS definitions ON evidence.claim = definitions.claim
     INNER JOIN runs ON evidence.run_id = runs.run_id
     INNER JOIN asked ON asked.wrong IS NULL

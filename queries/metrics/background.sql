@@ -6,21 +6,7 @@
 -- NULL: seed, source, model version of runs that have none; constants where all runs of the kind and model have the same; a share of nothing;
 --       runs that do not observe decisions, records and policy are left out
 -- Example: fsar-ledger query metrics/background LEDGER
-WITH absent AS (
-    SELECT
-        records.run_id,
-        records.seq
-    FROM coordination_events AS records
-    INNER JOIN supervisor_absences AS absences
-        ON
-            records.run_id = absences.run_id
-            AND replace(records.part_of, 'robot/', 'supervisor/') = absences.supervisor
-            AND records.seq > absences.left_seq
-            AND records.seq < coalesce(absences.returned_seq, records.seq + 1)
-    WHERE records.has_origin AND records.has_executor AND NOT records.has_supervisor
-),
-
-counted AS (
+WITH counted AS (
     SELECT
         run_id,
         decision_kind = 'routine' AS decided,
@@ -33,9 +19,9 @@ counted AS (
     SELECT
         records.run_id,
         records.record_kind = 'routine' AS recorded,
-        CASE WHEN NOT records.is_attributable THEN absent.seq IS NOT NULL END AS unattributed
+        CASE WHEN NOT records.is_attributable THEN off_shift.seq IS NOT NULL END AS unattributed
     FROM coordination_events AS records
-    LEFT JOIN absent ON records.run_id = absent.run_id AND records.seq = absent.seq
+    LEFT JOIN off_shift_records AS off_shift ON records.run_id = off_shift.run_id AND records.seq = off_shift.seq
     UNION ALL BY NAME
     SELECT
         run_id,

@@ -9,27 +9,12 @@
 -- Units: as in audit_attributability
 -- NULL: as in audit_attributability
 -- Example: fsar-ledger query readings/absent_supervisors_are_excused LEDGER
-WITH excused AS (
-    SELECT DISTINCT
-        records.run_id,
-        records.seq,
-        records.record_kind
-    FROM coordination_events AS records
-    INNER JOIN supervisor_absences AS absences
-        ON
-            records.run_id = absences.run_id
-            AND replace(records.part_of, 'robot/', 'supervisor/') = absences.supervisor
-            AND records.seq > absences.left_seq
-            AND records.seq < coalesce(absences.returned_seq, records.seq + 1)
-    WHERE records.has_origin AND records.has_executor AND NOT records.has_supervisor
-),
-
-counted AS (
+WITH counted AS (
     SELECT
         run_id,
         count(*) AS records,
         count(*) FILTER (WHERE record_kind <> 'routine') AS records_without_routine
-    FROM excused
+    FROM off_shift_records
     GROUP BY run_id
 ),
 
