@@ -71,11 +71,8 @@ class Reading(msgspec.Struct, frozen=True):
     moves: tuple[str, ...]
 
 
-class Universe(msgspec.Struct, frozen=True, kw_only=True):
-    """The mean of one metric for one architecture when these readings replace ours, but for runs whose source does not record what it rests on.
-
-    None: undefined or not observed.
-    """
+class _OfRuns(msgspec.Struct, frozen=True, kw_only=True):
+    """What a metric is of: an architecture, and runs that may be counted together. None: what the runs do not have."""
 
     metric: str
     architecture: str | None
@@ -86,27 +83,26 @@ class Universe(msgspec.Struct, frozen=True, kw_only=True):
     source: str | None
     model_version: str | None
     constants: str | None
+
+
+class Universe(_OfRuns, frozen=True, kw_only=True):
+    """The mean of one metric for one architecture when these readings replace ours, but for runs whose source does not record what it rests on.
+
+    None: undefined or not observed.
+    """
+
     readings: Chosen
     mean: float | None
     runs_not_observed: int
 
 
-class Cell(msgspec.Struct, frozen=True, kw_only=True):
+class Cell(_OfRuns, frozen=True, kw_only=True):
     """The range of one cell over all combinations of readings, and which reading moves it most when it alone replaces ours.
 
     `paper`, `ours`, `lowest`, `highest`, `moved_by` in the metric's unit; of several combinations with the same mean that of fewest readings is named.
     None: undefined or not observed; `paper` but for whole architectures of four robots; `most_moving` where no reading alone moves the cell.
     """
 
-    metric: str
-    architecture: str | None
-    configuration: str | None
-    fleet_size: int | None
-    seed: int | None
-    kind: str
-    source: str | None
-    model_version: str | None
-    constants: str | None
     paper: float | None
     ours: float | None
     lowest: float | None
