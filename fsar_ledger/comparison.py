@@ -22,7 +22,7 @@ from fsar_ledger.metrics.results import MetricRow
 from fsar_ledger.metrics.verdicts import MARGINS, Answer, judge
 from fsar_ledger.prediction import CASES, SEED, SEEDS, Predicted, Record
 from fsar_ledger.recording import require_another, require_writable, write_record
-from fsar_ledger.registration import registration
+from fsar_ledger.registration import Check, Outcome, registration
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION
 
 SAME = 22  # of the 24 cells, whatever the seed: registered as `seeds`
@@ -56,27 +56,6 @@ class CellBeside(msgspec.Struct, frozen=True, kw_only=True, rename={"kind": "cla
     high: float | None
     distance: float | None
     gives: Answer | None
-
-
-class Check(msgspec.Struct, frozen=True):
-    """One number and where it must lie; an end that is None is open. `holds` None: a number that it needs is undefined."""
-
-    what: str
-    value: float | None
-    low: float | None
-    high: float | None
-    holds: bool | None
-
-
-class Outcome(msgspec.Struct, frozen=True, kw_only=True):
-    """What became of one registered prediction: it holds if all its checks do. None: none fails, and one cannot be made."""
-
-    name: str
-    implies: str
-    holds: bool | None
-    held: int
-    of: int
-    checks: list[Check]
 
 
 class Comparison(msgspec.Struct, frozen=True):

@@ -90,6 +90,27 @@ class Prediction(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     claim: str
 
 
+class Check(msgspec.Struct, frozen=True):
+    """One number and where it must lie; an end that is None is open. `holds` None: a number that it needs is undefined."""
+
+    what: str
+    value: float | None
+    low: float | None
+    high: float | None
+    holds: bool | None
+
+
+class Outcome(msgspec.Struct, frozen=True, kw_only=True):
+    """What became of one registered prediction: it holds if all its checks do. None: none fails, and one cannot be made."""
+
+    name: str
+    implies: str
+    holds: bool | None
+    held: int
+    of: int
+    checks: list[Check]
+
+
 class Registration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The whole registration; `margins` by metric, in the metric's unit.
 

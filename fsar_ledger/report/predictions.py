@@ -7,18 +7,9 @@ from importlib.resources.abc import Traversable
 import msgspec
 
 from fsar_ledger.errors import FsarLedgerError
+from fsar_ledger.registration import Outcome
 from fsar_ledger.report.findings import Findings, Row
 from fsar_ledger.report.printing import flat
-
-
-class Outcome(msgspec.Struct, frozen=True):
-    """One prediction: what was registered, how many of its checks hold, and whether it holds."""
-
-    name: str
-    implies: str
-    holds: bool
-    held: int
-    of: int
 
 
 class Record(msgspec.Struct, frozen=True):
@@ -48,13 +39,14 @@ def outcomes(findings: Findings, folder: Traversable | None = None) -> list[Row]
 
 
 def said(rows: Sequence[Row]) -> Row | None:
-    """How many hold and how many do not, by name, in a sentence for the first page; None without predictions."""
+    """How many hold, how many do not, and of how many it cannot be told, by name, in a sentence for the first page; None without predictions."""
     if not rows:
         return None
-    kept, failed = ([row["name"] for row in rows if row["holds"] is answer] for answer in (True, False))
+    kept, failed, open_ones = ([row["name"] for row in rows if row["holds"] is answer] for answer in (True, False, None))
     holds = f"{len(kept)} {'holds' if len(kept) == 1 else 'hold'}{_listed(kept)}"
     fails = f"{len(failed)} {'does' if len(failed) == 1 else 'do'} not{_listed(failed)}"
-    return {"sentence": f"Of {len(rows)} predictions registered before they were run, {holds} and {fails}."}
+    untold = f"; of {len(open_ones)} it cannot be told{_listed(open_ones)}" if open_ones else ""
+    return {"sentence": f"Of {len(rows)} predictions registered before they were run, {holds} and {fails}{untold}."}
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -22,8 +22,10 @@ def of_the_record(findings: Findings, **other: Any) -> Findings:
     return msgspec.structs.replace(findings, **({"model_version": record["model_version"], "parameters": parameters} | other))
 
 
-def write(folder: Path, *holds: bool) -> None:
-    told = [{"name": f"p{n}", "implies": "as said", "holds": one, "held": 3 if one else 1, "of": 3} for n, one in enumerate(holds)]
+def write(folder: Path, *holds: bool | None) -> None:
+    told: list[dict[str, object]] = [
+        {"name": f"p{n}", "implies": "as said", "holds": one, "held": 3 if one else 1, "of": 3, "checks": []} for n, one in enumerate(holds)
+    ]
     (folder / "comparison.json").write_text(json.dumps({"model_version": "1", "parameters": PARAMETERS, "predictions": told}))
 
 
@@ -60,9 +62,10 @@ def test_predictions_are_those_of_the_runs_model_and_constants_or_none(findings:
         ((True, False, False), "1 holds (p0) and 2 do not (p1, p2)."),
         ((True, False), "1 holds (p0) and 1 does not (p1)."),
         ((False, False), "0 hold and 2 do not (p0, p1)."),
+        ((True, None), "1 holds (p0) and 0 do not; of 1 it cannot be told (p1)."),
     ],
 )
-def test_the_sentence_counts_and_names_what_holds_and_what_does_not(findings: Findings, tmp_path: Path, holds: tuple[bool, ...], words: str) -> None:
+def test_the_sentence_counts_and_names_what_holds_and_what_does_not(findings: Findings, tmp_path: Path, holds: tuple[bool | None, ...], words: str) -> None:
     write(tmp_path, *holds)
     assert predictions.said(predictions.outcomes(findings, tmp_path)) == {"sentence": f"Of {len(holds)} predictions registered before they were run, {words}"}
     assert predictions.said([]) is None
