@@ -39,7 +39,9 @@ def pinned(text: str) -> Iterator[Pinned]:
         hashes = tuple(re.findall(r"--hash=sha256:([0-9a-f]{64})(?!\S)", "\n".join(rest)))
         versions = [one.version for one in requirement.specifier if one.operator == "=="]
         if len(versions) != 1 or not hashes:
-            raise SystemExit(f"requirements.txt: found {line.strip()!r} with {len(hashes)} hashes, expected NAME==VERSION and its hashes")
+            raise SystemExit(
+                f"requirements.txt: found {line.strip()!r} with {len(hashes)} hashes, expected NAME==VERSION and its hashes"
+            )
         if requirement.marker is None or requirement.marker.evaluate():
             yield Pinned(canonicalize_name(requirement.name), versions[0], hashes)
 
@@ -58,16 +60,30 @@ def installed(one: Pinned) -> Distribution:
 def needs(requirements: list[str], known: set[str]) -> list[str]:
     """The names of these requirements that hold here, without extras."""
     parsed = [Requirement(text) for text in requirements]
-    return sorted({name for one in parsed if (name := canonicalize_name(one.name)) in known and (one.marker is None or one.marker.evaluate({"extra": ""}))})
+    return sorted(
+        {
+            name
+            for one in parsed
+            if (name := canonicalize_name(one.name)) in known
+            and (one.marker is None or one.marker.evaluate({"extra": ""}))
+        }
+    )
 
 
 def licences(found: Distribution) -> list[dict[str, object]]:
     """The licence as the metadata says it: an SPDX expression, else names."""
-    expressions, classifiers, texts = ([str(text) for text in found.metadata.get_all(name) or []] for name in ("License-Expression", "Classifier", "License"))
+    expressions, classifiers, texts = (
+        [str(text) for text in found.metadata.get_all(name) or []]
+        for name in ("License-Expression", "Classifier", "License")
+    )
     if expressions:
         return [{"expression": expressions[0]}]
     classified = [text.rpartition(" :: ")[2] for text in classifiers if text.startswith("License :: ")]
-    names = classified or [text.strip() for text in texts if text.strip() not in ("", "UNKNOWN") and "\n" not in text and len(text) <= LONGEST_NAME]
+    names = classified or [
+        text.strip()
+        for text in texts
+        if text.strip() not in ("", "UNKNOWN") and "\n" not in text and len(text) <= LONGEST_NAME
+    ]
     return [{"license": {"name": name}} for name in sorted(set(names))]
 
 
@@ -104,16 +120,30 @@ def document(root: Path) -> dict[str, object]:
                 "licenses": [{"expression": project["license"]}],
                 "purl": me,
             },
-            "properties": [{"name": "python", "value": f"{sys.implementation.name} {sys.version_info.major}.{sys.version_info.minor}"}],
+            "properties": [
+                {
+                    "name": "python",
+                    "value": f"{sys.implementation.name} {sys.version_info.major}.{sys.version_info.minor}",
+                }
+            ],
         },
-        "components": [_component(one, metadata[name], is_required=name in reached) for name, one in sorted(entries.items())],
+        "components": [
+            _component(one, metadata[name], is_required=name in reached) for name, one in sorted(entries.items())
+        ],
         "dependencies": [
             {"ref": me, "dependsOn": [references[name] for name in own]},
-            *({"ref": references[name], "dependsOn": [references[other] for other in needed[name]]} for name in sorted(entries)),
+            *(
+                {"ref": references[name], "dependsOn": [references[other] for other in needed[name]]}
+                for name in sorted(entries)
+            ),
         ],
     }
     serial = uuid.uuid5(uuid.NAMESPACE_URL, hashlib.sha256(json.dumps(body, sort_keys=True).encode()).hexdigest())
-    head: dict[str, object] = {"$schema": "http://cyclonedx.org/schema/bom-1.6.schema.json", "bomFormat": "CycloneDX", "specVersion": "1.6"}
+    head: dict[str, object] = {
+        "$schema": "http://cyclonedx.org/schema/bom-1.6.schema.json",
+        "bomFormat": "CycloneDX",
+        "specVersion": "1.6",
+    }
     return {**head, "serialNumber": f"urn:uuid:{serial}", "version": 1, **body}
 
 
@@ -138,7 +168,9 @@ def main(out: Path) -> None:
     out.write_text(json.dumps(found, indent=2, ensure_ascii=False) + "\n", "utf-8")
     components = found["components"]
     assert isinstance(components, list)
-    print(f"{out}: {len(components)} components, {sum(one['scope'] == 'required' for one in components)} of them needed when it runs")
+    print(
+        f"{out}: {len(components)} components, {sum(one['scope'] == 'required' for one in components)} of them needed when it runs"
+    )
 
 
 if __name__ == "__main__":

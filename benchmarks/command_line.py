@@ -29,10 +29,17 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as temporary:
         ledger = str(Path(temporary) / "ledger")
         seconds([*COMMAND, "simulate", ledger, "--runs", "2"])
-        for name, rest in (("--help", ()), ("simulate", ("--help",)), ("info", (ledger,)), ("sql", (ledger, "SELECT 1"))):
+        for name, rest in (
+            ("--help", ()),
+            ("simulate", ("--help",)),
+            ("info", (ledger,)),
+            ("sql", (ledger, "SELECT 1")),
+        ):
             pairs = [(seconds([*COMMAND, name, *rest]), seconds(ALTERNATIVE)) for _ in range(repeats)]
             ratio, fastest = statistics.median(one / other for one, other in pairs), min(one for one, _ in pairs)
-            print(f"{name:10} {fastest * 1000:6.0f} ms   import typer {min(other for _, other in pairs) * 1000:6.0f} ms   ratio {ratio:5.2f}")
+            print(
+                f"{name:10} {fastest * 1000:6.0f} ms   import typer {min(other for _, other in pairs) * 1000:6.0f} ms   ratio {ratio:5.2f}"
+            )
     return 0
 
 

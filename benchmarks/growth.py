@@ -49,7 +49,9 @@ def print_founding() -> None:
     of_four = best_s(lambda: fold(founding(4)), 50) / 4
     for size in SIZES:
         taken_s = best_s(lambda size=size: fold(founding(size)))  # type: ignore[misc]
-        print(f"founding {size:5} robots: {len(founding(size)):5} events in {taken_s:.3f} s, for each robot {taken_s / size / of_four:.1f} times that of 4")
+        print(
+            f"founding {size:5} robots: {len(founding(size)):5} events in {taken_s:.3f} s, for each robot {taken_s / size / of_four:.1f} times that of 4"
+        )
 
 
 def print_runs() -> None:
@@ -57,11 +59,16 @@ def print_runs() -> None:
     for architecture in ARCHITECTURES:
         of_four = 0.0
         for size in (4, 64, 1024):
-            spec, constants = RunSpec(42, architecture, "full", "fleet-contention", size, 0), Constants(load=Load(min(4, size // 4)))
+            spec, constants = (
+                RunSpec(42, architecture, "full", "fleet-contention", size, 0),
+                Constants(load=Load(min(4, size // 4))),
+            )
             events = len(simulate_run(spec, constants).events)
             each_s = best_s(lambda spec=spec, constants=constants: simulate_run(spec, constants)) / events  # type: ignore[misc]
             of_four = of_four or each_s
-            print(f"{architecture:4} {size:5} robots: {events:6} events in {each_s * events:.2f} s, for each event {each_s / of_four:.1f} times that of 4")
+            print(
+                f"{architecture:4} {size:5} robots: {events:6} events in {each_s * events:.2f} s, for each event {each_s / of_four:.1f} times that of 4"
+            )
 
 
 def print_maps() -> None:
@@ -84,7 +91,9 @@ def print_maps() -> None:
                     one = one.set(name, number)
             set_s = best_s(lambda one=one, key=key: [one.set(key, 0) for _ in range(1000)])  # type: ignore[misc]
             get_s = best_s(lambda one=one, key=key: [one.get(key) for _ in range(1000)])  # type: ignore[misc]
-            print(f"{size:5} entries, {kind:16}: a change takes {set_s / copied_s:5.2f} of a copied dictionary's, a look {get_s / found_s:5.2f}")
+            print(
+                f"{size:5} entries, {kind:16}: a change takes {set_s / copied_s:5.2f} of a copied dictionary's, a look {get_s / found_s:5.2f}"
+            )
 
 
 def main() -> None:

@@ -62,7 +62,9 @@ def proof_ms(ledger: Path, index: int) -> float:
     found, hashes = prove_inclusion(ledger, tree, index)
     spent = time.perf_counter_ns() - began
     if found != leaf(index) or root_of_inclusion(found, index, tree.size, hashes) != tree.root:
-        raise SystemExit(f"differs: event {index} has leaf hash {found.hex()}, expected {leaf(index).hex()} and a proof that leads to the root")
+        raise SystemExit(
+            f"differs: event {index} has leaf hash {found.hex()}, expected {leaf(index).hex()} and a proof that leads to the root"
+        )
     return spent / 1e6
 
 
@@ -95,10 +97,18 @@ def main() -> int:
         print(f"differs: the tiles give the root {tree.root.hex()}, hashing anew {root.hex()}", file=sys.stderr)
         return 1
     median, worst = statistics.median(spent), max(spent)
-    print(f"{options.events:,} events, {size / options.events:.1f} bytes of tiles an event ({HASH_BYTES} are the leaf hash), {options.proofs} proofs")
-    print(f"one proof, fastest / median / slowest, ms   {min(spent):>8.2f} {median:>8.2f} {worst:>8.2f}   (goal: under {LIMIT_MS})")
-    print(f"hashing the tree anew, ms                   {alternative:>8.0f}            ({alternative * 1e6 / options.events:.0f} ns an event)")
-    print(f"one proof / hashing the tree anew           {median / alternative:>8.6f}            (1 : {alternative / median:,.0f})")
+    print(
+        f"{options.events:,} events, {size / options.events:.1f} bytes of tiles an event ({HASH_BYTES} are the leaf hash), {options.proofs} proofs"
+    )
+    print(
+        f"one proof, fastest / median / slowest, ms   {min(spent):>8.2f} {median:>8.2f} {worst:>8.2f}   (goal: under {LIMIT_MS})"
+    )
+    print(
+        f"hashing the tree anew, ms                   {alternative:>8.0f}            ({alternative * 1e6 / options.events:.0f} ns an event)"
+    )
+    print(
+        f"one proof / hashing the tree anew           {median / alternative:>8.6f}            (1 : {alternative / median:,.0f})"
+    )
     return 0 if median < LIMIT_MS else 1
 
 

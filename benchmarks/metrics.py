@@ -43,18 +43,31 @@ def ledger_of(events: int, cache: Path, workers: int) -> Path:
 
 
 def experiment(runs: int) -> Experiment:
-    return Experiment(architectures=get_args(Architecture), scenarios=get_args(Scenario), runs=runs, seed=42, fleet_size=4, configurations=("full",))
+    return Experiment(
+        architectures=get_args(Architecture),
+        scenarios=get_args(Scenario),
+        runs=runs,
+        seed=42,
+        fleet_size=4,
+        configurations=("full",),
+    )
 
 
 def by_sql(ledger: Path) -> Numbers:
     with connect(ledger) as database:
-        return {(row.architecture, row.configuration, row.fleet_size, row.metric): row.mean for row in metric_rows(database) if row.mean is not None}
+        return {
+            (row.architecture, row.configuration, row.fleet_size, row.metric): row.mean
+            for row in metric_rows(database)
+            if row.mean is not None
+        }
 
 
 def event_classes(ledger: Path) -> EventClasses:
     with connect(ledger) as database:
         rows = database.rows("SELECT type, decision_kind, record_kind FROM event_classes")
-    return EventClasses([row["type"] for row in rows if row["decision_kind"]], [row["type"] for row in rows if row["record_kind"]])
+    return EventClasses(
+        [row["type"] for row in rows if row["decision_kind"]], [row["type"] for row in rows if row["record_kind"]]
+    )
 
 
 def by_polars(segments: list[Path], classes: EventClasses) -> Numbers:
@@ -89,14 +102,20 @@ def main() -> int:
         sql_s.append(seconds)
         seconds, theirs = timed(lambda: by_polars(segments, classes))
         polars_s.append(seconds)
-        differing = sorted(key for key in ours.keys() | theirs.keys() if abs(ours.get(key, float("inf")) - theirs.get(key, float("-inf"))) > TOLERANCE)
+        differing = sorted(
+            key
+            for key in ours.keys() | theirs.keys()
+            if abs(ours.get(key, float("inf")) - theirs.get(key, float("-inf"))) > TOLERANCE
+        )
         if differing:
             for key in differing:
                 print(f"differs: {key}: SQL {ours.get(key)}, Polars {theirs.get(key)}", file=sys.stderr)
             return 1
     sql, polars = statistics.median(sql_s), statistics.median(polars_s)
     print(f"events                  {view.head.size:>12,}")
-    print(f"eight metrics, SQL      {sql:>12.2f} s   (with summary, intervals and start-up; {view.head.size / sql / 1e6:.1f} million events/s)")
+    print(
+        f"eight metrics, SQL      {sql:>12.2f} s   (with summary, intervals and start-up; {view.head.size / sql / 1e6:.1f} million events/s)"
+    )
     print(f"eight metrics, Polars   {polars:>12.2f} s   (means only)")
     print(f"same numbers            {len(ours):>12} of {len(ours)} within {TOLERANCE}")
     print(f"SQL / Polars            {sql / polars:>12.2f}     (target: at most 2)")

@@ -25,26 +25,41 @@ def of(events: pl.LazyFrame, *types: str) -> pl.LazyFrame:
 def success(events: pl.LazyFrame) -> pl.LazyFrame:
     done = of(events, "TaskCompleted").group_by("run_id", "task_id").agg(pl.col("time_us").min().alias("done_us"))
     in_time = (pl.col("done_us") - pl.col("time_us") <= pl.col("budget_us")).fill_null(value=False)
-    tasks = of(events, "TaskArrived").select("run_id", "task_id", "time_us", "budget_us").join(done, on=["run_id", "task_id"], how="left")
+    tasks = (
+        of(events, "TaskArrived")
+        .select("run_id", "task_id", "time_us", "budget_us")
+        .join(done, on=["run_id", "task_id"], how="left")
+    )
     return tasks.group_by("run_id").agg(in_time.mean().alias("coordination_success"))
 
 
 def locality(events: pl.LazyFrame, types: list[str]) -> pl.LazyFrame:
-    is_local = (pl.col("path").list.len() == 1) & pl.col("decided_by").str.contains("^(robot|supervisor)/").fill_null(value=False)
+    is_local = (pl.col("path").list.len() == 1) & pl.col("decided_by").str.contains("^(robot|supervisor)/").fill_null(
+        value=False
+    )
     decisions = events.filter(pl.col("type").is_in(types)).filter(pl.col("path").list.len() > 0)
     return decisions.group_by("run_id").agg(is_local.mean().alias("governance_locality"))
 
 
 def failures(events: pl.LazyFrame) -> pl.LazyFrame:
     """Per run: failures, contained ones, those with a latency, and the sum of latencies."""
-    resolved = of(events, "FailureResolved").group_by(FAILURE).agg(pl.col("time_us").min().alias("resolved_us"), pl.col("level").sort_by("seq").first())
-    left = of(events, "RecoveryEscalated", "AssistanceRequested").group_by("run_id", pl.col("failed_action").alias("action_id"), "failure")
+    resolved = (
+        of(events, "FailureResolved")
+        .group_by(FAILURE)
+        .agg(pl.col("time_us").min().alias("resolved_us"), pl.col("level").sort_by("seq").first())
+    )
+    left = of(events, "RecoveryEscalated", "AssistanceRequested").group_by(
+        "run_id", pl.col("failed_action").alias("action_id"), "failure"
+    )
     found = of(events, "ExecutionFailed").select(*FAILURE, "time_us").join(resolved, on=FAILURE, how="left")
     found = found.join(left.agg(pl.col("time_us").min().alias("left_us")), on=FAILURE, how="left")
     latency_us = pl.when(pl.col("level") == "local").then("resolved_us").otherwise("left_us") - pl.col("time_us")
     contained = pl.col("level").is_in(["local", "peer"]).fill_null(value=False)
     return found.group_by("run_id").agg(
-        pl.len().alias("failures"), contained.sum().alias("contained"), latency_us.count().alias("timed"), latency_us.sum().alias("latency_us")
+        pl.len().alias("failures"),
+        contained.sum().alias("contained"),
+        latency_us.count().alias("timed"),
+        latency_us.sum().alias("latency_us"),
     )
 
 
@@ -52,10 +67,16 @@ def conflicts(events: pl.LazyFrame) -> pl.LazyFrame:
     subject = [*ACTION, "dimension"]
     is_release = pl.col("type") == "AuthorityReleased.v1"
     ended_us = pl.when(is_release).then("time_us").shift(-1).backward_fill().over([*subject, "claimant", "reason"])
-    edges = of(events, "AuthorityClaimed", "AuthorityReleased").select("type", "time_us", *subject, "claimant", "reason")
-    held = edges.with_columns(ended_us.fill_null(2**62).alias("ended_us")).filter(~is_release & (pl.col("ended_us") > pl.col("time_us")))
+    edges = of(events, "AuthorityClaimed", "AuthorityReleased").select(
+        "type", "time_us", *subject, "claimant", "reason"
+    )
+    held = edges.with_columns(ended_us.fill_null(2**62).alias("ended_us")).filter(
+        ~is_release & (pl.col("ended_us") > pl.col("time_us"))
+    )
     pairs = held.join(held, on=subject, how="inner").filter(
-        (pl.col("claimant") < pl.col("claimant_right")) & (pl.col("time_us") < pl.col("ended_us_right")) & (pl.col("time_us_right") < pl.col("ended_us"))
+        (pl.col("claimant") < pl.col("claimant_right"))
+        & (pl.col("time_us") < pl.col("ended_us_right"))
+        & (pl.col("time_us_right") < pl.col("ended_us"))
     )
     return pairs.select(subject).unique().group_by("run_id").agg(pl.len().alias("authority_conflicts"))
 
@@ -63,17 +84,33 @@ def conflicts(events: pl.LazyFrame) -> pl.LazyFrame:
 def violations(events: pl.LazyFrame) -> pl.LazyFrame:
     key = ["run_id", "robot", "scope", "window"]
     closed = of(events, "PolicyWindowClosed").group_by(key).agg(pl.col("time_us").min().alias("closed_us"))
-    windows = of(events, "PolicyWindowOpened").select(*key, "outcome", pl.col("time_us").alias("opened_us")).join(closed, on=key, how="left")
+    windows = (
+        of(events, "PolicyWindowOpened")
+        .select(*key, "outcome", pl.col("time_us").alias("opened_us"))
+        .join(closed, on=key, how="left")
+    )
     is_motion = (pl.col("type") == "RoutinePerformed.v1") & (pl.col("operation") == "motion")
-    starts = of(events, "ExecutionStarted", "RoutinePerformed").filter((pl.col("type") == "ExecutionStarted.v1") | is_motion)
+    starts = of(events, "ExecutionStarted", "RoutinePerformed").filter(
+        (pl.col("type") == "ExecutionStarted.v1") | is_motion
+    )
     starts = starts.select(*ACTION, "seq", "time_us", "robot", "on_behalf_of")
     own = starts.join(windows, on=["run_id", "robot"], how="inner")
-    requester = starts.join(windows.filter(pl.col("scope") == "local"), left_on=["run_id", "on_behalf_of"], right_on=["run_id", "robot"], how="inner")
+    requester = starts.join(
+        windows.filter(pl.col("scope") == "local"),
+        left_on=["run_id", "on_behalf_of"],
+        right_on=["run_id", "robot"],
+        how="inner",
+    )
     columns = [*ACTION, "seq", "time_us", "outcome", "opened_us", "closed_us"]
     is_open = (pl.col("time_us") >= pl.col("opened_us")) & (pl.col("time_us") < pl.col("closed_us").fill_null(2**62))
     hits = pl.concat([own.select(columns), requester.select(columns)]).filter(is_open)
     hits = hits.group_by(*ACTION, "seq").agg((pl.col("outcome") == "deny").any().alias("is_denied"))
-    reviews = of(events, "SupervisorResponded").filter(pl.col("purpose") == "review").group_by(ACTION).agg(pl.col("seq").min().alias("approved_seq"))
+    reviews = (
+        of(events, "SupervisorResponded")
+        .filter(pl.col("purpose") == "review")
+        .group_by(ACTION)
+        .agg(pl.col("seq").min().alias("approved_seq"))
+    )
     is_approved = (pl.col("approved_seq") < pl.col("seq")).fill_null(value=False)
     judged = hits.join(reviews, on=ACTION, how="left").filter(pl.col("is_denied") | ~is_approved)
     return judged.group_by("run_id").agg(pl.len().alias("policy_violations"))
@@ -85,9 +122,15 @@ def human(events: pl.LazyFrame) -> pl.LazyFrame:
 
 
 def attributability(events: pl.LazyFrame, types: list[str]) -> pl.LazyFrame:
-    known = events.filter(pl.col("action_id").is_not_null()).group_by(ACTION).agg(pl.col(name).is_not_null().any().alias(f"has_{name}") for name in PRINCIPALS)
+    known = (
+        events.filter(pl.col("action_id").is_not_null())
+        .group_by(ACTION)
+        .agg(pl.col(name).is_not_null().any().alias(f"has_{name}") for name in PRINCIPALS)
+    )
     records = events.filter(pl.col("type").is_in(types)).select(*ACTION, *PRINCIPALS).join(known, on=ACTION, how="left")
-    complete = pl.all_horizontal(pl.col(name).is_not_null() | pl.col(f"has_{name}").fill_null(value=False) for name in PRINCIPALS)
+    complete = pl.all_horizontal(
+        pl.col(name).is_not_null() | pl.col(f"has_{name}").fill_null(value=False) for name in PRINCIPALS
+    )
     return records.group_by("run_id").agg(complete.mean().alias("audit_attributability"))
 
 

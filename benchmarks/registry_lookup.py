@@ -60,7 +60,9 @@ def founding(size: int) -> Iterator[Event]:
 
 def scanned(state: State, records: list[Advertisement], query: Query) -> str:
     """The alternative: every record of the fleet is looked at, and the nearest admissible robot taken."""
-    matching = [record for record in records if record.capability == query.capability and record.robot != query.requester]
+    matching = [
+        record for record in records if record.capability == query.capability and record.robot != query.requester
+    ]
     admissible = [record.robot for record in matching if rejecting_filter(state, query, record) is None]
     return nearest_first(state, admissible, query.requester)[0]
 
@@ -100,7 +102,9 @@ def main() -> int:
     for size in SIZES:
         state = fold(founding(size))
         teams = [1 + number * 7919 % (size // 4) for number in range(options.lookups)]
-        near, far = ([Query(f"robot/A{team}", capability, "t", limit=1) for team in teams] for capability in (NEAR, FAR))
+        near, far = (
+            [Query(f"robot/A{team}", capability, "t", limit=1) for team in teams] for capability in (NEAR, FAR)
+        )
         records = [record for robot in state.fleet.robots for record in registry.surface(state.registry, robot)]
         near_us, found = median_us(partial(looked_up, state), near)
         far_us, found_far = median_us(partial(looked_up, state), far)
@@ -111,7 +115,12 @@ def main() -> int:
             return 1
         rows.append((near_us, far_us, median_update_us(state, [f"robot/B{team}" for team in teams]), scan_us))
         print(f"{size:>6,} {near_us:>10.1f} {far_us:>9.1f} {rows[-1][2]:>12.1f} {scan_us:>10.1f}", flush=True)
-    for name, column, goal in (("near look-up", 0, "flat"), ("far look-up", 1, "logarithmic"), ("update", 2, "logarithmic"), ("scan", 3, "the alternative")):
+    for name, column, goal in (
+        ("near look-up", 0, "flat"),
+        ("far look-up", 1, "logarithmic"),
+        ("update", 2, "logarithmic"),
+        ("scan", 3, "the alternative"),
+    ):
         print(f"{name:<13} 4,096 robots / 4 robots {rows[-1][column] / rows[0][column]:>10.2f}   ({goal})")
     print(f"near look-up / scan, 4,096 robots   {rows[-1][0] / rows[-1][3]:>10.5f}")
     print(f"far look-up / scan, 4,096 robots    {rows[-1][1] / rows[-1][3]:>10.5f}")

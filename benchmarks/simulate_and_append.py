@@ -44,7 +44,14 @@ class Measurement(NamedTuple):
 
 def simulate_and_append(folder: Path, runs: int, workers: int) -> Measurement:
     """World to committed ledger; imports and the start of worker processes count."""
-    experiment = Experiment(architectures=get_args(Architecture), scenarios=get_args(Scenario), runs=runs, seed=42, fleet_size=4, configurations=("full",))
+    experiment = Experiment(
+        architectures=get_args(Architecture),
+        scenarios=get_args(Scenario),
+        runs=runs,
+        seed=42,
+        fleet_size=4,
+        configurations=("full",),
+    )
     began = time.perf_counter()
     head = simulate(folder, experiment, workers, None)
     seconds = time.perf_counter() - began
@@ -90,7 +97,11 @@ def domain_classes() -> dict[type, type[Any]]:
     made: dict[type, type[Any]] = {}
     for kind in EVENT_TYPES:
         fields = dict.fromkeys(("caused_by", "time_us", *kind.__struct_fields__), Any)
-        made[kind] = metaclass(kind.__name__, (DomainEvent,), {"__annotations__": fields, "__module__": __name__, "__qualname__": kind.__name__})
+        made[kind] = metaclass(
+            kind.__name__,
+            (DomainEvent,),
+            {"__annotations__": fields, "__module__": __name__, "__qualname__": kind.__name__},
+        )
         globals()[kind.__name__] = made[kind]
     return made
 
@@ -109,7 +120,9 @@ def domain_events(run: RunRecord, classes: dict[type, type[Any]]) -> list[Any]:
             time_us=time_us,
             **{name: getattr(event, name) for name in event.__struct_fields__},
         )
-        for version, (event, cause, time_us) in enumerate(zip(run.events, run.caused_by, run.times_us, strict=True), start=1)
+        for version, (event, cause, time_us) in enumerate(
+            zip(run.events, run.caused_by, run.times_us, strict=True), start=1
+        )
     ]
 
 
@@ -138,7 +151,12 @@ def rate(measurements: list[Measurement]) -> float:
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--runs", type=int, default=20, help="runs per scenario and architecture")
-    parser.add_argument("--scaling-runs", type=int, help="the same for one worker against two; more, because two also take time to start", default=None)
+    parser.add_argument(
+        "--scaling-runs",
+        type=int,
+        help="the same for one worker against two; more, because two also take time to start",
+        default=None,
+    )
     parser.add_argument("--repeats", type=int, default=3)
     options = parser.parse_args()
     scaling_runs = options.scaling_runs or 8 * options.runs
@@ -158,12 +176,22 @@ def main() -> int:
     saving = statistics.median(run.events / run.saving_seconds for run in theirs)
     print(f"eventsourcing, making and saving    {rate(theirs):>12,.0f} events/s")
     print(f"eventsourcing, saving alone         {saving:>12,.0f} events/s")
-    print(f"fsar-ledger / eventsourcing         {rate(ours) / rate(theirs):>12.2f} (target: at least 4; {rate(ours) / saving:.2f} against saving alone)")
-    print(f"two workers / one                   {rate(two) / rate(one):>12.2f} (target: at least 1.7; {one[0].events:,} events)")
-    print(f"peak memory of a process            {max(run.peak_kib for run in (*ours, *one, *two)) / BYTES_PER_MIB:>12.0f} MiB (target: under 500)")
+    print(
+        f"fsar-ledger / eventsourcing         {rate(ours) / rate(theirs):>12.2f} (target: at least 4; {rate(ours) / saving:.2f} against saving alone)"
+    )
+    print(
+        f"two workers / one                   {rate(two) / rate(one):>12.2f} (target: at least 1.7; {one[0].events:,} events)"
+    )
+    print(
+        f"peak memory of a process            {max(run.peak_kib for run in (*ours, *one, *two)) / BYTES_PER_MIB:>12.0f} MiB (target: under 500)"
+    )
     small, large = ours[0].peak_kib / BYTES_PER_MIB, one[0].peak_kib / BYTES_PER_MIB
-    print(f"... with {scaling_runs / options.runs:>4g} times the runs         {large:>12.0f} MiB (target: flat; {small:.0f} before)")
-    print(f"bytes per event in segments/        {segments / events:>12.1f} (target: at most 25; eventsourcing {database / events:.0f})")
+    print(
+        f"... with {scaling_runs / options.runs:>4g} times the runs         {large:>12.0f} MiB (target: flat; {small:.0f} before)"
+    )
+    print(
+        f"bytes per event in segments/        {segments / events:>12.1f} (target: at most 25; eventsourcing {database / events:.0f})"
+    )
     return 0
 
 

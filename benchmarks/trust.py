@@ -57,7 +57,11 @@ def ratio(work: Callable[[], object], alternative: Callable[[], object], repeats
         between = time.perf_counter()
         alternative()
         pairs.append((between - began, time.perf_counter() - between))
-    return statistics.median(one / other for one, other in pairs), min(one for one, _ in pairs), min(other for _, other in pairs)
+    return (
+        statistics.median(one / other for one, other in pairs),
+        min(one for one, _ in pairs),
+        min(other for _, other in pairs),
+    )
 
 
 class Clock:
@@ -88,7 +92,12 @@ class Clock:
 def share_of_simulate(folder: Path, runs: int) -> float:
     """The share of a simulation on one core that goes into canonical bytes, leaf hashes, the tree, tiles and the checkpoint."""
     clock = Clock()
-    undo = [clock.wrap(codec._Rows, "leaves"), clock.wrap(Edge, "extend"), clock.wrap(Edge, "frontier"), clock.wrap(append, "write_derived")]
+    undo = [
+        clock.wrap(codec._Rows, "leaves"),
+        clock.wrap(Edge, "extend"),
+        clock.wrap(Edge, "frontier"),
+        clock.wrap(append, "write_derived"),
+    ]
     began = time.perf_counter()
     simulate(folder, experiment(runs), 1, None)
     seconds = time.perf_counter() - began
@@ -110,13 +119,27 @@ def main() -> int:
         rows = leaf_bytes(view)
         print(f"{view.head.size:,} events in {view.head.commits} commits")
         cases: tuple[tuple[str, Callable[[], object], str, Callable[[], object], float], ...] = (
-            (f"verify, {arguments.workers} processes", lambda: verify(ledger, arguments.workers), "hashlib + read", lambda: hash_and_read(view, rows), 2.5),
+            (
+                f"verify, {arguments.workers} processes",
+                lambda: verify(ledger, arguments.workers),
+                "hashlib + read",
+                lambda: hash_and_read(view, rows),
+                2.5,
+            ),
             ("verify, 1 process", lambda: verify(ledger), "hashlib + read", lambda: hash_and_read(view, rows), 2.5),
-            ("verify --quick", lambda: verify(ledger, 1, None, Asked(is_quick=True)), "hashlib", lambda: hash_files(ledger), 1.5),
+            (
+                "verify --quick",
+                lambda: verify(ledger, 1, None, Asked(is_quick=True)),
+                "hashlib",
+                lambda: hash_files(ledger),
+                1.5,
+            ),
         )
         for name, work, other, alternative, target in cases:
             found, seconds, other_seconds = ratio(work, alternative, arguments.repeats)
-            print(f"{name:22} {seconds:7.3f} s   {other:15} {other_seconds:7.3f} s   ratio {found:5.2f}   (target {target})")
+            print(
+                f"{name:22} {seconds:7.3f} s   {other:15} {other_seconds:7.3f} s   ratio {found:5.2f}   (target {target})"
+            )
         share = share_of_simulate(Path(temporary) / "again", min(arguments.runs, 40))
         print(f"hashing and tiles: {share:.0%} of simulate's time on one core   (target 30%)")
     return 0

@@ -62,7 +62,12 @@ FOLDERS = {
 def with_output(page: str) -> str:
     """The page with the output of every command as it is now."""
     with tempfile.TemporaryDirectory() as folder:
-        return re.sub(r"```console\n(.*?)```", lambda block: "```console\n" + "".join(answered(block[1], Path(folder))) + "```", page, flags=re.DOTALL)
+        return re.sub(
+            r"```console\n(.*?)```",
+            lambda block: "```console\n" + "".join(answered(block[1], Path(folder))) + "```",
+            page,
+            flags=re.DOTALL,
+        )
 
 
 def answered(block: str, folder: Path) -> Iterator[str]:
@@ -91,7 +96,15 @@ def said_in_a_shell(text: str, folder: Path) -> str:
     """What any other command prints."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     surroundings = {**os.environ, "PATH": path, "XDG_CACHE_HOME": f"{folder}/.cache"}
-    done = subprocess.run(["sh", "-c", text], cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, check=False, env=surroundings)
+    done = subprocess.run(
+        ["sh", "-c", text],
+        cwd=folder,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        check=False,
+        env=surroundings,
+    )
     return done.stdout
 
 
@@ -105,7 +118,12 @@ def queries_page() -> str:
     ]
     lines += ["Written by `docs/write.py` from the headers of `queries/`.", ""]
     for folder in dict.fromkeys(name.partition("/")[0] for name in library().queries):
-        lines += [f"## {FOLDERS.get(folder, folder.capitalize())}", "", "| query | what it yields | one row for each |", "|---|---|---|"]
+        lines += [
+            f"## {FOLDERS.get(folder, folder.capitalize())}",
+            "",
+            "| query | what it yields | one row for each |",
+            "|---|---|---|",
+        ]
         lines += [_row(query) for query in library().queries.values() if query.name.startswith(f"{folder}/")]
         lines.append("")
     return "\n".join(lines)
@@ -124,23 +142,53 @@ def with_constants(page: str) -> str:
     counts = Counter(origins().values())
     lines = [f"- **{word}** ({counts[word]}): {meaning}" for word, meaning in WORDS.items()]
     text = "\n".join(["", *lines, "", "| constant | value | from |", "|---|---|---|", *rows, ""])
-    return re.sub(r"<!-- constants -->\n.*<!-- /constants -->", lambda _: f"<!-- constants -->\n{text}\n<!-- /constants -->", page, flags=re.DOTALL)
+    return re.sub(
+        r"<!-- constants -->\n.*<!-- /constants -->",
+        lambda _: f"<!-- constants -->\n{text}\n<!-- /constants -->",
+        page,
+        flags=re.DOTALL,
+    )
 
 
 def with_readings(page: str) -> str:
     """The page with the table of all readings that are not ours: which question each answers, and what in the paper allows it."""
-    rows = [f"| `{one.name}` | {one.reading} | {one.question} | {', '.join(one.moves)} | `{one.paper.split()[0]}` | {one.why} |" for one in readings()]
+    rows = [
+        f"| `{one.name}` | {one.reading} | {one.question} | {', '.join(one.moves)} | `{one.paper.split()[0]}` | {one.why} |"
+        for one in readings()
+    ]
     head = ["| reading | instead of | question | moves | paper | why the text allows it |", "|---|---|---|---|---|---|"]
     text = "\n".join(["", f"{len(rows)} readings:", "", *head, *rows, ""])
-    return re.sub(r"<!-- readings -->\n.*<!-- /readings -->", lambda _: f"<!-- readings -->\n{text}\n<!-- /readings -->", page, flags=re.DOTALL)
+    return re.sub(
+        r"<!-- readings -->\n.*<!-- /readings -->",
+        lambda _: f"<!-- readings -->\n{text}\n<!-- /readings -->",
+        page,
+        flags=re.DOTALL,
+    )
 
 
 def with_mechanisms(page: str) -> str:
     """The page with the table of all that can be taken out of an architecture."""
-    named = [(architecture, name, what) for architecture, names in MECHANISMS_OF.items() for name, what in names.items()]
+    named = [
+        (architecture, name, what) for architecture, names in MECHANISMS_OF.items() for name, what in names.items()
+    ]
     rows = [f"| {architecture} | `{name}` | {what} |" for architecture, name, what in named]
-    text = "\n".join(["", f"{len(rows)} mechanisms:", "", "| of | `--without` | what it is (what stands in its place) |", "|---|---|---|", *rows, ""])
-    return re.sub(r"<!-- mechanisms -->\n.*<!-- /mechanisms -->", lambda _: f"<!-- mechanisms -->\n{text}\n<!-- /mechanisms -->", page, flags=re.DOTALL)
+    text = "\n".join(
+        [
+            "",
+            f"{len(rows)} mechanisms:",
+            "",
+            "| of | `--without` | what it is (what stands in its place) |",
+            "|---|---|---|",
+            *rows,
+            "",
+        ]
+    )
+    return re.sub(
+        r"<!-- mechanisms -->\n.*<!-- /mechanisms -->",
+        lambda _: f"<!-- mechanisms -->\n{text}\n<!-- /mechanisms -->",
+        page,
+        flags=re.DOTALL,
+    )
 
 
 def event_types() -> str:
@@ -159,15 +207,25 @@ def event_types() -> str:
         | ({"concern": CONCERNED[tag]} if tag in CONCERNED else {})
         for tag, layout in sorted(STORED.items())
     }
-    texts = [",\n".join(f'  "{name}": {json.dumps(text)}' for name, text in part.items()) for part in (FINGERPRINTS, columns, types)]
+    texts = [
+        ",\n".join(f'  "{name}": {json.dumps(text)}' for name, text in part.items())
+        for part in (FINGERPRINTS, columns, types)
+    ]
     parts = [f'"{name}": {{\n{text}\n}}' for name, text in zip(("releases", "columns", "types"), texts, strict=True)]
     return "{\n" + ",\n".join(parts) + "\n}\n"
 
 
 EXAMPLE_ORIGIN = "example.org/tiny"
-EXAMPLE_SECRET = bytes.fromhex("9d61b19deffd5a60ba844af492ec2cc44449c5697b326919703bac031cae7f60")  # RFC 8032, section 7.1, test 1: no secret
+EXAMPLE_SECRET = bytes.fromhex(
+    "9d61b19deffd5a60ba844af492ec2cc44449c5697b326919703bac031cae7f60"
+)  # RFC 8032, section 7.1, test 1: no secret
 EXAMPLE_RUNS = (
-    RunRecord("r1", [0, 1_500_000], [None, 0], [TaskArrived("T1", "robot/A1", 1, (), 9, -1, ("T1/1", "T1/2"), True), TaskCompleted("T1")]),
+    RunRecord(
+        "r1",
+        [0, 1_500_000],
+        [None, 0],
+        [TaskArrived("T1", "robot/A1", 1, (), 9, -1, ("T1/1", "T1/2"), True), TaskCompleted("T1")],
+    ),
     RunRecord("r2", [7], [None], [TaskAbandoned('"\\\t\u2028\N{ROBOT FACE}')]),
 )
 
@@ -176,7 +234,12 @@ def format_page(page: str) -> str:
     """The page with the example of a ledger as it is now."""
     with tempfile.TemporaryDirectory() as folder:
         text = "".join(example(Path(folder) / "ledger"))
-    return re.sub(r"<!-- example -->\n.*<!-- /example -->", lambda _: f"<!-- example -->\n{text}<!-- /example -->", page, flags=re.DOTALL)
+    return re.sub(
+        r"<!-- example -->\n.*<!-- /example -->",
+        lambda _: f"<!-- example -->\n{text}<!-- /example -->",
+        page,
+        flags=re.DOTALL,
+    )
 
 
 def example(path: Path) -> Iterator[str]:
@@ -184,7 +247,9 @@ def example(path: Path) -> Iterator[str]:
     signer = Signer(EXAMPLE_ORIGIN, EXAMPLE_SECRET)
     with Writer(path, EXAMPLE_ORIGIN, signer) as writer:
         for run in EXAMPLE_RUNS:
-            writer.append(stage_rows(path, [run], *encode_hashed([run])))  # a name that no writer takes any more: it shows how JSON escapes
+            writer.append(
+                stage_rows(path, [run], *encode_hashed([run]))
+            )  # a name that no writer takes any more: it shows how JSON escapes
     rows = [row[1:] for table in open_ledger(path).tables() for row in canonical.from_table(table)]
     leaves = [merkle.leaf_hash(row) for row in rows]
 
@@ -193,14 +258,30 @@ def example(path: Path) -> Iterator[str]:
 
     yield block("The public key:", str(signer.verifier))
     yield block("`ledger.json`:", (path / "ledger.json").read_text())
-    yield block("The bytes of the three events, one a line (the third holds U+2028, which some editors show as a line break):", *[row.decode() for row in rows])
-    yield block("Their leaf hashes, which are also the first and only tile, `tile/0/000.p/3`, in hex:", *[leaf.hex() for leaf in leaves])
-    yield block("The root of the first two, which is the first commit's, and of all three, the second's:", *[merkle.root(leaves[:at]).hex() for at in (2, 3)])
+    yield block(
+        "The bytes of the three events, one a line (the third holds U+2028, which some editors show as a line break):",
+        *[row.decode() for row in rows],
+    )
+    yield block(
+        "Their leaf hashes, which are also the first and only tile, `tile/0/000.p/3`, in hex:",
+        *[leaf.hex() for leaf in leaves],
+    )
+    yield block(
+        "The root of the first two, which is the first commit's, and of all three, the second's:",
+        *[merkle.root(leaves[:at]).hex() for at in (2, 3)],
+    )
     yield block("The record of the second commit, `commits/000000000001.json`:", commit_path(path, 1).read_text())
     yield block("`checkpoint`:", (path / "checkpoint").read_text())
     proof = merkle.inclusion_proof(node_of(tile_reader(path), 3), 1, 3)
     hashes = [base64.b64encode(each).decode() for each in (rows[1], *proof)]
-    lines = ["c2sp.org/tlog-proof@v1", f"extra {hashes[0]}", "index 1", *hashes[1:], "", (path / "checkpoint").read_text()]
+    lines = [
+        "c2sp.org/tlog-proof@v1",
+        f"extra {hashes[0]}",
+        "index 1",
+        *hashes[1:],
+        "",
+        (path / "checkpoint").read_text(),
+    ]
     yield block("A proof that the second event is in the ledger:", *lines)
     yield "\n"
 
@@ -217,7 +298,13 @@ def main(arguments: list[str]) -> int:
         return 0
     for page, text in stale.items():
         old = page.read_text("utf-8") if page.exists() else ""
-        print("".join(difflib.unified_diff(old.splitlines(keepends=True), text.splitlines(keepends=True), page.name, "as it is now")))
+        print(
+            "".join(
+                difflib.unified_diff(
+                    old.splitlines(keepends=True), text.splitlines(keepends=True), page.name, "as it is now"
+                )
+            )
+        )
     if stale:
         print("run `make docs` to write these pages again")
     return 1 if stale else 0

@@ -26,7 +26,9 @@ def main() -> None:
     if os.name != "posix":
         say(f"found an operating system that is not POSIX ({os.name}), expected Linux or macOS; on Windows use WSL")
         sys.exit(2)
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # nothing here multiplies matrices that are worth a thread, and each takes its time to start
+    os.environ.setdefault(
+        "OPENBLAS_NUM_THREADS", "1"
+    )  # nothing here multiplies matrices that are worth a thread, and each takes its time to start
     gc.set_threshold(50_000, 20, 100)  # libraries make many objects as they are imported, and no garbage
     try:
         from .cli import run
@@ -35,7 +37,9 @@ def main() -> None:
         sys.exit(130)
     code = run(sys.argv[1:])
     atexit._run_exitfuncs()  # libraries clean up after themselves: matplotlib takes its folder away
-    os._exit(code)  # all is written and closed; to take the libraries down again would take a tenth of a short command's time
+    os._exit(
+        code
+    )  # all is written and closed; to take the libraries down again would take a tenth of a short command's time
 
 
 def _failed(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:

@@ -55,7 +55,12 @@ def with_values(values: Sequence[float]) -> Constants:
 
 def at(point: Vector) -> Constants:
     """Return the constants at a point: 0 is the middle of each range, -1 and 1 are its ends, on the logarithm."""
-    return with_values([one.range.middle * (one.range.high / one.range.middle) ** float(place) for one, place in zip(FREE, point, strict=True)])
+    return with_values(
+        [
+            one.range.middle * (one.range.high / one.range.middle) ** float(place)
+            for one, place in zip(FREE, point, strict=True)
+        ]
+    )
 
 
 def rounded(value: float) -> float:
@@ -63,7 +68,9 @@ def rounded(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def measure(constants: Constants, runs: int, architectures: Sequence[Architecture] = ARCHITECTURES, switch: Switch | None = None) -> list[MetricRow]:
+def measure(
+    constants: Constants, runs: int, architectures: Sequence[Architecture] = ARCHITECTURES, switch: Switch | None = None
+) -> list[MetricRow]:
     """The eight metrics, judged by SQL, of runs under these constants; `switch` takes one mechanism out. For few runs: all are held in memory."""
     structure = switch.structure() if switch is not None else None
     configuration = switch.configuration if switch is not None else FULL
@@ -89,7 +96,11 @@ def measure_stored(constants: Constants, runs: int, workers: int) -> list[Metric
 def distances(rows: list[MetricRow]) -> Vector:
     """Return (ours - paper) of the 24 cells in margins, in the order of the rows; a cell that is undefined is one margin away."""
     printed, margins = published(), REGISTERED.margins
-    cells = [(row.mean, printed[row.metric, row.architecture].value, margins[row.metric]) for row in rows if row.architecture is not None]
+    cells = [
+        (row.mean, printed[row.metric, row.architecture].value, margins[row.metric])
+        for row in rows
+        if row.architecture is not None
+    ]
     return np.array([1.0 if mean is None else (mean - paper) / margin for mean, paper, margin in cells])
 
 
@@ -142,8 +153,13 @@ def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> 
     with WorkerPool(workers) as pool:
         judge = Judge(pool, progress)
         points = screened()
-        scores = [objective(found, point) for found, point in zip(judge.each(points, PLAN.screened_runs), points, strict=True)]
-        rough = [search(judge, points[index], PLAN.rough_runs, PLAN.rough_steps) for index in np.argsort(scores, kind="stable")[: PLAN.starts]]
+        scores = [
+            objective(found, point) for found, point in zip(judge.each(points, PLAN.screened_runs), points, strict=True)
+        ]
+        rough = [
+            search(judge, points[index], PLAN.rough_runs, PLAN.rough_steps)
+            for index in np.argsort(scores, kind="stable")[: PLAN.starts]
+        ]
         best = min(rough, key=lambda one: one.reached)
         last = search(judge, best.point, PLAN.runs, PLAN.most_steps)
     record = _record(best.start, last, measure_stored(at(last.point), PLAN.judged_runs, workers), judge.evaluations)
@@ -167,8 +183,12 @@ def search(judge: Judge, start: Vector, runs: int, most_steps: int) -> Search:
     def jacobian(point: Vector) -> Matrix:
         return np.vstack([slopes(lambda points: judge.each(points, runs), point), np.eye(len(point))])
 
-    found = least_squares(residuals, start, jac=jacobian, bounds=(-1.0, 1.0), ftol=PLAN.enough, xtol=None, gtol=None, max_nfev=most_steps)
-    return Search(start, np.asarray(found.x), runs, tried[0], 2.0 * float(found.cost), np.asarray(found.jac)[: -len(FREE)])
+    found = least_squares(
+        residuals, start, jac=jacobian, bounds=(-1.0, 1.0), ftol=PLAN.enough, xtol=None, gtol=None, max_nfev=most_steps
+    )
+    return Search(
+        start, np.asarray(found.x), runs, tried[0], 2.0 * float(found.cost), np.asarray(found.jac)[: -len(FREE)]
+    )
 
 
 def screened() -> list[Vector]:
@@ -189,7 +209,10 @@ def slopes(each: Callable[[list[Vector]], list[Vector]], point: Vector) -> Matri
     ups = [np.clip(point + shift, -1.0, 1.0) for shift in np.eye(len(point)) * STEP]
     downs = [np.clip(point - shift, -1.0, 1.0) for shift in np.eye(len(point)) * STEP]
     found = each(ups + downs)
-    columns = [(high - low) / float((up - down).sum()) for high, low, up, down in zip(found[: len(point)], found[len(point) :], ups, downs, strict=True)]
+    columns = [
+        (high - low) / float((up - down).sum())
+        for high, low, up, down in zip(found[: len(point)], found[len(point) :], ups, downs, strict=True)
+    ]
     return np.asarray(np.array(columns).T)
 
 
@@ -208,7 +231,9 @@ def _record(start: Vector, last: Search, rows: list[MetricRow], evaluations: int
         "evaluations": evaluations,
         "model_version": MODEL_VERSION,
         "command": "fsar-ledger calibrate --out FILE",
-        "parameters": [_parameter(one, begun, constants, directions, singular, index) for index, one in enumerate(FREE)],
+        "parameters": [
+            _parameter(one, begun, constants, directions, singular, index) for index, one in enumerate(FREE)
+        ],
         "residuals": [
             {
                 "metric": row.metric,
@@ -241,7 +266,9 @@ def _told(one: Search) -> dict[str, Any]:
     }
 
 
-def _parameter(free: Free, begun: Constants, constants: Constants, directions: Matrix, singular: Vector, index: int) -> dict[str, Any]:
+def _parameter(
+    free: Free, begun: Constants, constants: Constants, directions: Matrix, singular: Vector, index: int
+) -> dict[str, Any]:
     """A constant is identified when the data alone determine it better than its range does."""
     information = float(((singular * directions[:, index]) ** 2).sum())
     return {
@@ -269,6 +296,12 @@ def _switch_offs(constants: Constants) -> list[dict[str, Any]]:
         without = {row.metric: row.mean for row in measure(constants, PLAN.runs, (switch.architecture,), switch)}
         of_switch = {"mechanism": switch.mechanism, "architecture": switch.architecture}
         found += [
-            {**of_switch, "metric": metric, "with_mechanism": whole[switch.architecture, metric], "without": without[metric]} for metric in switch.metrics
+            {
+                **of_switch,
+                "metric": metric,
+                "with_mechanism": whole[switch.architecture, metric],
+                "without": without[metric],
+            }
+            for metric in switch.metrics
         ]
     return found

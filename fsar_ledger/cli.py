@@ -69,7 +69,11 @@ from .errors import FsarLedgerError
 
 INTERRUPTED = 130
 CONTINUES = "what is committed stays, and the same command continues there"
-AFTER_INTERRUPTION = {"simulate": CONTINUES, "reproduce": CONTINUES, "recover": "what was mended stays; run it again"} | sensitivity.AFTER_INTERRUPTION
+AFTER_INTERRUPTION = {
+    "simulate": CONTINUES,
+    "reproduce": CONTINUES,
+    "recover": "what was mended stays; run it again",
+} | sensitivity.AFTER_INTERRUPTION
 SHOWN_ROWS = 100
 
 app = typer.Typer(
@@ -128,7 +132,9 @@ def simulate(
     from .commands.simulated import simulated_text
     from .runtime.experiment import carry_out
 
-    experiment = experiment_of(architecture, scenario, runs, seed, fleet_size, without, workflow, (teams_working, task_sets))
+    experiment = experiment_of(
+        architecture, scenario, runs, seed, fleet_size, without, workflow, (teams_working, task_sets)
+    )
     signer = trust.signer_of(key, adopts=adopt)
     processes = workers_of(workers, experiment.size * experiment.fleet_size // WORTH_ROBOTS)
     with Progress("simulated", "batches") as progress:
@@ -154,7 +160,9 @@ def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: Json
     standing = "" if found.rows_verified else " (the rows were not compared with it)"
     _show(
         printable.lines(
-            f"{ledger}: {printable.counted(head.size, 'event')} in {printable.counted(head.commits, 'commit')}", f"root {head.root}{standing}", *found.summary()
+            f"{ledger}: {printable.counted(head.size, 'event')} in {printable.counted(head.commits, 'commit')}",
+            f"root {head.root}{standing}",
+            *found.summary(),
         )
     )
     if rows := found.rows():
@@ -176,8 +184,13 @@ app.command(epilog=multiverse.MULTIVERSE)(reading(multiverse.multiverse))
     )
 )
 def query(
-    name: Annotated[str | None, typer.Argument(metavar="NAME", help="A name of `query --list`; its last part is enough.", show_default=False)] = None,
-    ledger: Annotated[Path | None, typer.Argument(metavar="LEDGER", help="The folder of a ledger.", show_default=False)] = None,
+    name: Annotated[
+        str | None,
+        typer.Argument(metavar="NAME", help="A name of `query --list`; its last part is enough.", show_default=False),
+    ] = None,
+    ledger: Annotated[
+        Path | None, typer.Argument(metavar="LEDGER", help="The folder of a ledger.", show_default=False)
+    ] = None,
     param: ParameterOption = None,
     file: FileOption = None,
     list_all: Annotated[bool, typer.Option("--list", help="List every query with its title and parameters.")] = False,
@@ -203,7 +216,17 @@ def query(
     own = {"--seconds": seconds, "--memory": memory}
     with nullcontext() if file else bounded(memory, ledger):
         places = (name, ledger)
-        for piece in answer_query(places, file, parameters_of(param), own, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit, verified=verified):
+        for piece in answer_query(
+            places,
+            file,
+            parameters_of(param),
+            own,
+            as_json=as_json,
+            as_csv=as_csv,
+            raw=raw,
+            limit=limit,
+            verified=verified,
+        ):
             _show(piece, raw=raw)
 
 
@@ -232,7 +255,9 @@ def sql(
     from .commands.questions import answer_select, limits_of
 
     limits = limits_of({"--seconds": seconds, "--memory": memory})
-    for piece in answer_select(ledger, select, limits, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit, verified=verified):
+    for piece in answer_select(
+        ledger, select, limits, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit, verified=verified
+    ):
         _show(piece, raw=raw)
 
 
@@ -245,8 +270,16 @@ def sql(
 @reading
 def export(
     ledger: LedgerArgument,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="A .csv or .parquet file; replaced if it exists.", show_default=False)],
-    name: Annotated[str | None, typer.Option("--query", metavar="NAME", help="Export the answer of this query.", show_default="every event")] = None,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", metavar="FILE", help="A .csv or .parquet file; replaced if it exists.", show_default=False
+        ),
+    ],
+    name: Annotated[
+        str | None,
+        typer.Option("--query", metavar="NAME", help="Export the answer of this query.", show_default="every event"),
+    ] = None,
     param: ParameterOption = None,
     raw: RawOption = False,
     verified: VerifiedOption = False,
@@ -259,11 +292,20 @@ def export(
     from .commands.files import export_events, export_query
 
     given = {"raw": raw, "verified": verified}
-    rows = export_events(ledger, out, **given) if name is None else export_query(ledger, name, parameters_of(param), out, **given)
+    rows = (
+        export_events(ledger, out, **given)
+        if name is None
+        else export_query(ledger, name, parameters_of(param), out, **given)
+    )
     _show(printable.line(f"{out}: {rows:,} rows"))
 
 
-@app.command(epilog=examples("fsar-ledger audit out/ledger --architecture fsar", "fsar-ledger audit out/ledger --architecture fsar --invariant i4 --json"))
+@app.command(
+    epilog=examples(
+        "fsar-ledger audit out/ledger --architecture fsar",
+        "fsar-ledger audit out/ledger --architecture fsar --invariant i4 --json",
+    )
+)
 @reading
 def audit(
     ledger: LedgerArgument,
@@ -334,7 +376,9 @@ app.command(epilog=sensitivity.SENSITIVITY)(sensitivity.sensitivity)
 
 @app.command(epilog=examples("fsar-ledger reproduce", "fsar-ledger reproduce --out out/paper --only results --runs 20"))
 def reproduce(
-    out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Where the ledgers, the tables and the report go.")] = Path("fsar-out"),
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FOLDER", help="Where the ledgers, the tables and the report go.")
+    ] = Path("fsar-out"),
     only: OnlyOption = None,
     runs: ReproducedRunsOption = None,
     key: KeyOption = None,
@@ -365,7 +409,12 @@ def run(arguments: Sequence[str]) -> int:
     """The command has run; returns its exit code. What a user can cause is one message on stderr, never a traceback."""
     try:
         require_text(arguments)
-        code = _commands().main(args=list(arguments) or ["--help"], prog_name="fsar-ledger", standalone_mode=False, obj=lambda: int(time.time()))
+        code = _commands().main(
+            args=list(arguments) or ["--help"],
+            prog_name="fsar-ledger",
+            standalone_mode=False,
+            obj=lambda: int(time.time()),
+        )
     except Enough:
         return 0
     except FsarLedgerError as problem:

@@ -79,7 +79,17 @@ class Numbers:
     """The predicted numbers, by what was played and where."""
 
     def __init__(self, every: list[Predicted]) -> None:
-        keys = ("of", "seed", "fleet_size", "teams_working", "encounter_mean_s", "configuration", "architecture", "scenario", "metric")
+        keys = (
+            "of",
+            "seed",
+            "fleet_size",
+            "teams_working",
+            "encounter_mean_s",
+            "configuration",
+            "architecture",
+            "scenario",
+            "metric",
+        )
         self._by_place = {tuple(getattr(one, key) for key in keys): one for one in every}
 
     def find(
@@ -122,7 +132,9 @@ def compare_predictions(predictions: Path, out: Path) -> None:
     try:
         write_record(out, compared(record))
     except NotPredicted as error:
-        raise FsarLedgerError(f"{predictions}: found no {error}, expected all that `fsar-ledger predict` plays; write it again") from error
+        raise FsarLedgerError(
+            f"{predictions}: found no {error}, expected all that `fsar-ledger predict` plays; write it again"
+        ) from error
 
 
 def read(path: Path) -> Record:
@@ -130,9 +142,17 @@ def read(path: Path) -> Record:
     try:
         return msgspec.json.decode(path.read_bytes(), type=Record)
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}); expected what `fsar-ledger predict --out FILE` writes") from error
-    except (msgspec.MsgspecError, RecursionError, ValueError) as error:  # nested without end, a number of thousands of digits
-        raise FsarLedgerError(f"{path}: {error}; expected what `fsar-ledger predict --out FILE` writes; write it again") from error
+        raise UsageError(
+            f"{path}: cannot be read ({error.strerror}); expected what `fsar-ledger predict --out FILE` writes"
+        ) from error
+    except (
+        msgspec.MsgspecError,
+        RecursionError,
+        ValueError,
+    ) as error:  # nested without end, a number of thousands of digits
+        raise FsarLedgerError(
+            f"{path}: {error}; expected what `fsar-ledger predict --out FILE` writes; write it again"
+        ) from error
 
 
 def _require_of_today(record: Record, path: Path) -> None:
@@ -157,14 +177,20 @@ def compared(record: Record) -> Comparison:
     """Return the cells and the predictions with their answers. Raises: NotPredicted if a number is missing."""
     numbers = Numbers(record.numbers)
     cells = [_cell(numbers, place) for table in TABLES for place in printed(table)]
-    outcomes = [_outcome(said.name, said.implies, list(CHECKS[said.name](numbers))) for said in registration().prediction]
-    return Comparison(record.model_version, record.parameters, "fsar-ledger judge PREDICTIONS --out FILE", cells, outcomes)
+    outcomes = [
+        _outcome(said.name, said.implies, list(CHECKS[said.name](numbers))) for said in registration().prediction
+    ]
+    return Comparison(
+        record.model_version, record.parameters, "fsar-ledger judge PREDICTIONS --out FILE", cells, outcomes
+    )
 
 
 def _cell(numbers: Numbers, place: Place) -> CellBeside:
     where: dict[str, Any] = {"size": place.fleet_size, "configuration": place.configuration, "scenario": place.scenario}
     found = numbers.find(TABLES[place.table], place.metric, place.architecture, **where)
-    one_team = numbers.mean("scaling", place.metric, place.architecture, teams=1, **where) if place.fleet_size > 4 else None
+    one_team = (
+        numbers.mean("scaling", place.metric, place.architecture, teams=1, **where) if place.fleet_size > 4 else None
+    )
     paper, said = printed(place.table)[place].value, registration().said_of(place.table, place._asdict())
     judged = judge(_row(found), paper, None)
     by_text: dict[str, Answer | None] = {"cannot_follow": "no", "unspecified": None}
@@ -186,7 +212,9 @@ def _cell(numbers: Numbers, place: Place) -> CellBeside:
 def _row(number: Predicted) -> MetricRow:
     """A predicted number as the verdicts take it."""
     names = [name for name in MetricRow.__struct_fields__ if name in Predicted.__struct_fields__]
-    return MetricRow(**{**dict.fromkeys(MetricRow.__struct_fields__), **{name: getattr(number, name) for name in names}})
+    return MetricRow(
+        **{**dict.fromkeys(MetricRow.__struct_fields__), **{name: getattr(number, name) for name in names}}
+    )
 
 
 def _outcome(name: str, implies: str, checks: list[Check]) -> Outcome:
@@ -215,8 +243,12 @@ def _twelve(numbers: Numbers) -> Iterator[Check]:
     for metric in dict.fromkeys(place.metric for place in printed("scaling")):
         for architecture in ARCHITECTURES:
             for teams in (None, 1):
-                eight, twelve, sixteen = (numbers.mean("scaling", metric, architecture, size=size, teams=teams) for size in (8, 12, 16))
-                yield _between(f"{metric}, {architecture}, 12 robots, {_said(teams)}", twelve, (eight, sixteen), MARGINS[metric])
+                eight, twelve, sixteen = (
+                    numbers.mean("scaling", metric, architecture, size=size, teams=teams) for size in (8, 12, 16)
+                )
+                yield _between(
+                    f"{metric}, {architecture}, 12 robots, {_said(teams)}", twelve, (eight, sixteen), MARGINS[metric]
+                )
 
 
 def _twenty_four(numbers: Numbers) -> Iterator[Check]:
@@ -225,7 +257,9 @@ def _twenty_four(numbers: Numbers) -> Iterator[Check]:
         yield _between(f"{LOCALITY}, fsar, 24 robots, {_said(teams)}", at_24, (at_16,), MARGINS[LOCALITY])
         falls: dict[str, float | None] = {}
         for architecture in ARCHITECTURES:
-            before, after = (numbers.mean("scaling", SUCCESS, architecture, size=size, teams=teams) for size in (16, 24))
+            before, after = (
+                numbers.mean("scaling", SUCCESS, architecture, size=size, teams=teams) for size in (16, 24)
+            )
             falls[architecture] = None if before is None or after is None else before - after
         for architecture in ("cfc", "dhma"):
             what = f"fall of {SUCCESS} from 16 to 24 robots, fsar and {architecture}, {_said(teams)}"
@@ -247,7 +281,11 @@ def _loads(numbers: Numbers) -> Iterator[Check]:
             yield _check(f"{CONFLICTS}, {architecture}, {_said(more)}", after, low=low, is_known=before is not None)
     for teams in range(1, 5):
         for architecture in ("cfc", "dhma"):
-            yield _less(f"{CONFLICTS}, fsar and {architecture}, {_said(teams)}", at(CONFLICTS, "fsar", teams), at(CONFLICTS, architecture, teams))
+            yield _less(
+                f"{CONFLICTS}, fsar and {architecture}, {_said(teams)}",
+                at(CONFLICTS, "fsar", teams),
+                at(CONFLICTS, architecture, teams),
+            )
 
 
 def _encounters(numbers: Numbers) -> Iterator[Check]:
@@ -255,7 +293,9 @@ def _encounters(numbers: Numbers) -> Iterator[Check]:
         return numbers.mean("encounters", metric, encounter_s=mean_s, configuration=without(["shared-registry"]))
 
     for low_s, mean_s, high_s in ((30.0, 45.0, 90.0), (90.0, 120.0, 300.0)):
-        yield _between(f"{SUCCESS} at {mean_s:g} s", at(SUCCESS, mean_s), (at(SUCCESS, low_s), at(SUCCESS, high_s)), 0.0)
+        yield _between(
+            f"{SUCCESS} at {mean_s:g} s", at(SUCCESS, mean_s), (at(SUCCESS, low_s), at(SUCCESS, high_s)), 0.0
+        )
     for metric in _ablated():
         if metric != SUCCESS:
             yield _between(f"{metric} at 120 s, as at 45 s", at(metric, 120.0), (at(metric, 45.0),), MARGINS[metric])
@@ -269,7 +309,9 @@ def _pairs(numbers: Numbers) -> Iterator[Check]:
             alone = [numbers.mean("ablation", metric, configuration=without([one])) for one in pair]
             together = numbers.mean("pairs", metric, configuration=without(pair))
             known = [one for one in alone if one is not None]
-            expected = None if full is None or len(known) < len(pair) else round(full + sum(one - full for one in known), 9)
+            expected = (
+                None if full is None or len(known) < len(pair) else round(full + sum(one - full for one in known), 9)
+            )
             if expected is None or (expected >= 0.0 and (metric in COUNTS or expected <= 1.0)):
                 yield _between(f"{metric} {without(pair)}", together, (expected,), MARGINS[metric])
 
@@ -288,10 +330,18 @@ CHECKS: dict[str, Callable[[Numbers], Iterator[Check]]] = {
 def _between(what: str, value: float | None, ends: tuple[float | None, ...], margin: float) -> Check:
     known = [end for end in ends if end is not None]
     is_known = len(known) == len(ends)
-    return _check(what, value, min(known) - margin if is_known else None, max(known) + margin if is_known else None, is_known=is_known)
+    return _check(
+        what,
+        value,
+        min(known) - margin if is_known else None,
+        max(known) + margin if is_known else None,
+        is_known=is_known,
+    )
 
 
-def _check(what: str, value: float | None, low: float | None = None, high: float | None = None, *, is_known: bool = True) -> Check:
+def _check(
+    what: str, value: float | None, low: float | None = None, high: float | None = None, *, is_known: bool = True
+) -> Check:
     holds = None if value is None or not is_known else (low is None or low <= value) and (high is None or value <= high)
     return Check(what, value, low, high, holds)
 

@@ -68,7 +68,9 @@ class WorldConstants(msgspec.Struct, frozen=True):
     degradation_onset_s: AfterFits[float] = 10.0  # onset uniform from 0
     degraded_reliability: Paper[float] = 0.6  # success of an attempt with a degraded actuator
     encounter_mean_s: AfterFits[float] = 90.0  # time between encounters of a pair of robots, exponential
-    floor_teams: Chosen[int] = 4  # teams that share a floor; a larger fleet spreads over floors, and robots of different floors never meet
+    floor_teams: Chosen[int] = (
+        4  # teams that share a floor; a larger fleet spreads over floors, and robots of different floors never meet
+    )
     # Each robot of another team on its floor is in a robot's way this often: they come within some 10 m of each other every `encounter_mean_s`,
     # and within the 0.7 m that a passing robot keeps free beside itself in 7 % of those encounters. It lasts as any obstruction does.
     crowding_rate_per_s: Chosen[float] = 0.0008
@@ -102,11 +104,17 @@ class Structure(msgspec.Struct, frozen=True):
     local_attempts: Paper[int] = 2  # recovery budget of the local level: attempts (DHMA too)
     local_budget_us: Paper[int] = 30_000_000  # recovery budget of the local level: time
     negotiation_rounds: Chosen[int] = 3  # counter-offers in one negotiation; the executor then denies
-    peer_budget_us: Chosen[int] = 30_000_000  # recovery budget of the peer level: time from turning to the peers until one of them has been asked
+    peer_budget_us: Chosen[int] = (
+        30_000_000  # recovery budget of the peer level: time from turning to the peers until one of them has been asked
+    )
     peer_helpers: AfterFits[int] = 1  # and helpers asked: whoever agrees is held until the failure is over
-    fleet_budget_us: Chosen[int] = 30_000_000  # recovery budget of the fleet level: time until the orchestrator has decided
+    fleet_budget_us: Chosen[int] = (
+        30_000_000  # recovery budget of the fleet level: time until the orchestrator has decided
+    )
     fleet_reassignments: AfterFits[int] = 1  # and reassignments: after one it is another robot's execution
-    human_budget_us: Chosen[int] = 120_000_000  # recovery budget of the human level: time a call may stay open, twice the longest response
+    human_budget_us: Chosen[int] = (
+        120_000_000  # recovery budget of the human level: time a call may stay open, twice the longest response
+    )
     human_calls: Chosen[int] = 2  # and calls: an H_i who does not answer, then H_F
     encounter_memory_us: AfterFits[int] = 60_000_000  # without a registry, a met peer is known this long
     # CFC
@@ -141,7 +149,9 @@ class Outages(msgspec.Struct, frozen=True):
 class Load(msgspec.Struct, frozen=True):
     """How much there is to do. Without it every team has the tasks of its scenario, once."""
 
-    teams_working: Chosen[int | None] = None  # teams 1 to this have tasks and routine; the others stand by and can be asked; None: all
+    teams_working: Chosen[int | None] = (
+        None  # teams 1 to this have tasks and routine; the others stand by and can be asked; None: all
+    )
     task_sets: Chosen[int] = 1  # how often each of them gets the tasks of the scenario
     interval_s: Chosen[float] = 30.0  # from one set to the next
 
@@ -169,7 +179,9 @@ def write_constants(constants: Constants) -> str:
     """
     found = decoded(_written(constants), type(constants))
     text = _written(found)
-    return _written(msgspec.convert(_unsigned_zeros(msgspec.to_builtins(found)), type(found))) if "-0.0" in text else text
+    return (
+        _written(msgspec.convert(_unsigned_zeros(msgspec.to_builtins(found)), type(found))) if "-0.0" in text else text
+    )
 
 
 def _unsigned_zeros(value: Any) -> Any:

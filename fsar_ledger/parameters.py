@@ -31,7 +31,11 @@ def decoded(parameters: str, kind: type[_T]) -> _T:
     """The parameters as a value of this type. Raises: BadParameters."""
     try:
         return msgspec.json.decode(parameters, type=kind)
-    except (msgspec.MsgspecError, RecursionError, ValueError) as error:  # nested without end, a number of thousands of digits
+    except (
+        msgspec.MsgspecError,
+        RecursionError,
+        ValueError,
+    ) as error:  # nested without end, a number of thousands of digits
         raise _bad(parameters, str(error)) from error
 
 

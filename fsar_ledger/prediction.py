@@ -112,11 +112,18 @@ def plays() -> Iterator[Play]:
 
     yield one(CASES, SEED_RUNS)
     yield one("ablation", ABLATION_RUNS, architectures=("fsar",), configurations=CONFIGURATIONS)
-    yield one("pairs", ABLATION_RUNS, architectures=("fsar",), configurations=tuple(without(pair) for pair in combinations(MECHANISMS, 2)))
+    yield one(
+        "pairs",
+        ABLATION_RUNS,
+        architectures=("fsar",),
+        configurations=tuple(without(pair) for pair in combinations(MECHANISMS, 2)),
+    )
     for mean in ENCOUNTERS_S:
         world = msgspec.structs.replace(Constants().world, encounter_mean_s=mean)
         alone: tuple[Configuration, ...] = (without(["shared-registry"]),)
-        yield one("encounters", ABLATION_RUNS, architectures=("fsar",), configurations=alone, constants=Constants(world))
+        yield one(
+            "encounters", ABLATION_RUNS, architectures=("fsar",), configurations=alone, constants=Constants(world)
+        )
     for size in (4, 8, 12, 16, 24):
         yield one("scaling", SCALING_RUNS, size=size)
         if size > 4:
@@ -147,7 +154,9 @@ def predict(out: Path, progress: Progress | None = None, workers: int = 2) -> No
                 claims += typed(database.rows(CLAIMS_SQL), Claim)
         if progress is not None:
             progress(done, len(every))
-    write_record(out, Record(MODEL_VERSION, write_constants(Constants()), "fsar-ledger predict --out FILE", numbers, claims))
+    write_record(
+        out, Record(MODEL_VERSION, write_constants(Constants()), "fsar-ledger predict --out FILE", numbers, claims)
+    )
 
 
 @contextmanager
@@ -164,7 +173,8 @@ def _predicted(play: Play, row: MetricRow) -> Predicted:
     asked = play.experiment
     load = asked.constants.load
     found: dict[str, Any] = {
-        name: getattr(row, name) for name in ("architecture", "configuration", "scenario", "metric", "mean", "sd", "n", "ci_low", "ci_high")
+        name: getattr(row, name)
+        for name in ("architecture", "configuration", "scenario", "metric", "mean", "sd", "n", "ci_low", "ci_high")
     }
     return Predicted(
         of=play.of,

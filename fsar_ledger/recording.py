@@ -25,7 +25,9 @@ def require_writable(out: Path) -> None:
 def require_another(out: Path, what: str, other: Path, other_what: str) -> None:
     """Writing `out` would not replace `other`; messages call them as the user did. Raises: UsageError."""
     if os.path.realpath(out) == os.path.realpath(other):
-        raise UsageError(f"{what}: found the same file as {other_what}, which it would replace; expected two files, choose another for one of them")
+        raise UsageError(
+            f"{what}: found the same file as {other_what}, which it would replace; expected two files, choose another for one of them"
+        )
 
 
 def write_record(out: Path, record: Any) -> None:

@@ -78,7 +78,9 @@ class Said(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"kin
 
     def is_of(self, table: str, place: Mapping[str, object]) -> bool:
         """Whether the cell at this place of a table is one of them."""
-        return self.table == table and all(place.get(name) in (wanted if isinstance(wanted, list) else [wanted]) for name, wanted in self.where.items())
+        return self.table == table and all(
+            place.get(name) in (wanted if isinstance(wanted, list) else [wanted]) for name, wanted in self.where.items()
+        )
 
 
 class Prediction(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -137,4 +139,6 @@ class Registration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 @cache
 def registration() -> Registration:
     """Return the packaged registration."""
-    return msgspec.toml.decode(files("fsar_ledger.reports").joinpath("registration.toml").read_bytes(), type=Registration)
+    return msgspec.toml.decode(
+        files("fsar_ledger.reports").joinpath("registration.toml").read_bytes(), type=Registration
+    )

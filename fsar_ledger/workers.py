@@ -116,7 +116,11 @@ class WorkerPool(Executor):
         """Calls go to whoever is idle, and answers to whoever waits for them, until the pool is left or a process dies."""
         while True:
             with self._lock:
-                begun = [(worker, call) for worker in self._workers if worker.doing is None and (call := self._next_for(worker)) is not None]
+                begun = [
+                    (worker, call)
+                    for worker in self._workers
+                    if worker.doing is None and (call := self._next_for(worker)) is not None
+                ]
                 pipes = {worker.pipe: worker for worker in self._workers}
                 if self._is_closing and not any(worker.doing for worker in self._workers):
                     return
@@ -156,7 +160,10 @@ class WorkerPool(Executor):
         worker.process.join(5)  # its pipe has ended, so it has or is about to
         code = worker.process.exitcode
         with self._lock:
-            self._death = _death_of(worker.process.pid, "it still runs" if code is None else f"ended by signal {-code}" if code < 0 else f"ended with {code}")
+            self._death = _death_of(
+                worker.process.pid,
+                "it still runs" if code is None else f"ended by signal {-code}" if code < 0 else f"ended with {code}",
+            )
             open_calls = [one.doing for one in self._workers if one.doing is not None]
             open_calls += [future for future, _ in self._waiting if future.set_running_or_notify_cancel()]
             self._waiting.clear()

@@ -21,13 +21,20 @@ STAGES = (
     ("predictions", "reports/predictions.json"),
     ("comparison", "reports/comparison.json"),
 )
-MODEL = ("fsar_ledger/runtime/architectures", "fsar_ledger/runtime/handlers", "fsar_ledger/runtime/world", "fsar_ledger/runtime/kernel.py")
+MODEL = (
+    "fsar_ledger/runtime/architectures",
+    "fsar_ledger/runtime/handlers",
+    "fsar_ledger/runtime/world",
+    "fsar_ledger/runtime/kernel.py",
+)
 CONSTANTS = "fsar_ledger/constants.py"
 
 
 def git(root: Path, *arguments: str) -> str:
     """Return what git prints in this repository. Raises: subprocess.CalledProcessError."""
-    return subprocess.run(["git", "-C", str(root), *arguments], capture_output=True, text=True, check=True).stdout.strip()
+    return subprocess.run(
+        ["git", "-C", str(root), *arguments], capture_output=True, text=True, check=True
+    ).stdout.strip()
 
 
 def findings(root: Path = ROOT, stages: Sequence[tuple[str, str]] = STAGES) -> Iterator[str]:
@@ -49,7 +56,10 @@ def findings(root: Path = ROOT, stages: Sequence[tuple[str, str]] = STAGES) -> I
 
 def is_before(root: Path, earlier: str, later: str) -> bool:
     """Tell whether one commit is an ancestor of the other."""
-    return subprocess.run(["git", "-C", str(root), "merge-base", "--is-ancestor", earlier, later], check=False).returncode == 0
+    return (
+        subprocess.run(["git", "-C", str(root), "merge-base", "--is-ancestor", earlier, later], check=False).returncode
+        == 0
+    )
 
 
 def constants_changed(diff: str) -> Iterator[str]:

@@ -1,6 +1,9 @@
 """Which 32 bytes are a public key of Ed25519 for the second verifier: a point of the subgroup of the base point, written in its one way (RFC 8032)."""
 
-P, L = 2**255 - 19, 2**252 + 27742317777372353535851937790883648493  # section 5.1: the field, and the order of the base point
+P, L = (
+    2**255 - 19,
+    2**252 + 27742317777372353535851937790883648493,
+)  # section 5.1: the field, and the order of the base point
 Point = tuple[int, int]
 
 
@@ -23,7 +26,12 @@ def point_of(raw: bytes) -> Point:
     sign, y = divmod(int.from_bytes(raw, "little"), 2**255)
     square = (y * y - 1) * pow(-121665 * pow(121666, -1, P) * y * y + 1, -1, P) % P
     root = pow(square, (P + 3) // 8, P)
-    roots = [x % P for r in (root, root * pow(2, (P - 1) // 4, P)) for x in (r, -r) if x * x % P == square and x % P % 2 == sign]
+    roots = [
+        x % P
+        for r in (root, root * pow(2, (P - 1) // 4, P))
+        for x in (r, -r)
+        if x * x % P == square and x % P % 2 == sign
+    ]
     if not roots or y >= P:
         raise ValueError("no point")
     return roots[0], y

@@ -21,7 +21,11 @@ REQUIRED, OPTIONAL, REPEATED = 0, 1, 2
 DATA, DICTIONARY = 0, 2
 STRING = {"type": BYTE_ARRAY, "converted_type": 0, "logical_type": {"string": {}}}
 ENCODINGS = {BOOLEAN: [RLE, PLAIN], INT64: [RLE, DELTA], BYTE_ARRAY: [PLAIN, RLE, RLE_DICTIONARY]}
-STATED = {"run_id": {"max_value", "min_value"}, "seq": {"max", "min", "max_value", "min_value"}, "time_us": {"max", "min", "max_value", "min_value"}}
+STATED = {
+    "run_id": {"max_value", "min_value"},
+    "seq": {"max", "min", "max_value", "min_value"},
+    "time_us": {"max", "min", "max_value", "min_value"},
+}
 LEAVES = {"string": STRING, "int64": {"type": INT64}, "bool": {"type": BOOLEAN}}
 Values = list[Any]
 
@@ -51,7 +55,11 @@ def must(found: object, expected: object, what: str) -> None:
 def read(data: bytes) -> tuple[int, list[tuple[str, str]], dict[str, Values]]:
     """The rows of a segment, its columns as the fingerprint has them, and their values: all that is in the file. Raises ValueError if it may not be so."""
     length = int.from_bytes(data[-8:-4], "little")
-    must((data[:4], data[-4:], len(data) <= MAX_FILE_BYTES, length <= min(MAX_FOOTER_BYTES, len(data) - 12)), (b"PAR1", b"PAR1", True, True), "a file of")
+    must(
+        (data[:4], data[-4:], len(data) <= MAX_FILE_BYTES, length <= min(MAX_FOOTER_BYTES, len(data) - 12)),
+        (b"PAR1", b"PAR1", True, True),
+        "a file of",
+    )
     footer = Bytes(data[-8 - length : -8])
     found = footer.struct(FOOTER)
     ended(footer)
@@ -59,12 +67,18 @@ def read(data: bytes) -> tuple[int, list[tuple[str, str]], dict[str, Values]]:
     rows = found["num_rows"]
     must((found["version"], len(found["groups"]), 0 < rows <= MAX_ROWS), (2, 1, True), "a version, row groups, rows")
     must(found["column_orders"], [{"by_type": {}}] * len(leaves), "orders of columns")
-    must(re.fullmatch("parquet-cpp-arrow version [-.0-9A-Za-z]{1,40}", found["created_by"]) is not None, True, "a writer that is known:")
+    must(
+        re.fullmatch("parquet-cpp-arrow version [-.0-9A-Za-z]{1,40}", found["created_by"]) is not None,
+        True,
+        "a writer that is known:",
+    )
     (group,) = found["groups"]
     columns = [chunk["column"] for chunk in group["chunks"]]
     must(len(columns), len(leaves), "column chunks")
     must((group["num_rows"], group["file_offset"]), (rows, 4), "a row group of")
-    must(group["unpacked_bytes"], sum(column["unpacked_bytes"] for column in columns), "unpacked bytes of the row group")
+    must(
+        group["unpacked_bytes"], sum(column["unpacked_bytes"] for column in columns), "unpacked bytes of the row group"
+    )
     must(group["stored_bytes"], sum(column["stored_bytes"] for column in columns), "stored bytes of the row group")
     must(any(chunk["file_offset"] for chunk in group["chunks"]), False, "a place of a column's metadata")
     at, values, unpacked = 4, {}, 0
@@ -111,7 +125,11 @@ def read_schema(elements: list[dict[str, Any]]) -> list[Leaf]:
 def read_layout(data: bytes, at: int, leaf: Leaf, column: dict[str, Any], rows: int) -> Iterator[Page]:
     """The pages of the column chunk that begins at this byte; the chunk says of itself and of them what they are."""
     must((column["type"], column["path"], column["codec"]), (leaf.type, leaf.path, ZSTD), "a type, path and codec")
-    must((column["encodings"], "dictionary_offset" in column), (ENCODINGS[leaf.type], leaf.type == BYTE_ARRAY), "encodings, and a dictionary")
+    must(
+        (column["encodings"], "dictionary_offset" in column),
+        (ENCODINGS[leaf.type], leaf.type == BYTE_ARRAY),
+        "encodings, and a dictionary",
+    )
     end, values, unpacked = at + column["stored_bytes"], 0, 0
     dictionary, first, counts = None, None, dict[tuple[int, int], int]()
     while at < end:
@@ -119,8 +137,16 @@ def read_layout(data: bytes, at: int, leaf: Leaf, column: dict[str, Any], rows: 
         header = reader.struct(PAGE)
         kind, stored = header["type"], header["stored_bytes"]
         name = {DATA: "data", DICTIONARY: "dictionary"}.get(kind)
-        must((header.keys() & {"data", "dictionary"}, min(stored, header["unpacked_bytes"]) >= 0), ({name}, True), "a page with")
-        must(kind == DICTIONARY, dictionary is None and "dictionary_offset" in column, "a dictionary, only before the data:")
+        must(
+            (header.keys() & {"data", "dictionary"}, min(stored, header["unpacked_bytes"]) >= 0),
+            ({name}, True),
+            "a page with",
+        )
+        must(
+            kind == DICTIONARY,
+            dictionary is None and "dictionary_offset" in column,
+            "a dictionary, only before the data:",
+        )
         dictionary, first = (at, first) if kind == DICTIONARY else (dictionary, at if first is None else first)
         page = data[at + reader.at : at + reader.at + stored]
         must(len(page) == stored and at + reader.at + stored <= end, True, "a page within its chunk:")
@@ -129,20 +155,36 @@ def read_layout(data: bytes, at: int, leaf: Leaf, column: dict[str, Any], rows: 
         key = kind, about["encoding"]
         counts[key] = counts.get(key, 0) + 1
         if kind == DATA:
-            must((about["definition_encoding"], about["repetition_encoding"], about["num_values"] >= 0), (RLE, RLE, True), "levels encoded, and values")
+            must(
+                (about["definition_encoding"], about["repetition_encoding"], about["num_values"] >= 0),
+                (RLE, RLE, True),
+                "levels encoded, and values",
+            )
             values += about["num_values"]
         else:
             must((about["encoding"], about["is_sorted"]), (PLAIN, False), "a dictionary in PLAIN, in an order")
         unpacked += reader.at + header["unpacked_bytes"]
-        must(sum(counts.values()) - (dictionary is not None) <= MAX_PAGES and unpacked <= MAX_UNPACKED_BYTES, True, "so many pages, or such large ones:")
+        must(
+            sum(counts.values()) - (dictionary is not None) <= MAX_PAGES and unpacked <= MAX_UNPACKED_BYTES,
+            True,
+            "so many pages, or such large ones:",
+        )
         at += reader.at + stored
         yield Page(header, page)
     must(at, end, "the end of the last page at byte")
-    must((column["data_offset"], column.get("dictionary_offset"), column["unpacked_bytes"]), (first, dictionary, unpacked), "offsets and unpacked bytes")
+    must(
+        (column["data_offset"], column.get("dictionary_offset"), column["unpacked_bytes"]),
+        (first, dictionary, unpacked),
+        "offsets and unpacked bytes",
+    )
     must((column["num_values"], values if leaf.repetition else rows), (values, values), "values")
     must(values <= (MAX_LIST_VALUES if leaf.repetition else MAX_ROWS), True, "so many values:")
     stats = [((each["page_type"], each["encoding"]), each["count"]) for each in column["encoding_stats"]]
-    must(stats, sorted(counts.items(), key=lambda item: (item[0][0] != DICTIONARY, item[0])), "pages by kind and encoding")
+    must(
+        stats,
+        sorted(counts.items(), key=lambda item: (item[0][0] != DICTIONARY, item[0])),
+        "pages by kind and encoding",
+    )
 
 
 def read_column(leaf: Leaf, column: dict[str, Any], pages: list[Page], rows: int) -> Values:
@@ -176,8 +218,14 @@ def check_statistics(said: dict[str, Any], leaf: Leaf, own: Values, nulls: int) 
     if not said or (leaf.path[0] == "run_id" and said == {"null_count": nulls}):
         return
     exact = {"is_max_value_exact", "is_min_value_exact"} & said.keys()
-    must((leaf.path[0] in STATED, len(exact) != 1, bool(own)), (True, True, True), "statistics of this column, of some values:")
-    expected = dict.fromkeys(exact, True) | {name: bound(max(own) if "max" in name else min(own)) for name in STATED[leaf.path[0]]}
+    must(
+        (leaf.path[0] in STATED, len(exact) != 1, bool(own)),
+        (True, True, True),
+        "statistics of this column, of some values:",
+    )
+    expected = dict.fromkeys(exact, True) | {
+        name: bound(max(own) if "max" in name else min(own)) for name in STATED[leaf.path[0]]
+    }
     must(said, expected | {"null_count": nulls}, "statistics")
     must(max(len(said["max_value"]), len(said["min_value"])) <= MAX_BOUND_BYTES, True, "such long bounds")
 
@@ -198,4 +246,8 @@ def check_sizes(said: dict[str, Any], leaf: Leaf, own: Values, repetitions: list
 
 
 def text_bytes(values: Values) -> int:
-    return sum(len(value.encode()) if isinstance(value, str) else text_bytes(value) for value in values if isinstance(value, str | list))
+    return sum(
+        len(value.encode()) if isinstance(value, str) else text_bytes(value)
+        for value in values
+        if isinstance(value, str | list)
+    )

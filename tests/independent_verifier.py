@@ -26,7 +26,13 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 MAX_INTEGER = 2**53 - 1
 FOLDERS, FILES = {"commits", "segments", "staging", "tile"}, {"ledger.json", "checkpoint"}
-ENVELOPE = {"run_id": "string not null", "seq": "int64 not null", "time_us": "int64 not null", "caused_by": "int64", "type": "string not null"}
+ENVELOPE = {
+    "run_id": "string not null",
+    "seq": "int64 not null",
+    "time_us": "int64 not null",
+    "caused_by": "int64",
+    "type": "string not null",
+}
 TEXTS = {"string", "int64", "bool", "list<element: string not null>"}
 Row = dict[str, Any]
 
@@ -34,7 +40,15 @@ Row = dict[str, Any]
 class ProblemError(Exception):
     """The first thing that is wrong: the file, and commit, run and seq as far as they are known."""
 
-    def __init__(self, where: str, found: object, expected: object, commit: int | None = None, run: str | None = None, seq: int | None = None):
+    def __init__(
+        self,
+        where: str,
+        found: object,
+        expected: object,
+        commit: int | None = None,
+        run: str | None = None,
+        seq: int | None = None,
+    ):
         super().__init__(f"{where}: found {found!s:.300}, expected {expected!s:.300}")
         self.where, self.commit, self.run, self.seq = where, commit, run, seq
 
@@ -52,13 +66,21 @@ def canonical(value: object) -> bytes:
 
 
 def is_name(value: object) -> bool:
-    return isinstance(value, str) and value != "" and not any(each == "+" or unicodedata.category(each)[0] in "CZ" for each in value)
+    return (
+        isinstance(value, str)
+        and value != ""
+        and not any(each == "+" or unicodedata.category(each)[0] in "CZ" for each in value)
+    )
 
 
 COUNT, TEXT, HASH = "0|[1-9][0-9]{0,15}", '(?s:".*")', '"[0-9a-f]{64}"'
 MANIFEST = {"format": '"fsar-ledger"', "origin": TEXT, "version": "1"}
-RECORD = dict.fromkeys(("number", "segment_bytes", "rows", "tree_size"), COUNT) | dict.fromkeys(("first_run", "last_run", "note", "release"), TEXT)
-RECORD |= dict.fromkeys(("previous_sha256", "schema_sha256", "segment_sha256", "tree_root"), HASH) | {"frontier": rf"\[({HASH}(,(?!\])|(?=\])))*\]"}
+RECORD = dict.fromkeys(("number", "segment_bytes", "rows", "tree_size"), COUNT) | dict.fromkeys(
+    ("first_run", "last_run", "note", "release"), TEXT
+)
+RECORD |= dict.fromkeys(("previous_sha256", "schema_sha256", "segment_sha256", "tree_root"), HASH) | {
+    "frontier": rf"\[({HASH}(,(?!\])|(?=\])))*\]"
+}
 
 
 def read_json(path: Path, where: str, members: dict[str, str], commit: int | None = None) -> tuple[Row, str]:
@@ -68,8 +90,14 @@ def read_json(path: Path, where: str, members: dict[str, str], commit: int | Non
         found = json.loads(data.decode())
         if not isinstance(found, dict) or found.keys() != members.keys() or canonical(found) != data:
             raise ValueError("other members, or other bytes")
-        wrong = [name for name, pattern in members.items() if not re.fullmatch(pattern, canonical(found[name]).decode())]
-        wrong += [name for name, value in found.items() if (isinstance(value, int) and value > MAX_INTEGER) or (name == "origin" and not is_name(value))]
+        wrong = [
+            name for name, pattern in members.items() if not re.fullmatch(pattern, canonical(found[name]).decode())
+        ]
+        wrong += [
+            name
+            for name, value in found.items()
+            if (isinstance(value, int) and value > MAX_INTEGER) or (name == "origin" and not is_name(value))
+        ]
         if wrong or len(found.get("frontier", [])) != found.get("tree_size", 0).bit_count():
             raise ValueError(f"other values of {wrong or 'frontier'}")
     except (OSError, ValueError, RecursionError) as error:
@@ -103,7 +131,11 @@ class Tree:
             found = sha256(b"\x01", level[-2], level[-1])
 
     def frontier(self, size: int) -> list[bytes]:
-        return [self.levels[height][(size >> height) - 1] for height in reversed(range(size.bit_length())) if size >> height & 1]
+        return [
+            self.levels[height][(size >> height) - 1]
+            for height in reversed(range(size.bit_length()))
+            if size >> height & 1
+        ]
 
 
 class Tile(NamedTuple):
@@ -143,7 +175,12 @@ def from_base64(text: str) -> bytes:
 def read_key(text: str) -> Key:
     name, key_id, data = text.strip().split("+", 2)
     raw = from_base64(data)
-    if len(raw) != 33 or raw[0] != 1 or sha256(name.encode(), b"\n", raw)[:4].hex() != key_id or not independent_ed25519.is_key(raw[1:]):
+    if (
+        len(raw) != 33
+        or raw[0] != 1
+        or sha256(name.encode(), b"\n", raw)[:4].hex() != key_id
+        or not independent_ed25519.is_key(raw[1:])
+    ):
         raise ValueError(f"{text!r:.100} is no Ed25519 public key")
     return name, bytes.fromhex(key_id), raw[1:]
 
@@ -173,9 +210,21 @@ def read_note(text: str) -> Note:
     parts = re.fullmatch("(([^\n]*)\n(0|[1-9][0-9]{0,15})\n([^\n]{44})\n)\n((?:\u2014 [^\n ]+ [^\n ]+\n){0,16})", text)
     if parts is None:
         raise ValueError(f"{text!r:.200} is no note")
-    signatures = [(name, from_base64(data)) for _, name, data in (line.split(" ") for line in parts[5].split("\n")[:-1])]
-    note = Note(parts[2], int(parts[3]), from_base64(parts[4]), parts[1], [(name, data[:4], data[4:]) for name, data in signatures])
-    if len(note.root) != 32 or not is_name(note.origin) or not all(is_name(name) and data for name, _, data in note.signatures):
+    signatures = [
+        (name, from_base64(data)) for _, name, data in (line.split(" ") for line in parts[5].split("\n")[:-1])
+    ]
+    note = Note(
+        parts[2],
+        int(parts[3]),
+        from_base64(parts[4]),
+        parts[1],
+        [(name, data[:4], data[4:]) for name, data in signatures],
+    )
+    if (
+        len(note.root) != 32
+        or not is_name(note.origin)
+        or not all(is_name(name) and data for name, _, data in note.signatures)
+    ):
         raise ValueError("a name, a root or a signature that cannot be")
     return note
 
@@ -194,7 +243,11 @@ def flaw_of(row: Row, place: int, is_again: bool, types: Row | None) -> tuple[st
     if own is None:
         return "type", "a type of the list"
     for name in sorted((row.keys() - ENVELOPE.keys()) | set(own["required"])):
-        if name not in row or name not in own["required"] + own["optional"] or row[name] not in own["values"].get(name, [row[name]]):
+        if (
+            name not in row
+            or name not in own["required"] + own["optional"]
+            or row[name] not in own["values"].get(name, [row[name]])
+        ):
             return name, f"what {row['type']} has there"
     return None
 
@@ -204,13 +257,21 @@ def runs_of(where: str, rows: list[Row], number: int, types: Row | None) -> list
     runs: list[str] = []
     place = 0
     alone = {name for name, own in types["types"].items() if own.get("alone")} if types is not None else set[str]()
-    concerns = {name: own["concern"] for name, own in types["types"].items() if "concern" in own} if types is not None else dict[str, str]()
+    concerns = (
+        {name: own["concern"] for name, own in types["types"].items() if "concern" in own}
+        if types is not None
+        else dict[str, str]()
+    )
     observed = set(concerns.values())
     for at, row in enumerate(rows):
         is_new = row["run_id"] not in runs[-1:]
         place = 0 if is_new else place + 1
         flaw = flaw_of(row, place, is_new and row["run_id"] in runs, types)
-        if flaw is None and row["type"] in alone and (place > 0 or row["run_id"] in [other["run_id"] for other in rows[at + 1 : at + 2]]):
+        if (
+            flaw is None
+            and row["type"] in alone
+            and (place > 0 or row["run_id"] in [other["run_id"] for other in rows[at + 1 : at + 2]])
+        ):
             flaw = "type", "the only event of its run"
         if is_new:
             observed = set(row.get("observes", concerns.values()))
@@ -219,7 +280,9 @@ def runs_of(where: str, rows: list[Row], number: int, types: Row | None) -> list
         if flaw is None and concerns.get(row["type"]) not in {None, *observed}:
             flaw = "type", "an event of a concern that its run observes"
         if flaw is not None:
-            raise ProblemError(where, f"{flaw[0]} {row.get(flaw[0], 'NULL')!r}", flaw[1], number, row["run_id"], row["seq"])
+            raise ProblemError(
+                where, f"{flaw[0]} {row.get(flaw[0], 'NULL')!r}", flaw[1], number, row["run_id"], row["seq"]
+            )
         runs += [row["run_id"]] * is_new
     return runs
 
@@ -235,7 +298,11 @@ class Verifier:
         """The ledger is consistent: its events, root, whose signature it has, and what a crash left."""
         found = sorted(os.scandir(self.ledger), key=lambda entry: entry.name)
         for entry in found:
-            if not (entry.is_dir(follow_symlinks=False) if entry.name in FOLDERS else entry.name in FILES and entry.is_file(follow_symlinks=False)):
+            if not (
+                entry.is_dir(follow_symlinks=False)
+                if entry.name in FOLDERS
+                else entry.name in FILES and entry.is_file(follow_symlinks=False)
+            ):
                 raise ProblemError(entry.name, "something else, a link or an unknown name", f"only {FOLDERS | FILES}")
         for name in sorted({"ledger.json", "commits", "segments"} - {entry.name for entry in found}):
             raise ProblemError(name, "nothing", "it to be there")
@@ -244,7 +311,9 @@ class Verifier:
             self.check_record(record, previous, manifest["origin"])
             self.check_segment(record)
             previous = digest
-        for name in sorted(set(os.listdir(self.ledger / "segments")) - {f"{number:012d}.parquet" for number in range(len(self.notes))}):
+        for name in sorted(
+            set(os.listdir(self.ledger / "segments")) - {f"{number:012d}.parquet" for number in range(len(self.notes))}
+        ):
             raise ProblemError(f"segments/{name}", "a file of no commit", "only segments of commits")
         remarks = self.check_derived([None, *(record["note"] for record, _ in records)])
         signature = self.check_signatures()
@@ -258,23 +327,35 @@ class Verifier:
             raise ProblemError(f"commits/{name}", "a stray file", "only records")
         for name in sorted(set(names) - set(expected)):
             raise ProblemError(f"commits/{name}", "a gap before it", "numbers without gaps", int(name[:12]))
-        return [read_json(self.ledger / "commits" / name, f"commits/{name}", RECORD, number) for number, name in enumerate(expected)]
+        return [
+            read_json(self.ledger / "commits" / name, f"commits/{name}", RECORD, number)
+            for number, name in enumerate(expected)
+        ]
 
     def check_record(self, record: Row, previous: str, origin: str) -> None:
         """The record agrees with its place, with the tree before it and with itself."""
         number, root = len(self.notes), root_of([bytes.fromhex(subtree) for subtree in record["frontier"]])
-        expected = {"number": number, "previous_sha256": previous, "rows": max(1, record["tree_size"] - self.sizes[-1]), "tree_root": root.hex()}
+        expected = {
+            "number": number,
+            "previous_sha256": previous,
+            "rows": max(1, record["tree_size"] - self.sizes[-1]),
+            "tree_root": root.hex(),
+        }
         try:
             for name in [name for name, value in expected.items() if record[name] != value]:
                 raise ValueError(f"{name} {record[name]}, not {expected[name]}")
             if self.types is not None and self.types["releases"].get(record["release"]) != record["schema_sha256"]:
                 raise ValueError(f"release {record['release']}, schema_sha256 {record['schema_sha256']}")
             note = read_note(record["note"])
-            is_own = len(note.signatures) <= 1 and all(name == origin and len(data) == 64 for name, _, data in note.signatures)
+            is_own = len(note.signatures) <= 1 and all(
+                name == origin and len(data) == 64 for name, _, data in note.signatures
+            )
             if note[:3] != (origin, record["tree_size"], root) or not is_own:
                 raise ValueError(f"note {note}")
         except ValueError as error:
-            raise ProblemError(f"commits/{number:012d}.json", error, "what the other files and its own fields give", number) from error
+            raise ProblemError(
+                f"commits/{number:012d}.json", error, "what the other files and its own fields give", number
+            ) from error
         self.notes.append(note)
         self.sizes.append(record["tree_size"])
 
@@ -282,12 +363,18 @@ class Verifier:
         """The segment, in place or in staging, is as the record says; its rows are in the tree."""
         number = record["number"]
         where, staged = f"segments/{number:012d}.parquet", f"staging/{record['segment_sha256']}.parquet"
-        if not os.path.lexists(self.ledger / where) and (self.ledger / staged).is_file() and not (self.ledger / staged).is_symlink():
+        if (
+            not os.path.lexists(self.ledger / where)
+            and (self.ledger / staged).is_file()
+            and not (self.ledger / staged).is_symlink()
+        ):
             where = staged
         try:
             rows, runs = self.read_segment(where, record)
         except (OSError, ValueError, KeyError, MemoryError) as error:
-            raise ProblemError(where, f"{type(error).__name__}: {error}", "the segment of its record", number) from error
+            raise ProblemError(
+                where, f"{type(error).__name__}: {error}", "the segment of its record", number
+            ) from error
         for row in rows:
             self.tree.append(canonical(row))
         if [each.hex() for each in self.tree.frontier(record["tree_size"])] != record["frontier"]:
@@ -307,7 +394,10 @@ class Verifier:
         own = columns[5:]
         if columns[:5] != list(ENVELOPE.items()) or own != sorted(own) or not {text for _, text in own} <= TEXTS:
             raise ValueError(f"columns {columns}")
-        if count != record["rows"] or sha256("".join(f"{name} {text}\n" for name, text in columns).encode()).hex() != record["schema_sha256"]:
+        if (
+            count != record["rows"]
+            or sha256("".join(f"{name} {text}\n" for name, text in columns).encode()).hex() != record["schema_sha256"]
+        ):
             raise ValueError("other rows, or another fingerprint")
         rows: list[Row] = [{} for _ in range(record["rows"])]
         for name, column in values.items():
@@ -319,19 +409,33 @@ class Verifier:
     def check_derived(self, texts: list[str | None]) -> list[str]:
         """The checkpoint holds the newest note, or the one before; the tiles are those of the tree."""
         try:
-            found = read_file(self.ledger / "checkpoint").decode() if os.path.lexists(self.ledger / "checkpoint") else None
+            found = (
+                read_file(self.ledger / "checkpoint").decode() if os.path.lexists(self.ledger / "checkpoint") else None
+            )
             if found not in texts[-2:]:
                 raise ValueError(f"{found!r}")
         except (OSError, ValueError) as error:
             raise ProblemError("checkpoint", error, "the newest note") from error
         made = [list(tiles_between(old, new)) for old, new in zip(self.sizes, self.sizes[1:], strict=False)]
-        must = sorted([tile for tiles in made for tile in tiles if not tile.is_outgrown(self.sizes[-1])], key=lambda tile: tile.width < 256)
-        may = [tile for tiles in made[:-1] for tile in tiles if tile.is_outgrown(self.sizes[-1]) and not tile.is_outgrown(self.sizes[-2])]
+        must = sorted(
+            [tile for tiles in made for tile in tiles if not tile.is_outgrown(self.sizes[-1])],
+            key=lambda tile: tile.width < 256,
+        )
+        may = [
+            tile
+            for tiles in made[:-1]
+            for tile in tiles
+            if tile.is_outgrown(self.sizes[-1]) and not tile.is_outgrown(self.sizes[-2])
+        ]
         for tile in [tile for tile in must if not self.has_tile(tile)]:
             if found == texts[-1] or tile not in made[-1]:
                 raise ProblemError(str(tile), "no file", f"{tile.width} hashes")
         left = [tile for tile in may if self.has_tile(tile)]
-        files = {str(file.relative_to(self.ledger)) for file in (self.ledger / "tile").rglob("*") if file.is_symlink() or not file.is_dir()}
+        files = {
+            str(file.relative_to(self.ledger))
+            for file in (self.ledger / "tile").rglob("*")
+            if file.is_symlink() or not file.is_dir()
+        }
         for name in sorted(files - set(map(str, must + left))):
             raise ProblemError(name, "a stray file", "only tiles of this tree")
         return ["one commit behind"] * (found != texts[-1]) + ["outgrown tiles"] * (found == texts[-1] and bool(left))
@@ -356,7 +460,12 @@ class Verifier:
             raise ProblemError("ledger.json", "no commit", "a signed note")
         for number, note in enumerate(self.notes):
             if note.has(self.key) is False or (number == len(self.notes) - 1 and not note.has(self.key)):
-                raise ProblemError(f"commits/{number:012d}.json", "no signature of the trusted key, or a wrong one", self.key[0], number)
+                raise ProblemError(
+                    f"commits/{number:012d}.json",
+                    "no signature of the trusted key, or a wrong one",
+                    self.key[0],
+                    number,
+                )
         return "signed"
 
     def check_anchor(self, origin: str) -> None:
@@ -370,7 +479,9 @@ class Verifier:
         except (OSError, ValueError) as error:
             raise ProblemError(str(self.anchor), error, f"a checkpoint of {origin}") from error
         if note.size > self.sizes[-1] or root_of(self.tree.frontier(note.size)) != note.root:
-            raise ProblemError("commits", "fewer events than then, or others", f"the first {note.size} events of the anchor")
+            raise ProblemError(
+                "commits", "fewer events than then, or others", f"the first {note.size} events of the anchor"
+            )
 
 
 def main(arguments: list[str]) -> int:

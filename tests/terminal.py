@@ -35,7 +35,10 @@ MOVING = {"R", "AL", "AN", "RLE", "LRE", "RLO", "LRO", "PDF", "RLI", "LRI", "FSI
 def screen_of(stream: str, columns: int | None = None) -> pyte.Screen:
     """The screen after this stream, as wide as its longest line unless told."""
     lines = stream.split("\n")
-    screen = pyte.Screen(columns or 2 * max(map(len, lines)) + 2, len(lines) + sum(len(line) // (columns or len(line) + 1) for line in lines))
+    screen = pyte.Screen(
+        columns or 2 * max(map(len, lines)) + 2,
+        len(lines) + sum(len(line) // (columns or len(line) + 1) for line in lines),
+    )
     screen.set_mode(pyte.modes.LNM)  # as a terminal's driver does with the line feed of a program
     pyte.Stream(screen).feed(stream)
     return screen
@@ -49,10 +52,27 @@ def painted(stream: str) -> list[str]:
     screen = screen_of(stream)
     rows = [screen.buffer[number] for number in range(screen.lines)]
     shown = ["".join(row[at].data for at in range(max(row, default=-1) + 1)).rstrip() for row in rows]
-    found = [f"{line!r} is shown as {there!r}" for line, there in zip(lines, shown, strict=False) if unicodedata.normalize("NFC", line.rstrip()) != there]
+    found = [
+        f"{line!r} is shown as {there!r}"
+        for line, there in zip(lines, shown, strict=False)
+        if unicodedata.normalize("NFC", line.rstrip()) != there
+    ]
     found += [f"below: {line!r}" for line in shown[len(lines) :] if line]
     found += [f"title {screen.title!r}"] if screen.title or screen.icon_name else []
     plain = pyte.screens.Char(" ")._replace(data="")
-    found += [f"{char!r} has a style" for row in screen.buffer.values() for char in row.values() if char._replace(data="") != plain]
-    found += [f"{line!r:.80} begins with a claim" for line in shown if line.removeprefix("fsar-ledger: ").lstrip().startswith(CLAIM)]
-    return found + [f"{one!r} moves or hides" for one in sorted(set(stream)) if not one.isascii() and unicodedata.bidirectional(one) in MOVING]
+    found += [
+        f"{char!r} has a style"
+        for row in screen.buffer.values()
+        for char in row.values()
+        if char._replace(data="") != plain
+    ]
+    found += [
+        f"{line!r:.80} begins with a claim"
+        for line in shown
+        if line.removeprefix("fsar-ledger: ").lstrip().startswith(CLAIM)
+    ]
+    return found + [
+        f"{one!r} moves or hides"
+        for one in sorted(set(stream))
+        if not one.isascii() and unicodedata.bidirectional(one) in MOVING
+    ]

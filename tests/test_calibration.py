@@ -12,7 +12,18 @@ import numpy as np
 import pytest
 
 from fsar_ledger import calibration
-from fsar_ledger.calibration import FREE, PLAN, at, calibrate, distances, objective, rounded, screened, slopes, with_values
+from fsar_ledger.calibration import (
+    FREE,
+    PLAN,
+    at,
+    calibrate,
+    distances,
+    objective,
+    rounded,
+    screened,
+    slopes,
+    with_values,
+)
 from fsar_ledger.constants import Constants, Structure, WorldConstants
 from fsar_ledger.errors import WriteFailed
 from fsar_ledger.registration import registration
@@ -95,7 +106,9 @@ def test_slopes_are_those_of_a_linear_world_and_keep_within_the_ranges() -> None
     matrix = np.arange(6.0).reshape(3, 2)
     asked: list[np.ndarray[tuple[int], np.dtype[np.float64]]] = []
 
-    def each(points: list[np.ndarray[tuple[int], np.dtype[np.float64]]]) -> list[np.ndarray[tuple[int], np.dtype[np.float64]]]:
+    def each(
+        points: list[np.ndarray[tuple[int], np.dtype[np.float64]]],
+    ) -> list[np.ndarray[tuple[int], np.dtype[np.float64]]]:
         asked.extend(points)
         return [matrix @ point for point in points]
 
@@ -128,9 +141,18 @@ def test_a_path_that_cannot_be_written_is_refused_before_the_work(tmp_path: Path
 
 
 @pytest.mark.slow
-def test_the_record_of_a_small_fit_is_complete_and_the_same_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    plan = msgspec.structs.replace(PLAN, screened=2, screened_runs=1, starts=2, rough_runs=1, rough_steps=1, runs=1, judged_runs=1, most_steps=1)
-    for name, value in {"PLAN": plan, "FREE": FREE[:2], "SWITCHES": SWITCHES[:2], "WorkerPool": ThreadPoolExecutor}.items():
+def test_the_record_of_a_small_fit_is_complete_and_the_same_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan = msgspec.structs.replace(
+        PLAN, screened=2, screened_runs=1, starts=2, rough_runs=1, rough_steps=1, runs=1, judged_runs=1, most_steps=1
+    )
+    for name, value in {
+        "PLAN": plan,
+        "FREE": FREE[:2],
+        "SWITCHES": SWITCHES[:2],
+        "WorkerPool": ThreadPoolExecutor,
+    }.items():
         monkeypatch.setattr(calibration, name, value)
     told: list[tuple[int, int]] = []
     for name in ("one.json", "two.json"):

@@ -31,7 +31,9 @@ def every_number() -> list[Predicted]:
             of=play.of,
             seed=play.experiment.seed,
             fleet_size=play.experiment.fleet_size,
-            teams_working=None if play.experiment.constants.load is None else play.experiment.constants.load.teams_working,
+            teams_working=None
+            if play.experiment.constants.load is None
+            else play.experiment.constants.load.teams_working,
             encounter_mean_s=play.experiment.constants.world.encounter_mean_s,
             configuration=configuration,
             architecture=architecture,
@@ -74,7 +76,14 @@ def test_all_predictions_hold_in_a_world_where_they_do() -> None:
 
 def test_a_prediction_has_as_many_checks_as_it_names_numbers() -> None:
     found = {outcome.name: (outcome.held, outcome.of) for outcome in compared(record()).predictions}
-    assert found == {"seeds": (2, 2), "twelve": (30, 30), "twenty-four": (6, 6), "loads": (26, 26), "encounters": (7, 7), "pairs": (36, 36)}
+    assert found == {
+        "seeds": (2, 2),
+        "twelve": (30, 30),
+        "twenty-four": (6, 6),
+        "loads": (26, 26),
+        "encounters": (7, 7),
+        "pairs": (36, 36),
+    }
 
 
 def is_success_of_a_pair(one: Predicted) -> bool:
@@ -95,7 +104,9 @@ def is_success_of_a_pair(one: Predicted) -> bool:
         ("pairs", is_success_of_a_pair, 0.56),
     ],
 )
-def test_a_number_beyond_what_is_implied_breaks_its_prediction_alone(name: str, is_hit: Callable[[Predicted], bool], mean: float) -> None:
+def test_a_number_beyond_what_is_implied_breaks_its_prediction_alone(
+    name: str, is_hit: Callable[[Predicted], bool], mean: float
+) -> None:
     found = holding(record(lambda one: mean if is_hit(one) else one.mean))
     assert found == {**dict.fromkeys(CHECKS, True), name: False}
 
@@ -106,7 +117,11 @@ def test_nothing_is_said_of_a_prediction_whose_number_is_undefined() -> None:
 
 def test_a_sum_of_two_ablations_beyond_the_range_of_a_share_implies_nothing() -> None:
     def alone(one: Predicted) -> float | None:
-        return 0.1 if one.of == "ablation" and one.configuration != "full" and one.metric == "coordination_success" else one.mean
+        return (
+            0.1
+            if one.of == "ablation" and one.configuration != "full" and one.metric == "coordination_success"
+            else one.mean
+        )
 
     (pairs,) = (outcome for outcome in compared(record(alone)).predictions if outcome.name == "pairs")
     assert (pairs.holds, pairs.of) == (True, 30)
@@ -114,7 +129,9 @@ def test_a_sum_of_two_ablations_beyond_the_range_of_a_share_implies_nothing() ->
 
 def test_every_printed_cell_is_answered_unless_its_dial_is_open() -> None:
     cells = compared(record()).cells
-    assert Counter(cell.table for cell in cells) == {table: len(printed(table)) for table in ("results", "ablation", "ablation_text", "scaling")}
+    assert Counter(cell.table for cell in cells) == {
+        table: len(printed(table)) for table in ("results", "ablation", "ablation_text", "scaling")
+    }
     assert {(cell.kind, cell.gives) for cell in cells if cell.gives is None} == {("unspecified", None)}
     assert all((cell.ours_one_team is None) == (cell.fleet_size == 4) for cell in cells)
 
@@ -132,7 +149,10 @@ def test_the_comparison_is_written_whole(tmp_path: Path) -> None:
     assert written == msgspec.to_builtins(compared(record()))
 
 
-@pytest.mark.parametrize(("content", "said"), [(b"{", "truncated"), (b"\xff", "expected what"), (b"[]", "array"), (b'{"x":' + b"[" * 100_000, "expected what")])
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [(b"{", "truncated"), (b"\xff", "expected what"), (b"[]", "array"), (b'{"x":' + b"[" * 100_000, "expected what")],
+)
 def test_a_file_that_is_no_record_is_refused(tmp_path: Path, content: bytes, said: str) -> None:
     (tmp_path / "predictions.json").write_bytes(content)
     with pytest.raises(FsarLedgerError, match=said):
@@ -160,13 +180,23 @@ def test_a_record_that_lacks_a_number_is_refused_by_its_place(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("changed", "said"),
     [
-        ({"model_version": "1"}, rf"predictions\.json: found predictions of model '1', expected model '{MODEL_VERSION}'"),
-        ({"parameters": "{}"}, r"predictions\.json: found predictions with the constants 44136fa355b3 .*, expected those of this version, \w{12};"),
+        (
+            {"model_version": "1"},
+            rf"predictions\.json: found predictions of model '1', expected model '{MODEL_VERSION}'",
+        ),
+        (
+            {"parameters": "{}"},
+            r"predictions\.json: found predictions with the constants 44136fa355b3 .*, expected those of this version, \w{12};",
+        ),
     ],
 )
-def test_predictions_of_another_model_or_other_constants_are_refused(tmp_path: Path, changed: dict[str, str], said: str) -> None:
+def test_predictions_of_another_model_or_other_constants_are_refused(
+    tmp_path: Path, changed: dict[str, str], said: str
+) -> None:
     with pytest.raises(UsageError, match=said):
-        compare_predictions(written(tmp_path, msgspec.structs.replace(record(), **changed)), tmp_path / "comparison.json")
+        compare_predictions(
+            written(tmp_path, msgspec.structs.replace(record(), **changed)), tmp_path / "comparison.json"
+        )
     assert not (tmp_path / "comparison.json").exists()
 
 

@@ -23,8 +23,13 @@ ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text("utf-8")
 LABEL = re.compile(r"\b(?:eq|sec|tab|fig|app):[a-z0-9_:-]*[a-z0-9]")
 LABELS = set((ROOT / "tests" / "paper_labels.txt").read_text().split())
-COMMANDS = {command.name or command.callback.__name__: command for command in app.registered_commands if command.callback} | {
-    f"{group.name} {command.name}": command for group in app.registered_groups if group.typer_instance for command in group.typer_instance.registered_commands
+COMMANDS = {
+    command.name or command.callback.__name__: command for command in app.registered_commands if command.callback
+} | {
+    f"{group.name} {command.name}": command
+    for group in app.registered_groups
+    if group.typer_instance
+    for command in group.typer_instance.registered_commands
 }
 # The last two need each other (tests/witness/test_processes.py), and `judge` needs what `predict` writes (tests/test_comparison.py).
 LONG = {"reproduce", "calibrate", "predict", "sensitivity", "judge", "witness serve", "witness ask"}
@@ -48,7 +53,12 @@ def wrong_readings(text: str, known: set[str]) -> list[str]:
 
 
 def readings() -> set[str]:
-    return {passage["id"] for passage in tomllib.loads(files("fsar_ledger.reports").joinpath("readings.toml").read_text("utf-8"))["passage"]}
+    return {
+        passage["id"]
+        for passage in tomllib.loads(files("fsar_ledger.reports").joinpath("readings.toml").read_text("utf-8"))[
+            "passage"
+        ]
+    }
 
 
 def examples() -> Iterator[tuple[str, str]]:
@@ -60,7 +70,11 @@ def examples() -> Iterator[tuple[str, str]]:
 
 
 def test_every_label_of_the_paper_exists() -> None:
-    found = {str(path.relative_to(ROOT)): wrong_labels(path.read_text("utf-8")) for path in sources() if path.name != "library.py"}
+    found = {
+        str(path.relative_to(ROOT)): wrong_labels(path.read_text("utf-8"))
+        for path in sources()
+        if path.name != "library.py"
+    }
     assert {name: wrong for name, wrong in found.items() if wrong} == {}
 
 
@@ -120,9 +134,14 @@ MODEL = {label for label in LABELS if label.startswith(("eq:", "sec:model:", "se
 def model_rows(text: str) -> list[tuple[set[str], list[str], list[str]]]:
     """What each row of the README's table of the model is about, where it lives, and what holds it."""
     table = text.partition("## The model, line by line")[2].partition("\n## ")[0]
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines() if line.startswith("| ")][1:]
+    rows = [
+        [cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines() if line.startswith("| ")
+    ][1:]
     named = re.compile(r"`([^`]+)`")
-    return [({paper.partition(":")[0].strip("* "), *named.findall(label)}, named.findall(code), named.findall(test)) for paper, label, code, test in rows]
+    return [
+        ({paper.partition(":")[0].strip("* "), *named.findall(label)}, named.findall(code), named.findall(test))
+        for paper, label, code, test in rows
+    ]
 
 
 def unfounded(rows: list[tuple[set[str], list[str], list[str]]]) -> list[str]:
@@ -132,7 +151,11 @@ def unfounded(rows: list[tuple[set[str], list[str], list[str]]]) -> list[str]:
         missing = [name for name in (*code, *(test.partition("::")[0] for test in tests)) if not (ROOT / name).exists()]
         found += [f"{name} does not exist" for name in missing]
         texts = [(ROOT / name).read_text("utf-8") for name in code if (ROOT / name).is_file()]
-        found += [f"no file of the row names {label}" for label in about if label.startswith("eq:") and not any(label in text for text in texts)]
+        found += [
+            f"no file of the row names {label}"
+            for label in about
+            if label.startswith("eq:") and not any(label in text for text in texts)
+        ]
         if not code or not any(name.startswith("tests/") for name in tests):
             found.append(f"{sorted(about)}: no code or no test")
         for name, _, function in (test.partition("::") for test in tests):
@@ -149,11 +172,15 @@ def test_every_part_of_the_model_is_in_the_readme_with_its_code_and_its_test() -
 
 def test_a_row_of_the_model_without_code_or_with_a_wrong_name_is_found() -> None:
     head = "## The model, line by line\n\n| paper | label | lives in | held by |\n|---|---|---|---|\n"
-    assert unfounded(model_rows(head + "| trust | `eq:trust` | `fsar_ledger/events/task.py` | `tests/nothing.py` |\n")) == [
+    assert unfounded(
+        model_rows(head + "| trust | `eq:trust` | `fsar_ledger/events/task.py` | `tests/nothing.py` |\n")
+    ) == [
         "tests/nothing.py does not exist",
         "no file of the row names eq:trust",
     ]
-    assert unfounded(model_rows(head + "| I1: coherence | `sec:model:invariants` | | `tests/test_house.py::test_no` |\n")) == [
+    assert unfounded(
+        model_rows(head + "| I1: coherence | `sec:model:invariants` | | `tests/test_house.py::test_no` |\n")
+    ) == [
         "['I1', 'sec:model:invariants']: no code or no test",
         "tests/test_house.py has no test_no",
     ]
@@ -202,7 +229,9 @@ ELSEWHERE = ("fsar-ledger multiverse out/ledger", "fsar-ledger report out/ledger
         if name not in LONG and example != "fsar-ledger simulate out/ledger"
     ],
 )
-def test_every_quick_example_runs(folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], example: str) -> None:
+def test_every_quick_example_runs(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], example: str
+) -> None:
     monkeypatch.chdir(folder)
     assert run(shlex.split(example, comments=True)[1:]) == 0
     assert capsys.readouterr().err == ""
@@ -211,5 +240,7 @@ def test_every_quick_example_runs(folder: Path, monkeypatch: pytest.MonkeyPatch,
 
 
 def test_the_output_in_the_pages_is_what_the_commands_print() -> None:
-    done = subprocess.run([sys.executable, str(ROOT / "docs" / "write.py"), "--check"], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, str(ROOT / "docs" / "write.py"), "--check"], capture_output=True, text=True, check=False
+    )
     assert done.returncode == 0, done.stdout + done.stderr

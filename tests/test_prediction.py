@@ -30,7 +30,10 @@ def test_ablations_are_those_of_the_paper_and_pairs_lack_two_mechanisms() -> Non
 
 
 def test_fleets_are_the_papers_those_between_and_one_beyond_at_both_ends_of_the_load() -> None:
-    found = {(play.experiment.fleet_size, play.experiment.constants.load and play.experiment.constants.load.teams_working) for play in registered("scaling")}
+    found = {
+        (play.experiment.fleet_size, play.experiment.constants.load and play.experiment.constants.load.teams_working)
+        for play in registered("scaling")
+    }
     assert found == {(4, None), *((size, teams) for size in (8, 12, 16, 24) for teams in (None, 1))}
 
 
@@ -42,7 +45,8 @@ def test_encounters_change_nothing_else() -> None:
 
 def test_numbers_name_what_was_played(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     small = [
-        msgspec.structs.replace(play, experiment=msgspec.structs.replace(play.experiment, runs=1)) for play in (registered("loads")[0], registered("cases")[0])
+        msgspec.structs.replace(play, experiment=msgspec.structs.replace(play.experiment, runs=1))
+        for play in (registered("loads")[0], registered("cases")[0])
     ]
     monkeypatch.setattr(prediction, "plays", lambda: iter(small))
     told: list[tuple[int, int]] = []

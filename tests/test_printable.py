@@ -15,14 +15,22 @@ from fsar_ledger.commands.terminal import ON, folded
 from tests.terminal import PAINT, painted
 
 ANY = st.text(st.characters(codec="utf-8"), max_size=12)
-NASTY = st.lists(st.sampled_from(["\\", "x", "u", "n", "1b", "\x1b", "\n", " ", "a", "\u202e", "\u0301", "\u05d0", "'", "=", "0"]), max_size=8).map("".join)
+NASTY = st.lists(
+    st.sampled_from(["\\", "x", "u", "n", "1b", "\x1b", "\n", " ", "a", "\u202e", "\u0301", "\u05d0", "'", "=", "0"]),
+    max_size=8,
+).map("".join)
 ESCAPE = re.compile(r"\\(?:([\\ntr])|x(..)|u(.{4})|U(.{8}))")
 
 
 def read_back(shown: str) -> str:
     """The text that is shown so: where there is an escape, every one is undone."""
     return ESCAPE.sub(
-        lambda found: {"\\": "\\", "n": "\n", "t": "\t", "r": "\r"}[found[1]] if found[1] else chr(int(found[2] or found[3] or found[4], 16)), shown
+        lambda found: (
+            {"\\": "\\", "n": "\n", "t": "\t", "r": "\r"}[found[1]]
+            if found[1]
+            else chr(int(found[2] or found[3] or found[4], 16))
+        ),
+        shown,
     )
 
 
@@ -109,7 +117,9 @@ def test_blanks_in_a_cell_do_not_look_like_columns() -> None:
     assert printable.cell("a b") == "a b"
 
 
-@pytest.mark.parametrize("text", ["=1+1", "+1", "-1", "@x", " =1", "\uff1d1", "\uff0b1", "\uff0d1", "\uff201", "'=1", "''@1", "\t=1", "\r=1"])
+@pytest.mark.parametrize(
+    "text", ["=1+1", "+1", "-1", "@x", " =1", "\uff1d1", "\uff0b1", "\uff0d1", "\uff201", "'=1", "''@1", "\t=1", "\r=1"]
+)
 def test_no_field_is_a_formula(text: str) -> None:
     shown = printable.field(text)
     assert shown[0] in "'\\"
@@ -127,7 +137,14 @@ def test_a_line_goes_on_behind_a_mark_on_a_narrow_terminal() -> None:
 
 
 @pytest.mark.parametrize(
-    ("count", "said"), [(0, ""), (2, "0, 1"), (5, "0, 1, 2, 3, 4"), (6, "0, 1, 2, 3, 4 and 1 more"), (2_005, "0, 1, 2, 3, 4 and 2,000 more")]
+    ("count", "said"),
+    [
+        (0, ""),
+        (2, "0, 1"),
+        (5, "0, 1, 2, 3, 4"),
+        (6, "0, 1, 2, 3, 4 and 1 more"),
+        (2_005, "0, 1, 2, 3, 4 and 2,000 more"),
+    ],
 )
 def test_the_first_five_are_named_and_the_others_counted(count: int, said: str) -> None:
     assert printable.some(map(str, range(count))) == said

@@ -17,7 +17,17 @@ from fsar_ledger.cli import run
 from fsar_ledger.constants import Constants, negatives, write_constants
 from fsar_ledger.errors import UsageError, WriteFailed
 from fsar_ledger.report.provenance import origins
-from fsar_ledger.report.sensitivity import METADATA, Sensitivity, dozen, heat_map, reach, read_sensitivity, section, table_of, that_matter
+from fsar_ledger.report.sensitivity import (
+    METADATA,
+    Sensitivity,
+    dozen,
+    heat_map,
+    reach,
+    read_sensitivity,
+    section,
+    table_of,
+    that_matter,
+)
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS
 from fsar_ledger.sensitivity.emulator import design, indices, terms
@@ -27,7 +37,13 @@ from fsar_ledger.sensitivity.morris import DELTA, Trajectory, elementary_effects
 from fsar_ledger.sensitivity.study import BASE_SEED, EMULATOR_SEED, REPEATS, Size, sensitivity
 
 SALIB = json.loads((Path(__file__).parent / "vectors" / "salib" / "polynomial.json").read_text())
-NAMES = ("world.message", "world.window_mean_s", "world.context_rate_per_s", "structure.sync_period_us", "load.task_sets")
+NAMES = (
+    "world.message",
+    "world.window_mean_s",
+    "world.context_rate_per_s",
+    "structure.sync_period_us",
+    "load.task_sets",
+)
 SOME = tuple(factor for name in NAMES for factor in factors() if factor.name == name)
 SMALL = Size(trajectories=4, runs=1, points=64)
 
@@ -41,7 +57,9 @@ def linear(question: Question) -> Answer:
     world, load = question.setting.constants.world, question.setting.constants.load
     value = 3 * doublings(world.message.high_s, 0.5) - doublings(world.window_mean_s, Constants().world.window_mean_s)
     sets = 1 if load is None else load.task_sets
-    value += 0.25 * (sets - 1) + 0.125 * (question.seed % 3) * doublings(world.context_rate_per_s, Constants().world.context_rate_per_s)
+    value += 0.25 * (sets - 1) + 0.125 * (question.seed % 3) * doublings(
+        world.context_rate_per_s, Constants().world.context_rate_per_s
+    )
     return (None, *[value] * (len(CELLS) - 1))
 
 
@@ -113,7 +131,11 @@ def test_the_name_of_a_constant_says_whether_it_is_a_share_or_a_count() -> None:
     for factor in factors():
         if factor.name.endswith(("_share", "_probability", "_reliability")):
             assert factor.kind == "share"
-        if factor.name.startswith(("world.", "structure.")) and isinstance(factor.value, int) and not factor.name.endswith(("_us", "_ppm")):
+        if (
+            factor.name.startswith(("world.", "structure."))
+            and isinstance(factor.value, int)
+            and not factor.name.endswith(("_us", "_ppm"))
+        ):
             assert factor.kind == "count"
 
 
@@ -142,7 +164,10 @@ def test_effects_and_indices_are_those_of_salib() -> None:
         assert [getattr(one, name) for one in ours] == pytest.approx(SALIB[name], abs=1e-12)
     assert [one.mu_star_conf for one in ours] == pytest.approx(SALIB["mu_star_conf"], rel=0.01)  # SALib draws it
 
-    subject = [Factor(name, "scaled", 1.0, "chosen") for name in "abcd"] + [SOME[-1], Factor("f", "scaled", 1.0, "chosen")]
+    subject = [Factor(name, "scaled", 1.0, "chosen") for name in "abcd"] + [
+        SOME[-1],
+        Factor("f", "scaled", 1.0, "chosen"),
+    ]
     positions = design(256, [factor.name for factor in subject])
     a, b, c, d, e, _ = positions.T
     parts = indices(terms(subject, positions), 3 * a - 2 * b**2 + 4 * c * d + np.where(e >= 0.5, 1.5, 0.0) * a, 6)
@@ -190,9 +215,13 @@ def test_no_index_is_given_where_the_polynomial_says_too_little() -> None:
 
 def test_known_effects_are_found_again(found: Sensitivity) -> None:
     of = {effect.factor: effect for effect in found.effects if (effect.metric, effect.architecture) == CELLS[1]}
-    assert (of["world.message"].mu, of["world.message"].mu_star) == pytest.approx((6, 6), rel=1e-5)  # two doublings of 3
+    assert (of["world.message"].mu, of["world.message"].mu_star) == pytest.approx(
+        (6, 6), rel=1e-5
+    )  # two doublings of 3
     assert (of["world.window_mean_s"].mu, of["world.window_mean_s"].mu_star) == pytest.approx((-2, 2), rel=1e-5)
-    assert (of["load.task_sets"].mu, of["load.task_sets"].sigma) == pytest.approx((0.25, 0), abs=1e-5)  # per set, not per whole range
+    assert (of["load.task_sets"].mu, of["load.task_sets"].sigma) == pytest.approx(
+        (0.25, 0), abs=1e-5
+    )  # per set, not per whole range
     assert (of["structure.sync_period_us"].mu_star, of["structure.sync_period_us"].sigma) == (0, 0)
     seeds = of["world.context_rate_per_s"]  # differs between trajectories, so it has a spread
     assert seeds.sigma is not None
@@ -203,7 +232,9 @@ def test_known_effects_are_found_again(found: Sensitivity) -> None:
 def test_the_parts_of_the_variance_are_those_of_the_law(found: Sensitivity) -> None:
     of = {effect.factor: effect for effect in found.effects if (effect.metric, effect.architecture) == CELLS[5]}
     assert of["world.message"].emulator_r2 == pytest.approx(1, abs=1e-6)
-    whole = 9 / 3 + 1 / 3 + 0.25**2 / 4 + (0.125 * (EMULATOR_SEED % 3)) ** 2 / 3  # uniform over two doublings, and a switch
+    whole = (
+        9 / 3 + 1 / 3 + 0.25**2 / 4 + (0.125 * (EMULATOR_SEED % 3)) ** 2 / 3
+    )  # uniform over two doublings, and a switch
     assert of["world.message"].sobol_first == pytest.approx(3 / whole, abs=1e-3)
     assert of["world.window_mean_s"].sobol_total == pytest.approx(1 / 3 / whole, abs=1e-3)
     assert of["structure.sync_period_us"].sobol_first is None  # it moves nothing, so it is none of the dozen
@@ -218,19 +249,35 @@ def test_no_metric_fills_the_list_of_those_that_matter(found: Sensitivity) -> No
         return float(10 + NAMES.index(factor))
 
     effects = [msgspec.structs.replace(one, mu_star_margins=margins(one.metric, one.factor)) for one in found.effects]
-    effects = [msgspec.structs.replace(one, mu_star_margins=0.0) if one.factor == "world.message" else one for one in effects]
-    changed = [msgspec.structs.replace(one, mu_star_margins=9.0) if one.factor == "load.task_sets" and one.mu_star_margins != 1 else one for one in effects]
+    effects = [
+        msgspec.structs.replace(one, mu_star_margins=0.0) if one.factor == "world.message" else one for one in effects
+    ]
+    changed = [
+        msgspec.structs.replace(one, mu_star_margins=9.0)
+        if one.factor == "load.task_sets" and one.mu_star_margins != 1
+        else one
+        for one in effects
+    ]
     about = Sensitivity(found.about, tuple(changed))
-    assert that_matter(about, 2) == ("structure.sync_period_us", "load.task_sets")  # the second moves containment furthest, and any cell least
+    assert that_matter(about, 2) == (
+        "structure.sync_period_us",
+        "load.task_sets",
+    )  # the second moves containment furthest, and any cell least
     assert that_matter(about, 3) == ("structure.sync_period_us", "world.context_rate_per_s", "load.task_sets")
-    assert that_matter(about, 12) == ("structure.sync_period_us", "world.context_rate_per_s", "world.window_mean_s", "load.task_sets")
+    assert that_matter(about, 12) == (
+        "structure.sync_period_us",
+        "world.context_rate_per_s",
+        "world.window_mean_s",
+        "load.task_sets",
+    )
 
 
 def test_a_cell_that_is_never_defined_has_no_effects(found: Sensitivity) -> None:
     undefined = [effect for effect in found.effects if (effect.metric, effect.architecture) == CELLS[0]]
-    assert {(effect.effects, effect.mu, effect.mu_star, effect.by_chance, effect.emulator_r2, effect.base_mean) for effect in undefined} == {
-        (0, None, None, None, None, None)
-    }
+    assert {
+        (effect.effects, effect.mu, effect.mu_star, effect.by_chance, effect.emulator_r2, effect.base_mean)
+        for effect in undefined
+    } == {(0, None, None, None, None, None)}
 
 
 def test_what_chance_does_comes_from_the_base_in_other_worlds(tmp_path: Path) -> None:
@@ -245,7 +292,9 @@ def test_what_chance_does_comes_from_the_base_in_other_worlds(tmp_path: Path) ->
 
 
 @pytest.mark.parametrize("finished", [0, 1, 20, 60])
-def test_an_interrupted_study_goes_on_where_it_stopped_and_ends_in_the_same_bytes(tmp_path: Path, file: Path, finished: int) -> None:
+def test_an_interrupted_study_goes_on_where_it_stopped_and_ends_in_the_same_bytes(
+    tmp_path: Path, file: Path, finished: int
+) -> None:
     asked: list[str] = []
 
     def breaks(question: Question) -> Answer:
@@ -262,7 +311,9 @@ def test_an_interrupted_study_goes_on_where_it_stopped_and_ends_in_the_same_byte
     with pytest.raises(KeyboardInterrupt):
         study(out, ask=breaks)
     partial = tmp_path / "effects.parquet.partial"
-    partial.write_bytes(partial.read_bytes() + b'{"key":"cut of')  # as a process leaves it that is killed while it writes
+    partial.write_bytes(
+        partial.read_bytes() + b'{"key":"cut of'
+    )  # as a process leaves it that is killed while it writes
     told: list[tuple[int, int]] = []
     study(out, ask=goes_on, progress=lambda done, total: told.append((done, total)))
     assert out.read_bytes() == file.read_bytes()
@@ -274,7 +325,11 @@ def test_an_interrupted_study_goes_on_where_it_stopped_and_ends_in_the_same_byte
 def test_more_trajectories_begin_with_the_same_ones(tmp_path: Path) -> None:
     asked: dict[int, set[str]] = {4: set(), 5: set()}
     for number, keys in asked.items():
-        study(tmp_path / "effects.parquet", Size(number, 1, 0), ask=lambda question, keys=keys: keys.add(question.key) or linear(question))
+        study(
+            tmp_path / "effects.parquet",
+            Size(number, 1, 0),
+            ask=lambda question, keys=keys: keys.add(question.key) or linear(question),
+        )
     assert asked[4] < asked[5]
 
 
@@ -294,7 +349,11 @@ def test_what_another_program_left_is_not_gone_on_with(tmp_path: Path) -> None:
 def test_a_place_that_cannot_be_written_is_refused_before_the_work(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "folder.parquet").mkdir()
-    for out, error in (("effects.csv", UsageError), ("file/effects.parquet", WriteFailed), ("folder.parquet", WriteFailed)):
+    for out, error in (
+        ("effects.csv", UsageError),
+        ("file/effects.parquet", WriteFailed),
+        ("folder.parquet", WriteFailed),
+    ):
         with pytest.raises(error, match=r"found a file name|cannot be written"):
             study(tmp_path / out)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder.parquet"]
@@ -302,7 +361,9 @@ def test_a_place_that_cannot_be_written_is_refused_before_the_work(tmp_path: Pat
 
 def test_the_simulator_answers_every_cell_and_a_constant_of_one_architecture_moves_no_other() -> None:
     base = evaluate(Question(setting(factors(), {}), 1, 1))
-    moved = evaluate(Question(setting(factors(), {"structure.snapshot_period_us": 1.0, "structure.engagement_us": 1.0}), 1, 1))
+    moved = evaluate(
+        Question(setting(factors(), {"structure.snapshot_period_us": 1.0, "structure.engagement_us": 1.0}), 1, 1)
+    )
     assert len(base) == len(CELLS)
     changed = {architecture for (_, architecture), one, other in zip(CELLS, base, moved, strict=True) if one != other}
     assert changed == {"dhma"}
@@ -319,7 +380,10 @@ def test_a_file_is_read_as_it_was_written(file: Path, found: Sensitivity) -> Non
 def test_a_file_of_another_model_of_other_constants_or_of_another_kind_is_refused(file: Path, tmp_path: Path) -> None:
     own = write_constants(Constants())
     other = write_constants(setting(factors(), {"world.absence_s": 0.0}).constants)
-    with pytest.raises(UsageError, match=r"found effects of model .*, expected those of model 0; make them again: fsar-ledger sensitivity"):
+    with pytest.raises(
+        UsageError,
+        match=r"found effects of model .*, expected those of model 0; make them again: fsar-ledger sensitivity",
+    ):
         read_sensitivity(file, "0", own)
     with pytest.raises(UsageError, match=r"around other constants \(world.absence_s\)"):
         read_sensitivity(file, MODEL_VERSION, other)
@@ -359,7 +423,11 @@ def test_a_report_has_the_effects_of_its_runs_or_says_how_to_make_them(found: Se
 
 def test_the_table_names_the_cell_that_each_of_the_dozen_moves_furthest(found: Sensitivity) -> None:
     rows = dozen(found)
-    assert [row["factor"] for row in rows] == list(found.about.dozen) == [name for name, furthest in reach(found).items() if furthest]
+    assert (
+        [row["factor"] for row in rows]
+        == list(found.about.dozen)
+        == [name for name, furthest in reach(found).items() if furthest]
+    )
     assert rows[0]["range"] == "(0.025 to 0.25) to (0.1 to 1)"
     assert rows[0]["metric"] in ("governance_locality", "audit_attributability")  # the smallest margins
     assert rows[0]["mu_star_margins"] == pytest.approx(6 / 0.02, rel=1e-5)
@@ -369,18 +437,28 @@ def test_the_heat_map_is_the_same_again_and_another_where_an_effect_is_another(f
     drawn = heat_map(found)
     assert drawn == heat_map(found)
     for other in (0.3, None):
-        effects = [msgspec.structs.replace(one, mu_star_margins=other) if one.factor == "world.message" else one for one in found.effects]
+        effects = [
+            msgspec.structs.replace(one, mu_star_margins=other) if one.factor == "world.message" else one
+            for one in found.effects
+        ]
         assert heat_map(Sensitivity(found.about, tuple(effects))) != drawn
 
 
 @pytest.mark.slow
 def test_a_small_study_of_the_simulator_is_the_same_with_any_number_of_workers(tmp_path: Path) -> None:
-    subject = tuple(factor for factor in factors() if factor.name in ("structure.sync_period_us", "world.floor_teams", "world.window_mean_s"))
+    subject = tuple(
+        factor
+        for factor in factors()
+        if factor.name in ("structure.sync_period_us", "world.floor_teams", "world.window_mean_s")
+    )
     made = [sensitivity(tmp_path / f"{workers}.parquet", Size(2, 1, 0), workers, subject=subject) for workers in (1, 2)]
     assert made[0] == made[1]
     assert (tmp_path / "1.parquet").read_bytes() == (tmp_path / "2.parquet").read_bytes()
     moved = {(effect.factor, effect.architecture) for effect in made[0].effects if effect.mu_star}
-    assert moved == {("structure.sync_period_us", "cfc"), *(("world.window_mean_s", architecture) for architecture in ARCHITECTURES)}
+    assert moved == {
+        ("structure.sync_period_us", "cfc"),
+        *(("world.window_mean_s", architecture) for architecture in ARCHITECTURES),
+    }
 
 
 @pytest.mark.parametrize(
@@ -392,7 +470,9 @@ def test_a_small_study_of_the_simulator_is_the_same_with_any_number_of_workers(t
         (("--out", "effects.parquet", "--points", "-1"), "--points -1: expected 0 to 65536"),
     ],
 )
-def test_a_call_that_cannot_be_carried_out_is_one_message(capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str) -> None:
+def test_a_call_that_cannot_be_carried_out_is_one_message(
+    capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
+) -> None:
     assert run(["sensitivity", *arguments]) == 2
     assert capsys.readouterr().err == f"fsar-ledger: {said}\n"
     assert not list(Path().glob("effects*"))

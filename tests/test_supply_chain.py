@@ -105,7 +105,9 @@ def test_the_bill_of_materials_is_cyclonedx_and_refers_to_what_it_holds(bom: tup
     assert len(references) == 1 + len(found.components)
     assert {one.ref for one in found.dependencies} == references
     assert {name for one in found.dependencies for name in one.dependsOn} <= references
-    assert re.fullmatch(r"urn:uuid:[0-9a-f]{8}-[0-9a-f]{4}-5[0-9a-f]{3}-[89ab][0-9a-f]{3}-[0-9a-f]{12}", found.serialNumber)
+    assert re.fullmatch(
+        r"urn:uuid:[0-9a-f]{8}-[0-9a-f]{4}-5[0-9a-f]{3}-[89ab][0-9a-f]{3}-[0-9a-f]{12}", found.serialNumber
+    )
     for one in found.components:
         assert one.purl == one.bom_ref == f"pkg:pypi/{one.name}@{one.version}"
         assert all((licence.license is None) != (licence.expression is None) for licence in one.licenses)
@@ -138,14 +140,24 @@ def test_it_is_the_same_each_time(bom: tuple[Bom, bytes], script: ModuleType) ->
     assert json.dumps(again, indent=2, ensure_ascii=False).encode() + b"\n" == bom[1]
 
 
-@pytest.mark.parametrize("text", ["msgspec==0.22.0\n", "msgspec>=0.22 \\\n    --hash=sha256:" + "0" * 64 + "\n", "msgspec==0.22.0 \\\n    --hash=md5:00\n"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "msgspec==0.22.0\n",
+        "msgspec>=0.22 \\\n    --hash=sha256:" + "0" * 64 + "\n",
+        "msgspec==0.22.0 \\\n    --hash=md5:00\n",
+    ],
+)
 def test_a_requirement_that_is_not_pinned_is_found(script: ModuleType, text: str) -> None:
     with pytest.raises(SystemExit, match="expected NAME==VERSION and its hashes"):
         list(script.pinned(text))
 
 
 def test_an_installation_that_is_not_as_pinned_is_found(script: ModuleType) -> None:
-    for name, version, part in (("msgspec", "0.0.1", "expected 0.0.1"), ("no-such-package", "1", "found none installed")):
+    for name, version, part in (
+        ("msgspec", "0.0.1", "expected 0.0.1"),
+        ("no-such-package", "1", "found none installed"),
+    ):
         with pytest.raises(SystemExit, match=part):
             script.installed(script.Pinned(name, version, ("0" * 64,)))
 
@@ -159,4 +171,7 @@ def test_where_it_does_not_run_it_says_so() -> None:
     code = "import os, sys; sys.argv = ['fsar-ledger', 'info', 'x']; from fsar_ledger.__main__ import main; os.name = 'nt'; main()"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
-    assert done.stderr == "fsar-ledger: found an operating system that is not POSIX (nt), expected Linux or macOS; on Windows use WSL\n"
+    assert (
+        done.stderr
+        == "fsar-ledger: found an operating system that is not POSIX (nt), expected Linux or macOS; on Windows use WSL\n"
+    )

@@ -77,10 +77,16 @@ def test_answers_come_in_order_from_as_many_processes_as_were_asked_for() -> Non
 
 def test_whoever_waits_for_a_killed_worker_or_behind_it_is_told(tmp_path: Path) -> None:
     with WorkerPool(2) as pool:
-        calls: list[Future[Any]] = [pool.submit(killed, tmp_path / "now"), pool.submit(time.sleep, 60), pool.submit(squared, 3)]
+        calls: list[Future[Any]] = [
+            pool.submit(killed, tmp_path / "now"),
+            pool.submit(time.sleep, 60),
+            pool.submit(squared, 3),
+        ]
         (tmp_path / "now").touch()
         for call in calls:
-            with pytest.raises(WorkerDied, match=r"worker process \d+: found ended by signal 9, expected it to finish its work"):
+            with pytest.raises(
+                WorkerDied, match=r"worker process \d+: found ended by signal 9, expected it to finish its work"
+            ):
                 call.result(timeout=30)
         with pytest.raises(WorkerDied, match="signal 9"):
             pool.submit(squared, 3)
@@ -136,7 +142,9 @@ def test_workers_do_not_outlive_whoever_started_them(tmp_path: Path, end: signal
     script = tmp_path / "orphaned.py"
     script.write_text(ORPHANED)
     call = [sys.executable, str(script)]
-    with subprocess.Popen(call, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}) as process:
+    with subprocess.Popen(
+        call, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+    ) as process:
         assert process.stdout is not None
         workers = [int(number) for number in process.stdout.readline().split()]
         assert process.stdout.readline() == "begun\n"
@@ -151,7 +159,9 @@ def test_workers_do_not_outlive_whoever_started_them(tmp_path: Path, end: signal
 def is_alive(number: int) -> bool:
     with contextlib.suppress(ProcessLookupError):
         os.kill(number, 0)
-        listed = subprocess.run(["ps", "-o", "stat=", "-p", str(number)], capture_output=True, text=True, check=False).stdout.strip()
+        listed = subprocess.run(
+            ["ps", "-o", "stat=", "-p", str(number)], capture_output=True, text=True, check=False
+        ).stdout.strip()
         return bool(listed) and not listed.startswith("Z")
     return False
 

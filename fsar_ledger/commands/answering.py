@@ -78,4 +78,6 @@ def not_observed(database: "Database", query: str, run: str | None = None) -> di
 def warn(ledger: Path, *, rows_verified: bool) -> None:
     """One line on stderr if the rows were not compared with the root."""
     if not rows_verified:
-        say(f"the rows of {ledger} were not compared with its root; `fsar-ledger verify {ledger}` does that, and --verified demands it")
+        say(
+            f"the rows of {ledger} were not compared with its root; `fsar-ledger verify {ledger}` does that, and --verified demands it"
+        )

@@ -19,7 +19,9 @@ if TYPE_CHECKING:
     from fsar_ledger.metrics.invariants import AuditRow
 
 
-def audit(ledger: Path, invariants: Sequence[str], architectures: Sequence[str], *, as_json: bool, verified: bool = False) -> tuple[Shown, bool]:
+def audit(
+    ledger: Path, invariants: Sequence[str], architectures: Sequence[str], *, as_json: bool, verified: bool = False
+) -> tuple[Shown, bool]:
     """The text of the answer, and whether every invariant that was asked for was shown to hold, by a case, and by every run that was asked for.
 
     Raises:
@@ -30,17 +32,32 @@ def audit(ledger: Path, invariants: Sequence[str], architectures: Sequence[str],
     """
     queries = chosen(invariants)
     with answering(ledger, verified=verified) as database:
-        there = [str(row["architecture"]) for row in database.rows("SELECT DISTINCT architecture FROM runs WHERE architecture IS NOT NULL ORDER BY ALL")]
+        there = [
+            str(row["architecture"])
+            for row in database.rows(
+                "SELECT DISTINCT architecture FROM runs WHERE architecture IS NOT NULL ORDER BY ALL"
+            )
+        ]
         wanted = known("architecture", architectures, tuple(dict.fromkeys([*get_args(Architecture), *there])))
         unreadable = sum(one.runs for one in models(database) if one.parameters is None)
         rows = audit_rows(database, queries, wanted)
         holds = False if any(row.holds is False for row in rows) else _all_shown(rows) or None
         warn_of_missing(ledger, database)
         if as_json:
-            answer = {"ledger": str(ledger), "holds": holds, **of_plans(database), "runs_unreadable": unreadable, "rows": rows}
+            answer = {
+                "ledger": str(ledger),
+                "holds": holds,
+                **of_plans(database),
+                "runs_unreadable": unreadable,
+                "rows": rows,
+            }
             return json_text(database.head, answer, database.rows_verified), bool(holds)
     of_budgets = (
-        [f"{runs(unreadable)} with parameters that cannot be read: recovery budgets that they set are unknown, and none is judged"] if unreadable else []
+        [
+            f"{runs(unreadable)} with parameters that cannot be read: recovery budgets that they set are unknown, and none is judged"
+        ]
+        if unreadable
+        else []
     )
     said = printable.lines("", *_verdict(rows), *of_budgets)
     return printable.joined(table_text([_shown(row) for row in rows], list(_shown(rows[0]))), said), bool(holds)
@@ -65,7 +82,9 @@ def _word(row: "AuditRow") -> str:
     if _is_empty(row):
         return "no case"
     if row.holds is None:
-        return f"not observable: {row.not_observed}" + (f" ({row.runs_not_observed} of {row.runs} runs)" if row.runs_not_observed < row.runs else "")
+        return f"not observable: {row.not_observed}" + (
+            f" ({row.runs_not_observed} of {row.runs} runs)" if row.runs_not_observed < row.runs else ""
+        )
     return f"{'holds' if row.holds else 'broken'} ({cases})" if row.cases is not None else "broken"
 
 
@@ -84,11 +103,26 @@ def _verdict(rows: "Sequence[AuditRow]") -> Iterator[str]:
     """How many invariants hold; which of them had no case, cannot be observed or do not hold, and how to see more."""
     names = list(dict.fromkeys(row.invariant for row in rows))
     broken = [name for name in names if any(row.holds is False for row in rows if row.invariant == name)]
-    unseen = [name for name in names if name not in broken and any(row.holds is None and row.runs_not_observed for row in rows if row.invariant == name)]
-    empty = [name for name in names if name not in (*broken, *unseen) and not any(row.holds for row in rows if row.invariant == name)]
+    unseen = [
+        name
+        for name in names
+        if name not in broken
+        and any(row.holds is None and row.runs_not_observed for row in rows if row.invariant == name)
+    ]
+    empty = [
+        name
+        for name in names
+        if name not in (*broken, *unseen) and not any(row.holds for row in rows if row.invariant == name)
+    ]
     held = len(names) - len(broken) - len(unseen) - len(empty)
-    hint = f"; `fsar-ledger query {broken[0]} LEDGER` lists every offending event of the first that does not" if broken else ""
-    yield (f"{held} of {len(names)} hold, {len(empty)} had no case" if empty else f"{held} of {len(names)} invariants hold") + hint
+    hint = (
+        f"; `fsar-ledger query {broken[0]} LEDGER` lists every offending event of the first that does not"
+        if broken
+        else ""
+    )
+    yield (
+        f"{held} of {len(names)} hold, {len(empty)} had no case" if empty else f"{held} of {len(names)} invariants hold"
+    ) + hint
     if unseen:
         yield f"{len(unseen)} cannot be told, because runs do not observe what they rest on: {_short(unseen)}; that is no pass"
     if empty:

@@ -2,7 +2,15 @@
 
 import msgspec
 
-from fsar_ledger.metrics.comparing import DifferingWorlds, differing_worlds, imputed, left_over, not_compared, remarks_on, too_few
+from fsar_ledger.metrics.comparing import (
+    DifferingWorlds,
+    differing_worlds,
+    imputed,
+    left_over,
+    not_compared,
+    remarks_on,
+    too_few,
+)
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.results import StatisticRow, statistic_rows
 
@@ -31,7 +39,11 @@ class Compared(msgspec.Struct, frozen=True):
     def after(self) -> list[str]:
         """What is said below the numbers: how Holm adjusts where there are several families, and what is missing."""
         families = {(row["family"], row["family_tests"]) for row in self.rows if row["family_tests"] is not None}
-        told = [f"Holm adjusts together: {'; '.join(f'{count} tests of {name}' for name, count in sorted(families))}"] if len(families) > 1 else []
+        told = (
+            [f"Holm adjusts together: {'; '.join(f'{count} tests of {name}' for name, count in sorted(families))}"]
+            if len(families) > 1
+            else []
+        )
         return [*told, *(f"not compared: {why}" for why in self.not_compared), *self.remarks] if self.rows else []
 
 

@@ -79,7 +79,18 @@ ORDER BY ALL
 MAX_DIFFERING = 1_000
 """Characters of the constants of one model that differ from those of others."""
 
-COLUMNS = ("constants", "seed", "fleet_size", "architecture", "configuration", "scenarios", "runs", "runs_unplanned", "runs_to_rectangle", "events")
+COLUMNS = (
+    "constants",
+    "seed",
+    "fleet_size",
+    "architecture",
+    "configuration",
+    "scenarios",
+    "runs",
+    "runs_unplanned",
+    "runs_to_rectangle",
+    "events",
+)
 """Of `groups`, what people are shown."""
 
 
@@ -133,19 +144,34 @@ class Contents(msgspec.Struct, frozen=True):
 
     def summary(self) -> list[str]:
         """Some lines for people; the parameters are too many for that."""
-        return [*self._standing(), *self._unfinished(), *self._enlarged(), *self._unlike(), *self._models(), *self._unseen()]
+        return [
+            *self._standing(),
+            *self._unfinished(),
+            *self._enlarged(),
+            *self._unlike(),
+            *self._models(),
+            *self._unseen(),
+        ]
 
     def _standing(self) -> list[str]:
         held = runs(self.run_count)
         if not self.plans:
             nothing = "no plan is on record, so nothing says whether they are all that was meant"
             return [f"{held}; {nothing}" if self.groups else "no runs yet, and no plan on record"]
-        lacking = "not complete" if self.missing is None else f"not complete: {printable.counted(self.missing, 'planned run')} {_are(self.missing)} missing"
+        lacking = (
+            "not complete"
+            if self.missing is None
+            else f"not complete: {printable.counted(self.missing, 'planned run')} {_are(self.missing)} missing"
+        )
         of_plans = lacking if self.is_complete is False else "complete: all that was planned is there"
         if not self.unplanned:
             return [f"{held}, {of_plans}"]
         kinds = ", ".join(f"{count:,} {printable.value(kind)}" for kind, count in self.unplanned.items())
-        return [held, f"planned runs: {of_plans}", f"other runs: {kinds}; no plan names them, so nothing says whether they are all that was meant"]
+        return [
+            held,
+            f"planned runs: {of_plans}",
+            f"other runs: {kinds}; no plan names them, so nothing says whether they are all that was meant",
+        ]
 
     def _unfinished(self) -> list[str]:
         """A line for each plan that lacks runs, but for those that a larger one covers."""
@@ -153,7 +179,11 @@ class Contents(msgspec.Struct, frozen=True):
         for plan in self.plans:
             if plan["missing_count"] and not plan["larger_plans"]:
                 of_plan = f"{plan['there_count']:,} of {plan['planned_count']:,} runs of {shape(plan)}"
-                further = f"go on with: {plan['continues_with']}" if plan["continues_with"] else "go on with the version and the constants that began it"
+                further = (
+                    f"go on with: {plan['continues_with']}"
+                    if plan["continues_with"]
+                    else "go on with the version and the constants that began it"
+                )
                 lines.append(f"interrupted, or still at work: {of_plan}; {further}")
         return lines
 
@@ -162,7 +192,9 @@ class Contents(msgspec.Struct, frozen=True):
         if not smaller:
             return []
         of_all = f"{smaller:,} of {len(self.plans):,} plans {_are(smaller)} part of a larger one"
-        return [f"enlarged: {of_all}; runs, run ids and metrics are as if it had been planned so large at once, the root is not"]
+        return [
+            f"enlarged: {of_all}; runs, run ids and metrics are as if it had been planned so large at once, the root is not"
+        ]
 
     def _unlike(self) -> list[str]:
         """What can be said of the shape, where no plan says what is missing: for a comparison, and where there is no plan."""
@@ -171,14 +203,23 @@ class Contents(msgspec.Struct, frozen=True):
         measured = [group["runs_to_rectangle"] for group in self.groups if group["runs_to_rectangle"] is not None]
         missing = sum(measured)
         if missing:
-            return [f"not a rectangle: {runs(missing)} less than if each group had all runs of all scenarios of its model, seed and fleet size"]
-        return ["a rectangle: each group has all runs of all scenarios of its model, seed and fleet size"] if measured and not self.plans else []
+            return [
+                f"not a rectangle: {runs(missing)} less than if each group had all runs of all scenarios of its model, seed and fleet size"
+            ]
+        return (
+            ["a rectangle: each group has all runs of all scenarios of its model, seed and fleet size"]
+            if measured and not self.plans
+            else []
+        )
 
     def _models(self) -> list[str]:
         if len(self.models) == 1:
             return [_described(self.models[0])]
         more = len(self.models) - printable.NAMED
-        return [*map(_among_others, self.models[: printable.NAMED]), *([f"and {more:,} more, --json names all"] if more > 0 else [])]
+        return [
+            *map(_among_others, self.models[: printable.NAMED]),
+            *([f"and {more:,} more, --json names all"] if more > 0 else []),
+        ]
 
     def _unseen(self) -> list[str]:
         return [f"not observed, so that no answer is about it: {shown(self.not_observed)}"] if self.not_observed else []
@@ -203,7 +244,9 @@ def contents(ledger: Path, *, verified: bool = False) -> tuple[Head, Contents]:
         planned = plans(database, Shown(ledger, open_ledger(ledger)))
         named = [_of_model(one, letter) for one, letter in found]
         missing = completeness(database).missing
-        return database.head, Contents(groups, named, planned, missing, database.rows_verified, never_observed(database))
+        return database.head, Contents(
+            groups, named, planned, missing, database.rows_verified, never_observed(database)
+        )
 
 
 def _are(number: int) -> str:
@@ -230,13 +273,28 @@ def _of_model(one: Model, letter: str | None) -> dict[str, Any]:
 
 def _described(model: Mapping[str, Any]) -> str:
     """What a model is, in words."""
-    version = "no model" if model["model_version"] is None else f"model version {printable.value(model['model_version'])}"
-    unread = f"parameters that cannot be read, SHA-256 {model['parameters_sha256'][:12]}" if model["parameters"] is None else None
-    return ", ".join(filter(None, (printable.value(model["kind"]), model["source"] and printable.value(model["source"]), version, unread)))
+    version = (
+        "no model" if model["model_version"] is None else f"model version {printable.value(model['model_version'])}"
+    )
+    unread = (
+        f"parameters that cannot be read, SHA-256 {model['parameters_sha256'][:12]}"
+        if model["parameters"] is None
+        else None
+    )
+    return ", ".join(
+        filter(
+            None,
+            (printable.value(model["kind"]), model["source"] and printable.value(model["source"]), version, unread),
+        )
+    )
 
 
 def _among_others(model: Mapping[str, Any]) -> str:
     """The same beside others: under its letter, with the constants that are not those of others."""
     letter = "no constants on record" if model["constants"] is None else f"constants {model['constants']}"
-    differing = f": {printable.value(model['differing'], MAX_DIFFERING)}" if model["differing"] and model["parameters"] is not None else ""
+    differing = (
+        f": {printable.value(model['differing'], MAX_DIFFERING)}"
+        if model["differing"] and model["parameters"] is not None
+        else ""
+    )
     return f"{letter}: {_described(model)}, {runs(model['runs'])}{differing}"

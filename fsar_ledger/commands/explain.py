@@ -20,14 +20,31 @@ from .output import json_text, table_text
 
 Story = list[dict[str, Any]]
 
-COLUMNS = ("began_s", "action_id", "capability", "asked_by", "allowed_by", "executed_by", "supervised_by", "failures", "result")
+COLUMNS = (
+    "began_s",
+    "action_id",
+    "capability",
+    "asked_by",
+    "allowed_by",
+    "executed_by",
+    "supervised_by",
+    "failures",
+    "result",
+)
 PARTIES = ("asked_by", "allowed_by", "executed_by", "supervised_by")
 UNKNOWN = "not on record"
 WORDS, MAX_WORDS = ("message", "note"), 1_000
 
 
 def explain(
-    ledger: Path, run: str | None, request: str | None, failure: str | None, drawn: Mapping[str, Path | None], *, as_json: bool, verified: bool = False
+    ledger: Path,
+    run: str | None,
+    request: str | None,
+    failure: str | None,
+    drawn: Mapping[str, Path | None],
+    *,
+    as_json: bool,
+    verified: bool = False,
 ) -> Shown:
     """The text of the answer; `drawn` names the file of each kind of figure (svg, pdf) that is wanted, which is written.
 
@@ -38,7 +55,9 @@ def explain(
     """
     files = {kind: path for kind, path in drawn.items() if path is not None}
     if request is not None and failure is not None:
-        raise UsageError(f"--request {request} and --failure {failure}: expected one of them; --request tells a failure, too")
+        raise UsageError(
+            f"--request {request} and --failure {failure}: expected one of them; --request tells a failure, too"
+        )
     action = request or failure
     if files and action is None:
         raise UsageError(f"--{next(iter(files))}: found no request to draw; give --request ACTION or --failure ACTION")
@@ -55,11 +74,17 @@ def explain(
         (parties,) = _asked(database, "requests", name, action)
         recovery = _asked(database, "failure_story", name, action)
         if failure is not None and not recovery:
-            raise UsageError(f"--failure {failure}: found no failure of this action in run {name}; --request {failure} tells what happened")
+            raise UsageError(
+                f"--failure {failure}: found no failure of this action in run {name}; --request {failure} tells what happened"
+            )
         head, rows_verified = database.head, database.rows_verified
     _draw(files, recovery if failure is not None else story, is_ladder=failure is not None)
     if as_json:
-        return json_text(head, {**more, "run": name, "action": action, "parties": parties, "story": story, "recovery": recovery}, rows_verified)
+        return json_text(
+            head,
+            {**more, "run": name, "action": action, "parties": parties, "story": story, "recovery": recovery},
+            rows_verified,
+        )
     told = _told(name, action, shown(story if failure is None else []), shown([parties])[0])
     return printable.lines(*told, *_recovered(shown(recovery)), *map(str, files.values()))
 
@@ -67,7 +92,12 @@ def explain(
 def shown(rows: Sequence[Mapping[str, Any]]) -> Story:
     """The rows with each text as people see it; `MAX_WORDS` characters of what is said, of names fewer."""
     return [
-        {name: printable.value(found, MAX_WORDS if name in WORDS else printable.MAX_VALUE) if isinstance(found, str) else found for name, found in row.items()}
+        {
+            name: printable.value(found, MAX_WORDS if name in WORDS else printable.MAX_VALUE)
+            if isinstance(found, str)
+            else found
+            for name, found in row.items()
+        }
         for row in rows
     ]
 
@@ -95,7 +125,10 @@ def _run(database: Database, ledger: Path, asked: str | None) -> str:
 
 def _no_action(database: Database, ledger: Path, run: str, asked: str) -> str:
     known = [
-        row["action_id"] for row in database.rows("SELECT DISTINCT action_id FROM keyed_events WHERE run_id = $run AND action_id IS NOT NULL", {"run": run})
+        row["action_id"]
+        for row in database.rows(
+            "SELECT DISTINCT action_id FROM keyed_events WHERE run_id = $run AND action_id IS NOT NULL", {"run": run}
+        )
     ]
     way = f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)}` lists them"
     return f"{asked}: there is no such request in run {printable.value(run)}; {did_you_mean(asked, known)}{way}"
@@ -106,10 +139,15 @@ def _listed(database: Database, ledger: Path, run: str, more: Mapping[str, objec
     if as_json:
         return json_text(database.head, {**more, "run": run, "requests": rows}, database.rows_verified)
     if not rows:
-        return printable.lines(f"run {printable.value(run)}", "no requests on record; not all that a request leaves was observed" if more else "no requests")
+        return printable.lines(
+            f"run {printable.value(run)}",
+            "no requests on record; not all that a request leaves was observed" if more else "no requests",
+        )
     began = [{**row, "began_s": f"{row['began_s']:.3f}"} for row in rows]
     hint = f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)} --request {printable.word(rows[0]['action_id'])}` tells one of them"
-    return printable.joined(printable.lines(f"run {printable.value(run)}", ""), table_text(began, COLUMNS), printable.lines("", hint))
+    return printable.joined(
+        printable.lines(f"run {printable.value(run)}", ""), table_text(began, COLUMNS), printable.lines("", hint)
+    )
 
 
 def _told(run: str, action: str, story: Story, parties: Mapping[str, Any]) -> Iterator[str]:
@@ -142,7 +180,9 @@ def _recovered(recovery: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     for failure, steps in groupby(recovery, key=lambda row: row["failure"]):
         yield ""
         yield f"failure {failure}"
-        for (number, level, spent_s), rows in groupby(steps, key=lambda row: (row["level_number"], row["level"], row["spent_s"])):
+        for (number, level, spent_s), rows in groupby(
+            steps, key=lambda row: (row["level_number"], row["level"], row["spent_s"])
+        ):
             stay = list(rows)
             yield f"  {number} {level:<6}{spent_s:>9.3f} s"
             for row in stay:
@@ -157,7 +197,9 @@ def _result(row: Mapping[str, Any], stay: Sequence[Mapping[str, Any]]) -> str:
     if row["to_level"] is not None:
         attempts = sum(one["budget_s"] is not None for one in stay)
         budget = next((one["budget_s"] for one in stay if one["budget_s"] is not None), None)
-        result += "" if budget is None else f" ({attempts} {'attempt' if attempts == 1 else 'attempts'} within {budget:g} s)"
+        result += (
+            "" if budget is None else f" ({attempts} {'attempt' if attempts == 1 else 'attempts'} within {budget:g} s)"
+        )
     return result
 
 

@@ -43,7 +43,9 @@ def export_events(ledger: Path, out: Path, *, raw: bool = False, verified: bool 
     return rows
 
 
-def export_query(ledger: Path, name: str, parameters: Mapping[str, str], out: Path, *, raw: bool = False, verified: bool = False) -> int:
+def export_query(
+    ledger: Path, name: str, parameters: Mapping[str, str], out: Path, *, raw: bool = False, verified: bool = False
+) -> int:
     """The answer of the named query is in the file, text as in `export_events`; returns its number of rows.
 
     Raises:
@@ -75,7 +77,9 @@ def _check(out: Path) -> None:
 
 def _format_of(out: Path) -> str:
     if out.suffix not in (".csv", ".parquet"):
-        raise UsageError(f"{out}: found a file name that ends in {out.suffix or 'nothing'!r}, expected .csv or .parquet; choose one of them")
+        raise UsageError(
+            f"{out}: found a file name that ends in {out.suffix or 'nothing'!r}, expected .csv or .parquet; choose one of them"
+        )
     return out.suffix
 
 
@@ -105,7 +109,10 @@ def _flat(table: pa.Table) -> pa.Table:
     """The same table with each list as JSON text, because a CSV field holds no list."""
     for at, field in enumerate(table.schema):
         if pa.types.is_nested(field.type):
-            texts = [None if value is None else printable.ascii_json(msgspec.json.encode(value).decode()) for value in table.column(at).to_pylist()]
+            texts = [
+                None if value is None else printable.ascii_json(msgspec.json.encode(value).decode())
+                for value in table.column(at).to_pylist()
+            ]
             table = table.set_column(at, field.name, pa.array(texts, pa.string()))
     return table
 

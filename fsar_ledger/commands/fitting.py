@@ -17,7 +17,12 @@ JUDGE = examples("fsar-ledger judge out/predictions.json --out out/comparison.js
 
 
 def calibrate(
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The record of the fit, as JSON; replaced if it exists.", show_default=False)],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", metavar="FILE", help="The record of the fit, as JSON; replaced if it exists.", show_default=False
+        ),
+    ],
     workers: WorkersOption = None,
 ) -> None:
     """Make the fit that is registered again; takes the better part of an hour.
@@ -33,7 +38,12 @@ def calibrate(
 
 
 def predict(
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The predicted numbers, as JSON; replaced if it exists.", show_default=False)],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", metavar="FILE", help="The predicted numbers, as JSON; replaced if it exists.", show_default=False
+        ),
+    ],
     workers: WorkersOption = None,
 ) -> None:
     """Play what is registered to be predicted, and write down the numbers; takes minutes.
@@ -49,8 +59,15 @@ def predict(
 
 
 def judge(
-    predictions: Annotated[Path, typer.Argument(metavar="PREDICTIONS", help="What `predict` wrote.", show_default=False)],
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The comparison, as JSON; replaced if it exists.", show_default=False)],
+    predictions: Annotated[
+        Path, typer.Argument(metavar="PREDICTIONS", help="What `predict` wrote.", show_default=False)
+    ],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", metavar="FILE", help="The comparison, as JSON; replaced if it exists.", show_default=False
+        ),
+    ],
 ) -> None:
     """Lay predicted numbers beside the paper's, and beside what was registered that its claims imply.
 

@@ -27,7 +27,9 @@ SETTING = ("family", "family_tests", "seed", "seeds", "kind", "source", "model_v
 
 def metrics(
     ledger: LedgerArgument,
-    by: Annotated[str | None, typer.Option(metavar="scenario", help="One row for each scenario.", show_default=False)] = None,
+    by: Annotated[
+        str | None, typer.Option(metavar="scenario", help="One row for each scenario.", show_default=False)
+    ] = None,
     pool: PoolOption = None,
     verified: VerifiedOption = False,
     as_json: JsonOption = False,
@@ -53,7 +55,16 @@ def metrics(
         chosen = [{name: row[name] for name in columns} for row in rows]
         shown = columns if as_json or as_csv else _telling(chosen)
         show(
-            answer_text(database.head, chosen, shown, rows_verified=database.rows_verified, as_json=as_json, as_csv=as_csv, raw=raw, more=of_plans(database)),
+            answer_text(
+                database.head,
+                chosen,
+                shown,
+                rows_verified=database.rows_verified,
+                as_json=as_json,
+                as_csv=as_csv,
+                raw=raw,
+                more=of_plans(database),
+            ),
             raw=raw,
         )
         warn_of_missing(ledger, database)

@@ -76,7 +76,9 @@ def bounded(asked_mib: int | None, *ledgers: Path | None, workers: int | None = 
 def default_bytes(*ledgers: Path | None, workers: int | None = None) -> int:
     """What a command over these ledgers may take, given its workers: in proportion to what their segments take on disk, and never all of the machine."""
     more = max(0, (workers_of(None) if workers is None else workers) - 2)
-    return min(BASE_BYTES + PER_WORKER_BYTES * more + PER_BYTE * stored(*ledgers), int(MACHINE_SHARE * memory.installed()))
+    return min(
+        BASE_BYTES + PER_WORKER_BYTES * more + PER_BYTE * stored(*ledgers), int(MACHINE_SHARE * memory.installed())
+    )
 
 
 def readers_of(asked: int | None, *ledgers: Path | None) -> int:

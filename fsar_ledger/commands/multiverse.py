@@ -8,7 +8,18 @@ import typer
 
 from fsar_ledger import printable
 
-from .options import CsvOption, JsonOption, LedgerArgument, PoolOption, RawOption, SvgOption, VerifiedOption, examples, known, pools_seeds
+from .options import (
+    CsvOption,
+    JsonOption,
+    LedgerArgument,
+    PoolOption,
+    RawOption,
+    SvgOption,
+    VerifiedOption,
+    examples,
+    known,
+    pools_seeds,
+)
 from .terminal import show
 
 if TYPE_CHECKING:
@@ -23,13 +34,25 @@ MULTIVERSE = examples(
 )
 OURS = "our reading"
 CELL = ("metric", "architecture", "paper", "ours", "lowest", "highest", "combinations", "most_moving", "moved_by")
-RANKING = ("metric", "better", "order", "combinations", "same_order", "changed_under", "fsar_best", "fsar_not_best_under")
+RANKING = (
+    "metric",
+    "better",
+    "order",
+    "combinations",
+    "same_order",
+    "changed_under",
+    "fsar_best",
+    "fsar_not_best_under",
+)
 WHERE_TELLING = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
 """Columns that a table for people has only where they tell rows apart."""
 WHERE_ANY = ("undefined", "runs_not_observed")
 """Columns that it has only where a row has something other than 0."""
 
-MetricOption = Annotated[list[str] | None, typer.Option("--metric", metavar="NAME", help="Only this metric; may be repeated.", show_default="all eight")]
+MetricOption = Annotated[
+    list[str] | None,
+    typer.Option("--metric", metavar="NAME", help="Only this metric; may be repeated.", show_default="all eight"),
+]
 
 
 def multiverse(
@@ -93,7 +116,10 @@ def _told(found: "Multiverse") -> "Iterator[printable.Shown]":
 
 def _verdicts(rankings: "Sequence[Ranking]") -> Iterator[str]:
     """In words: by how many rankings FSAR is the best one, and how many survive."""
-    for what, counted in (("FSAR is the best one", "fsar_best"), ("the order of the architectures is ours", "same_order")):
+    for what, counted in (
+        ("FSAR is the best one", "fsar_best"),
+        ("the order of the architectures is ours", "same_order"),
+    ):
         judged = [row for row in rankings if getattr(row, counted) is not None]
         always = sum(getattr(row, counted) == row.combinations for row in judged)
         never = sum(getattr(row, counted) == 0 for row in judged)

@@ -20,10 +20,20 @@ WORTH_ROBOTS = 320
 """Robots to be simulated, over all runs, that take about as long as a process takes to start (0.4 s)."""
 
 LedgerArgument = Annotated[Path, typer.Argument(metavar="LEDGER", help="The folder of a ledger.", show_default=False)]
-NewLedgerArgument = Annotated[Path, typer.Argument(metavar="OUT", help="The folder of the ledger: new, or one to continue or to enlarge.", show_default=False)]
+NewLedgerArgument = Annotated[
+    Path,
+    typer.Argument(
+        metavar="OUT", help="The folder of the ledger: new, or one to continue or to enlarge.", show_default=False
+    ),
+]
 JsonOption = Annotated[bool, typer.Option("--json", help="Answer as JSON, with the head (size, root) of the ledger.")]
 CsvOption = Annotated[bool, typer.Option("--csv", help="Answer as comma-separated values.")]
-RawOption = Annotated[bool, typer.Option("--raw", help="In CSV give text as it is, with control characters, and what a spreadsheet reads as a formula.")]
+RawOption = Annotated[
+    bool,
+    typer.Option(
+        "--raw", help="In CSV give text as it is, with control characters, and what a spreadsheet reads as a formula."
+    ),
+]
 VerifiedOption = Annotated[
     bool,
     typer.Option(
@@ -32,15 +42,36 @@ VerifiedOption = Annotated[
         "That takes some 4 s for a million events on two cores.",
     ),
 ]
-LimitOption = Annotated[int, typer.Option("--limit", metavar="N", help="Rows of the table that are shown; 0 shows all.")]
-PoolOption = Annotated[str | None, typer.Option("--pool", metavar="seeds", help="Take the runs of all seeds together.", show_default="each seed by itself")]
+LimitOption = Annotated[
+    int, typer.Option("--limit", metavar="N", help="Rows of the table that are shown; 0 shows all.")
+]
+PoolOption = Annotated[
+    str | None,
+    typer.Option(
+        "--pool", metavar="seeds", help="Take the runs of all seeds together.", show_default="each seed by itself"
+    ),
+]
 FileOption = Annotated[
     Path | None,
-    typer.Option("--file", metavar="FILE", help="Answer the SELECT in this file instead of a NAME; `-` reads standard input.", show_default=False),
+    typer.Option(
+        "--file",
+        metavar="FILE",
+        help="Answer the SELECT in this file instead of a NAME; `-` reads standard input.",
+        show_default=False,
+    ),
 ]
-SecondsOption = Annotated[int | None, typer.Option("--seconds", metavar="N", help="Give a SELECT of your own up after so long.", show_default="60")]
+SecondsOption = Annotated[
+    int | None,
+    typer.Option("--seconds", metavar="N", help="Give a SELECT of your own up after so long.", show_default="60"),
+]
 MemoryOption = Annotated[
-    int | None, typer.Option("--memory", metavar="MIB", help="The most memory that a SELECT of your own may take; at least 1024.", show_default="4096")
+    int | None,
+    typer.Option(
+        "--memory",
+        metavar="MIB",
+        help="The most memory that a SELECT of your own may take; at least 1024.",
+        show_default="4096",
+    ),
 ]
 ReadingMemoryOption = Annotated[
     int | None,
@@ -61,23 +92,46 @@ QueryMemoryOption = Annotated[
     ),
 ]
 ParameterOption = Annotated[
-    list[str] | None, typer.Option("--param", metavar="NAME=VALUE", help="A parameter of the query; may be repeated.", show_default=False)
+    list[str] | None,
+    typer.Option(
+        "--param", metavar="NAME=VALUE", help="A parameter of the query; may be repeated.", show_default=False
+    ),
 ]
 WorkersOption = Annotated[
     int | None,
     typer.Option(
-        "--workers", metavar="N", help="Processes at once; the answer is the same for any number.", show_default="one per core, if there is enough to do"
+        "--workers",
+        metavar="N",
+        help="Processes at once; the answer is the same for any number.",
+        show_default="one per core, if there is enough to do",
     ),
 ]
 ArchitectureOption = Annotated[
     list[str] | None,
-    typer.Option("--architecture", metavar="NAME", help="fsar, cfc or dhma; may be repeated.", show_default="all; with --without, whose that is"),
+    typer.Option(
+        "--architecture",
+        metavar="NAME",
+        help="fsar, cfc or dhma; may be repeated.",
+        show_default="all; with --without, whose that is",
+    ),
 ]
 AuditedOption = Annotated[
-    list[str] | None, typer.Option("--architecture", metavar="NAME", help="Only the runs of fsar, cfc or dhma; may be repeated.", show_default="all")
+    list[str] | None,
+    typer.Option(
+        "--architecture",
+        metavar="NAME",
+        help="Only the runs of fsar, cfc or dhma; may be repeated.",
+        show_default="all",
+    ),
 ]
 InvariantOption = Annotated[
-    list[str] | None, typer.Option("--invariant", metavar="NAME", help="i1 to i5 or a1 to a5, or a whole name; may be repeated.", show_default="all ten")
+    list[str] | None,
+    typer.Option(
+        "--invariant",
+        metavar="NAME",
+        help="i1 to i5 or a1 to a5, or a whole name; may be repeated.",
+        show_default="all ten",
+    ),
 ]
 ScenarioOption = Annotated[
     list[str] | None,
@@ -108,42 +162,99 @@ WorkflowOption = Annotated[
         show_default=False,
     ),
 ]
-FleetSizeOption = Annotated[int, typer.Option("--fleet-size", metavar="N", help="Robots; a multiple of 4, teams of four roles.")]
-TeamsWorkingOption = Annotated[
-    int | None, typer.Option("--teams-working", metavar="N", help="Teams that have tasks; the others stand by and can be asked.", show_default="all")
+FleetSizeOption = Annotated[
+    int, typer.Option("--fleet-size", metavar="N", help="Robots; a multiple of 4, teams of four roles.")
 ]
-TaskSetsOption = Annotated[int, typer.Option("--task-sets", metavar="N", help="How often each team that works gets the tasks of its scenario, 30 s apart.")]
-RunsOption = Annotated[int | None, typer.Option(metavar="N", help="Runs per scenario (or workflow) and architecture.", show_default="20; with --workflow, 1")]
+TeamsWorkingOption = Annotated[
+    int | None,
+    typer.Option(
+        "--teams-working",
+        metavar="N",
+        help="Teams that have tasks; the others stand by and can be asked.",
+        show_default="all",
+    ),
+]
+TaskSetsOption = Annotated[
+    int,
+    typer.Option(
+        "--task-sets", metavar="N", help="How often each team that works gets the tasks of its scenario, 30 s apart."
+    ),
+]
+RunsOption = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N", help="Runs per scenario (or workflow) and architecture.", show_default="20; with --workflow, 1"
+    ),
+]
 RunOption = Annotated[
-    str | None, typer.Option("--run", metavar="RUN", help="A run, or the beginning of its name: the first such run.", show_default="the first run")
+    str | None,
+    typer.Option(
+        "--run",
+        metavar="RUN",
+        help="A run, or the beginning of its name: the first such run.",
+        show_default="the first run",
+    ),
 ]
 RequestOption = Annotated[
-    str | None, typer.Option("--request", metavar="ACTION", help="The request (action) to tell, as in the list.", show_default="list all")
+    str | None,
+    typer.Option(
+        "--request", metavar="ACTION", help="The request (action) to tell, as in the list.", show_default="list all"
+    ),
 ]
 FailureOption = Annotated[
-    str | None, typer.Option("--failure", metavar="ACTION", help="The failed action whose recovery to tell, level by level.", show_default=False)
+    str | None,
+    typer.Option(
+        "--failure",
+        metavar="ACTION",
+        help="The failed action whose recovery to tell, level by level.",
+        show_default=False,
+    ),
 ]
-SvgOption = Annotated[Path | None, typer.Option("--svg", metavar="FILE", help="Draw it, too, as SVG; replaced if it exists.", show_default=False)]
-PdfOption = Annotated[Path | None, typer.Option("--pdf", metavar="FILE", help="Draw it, too, as PDF; replaced if it exists.", show_default=False)]
+SvgOption = Annotated[
+    Path | None,
+    typer.Option("--svg", metavar="FILE", help="Draw it, too, as SVG; replaced if it exists.", show_default=False),
+]
+PdfOption = Annotated[
+    Path | None,
+    typer.Option("--pdf", metavar="FILE", help="Draw it, too, as PDF; replaced if it exists.", show_default=False),
+]
 ReplayOption = Annotated[
-    bool, typer.Option("--replay", help="Play every run again, too: each recorded decision must be what the handlers decide from the recorded world.")
+    bool,
+    typer.Option(
+        "--replay",
+        help="Play every run again, too: each recorded decision must be what the handlers decide from the recorded world.",
+    ),
 ]
 KeyOption = Annotated[
     Path | None,
     typer.Option(
-        "--key", metavar="FILE", envvar="FSAR_LEDGER_KEY", help="Sign with this key, of `fsar-ledger key new`.", show_default="leave the ledger unsigned"
+        "--key",
+        metavar="FILE",
+        envvar="FSAR_LEDGER_KEY",
+        help="Sign with this key, of `fsar-ledger key new`.",
+        show_default="leave the ledger unsigned",
     ),
 ]
-AdoptOption = Annotated[bool, typer.Option("--adopt", help="Sign on where another key or none signed what is there; verify it first.")]
+AdoptOption = Annotated[
+    bool, typer.Option("--adopt", help="Sign on where another key or none signed what is there; verify it first.")
+]
 OriginOption = Annotated[
     str | None,
     typer.Option(
-        "--origin", metavar="NAME", help="Publish the ledger under this name, as host/path.", show_default="the key's name, else fsar-ledger/simulated"
+        "--origin",
+        metavar="NAME",
+        help="Publish the ledger under this name, as host/path.",
+        show_default="the key's name, else fsar-ledger/simulated",
     ),
 ]
 TrustedKeyOption = Annotated[
     str | None,
-    typer.Option("--trusted-key", metavar="KEY", help="Require the signature of this public key: a .pub file, or the key itself.", show_default=False),
+    typer.Option(
+        "--trusted-key",
+        metavar="KEY",
+        help="Require the signature of this public key: a .pub file, or the key itself.",
+        show_default=False,
+    ),
 ]
 WitnessPolicyOption = Annotated[
     Path | None,
@@ -156,17 +267,36 @@ WitnessPolicyOption = Annotated[
 ]
 CosignedOption = Annotated[
     list[Path] | None,
-    typer.Option("--cosigned", metavar="FILE", help="With --witness-policy: ask nobody, take what this note shows; may be repeated.", show_default=False),
+    typer.Option(
+        "--cosigned",
+        metavar="FILE",
+        help="With --witness-policy: ask nobody, take what this note shows; may be repeated.",
+        show_default=False,
+    ),
 ]
 WorkflowLedgerOption = Annotated[
-    Path | None, typer.Option("--workflows", metavar="LEDGER", help="A ledger of the paper's three workflows.", show_default="say that there is none")
+    Path | None,
+    typer.Option(
+        "--workflows",
+        metavar="LEDGER",
+        help="A ledger of the paper's three workflows.",
+        show_default="say that there is none",
+    ),
 ]
 OnlyOption = Annotated[
     list[str] | None,
-    typer.Option("--only", metavar="EXPERIMENT", help="results (always made), ablation, scaling or workflows; may be repeated.", show_default="all"),
+    typer.Option(
+        "--only",
+        metavar="EXPERIMENT",
+        help="results (always made), ablation, scaling or workflows; may be repeated.",
+        show_default="all",
+    ),
 ]
 ReproducedRunsOption = Annotated[
-    int | None, typer.Option("--runs", metavar="N", help="Runs of each scenario.", show_default="results 200, ablation 40, scaling 20")
+    int | None,
+    typer.Option(
+        "--runs", metavar="N", help="Runs of each scenario.", show_default="results 200, ablation 40, scaling 20"
+    ),
 ]
 BesideOption = Annotated[
     list[Path] | None,
@@ -178,12 +308,20 @@ BesideOption = Annotated[
     ),
 ]
 SensitivityOption = Annotated[
-    Path | None, typer.Option("--sensitivity", metavar="FILE", help="A file of `fsar-ledger sensitivity`.", show_default="say how to make one")
+    Path | None,
+    typer.Option(
+        "--sensitivity", metavar="FILE", help="A file of `fsar-ledger sensitivity`.", show_default="say how to make one"
+    ),
 ]
 
 NumbersOption = Annotated[
     Path | None,
-    typer.Option("--numbers", metavar="FILE", help="All numbers of the report for programs, as JSON; replaced if it exists.", show_default="not written"),
+    typer.Option(
+        "--numbers",
+        metavar="FILE",
+        help="All numbers of the report for programs, as JSON; replaced if it exists.",
+        show_default="not written",
+    ),
 ]
 
 RUNS = 20  # per scenario and architecture, as in the paper
@@ -213,7 +351,12 @@ def experiment_of(
         UsageError: a workflow was asked for together with what it does not have.
     """
     if workflows:
-        others = {"--scenario": scenarios, "--without": without, "--teams-working": load[0], "--task-sets": load[1] if load[1] != 1 else None}
+        others = {
+            "--scenario": scenarios,
+            "--without": without,
+            "--teams-working": load[0],
+            "--task-sets": load[1] if load[1] != 1 else None,
+        }
         return _workflows_of(workflows, runs, seed, others, architectures, fleet_size)
     from typing import get_args
 
@@ -224,8 +367,12 @@ def experiment_of(
     from fsar_ledger.runtime.experiment import Experiment
 
     every_architecture, every_scenario = get_args(Architecture), get_args(Scenario)
-    configurations = tuple(dict.fromkeys(ablation(known("mechanism", _joined(name), EVERY_MECHANISM)) for name in without or ()))
-    whose = tuple(name for name in every_architecture if any(lacks(one) & set(MECHANISMS_OF[name]) for one in configurations))
+    configurations = tuple(
+        dict.fromkeys(ablation(known("mechanism", _joined(name), EVERY_MECHANISM)) for name in without or ())
+    )
+    whose = tuple(
+        name for name in every_architecture if any(lacks(one) & set(MECHANISMS_OF[name]) for one in configurations)
+    )
     return Experiment(
         architectures=known("architecture", architectures, every_architecture) or whose or every_architecture,
         scenarios=known("scenario", scenarios, every_scenario) or every_scenario,
@@ -247,7 +394,14 @@ def _joined(asked: str) -> list[str]:
     return names
 
 
-def _workflows_of(asked: list[str], runs: int | None, seed: int, others: dict[str, Any], architectures: list[str] | None, fleet_size: int) -> "Experiment":
+def _workflows_of(
+    asked: list[str],
+    runs: int | None,
+    seed: int,
+    others: dict[str, Any],
+    architectures: list[str] | None,
+    fleet_size: int,
+) -> "Experiment":
     """The workflows that were asked for: FSAR's, with one robot of each role, and nothing beside them."""
     from typing import get_args
 
@@ -271,7 +425,9 @@ def _workflows_of(asked: list[str], runs: int | None, seed: int, others: dict[st
 def pools_seeds(asked: str | None) -> bool:
     """Whether the runs of all seeds are taken together. Raises: UsageError for anything else that `--pool` names."""
     if asked not in (None, "seeds"):
-        raise UsageError(f"--pool {asked}: expected --pool seeds, or no --pool; runs of other constants, models or fleet sizes are never taken together")
+        raise UsageError(
+            f"--pool {asked}: expected --pool seeds, or no --pool; runs of other constants, models or fleet sizes are never taken together"
+        )
     return asked is not None
 
 
@@ -292,7 +448,9 @@ def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> t
 def did_you_mean(asked: str, names: Sequence[str]) -> str:
     """A question about the nearest name: one that begins so, else one whose beginning is like it."""
     ordered = sorted(names)
-    near = [name for name in ordered if name.startswith(asked)] or get_close_matches(asked, [name[: len(asked)] for name in ordered], 1, 0.3)
+    near = [name for name in ordered if name.startswith(asked)] or get_close_matches(
+        asked, [name[: len(asked)] for name in ordered], 1, 0.3
+    )
     found = next((name for name in ordered if near and name.startswith(near[0])), None)
     return "" if found is None else f"did you mean {printable.value(found)}? "
 
@@ -323,7 +481,9 @@ def parameters_of(pairs: Sequence[str] | None) -> dict[str, str]:
         if not equals or not name:
             raise QueryFailed(f"--param {pair!r}: expected NAME=VALUE, as in --param robot=robot/A1")
         if name in values:
-            raise QueryFailed(f"--param {pair!r}: {name} already has the value {values[name]!r}, expected one value for each name")
+            raise QueryFailed(
+                f"--param {pair!r}: {name} already has the value {values[name]!r}, expected one value for each name"
+            )
         values[name] = value
     return values
 
@@ -332,4 +492,6 @@ def require_text(arguments: Sequence[str]) -> None:
     """Raises: UsageError if an argument, perhaps a path, is not UTF-8: neither DuckDB nor JSON can name it."""
     for argument in arguments:
         if argument.encode("utf-8", "replace").decode() != argument:
-            raise UsageError(f"{argument}: found bytes that are not UTF-8, expected UTF-8 in every path and option; give it another name")
+            raise UsageError(
+                f"{argument}: found bytes that are not UTF-8, expected UTF-8 in every path and option; give it another name"
+            )

@@ -43,10 +43,15 @@ def table_text(rows: Sequence[Row], columns: Sequence[str], limit: int = 0) -> S
     names = [printable.cell(column) for column in columns]
     cells = [[_cell(row[column]) for column in columns] for row in shown]
     is_number = [all(isinstance(row[column], int | float | None) for row in shown) for column in columns]
-    widths = [max(len(name), *(len(line[at]) for line in cells)) if cells else len(name) for at, name in enumerate(names)]
+    widths = [
+        max(len(name), *(len(line[at]) for line in cells)) if cells else len(name) for at, name in enumerate(names)
+    ]
 
     def line_of(texts: Sequence[str]) -> str:
-        return "  ".join(text.rjust(width) if right else text.ljust(width) for text, width, right in zip(texts, widths, is_number, strict=True)).rstrip()
+        return "  ".join(
+            text.rjust(width) if right else text.ljust(width)
+            for text, width, right in zip(texts, widths, is_number, strict=True)
+        ).rstrip()
 
     lines = [line_of(names), line_of(["-" * width for width in widths]), *map(line_of, cells)]
     rest = [more_text(len(rows) - len(shown))] if len(shown) < len(rows) else [] if rows else [Shown("(no rows)\n")]
@@ -70,9 +75,17 @@ def json_text(head: HeadLike | None, answer: Mapping[str, object], rows_verified
 def csv_text(rows: Sequence[Row], columns: Sequence[str], *, raw: bool = False) -> Shown:
     """The rows as comma-separated values under one line of column names; text is harmless for terminals and spreadsheets unless `raw`."""
     text = io.StringIO()
-    writer, quoting = csv.writer(text, lineterminator="\n"), csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_ALL)
-    for fields in ([*map(partial(_field, raw=raw), columns)], *([_field(row[column], raw=raw) for column in columns] for row in rows)):
-        (quoting if any("\r" in field for field in fields) else writer).writerow(fields)  # a bare CR ends a row for some readers
+    writer, quoting = (
+        csv.writer(text, lineterminator="\n"),
+        csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_ALL),
+    )
+    for fields in (
+        [*map(partial(_field, raw=raw), columns)],
+        *([_field(row[column], raw=raw) for column in columns] for row in rows),
+    ):
+        (quoting if any("\r" in field for field in fields) else writer).writerow(
+            fields
+        )  # a bare CR ends a row for some readers
     return Shown(text.getvalue())
 
 
@@ -80,14 +93,19 @@ def verdict_lines(ledger: Path, report: "VerifyReport") -> list[str]:
     """What `verify` found, for people: one line for each problem, or that there is none and what that covers."""
     if not report.ok:
         count = f"{counted(len(report.problems), 'problem')}{' at a quick look' if report.is_quick else ''}"
-        return [*map(str, report.problems), f"{ledger}: {count}; do not rely on this ledger, restore it from a copy that verifies"]
+        return [
+            *map(str, report.problems),
+            f"{ledger}: {count}; do not rely on this ledger, restore it from a copy that verifies",
+        ]
     of_runs = "" if report.is_quick else f" of {counted(report.runs, 'run')}"
     counts = f"{counted(report.events, 'event')}{of_runs} in {counted(report.commits, 'commit')}"
     looked = "consistent at a quick look, which reads no rows" if report.is_quick else "consistent"
     lines = [f"{ledger}: {looked}, {signature_text(report.signature, report.signer)}: {counts}", f"root {report.root}"]
     lines += [f"signed commits: {report.signed:,} of {report.commits:,}"] if report.signed else []
     lines += (
-        [f"only grew since the anchor's {report.anchored:,} events"] if report.anchored is not None and not report.is_quick else []
+        [f"only grew since the anchor's {report.anchored:,} events"]
+        if report.anchored is not None and not report.is_quick
+        else []
     )  # there a remark says it
     return [*lines, *report.remarks]
 
@@ -96,7 +114,11 @@ def signature_text(state: str, signer: str | None) -> str:
     """What the signature of a note is worth, for people: `signer` is the trusted key that made it, or whom the note names."""
     if signer is None:
         return "unsigned"
-    return f"signed by {printable.value(signer)}" if state == "signed" else f"signed, signer not checked (it names {printable.value(signer)})"
+    return (
+        f"signed by {printable.value(signer)}"
+        if state == "signed"
+        else f"signed, signer not checked (it names {printable.value(signer)})"
+    )
 
 
 def verdict_json(report: "VerifyReport", **more: object) -> Shown:
@@ -138,7 +160,9 @@ def check_form(*, as_json: bool, as_csv: bool, raw: bool) -> None:
     if as_json and as_csv:
         raise UsageError("found --json and --csv, expected one of them")
     if raw and not as_csv:
-        raise UsageError("found --raw without --csv, expected both or neither; --json always gives the values themselves")
+        raise UsageError(
+            "found --raw without --csv, expected both or neither; --json always gives the values themselves"
+        )
 
 
 def queries_text(*, as_json: bool, as_csv: bool, raw: bool = False) -> Shown:
@@ -148,17 +172,27 @@ def queries_text(*, as_json: bool, as_csv: bool, raw: bool = False) -> Shown:
 
     columns = ("name", "title", "parameters")
     rows: list[Row] = [
-        {"name": query.name, "title": query.header["Title"], "parameters": " ".join(f"{name}={value or ''}" for name, value in query.parameters.items())}
+        {
+            "name": query.name,
+            "title": query.header["Title"],
+            "parameters": " ".join(f"{name}={value or ''}" for name, value in query.parameters.items()),
+        }
         for query in library().queries.values()
     ]
     if as_json:
         return json_text(None, {"queries": rows})
-    return csv_text(rows, columns, raw=raw) if as_csv else table_text([{**row, "title": str(row["title"]).partition(". ")[0]} for row in rows], columns)
+    return (
+        csv_text(rows, columns, raw=raw)
+        if as_csv
+        else table_text([{**row, "title": str(row["title"]).partition(". ")[0]} for row in rows], columns)
+    )
 
 
 def _pretty(document: object) -> Shown:
     """The document as JSON in ASCII; a name of a file that is not UTF-8 has each such byte escaped, `\\udcff` for ff."""
-    return printable.ascii_json(msgspec.json.format(msgspec.json.encode(_encodable(to_builtins(document))), indent=2).decode() + "\n")
+    return printable.ascii_json(
+        msgspec.json.format(msgspec.json.encode(_encodable(to_builtins(document))), indent=2).decode() + "\n"
+    )
 
 
 def _encodable(value: object) -> object:
@@ -178,7 +212,11 @@ def _cell(value: object) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     shown = _field(value, raw=False)
-    return shown if len(shown) <= printable.MAX_VALUE else f"{shown[: printable.MAX_VALUE]}... ({len(shown) - printable.MAX_VALUE:,} more)"
+    return (
+        shown
+        if len(shown) <= printable.MAX_VALUE
+        else f"{shown[: printable.MAX_VALUE]}... ({len(shown) - printable.MAX_VALUE:,} more)"
+    )
 
 
 def _field(value: object, *, raw: bool) -> str:

@@ -73,7 +73,9 @@ class Kept:
 
     def __init__(self, pieces: Iterable[Shown]):
         """The pieces are made now. Raises: whatever that raises."""
-        self._file: TextIO = tempfile.SpooledTemporaryFile(KEPT_BYTES, "w+", encoding="utf-8", errors="surrogatepass", newline="")  # type: ignore[assignment]  # noqa: SIM115
+        self._file: TextIO = tempfile.SpooledTemporaryFile(  # type: ignore[assignment]  # noqa: SIM115
+            KEPT_BYTES, "w+", encoding="utf-8", errors="surrogatepass", newline=""
+        )
         try:
             for piece in pieces:
                 self._file.write(piece)

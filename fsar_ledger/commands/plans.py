@@ -32,7 +32,11 @@ class Shown(NamedTuple):
 def plans(database: "Database", ledger: Shown) -> list[dict[str, Any]]:
     """Every plan, the largest first, with the call that goes on with it where runs are missing and this version can make them, else None."""
     rows = database.rows(EXPERIMENTS)
-    constants = {row["run_id"]: row["parameters"] for row in database.rows(PARAMETERS)} if any(row["missing_count"] for row in rows) else {}
+    constants = (
+        {row["run_id"]: row["parameters"] for row in database.rows(PARAMETERS)}
+        if any(row["missing_count"] for row in rows)
+        else {}
+    )
     reproduced = reproducing([row["run_count"] for row in rows], ledger) if constants else {}
 
     def call(row: Mapping[str, Any]) -> str | None:
@@ -69,8 +73,14 @@ def _is_signed(view: LedgerView) -> bool:
 
 def shape(plan: Mapping[str, Any]) -> str:
     """What a plan names: `door-relay x 20 runs x fsar, cfc (full), seed 42, 4 robots`."""
-    parts = (_some(plan["scenarios"], "scenarios"), runs(plan["run_count"]), _some(plan["architectures"], "architectures"))
-    configurations = "" if plan["configurations"] == ["full"] else f" ({_some(plan['configurations'], 'configurations')})"
+    parts = (
+        _some(plan["scenarios"], "scenarios"),
+        runs(plan["run_count"]),
+        _some(plan["architectures"], "architectures"),
+    )
+    configurations = (
+        "" if plan["configurations"] == ["full"] else f" ({_some(plan['configurations'], 'configurations')})"
+    )
     return f"{' x '.join(parts)}{configurations}, seed {plan['seed']}, {plan['fleet_size']} robots"
 
 
@@ -100,7 +110,9 @@ def _asked(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
         load = read_constants(parameters).load or Load()
     except BadParameters:
         return None
-    scenarios, architectures, configurations = (set(plan[name]) for name in ("scenarios", "architectures", "configurations"))
+    scenarios, architectures, configurations = (
+        set(plan[name]) for name in ("scenarios", "architectures", "configurations")
+    )
     is_workflow, is_ablated = scenarios <= set(get_args(Workflow)), configurations != {"full"}
     every_architecture, every_scenario = set(get_args(Architecture)), set(get_args(Scenario))
     default = {"fsar"} if is_workflow or is_ablated else every_architecture
@@ -118,7 +130,12 @@ def _asked(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
 
 def _options(asked: Mapping[str, Any]) -> Iterator[str]:
     """The options of `simulate` that ask for this, those with their default left out."""
-    for option, name in (("--architecture", "architectures"), ("--scenario", "scenarios"), ("--workflow", "workflows"), ("--without", "without")):
+    for option, name in (
+        ("--architecture", "architectures"),
+        ("--scenario", "scenarios"),
+        ("--workflow", "workflows"),
+        ("--without", "without"),
+    ):
         yield from (f"{option} {printable.word(one)}" for one in asked[name] or ())
     working, sets = asked["load"]
     numbers = (("--runs", asked["runs"], None), ("--seed", asked["seed"], 42), ("--fleet-size", asked["fleet_size"], 4))

@@ -59,18 +59,24 @@ def _index_of(view: LedgerView, event: str) -> int:
     size = view.head.size
     if event.isascii() and event.isdecimal():
         if len(event) > 16 or int(event) >= size:
-            raise UsageError(f"EVENT {event}: found {size:,} events in {view.path}, expected a number below that, or RUN:SEQ")
+            raise UsageError(
+                f"EVENT {event}: found {size:,} events in {view.path}, expected a number below that, or RUN:SEQ"
+            )
         return int(event)
     asked, _, seq = event.rpartition(":")
     if not asked or not (seq.isascii() and seq.isdecimal()):
-        raise UsageError(f"EVENT {event}: found no number, expected RUN:SEQ, as a run and the seq of an event in it, or the event's number in the ledger")
+        raise UsageError(
+            f"EVENT {event}: found no number, expected RUN:SEQ, as a run and the seq of an event in it, or the event's number in the ledger"
+        )
     found = {block.run: block for block in blocks(view)}
     names = [asked] if asked in found else sorted(name for name in found if name.startswith(asked))
     if len(names) != 1:
         raise UsageError(_no_run(view, asked, names, sorted(found)))
     block = found[names[0]]
     if len(seq) > 16 or int(seq) >= block.events:
-        raise UsageError(f"EVENT {event}: found {block.events:,} events in run {block.run}, expected a seq from 0 to {block.events - 1}")
+        raise UsageError(
+            f"EVENT {event}: found {block.events:,} events in run {block.run}, expected a seq from 0 to {block.events - 1}"
+        )
     return block.first + int(seq)
 
 
@@ -96,7 +102,9 @@ def proven_text(file: Path, proven: Proven) -> Shown:
     width = max(map(len, PRINCIPALS))
     signature = signature_text(proven.signature, proven.signer)
     place = f"event {proven.index:,} of {proven.size:,} in the ledger of {printable.value(proven.origin)}"
-    hint = [] if proven.signature == "signed" else ["no signature was checked: compare the root with one that you trust"]
+    hint = (
+        [] if proven.signature == "signed" else ["no signature was checked: compare the root with one that you trust"]
+    )
     return printable.lines(
         f"{file}: proven: {place}, {signature}",
         f"root {proven.root}",

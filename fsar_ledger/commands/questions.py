@@ -34,11 +34,23 @@ def limits_of(asked: Asked) -> Limits:
     if seconds < 1:
         raise UsageError(f"--seconds {seconds}: expected at least 1")
     if memory_mib < MEMORY_MIB_MIN:
-        raise UsageError(f"--memory {memory_mib}: expected at least {MEMORY_MIB_MIN} (MiB), of which the process itself takes 400")
+        raise UsageError(
+            f"--memory {memory_mib}: expected at least {MEMORY_MIB_MIN} (MiB), of which the process itself takes 400"
+        )
     return Limits(seconds=seconds, memory_bytes=memory_mib << 20)
 
 
-def answer_select(ledger: Path, select: str, limits: Limits, *, as_json: bool, as_csv: bool, raw: bool, limit: int, verified: bool = False) -> Iterable[Shown]:
+def answer_select(
+    ledger: Path,
+    select: str,
+    limits: Limits,
+    *,
+    as_json: bool,
+    as_csv: bool,
+    raw: bool,
+    limit: int,
+    verified: bool = False,
+) -> Iterable[Shown]:
     """The answer of the SELECT as text, a piece at a time; the limit of time holds for making all of it.
 
     Raises:
@@ -48,7 +60,16 @@ def answer_select(ledger: Path, select: str, limits: Limits, *, as_json: bool, a
     check_form(as_json=as_json, as_csv=as_csv, raw=raw)
     with stream_untrusted(ledger, select, limits, demanded_head(ledger, verified=verified)) as answer:
         known = answer.rows_verified
-        pieces = answer_pieces(answer.head, answer.columns, answer.parts, rows_verified=known, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit)
+        pieces = answer_pieces(
+            answer.head,
+            answer.columns,
+            answer.parts,
+            rows_verified=known,
+            as_json=as_json,
+            as_csv=as_csv,
+            raw=raw,
+            limit=limit,
+        )
         text = Kept(pieces)
     warn(ledger, rows_verified=known)
     return text
@@ -75,22 +96,49 @@ def answer_query(
     name, ledger = places
     if file is None:
         if asked["--seconds"] is not None:
-            raise UsageError(f"--seconds {asked['--seconds']}: expected only with --file; a packaged query takes as long as it takes")
+            raise UsageError(
+                f"--seconds {asked['--seconds']}: expected only with --file; a packaged query takes as long as it takes"
+            )
         if name is None or ledger is None:
-            raise UsageError("query: expected NAME and LEDGER, as in `fsar-ledger query failures out/ledger`; `fsar-ledger query --list` shows the names")
+            raise UsageError(
+                "query: expected NAME and LEDGER, as in `fsar-ledger query failures out/ledger`; `fsar-ledger query --list` shows the names"
+            )
         check_form(as_json=as_json, as_csv=as_csv, raw=raw)
         with answering(ledger, verified=verified) as database:
             table, known = database.query(name, parameters), database.rows_verified
             more = not_observed(database, name)
             names = table.column_names
-            return answer_pieces(database.head, names, _parts(table), rows_verified=known, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit, more=more)
+            return answer_pieces(
+                database.head,
+                names,
+                _parts(table),
+                rows_verified=known,
+                as_json=as_json,
+                as_csv=as_csv,
+                raw=raw,
+                limit=limit,
+                more=more,
+            )
     if parameters:
-        raise UsageError(f"--param {next(iter(parameters))}=... and --file {file}: only a packaged query has parameters; write the value into the file")
+        raise UsageError(
+            f"--param {next(iter(parameters))}=... and --file {file}: only a packaged query has parameters; write the value into the file"
+        )
     if name is None or ledger is not None:
-        raise UsageError(f"query --file {file}: expected one argument, LEDGER, as in `fsar-ledger query --file {printable.word(file)} out/ledger`")
+        raise UsageError(
+            f"query --file {file}: expected one argument, LEDGER, as in `fsar-ledger query --file {printable.word(file)} out/ledger`"
+        )
     limits = limits_of(asked)
     try:
-        return answer_select(Path(name), _text_of(file, limits.sql_bytes), limits, as_json=as_json, as_csv=as_csv, raw=raw, limit=limit, verified=verified)
+        return answer_select(
+            Path(name),
+            _text_of(file, limits.sql_bytes),
+            limits,
+            as_json=as_json,
+            as_csv=as_csv,
+            raw=raw,
+            limit=limit,
+            verified=verified,
+        )
     except QueryFailed as problem:
         raise QueryFailed(f"{file}: {problem}") from problem
 
@@ -111,10 +159,14 @@ def _text_of(file: Path, most: int) -> str:
             with file.open("rb") as stream:
                 data = stream.read(most + 1)
     except OSError as problem:
-        raise UsageError(f"{file}: cannot be read ({problem.strerror}), expected a file that holds one SELECT") from problem
+        raise UsageError(
+            f"{file}: cannot be read ({problem.strerror}), expected a file that holds one SELECT"
+        ) from problem
     if len(data) > most:
         raise QueryFailed(f"SQL: found more than {most:,} bytes of text, the limit; split the question")
     try:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as problem:
-        raise QueryFailed(f"SQL: found a byte that is not UTF-8 at {problem.start}, expected text; save it as UTF-8") from problem
+        raise QueryFailed(
+            f"SQL: found a byte that is not UTF-8 at {problem.start}, expected text; save it as UTF-8"
+        ) from problem

@@ -33,10 +33,19 @@ RECOVER = examples(
 def recover(
     ledger: LedgerArgument,
     into: Annotated[
-        Path | None, typer.Option("--into", metavar="NEW", help="Copy what can be trusted of a damaged ledger to this new folder.", show_default=False)
+        Path | None,
+        typer.Option(
+            "--into",
+            metavar="NEW",
+            help="Copy what can be trusted of a damaged ledger to this new folder.",
+            show_default=False,
+        ),
     ] = None,
     anchor: Annotated[
-        Path | None, typer.Option("--anchor", metavar="FILE", help="A copy of LEDGER/checkpoint that was kept elsewhere.", show_default=False)
+        Path | None,
+        typer.Option(
+            "--anchor", metavar="FILE", help="A copy of LEDGER/checkpoint that was kept elsewhere.", show_default=False
+        ),
     ] = None,
     trusted_key: TrustedKeyOption = None,
     workers: WorkersOption = None,
@@ -53,7 +62,10 @@ def recover(
     from fsar_ledger.ledger.verify import Asked
     from fsar_ledger.ledger.verify_notes import read_anchor
 
-    asked = Asked(trusted=None if trusted_key is None else read_verifier(trusted_key), anchor=None if anchor is None else read_anchor(anchor))
+    asked = Asked(
+        trusted=None if trusted_key is None else read_verifier(trusted_key),
+        anchor=None if anchor is None else read_anchor(anchor),
+    )
     with Progress("examined", "segments") as progress:
         found = mend(ledger, readers_of(workers, ledger), progress, asked, into)
     show(recovery_json(ledger, found, into) if as_json else recovery_text(ledger, found, asked, into))
@@ -68,13 +80,19 @@ def recovery_json(ledger: Path, found: "Recovery", into: Path | None) -> Shown:
     from .output import json_text
 
     answer = to_builtins(found)
-    return json_text(found.head, {**answer, "ledger": str(ledger), "into": None if into is None else str(into), "head": answer["head"]})
+    return json_text(
+        found.head,
+        {**answer, "ledger": str(ledger), "into": None if into is None else str(into), "head": answer["head"]},
+    )
 
 
 def recovery_text(ledger: Path, found: "Recovery", asked: "Asked", into: Path | None) -> Shown:
     """What was found and done, for people."""
     if found.report is not None and not found.problems:
-        lines = [f"{ledger}: {'mended; nothing was deleted' if found.steps else 'whole, there is nothing to mend'}", *_done(found.steps)]
+        lines = [
+            f"{ledger}: {'mended; nothing was deleted' if found.steps else 'whole, there is nothing to mend'}",
+            *_done(found.steps),
+        ]
         lines += ["trusted", *_trusted(found, asked)]
         lines += ["next"] if found.steps or into is not None else []
         lines += ["  the command that was interrupted continues when it is called again"] if found.steps else []
@@ -82,7 +100,9 @@ def recovery_text(ledger: Path, found: "Recovery", asked: "Asked", into: Path | 
     else:
         where = found.problems[0].commit
         place = f"commit {where:,}" if where is not None else found.problems[0].where
-        lines = [f"{ledger}: damaged at {place}; {'nothing of it was changed' if not found.steps else 'it was mended as far as possible'}"]
+        lines = [
+            f"{ledger}: damaged at {place}; {'nothing of it was changed' if not found.steps else 'it was mended as far as possible'}"
+        ]
         lines += ["found", *_some([f"  {problem}" for problem in found.problems]), *_done(found.steps)]
         lines += ["trusted", *_trusted(found, asked)]
         lines += ["after that, on its own", *_some(list(_later(found.later)))] if found.later else []
@@ -100,7 +120,9 @@ def _done(steps: "Sequence[Step]") -> Iterator[str]:
 
 def _some(lines: list[str]) -> list[str]:
     """The first lines, and how many more there are."""
-    return lines if len(lines) <= SHOWN else [*lines[:SHOWN], f"  ... and {len(lines) - SHOWN:,} more; --json names all"]
+    return (
+        lines if len(lines) <= SHOWN else [*lines[:SHOWN], f"  ... and {len(lines) - SHOWN:,} more; --json names all"]
+    )
 
 
 def _trusted(found: "Recovery", asked: "Asked") -> Iterator[str]:
@@ -146,7 +168,9 @@ def _next(ledger: Path, found: "Recovery", into: Path | None) -> Iterator[str]:
         yield f"  fsar-ledger simulate {printable.word(into)} with the options of {ledger} continues there"
         return
     yield f"  keep {ledger} as it is: it is the evidence"
-    lost = [(segment_path(ledger, commit.number), commit.restore) for commit in found.later if commit.restore is not None]
+    lost = [
+        (segment_path(ledger, commit.number), commit.restore) for commit in found.later if commit.restore is not None
+    ]
     yield from _some([f"  {file} can be restored from a copy with SHA-256 {sha256}" for file, sha256 in lost])
     if found.head.commits:
         yield f"  fsar-ledger recover {printable.word(ledger)} --into NEW copies what can be trusted to a new ledger; simulate NEW continues there"

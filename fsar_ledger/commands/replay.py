@@ -39,12 +39,21 @@ def verdict_lines(ledger: Path, report: "VerifyReport", again: "ReplayReport | N
     if again.ok and not report.runs:
         return [*lines, "replayed: nothing; the ledger holds no run", *again.remarks]
     if again.ok:
-        return [*lines, f"replayed: all {again.events:,} events of {runs(again.runs)} are as the world and the handlers make them", *again.remarks]
+        return [
+            *lines,
+            f"replayed: all {again.events:,} events of {runs(again.runs)} are as the world and the handlers make them",
+            *again.remarks,
+        ]
     count = f"{report.runs - again.runs:,} of {report.runs:,} runs" if report.runs > again.runs else "what was planned"
-    return [*map(str, again.differences), f"{ledger}: consistent, but replay doubts {count}; do not rely on what they say happened and was decided"]
+    return [
+        *map(str, again.differences),
+        f"{ledger}: consistent, but replay doubts {count}; do not rely on what they say happened and was decided",
+    ]
 
 
-def verdict_json(report: "VerifyReport", again: "ReplayReport | None", witnessed: Mapping[str, object] | None = None) -> Shown:
+def verdict_json(
+    report: "VerifyReport", again: "ReplayReport | None", witnessed: Mapping[str, object] | None = None
+) -> Shown:
     """What was found, for programs: `ok` is true when nobody found anything, `replay` holds the differences and `witnessed` what witnesses saw, where asked."""
     more: dict[str, object] = {} if again is None else {"replay": again}
     if witnessed is not None:

@@ -31,7 +31,9 @@ REPORT = examples(
 
 def report(
     ledger: LedgerArgument,
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The PDF; replaced if it exists.", show_default=False)],
+    out: Annotated[
+        Path, typer.Option("--out", metavar="FILE", help="The PDF; replaced if it exists.", show_default=False)
+    ],
     beside: BesideOption = None,
     workflows: WorkflowLedgerOption = None,
     sensitivity: SensitivityOption = None,

@@ -24,7 +24,13 @@ SHOWN = ("architecture", "metric", "mean", "sd", "n", "ci_low", "ci_high")
 
 
 def reproduce(
-    out: Path, workers: int, signer: Signer | None = None, *, adopts: bool = False, only: Sequence[str] | None = None, runs: int | None = None
+    out: Path,
+    workers: int,
+    signer: Signer | None = None,
+    *,
+    adopts: bool = False,
+    only: Sequence[str] | None = None,
+    runs: int | None = None,
 ) -> tuple[Shown, Head]:
     """The folder holds a ledger of each experiment, the tables and the report; returns the table of metrics as text and the head of the results.
 
@@ -39,7 +45,9 @@ def reproduce(
     require_outside(out, f"--out {out}")
     chosen = [name for name in NAMES if name == "results" or not only or name in known("experiment", only, NAMES)]
     experiments = [named(name, SEED, runs) for name in chosen]
-    made = {one.name: _carried_out(out / one.name, one, workers, one.signer(signer), adopts=adopts) for one in experiments}
+    made = {
+        one.name: _carried_out(out / one.name, one, workers, one.signer(signer), adopts=adopts) for one in experiments
+    }
     ledger = out / "results"
     demanded = looked_head(ledger, workers)
     with connect(ledger, demanded=demanded) as database:
@@ -47,7 +55,14 @@ def reproduce(
     write_text(out / "metrics.csv", csv_text(metrics, list(metrics[0])))
     write_text(out / "statistics.csv", csv_text(statistics, list(statistics[0])))
     beside = [out / one.name for one in experiments if one.name != "results"]
-    write_report(ledger, out / "report.pdf", workers=workers, demanded=demanded, beside=beside, numbers_out=out / "reproduction.json")
+    write_report(
+        ledger,
+        out / "report.pdf",
+        workers=workers,
+        demanded=demanded,
+        beside=beside,
+        numbers_out=out / "reproduction.json",
+    )
     return joined(table_text(metrics, SHOWN), lines(*beyond(made["results"]))), made["results"].head
 
 

@@ -22,11 +22,23 @@ AFTER_INTERRUPTION = {"sensitivity": "what is finished is kept beside --out, and
 
 
 def sensitivity(
-    out: Annotated[Path, typer.Option("--out", metavar="FILE", help="The effects, as Parquet; replaced if it exists.", show_default=False)],
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", metavar="FILE", help="The effects, as Parquet; replaced if it exists.", show_default=False
+        ),
+    ],
     trajectories: Annotated[int, typer.Option(metavar="N", help="Times that each factor is moved.")] = 20,
     runs: Annotated[int, typer.Option(metavar="N", help="Runs per scenario and architecture of each evaluation.")] = 10,
-    points: Annotated[int, typer.Option(metavar="N", help="Evaluations for the Sobol indices; 0: none, only the screening.")] = 512,
-    svg: Annotated[Path | None, typer.Option("--svg", metavar="FILE", help="Draw them, too, as SVG; replaced if it exists.", show_default=False)] = None,
+    points: Annotated[
+        int, typer.Option(metavar="N", help="Evaluations for the Sobol indices; 0: none, only the screening.")
+    ] = 512,
+    svg: Annotated[
+        Path | None,
+        typer.Option(
+            "--svg", metavar="FILE", help="Draw them, too, as SVG; replaced if it exists.", show_default=False
+        ),
+    ] = None,
     workers: WorkersOption = None,
 ) -> None:
     """Tell how much of each number hangs on each constant; takes most of an hour on two cores.
@@ -60,4 +72,8 @@ def _tell(found: "Sensitivity") -> None:
     rows = dozen(found)
     still = sum(furthest == 0 for furthest in reach(found).values())
     head = f"{len(found.about.factors)} factors, {found.about.evaluations:,} evaluations; {still} factors move nothing; in margins of the cell moved furthest:"
-    show(printable.joined(printable.line(head), table_text(rows, list(rows[0])) if rows else printable.line("none moves anything")))
+    show(
+        printable.joined(
+            printable.line(head), table_text(rows, list(rows[0])) if rows else printable.line("none moves anything")
+        )
+    )

@@ -30,16 +30,27 @@ LEFT_OUT = {
 FAULTS = ("facts", "repeated")
 """What no experiment does, as in `statistics`."""
 SIDE_HELP = "ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]: `fsar`, `fsar:without-layered-recovery`, `cfc@B`, `dhma/8`; constants by the letters of `info`."
-FirstOption = Annotated[str | None, typer.Option("--first", metavar="NAME", help=SIDE_HELP, show_default="the first of two")]
-SecondOption = Annotated[str | None, typer.Option("--second", metavar="NAME", help="The same; of OTHER, if it is given.", show_default="the other of two")]
+FirstOption = Annotated[
+    str | None, typer.Option("--first", metavar="NAME", help=SIDE_HELP, show_default="the first of two")
+]
+SecondOption = Annotated[
+    str | None,
+    typer.Option(
+        "--second", metavar="NAME", help="The same; of OTHER, if it is given.", show_default="the other of two"
+    ),
+]
 
 
 def compare(
     ledger: LedgerArgument,
-    other: Annotated[Path | None, typer.Argument(metavar="OTHER", help="The ledger of the second side.", show_default="the same")] = None,
+    other: Annotated[
+        Path | None, typer.Argument(metavar="OTHER", help="The ledger of the second side.", show_default="the same")
+    ] = None,
     first: FirstOption = None,
     second: SecondOption = None,
-    by: Annotated[str | None, typer.Option(metavar="scenario", help="One row for each scenario.", show_default=False)] = None,
+    by: Annotated[
+        str | None, typer.Option(metavar="scenario", help="One row for each scenario.", show_default=False)
+    ] = None,
     pool: PoolOption = None,
     verified: VerifiedOption = False,
     as_json: JsonOption = False,
@@ -66,7 +77,9 @@ def compare(
         held = [stack.enter_context(answering(place, verified=verified)) for place in places]
         both = chosen([sides(database) for database in held], (first, second), list(map(str, places)))
         if other is not None and both[0].side == both[1].side and held[0].head == held[1].head:
-            raise UsageError(f"{ledger} and {other}: found the same events in both, and {both[0]} as both sides, expected two that differ")
+            raise UsageError(
+                f"{ledger} and {other}: found the same events in both, and {both[0]} as both sides, expected two that differ"
+            )
         found = paired(held, both, pools_seeds=pooled, by_scenario=by is not None)
         if as_json:
             _show_json(held, both, found, [of_plans(database) for database in held])
@@ -78,14 +91,20 @@ def compare(
         raise typer.Exit(1)
 
 
-def _show_json(held: "list[Database]", both: "tuple[Side, Side]", found: "Paired", plans: list[dict[str, object]]) -> None:
+def _show_json(
+    held: "list[Database]", both: "tuple[Side, Side]", found: "Paired", plans: list[dict[str, object]]
+) -> None:
     from msgspec import structs
 
     from .output import json_text
 
     described = [{"name": side.name, **structs.asdict(side)} for side in both]
     further = [
-        {"head": one.head and {"size": one.head.size, "root": one.head.root}, "rows_verified": one.rows_verified, **of_plan}
+        {
+            "head": one.head and {"size": one.head.size, "root": one.head.root},
+            "rows_verified": one.rows_verified,
+            **of_plan,
+        }
         for one, of_plan in zip(held[1:], plans[1:], strict=True)
     ]
     document = {
@@ -124,7 +143,9 @@ def _pairing(both: "tuple[Side, Side]", found: "Paired") -> list[str]:
     lines = [f"first: {_described(first)}", f"second: {_described(second)}"]
     if not found.pairs:
         left = " that is not left out" if found.left_out else ""
-        lines.append(f"nothing to compare: no run of both has the same seed, scenario and number{left}; simulate one as the other")
+        lines.append(
+            f"nothing to compare: no run of both has the same seed, scenario and number{left}; simulate one as the other"
+        )
         lines += [f"found {side.held()}" for side in both]
     else:
         lines.append(f"{counted(found.pairs, 'pair')} by seed, scenario and number: {_shared(found)}")
@@ -135,7 +156,11 @@ def _pairing(both: "tuple[Side, Side]", found: "Paired") -> list[str]:
     lines += [f"left out: {_left_out(one)}" for one in found.left_out]
     differing = [f"{one.name}={one.first_value} and {one.second_value}" for one in found.constants]
     unread = " as far as they are on record" if first.parameter_set is None or second.parameter_set is None else ""
-    said = f"the constants are the same{unread}" if not differing else f"constants that differ, first and second: {printable.some(differing)}"
+    said = (
+        f"the constants are the same{unread}"
+        if not differing
+        else f"constants that differ, first and second: {printable.some(differing)}"
+    )
     return [*lines, said]
 
 
@@ -169,9 +194,13 @@ def _missing(both: "tuple[Side, Side]", found: "Paired") -> list[str]:
         if found.pairs and alone:
             lines.append(f"{counted(alone, 'run')} of the {which} side {'has' if alone == 1 else 'have'} no partner")
         if found.pairs and nameless:
-            lines.append(f"{counted(nameless, 'run')} of the {which} side without seed, scenario, number or size {'is' if nameless == 1 else 'are'} in no pair")
+            lines.append(
+                f"{counted(nameless, 'run')} of the {which} side without seed, scenario, number or size {'is' if nameless == 1 else 'are'} in no pair"
+            )
     if found.pairs and found.absent:
-        lines.append(f"no pair of runs in which both have a value of {', '.join(found.absent)}: undefined, or not observed")
+        lines.append(
+            f"no pair of runs in which both have a value of {', '.join(found.absent)}: undefined, or not observed"
+        )
     return lines
 
 
@@ -181,7 +210,9 @@ def _how_to_read(found: "Paired") -> list[str]:
         return []
     alike = [row for row in found.rows if row.n and not row.differing_pairs]
     few = [row for row in found.rows if row.test == "sign" and row.metric != "human_intervention"]
-    lines = [f"differences are first minus second; containment and latency are ratios over all pairs; Holm adjusts {found.rows[0].family_tests} tests together"]
+    lines = [
+        f"differences are first minus second; containment and latency are ratios over all pairs; Holm adjusts {found.rows[0].family_tests} tests together"
+    ]
     if alike:
         lines.append(f"no pair differs, so there is no test: {_cells(alike)}")
     if few:
@@ -190,4 +221,6 @@ def _how_to_read(found: "Paired") -> list[str]:
 
 
 def _cells(rows: "list[SideRow]") -> str:
-    return printable.some([row.metric if row.scenario is None else f"{row.metric} ({printable.value(row.scenario)})" for row in rows])
+    return printable.some(
+        [row.metric if row.scenario is None else f"{row.metric} ({printable.value(row.scenario)})" for row in rows]
+    )

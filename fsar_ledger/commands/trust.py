@@ -52,10 +52,20 @@ def _keys() -> None:
     """Make keys that sign ledgers."""
 
 
-@keys.command("new", epilog=examples("fsar-ledger key new fleet.key", "fsar-ledger key new arm.key --name example.org/arm"))
+@keys.command(
+    "new", epilog=examples("fsar-ledger key new fleet.key", "fsar-ledger key new arm.key --name example.org/arm")
+)
 def key_new(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Where the secret key goes; the public one goes to FILE.pub.", show_default=False)],
-    name: Annotated[str | None, typer.Option(metavar="NAME", help="The origin of the ledgers it signs.", show_default="fsar-ledger/simulated")] = None,
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="FILE", help="Where the secret key goes; the public one goes to FILE.pub.", show_default=False
+        ),
+    ],
+    name: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="The origin of the ledgers it signs.", show_default="fsar-ledger/simulated"),
+    ] = None,
 ) -> None:
     """Make a key that signs ledgers; prints the public half.
 
@@ -71,8 +81,12 @@ def key_new(
 
 @keys.command("public", epilog=examples('fsar-ledger key public out/fleet.key.pub --name "example.org/fleet/ablation"'))
 def key_public(
-    file: Annotated[str, typer.Argument(metavar="KEY", help="A public key: a .pub file, or the key itself.", show_default=False)],
-    name: Annotated[str, typer.Option(metavar="NAME", help="The origin of the ledger that it shall verify.", show_default=False)],
+    file: Annotated[
+        str, typer.Argument(metavar="KEY", help="A public key: a .pub file, or the key itself.", show_default=False)
+    ],
+    name: Annotated[
+        str, typer.Option(metavar="NAME", help="The origin of the ledger that it shall verify.", show_default=False)
+    ],
 ) -> None:
     """Print a public key under another name, for `verify --trusted-key`: `reproduce` signs each ledger with one secret under a name of its own."""
     from fsar_ledger.ledger.note import VerifierKey, read_verifier
@@ -105,7 +119,9 @@ def origin_of(name: str | None, option: str = "--origin") -> str | None:
 def short(option: str, name: str) -> str:
     """The name, which people are shown whole. Raises: UsageError if it is too long for that."""
     if len(name) > printable.MAX_VALUE:
-        raise UsageError(f"{option} {name:.40}...: found {len(name):,} characters, expected at most {printable.MAX_VALUE}")
+        raise UsageError(
+            f"{option} {name:.40}...: found {len(name):,} characters, expected at most {printable.MAX_VALUE}"
+        )
     return name
 
 
@@ -120,16 +136,25 @@ def signed_lines(ledger: Path, signer: "Signer | None") -> list[str]:
     signers = signers_of(records[-1].signed_note()) if records else None
     if signers == signer.verifier.key:
         return [f"signed by {printable.value(signers)}"]
-    return [f"nothing was appended, so nothing was signed; the newest commit is {f'signed by {printable.value(signers)}' if signers else 'unsigned'}"]
+    return [
+        f"nothing was appended, so nothing was signed; the newest commit is {f'signed by {printable.value(signers)}' if signers else 'unsigned'}"
+    ]
 
 
 def verify(
     context: typer.Context,
     ledger: LedgerArgument,
-    quick: Annotated[bool, typer.Option("--quick", help="Read no rows: only the chain of records, the files' hashes and the notes.")] = False,
+    quick: Annotated[
+        bool, typer.Option("--quick", help="Read no rows: only the chain of records, the files' hashes and the notes.")
+    ] = False,
     anchor: Annotated[
         Path | None,
-        typer.Option("--anchor", metavar="FILE", help="Prove that the ledger only grew since this copy of LEDGER/checkpoint.", show_default=False),
+        typer.Option(
+            "--anchor",
+            metavar="FILE",
+            help="Prove that the ledger only grew since this copy of LEDGER/checkpoint.",
+            show_default=False,
+        ),
     ] = None,
     trusted_key: TrustedKeyOption = None,
     witness_policy: WitnessPolicyOption = None,
@@ -173,7 +198,11 @@ def verify(
     if seen is not None and not seen.is_enough:
         raise LedgerCorrupted(seen.doubt(ledger))
     if not as_json:
-        show(printable.lines(*verdict_lines(ledger, report, again), *(seen.lines(report.events) if seen is not None else ())))
+        show(
+            printable.lines(
+                *verdict_lines(ledger, report, again), *(seen.lines(report.events) if seen is not None else ())
+            )
+        )
 
 
 def prove(
@@ -187,7 +216,10 @@ def prove(
         ),
     ],
     out: Annotated[
-        Path | None, typer.Option("--out", metavar="FILE", help="A new file, by custom .tlog-proof; never replaced.", show_default="print it")
+        Path | None,
+        typer.Option(
+            "--out", metavar="FILE", help="A new file, by custom .tlog-proof; never replaced.", show_default="print it"
+        ),
     ] = None,
     verified: VerifiedOption = False,
 ) -> None:
@@ -207,7 +239,9 @@ def prove(
 def verify_proof(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="What `fsar-ledger prove` wrote.", show_default=False)],
     trusted_key: TrustedKeyOption = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Answer as JSON, with the head (size, root) of the proof's checkpoint.")] = False,
+    as_json: Annotated[
+        bool, typer.Option("--json", help="Answer as JSON, with the head (size, root) of the proof's checkpoint.")
+    ] = False,
 ) -> None:
     """Check a proof, without the ledger; shows the event.
 

@@ -35,8 +35,12 @@ def _witnesses() -> None:
 
 @witnesses.command("new", epilog=examples("fsar-ledger witness new out/witness --name example.org/w1"))
 def witness_new(
-    state: Annotated[Path, typer.Argument(metavar="STATE", help="The folder of the witness: a new one.", show_default=False)],
-    name: Annotated[str, typer.Option("--name", metavar="NAME", help="Its name, by custom host/path.", show_default=False)],
+    state: Annotated[
+        Path, typer.Argument(metavar="STATE", help="The folder of the witness: a new one.", show_default=False)
+    ],
+    name: Annotated[
+        str, typer.Option("--name", metavar="NAME", help="Its name, by custom host/path.", show_default=False)
+    ],
 ) -> None:
     """Make a witness; prints its public key.
 
@@ -61,10 +65,22 @@ def witness_new(
 )
 def witness_serve(
     context: typer.Context,
-    state: Annotated[Path, typer.Argument(metavar="STATE", help="What `fsar-ledger witness new` made.", show_default=False)],
-    log: Annotated[list[str], typer.Option("--log", metavar="KEY", help="Watch this log: its .pub file or public key; may be repeated.", show_default=False)],
+    state: Annotated[
+        Path, typer.Argument(metavar="STATE", help="What `fsar-ledger witness new` made.", show_default=False)
+    ],
+    log: Annotated[
+        list[str],
+        typer.Option(
+            "--log",
+            metavar="KEY",
+            help="Watch this log: its .pub file or public key; may be repeated.",
+            show_default=False,
+        ),
+    ],
     host: Annotated[str, typer.Option("--host", metavar="ADDRESS", help="The address to listen at.")] = "127.0.0.1",
-    port: Annotated[int, typer.Option("--port", metavar="N", help="The port to listen at; 0 takes a free one.", min=0, max=65535)] = 0,
+    port: Annotated[
+        int, typer.Option("--port", metavar="N", help="The port to listen at; 0 takes a free one.", min=0, max=65535)
+    ] = 0,
 ) -> None:
     """Cosign checkpoints, over HTTP, until interrupted.
 
@@ -77,7 +93,10 @@ def witness_serve(
     from fsar_ledger.witness.state import opened
 
     logs = [read_log_key(key) for key in log]
-    with opened(state) as found, WitnessServer(host, port, Service(found, logs, _clock(context), _tell), time.monotonic) as server:
+    with (
+        opened(state) as found,
+        WitnessServer(host, port, Service(found, logs, _clock(context), _tell), time.monotonic) as server,
+    ):
         _serve(server, printable.lines(str(found.cosigner.key), server.url))
 
 
@@ -112,8 +131,18 @@ def _tell(line: str) -> None:
 )
 def witness_ask(
     ledger: LedgerArgument,
-    policy: Annotated[Path, typer.Option("--policy", metavar="FILE", help="A C2SP tlog-policy that names the witnesses.", show_default=False)],
-    out: Annotated[Path | None, typer.Option("--out", metavar="FILE", help="Where the cosigned checkpoint goes; replaced.", show_default="print it")] = None,
+    policy: Annotated[
+        Path,
+        typer.Option(
+            "--policy", metavar="FILE", help="A C2SP tlog-policy that names the witnesses.", show_default=False
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out", metavar="FILE", help="Where the cosigned checkpoint goes; replaced.", show_default="print it"
+        ),
+    ] = None,
 ) -> None:
     """Have the newest checkpoint of a ledger cosigned.
 
@@ -133,7 +162,9 @@ def witness_ask(
     refusals = [f"{name}: {reason}" for name, reason in found.silent.items()]
     if not read.is_met(set(found.times)):
         cosigned = _listed(found.times) or "no cosignature"
-        raise NotCosigned(f"{policy}: found {cosigned} ({'; '.join(refusals)}), expected {read.rule()}; nothing was written, try again or look into it")
+        raise NotCosigned(
+            f"{policy}: found {cosigned} ({'; '.join(refusals)}), expected {read.rule()}; nothing was written, try again or look into it"
+        )
     say(*refusals)
     if out is None:
         show(Shown(str(found.note)), raw=True)
@@ -166,7 +197,11 @@ class Seen(NamedTuple):
         rest = "" if size >= events else f"; fewer saw the newest {events - size:,}"
         return [
             f"witnessed: {min(size, events):,} of {events:,} events, by {self._heard()} (enough: {self.policy.rule()}){rest}",
-            *(f"witness {word.witness}: its word does not count: {word.reason}" for word in words if word.reason is not None),
+            *(
+                f"witness {word.witness}: its word does not count: {word.reason}"
+                for word in words
+                if word.reason is not None
+            ),
         ]
 
     def doubt(self, ledger: Path) -> str:
@@ -182,10 +217,21 @@ class Seen(NamedTuple):
 
     def json(self) -> dict[str, object]:
         """What they saw, for programs."""
-        return {"policy": self.policy.file, "ok": self.is_enough, "size": self.evidence.size, "witnesses": self.evidence.words}
+        return {
+            "policy": self.policy.file,
+            "ok": self.is_enough,
+            "size": self.evidence.size,
+            "witnesses": self.evidence.words,
+        }
 
 
-def seen_of(context: typer.Context, ledger: Path, policy: Path | None, cosigned: Sequence[Path] | None, trusted: "VerifierKey | None") -> Seen | None:
+def seen_of(
+    context: typer.Context,
+    ledger: Path,
+    policy: Path | None,
+    cosigned: Sequence[Path] | None,
+    trusted: "VerifierKey | None",
+) -> Seen | None:
     """What the witnesses of the policy say of the ledger, asked now or as these files show; None where nobody wants to know.
 
     Raises:
@@ -210,7 +256,9 @@ def seen_of(context: typer.Context, ledger: Path, policy: Path | None, cosigned:
         return None  # verify says so, and all else that is wrong
     logs = tuple(key for key in logs if key.name == origin)
     if not logs:
-        raise LedgerCorrupted(f"{ledger}: found a ledger of {origin}, expected one of a log that {policy} or --trusted-key names")
+        raise LedgerCorrupted(
+            f"{ledger}: found a ledger of {origin}, expected one of a log that {policy} or --trusted-key names"
+        )
     now_s = _clock(context)()
     if cosigned:
         return Seen(read, logs, read_cosigned(read, logs, origin, now_s, cosigned))
@@ -220,7 +268,9 @@ def seen_of(context: typer.Context, ledger: Path, policy: Path | None, cosigned:
 def _logs_of(policy: "Policy", trusted: "VerifierKey | None") -> tuple["VerifierKey", ...]:
     """The keys of which one must have signed what the witnesses cosigned."""
     if policy.quorum is None:
-        raise UsageError(f"{policy.file}: found `quorum none`, expected a witness or a group; without one nothing is shown")
+        raise UsageError(
+            f"{policy.file}: found `quorum none`, expected a witness or a group; without one nothing is shown"
+        )
     if trusted is None and not policy.logs:
         raise UsageError(f"{policy.file}: found no log, expected a line `log KEY`, or --trusted-key KEY")
     if trusted is not None and policy.logs and trusted not in policy.logs:
@@ -239,4 +289,8 @@ def _listed(times: "dict[str, int]") -> str:
 
 
 def _time(time_s: int) -> str:
-    return datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%d %H:%M:%S UTC") if time_s <= _LAST_SECOND else f"second {time_s:,}"
+    return (
+        datetime.fromtimestamp(time_s, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")
+        if time_s <= _LAST_SECOND
+        else f"second {time_s:,}"
+    )

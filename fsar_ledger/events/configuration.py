@@ -43,7 +43,9 @@ MECHANISMS_OF: dict[Architecture, dict[str, str]] = {
 """All that can be taken out of each architecture: what it is, and what stands in its place. No name is that of two. The handlers know the paper's four;
 what is done instead of each other one says `runtime.switches`."""
 
-ON_RECORD_ALONE = frozenset({"engine-closing", "unnamed-requests", "central-decisions", "handoff-records", "agent-decisions"})
+ON_RECORD_ALONE = frozenset(
+    {"engine-closing", "unnamed-requests", "central-decisions", "handoff-records", "agent-decisions"}
+)
 """Without these the same is done at the same times, and the record names others for it, or has less: what they carry is how a metric counts."""
 
 EVERY_MECHANISM: tuple[str, ...] = tuple(name for names in MECHANISMS_OF.values() for name in names)
@@ -63,12 +65,19 @@ def without(mechanisms: Iterable[str]) -> Configuration:
 
 def lacks(configuration: str) -> frozenset[str]:
     """Return the mechanisms that a configuration of this name lacks: none if it is another text."""
-    return frozenset(configuration.removeprefix(_WITHOUT).split("+")) if configuration.startswith(_WITHOUT) else frozenset()
+    return (
+        frozenset(configuration.removeprefix(_WITHOUT).split("+"))
+        if configuration.startswith(_WITHOUT)
+        else frozenset()
+    )
 
 
 def is_known(configuration: str) -> bool:
     """Tell whether this is the name of a configuration that can be simulated, of some architecture."""
-    return any(map(lacks(configuration).issubset, MECHANISMS_OF.values())) and without(lacks(configuration)) == configuration
+    return (
+        any(map(lacks(configuration).issubset, MECHANISMS_OF.values()))
+        and without(lacks(configuration)) == configuration
+    )
 
 
 def rank(configuration: Configuration) -> tuple[int, tuple[int, ...]]:

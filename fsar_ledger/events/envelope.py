@@ -21,7 +21,9 @@ def tag(name: str) -> str:
     return f"{name}.v1"
 
 
-class Event(msgspec.Struct, frozen=True, gc=False, tag_field="type", tag=tag, omit_defaults=True, forbid_unknown_fields=True):
+class Event(
+    msgspec.Struct, frozen=True, gc=False, tag_field="type", tag=tag, omit_defaults=True, forbid_unknown_fields=True
+):
     """A fact, immutable to the leaves: fields hold strings, integers, booleans, None, or tuples of strings."""
 
 
@@ -46,7 +48,9 @@ def agent(robot: str, kind: Literal["planning", "execution", "communication", "r
 
 # What can be simulated; an event holds any text there (`RunStarted`), and the experiment checks it.
 Architecture = Literal["fsar", "cfc", "dhma"]
-Scenario = Literal["door-relay", "collaborative-delivery", "failure-recovery-chain", "mixed-trust-inspection", "fleet-contention"]
+Scenario = Literal[
+    "door-relay", "collaborative-delivery", "failure-recovery-chain", "mixed-trust-inspection", "fleet-contention"
+]
 Workflow = Literal["workflow-door-relay", "workflow-layered-recovery", "workflow-human-supervision"]
 
 PolicyOutcome = Literal["allow", "deny", "review"]

@@ -65,4 +65,6 @@ class WorkQueued(Event, frozen=True):
     ready_us: int
 
 
-KnowledgeEvent = FleetRuleLearned | PeerRemembered | CopySynced | SnapshotTaken | BidReceived | PlannerEngaged | WorkQueued
+KnowledgeEvent = (
+    FleetRuleLearned | PeerRemembered | CopySynced | SnapshotTaken | BidReceived | PlannerEngaged | WorkQueued
+)

@@ -19,7 +19,13 @@ class RunStartedV1(Event, frozen=True, tag="RunStarted.v1"):
     kind: Literal["simulated", "live"]
     seed: int
     architecture: Literal["fsar", "cfc", "dhma"]
-    configuration: Literal["full", "without-trust-evaluation", "without-policy-composition", "without-layered-recovery", "without-shared-registry"]
+    configuration: Literal[
+        "full",
+        "without-trust-evaluation",
+        "without-policy-composition",
+        "without-layered-recovery",
+        "without-shared-registry",
+    ]
     scenario: Literal[
         "door-relay",
         "collaborative-delivery",

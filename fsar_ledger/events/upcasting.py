@@ -50,12 +50,18 @@ def adding(before: type[_Before], after: type[_After], **added: Value) -> Upcast
     lacking = sorted({name for name, field in fields.items() if field.required} - given)
     if lacking or not given <= fields.keys() or not added.keys().isdisjoint(before.__struct_fields__):
         own = sorted(fields.keys() - set(before.__struct_fields__))
-        raise TypeError(f"upcaster of {_tag(before)}: found that it adds {sorted(added)} and lacks {lacking}, expected of {own}; write a change instead")
-    added = {name: field.default for name, field in fields.items() if name not in given and field.default is not None} | added
+        raise TypeError(
+            f"upcaster of {_tag(before)}: found that it adds {sorted(added)} and lacks {lacking}, expected of {own}; write a change instead"
+        )
+    added = {
+        name: field.default for name, field in fields.items() if name not in given and field.default is not None
+    } | added
     for field in msgspec.structs.fields(before):
         if not _takes(fields[field.name].type, field.type):
             kinds = f"found {field.type} become {fields[field.name].type}"
-            raise TypeError(f"upcaster of {_tag(before)}: field {field.name}: {kinds}, expected a type that takes every value; write a change instead")
+            raise TypeError(
+                f"upcaster of {_tag(before)}: field {field.name}: {kinds}, expected a type that takes every value; write a change instead"
+            )
     for name, value in added.items():
         try:
             msgspec.convert(value, fields[name].type)
@@ -78,11 +84,17 @@ def _takes(kind: Any, before: Any) -> bool:
         return any(_takes(one, before) for one in get_args(kind))
     if get_origin(before) is Literal:
         words = get_args(before)
-        return set(words) <= set(get_args(kind)) if get_origin(kind) is Literal else all(type(word) is kind for word in words)
+        return (
+            set(words) <= set(get_args(kind))
+            if get_origin(kind) is Literal
+            else all(type(word) is kind for word in words)
+        )
     return False
 
 
-def additions(retired: Iterable[type[Event]], upcasters: Iterable[Upcaster[Any, Any]]) -> Mapping[type[Event], Addition]:
+def additions(
+    retired: Iterable[type[Event]], upcasters: Iterable[Upcaster[Any, Any]]
+) -> Mapping[type[Event], Addition]:
     """For each retired type whose whole way to a current one only adds: that type and what is added on the way. The steps are as `chains` wants them."""
     steps = {step.before: step for step in upcasters}
     found: dict[type[Event], Addition] = {}
@@ -91,11 +103,15 @@ def additions(retired: Iterable[type[Event]], upcasters: Iterable[Upcaster[Any, 
         while step.after in steps:
             way.append(step := steps[step.after])
         if all(step.added is not None for step in way):
-            found[cls] = Addition(way[-1].after, {name: value for step in way for name, value in (step.added or {}).items()})
+            found[cls] = Addition(
+                way[-1].after, {name: value for step in way for name, value in (step.added or {}).items()}
+            )
     return found
 
 
-def chains(current: Iterable[type[Event]], retired: Iterable[type[Event]], upcasters: Iterable[Upcaster[Any, Any]]) -> Chains:
+def chains(
+    current: Iterable[type[Event]], retired: Iterable[type[Event]], upcasters: Iterable[Upcaster[Any, Any]]
+) -> Chains:
     """The way of each retired type to a current one, every step of which leads to the next version of the same name.
 
     Raises:
@@ -106,14 +122,20 @@ def chains(current: Iterable[type[Event]], retired: Iterable[type[Event]], upcas
     _check_versions(current, retired)
     for step in upcasters:
         if step.before not in retired:
-            raise TypeError(f"upcaster of {_tag(step.before)}: found a type that is not retired; list it in RETIRED_TYPES or take the upcaster away")
+            raise TypeError(
+                f"upcaster of {_tag(step.before)}: found a type that is not retired; list it in RETIRED_TYPES or take the upcaster away"
+            )
         if step.after not in (*current, *retired):
-            raise TypeError(f"upcaster of {_tag(step.before)}: found that it leads to {_tag(step.after)}, expected a type that is listed; list it")
+            raise TypeError(
+                f"upcaster of {_tag(step.before)}: found that it leads to {_tag(step.after)}, expected a type that is listed; list it"
+            )
     steps: dict[type[Event], Upcaster[Any, Any]] = {}
     for cls in retired:
         own = [step for step in upcasters if step.before is cls]
         if len(own) != 1:
-            raise TypeError(f"{_tag(cls)}: found {len(own)} upcasters, expected exactly one for each retired type; see UPCASTERS")
+            raise TypeError(
+                f"{_tag(cls)}: found {len(own)} upcasters, expected exactly one for each retired type; see UPCASTERS"
+            )
         steps[cls] = own[0]
     ways = {cls: _way(cls, steps) for cls in retired}
     for step in upcasters:
@@ -131,7 +153,9 @@ def _way(cls: type[Event], steps: Mapping[type[Event], Upcaster[Any, Any]]) -> t
     while (step := steps.get(passed[-1])) is not None:
         changes.append(step.change)
         if step.after in passed:
-            raise TypeError(f"upcasters: found the cycle {' -> '.join(map(_tag, [*passed, step.after]))}, expected a way to a current type; take one step away")
+            raise TypeError(
+                f"upcasters: found the cycle {' -> '.join(map(_tag, [*passed, step.after]))}, expected a way to a current type; take one step away"
+            )
         passed.append(step.after)
     return tuple(changes)
 
@@ -142,15 +166,21 @@ def _check_versions(current: tuple[type[Event], ...], retired: tuple[type[Event]
     for cls in (*current, *retired):
         name, number = _version(cls)
         if number in found.setdefault(name, {}):
-            raise TypeError(f"{_tag(cls)}: found two event types with this tag, expected one; give one of them the next version")
+            raise TypeError(
+                f"{_tag(cls)}: found two event types with this tag, expected one; give one of them the next version"
+            )
         found[name][number] = cls
     for name, versions in found.items():
         newest = max(versions)
         if missing := sorted(set(range(1, newest)) - versions.keys()):
-            raise TypeError(f"{name}: found version {newest} without version {missing[0]}, expected all from 1; keep the old struct in RETIRED_TYPES")
+            raise TypeError(
+                f"{name}: found version {newest} without version {missing[0]}, expected all from 1; keep the old struct in RETIRED_TYPES"
+            )
         for number, cls in versions.items():
             if (cls in current) != (number == newest):
-                raise TypeError(f"{_tag(cls)}: found it {'current' if cls in current else 'retired'}, expected only version {newest} of {name} to be current")
+                raise TypeError(
+                    f"{_tag(cls)}: found it {'current' if cls in current else 'retired'}, expected only version {newest} of {name} to be current"
+                )
 
 
 def _tag(cls: type[Event]) -> str:
@@ -162,5 +192,7 @@ def _version(cls: type[Event]) -> tuple[str, int]:
     """Name and version number of an event type. Raises: TypeError for a tag that has none."""
     name, _, number = _tag(cls).rpartition(".v")
     if not name or not number.isdecimal() or number != str(int(number)) or number == "0":
-        raise TypeError(f'{_tag(cls)}: found a tag without version, expected NAME.vN with N from 1; write tag="{cls.__name__}.v1"')
+        raise TypeError(
+            f'{_tag(cls)}: found a tag without version, expected NAME.vN with N from 1; write tag="{cls.__name__}.v1"'
+        )
     return name, int(number)

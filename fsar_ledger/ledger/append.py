@@ -99,14 +99,27 @@ def stage_rows(ledger: Path, runs: Sequence[RunRecord], table: pa.Table, leaves:
         (text_bytes(table), MAX_TEXT_BYTES, "bytes of text"),
     ):
         if found > most:
-            raise InvalidRun(f"found {found} {what} in {len(runs)} runs, expected at most {most} in one commit; commit fewer runs at once")
+            raise InvalidRun(
+                f"found {found} {what} in {len(runs)} runs, expected at most {most} in one commit; commit fewer runs at once"
+            )
     for run in runs:
         if len(run.run_id.encode()) > MAX_NAME_BYTES:
-            raise refusal(Flaw(-1, run.run_id, 0, "run_id", f"a name of {len(run.run_id.encode())} bytes", f"at most {MAX_NAME_BYTES}"))
+            raise refusal(
+                Flaw(
+                    -1,
+                    run.run_id,
+                    0,
+                    "run_id",
+                    f"a name of {len(run.run_id.encode())} bytes",
+                    f"at most {MAX_NAME_BYTES}",
+                )
+            )
     try:
         read_layout(data.to_pybytes())
     except ValueError as error:
-        raise InvalidRun(f"found {error} in a segment of {len(runs)} runs, so no reader would take it; commit fewer runs at once") from error
+        raise InvalidRun(
+            f"found {error} in a segment of {len(runs)} runs, so no reader would take it; commit fewer runs at once"
+        ) from error
     staged = Staged(sha256_hex(data), data.size, table.num_rows, runs[0].run_id, runs[-1].run_id, leaves)
     path = staged_path(ledger, staged.segment_sha256)
     with disk.refusals(path, "writing a segment"):
@@ -176,7 +189,9 @@ class Writer:
     def __enter__(self) -> "Writer":
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.close()
 
     def close(self) -> None:
@@ -201,13 +216,17 @@ class Writer:
             WriteFailed: The disk refused. The ledger is as it was, unless the message says otherwise.
         """
         if self._is_broken or self._lock < 0:
-            raise WriteFailed(f"{self._path}: this writer is {'broken' if self._is_broken else 'closed'}; open the ledger again and append what it lacks")
+            raise WriteFailed(
+                f"{self._path}: this writer is {'broken' if self._is_broken else 'closed'}; open the ledger again and append what it lacks"
+            )
         if self._last and self._last.segment_sha256 == staged.segment_sha256:
             disk.remove(staged_path(self._path, staged.segment_sha256))
             return self._head
         number = self._head.commits
         if number >= disk.MAX_NAMES:
-            raise WriteFailed(f"{self._path}: found {number} commits, expected at most {disk.MAX_NAMES}; begin another ledger")
+            raise WriteFailed(
+                f"{self._path}: found {number} commits, expected at most {disk.MAX_NAMES}; begin another ledger"
+            )
         if self._held is None:
             self._held = HeldRuns(self._opened)
         held = self._held
@@ -239,8 +258,14 @@ class Writer:
                 data = read_file(path)
             except FileNotFoundError:
                 return None
-        if sha256_hex(data) != staged.segment_sha256 or len(data) != staged.segment_bytes or staged.rows * HASH_BYTES != len(staged.leaves):
-            raise WriteFailed(f"{path}: found another file than was staged, expected {staged.segment_bytes} bytes of that SHA-256; stage it again")
+        if (
+            sha256_hex(data) != staged.segment_sha256
+            or len(data) != staged.segment_bytes
+            or staged.rows * HASH_BYTES != len(staged.leaves)
+        ):
+            raise WriteFailed(
+                f"{path}: found another file than was staged, expected {staged.segment_bytes} bytes of that SHA-256; stage it again"
+            )
         runs = runs_of(path, staged.rows, data)
         if (again := held.first_of(runs)) is not None:
             disk.remove(path)
@@ -274,7 +299,9 @@ class Writer:
         with disk.refusals(path, "writing a commit record"):
             if not path.exists():
                 if source.stat().st_size != staged.segment_bytes or staged.rows * HASH_BYTES != len(staged.leaves):
-                    raise WriteFailed(f"{source}: found another file than was staged, expected {staged.segment_bytes} bytes; stage it again")
+                    raise WriteFailed(
+                        f"{source}: found another file than was staged, expected {staged.segment_bytes} bytes; stage it again"
+                    )
                 disk.write_temporary(temporary, data)
                 with suppress(FileExistsError):
                     disk.link_new(temporary, path)
@@ -347,7 +374,11 @@ def _clean(view: LedgerView) -> None:
     kept = {path.name for path in places if path.parent.name == STAGING}
     with disk.refusals(view.path / STAGING, "cleaning up"):
         disk.make_folder(view.path / STAGING)
-        leftovers = [entry.path for entry in list(os.scandir(view.path / STAGING)) if entry.name not in kept and entry.is_file(follow_symlinks=False)]
+        leftovers = [
+            entry.path
+            for entry in list(os.scandir(view.path / STAGING))
+            if entry.name not in kept and entry.is_file(follow_symlinks=False)
+        ]
     for leftover in leftovers:
         disk.remove(Path(leftover))
 
@@ -372,7 +403,9 @@ def _create(ledger: Path, origin: str) -> None:
         if os.path.isdir(ledger) and not is_unfinished(ledger):
             if os.path.lexists(ledger / MANIFEST):  # another writer was quicker
                 return
-            raise NotALedger(f"{ledger}: found a folder with other things in it, expected a ledger or a free path; give another path")
+            raise NotALedger(
+                f"{ledger}: found a folder with other things in it, expected a ledger or a free path; give another path"
+            )
         for folder in (ledger, ledger / COMMITS, ledger / SEGMENTS, ledger / STAGING):
             disk.make_folder(folder)
         disk.write_temporary(temporary, canonical.document(manifest))

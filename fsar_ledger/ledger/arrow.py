@@ -23,7 +23,9 @@ def validity(array: pa.Array) -> Mask:
     bits = array.buffers()[0]
     if bits is None or not array.null_count:
         return np.ones(len(array), bool)
-    found: Mask = np.unpackbits(np.frombuffer(bits, np.uint8), count=array.offset + len(array), bitorder="little")[array.offset :].view(bool)
+    found: Mask = np.unpackbits(np.frombuffer(bits, np.uint8), count=array.offset + len(array), bitorder="little")[
+        array.offset :
+    ].view(bool)
     return found
 
 

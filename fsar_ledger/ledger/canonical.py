@@ -19,7 +19,10 @@ from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, SCHEMA, STORED, Layout
 
 _ENCODER = msgspec.json.Encoder()
 _SORTING_ENCODER = msgspec.json.Encoder(order="sorted")
-_MOST_ROWS, _MOST_TEXT = 1 << 16, 1 << 26  # of a segment, at once; a commit of 25 runs has some ten thousand rows and 10 MB of text
+_MOST_ROWS, _MOST_TEXT = (
+    1 << 16,
+    1 << 26,
+)  # of a segment, at once; a commit of 25 runs has some ten thousand rows and 10 MB of text
 _ROWS_AT_ONCE = 256
 _PIVOT = "run_id"  # a column that is never NULL, so the commas can lean on it
 
@@ -35,7 +38,9 @@ def document(value: object) -> bytes:
 def _row_type(layout: Layout) -> tuple[type[msgspec.Struct], tuple[str, ...]]:
     """A struct of all columns of this event type in sorted order, which JSON leaves out where they are None."""
     names = tuple(sorted([field.name for field in (*ENVELOPE, *layout.fields)]))
-    row = msgspec.defstruct(layout.cls.__name__ + "Row", [(name, Any, None) for name in names], omit_defaults=True, gc=False)
+    row = msgspec.defstruct(
+        layout.cls.__name__ + "Row", [(name, Any, None) for name in names], omit_defaults=True, gc=False
+    )
     return row, names
 
 
@@ -102,7 +107,11 @@ class _Members:
                 values = self._column.take(pa.array(rows)).to_pylist()
                 found = [self._before + _ENCODER.encode(value) + self._after for value in values]
         is_valid = self.is_valid[rows]
-        return found if is_valid.all() else [member if valid else b"" for member, valid in zip(found, is_valid.tolist(), strict=True)]
+        return (
+            found
+            if is_valid.all()
+            else [member if valid else b"" for member, valid in zip(found, is_valid.tolist(), strict=True)]
+        )
 
 
 def from_table(table: pa.Table) -> list[bytes]:
@@ -115,11 +124,15 @@ def from_table(table: pa.Table) -> list[bytes]:
     codes = places(coded(columns["type"]))
     order = np.argsort(codes, kind="stable")
     starts = np.flatnonzero(np.diff(codes[order], prepend=-1))
-    is_there = [np.logical_or.reduceat(column.is_valid[order], starts).tolist() for column in members]  # by column, whether rows of each type have it
+    is_there = [
+        np.logical_or.reduceat(column.is_valid[order], starts).tolist() for column in members
+    ]  # by column, whether rows of each type have it
     found = np.empty(len(table), object)
     for type_, rows in enumerate(np.split(order, starts[1:])):
         pieces = [column.of(rows) for column, is_in in zip(members, is_there, strict=True) if is_in[type_]]
-        found[rows] = list(map(b"".join, zip(repeat(b"\x00{", len(rows)), *pieces, repeat(b"}", len(rows)), strict=True)))
+        found[rows] = list(
+            map(b"".join, zip(repeat(b"\x00{", len(rows)), *pieces, repeat(b"}", len(rows)), strict=True))
+        )
     lines: list[bytes] = found.tolist()
     return lines
 
@@ -135,5 +148,9 @@ def leaves(table: pa.Table) -> bytes:
     if len(table) <= _MOST_ROWS and not has_more_text_than(table, _MOST_TEXT):
         return b"".join(hashes(from_table(table)))
     most = max(1, min(_MOST_ROWS, _MOST_TEXT * len(table) // (text_bytes(table) + 1)))
-    plain = pa.schema([SCHEMA.field(name) for name in table.column_names])  # a part of a dictionary would come with all of it
-    return b"".join(b"".join(hashes(from_table(table.slice(at, most).cast(plain)))) for at in range(0, len(table), most))
+    plain = pa.schema(
+        [SCHEMA.field(name) for name in table.column_names]
+    )  # a part of a dictionary would come with all of it
+    return b"".join(
+        b"".join(hashes(from_table(table.slice(at, most).cast(plain)))) for at in range(0, len(table), most)
+    )

@@ -9,7 +9,19 @@ import pyarrow.compute as pc
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger.arrow import Mask, coded, numbers, places, validity, whole
 from fsar_ledger.ledger.runs import Flaw
-from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, CONCERNED, ENVELOPE, MAX_INTEGER, OPENINGS, PAYLOAD, SCHEMA, STANDS_ALONE, STORED, Field
+from fsar_ledger.ledger.schema import (
+    CODED_SCHEMA,
+    COLUMNS,
+    CONCERNED,
+    ENVELOPE,
+    MAX_INTEGER,
+    OPENINGS,
+    PAYLOAD,
+    SCHEMA,
+    STANDS_ALONE,
+    STORED,
+    Field,
+)
 
 Integers: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
 
@@ -27,14 +39,22 @@ def _holders(name: str, *, required: bool) -> Mask:
 _ALLOWED = {name: _holders(name, required=False) for name in PAYLOAD}
 _REQUIRED = {name: _holders(name, required=True) for name in PAYLOAD}
 _LITERALS: dict[str, list[tuple[int, Field]]] = {
-    name: [(code, own[name]) for code, own in enumerate(_FIELDS) if name in own and own[name].values is not None] for name in PAYLOAD
+    name: [(code, own[name]) for code, own in enumerate(_FIELDS) if name in own and own[name].values is not None]
+    for name in PAYLOAD
 }
 
 
 def first_flaw(table: pa.Table) -> Flaw | None:
     """The flaw in the earliest row, or None if every row is as an event of its type, retired or not, is stored. Columns of strings may be dictionaries."""
     if not table.schema.equals(SCHEMA) and not table.schema.equals(CODED_SCHEMA):
-        return Flaw(-1, None, None, None, f"columns {table.schema.names!r:.300}", "the columns of the ledger; the rows come from another version")
+        return Flaw(
+            -1,
+            None,
+            None,
+            None,
+            f"columns {table.schema.names!r:.300}",
+            "the columns of the ledger; the rows come from another version",
+        )
     try:
         table.validate(full=True)
     except pa.ArrowInvalid as error:
@@ -49,7 +69,14 @@ def first_flaw(table: pa.Table) -> Flaw | None:
         return None
     row, field, expected = first
     found = columns[field][row].as_py()
-    return Flaw(row, columns["run_id"][row].as_py(), columns["seq"][row].as_py(), field, "NULL" if found is None else f"{found!r:.80}", expected)
+    return Flaw(
+        row,
+        columns["run_id"][row].as_py(),
+        columns["seq"][row].as_py(),
+        field,
+        "NULL" if found is None else f"{found!r:.80}",
+        expected,
+    )
 
 
 def unprintable(table: pa.Table) -> Flaw | None:
@@ -69,7 +96,14 @@ def unprintable(table: pa.Table) -> Flaw | None:
         bad = {text for text in texts if text is not None and not text.isprintable()}
         held = ([value] if kind == "string" else value or () for value in column.to_pylist())
         row, found = next((at, text) for at, values in enumerate(held) for text in values if text in bad)
-        return Flaw(row, table.column("run_id")[row].as_py(), table.column("seq")[row].as_py(), name, f"{found!r:.80}", "characters that can be printed")
+        return Flaw(
+            row,
+            table.column("run_id")[row].as_py(),
+            table.column("seq")[row].as_py(),
+            name,
+            f"{found!r:.80}",
+            "characters that can be printed",
+        )
     return None
 
 
@@ -87,14 +121,23 @@ def disordered(table: pa.Table) -> Flaw | None:
     suspects = [
         *_first(is_first & ~is_opening, "type", f"one of {sorted(OPENINGS)}, with which a run begins"),
         *_first(is_opening & ~is_first, "type", "no second beginning of a run"),
-        *_first((np.diff(times_us, prepend=times_us[:1]) < 0) & ~is_first, "time_us", "no less than at the event before"),
+        *_first(
+            (np.diff(times_us, prepend=times_us[:1]) < 0) & ~is_first, "time_us", "no less than at the event before"
+        ),
         *_company(columns),
         *_unobserved(columns),
     ]
     if not suspects:
         return None
     row, field, expected = min(suspects, key=lambda suspect: suspect[0])
-    return Flaw(row, columns["run_id"][row].as_py(), table.column("seq")[row].as_py(), field, f"{columns[field][row].as_py()!r:.80}", expected)
+    return Flaw(
+        row,
+        columns["run_id"][row].as_py(),
+        table.column("seq")[row].as_py(),
+        field,
+        f"{columns[field][row].as_py()!r:.80}",
+        expected,
+    )
 
 
 def run_starts(run_ids: pa.Array) -> Integers:
@@ -116,7 +159,12 @@ def _first(bad: Mask, field: str, expected: str) -> list[tuple[int, str, str]]:
 
 
 def _envelope(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tuple[int, str, str]]:
-    suspects = [suspect for field in ENVELOPE if not field.is_nullable for suspect in _first(~valid[field.name], field.name, "a value")]
+    suspects = [
+        suspect
+        for field in ENVELOPE
+        if not field.is_nullable
+        for suspect in _first(~valid[field.name], field.name, "a value")
+    ]
     if suspects:
         return suspects
     starts = run_starts(columns["run_id"])
@@ -135,11 +183,17 @@ def _envelope(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tupl
         seen.add(run)
     causes = columns["caused_by"].fill_null(-1).to_numpy()
     suspects += _first(valid["caused_by"] != (expected_seqs > 0), "caused_by", "NULL at seq 0 and only there")
-    suspects += _first(valid["caused_by"] & ((causes < 0) | (causes >= expected_seqs)) & (expected_seqs > 0), "caused_by", "the seq of an earlier event")
+    suspects += _first(
+        valid["caused_by"] & ((causes < 0) | (causes >= expected_seqs)) & (expected_seqs > 0),
+        "caused_by",
+        "the seq of an earlier event",
+    )
     for name in COLUMNS:
         if COLUMNS[name] == "integer" and columns[name].null_count < len(columns[name]):
             values = columns[name].fill_null(0).to_numpy()
-            suspects += _first((values > MAX_INTEGER) | (values < -MAX_INTEGER), name, "an integer of at most 2^53 - 1 in size")
+            suspects += _first(
+                (values > MAX_INTEGER) | (values < -MAX_INTEGER), name, "an integer of at most 2^53 - 1 in size"
+            )
     return suspects
 
 
@@ -159,7 +213,9 @@ def _unobserved(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
     if observes.null_count == len(observes):
         return []
     sizes: Integers = observes.value_lengths().fill_null(0).to_numpy().astype(np.int64)
-    names: Integers = pc.index_in(observes.flatten(), pa.array(CONCERNS, pa.string())).fill_null(-1).to_numpy().astype(np.int64)
+    names: Integers = (
+        pc.index_in(observes.flatten(), pa.array(CONCERNS, pa.string())).fill_null(-1).to_numpy().astype(np.int64)
+    )
     rows = np.repeat(np.arange(len(observes)), sizes)
     suspects = [(int(rows[np.argmax(names < 0)]), "observes", f"some of {list(CONCERNS)}")] if (names < 0).any() else []
     starts = run_starts(columns["run_id"])
@@ -180,17 +236,25 @@ def _unobserved(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
 
 def _payload(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tuple[int, str, str]]:
     types = coded(columns["type"])
-    known: Integers = pc.index_in(types.dictionary, pa.array(_TAGS, pa.string())).fill_null(_UNKNOWN).to_numpy().astype(np.int64)
+    known: Integers = (
+        pc.index_in(types.dictionary, pa.array(_TAGS, pa.string())).fill_null(_UNKNOWN).to_numpy().astype(np.int64)
+    )
     codes = np.append(known, _UNKNOWN)[places(types)]
     suspects = _first(codes == _UNKNOWN, "type", "an event type that this version of fsar-ledger knows")
     is_known = codes != _UNKNOWN
     rows = np.bincount(codes, minlength=_UNKNOWN + 1)
     for name in PAYLOAD:
-        filled = np.bincount(codes[valid[name]], minlength=_UNKNOWN + 1) if columns[name].null_count < len(codes) else np.zeros_like(rows)
+        filled = (
+            np.bincount(codes[valid[name]], minlength=_UNKNOWN + 1)
+            if columns[name].null_count < len(codes)
+            else np.zeros_like(rows)
+        )
         if (filled < rows)[_REQUIRED[name]].any():
             suspects += _first(_REQUIRED[name][codes] & ~valid[name], name, "a value")
         if filled[:_UNKNOWN][~_ALLOWED[name][:_UNKNOWN]].any():
-            suspects += _first(valid[name] & ~_ALLOWED[name][codes] & is_known, name, "NULL, as its type has no such field")
+            suspects += _first(
+                valid[name] & ~_ALLOWED[name][codes] & is_known, name, "NULL, as its type has no such field"
+            )
         if filled.any():
             suspects += _literals(name, columns[name], codes)
     return suspects

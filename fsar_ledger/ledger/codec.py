@@ -21,7 +21,19 @@ from fsar_ledger.ledger import canonical
 from fsar_ledger.ledger.check import first_flaw, run_starts
 from fsar_ledger.ledger.merkle import HASH_BYTES
 from fsar_ledger.ledger.runs import ALLOWED, CAUSE, TIME, RunRecord, are_allowed, first_unfit, refusal, require_runs
-from fsar_ledger.ledger.schema import ARROW_TYPES, CODED_SCHEMA, COLUMNS, ENVELOPE, LAYOUTS, MAX_INTEGER, PAYLOAD, RETIRED, SCHEMA, STORED, Layout
+from fsar_ledger.ledger.schema import (
+    ARROW_TYPES,
+    CODED_SCHEMA,
+    COLUMNS,
+    ENVELOPE,
+    LAYOUTS,
+    MAX_INTEGER,
+    PAYLOAD,
+    RETIRED,
+    SCHEMA,
+    STORED,
+    Layout,
+)
 
 __all__ = ["SCHEMA", "RunRecord", "decode", "encode", "encode_hashed", "upcast_rows"]
 
@@ -32,7 +44,9 @@ Values: TypeAlias = "np.ndarray[tuple[int], np.dtype[Any]]"
 _LAYOUTS = tuple(LAYOUTS.values())
 _CODES = {cls: code for code, cls in enumerate(EVENT_TYPES)}
 _TAGS = tuple(LAYOUTS)
-_PLACE = frozenset(field.name for field in ENVELOPE if field.name != "type")  # where an event stands, whatever its version
+_PLACE = frozenset(
+    field.name for field in ENVELOPE if field.name != "type"
+)  # where an event stands, whatever its version
 
 
 class _Part(NamedTuple):
@@ -85,7 +99,9 @@ class _Rows:
                 block = slice(start, start + rows)
                 columns = tuple(zip(*map(msgspec.structs.astuple, events[block]), strict=True))
                 if not all(map(are_allowed, columns, ALLOWED[layout.tag])):
-                    raise ValueError(f"found values in events {layout.tag} that no row can hold, expected those of its fields")
+                    raise ValueError(
+                        f"found values in events {layout.tag} that no row can hold, expected those of its fields"
+                    )
                 self.blocks.append((layout, block, columns))
                 start += rows
 
@@ -98,7 +114,9 @@ class _Rows:
                 parts[field.name].append(_Part(at, values))
         arrays = self._strings({name: parts[name] for name in PAYLOAD if COLUMNS[name] == "string"})
         arrays |= {name: self._lists(parts[name]) for name in PAYLOAD if COLUMNS[name] == "strings"}
-        arrays |= {name: self._numbers(name, parts[name]) for name in PAYLOAD if COLUMNS[name] in ("integer", "boolean")}
+        arrays |= {
+            name: self._numbers(name, parts[name]) for name in PAYLOAD if COLUMNS[name] in ("integer", "boolean")
+        }
         arrays |= self._integers()
         return pa.Table.from_arrays([arrays[name] for name in COLUMNS], schema=CODED_SCHEMA)
 
@@ -132,14 +150,18 @@ class _Rows:
         indices = np.full(self.size, -1, np.int32)
         indices[at] = codes[places]
         used = pa.array(dictionary[is_used], pa.string())
-        return pa.DictionaryArray.from_arrays(_array(indices, indices >= 0), used, safe=False)  # each code is less than the number of used places
+        return pa.DictionaryArray.from_arrays(
+            _array(indices, indices >= 0), used, safe=False
+        )  # each code is less than the number of used places
 
     def _numbers(self, name: str, parts: list[_Part]) -> pa.Array:
         """A column of integers or booleans, NULL where the event type has no such field."""
         at, column = _joined(parts, ARROW_TYPES[COLUMNS[name]])
         values, is_valid = np.zeros(self.size, column.type.to_pandas_dtype()), np.zeros(self.size, bool)
         is_valid[at] = column.is_valid() if column.null_count else True
-        values[at] = (column.fill_null(values.dtype.type(0)) if column.null_count else column).to_numpy(zero_copy_only=False)
+        values[at] = (column.fill_null(values.dtype.type(0)) if column.null_count else column).to_numpy(
+            zero_copy_only=False
+        )
         if COLUMNS[name] == "integer":
             _require_exact(name, values)
         return _array(values, is_valid)
@@ -153,18 +175,27 @@ class _Rows:
         ends[at + 1] = np.diff(column.offsets.to_numpy())
         is_valid[at] = column.is_valid() if column.null_count else True
         np.cumsum(ends, out=ends)
-        return pa.Array.from_buffers(column.type, self.size, [_bits(is_valid), pa.py_buffer(ends)], children=[column.flatten()])
+        return pa.Array.from_buffers(
+            column.type, self.size, [_bits(is_valid), pa.py_buffer(ends)], children=[column.flatten()]
+        )
 
     def leaves(self) -> bytes:
         """The packed RFC 6962 leaf hashes in row order."""
         order = self.order.tolist()
         times_us, causes = (list(map(rows.__getitem__, order)) for rows in (self.times_us, self.causes))
-        run_ids = list(map(self.runs.__getitem__, np.repeat(np.arange(len(self.runs)), self.sizes)[self.order].tolist()))
+        run_ids = list(
+            map(self.runs.__getitem__, np.repeat(np.arange(len(self.runs)), self.sizes)[self.order].tolist())
+        )
         seqs = self.seqs[self.order].tolist()
         hashed: list[bytes] = []
         for layout, block, values in self.blocks:
             columns = {field.name: column for field, column in zip(layout.fields, values, strict=True)}
-            columns |= {"run_id": run_ids[block], "seq": seqs[block], "time_us": times_us[block], "caused_by": causes[block]}
+            columns |= {
+                "run_id": run_ids[block],
+                "seq": seqs[block],
+                "time_us": times_us[block],
+                "caused_by": causes[block],
+            }
             columns["type"] = [layout.tag] * (block.stop - block.start)
             hashed += [b"".join(canonical.hashes(lines)) for lines in canonical.lines(layout.tag, columns)]
         packed = np.empty((self.size, HASH_BYTES), np.uint8)
@@ -256,9 +287,14 @@ def upcast_rows(table: pa.Table, tags: Sequence[str] = tuple(RETIRED)) -> pa.Tab
     if not stored.num_rows:
         return None
     _require_valid(table)
-    times_us, causes = range(stored.num_rows), [None, *range(stored.num_rows - 1)]  # a place for each row, until it has its own again
+    times_us, causes = (
+        range(stored.num_rows),
+        [None, *range(stored.num_rows - 1)],
+    )  # a place for each row, until it has its own again
     rows = encode([RunRecord("", times_us, causes, _events(stored).tolist())])
-    return pa.Table.from_arrays([(stored if name in _PLACE else rows).column(name) for name in SCHEMA.names], schema=SCHEMA)
+    return pa.Table.from_arrays(
+        [(stored if name in _PLACE else rows).column(name) for name in SCHEMA.names], schema=SCHEMA
+    )
 
 
 def _require_valid(table: pa.Table) -> None:
@@ -281,7 +317,9 @@ def _events(table: pa.Table) -> "np.ndarray[tuple[int], np.dtype[np.object_]]":
         columns = []
         for field in layout.fields:
             values = table.column(field.name).take(pa.array(at)).to_pylist()
-            columns.append([None if value is None else tuple(value) for value in values] if field.kind == "strings" else values)
+            columns.append(
+                [None if value is None else tuple(value) for value in values] if field.kind == "strings" else values
+            )
         made = list(map(layout.cls, *columns)) if columns else [layout.cls() for _ in at]
         for change in UPCASTS.get(layout.cls, ()):
             made = list(map(change, made))

@@ -39,7 +39,9 @@ def check_folders(ledger: Path, tiles: Iterable[Tile]) -> None:
     """No folder of these tiles is a link, through which a writer would reach files that are not the ledger's. Raises: LedgerCorrupted if one is."""
     for folder in sorted({ledger / parent for tile in tiles for parent in Path(tile.name).parents if parent.name}):
         if folder.is_symlink():
-            raise LedgerCorrupted(f"{folder}: found a link, expected a folder of tiles; take it away and run fsar-ledger recover")
+            raise LedgerCorrupted(
+                f"{folder}: found a link, expected a folder of tiles; take it away and run fsar-ledger recover"
+            )
 
 
 def catch_up(view: LedgerView) -> Edge:
@@ -85,4 +87,6 @@ def read_checkpoint(ledger: Path) -> str | None:
         return None
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not text"
-        raise LedgerCorrupted(f"{path}: the checkpoint cannot be read ({reason}), expected the newest note; run fsar-ledger recover") from error
+        raise LedgerCorrupted(
+            f"{path}: the checkpoint cannot be read ({reason}), expected the newest note; run fsar-ledger recover"
+        ) from error

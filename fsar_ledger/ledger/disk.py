@@ -65,7 +65,9 @@ def refusals(path: Path, doing: str) -> Iterator[None]:
         yield
     except OSError as error:
         reason = error.strerror or str(error)
-        raise WriteFailed(f"{path}: {doing} failed: {reason}; nothing was committed; make room or permit writing there and run it again") from error
+        raise WriteFailed(
+            f"{path}: {doing} failed: {reason}; nothing was committed; make room or permit writing there and run it again"
+        ) from error
 
 
 def sync_folder(folder: Path) -> None:
@@ -215,7 +217,9 @@ def write_files(files: Mapping[Path, bytes], staging: Path, make_way: Callable[[
             folders.update(_make_folder(path.parent, staging.parent))
     paths = list(files)
     for at in range(0, len(paths), _OPEN_AT_ONCE):
-        _write_some([(temporary_name(staging / "file"), path, files[path]) for path in paths[at : at + _OPEN_AT_ONCE]], make_way)
+        _write_some(
+            [(temporary_name(staging / "file"), path, files[path]) for path in paths[at : at + _OPEN_AT_ONCE]], make_way
+        )
     _at_once(sync_folder, list(folders))
 
 

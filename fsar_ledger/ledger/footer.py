@@ -17,7 +17,11 @@ _MAX_HEADER_BYTES = 1 << 14
 _OTHERWISE = "fields in another order, of another kind, or with other values than a segment has"
 _FOOTER = {5: "key-value metadata", 8: "an encryption", 9: "an encryption"}
 _GROUP = {4: "a declared order of rows"}
-_CHUNK = {1: "a column in another file", **dict.fromkeys((4, 5, 6, 7), "an index or a Bloom filter"), **dict.fromkeys((8, 9), "a column that is encrypted")}
+_CHUNK = {
+    1: "a column in another file",
+    **dict.fromkeys((4, 5, 6, 7), "an index or a Bloom filter"),
+    **dict.fromkeys((8, 9), "a column that is encrypted"),
+}
 _ABOUT = {8: "key-value metadata", 10: "an index page", **dict.fromkeys((14, 15), "an index or a Bloom filter")}
 
 Struct = dict[int, "Value"]
@@ -36,7 +40,11 @@ def explain_footer(data: bytes, schema: pa.Schema) -> str:
     except (ValueError, RecursionError) as error:
         return f"the footer: {error}"
     if found is None:
-        found = f"{len(data) - end} bytes after its end, expected none" if end != len(data) else f"{_OTHERWISE}, expected those of its format"
+        found = (
+            f"{len(data) - end} bytes after its end, expected none"
+            if end != len(data)
+            else f"{_OTHERWISE}, expected those of its format"
+        )
     return f"the footer: {found}"
 
 
@@ -106,7 +114,12 @@ def _expected(schema: pa.Schema, at: int) -> tuple[str, str] | None:
     if at >= len(schema):
         return None
     name = schema.names[at]
-    return {"string": (name, TYPES[6]), "strings": (f"{name}.list.element", TYPES[6]), "integer": (name, TYPES[2]), "boolean": (name, TYPES[0])}[COLUMNS[name]]
+    return {
+        "string": (name, TYPES[6]),
+        "strings": (f"{name}.list.element", TYPES[6]),
+        "integer": (name, TYPES[2]),
+        "boolean": (name, TYPES[0]),
+    }[COLUMNS[name]]
 
 
 def _extra(struct: Struct, known: set[int], names: dict[int, str], where: str = "") -> Iterator[str]:

@@ -34,10 +34,17 @@ MAGIC = b"PAR1"
 HAS_STATISTICS = ("run_id", "seq", "time_us")
 """The columns that may have statistics: those of other columns spare no reader any work."""
 _TYPES: dict[Kind, int] = {"boolean": 0, "integer": 2, "string": 6, "strings": 6}
-_ENCODINGS: dict[Kind, bytes] = {"boolean": b"\x25\x06\x00", "integer": b"\x25\x06\x0a", "string": b"\x35\x00\x06\x10", "strings": b"\x35\x00\x06\x10"}
+_ENCODINGS: dict[Kind, bytes] = {
+    "boolean": b"\x25\x06\x00",
+    "integer": b"\x25\x06\x0a",
+    "string": b"\x35\x00\x06\x10",
+    "strings": b"\x35\x00\x06\x10",
+}
 _EVEN = b"".join(re.escape(bytes([byte])) for byte in range(0, 0x80, 2))
 _EVEN_ON = b"".join(re.escape(bytes([byte])) for byte in range(0x80, 0x100, 2))
-_N = rb"(?:[" + _EVEN_ON + rb"][\x80-\xff]{0,3}+[\x01-\x7f]|[" + _EVEN + rb"])"  # a number from 0 to 2^34 - 1, zigzag, as short as it can be
+_N = (
+    rb"(?:[" + _EVEN_ON + rb"][\x80-\xff]{0,3}+[\x01-\x7f]|[" + _EVEN + rb"])"
+)  # a number from 0 to 2^34 - 1, zigzag, as short as it can be
 _SUM = rb"(?:[\x80-\xff]{4}[\x01-\x0f]|[\x80-\xff]{0,3}+[\x01-\x7f]|\x00)"  # any 32 bits
 _IS_EXACT = rb"(?:\x11\x11)?"
 _INTEGER_BOUNDS = rb"\x18\x08(.{8})\x18\x08(.{8})\x16\x00\x28\x08(.{8})\x18\x08(.{8})" + _IS_EXACT + rb"\x00"
@@ -60,7 +67,9 @@ DICTIONARY_PAGE = re.compile(rb"\x15\x04" + _SIZES + rb"\x3c\x15(%b)\x15\x00\x12
 
 def _data_page(encodings: bytes, end: bytes) -> re.Pattern[bytes]:
     """The header of a data page: unpacked bytes, stored bytes, checksum, values, encoding; and nothing where statistics of text follow."""
-    return re.compile(rb"\x15\x00" + _SIZES + rb"\x1c\x15(%b)\x15([%b])\x15\x06\x15\x06\x1c" % (_N, encodings) + end, re.DOTALL)
+    return re.compile(
+        rb"\x15\x00" + _SIZES + rb"\x1c\x15(%b)\x15([%b])\x15\x06\x15\x06\x1c" % (_N, encodings) + end, re.DOTALL
+    )
 
 
 _DATA_PAGES: dict[Kind, re.Pattern[bytes]] = {
@@ -152,7 +161,10 @@ class Footer:
 
 ROWS = re.compile(rb"(%b)" % _N, re.DOTALL)
 """The number of rows."""
-GROUP_END = re.compile(rb"\x16(%b)\x16(%b)\x26\x08\x16(%b)\x00\x28(.)(parquet-cpp-arrow version [-.0-9A-Za-z]{1,40}+)" % (_N, _N, _N), re.DOTALL)
+GROUP_END = re.compile(
+    rb"\x16(%b)\x16(%b)\x26\x08\x16(%b)\x00\x28(.)(parquet-cpp-arrow version [-.0-9A-Za-z]{1,40}+)" % (_N, _N, _N),
+    re.DOTALL,
+)
 """After the columns: unpacked bytes, rows, stored bytes; length of the writer's name, and that name."""
 
 
@@ -204,5 +216,9 @@ def encoding_statistics(kind: Kind, dictionary: int, plain: int) -> bytes:
         counts = [(2, 0, 1), (0, 0, plain), (0, 8, dictionary)]
     else:
         counts = [(0, 5, dictionary)] if kind == "integer" else [(0, 0, dictionary)]
-    found = [b"\x15%b\x15%b\x15%b\x00" % (number(page), number(encoding), number(count)) for page, encoding, count in counts if count]
+    found = [
+        b"\x15%b\x15%b\x15%b\x00" % (number(page), number(encoding), number(count))
+        for page, encoding, count in counts
+        if count
+    ]
     return listed(len(found), 12) + b"".join(found)

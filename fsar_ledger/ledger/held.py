@@ -81,7 +81,9 @@ def _read(path: Path, rows: int) -> list[str]:
             found = dictionary_of_runs(file.read(_BEGINNING_BYTES), rows)
         return runs_of(path, rows, read_file(path)) if found is None else found
     except OSError as error:
-        raise LedgerCorrupted(f"{path}: the segment cannot be read ({error.strerror}); permit reading or restore it") from error
+        raise LedgerCorrupted(
+            f"{path}: the segment cannot be read ({error.strerror}); permit reading or restore it"
+        ) from error
 
 
 def _by_row(path: Path) -> list[str]:

@@ -117,7 +117,9 @@ def read_file(path: Path) -> bytes:
     with path.open("rb") as file:
         data = file.read(bounds.MAX_SEGMENT_BYTES + 1)
     if len(data) > bounds.MAX_SEGMENT_BYTES:
-        raise LedgerCorrupted(f"{path}: found more than {bounds.MAX_SEGMENT_BYTES} bytes, expected a segment; restore the file")
+        raise LedgerCorrupted(
+            f"{path}: found more than {bounds.MAX_SEGMENT_BYTES} bytes, expected a segment; restore the file"
+        )
     return data
 
 
@@ -162,14 +164,27 @@ def read_layout(data: bytes) -> Layout:
         unpacked += chunk.unpacked
         elements += chunk.values - rows
         if elements > bounds.MAX_LIST_VALUES:
-            raise ValueError(f"column {column.name}: {elements} elements of lists with those before, expected at most {bounds.MAX_LIST_VALUES}")
+            raise ValueError(
+                f"column {column.name}: {elements} elements of lists with those before, expected at most {bounds.MAX_LIST_VALUES}"
+            )
         if unpacked > bounds.MAX_UNPACKED_BYTES:
-            raise ValueError(f"column {column.name}: pages that unpack to {unpacked} bytes with those before, expected at most {bounds.MAX_UNPACKED_BYTES}")
+            raise ValueError(
+                f"column {column.name}: pages that unpack to {unpacked} bytes with those before, expected at most {bounds.MAX_UNPACKED_BYTES}"
+            )
         place = _check_pages(data, chunk, place, of_pages)
     end = GROUP_END.match(data, at)
-    if end is None or not data.startswith(known.orders, end.end()) or end.end() + len(known.orders) != size - 8 or end[4][0] != len(end[5]):
+    if (
+        end is None
+        or not data.startswith(known.orders, end.end())
+        or end.end() + len(known.orders) != size - 8
+        or end[4][0] != len(end[5])
+    ):
         raise ValueError(explain_footer(data[footer_at:-8], (known or _footers()[-1]).schema))
-    said_twice = {"bytes unpacked": (end[1], unpacked), "rows": (end[2], rows), "bytes stored": (end[3], place - len(MAGIC))}
+    said_twice = {
+        "bytes unpacked": (end[1], unpacked),
+        "rows": (end[2], rows),
+        "bytes stored": (end[3], place - len(MAGIC)),
+    }
     for what, (one, other) in said_twice.items():
         if _number[one] != other:
             raise ValueError(f"a row group of {_number[one]} {what}, expected {other}")
@@ -196,7 +211,12 @@ def dictionary_of_runs(data: bytes, rows: int) -> list[str] | None:
                 return None
             _, body = _page_bounds(data, "run_id", page)
             at, values = body + _number[page[2]], values + _number[page[4]]
-        return _strings(pa.decompress(data[header.end() : header.end() + _number[header[2]]], _number[header[1]], "zstd", asbytes=True), _number[header[4]])
+        return _strings(
+            pa.decompress(
+                data[header.end() : header.end() + _number[header[2]]], _number[header[1]], "zstd", asbytes=True
+            ),
+            _number[header[4]],
+        )
     except (ValueError, OSError):
         return None
 
@@ -239,7 +259,20 @@ def _chunk(data: bytes, column: Column, at: int) -> tuple[_Chunk, Said | None, i
     if rest is found and stated[0]:
         said = _integer_bounds(column.name, stated[0])
     encodings, sizes = rest.groups()[-2:]
-    return _Chunk(column, _number[values], _number[unpacked], _number[stored], _number[data_at], _number[dictionary_at], encodings, sizes), said, rest.end()
+    return (
+        _Chunk(
+            column,
+            _number[values],
+            _number[unpacked],
+            _number[stored],
+            _number[data_at],
+            _number[dictionary_at],
+            encodings,
+            sizes,
+        ),
+        said,
+        rest.end(),
+    )
 
 
 def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[Said | None, int]:
@@ -250,8 +283,14 @@ def _text_bounds(data: bytes, at: int, after: bytes) -> tuple[Said | None, int]:
         return None, at + len(without)
     if (most := MOST.match(data, at)) and (least := LEAST.match(data, most.end() + (most_bytes := _length(most[1])))):
         end = BOUNDS_END.match(data, least.end() + (least_bytes := _length(least[1])))
-        if end is not None and data.startswith(after, end.end()) and max(most_bytes, least_bytes) <= bounds.MAX_BOUND_BYTES:
-            said = Said("run_id", data[least.end() : least.end() + least_bytes], data[most.end() : most.end() + most_bytes])
+        if (
+            end is not None
+            and data.startswith(after, end.end())
+            and max(most_bytes, least_bytes) <= bounds.MAX_BOUND_BYTES
+        ):
+            said = Said(
+                "run_id", data[least.end() : least.end() + least_bytes], data[most.end() : most.end() + most_bytes]
+            )
             return said, end.end() + len(after)
     raise ValueError("other statistics of column run_id, expected most, least and no NULL")
 
@@ -274,7 +313,9 @@ def _integer_bounds(name: str, stated: bytes) -> Said:
     assert found is not None
     most, least, most_again, least_again = found.groups()
     if (most, least) != (most_again, least_again):
-        raise ValueError(f"statistics of column {name} that say {least!r} to {most!r} and {least_again!r} to {most_again!r}, expected them once")
+        raise ValueError(
+            f"statistics of column {name} that say {least!r} to {most!r} and {least_again!r} to {most_again!r}, expected them once"
+        )
     return Said(name, least, most)
 
 
@@ -322,7 +363,9 @@ def _check_pages(data: bytes, chunk: _Chunk, place: int, of_pages: list[Said]) -
     if values != chunk.values:
         raise ValueError(f"column {name}: pages of {values} values, expected {chunk.values}")
     if unpacked != chunk.unpacked:
-        raise ValueError(f"column {name}: pages that unpack to {unpacked} bytes with their headers, expected {chunk.unpacked}")
+        raise ValueError(
+            f"column {name}: pages that unpack to {unpacked} bytes with their headers, expected {chunk.unpacked}"
+        )
     if chunk.encodings != encoding_statistics(chunk.column.kind, pages - plain if has_dictionary else pages, plain):
         raise ValueError(f"column {name}: other encodings than those of its {pages} pages, expected those")
     return end
@@ -335,7 +378,9 @@ def _check_dictionary(data: bytes, name: str, at: int) -> tuple[int, int]:
         raise ValueError(f"column {name}: {explain_page(data, at)}")
     unpacked, stored, values = _number[header[1]], _number[header[2]], _number[header[4]]
     if values * MIN_ENTRY_BYTES > unpacked:
-        raise ValueError(f"column {name}: a dictionary of {values} values in {unpacked} bytes, expected at least {MIN_ENTRY_BYTES} bytes each")
+        raise ValueError(
+            f"column {name}: a dictionary of {values} values in {unpacked} bytes, expected at least {MIN_ENTRY_BYTES} bytes each"
+        )
     _check_sum(data, name, header.end(), stored, header[3])
     return header.end() + stored, unpacked + header.end() - at
 

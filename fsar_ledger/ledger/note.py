@@ -161,12 +161,19 @@ def parse_note(where: str, text: str) -> Note:
     origin, size, root, *_ = [*body.split("\n"), "", ""]
     number = int(size) if size.isdecimal() and len(size) <= 16 else -1
     try:
-        note = Note(Checkpoint(origin, number, base64.b64decode(root, validate=True)), tuple(map(_parse_signature, lines.splitlines())))
+        note = Note(
+            Checkpoint(origin, number, base64.b64decode(root, validate=True)),
+            tuple(map(_parse_signature, lines.splitlines())),
+        )
     except (binascii.Error, ValueError) as error:
-        raise LedgerCorrupted(f"{where}: found a note with a part that is not base64 ({error}), expected a C2SP checkpoint; restore it") from error
+        raise LedgerCorrupted(
+            f"{where}: found a note with a part that is not base64 ({error}), expected a C2SP checkpoint; restore it"
+        ) from error
     is_checkpoint = number >= 0 and is_name(origin) and len(note.checkpoint.root) == HASH_BYTES
     if str(note) != text or not is_checkpoint or len(note.signatures) > MAX_SIGNATURES:
-        raise LedgerCorrupted(f"{where}: found {text!r:.120}, expected a C2SP checkpoint (origin, size, root, an empty line, signatures); restore it")
+        raise LedgerCorrupted(
+            f"{where}: found {text!r:.120}, expected a C2SP checkpoint (origin, size, root, an empty line, signatures); restore it"
+        )
     return note
 
 
@@ -221,10 +228,14 @@ def read_signer(path: Path) -> Signer:
         raise UsageError(expected)
     mode = stat.S_IMODE(path.stat().st_mode)
     if mode & 0o077:
-        raise UsageError(f"{path}: found a secret key with mode {mode:o}, which others may read, expected 600; run chmod 600 on it, or make a new key")
+        raise UsageError(
+            f"{path}: found a secret key with mode {mode:o}, which others may read, expected 600; run chmod 600 on it, or make a new key"
+        )
     signer = Signer(name, secret)
     if signer.verifier.key_id.hex() != key_id:
-        raise UsageError(f"{path}: found key id {key_id}, expected {signer.verifier.key_id.hex()} for this key; it was altered, restore it")
+        raise UsageError(
+            f"{path}: found key id {key_id}, expected {signer.verifier.key_id.hex()} for this key; it was altered, restore it"
+        )
     return signer
 
 
@@ -237,12 +248,18 @@ def read_verifier(key: str) -> VerifierKey:
     public = _key_bytes(data)
     where = "--trusted-key" if is_text else f"--trusted-key {key}"
     if name == "PRIVATE" or public is None or not is_name(name):  # the text is not shown: it may be the secret half
-        raise UsageError(f"{where}: found no public key, expected one as `fsar-ledger key new` prints, or its .pub file")
+        raise UsageError(
+            f"{where}: found no public key, expected one as `fsar-ledger key new` prints, or its .pub file"
+        )
     if (flaw := flaw_of(public)) is not None:
-        raise UsageError(f"{where}: found {flaw}, expected an Ed25519 public key of prime order; no signature of it would prove anything, get another key")
+        raise UsageError(
+            f"{where}: found {flaw}, expected an Ed25519 public key of prime order; no signature of it would prove anything, get another key"
+        )
     verifier = VerifierKey(name, public)
     if verifier.key_id.hex() != key_id:
-        raise UsageError(f"--trusted-key: found key id {key_id:.40}, expected {verifier.key_id.hex()} for this key; it was altered, get it again")
+        raise UsageError(
+            f"--trusted-key: found key id {key_id:.40}, expected {verifier.key_id.hex()} for this key; it was altered, get it again"
+        )
     return verifier
 
 
@@ -251,7 +268,9 @@ def _read_key(path: Path) -> str:
         return disk.read_document(Path(os.path.realpath(path))).decode().removesuffix("\n")
     except (OSError, ValueError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not text"
-        raise UsageError(f"{path}: the key cannot be read ({reason}); give the file that `fsar-ledger key new` wrote") from error
+        raise UsageError(
+            f"{path}: the key cannot be read ({reason}); give the file that `fsar-ledger key new` wrote"
+        ) from error
 
 
 def _key_bytes(data: str) -> bytes | None:

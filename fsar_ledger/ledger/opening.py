@@ -29,5 +29,7 @@ def open_for_answers(path: Path) -> LedgerView:
             view = open_ledger(path)
             problems, _ = check_checkpoint(path, view.records)
     for problem in problems:
-        raise LedgerCorrupted(f"{path}/{problem}: commits were removed, or the file was altered; run fsar-ledger verify, and fsar-ledger recover if it says so")
+        raise LedgerCorrupted(
+            f"{path}/{problem}: commits were removed, or the file was altered; run fsar-ledger verify, and fsar-ledger recover if it says so"
+        )
     return view

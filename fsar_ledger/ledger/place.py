@@ -29,7 +29,10 @@ def is_unfinished(ledger: Path) -> bool:
         if entry.name not in (COMMITS, SEGMENTS, STAGING) or not entry.is_dir(follow_symlinks=False):
             return False
         leftovers = os.listdir(entry.path)
-        if any(entry.name != STAGING or not (name.startswith(MANIFEST) and name.endswith(disk.TEMPORARY)) for name in leftovers):
+        if any(
+            entry.name != STAGING or not (name.startswith(MANIFEST) and name.endswith(disk.TEMPORARY))
+            for name in leftovers
+        ):
             return False
     return True
 
@@ -46,4 +49,6 @@ def require_outside(out: Path, what: str) -> None:
     for place in (named, led_to):
         for folder in (place, *place.parents):
             if sum(os.path.lexists(folder / part) for part in (MANIFEST, COMMITS, SEGMENTS)) > 1:
-                raise UsageError(f"{what}: found a place inside the ledger {folder}, which holds nothing but its own files; choose one outside")
+                raise UsageError(
+                    f"{what}: found a place inside the ledger {folder}, which holds nothing but its own files; choose one outside"
+                )

@@ -141,7 +141,9 @@ def read_proof(path: Path) -> Proof:
         raise UsageError(f"{path}: found no file, expected a proof that `fsar-ledger prove` wrote") from error
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
-        raise LedgerCorrupted(f"{path}: the proof cannot be read ({reason}), expected what `fsar-ledger prove` wrote; get it again") from error
+        raise LedgerCorrupted(
+            f"{path}: the proof cannot be read ({reason}), expected what `fsar-ledger prove` wrote; get it again"
+        ) from error
 
 
 def parse_proof(where: str, text: str) -> Proof:
@@ -156,7 +158,9 @@ def parse_proof(where: str, text: str) -> Proof:
         event, *decoded = [base64.b64decode(line, validate=True) for line in (extra.removeprefix("extra "), *hashes)]
         proof = Proof(event, int(index.removeprefix("index ")), tuple(decoded), parse_note(where, note))
     except ValueError as error:
-        raise LedgerCorrupted(f"{where}: found no C2SP tlog-proof ({error!s:.80}), expected what `fsar-ledger prove` wrote; get it again") from error
+        raise LedgerCorrupted(
+            f"{where}: found no C2SP tlog-proof ({error!s:.80}), expected what `fsar-ledger prove` wrote; get it again"
+        ) from error
     if str(proof) != text or proof.index < 0 or any(len(one) != HASH_BYTES for one in proof.hashes):
         raise LedgerCorrupted(
             f"{where}: found {head!r:.80}, expected a C2SP tlog-proof (title, extra, index, hashes of 32 bytes, an empty line, checkpoint); get it again"
@@ -173,14 +177,24 @@ def check_proof(where: str, proof: Proof, trusted: VerifierKey | None = None) ->
     tree = proof.note.checkpoint
     found = root_of_inclusion(leaf_hash(proof.event), proof.index, tree.size, proof.hashes)
     if found != tree.root:
-        led = f"a way to root {found.hex()}" if found else f"{len(proof.hashes)} hashes for event {proof.index} of {tree.size}, which lead nowhere"
-        raise LedgerCorrupted(f"{where}: found {led}, expected one to {tree.root.hex()}: the event is not proven; get the proof again")
+        led = (
+            f"a way to root {found.hex()}"
+            if found
+            else f"{len(proof.hashes)} hashes for event {proof.index} of {tree.size}, which lead nowhere"
+        )
+        raise LedgerCorrupted(
+            f"{where}: found {led}, expected one to {tree.root.hex()}: the event is not proven; get the proof again"
+        )
     event = _event(where, proof.event)
     if trusted is not None and (why := doubt(proof.note, trusted)) is not None:
-        raise LedgerCorrupted(f"{where}: found {why}, expected one of {trusted.key}, the trusted key; rely on nothing in it")
+        raise LedgerCorrupted(
+            f"{where}: found {why}, expected one of {trusted.key}, the trusted key; rely on nothing in it"
+        )
     signers = signers_of(proof.note)
     state: Signed = "signed" if trusted else "signer not checked" if signers else "unsigned"
-    return Proven(event, proof.index, tree.size, tree.root.hex(), tree.origin, state, trusted.key if trusted else signers)
+    return Proven(
+        event, proof.index, tree.size, tree.root.hex(), tree.origin, state, trusted.key if trusted else signers
+    )
 
 
 def _event(where: str, data: bytes) -> dict[str, Value]:
@@ -188,12 +202,20 @@ def _event(where: str, data: bytes) -> dict[str, Value]:
     try:
         row = msgspec.json.decode(data, type=dict[str, Value])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise LedgerCorrupted(f"{where}: found an event that is no flat JSON object ({error}), expected a row of a ledger; get the proof again") from error
+        raise LedgerCorrupted(
+            f"{where}: found an event that is no flat JSON object ({error}), expected a row of a ledger; get the proof again"
+        ) from error
     numbers = [value for value in row.values() if isinstance(value, int)]
     is_row = isinstance(row.get("run_id"), str) and isinstance(row.get("type"), str) and type(row.get("seq")) is int
-    is_canonical = all(map(str.isascii, row)) and all(abs(number) <= MAX_INTEGER for number in numbers) and canonical.document(row) == data
+    is_canonical = (
+        all(map(str.isascii, row))
+        and all(abs(number) <= MAX_INTEGER for number in numbers)
+        and canonical.document(row) == data
+    )
     if not is_row or not is_canonical:
-        raise LedgerCorrupted(f"{where}: found event {data!r:.80}, expected the RFC 8785 JSON of a row with run_id, seq and type; get the proof again")
+        raise LedgerCorrupted(
+            f"{where}: found event {data!r:.80}, expected the RFC 8785 JSON of a row with run_id, seq and type; get the proof again"
+        )
     return row
 
 

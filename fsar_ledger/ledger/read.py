@@ -120,7 +120,11 @@ class LedgerView(msgspec.Struct, frozen=True):
     def _found(self, number: int) -> Checked:
         """The segment where it is, not yet checked. Raises: as `place`."""
         record = self.records[number]
-        for path in (segment_path(self.path, number), staged_path(self.path, record.segment_sha256), segment_path(self.path, number)):
+        for path in (
+            segment_path(self.path, number),
+            staged_path(self.path, record.segment_sha256),
+            segment_path(self.path, number),
+        ):
             try:
                 status = path.lstat()
             except FileNotFoundError:
@@ -128,11 +132,17 @@ class LedgerView(msgspec.Struct, frozen=True):
             except OSError as error:
                 raise _unreadable(path, number, error) from error
             if not stat.S_ISREG(status.st_mode):
-                raise LedgerCorrupted(f"{path}: commit {number}: found a link or something else than a file, expected a segment; restore the file")
+                raise LedgerCorrupted(
+                    f"{path}: commit {number}: found a link or something else than a file, expected a segment; restore the file"
+                )
             if status.st_size != record.segment_bytes:
-                raise LedgerCorrupted(f"{path}: commit {number}: found {status.st_size} bytes, expected {record.segment_bytes}; restore the file")
+                raise LedgerCorrupted(
+                    f"{path}: commit {number}: found {status.st_size} bytes, expected {record.segment_bytes}; restore the file"
+                )
             return Checked(path, status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
-        raise LedgerCorrupted(f"{segment_path(self.path, number)}: commit {number}: found no segment, expected {record.rows} events; restore the file")
+        raise LedgerCorrupted(
+            f"{segment_path(self.path, number)}: commit {number}: found no segment, expected {record.rows} events; restore the file"
+        )
 
     def _require_committed(self, number: int, path: Path) -> None:
         """Raises: LedgerCorrupted if the file is not the one that the record names, or goes beyond the bounds; FileNotFoundError if it is gone."""
@@ -143,7 +153,9 @@ class LedgerView(msgspec.Struct, frozen=True):
                     raise OSError(0, "it is not a regular file")
                 data = opened.read(self.records[number].segment_bytes + 1)
             if (found := sha256_hex(data)) != expected:
-                raise LedgerCorrupted(f"{path}: commit {number}: found SHA-256 {found}, expected {expected} as committed; restore the file")
+                raise LedgerCorrupted(
+                    f"{path}: commit {number}: found SHA-256 {found}, expected {expected} as committed; restore the file"
+                )
             check_layout(path, data)
         except FileNotFoundError:
             raise
@@ -209,7 +221,9 @@ def open_ledger(path: Path) -> LedgerView:
         for name, found, expected in contradictions(record, number, previous, manifest.origin, tree):
             if is_later(record.release):
                 raise FormatVersionMismatch(f"{file}: field {name}: found {found!s:.80}, expected {expected!s:.300}")
-            raise LedgerCorrupted(f"{file}: field {name}: found {found!r:.300}, expected {expected!r:.300}; restore the file, or run fsar-ledger verify")
+            raise LedgerCorrupted(
+                f"{file}: field {name}: found {found!r:.300}, expected {expected!r:.300}; restore the file, or run fsar-ledger verify"
+            )
         tree = record.tree()
         previous = sha256_hex(data)
         records.append(record)
@@ -223,20 +237,28 @@ def read_manifest(path: Path) -> bytes:
     except (FileNotFoundError, NotADirectoryError) as error:
         require_created(path)
         found = "no such path" if not path.exists() else "no ledger.json in it" if path.is_dir() else "a file"
-        raise NotALedger(f"{path}: found {found}, expected the directory of a ledger; give the path that `fsar-ledger simulate` wrote to") from error
+        raise NotALedger(
+            f"{path}: found {found}, expected the directory of a ledger; give the path that `fsar-ledger simulate` wrote to"
+        ) from error
     except OSError as error:
-        raise LedgerCorrupted(f"{path / MANIFEST}: it cannot be read ({error.strerror}); permit reading or restore it") from error
+        raise LedgerCorrupted(
+            f"{path / MANIFEST}: it cannot be read ({error.strerror}); permit reading or restore it"
+        ) from error
 
 
 def _require_folders(path: Path) -> None:
     """Raises: LedgerCorrupted if a folder of the ledger is a link: what it leads to is not the ledger's, to be read or cleaned up."""
     for folder in (path / COMMITS, path / SEGMENTS, path / STAGING, path / TILE):
         if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-            raise LedgerCorrupted(f"{folder}: found a link or something else than a folder, expected a folder of the ledger; restore it")
+            raise LedgerCorrupted(
+                f"{folder}: found a link or something else than a folder, expected a folder of the ledger; restore it"
+            )
 
 
 def _unreadable(path: Path, number: int, error: OSError) -> LedgerCorrupted:
-    return LedgerCorrupted(f"{path}: commit {number}: the segment cannot be read ({error.strerror}); permit reading or restore it")
+    return LedgerCorrupted(
+        f"{path}: commit {number}: the segment cannot be read ({error.strerror}); permit reading or restore it"
+    )
 
 
 def _read(file: Path) -> bytes:
@@ -251,7 +273,9 @@ def _count(path: Path) -> int:
     try:
         names = commit_names(path)
     except OSError as error:
-        raise LedgerCorrupted(f"{path / COMMITS}: the folder cannot be read ({error.strerror}), expected one record a commit; restore it") from error
+        raise LedgerCorrupted(
+            f"{path / COMMITS}: the folder cannot be read ({error.strerror}), expected one record a commit; restore it"
+        ) from error
     for number, name in enumerate(names):
         if name != commit_name(number):
             raise LedgerCorrupted(

@@ -104,29 +104,43 @@ def parse_manifest(path: Path, data: bytes) -> Manifest:
     try:
         header = msgspec.json.decode(data, type=dict[str, object])
     except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        raise LedgerCorrupted(f"{path}: found no JSON object ({error}), expected the description of a ledger; restore it") from error
+        raise LedgerCorrupted(
+            f"{path}: found no JSON object ({error}), expected the description of a ledger; restore it"
+        ) from error
     if header.get("format") != FORMAT:
-        raise NotALedger(f"{path}: found format {header.get('format')!r:.80}, expected {FORMAT!r}; this is no FSAR ledger")
+        raise NotALedger(
+            f"{path}: found format {header.get('format')!r:.80}, expected {FORMAT!r}; this is no FSAR ledger"
+        )
     if header.get("version") != VERSION:
-        raise FormatVersionMismatch(f"{path}: found format version {header.get('version')!r:.80}, expected {VERSION}; read it with the version that wrote it")
+        raise FormatVersionMismatch(
+            f"{path}: found format version {header.get('version')!r:.80}, expected {VERSION}; read it with the version that wrote it"
+        )
     manifest = _parse(path, data, Manifest)
     if not is_name(manifest.origin):
-        raise LedgerCorrupted(f"{path}: field origin: found {manifest.origin!r:.80}, expected a printable name without spaces; restore it")
+        raise LedgerCorrupted(
+            f"{path}: field origin: found {manifest.origin!r:.80}, expected a printable name without spaces; restore it"
+        )
     return manifest
 
 
 def parse_record(path: Path | str, data: bytes) -> CommitRecord:
     """The record in these bytes of `path`. Raises: LedgerCorrupted if they are not the canonical JSON of one with fields in range."""
     record = _parse(path, data, CommitRecord)
-    _require_hash(path, "segment_sha256", record.segment_sha256)  # part of a path; the other hashes are compared with their own
+    _require_hash(
+        path, "segment_sha256", record.segment_sha256
+    )  # part of a path; the other hashes are compared with their own
     for subtree in record.frontier:
         _require_hash(path, "frontier", subtree)
     if len(record.frontier) != record.tree_size.bit_count():
-        raise LedgerCorrupted(f"{path}: field frontier: found {len(record.frontier)} hashes, expected one for each bit set in tree size {record.tree_size}")
+        raise LedgerCorrupted(
+            f"{path}: field frontier: found {len(record.frontier)} hashes, expected one for each bit set in tree size {record.tree_size}"
+        )
     return record
 
 
-def contradictions(record: CommitRecord, number: int, previous: str, origin: str, before: Frontier) -> Iterator[tuple[str, object, object]]:
+def contradictions(
+    record: CommitRecord, number: int, previous: str, origin: str, before: Frontier
+) -> Iterator[tuple[str, object, object]]:
     """Each field (name, found, expected) in which a record contradicts itself, its place, the tree before it or what this version knows."""
     tree = record.tree()
     if record.release not in FINGERPRINTS:
@@ -148,7 +162,11 @@ def contradictions(record: CommitRecord, number: int, previous: str, origin: str
 
 def _readable_releases(found: str) -> str:
     """What a record's release should be instead."""
-    return f"at most {RELEASE}; read it with fsar-ledger {found} or later" if is_later(found) else f"one of {', '.join(sorted(FINGERPRINTS))}"
+    return (
+        f"at most {RELEASE}; read it with fsar-ledger {found} or later"
+        if is_later(found)
+        else f"one of {', '.join(sorted(FINGERPRINTS))}"
+    )
 
 
 def _is_note_of(record: CommitRecord, checkpoint: Checkpoint) -> bool:
@@ -159,13 +177,17 @@ def _is_note_of(record: CommitRecord, checkpoint: Checkpoint) -> bool:
         note = record.signed_note()
     except LedgerCorrupted:
         return False
-    is_own = all(signature.name == checkpoint.origin and len(signature.data) == _SIGNATURE_BYTES for signature in note.signatures)
+    is_own = all(
+        signature.name == checkpoint.origin and len(signature.data) == _SIGNATURE_BYTES for signature in note.signatures
+    )
     return note.checkpoint == checkpoint and len(note.signatures) <= 1 and is_own
 
 
 def _require_hash(path: Path | str, name: str, value: str) -> None:
     if len(value) != 2 * HASH_BYTES or value.strip("0123456789abcdef"):
-        raise LedgerCorrupted(f"{path}: field {name}: found {value!r:.80}, expected a SHA-256 in lower-case hex; restore the file")
+        raise LedgerCorrupted(
+            f"{path}: field {name}: found {value!r:.80}, expected a SHA-256 in lower-case hex; restore the file"
+        )
 
 
 def _parse(path: Path | str, data: bytes, kind: type[_Document]) -> _Document:
@@ -176,6 +198,11 @@ def _parse(path: Path | str, data: bytes, kind: type[_Document]) -> _Document:
         raise LedgerCorrupted(f"{path}: found other JSON than expected ({error}); restore the file") from error
     expected = canonical.document(found)
     if data != expected:
-        at = next((at for at, (one, other) in enumerate(zip(data, expected, strict=False)) if one != other), min(len(data), len(expected)))
-        raise LedgerCorrupted(f"{path}: byte {at}: found {data[at : at + 20]!r}, expected {expected[at : at + 20]!r} (canonical JSON); restore the file")
+        at = next(
+            (at for at, (one, other) in enumerate(zip(data, expected, strict=False)) if one != other),
+            min(len(data), len(expected)),
+        )
+        raise LedgerCorrupted(
+            f"{path}: byte {at}: found {data[at : at + 20]!r}, expected {expected[at : at + 20]!r} (canonical JSON); restore the file"
+        )
     return found

@@ -57,7 +57,9 @@ class Recovery(msgspec.Struct, frozen=True):
     report: VerifyReport | None = None
 
 
-def recover(path: Path, workers: int = 1, progress: Progress | None = None, asked: Asked | None = None, into: Path | None = None) -> Recovery:
+def recover(
+    path: Path, workers: int = 1, progress: Progress | None = None, asked: Asked | None = None, into: Path | None = None
+) -> Recovery:
     """The ledger verifies, or it is as it was and the answer says what of it can be trusted.
 
     Args:
@@ -77,20 +79,34 @@ def recover(path: Path, workers: int = 1, progress: Progress | None = None, aske
     _require_ledger(path)
     _require_free(path, into)
     if asked.anchor is not None and asked.anchor.note is None:
-        raise UsageError(f"--anchor {asked.anchor.file}: found {asked.anchor.reason}, expected a checkpoint of this ledger")
+        raise UsageError(
+            f"--anchor {asked.anchor.file}: found {asked.anchor.reason}, expected a checkpoint of this ledger"
+        )
     with _alone(path):
         prefix = find_prefix(path, workers, progress, asked)
         if not prefix.problems:
             return _mend(path, prefix, workers, progress, asked)
         report = _copy(path, prefix, into, workers, progress, asked) if into is not None else None
-        return Recovery("damaged" if into is None else "continued", prefix.head, (), prefix.problems, prefix.later, prefix.anchored, report)
+        return Recovery(
+            "damaged" if into is None else "continued",
+            prefix.head,
+            (),
+            prefix.problems,
+            prefix.later,
+            prefix.anchored,
+            report,
+        )
 
 
 def _require_ledger(path: Path) -> None:
     names = set(os.listdir(path)) if os.path.isdir(path) else set()
     if not names & {MANIFEST, COMMITS, SEGMENTS}:
-        raise NotALedger(f"{path}: found no ledger there, expected its directory; give the path that `fsar-ledger simulate` wrote to")
-    if names <= {COMMITS, SEGMENTS, STAGING} and not any(os.listdir(path / name) for name in names - {STAGING} if os.path.isdir(path / name)):
+        raise NotALedger(
+            f"{path}: found no ledger there, expected its directory; give the path that `fsar-ledger simulate` wrote to"
+        )
+    if names <= {COMMITS, SEGMENTS, STAGING} and not any(
+        os.listdir(path / name) for name in names - {STAGING} if os.path.isdir(path / name)
+    ):
         raise NotALedger(
             f"{path}: found a ledger whose creation was interrupted before anything was in it, expected one with {MANIFEST}; "
             "run the command that creates it again"
@@ -110,7 +126,9 @@ def _require_free(path: Path, into: Path | None) -> None:
 def _alone(path: Path) -> Iterator[None]:
     """No writer has the ledger open or opens it meanwhile, where the file system has locks. Raises: WriteFailed if one has, or it cannot be opened."""
     with disk.refusals(path, "locking"):
-        handle = os.open(path, os.O_RDONLY | os.O_DIRECTORY)  # ledger.json may be missing, and another file once it is made again
+        handle = os.open(
+            path, os.O_RDONLY | os.O_DIRECTORY
+        )  # ledger.json may be missing, and another file once it is made again
     try:
         _lock(path, handle)
         yield
@@ -122,7 +140,9 @@ def _lock(path: Path, handle: int) -> None:
     try:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError as error:
-        raise WriteFailed(f"{path}: found a writer at work, expected none; wait until it ends, or end it, and run it again") from error
+        raise WriteFailed(
+            f"{path}: found a writer at work, expected none; wait until it ends, or end it, and run it again"
+        ) from error
     except OSError:  # the file system has no locks
         return
 
@@ -141,7 +161,9 @@ def _mend(path: Path, prefix: Prefix, workers: int, progress: Progress | None, a
         mending.confirm()
     report = verify(path, workers, progress, asked)
     outcome: Outcome = "damaged" if not report.ok else "mended" if mending.steps else "whole"
-    return Recovery(outcome, prefix.head, tuple(mending.steps), report.problems, anchored=prefix.anchored, report=report)
+    return Recovery(
+        outcome, prefix.head, tuple(mending.steps), report.problems, anchored=prefix.anchored, report=report
+    )
 
 
 class _Mending:
@@ -220,12 +242,20 @@ def _new_folder(ledger: Path) -> Path:
 # --- a ledger of which a part can be trusted ---
 
 
-def _copy(path: Path, prefix: Prefix, into: Path, workers: int, progress: Progress | None, asked: Asked) -> VerifyReport:
+def _copy(
+    path: Path, prefix: Prefix, into: Path, workers: int, progress: Progress | None, asked: Asked
+) -> VerifyReport:
     """There is a new ledger with the trusted commits, byte for byte, which verifies; or nothing is there."""
     if not prefix.records:
-        raise LedgerCorrupted(f"{prefix.problems[0]}\n{path}: found no commit that can be trusted, expected one to copy to {into}; begin a new ledger there")
+        raise LedgerCorrupted(
+            f"{prefix.problems[0]}\n{path}: found no commit that can be trusted, expected one to copy to {into}; begin a new ledger there"
+        )
     work = disk.temporary_name(into)
-    if asked.anchor is not None and asked.anchor.note is not None and asked.anchor.note.checkpoint.size > prefix.head.size:
+    if (
+        asked.anchor is not None
+        and asked.anchor.note is not None
+        and asked.anchor.note.checkpoint.size > prefix.head.size
+    ):
         asked = msgspec.structs.replace(asked, anchor=None)
     try:
         with disk.refusals(into, "copying the trusted commits"):
@@ -233,7 +263,9 @@ def _copy(path: Path, prefix: Prefix, into: Path, workers: int, progress: Progre
             _write_copy(path, prefix, work)
         report = verify(work, workers, progress, asked)
         if not report.ok:
-            raise LedgerCorrupted(f"{report.problems[0]}\n{path}: found other files than a moment ago, expected nobody else to write; run it again")
+            raise LedgerCorrupted(
+                f"{report.problems[0]}\n{path}: found other files than a moment ago, expected nobody else to write; run it again"
+            )
         with disk.refusals(into, "naming the new ledger"):
             os.rename(work, into)
             disk.sync_folder(into.absolute().parent)

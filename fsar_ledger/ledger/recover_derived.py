@@ -73,7 +73,10 @@ class TilePlan:
 def is_as(ledger: Path, name: str, data: bytes) -> bool:
     """Whether the file of this name is there with these bytes, in the ledger itself and not behind a link."""
     try:
-        return os.path.realpath(ledger / name) == os.path.join(os.path.realpath(ledger), name) and disk.read_document(ledger / name) == data
+        return (
+            os.path.realpath(ledger / name) == os.path.join(os.path.realpath(ledger), name)
+            and disk.read_document(ledger / name) == data
+        )
     except OSError:
         return False
 
@@ -94,7 +97,9 @@ def derive(view: LedgerView, redo: Redo | None, set_aside: SetAside) -> list[str
     for number in range(redo.commit if redo else len(view.records), len(view.records)):
         after, made = edge.extend(view.leaves(number))
         if after.frontier() != view.records[number].tree():
-            raise LedgerCorrupted(f"{view.segment(number)}: commit {number}: found other rows than a moment ago, expected nobody else to write; run it again")
+            raise LedgerCorrupted(
+                f"{view.segment(number)}: commit {number}: found other rows than a moment ago, expected nobody else to write; run it again"
+            )
         written += put(view.path, {one.tile.name: one.data for one in plan.add(Redo(number, edge), made)}, set_aside)
         edge = after
     written += put(view.path, {one.tile.name: one.data for one in plan.partial()}, set_aside)
@@ -150,13 +155,28 @@ def is_tile(name: str) -> bool:
 
 def grown_beyond(ledger: Path, head: Head, origin: str) -> Iterator[Problem]:
     """What can be there only if the ledger had more commits than it has: they were made durable before anything was derived from them."""
-    expected = f"nothing of a tree of more than the {head.size} events that are committed: the newest commits were removed"
+    expected = (
+        f"nothing of a tree of more than the {head.size} events that are committed: the newest commits were removed"
+    )
     note = checkpoint_note(ledger)
-    if note is not None and (note.checkpoint.origin, note.checkpoint.root.hex()) != (origin, head.root) and note.checkpoint.size > head.size:
+    if (
+        note is not None
+        and (note.checkpoint.origin, note.checkpoint.root.hex()) != (origin, head.root)
+        and note.checkpoint.size > head.size
+    ):
         yield Problem(CHECKPOINT, f"a checkpoint of {note.checkpoint.size} events", expected, commit=head.commits)
-    beyond = [name for name in _files(ledger) if (tile := _tile(name)) is not None and tile.number * WIDTH + tile.width > head.size >> HEIGHT * tile.level]
+    beyond = [
+        name
+        for name in _files(ledger)
+        if (tile := _tile(name)) is not None and tile.number * WIDTH + tile.width > head.size >> HEIGHT * tile.level
+    ]
     if beyond:
-        yield Problem(beyond[0], f"a tile{f' (and {len(beyond) - 1} more)' if len(beyond) > 1 else ''}", expected, commit=head.commits)
+        yield Problem(
+            beyond[0],
+            f"a tile{f' (and {len(beyond) - 1} more)' if len(beyond) > 1 else ''}",
+            expected,
+            commit=head.commits,
+        )
 
 
 def checkpoint_note(ledger: Path) -> Note | None:

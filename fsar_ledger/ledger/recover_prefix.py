@@ -117,7 +117,10 @@ class _Walk:
         self.files: list[str] = []  # segments without doubt
         self.runs: set[str] = set()
         self.edge, self.plan = Edge(), TilePlan(path)
-        self.anchor, self.anchors = asked.anchor, [*([asked.anchor] if asked.anchor else []), *_signed_checkpoint(path, asked.trusted)]
+        self.anchor, self.anchors = (
+            asked.anchor,
+            [*([asked.anchor] if asked.anchor else []), *_signed_checkpoint(path, asked.trusted)],
+        )
         self.roots = {0: merkle.EMPTY_ROOT}  # by the number of events, as far as an anchor asks
 
     def read_chain(self) -> list[Problem]:
@@ -129,7 +132,13 @@ class _Walk:
             if number not in self.numbers:
                 beyond = min((one for one in self.numbers if one > number), default=None)
                 where = f"{COMMITS}/{number:012d}.json"
-                return [] if beyond is None else [Problem(where, "no file", f"a commit record, as there is one of commit {beyond}", commit=number)]
+                return (
+                    []
+                    if beyond is None
+                    else [
+                        Problem(where, "no file", f"a commit record, as there is one of commit {beyond}", commit=number)
+                    ]
+                )
             record, data, problems = _read_record(self.path, number)
             if record is not None:
                 problems += check_record(number, record, previous, self.origin, tree)
@@ -142,7 +151,10 @@ class _Walk:
     def read_segments(self, workers: int, progress: Progress | None) -> list[Problem]:
         """Each segment of the chain is as its record says; the problems of the first that is not."""
         for (record, _), facts in zip(self.chain, self._examined(workers), strict=True):
-            problems = [*facts.problems, *(self._grow(record, facts) if facts.leaves is not None and facts.runs is not None else ())]
+            problems = [
+                *facts.problems,
+                *(self._grow(record, facts) if facts.leaves is not None and facts.runs is not None else ()),
+            ]
             if problems:
                 return problems
             self.files.append(facts.file)
@@ -170,13 +182,29 @@ class _Walk:
         self.plan.compare(self.plan.add(by, made))
         if self.edge.frontier() != record.tree():
             found = f"{self.edge.size} events with Merkle root {self.edge.frontier().root().hex()}"
-            yield Problem(facts.file, found, f"{record.tree_size} with {record.tree_root} as committed", commit=record.number, field="tree_root")
+            yield Problem(
+                facts.file,
+                found,
+                f"{record.tree_size} with {record.tree_root} as committed",
+                commit=record.number,
+                field="tree_root",
+            )
         for name, said, run in (("first_run", record.first_run, runs[0]), ("last_run", record.last_run, runs[-1])):
             if said != run:
-                yield Problem(f"{COMMITS}/{record.number:012d}.json", repr(said), repr(run), commit=record.number, field=name)
+                yield Problem(
+                    f"{COMMITS}/{record.number:012d}.json", repr(said), repr(run), commit=record.number, field=name
+                )
         again = next((run for run in runs if run in self.runs), None)
         if again is not None:
-            yield Problem(facts.file, f"run {again} once more", "each run in one commit", commit=record.number, run=again, seq=0, field="run_id")
+            yield Problem(
+                facts.file,
+                f"run {again} once more",
+                "each run in one commit",
+                commit=record.number,
+                run=again,
+                seq=0,
+                field="run_id",
+            )
         self.runs.update(runs)
 
     def prefix(self, doubts: list[Problem]) -> Prefix:
@@ -193,11 +221,20 @@ class _Walk:
                 kept, is_cut = (kept if is_beyond else 0), True
                 problems = [*contradiction, *problems]
         records = tuple(record for record, _ in self.chain[:kept])
-        found = Prefix(self.origin, self.manifest, records, tuple(data for _, data in self.chain[:kept]), tuple(self.files[:kept]), tuple(problems))
+        found = Prefix(
+            self.origin,
+            self.manifest,
+            records,
+            tuple(data for _, data in self.chain[:kept]),
+            tuple(self.files[:kept]),
+            tuple(problems),
+        )
         if not problems:
             found = msgspec.structs.replace(found, problems=tuple(self._grown_beyond(found.head)))
         if found.problems:
-            return msgspec.structs.replace(found, later=tuple(self._later(kept, is_cut=is_cut)), anchored=self._anchored(found.head))
+            return msgspec.structs.replace(
+                found, later=tuple(self._later(kept, is_cut=is_cut)), anchored=self._anchored(found.head)
+            )
         partial = self.plan.partial()
         self.plan.compare(partial)
         strays = (*_strays(self.path, found), *tile_strays(self.path, found.head, partial))
@@ -217,7 +254,9 @@ class _Walk:
         if kept and signed == kept:
             return kept, None
         expected = f"a note signed by {self.trusted.key}, the trusted key"
-        return signed, Problem(f"{COMMITS}/{signed:012d}.json", found if kept else "no commit", expected, commit=signed, field="note")
+        return signed, Problem(
+            f"{COMMITS}/{signed:012d}.json", found if kept else "no commit", expected, commit=signed, field="note"
+        )
 
     def _ask(self, anchor: Anchor, *, is_whole: bool) -> tuple[list[Problem], bool]:
         """What an anchor says against what was verified, and whether it knows of more than that and so cannot contradict it."""
@@ -227,7 +266,9 @@ class _Walk:
         is_beyond = anchor.note.checkpoint.size > size
         if is_beyond and not is_whole:
             return [], True
-        return check_anchor(anchor, self.origin, size, self.roots.get(anchor.note.checkpoint.size), self.trusted), is_beyond
+        return check_anchor(
+            anchor, self.origin, size, self.roots.get(anchor.note.checkpoint.size), self.trusted
+        ), is_beyond
 
     def _anchored(self, head: Head) -> int | None:
         """The events of the trusted ones that the anchor that was given vouches for."""
@@ -246,7 +287,9 @@ class _Walk:
         for number in sorted(_numbers(self.path, SEGMENTS, ".parquet")):
             if number >= head.commits:
                 expected = "its commit record, which was there before: the newest commits were removed"
-                yield Problem(str(segment_path(Path(), number)), "a segment of no commit", expected, commit=head.commits)
+                yield Problem(
+                    str(segment_path(Path(), number)), "a segment of no commit", expected, commit=head.commits
+                )
 
     def _later(self, kept: int, *, is_cut: bool) -> Iterator[Later]:
         """Each commit after the trusted ones, on its own."""
@@ -259,7 +302,11 @@ class _Walk:
                 continue
             facts = examine_file(_segment_file(self.path, number, record), str(self.path), number, record)
             is_known = number < len(self.chain) and not is_cut
-            yield Later(number, NO_SEGMENT, record.segment_sha256 if is_known else None) if facts.problems else Later(number, FITS)
+            yield (
+                Later(number, NO_SEGMENT, record.segment_sha256 if is_known else None)
+                if facts.problems
+                else Later(number, FITS)
+            )
 
 
 def _check_folders(path: Path) -> Iterator[Problem]:
@@ -292,12 +339,20 @@ def _read_manifest(path: Path, problems: list[Problem]) -> tuple[str | None, byt
         if again is not None:
             return first.signed_note().checkpoint.origin, again
     if data is None:
-        problems.append(Problem(MANIFEST, "no file that can be read", "the description of the ledger, which no commit record can replace"))
+        problems.append(
+            Problem(
+                MANIFEST,
+                "no file that can be read",
+                "the description of the ledger, which no commit record can replace",
+            )
+        )
         return None, None
     try:
         return parse_manifest(Path(MANIFEST), data).origin, data
     except LedgerCorrupted as error:
-        problems.append(Problem(MANIFEST, f"no description of a ledger {refusal(MANIFEST, error)}", "one as it is written"))
+        problems.append(
+            Problem(MANIFEST, f"no description of a ledger {refusal(MANIFEST, error)}", "one as it is written")
+        )
         return None, None
 
 
@@ -326,7 +381,11 @@ def _read_record(path: Path, number: int) -> tuple[CommitRecord | None, bytes, l
     try:
         return parse_record(where, data), data, []
     except FsarLedgerError as error:
-        return None, data, [Problem(where, f"no commit record {refusal(where, error)}", "one as it is written", commit=number)]
+        return (
+            None,
+            data,
+            [Problem(where, f"no commit record {refusal(where, error)}", "one as it is written", commit=number)],
+        )
     except Exception as error:
         return None, data, [unexpected(where, number, error)]
 
@@ -334,7 +393,9 @@ def _read_record(path: Path, number: int) -> tuple[CommitRecord | None, bytes, l
 def _segment_file(path: Path, number: int, record: CommitRecord) -> str:
     """Where the segment is, within the ledger: in place, or in staging where its writer was interrupted."""
     place, staged = segment_path(Path(), number), staged_path(Path(), record.segment_sha256)
-    is_staged = not os.path.lexists(path / place) and os.path.lexists(path / staged) and not os.path.islink(path / STAGING)
+    is_staged = (
+        not os.path.lexists(path / place) and os.path.lexists(path / staged) and not os.path.islink(path / STAGING)
+    )
     return str(staged if is_staged else place)
 
 
@@ -352,5 +413,12 @@ def _strays(path: Path, found: Prefix) -> Iterator[str]:
         is_folder = os.path.isdir(path / name) and not os.path.islink(path / name)
         if name not in folders | files or (name in folders and not is_folder):
             yield name
-    kept = {str(place(Path(), number)) for number in range(len(found.records)) for place in (commit_path, segment_path)} | set(found.files)
-    yield from (f"{folder}/{name}" for folder in (COMMITS, SEGMENTS, STAGING) for name in _names(path / folder) if f"{folder}/{name}" not in kept)
+    kept = {
+        str(place(Path(), number)) for number in range(len(found.records)) for place in (commit_path, segment_path)
+    } | set(found.files)
+    yield from (
+        f"{folder}/{name}"
+        for folder in (COMMITS, SEGMENTS, STAGING)
+        for name in _names(path / folder)
+        if f"{folder}/{name}" not in kept
+    )

@@ -25,8 +25,12 @@ def parse_columns(where: str, text: str) -> pa.Schema:
     names = [line.partition(" ")[0] for line in text.splitlines()]
     schema = pa.schema([SCHEMA.field(name) for name in SCHEMA.names if name in names])
     if described(schema) != text:
-        changed = sorted(set(text.splitlines()) - set(described(schema).splitlines())) or ["the columns in another order"]
-        raise TypeError(f"{where}: found {changed[0]}, which today's columns do not have; keep each column as it was, and its event type in RETIRED_TYPES")
+        changed = sorted(set(text.splitlines()) - set(described(schema).splitlines())) or [
+            "the columns in another order"
+        ]
+        raise TypeError(
+            f"{where}: found {changed[0]}, which today's columns do not have; keep each column as it was, and its event type in RETIRED_TYPES"
+        )
     return schema
 
 
@@ -55,7 +59,9 @@ def is_later(release: str) -> bool:
 def _number(release: str) -> tuple[int, ...] | None:
     """The three numbers of a release; None for any other text."""
     parts = release.split(".")
-    if len(parts) != 3 or not all(part.isascii() and part.isdecimal() and len(part) < 10 and part == str(int(part)) for part in parts):
+    if len(parts) != 3 or not all(
+        part.isascii() and part.isdecimal() and len(part) < 10 and part == str(int(part)) for part in parts
+    ):
         return None
     return tuple(map(int, parts))
 
@@ -66,5 +72,7 @@ def widened(table: pa.Table, names: Sequence[str], schema: pa.Schema) -> pa.Tabl
     present = set(table.column_names)
     if len(present) == len(fields):
         return table
-    columns = [table.column(field.name) if field.name in present else pa.nulls(table.num_rows, field.type) for field in fields]
+    columns = [
+        table.column(field.name) if field.name in present else pa.nulls(table.num_rows, field.type) for field in fields
+    ]
     return pa.Table.from_arrays(columns, schema=pa.schema(fields))

@@ -56,10 +56,14 @@ _TYPES: dict[Kind, type] = {"string": str, "integer": int, "boolean": bool, "str
 
 
 def _allowed(field: Field) -> Allowed:
-    return Allowed(_TYPES[field.kind], field.is_nullable, None if field.values is None else frozenset({*field.values, None}))
+    return Allowed(
+        _TYPES[field.kind], field.is_nullable, None if field.values is None else frozenset({*field.values, None})
+    )
 
 
-ALLOWED: dict[str, tuple[Allowed, ...]] = {layout.tag: tuple(map(_allowed, layout.fields)) for layout in LAYOUTS.values()}
+ALLOWED: dict[str, tuple[Allowed, ...]] = {
+    layout.tag: tuple(map(_allowed, layout.fields)) for layout in LAYOUTS.values()
+}
 """For each event type what its fields may hold, in the order of its constructor: from the structs, as all that `check` expects of stored rows."""
 
 
@@ -67,7 +71,9 @@ def are_allowed(values: Sequence[object], allowed: Allowed) -> bool:
     """Whether a field may hold each of these values, but for the size of integers and for surrogates in strings, which the columns find out."""
     kind, is_nullable, closed = allowed
     types = list(map(type, values))  # the quickest way to look at each
-    if (found := types.count(kind)) != len(types) and not (is_nullable and found + types.count(type(None)) == len(types)):
+    if (found := types.count(kind)) != len(types) and not (
+        is_nullable and found + types.count(type(None)) == len(types)
+    ):
         return False
     if kind is tuple and not _are_strings(chain.from_iterable(filter(None, values))):  # type: ignore[arg-type]
         return False
@@ -85,11 +91,15 @@ def require_runs(runs: Sequence[RunRecord]) -> None:
         if type(run.run_id) is not str:
             raise InvalidRun(f"field run_id: found {run.run_id!r:.80}, expected a string; give each run a name")
         if not _is_unicode(run.run_id):
-            raise InvalidRun(f"field run_id: found {run.run_id!r:.80}, expected text without surrogates; give each run a name that can be stored")
+            raise InvalidRun(
+                f"field run_id: found {run.run_id!r:.80}, expected text without surrogates; give each run a name that can be stored"
+            )
         sizes = len(run.events), len(run.times_us), len(run.caused_by)
         if not sizes[0] == sizes[1] == sizes[2] or not sizes[0]:
             found = "{} events, {} times and {} causes".format(*sizes)
-            raise InvalidRun(f"run {printable.value(run.run_id)}: found {found}, expected as many of each, at least 1; append finished runs only")
+            raise InvalidRun(
+                f"run {printable.value(run.run_id)}: found {found}, expected as many of each, at least 1; append finished runs only"
+            )
         if run.run_id in seen:
             raise refusal(Flaw(-1, run.run_id, 0, "run_id", "the run twice in one batch", "each run once"))
         seen.add(run.run_id)
@@ -102,7 +112,15 @@ def refusal(flaw: Flaw) -> InvalidRun:
 
 def first_unfit(runs: Sequence[RunRecord]) -> Flaw | None:
     """The first value that no row can hold, run by run and event by event."""
-    return next((Flaw(-1, run.run_id, seq, *unfit) for run in runs for seq in range(len(run.events)) for unfit in _unfit(run, seq)), None)
+    return next(
+        (
+            Flaw(-1, run.run_id, seq, *unfit)
+            for run in runs
+            for seq in range(len(run.events))
+            for unfit in _unfit(run, seq)
+        ),
+        None,
+    )
 
 
 def unreadable(runs: Sequence[RunRecord]) -> Flaw | None:

@@ -75,7 +75,9 @@ def _field(field: inspect.Field) -> Field:
             return Field(field.name, "boolean", is_nullable, None)
         case (inspect.VarTupleType(item_type=inspect.StrType()),):
             return Field(field.name, "strings", is_nullable, None)
-    raise TypeError(f"field {field.name}: found {field.type}; a ledger holds str, Literal of str, int, bool or tuple[str, ...], each or None")
+    raise TypeError(
+        f"field {field.name}: found {field.type}; a ledger holds str, Literal of str, int, bool or tuple[str, ...], each or None"
+    )
 
 
 def layout(cls: type[Event]) -> Layout:
@@ -100,7 +102,9 @@ def columns(layouts: tuple[Layout, ...]) -> dict[str, Kind]:
     for one in layouts:
         for field in one.fields:
             if payload.setdefault(field.name, field.kind) != field.kind:
-                raise TypeError(f"{one.tag}: field {field.name} is {field.kind}, in another event type {payload[field.name]}; one name is one column")
+                raise TypeError(
+                    f"{one.tag}: field {field.name} is {field.kind}, in another event type {payload[field.name]}; one name is one column"
+                )
     return kinds | dict(sorted(payload.items()))
 
 
@@ -130,10 +134,14 @@ PAYLOAD: tuple[str, ...] = tuple(COLUMNS)[len(ENVELOPE) :]
 
 _REQUIRED = frozenset(field.name for field in ENVELOPE if not field.is_nullable)
 
-SCHEMA: pa.Schema = pa.schema([pa.field(name, ARROW_TYPES[kind], nullable=name not in _REQUIRED) for name, kind in COLUMNS.items()])
+SCHEMA: pa.Schema = pa.schema(
+    [pa.field(name, ARROW_TYPES[kind], nullable=name not in _REQUIRED) for name, kind in COLUMNS.items()]
+)
 """The Arrow schema of every segment that is written, and of every table that is read; segments of earlier releases may lack columns."""
 
-CODED_SCHEMA: pa.Schema = pa.schema([field.with_type(pa.dictionary(pa.int32(), field.type)) if field.type == pa.string() else field for field in SCHEMA])
+CODED_SCHEMA: pa.Schema = pa.schema(
+    [field.with_type(pa.dictionary(pa.int32(), field.type)) if field.type == pa.string() else field for field in SCHEMA]
+)
 """`SCHEMA` in memory before it is written: each column of strings as codes into a sorted dictionary of what is in it."""
 
 

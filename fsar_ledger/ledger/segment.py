@@ -70,7 +70,9 @@ def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
     try:
         data = read_file(path)
     except OSError as error:
-        raise LedgerCorrupted(f"{path}: the segment cannot be read ({error.strerror}); permit reading or restore it") from error
+        raise LedgerCorrupted(
+            f"{path}: the segment cannot be read ({error.strerror}); permit reading or restore it"
+        ) from error
     return _read(path, data, check_layout(path, data), columns, SCHEMA)
 
 
@@ -93,13 +95,18 @@ def _read(path: Path, data: bytes, layout: Layout, columns: list[str] | None, ta
     except pa.ArrowMemoryError:
         raise  # the machine's fault
     except (OSError, pa.ArrowException) as error:
-        raise LedgerCorrupted(f"{path}: the segment cannot be read ({error}); expected a Parquet file with valid page checksums; restore it") from error
+        raise LedgerCorrupted(
+            f"{path}: the segment cannot be read ({error}); expected a Parquet file with valid page checksums; restore it"
+        ) from error
 
 
 def _columns(file: pq.ParquetFile, names: list[str], rows: int) -> pa.Table:
     """These columns of the file, a few at a time where there are many rows: what a column takes while it is decoded is then free for the next."""
     if rows <= _FEW_ROWS:
         return file.read(columns=names, use_threads=False)
-    parts = [file.read(columns=names[first : first + _FEW_COLUMNS], use_threads=False) for first in range(0, len(names), _FEW_COLUMNS)]
+    parts = [
+        file.read(columns=names[first : first + _FEW_COLUMNS], use_threads=False)
+        for first in range(0, len(names), _FEW_COLUMNS)
+    ]
     columns = [column for part in parts for column in part.columns]
     return pa.Table.from_arrays(columns, schema=pa.schema([field for part in parts for field in part.schema]))

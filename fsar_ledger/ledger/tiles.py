@@ -64,7 +64,9 @@ class Edge(msgspec.Struct, frozen=True):
                 first = (self.size >> HEIGHT * level) // WIDTH
                 hashes = before + added
                 full = len(hashes) // _TILE_BYTES
-                made |= {Tile(level, first + at): hashes[at * _TILE_BYTES : (at + 1) * _TILE_BYTES] for at in range(full)}
+                made |= {
+                    Tile(level, first + at): hashes[at * _TILE_BYTES : (at + 1) * _TILE_BYTES] for at in range(full)
+                }
                 rest = hashes[full * _TILE_BYTES :]
                 if rest:
                     made[Tile(level, first + full, len(rest) // HASH_BYTES)] = rest
@@ -120,7 +122,9 @@ def _read(ledger: Path, tile: Tile) -> bytes:
         except FileNotFoundError:
             continue
         except OSError as error:
-            raise LedgerCorrupted(f"{ledger / name}: the tile cannot be read ({error.strerror}); run fsar-ledger recover, which derives it again") from error
+            raise LedgerCorrupted(
+                f"{ledger / name}: the tile cannot be read ({error.strerror}); run fsar-ledger recover, which derives it again"
+            ) from error
         if len(data) >= tile.width * HASH_BYTES:
             return data[: tile.width * HASH_BYTES]
     found = "no file" if data is None else f"{len(data)} bytes"

@@ -23,9 +23,25 @@ from fsar_ledger.ledger.place import require_created
 from fsar_ledger.ledger.problem import Problem, unexpected
 from fsar_ledger.ledger.record import COMMITS, MANIFEST, SEGMENTS, STAGING, CommitRecord
 from fsar_ledger.ledger.tiles import Edge
-from fsar_ledger.ledger.verify_commits import Commit, check_folder, check_manifest, check_record, check_strays, read_commits, segment_file
+from fsar_ledger.ledger.verify_commits import (
+    Commit,
+    check_folder,
+    check_manifest,
+    check_record,
+    check_strays,
+    read_commits,
+    segment_file,
+)
 from fsar_ledger.ledger.verify_derived import BEHIND, TileCheck, check_checkpoint
-from fsar_ledger.ledger.verify_notes import Anchor, ByTiles, Signatures, Signed, check_anchor, check_signatures, root_by_tiles
+from fsar_ledger.ledger.verify_notes import (
+    Anchor,
+    ByTiles,
+    Signatures,
+    Signed,
+    check_anchor,
+    check_signatures,
+    root_by_tiles,
+)
 from fsar_ledger.ledger.verify_segment import SecondReader, SegmentFacts, examine, examine_file
 from fsar_ledger.workers import WorkerPool
 
@@ -96,11 +112,15 @@ def verify(path: Path, workers: int = 1, progress: Progress | None = None, asked
         WorkerDied: A process that reads segments was ended; the ledger is neither consistent nor damaged for all that is known.
     """
     if not any(os.path.lexists(path / name) for name in (MANIFEST, COMMITS, SEGMENTS)):
-        raise NotALedger(f"{path}: found no ledger there, expected its directory; give the path that `fsar-ledger simulate` wrote to")
+        raise NotALedger(
+            f"{path}: found no ledger there, expected its directory; give the path that `fsar-ledger simulate` wrote to"
+        )
     require_created(path)
     before = _moment(path)
     report = _look(path, workers, progress, asked or Asked())
-    if not report.ok and _moment(path) != before:  # a writer was at work: what was read late need not fit what was read early
+    if (
+        not report.ok and _moment(path) != before
+    ):  # a writer was at work: what was read late need not fit what was read early
         with disk.turn(path / COMMITS, is_shared=True):
             report = _look(path, workers, progress, asked or Asked())
     return report
@@ -185,7 +205,9 @@ class _Verification:
             record_sha256=newest if ok else None,
         )
 
-    def _add(self, commits: list[Commit], commit: Commit, facts: SegmentFacts, previous: str | None, origin: str | None) -> None:
+    def _add(
+        self, commits: list[Commit], commit: Commit, facts: SegmentFacts, previous: str | None, origin: str | None
+    ) -> None:
         """One commit more, compared with those before it."""
         if commit.record is None:
             self.tree = self.edge = None
@@ -210,9 +232,19 @@ class _Verification:
             tree = self.edge.frontier()
         else:
             tree = before.extend(facts.leaves)
-        if tree.size == claimed.size and tree != claimed:  # another size is a contradiction in the record, and named there
+        if (
+            tree.size == claimed.size and tree != claimed
+        ):  # another size is a contradiction in the record, and named there
             found = f"Merkle root {tree.root().hex()}"
-            self.problems.append(Problem(facts.file, found, f"{record.tree_root} as committed: a row was altered", commit=number, field="tree_root"))
+            self.problems.append(
+                Problem(
+                    facts.file,
+                    found,
+                    f"{record.tree_root} as committed: a row was altered",
+                    commit=number,
+                    field="tree_root",
+                )
+            )
         if tree != claimed:
             self.edge = None
 
@@ -228,12 +260,25 @@ class _Verification:
         if facts.runs is None:
             return
         where = f"{COMMITS}/{number:012d}.json"
-        for name, found, expected in (("first_run", record.first_run, facts.runs[0]), ("last_run", record.last_run, facts.runs[-1])):
+        for name, found, expected in (
+            ("first_run", record.first_run, facts.runs[0]),
+            ("last_run", record.last_run, facts.runs[-1]),
+        ):
             if found != expected:
                 self.problems.append(Problem(where, repr(found), repr(expected), commit=number, field=name))
         again = next((run for run in facts.runs if run in self.runs), None)
         if again is not None:
-            self.problems.append(Problem(facts.file, f"run {again} once more", "each run in one commit", commit=number, run=again, seq=0, field="run_id"))
+            self.problems.append(
+                Problem(
+                    facts.file,
+                    f"run {again} once more",
+                    "each run in one commit",
+                    commit=number,
+                    run=again,
+                    seq=0,
+                    field="run_id",
+                )
+            )
         self.runs.update(facts.runs)
         self.alone |= facts.alone
 

@@ -49,7 +49,9 @@ def check_folder(path: Path) -> Iterator[Problem]:
         found.add(entry.name)
         if entry.name not in _FOLDERS | _FILES:
             yield Problem(entry.name, "an unknown file", f"only {known}; take it away")
-        elif not (entry.is_dir(follow_symlinks=False) if entry.name in _FOLDERS else entry.is_file(follow_symlinks=False)):
+        elif not (
+            entry.is_dir(follow_symlinks=False) if entry.name in _FOLDERS else entry.is_file(follow_symlinks=False)
+        ):
             yield Problem(entry.name, "something else, or a link", "a folder" if entry.name in _FOLDERS else "a file")
     for name in sorted((_FOLDERS | _FILES) - found - _MAY_BE_MISSING):
         yield Problem(name, "nothing", "a file" if name in _FILES else "a folder")
@@ -61,12 +63,16 @@ def check_manifest(path: Path, problems: list[Problem]) -> tuple[str | None, str
         data = disk.read_document(path / MANIFEST)
     except OSError as error:
         if os.path.lexists(path / MANIFEST):
-            problems.append(Problem(MANIFEST, f"an unreadable file ({error.strerror})", "the description of the ledger"))
+            problems.append(
+                Problem(MANIFEST, f"an unreadable file ({error.strerror})", "the description of the ledger")
+            )
         return None, None
     try:
         return parse_manifest(Path(MANIFEST), data).origin, sha256_hex(data)
     except FsarLedgerError as error:
-        problems.append(Problem(MANIFEST, f"no description of a ledger {refusal(MANIFEST, error)}", "one as it is written"))
+        problems.append(
+            Problem(MANIFEST, f"no description of a ledger {refusal(MANIFEST, error)}", "one as it is written")
+        )
     except Exception as error:
         problems.append(unexpected(MANIFEST, None, error))
     return None, sha256_hex(data)
@@ -83,7 +89,12 @@ def read_commits(path: Path, problems: list[Problem]) -> list[Commit]:
             problems.append(Problem(f"{COMMITS}/{name}", "a stray file", "only records NNNNNNNNNNNN.json"))
     count = len(numbers)
     gaps = sorted(numbers - set(range(count)))
-    problems += [Problem(f"{COMMITS}/{number:012d}.json", f"number {number}", f"numbers below {count}, without gaps", commit=number) for number in gaps]
+    problems += [
+        Problem(
+            f"{COMMITS}/{number:012d}.json", f"number {number}", f"numbers below {count}, without gaps", commit=number
+        )
+        for number in gaps
+    ]
     return [_read_commit(path, number, problems) for number in range(count)]
 
 
@@ -98,7 +109,9 @@ def _read_commit(path: Path, number: int, problems: list[Problem]) -> Commit:
     except OSError as error:
         problems.append(Problem(where, f"an unreadable file ({error.strerror})", "a commit record", commit=number))
     except FsarLedgerError as error:
-        problems.append(Problem(where, f"no commit record {refusal(where, error)}", "one as it is written", commit=number))
+        problems.append(
+            Problem(where, f"no commit record {refusal(where, error)}", "one as it is written", commit=number)
+        )
     except Exception as error:
         problems.append(unexpected(where, number, error))
     return Commit(number, sha256, None)
@@ -119,14 +132,28 @@ def segment_file(path: Path, commit: Commit) -> str:
     return place
 
 
-def check_record(number: int, record: CommitRecord, previous: str | None, origin: str | None, before: Frontier | None) -> Iterator[Problem]:
+def check_record(
+    number: int, record: CommitRecord, previous: str | None, origin: str | None, before: Frontier | None
+) -> Iterator[Problem]:
     """The record agrees with its place, the file before it and the tree before it, as far as those are known."""
-    unknown = {name for name, is_unknown in (("previous_sha256", previous is None), ("note", origin is None), ("rows", before is None)) if is_unknown}
+    unknown = {
+        name
+        for name, is_unknown in (
+            ("previous_sha256", previous is None),
+            ("note", origin is None),
+            ("rows", before is None),
+        )
+        if is_unknown
+    }
     for name, found, expected in contradictions(record, number, previous or "", origin or "", before or Frontier()):
         if name not in unknown:
             because = f", the SHA-256 of {COMMITS}/{number - 1:012d}.json" if number else f", the SHA-256 of {MANIFEST}"
-            because = because if name == "previous_sha256" else f", with the origin of {MANIFEST}" if name == "note" else ""
-            yield Problem(f"{COMMITS}/{number:012d}.json", f"{found!r}", f"{expected!r}{because}", commit=number, field=name)
+            because = (
+                because if name == "previous_sha256" else f", with the origin of {MANIFEST}" if name == "note" else ""
+            )
+            yield Problem(
+                f"{COMMITS}/{number:012d}.json", f"{found!r}", f"{expected!r}{because}", commit=number, field=name
+            )
 
 
 def check_strays(path: Path, count: int) -> Iterator[Problem]:
@@ -134,4 +161,8 @@ def check_strays(path: Path, count: int) -> Iterator[Problem]:
     expected = {f"{number:012d}.parquet" for number in range(count)}
     for entry in entries(path / SEGMENTS):
         if entry.name not in expected:
-            yield Problem(f"{SEGMENTS}/{entry.name}", "a file of no commit", f"segments of {count} commits; restore the record or take it away")
+            yield Problem(
+                f"{SEGMENTS}/{entry.name}",
+                "a file of no commit",
+                f"segments of {count} commits; restore the record or take it away",
+            )

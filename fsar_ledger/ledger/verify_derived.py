@@ -14,7 +14,9 @@ from fsar_ledger.ledger.record import COMMITS, CommitRecord
 from fsar_ledger.ledger.tiles import HEIGHT, TILE, WIDTH, Tile
 
 BEHIND = "the tiles and the checkpoint are one commit behind, as a crash leaves them; the next writer, or fsar-ledger recover, goes on from there"
-LEFT_OVER = "partial tiles are there whose full tile is there too, as a crash leaves them; fsar-ledger recover sets them aside"
+LEFT_OVER = (
+    "partial tiles are there whose full tile is there too, as a crash leaves them; fsar-ledger recover sets them aside"
+)
 
 
 def check_checkpoint(ledger: Path, records: Sequence[CommitRecord]) -> tuple[list[Problem], bool]:
@@ -29,7 +31,11 @@ def check_checkpoint(ledger: Path, records: Sequence[CommitRecord]) -> tuple[lis
     if len(notes) > 1 and found == notes[-2]:
         return [], True
     newest = records[-1].number if records else None
-    expected = "no note, as there is no commit" if newest is None else f"the note in {COMMITS}/{newest:012d}.json, the newest record"
+    expected = (
+        "no note, as there is no commit"
+        if newest is None
+        else f"the note in {COMMITS}/{newest:012d}.json, the newest record"
+    )
     return [Problem(CHECKPOINT, "no file" if found is None else f"{found!r:.400}", expected, commit=newest)], False
 
 
@@ -66,7 +72,9 @@ class TileCheck:
         found = set(self._files())
         excused = set(self._newest) if is_behind else set()
         self._problems += [
-            Problem(tile.name, "no file", f"{tile.width} hashes; fsar-ledger recover derives them again") for tile in self._missing if tile not in excused
+            Problem(tile.name, "no file", f"{tile.width} hashes; fsar-ledger recover derives them again")
+            for tile in self._missing
+            if tile not in excused
         ]
         left_over = [tile for tile in self._outgrown if tile.name in found]
         for tile in left_over:
@@ -74,7 +82,10 @@ class TileCheck:
         known = {tile.name for tile in [*self._partial, *left_over]}
         strays = sorted(name for name in found - known if not self._is_full(name))
         self._problems += [Problem(name, "a stray file", "only tiles of this tree; take it away") for name in strays]
-        return self._problems, (*((BEHIND,) if is_behind else ()), *((LEFT_OVER,) if left_over and not is_behind else ()))
+        return self._problems, (
+            *((BEHIND,) if is_behind else ()),
+            *((LEFT_OVER,) if left_over and not is_behind else ()),
+        )
 
     def _compare(self, tile: Tile, expected: bytes, commit: int | None) -> None:
         try:
@@ -83,14 +94,25 @@ class TileCheck:
             self._missing.append(tile)
             return
         except OSError as error:
-            self._problems.append(Problem(tile.name, f"an unreadable file ({error.strerror})", f"{tile.width} hashes", commit=commit))
+            self._problems.append(
+                Problem(tile.name, f"an unreadable file ({error.strerror})", f"{tile.width} hashes", commit=commit)
+            )
             return
         if found == expected:
             return
-        at = next((at for at in range(0, len(expected), HASH_BYTES) if found[at : at + HASH_BYTES] != expected[at : at + HASH_BYTES]), len(expected))
+        at = next(
+            (
+                at
+                for at in range(0, len(expected), HASH_BYTES)
+                if found[at : at + HASH_BYTES] != expected[at : at + HASH_BYTES]
+            ),
+            len(expected),
+        )
         place = at // HASH_BYTES
         if place == tile.width:
-            self._problems.append(Problem(tile.name, f"{len(found)} bytes", f"{len(expected)}, {tile.width} hashes", commit=commit))
+            self._problems.append(
+                Problem(tile.name, f"{len(found)} bytes", f"{len(expected)}, {tile.width} hashes", commit=commit)
+            )
             return
         span = 1 << HEIGHT * tile.level
         first = (tile.number * WIDTH + place) * span

@@ -39,7 +39,9 @@ def read_anchor(path: Path) -> Anchor:
     try:
         return Anchor(str(path), parse_note("anchor", disk.read_document(Path(os.path.realpath(path))).decode()))
     except FileNotFoundError as error:
-        raise UsageError(f"--anchor {path}: found no file, expected a checkpoint of this ledger that was kept elsewhere") from error
+        raise UsageError(
+            f"--anchor {path}: found no file, expected a checkpoint of this ledger that was kept elsewhere"
+        ) from error
     except (OSError, UnicodeDecodeError, LedgerCorrupted) as error:
         return Anchor(str(path), None, (error.strerror or str(error)) if isinstance(error, OSError) else str(error))
 
@@ -49,11 +51,19 @@ def check_signatures(records: list[CommitRecord], trusted: VerifierKey | None) -
     notes = [record.signed_note() for record in records]
     signers = signers_of(notes[-1]) if notes else None
     if trusted is None:
-        return [], Signatures("signer not checked" if signers else "unsigned", signers, sum(1 for note in notes if note.signatures))
+        return [], Signatures(
+            "signer not checked" if signers else "unsigned", signers, sum(1 for note in notes if note.signatures)
+        )
     if not notes:
         return [Problem(MANIFEST, "no commit, so no note", f"one signed by {trusted.key}")], Signatures("unsigned")
     problems = [
-        Problem(f"{COMMITS}/{record.number:012d}.json", found, f"one of {trusted.key}, the trusted key", commit=record.number, field="note")
+        Problem(
+            f"{COMMITS}/{record.number:012d}.json",
+            found,
+            f"one of {trusted.key}, the trusted key",
+            commit=record.number,
+            field="note",
+        )
         for record, note in zip(records, notes, strict=True)
         if (found := doubt(note, trusted)) is not None and (note is notes[-1] or names(note, trusted))
     ]
@@ -77,7 +87,11 @@ def doubt(note: Note, trusted: VerifierKey) -> str | None:
     if trusted.has_signed(note):
         return None
     if names(note, trusted):
-        return "a signature that this key did not make" if note.checkpoint.origin == trusted.name else f"a checkpoint of {note.checkpoint.origin}"
+        return (
+            "a signature that this key did not make"
+            if note.checkpoint.origin == trusted.name
+            else f"a checkpoint of {note.checkpoint.origin}"
+        )
     signers = signers_of(note)
     return f"a signature of {signers}" if signers else "no signature"
 
@@ -109,7 +123,14 @@ def root_by_tiles(ledger: Path, then: Checkpoint, records: Sequence[CommitRecord
     return ByTiles(missing=missing)
 
 
-def check_anchor(anchor: Anchor, origin: str | None, size: int, root_then: bytes | None, trusted: VerifierKey | None, missing: str = "") -> list[Problem]:
+def check_anchor(
+    anchor: Anchor,
+    origin: str | None,
+    size: int,
+    root_then: bytes | None,
+    trusted: VerifierKey | None,
+    missing: str = "",
+) -> list[Problem]:
     """The ledger, of this origin and size, begins with the events of the anchor.
 
     Args:
@@ -126,17 +147,35 @@ def check_anchor(anchor: Anchor, origin: str | None, size: int, root_then: bytes
     if then.origin != origin:
         return [Problem(anchor.file, f"a checkpoint of {then.origin}", f"one of {origin}, this ledger's origin")]
     if trusted is not None and not trusted.has_signed(anchor.note):
-        return [Problem(anchor.file, f"a checkpoint with {doubt(anchor.note, trusted)}", f"one signed by {trusted.key}, the trusted key")]
+        return [
+            Problem(
+                anchor.file,
+                f"a checkpoint with {doubt(anchor.note, trusted)}",
+                f"one signed by {trusted.key}, the trusted key",
+            )
+        ]
     if then.size > size:
-        return [Problem(COMMITS, f"{size} events", f"at least {then.size}, as {anchor.file} says: the newest were removed")]
+        return [
+            Problem(COMMITS, f"{size} events", f"at least {then.size}, as {anchor.file} says: the newest were removed")
+        ]
     if missing:
         expected = f"those from the {then.size} events of {anchor.file} to the ledger's {size}; run fsar-ledger recover, or verify without --quick"
         return [Problem(TILE, f"one that cannot be read ({missing})", expected)]
     if root_then is None:
         found = f"no way from its {then.size} events to the ledger's {size}"
-        return [Problem(anchor.file, found, "a ledger that begins with them: history was rewritten, or rows or tiles were damaged")]
+        return [
+            Problem(
+                anchor.file,
+                found,
+                "a ledger that begins with them: history was rewritten, or rows or tiles were damaged",
+            )
+        ]
     if root_then != then.root:
         return [
-            Problem(COMMITS, f"root {root_then.hex()} over the first {then.size} events", f"{then.root.hex()}, as {anchor.file} says: history was rewritten")
+            Problem(
+                COMMITS,
+                f"root {root_then.hex()} over the first {then.size} events",
+                f"{then.root.hex()}, as {anchor.file} says: history was rewritten",
+            )
         ]
     return []

@@ -44,7 +44,9 @@ SecondReader = Callable[[str, pa.Table, bool], tuple[str, str] | None]
 for byte what these rows are written as."""
 
 
-def examine(file: str, ledger: str, number: int, record: CommitRecord | None, second_reader: SecondReader | None = None) -> SegmentFacts:
+def examine(
+    file: str, ledger: str, number: int, record: CommitRecord | None, second_reader: SecondReader | None = None
+) -> SegmentFacts:
     """What this segment holds, compared with its commit record and with what the second reader finds. Never raises."""
     return _guarded(partial(_examine, second_reader), file, ledger, number, record)
 
@@ -54,7 +56,13 @@ def examine_file(file: str, ledger: str, number: int, record: CommitRecord | Non
     return _guarded(_examine_file, file, ledger, number, record)
 
 
-def _guarded(check: Callable[[str, str, int, CommitRecord], SegmentFacts], file: str, ledger: str, number: int, record: CommitRecord | None) -> SegmentFacts:
+def _guarded(
+    check: Callable[[str, str, int, CommitRecord], SegmentFacts],
+    file: str,
+    ledger: str,
+    number: int,
+    record: CommitRecord | None,
+) -> SegmentFacts:
     if record is None:
         return SegmentFacts(file)
     try:
@@ -85,9 +93,13 @@ def _examine_file(file: str, path: str, number: int, record: CommitRecord) -> Se
     return SegmentFacts(file, rows=record.rows)
 
 
-def _examine(second_reader: SecondReader | None, file: str, place: str, number: int, record: CommitRecord) -> SegmentFacts:
+def _examine(
+    second_reader: SecondReader | None, file: str, place: str, number: int, record: CommitRecord
+) -> SegmentFacts:
     as_a_file = _examine_file(file, place, number, record)
-    if as_a_file.problems or record.release not in FINGERPRINTS:  # rows of a release that is not known cannot be judged; the record is a problem already
+    if (
+        as_a_file.problems or record.release not in FINGERPRINTS
+    ):  # rows of a release that is not known cannot be judged; the record is a problem already
         return as_a_file
     says = f"as {COMMITS}/{number:012d}.json says"
 
@@ -108,13 +120,22 @@ def _examine(second_reader: SecondReader | None, file: str, place: str, number: 
         return fail(fingerprint(layout.schema), f"{record.schema_sha256}, {says}", "schema_sha256")
     table = read_coded(path, data, layout)
     flaw = first_flaw(table)
-    problems = () if flaw is None else (Problem(file, flaw.found, flaw.expected, number, flaw.run, flaw.seq, flaw.field),)
+    problems = (
+        () if flaw is None else (Problem(file, flaw.found, flaw.expected, number, flaw.run, flaw.seq, flaw.field),)
+    )
     run_ids = whole(table.column("run_id"))
     runs = tuple(run_ids.take(run_starts(run_ids)).to_pylist())
     stored = table.select(layout.schema.names)
     is_as_written, misleading = _misleading(data, layout, stored)
     again = second_reader(place, stored, is_as_written) if second_reader is not None else None
-    problems = (*problems, *(Problem(file, *other, commit=number, field="segment_sha256") for other in (misleading, again) if other is not None))
+    problems = (
+        *problems,
+        *(
+            Problem(file, *other, commit=number, field="segment_sha256")
+            for other in (misleading, again)
+            if other is not None
+        ),
+    )
     leaves = canonical.leaves(table)
     alone = frozenset(run_ids.filter(pa.array(standing_alone(whole(table.column("type"))))).to_pylist())
     return SegmentFacts(file, problems, table.num_rows, runs, leaves, alone)
@@ -126,7 +147,9 @@ def _misleading(data: bytes, layout: Layout, table: pa.Table) -> tuple[bool, tup
     A query engine skips rows by the statistics in the footer, and no leaf covers those. The same version of pyarrow
     must write the same bytes; of a file by another version the statistics are compared.
     """
-    is_ours = all(_is_sorted(whole(table.column(name))) for name in table.column_names)  # else writing them again repeats what is not ours
+    is_ours = all(
+        _is_sorted(whole(table.column(name))) for name in table.column_names
+    )  # else writing them again repeats what is not ours
     again = to_parquet(table)
     if is_ours and again.equals(pa.py_buffer(data)):
         return True, None
@@ -134,12 +157,18 @@ def _misleading(data: bytes, layout: Layout, table: pa.Table) -> tuple[bool, tup
         return False, ("other bytes", "those that these rows are written as")
     for name, sizes, own in zip(table.column_names, layout.sizes, read_layout(again.to_pybytes()).sizes, strict=True):
         if sizes and own and sizes != own:
-            return False, (f"sizes of strings and lists {sizes.hex()} in column {name}", f"{own.hex()}, as its rows are")
+            return False, (
+                f"sizes of strings and lists {sizes.hex()} in column {name}",
+                f"{own.hex()}, as its rows are",
+            )
     for said in (*layout.statistics, *layout.of_pages):
         values = table.column(said.name).slice(*said.rows or (0,)).cast(SCHEMA.field(said.name).type)
         least, most = (None if bound is None else _stored(bound) for bound in pc.min_max(values).as_py().values())
         if (said.least, said.most) != (least, most):
-            return False, (f"statistics {said.least!r} to {said.most!r} of column {said.name}", f"{least!r} to {most!r}, as its rows are")
+            return False, (
+                f"statistics {said.least!r} to {said.most!r} of column {said.name}",
+                f"{least!r} to {most!r}, as its rows are",
+            )
     return False, None
 
 

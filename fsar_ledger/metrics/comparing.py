@@ -112,9 +112,15 @@ class DifferingWorlds(msgspec.Struct, frozen=True, kw_only=True):
 
     def __str__(self) -> str:
         one = self.first
-        count = "1 pair of runs is left out: they" if self.pairs == 1 else f"{self.pairs:,} pairs of runs are left out: they"
+        count = (
+            "1 pair of runs is left out: they"
+            if self.pairs == 1
+            else f"{self.pairs:,} pairs of runs are left out: they"
+        )
         place = f"seed {one.seed}, {one.scenario}, {one.fleet_size} robots, run {one.run}"
-        found = f" has {one.first_found or 'nothing more'}, {one.second_run_id} has {one.second_found or 'nothing more'}"
+        found = (
+            f" has {one.first_found or 'nothing more'}, {one.second_run_id} has {one.second_found or 'nothing more'}"
+        )
         shown = found if self.differs in ("setting", "facts") else f" and {one.second_run_id}"
         return f"{self.comparison}: {count} {DIFFERS[self.differs]}; first under {place}: {one.first_run_id}{shown}"
 
@@ -145,9 +151,14 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
         """Why nothing is compared here, and what it would take; None where there are pairs."""
         if self.pair_count:
             return None
-        first, second = f"{self.first_architecture} ({self.first_configuration})", f"{self.second_architecture} ({self.second_configuration})"
+        first, second = (
+            f"{self.first_architecture} ({self.first_configuration})",
+            f"{self.second_architecture} ({self.second_configuration})",
+        )
         if not self.first_count or not self.second_count:
-            missing, there, count = (first, second, self.second_count) if not self.first_count else (second, first, self.first_count)
+            missing, there, count = (
+                (first, second, self.second_count) if not self.first_count else (second, first, self.first_count)
+            )
             return (
                 f"{self.comparison}: found {counted(count, 'run')} of {there} and none of {missing}; "
                 "simulate it with the same seed, scenarios, runs and fleet size"
@@ -157,7 +168,10 @@ class Ground(msgspec.Struct, frozen=True, kw_only=True):
                 (first, self.first_seeds, self.first_fleet_sizes, self.first_scenarios),
                 (second, self.second_seeds, self.second_fleet_sizes, self.second_scenarios),
             )
-            held = "; ".join(f"{name} under seeds {_named(seeds)}, {_named(sizes)} robots, {_named(scenarios)}" for name, seeds, sizes, scenarios in sides)
+            held = "; ".join(
+                f"{name} under seeds {_named(seeds)}, {_named(sizes)} robots, {_named(scenarios)}"
+                for name, seeds, sizes, scenarios in sides
+            )
             return f"{self.comparison}: no run of both has the same seed, scenario, fleet size and number: found {held}; simulate one as the other"
         return f"{self.comparison}: every pair of runs ({self.left_out:,}) is left out, as said above; simulate both under one world and the same constants"
 
@@ -183,10 +197,15 @@ def not_compared(database: Database) -> list[str]:
     kinds = database.rows(KINDS)
     if not kinds:
         return ["found no runs; `fsar-ledger simulate` makes some"]
-    names = [f"{counted(row['runs'], 'run')} ({row['kind']}) of {row['architecture'] or 'no named architecture'}" for row in kinds]
+    names = [
+        f"{counted(row['runs'], 'run')} ({row['kind']}) of {row['architecture'] or 'no named architecture'}"
+        for row in kinds
+    ]
     held = some(names, "kinds more")
     if all(row["nameless"] == row["runs"] for row in kinds):
-        return [f"found {held}, all without seed, scenario, fleet size or number; runs that are not known to have met one world are no pairs"]
+        return [
+            f"found {held}, all without seed, scenario, fleet size or number; runs that are not known to have met one world are no pairs"
+        ]
     return [f"found {held}; expected fsar, cfc or dhma, or the configurations of one architecture"]
 
 
@@ -194,8 +213,13 @@ def left_over(database: Database) -> list[str]:
     """The runs that have no partner in a comparison that has pairs, in words. Raises: as `Database.rows`."""
     lines = []
     for row in database.rows(UNPAIRED):
-        name = row["architecture"] if row["configuration"] == "full" else f"{row['architecture']} ({row['configuration']})"
-        count, left = (counted(row["runs"], "run"), "has no partner and is left out" if row["runs"] == 1 else "have no partner and are left out")
+        name = (
+            row["architecture"] if row["configuration"] == "full" else f"{row['architecture']} ({row['configuration']})"
+        )
+        count, left = (
+            counted(row["runs"], "run"),
+            "has no partner and is left out" if row["runs"] == 1 else "have no partner and are left out",
+        )
         lines.append(f"{row['comparison']}: {count} of {name} under seed {row['seed']} {left}")
     return lines
 
@@ -218,19 +242,33 @@ def too_few(rows: Iterable[StatisticRow]) -> list[str]:
     for row in rows:
         if 0 < row.wilcoxon_n < MIN_WILCOXON:
             found.setdefault(row.comparison, {})[row.metric] = None
-    return [f"{comparison}: no Wilcoxon test of {', '.join(names)}: fewer than {MIN_WILCOXON} pairs differ" for comparison, names in found.items()]
+    return [
+        f"{comparison}: no Wilcoxon test of {', '.join(names)}: fewer than {MIN_WILCOXON} pairs differ"
+        for comparison, names in found.items()
+    ]
 
 
 def remarks_on(rows: Iterable[StatisticRow], metrics: Sequence[str]) -> list[str]:
     """What the rows do not say: metrics without a pair in which both runs have a value, and comparisons of a single pair."""
     held: dict[tuple[object, ...], dict[str, int]] = {}
     for row in rows:
-        key = (row.comparison, row.configuration, row.fleet_size, row.kind, row.source, row.model_version, row.constants, row.seed)
+        key = (
+            row.comparison,
+            row.configuration,
+            row.fleet_size,
+            row.kind,
+            row.source,
+            row.model_version,
+            row.constants,
+            row.seed,
+        )
         held.setdefault(key, {})[row.metric] = row.n
     lines: dict[str, None] = {}
     for (comparison, *_), pairs in held.items():
         if missing := [name for name in metrics if name not in pairs]:
-            lines[f"{comparison}: no pair of runs in which both have a value of {', '.join(missing)}: undefined, or not observed"] = None
+            lines[
+                f"{comparison}: no pair of runs in which both have a value of {', '.join(missing)}: undefined, or not observed"
+            ] = None
         if max(pairs.values()) == 1:
             lines[f"{comparison}: one pair of runs has a difference and no test; simulate more runs"] = None
     return list(lines)

@@ -99,7 +99,11 @@ class Database:
         self._given: dict[str, str] = {}  # of these, what was not made of a packaged query, and how it was made
         self._connection = duckdb.connect(":memory:", config={"threads": threads} if threads else {})
         # The wide relation is read again and again: opening its files once is enough. UTC and no progress bar: the answer is the same anywhere.
-        for setting in (f"parquet_metadata_cache = {str(caches_files).lower()}", "TimeZone = 'UTC'", "enable_progress_bar = false"):
+        for setting in (
+            f"parquet_metadata_cache = {str(caches_files).lower()}",
+            "TimeZone = 'UTC'",
+            "enable_progress_bar = false",
+        ):
             self._connection.execute(f"SET {setting}")
         # Who reads a ledger writes nothing: by default DuckDB would spill into `.tmp` of the working folder. What it does not count is for the process.
         self._connection.execute("SET temp_directory = ''")
@@ -110,7 +114,9 @@ class Database:
     def __enter__(self) -> "Database":
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.close()
 
     def close(self) -> None:
@@ -177,7 +183,11 @@ class Database:
             return query.sql
         if query.tag in self.absent:
             return staging_sql(query.tag, None)
-        return query.sql if self.source is None or query.tag.partition(".")[0] in self.changed else staging_sql(query.tag, self.source)
+        return (
+            query.sql
+            if self.source is None or query.tag.partition(".")[0] in self.changed
+            else staging_sql(query.tag, self.source)
+        )
 
     def table(self, sql: str, params: Mapping[str, Value] | None = None) -> pa.Table:
         """The answer to one SELECT, with `$name` parameters bound.
@@ -248,7 +258,9 @@ class Database:
                 "SQL: found a PIVOT that lists no values, which DuckDB does in two statements; name the values, as in PIVOT ... ON x IN ('a', 'b')"
             )
         if len(kinds) != 1 or kinds[0] not in ("SELECT", "EXPLAIN"):
-            raise QueryFailed(f"SQL: found {', '.join(kinds[:5]) or 'no statement'}, expected exactly one SELECT or EXPLAIN; a ledger can only be read")
+            raise QueryFailed(
+                f"SQL: found {', '.join(kinds[:5]) or 'no statement'}, expected exactly one SELECT or EXPLAIN; a ledger can only be read"
+            )
 
     def batches(self, sql: str) -> Iterator[pa.RecordBatch]:
         """The answer to one SELECT, a batch at a time, the first one perhaps empty; what it mentions must have been prepared.
@@ -268,7 +280,9 @@ class Database:
     def _change(self, sql: str) -> None:
         """Relations are made or gone; there is no answer."""
         try:
-            self._connection.execute(sql)  # a relation would be made of the answer that there is none, which takes as long as a small view
+            self._connection.execute(
+                sql
+            )  # a relation would be made of the answer that there is none, which takes as long as a small view
         except duckdb.Error as error:
             raise self._failure(error) from error
 
@@ -304,7 +318,9 @@ def _check_columns(names: Sequence[str], kinds: Sequence[str]) -> None:
         if name in seen:
             raise QueryFailed(f"SQL: found two columns named {name[:SHOWN]!r}; give one of them another name with AS")
         if found := _UNSHOWABLE.search(_NAME.sub(" ", kind)):
-            raise QueryFailed(f"SQL: column {name[:SHOWN]!r} holds {found[0]}, which an answer cannot show as it is; make it text, as in CAST(... AS VARCHAR)")
+            raise QueryFailed(
+                f"SQL: column {name[:SHOWN]!r} holds {found[0]}, which an answer cannot show as it is; make it text, as in CAST(... AS VARCHAR)"
+            )
         seen.add(name)
 
 
@@ -312,7 +328,9 @@ def plain_rows(table: pa.Table) -> list[dict[str, Any]]:
     """The rows as dictionaries. DuckDB's sums of integers are decimals in Arrow; here they are integers again."""
     whole = [field.name for field in table.schema if pa.types.is_decimal(field.type) and field.type.scale == 0]
     # Some at a time: between two parts whoever watches over the memory of this process has its turn.
-    rows: list[dict[str, Any]] = [row for part in table.to_batches(max_chunksize=BATCH_ROWS) for row in part.to_pylist()]
+    rows: list[dict[str, Any]] = [
+        row for part in table.to_batches(max_chunksize=BATCH_ROWS) for row in part.to_pylist()
+    ]
     for row in rows if whole else ():
         row.update({name: None if row[name] is None else int(row[name]) for name in whole})
     return rows

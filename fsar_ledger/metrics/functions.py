@@ -83,7 +83,12 @@ def _binary(function: Callable[[Vector, Vector], Vector]) -> Callable[[pa.Array,
 
 
 UNARY = {"norm_sf2": norm_sf2, "norm_quantile": norm_quantile}
-BINARY = {"t_sf2": t_sf2, "t_quantile": t_quantile, "gamma_quantile": gamma_quantile, "binomial_half_sf2": binomial_half_sf2}
+BINARY = {
+    "t_sf2": t_sf2,
+    "t_quantile": t_quantile,
+    "gamma_quantile": gamma_quantile,
+    "binomial_half_sf2": binomial_half_sf2,
+}
 
 
 def _read(column: pa.Array) -> pa.Array:
@@ -103,5 +108,14 @@ def register(connection: duckdb.DuckDBPyConnection) -> None:
     for name, binary in BINARY.items():
         connection.create_function(name, _binary(binary), ["DOUBLE", "DOUBLE"], "DOUBLE", type=PythonUDFType.ARROW)
     kind = "STRUCT(name VARCHAR, value VARCHAR)[]"
-    connection.create_function("constants_of", _read, ["VARCHAR"], kind, type=PythonUDFType.ARROW, null_handling=FunctionNullHandling.SPECIAL)
-    connection.create_function("default_of", _defaults, ["VARCHAR"], "VARCHAR", type=PythonUDFType.ARROW, null_handling=FunctionNullHandling.SPECIAL)
+    connection.create_function(
+        "constants_of", _read, ["VARCHAR"], kind, type=PythonUDFType.ARROW, null_handling=FunctionNullHandling.SPECIAL
+    )
+    connection.create_function(
+        "default_of",
+        _defaults,
+        ["VARCHAR"],
+        "VARCHAR",
+        type=PythonUDFType.ARROW,
+        null_handling=FunctionNullHandling.SPECIAL,
+    )

@@ -49,11 +49,17 @@ def chosen(names: Sequence[str]) -> list[Query]:
         UnknownQuery: there is no such invariant; the message suggests the nearest.
     """
     every = invariants()
-    known = {alias: query for query in every for alias in (query.relation, query.relation.partition("_")[0], query.name)}
+    known = {
+        alias: query for query in every for alias in (query.relation, query.relation.partition("_")[0], query.name)
+    }
     for name in names:
         if name.lower() not in known:
             near = get_close_matches(name.lower(), known, 1, 0.5)
-            hint = f"did you mean {near[0]}?" if near else f"expected one of {', '.join(query.relation for query in every)}"
+            hint = (
+                f"did you mean {near[0]}?"
+                if near
+                else f"expected one of {', '.join(query.relation for query in every)}"
+            )
             raise UnknownQuery(f"invariant {name}: there is no invariant of that name; {hint}")
     asked = {known[name.lower()].relation for name in names}
     return [query for query in every if not asked or query.relation in asked]
@@ -68,7 +74,9 @@ def audit_rows(database: Database, queries: Sequence[Query], architectures: Sequ
     """
     rows = [row for query in queries for row in database.rows(_counts(query), {"architectures": list(architectures)})]
     if not rows:
-        raise UsageError(f"audit: found no runs of {' or '.join(architectures) or 'any architecture'}; `fsar-ledger info` shows what a ledger holds")
+        raise UsageError(
+            f"audit: found no runs of {' or '.join(architectures) or 'any architecture'}; `fsar-ledger info` shows what a ledger holds"
+        )
     return typed(rows, AuditRow)
 
 

@@ -150,7 +150,9 @@ def staging_query(tag: str) -> Query:
 def concerns_query() -> Query:
     """The concern of each event type, as `events/concerns.py` has it."""
     found = {name: concern for concern, names in EVENTS_OF.items() for name in names}
-    rows = ",\n    ".join(f"('{tag}', '{found[tag.partition('.')[0]]}')" for tag in LAYOUTS if tag.partition(".")[0] in found)
+    rows = ",\n    ".join(
+        f"('{tag}', '{found[tag.partition('.')[0]]}')" for tag in LAYOUTS if tag.partition(".")[0] in found
+    )
     sql = f"WITH concerns (type, concern) AS (\n    VALUES\n    {rows}\n)\n\nSELECT *\nFROM concerns\n"
     header = {
         "Title": "Which concern each event type belongs to; a run says which concerns its source records",
@@ -208,7 +210,11 @@ class Library:
         query = self.queries.get(name) or self.relations.get(name)
         if query is None:
             near = difflib.get_close_matches(name.rpartition("/")[2], self.relations, 3, 0.6)
-            hint = f"did you mean {' or '.join(self.relations[one].name for one in near)}?" if near else "`fsar-ledger query --list` shows all names."
+            hint = (
+                f"did you mean {' or '.join(self.relations[one].name for one in near)}?"
+                if near
+                else "`fsar-ledger query --list` shows all names."
+            )
             raise UnknownQuery(f"query {name}: there is no query of that name; {hint}")
         return query
 
@@ -249,7 +255,9 @@ def values(query: Query, given: Mapping[str, str]) -> dict[str, str]:
         raise UnknownQuery(f"query {query.name}: found parameter {', '.join(unknown)}; it has these: {known}")
     filled = query.parameters | dict(given)
     if missing := sorted(name for name, value in filled.items() if value is None):
-        raise UnknownQuery(f"query {query.name}: parameter {', '.join(missing)} has no value; give it with --param {missing[0]}=VALUE")
+        raise UnknownQuery(
+            f"query {query.name}: parameter {', '.join(missing)} has no value; give it with --param {missing[0]}=VALUE"
+        )
     return {name: str(value) for name, value in filled.items()}
 
 

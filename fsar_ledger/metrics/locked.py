@@ -90,7 +90,11 @@ def _refusal(error: Exception, limits: Limits) -> Refusal:
     cause = error.__cause__ if isinstance(error, QueryFailed) else error
     if isinstance(cause, (MemoryError, *OUT_OF_MEMORY)):
         return Refusal(f"SQL: ran out of memory, the limit is {limits.memory_bytes >> 20:,} MiB; ask for less")
-    message = str(error) if isinstance(error, (QueryFailed, LedgerCorrupted)) else f"SQL: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
+    message = (
+        str(error)
+        if isinstance(error, (QueryFailed, LedgerCorrupted))
+        else f"SQL: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
+    )
     return Refusal(message, may_be_damage=cause is not None and not isinstance(cause, FAULTS_OF_SQL))
 
 
@@ -106,12 +110,16 @@ def give_up(limits: Limits) -> None:
     for what, value in most.items():
         resource.setrlimit(what, (value, value))
     seconds = limits.seconds + GRACE_S
-    resource.setrlimit(resource.RLIMIT_CPU, (seconds, seconds + 1))  # SIGXCPU at the first says why, SIGKILL at the second ends it
+    resource.setrlimit(
+        resource.RLIMIT_CPU, (seconds, seconds + 1)
+    )  # SIGXCPU at the first says why, SIGKILL at the second ends it
 
 
 def _checked() -> ds.ParquetFileFormat:
     """Parquet whose page checksums are verified: a flipped bit is an error and not an answer."""
-    return ds.ParquetFileFormat(default_fragment_scan_options=ds.ParquetFragmentScanOptions(page_checksum_verification=True))
+    return ds.ParquetFileFormat(
+        default_fragment_scan_options=ds.ParquetFragmentScanOptions(page_checksum_verification=True)
+    )
 
 
 def _select(question: Question) -> list[pa.RecordBatch]:
@@ -136,17 +144,23 @@ def _select(question: Question) -> list[pa.RecordBatch]:
             if rows > limits.rows:
                 raise QueryFailed(f"SQL: found more than {limits.rows:,} rows, the limit; add a LIMIT or aggregate")
             if size > limits.answer_bytes:
-                raise QueryFailed(f"SQL: found an answer of more than {limits.answer_bytes:,} bytes, the limit; ask for fewer columns or rows")
+                raise QueryFailed(
+                    f"SQL: found an answer of more than {limits.answer_bytes:,} bytes, the limit; ask for fewer columns or rows"
+                )
             for part in slices(batch):
                 if (weighs := weight(part)) > ROW_BYTES:
-                    raise QueryFailed(f"SQL: found a row that takes {weighs:,} bytes, expected at most {ROW_BYTES:,}; ask for fewer columns or shorter values")
+                    raise QueryFailed(
+                        f"SQL: found a row that takes {weighs:,} bytes, expected at most {ROW_BYTES:,}; ask for fewer columns or shorter values"
+                    )
             batches.append(batch)
         return batches
 
 
 def _plain(batch: pa.RecordBatch) -> pa.RecordBatch:
     """The batch without codes into lists of texts: each part of it would be sent with all of the list."""
-    columns = [column.dictionary_decode() if pa.types.is_dictionary(column.type) else column for column in batch.columns]
+    columns = [
+        column.dictionary_decode() if pa.types.is_dictionary(column.type) else column for column in batch.columns
+    ]
     return pa.RecordBatch.from_arrays(columns, names=batch.schema.names)
 
 

@@ -73,7 +73,10 @@ def models(database: Database) -> tuple[Model, ...]:
 def lettered(found: Iterable[Model]) -> list[tuple[Model, str | None]]:
     """The models, those with most runs first, each with the letter by which commands call its constants; None where none are on record."""
     letters = _letters()
-    return [(one, None if one.text is None else next(letters)) for one in sorted(found, key=lambda one: (-one.runs, one.model_version or "", one.text or ""))]
+    return [
+        (one, None if one.text is None else next(letters))
+        for one in sorted(found, key=lambda one: (-one.runs, one.model_version or "", one.text or ""))
+    ]
 
 
 def _letters() -> Iterator[str]:
@@ -89,4 +92,6 @@ def _read(kind: str, run: str, parameters: str | None) -> dict[str, Any] | None:
     except BadParameters as error:
         if kind != "simulated":  # 0.1.0 and 0.2.0 stored any text of others
             return None
-        raise LedgerCorrupted(f"run {run!r:.300}, seq 0, field parameters: {error}; do not rely on this ledger, run fsar-ledger verify --replay") from error
+        raise LedgerCorrupted(
+            f"run {run!r:.300}, seq 0, field parameters: {error}; do not rely on this ledger, run fsar-ledger verify --replay"
+        ) from error

@@ -159,7 +159,16 @@ def readings() -> tuple[Reading, ...]:
 def _reading(query: Query) -> Reading:
     told = query.header
     moves = tuple(name.strip() for name in told["Moves"].split(","))
-    return Reading(query.relation, told["Title"], told["Reading"], told["Question"], told["Why"], told["Paper"], told["Replaces"], moves)
+    return Reading(
+        query.relation,
+        told["Title"],
+        told["Reading"],
+        told["Question"],
+        told["Why"],
+        told["Paper"],
+        told["Replaces"],
+        moves,
+    )
 
 
 def combinations(metric: str) -> tuple[Chosen, ...]:
@@ -168,7 +177,9 @@ def combinations(metric: str) -> tuple[Chosen, ...]:
     for one in readings():
         if metric in one.moves:
             questions.setdefault(one.question, []).append(one.name)
-    chosen = (tuple(sorted(filter(None, choice))) for choice in product(*(("", *names) for names in questions.values())))
+    chosen = (
+        tuple(sorted(filter(None, choice))) for choice in product(*(("", *names) for names in questions.values()))
+    )
     return tuple(sorted(chosen, key=lambda names: (len(names), names)))
 
 
@@ -203,7 +214,9 @@ class Relations:
         """The readings that replace this relation, or something that it is made of."""
         if relation not in self._readings_of:
             below = {one.relation for one in self._database.library.needs([relation])}
-            self._readings_of[relation] = frozenset(name for name, replaced in self._replaced.items() if replaced in below)
+            self._readings_of[relation] = frozenset(
+                name for name, replaced in self._replaced.items() if replaced in below
+            )
         return self._readings_of[relation]
 
     def _make(self, query: Query, telling: frozenset[str]) -> None:
@@ -220,14 +233,25 @@ class Relations:
 
     def means(self, metric: str, combined: Sequence[Chosen], *, pools_seeds: bool = False) -> list[Universe]:
         """The mean of this metric for each architecture and setting under each of these combinations, in their order. Raises: as `Database.rows`."""
-        under = [{name: self.under(name, frozenset(chosen)) for name in (metric, "metric_definitions")} for chosen in combined]
+        under = [
+            {name: self.under(name, frozenset(chosen)) for name in (metric, "metric_definitions")}
+            for chosen in combined
+        ]
         sql = MEANS.format(
-            measured=" UNION ALL ".join(MEASURED.format(universe=at, metric=names[metric]) for at, names in enumerate(under)),
-            definitions=" UNION ALL ".join(DEFINED.format(universe=at, definitions=names["metric_definitions"], name=metric) for at, names in enumerate(under)),
+            measured=" UNION ALL ".join(
+                MEASURED.format(universe=at, metric=names[metric]) for at, names in enumerate(under)
+            ),
+            definitions=" UNION ALL ".join(
+                DEFINED.format(universe=at, definitions=names["metric_definitions"], name=metric)
+                for at, names in enumerate(under)
+            ),
             seed="NULL::BIGINT" if pools_seeds else "runs.seed",
             order=SETTINGS,
         )
-        return typed([{**row, "metric": metric, "readings": combined[row["universe"]]} for row in self._database.rows(sql)], Universe)
+        return typed(
+            [{**row, "metric": metric, "readings": combined[row["universe"]]} for row in self._database.rows(sql)],
+            Universe,
+        )
 
     def forget(self) -> None:
         """Nothing that was made here is there any more."""
@@ -239,7 +263,11 @@ class Relations:
 def multiverse(database: Database, metrics: Sequence[str] = (), *, pools_seeds: bool = False) -> Multiverse:
     """The multiverse of these metrics (all: none named), over the runs of each seed by itself, or of all seeds. Raises: as `Database.rows`."""
     definitions = database.rows("SELECT metric, better FROM metric_definitions ORDER BY position")
-    better = {row["metric"]: row["better"] for row in definitions if row["metric"] in (metrics or [one["metric"] for one in definitions])}
+    better = {
+        row["metric"]: row["better"]
+        for row in definitions
+        if row["metric"] in (metrics or [one["metric"] for one in definitions])
+    }
     found = [one for metric in better for one in universes(database, metric, pools_seeds=pools_seeds)]
     used = tuple(one for one in readings() if set(one.moves) & better.keys())
     return Multiverse(used, tuple(cells(found)), tuple(rankings(found, better)), tuple(found))

@@ -43,12 +43,23 @@ def _constants(name: str, value: Any) -> Iterator[tuple[str, str]]:
     parts: list[tuple[str, Any]]
     if isinstance(value, dict) and value:
         dot = "." if name else ""
-        parts = [(f"{dot}{key}" if _PLAIN.fullmatch(key) else f"{dot}{_json(key)}", inner) for key, inner in value.items()]
+        parts = [
+            (f"{dot}{key}" if _PLAIN.fullmatch(key) else f"{dot}{_json(key)}", inner) for key, inner in value.items()
+        ]
     elif isinstance(value, list) and value:
-        named = all(isinstance(one, list) and len(one) == 2 and isinstance(one[0], str) for one in value) and len({one[0] for one in value}) == len(value)
-        parts = [(f"[{_json(one[0])}]", one[1]) for one in value] if named else [(f"[{at}]", inner) for at, inner in enumerate(value)]
+        named = all(isinstance(one, list) and len(one) == 2 and isinstance(one[0], str) for one in value) and len(
+            {one[0] for one in value}
+        ) == len(value)
+        parts = (
+            [(f"[{_json(one[0])}]", one[1]) for one in value]
+            if named
+            else [(f"[{at}]", inner) for at, inner in enumerate(value)]
+        )
     else:
-        yield name, _json(int(value) if isinstance(value, float) and value.is_integer() and abs(value) < 2**53 else value)
+        yield (
+            name,
+            _json(int(value) if isinstance(value, float) and value.is_integer() and abs(value) < 2**53 else value),
+        )
         return
     for part, inner in parts:
         yield from _constants(name + part, inner)
@@ -81,6 +92,10 @@ def _own() -> dict[str, str]:
 def _whole(constants: Constants) -> dict[str, str]:
     """Every constant by name, also those of groups that may be absent: they are then as by default."""
     groups = msgspec.structs.replace(constants, outages=constants.outages or Outages(), load=constants.load or Load())
-    unset = {f"{group}.{name}": DEFAULT for group in groups.__struct_fields__ for name in getattr(groups, group).__struct_fields__}
+    unset = {
+        f"{group}.{name}": DEFAULT
+        for group in groups.__struct_fields__
+        for name in getattr(groups, group).__struct_fields__
+    }
     found = {one["name"]: one["value"] for one in constants_of(write_constants(groups)) or ()}
     return {name: value for name, value in unset.items() if not any(one.startswith(name) for one in found)} | found

@@ -27,7 +27,11 @@ def types_read(library: Library, query: Query) -> frozenset[str] | None:
     found: set[str] = set()
     for one in (*library.needs(query.sources() - {query.relation}), query):
         named = _TYPE.findall(_COMMENT.sub("", one.sql))
-        if not named and one.sources() & {"events", *library.relations} == {"events"} and (one is query or one.relation not in _TIES):
+        if (
+            not named
+            and one.sources() & {"events", *library.relations} == {"events"}
+            and (one is query or one.relation not in _TIES)
+        ):
             return None
         found.update(named)
     return frozenset(found)

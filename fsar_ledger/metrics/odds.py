@@ -32,7 +32,9 @@ class Odds(NamedTuple, Generic[_Cell]):
     table: float
 
 
-def odds(drawn: Mapping[_Cell, Sequence[float | None] | Numbers], printed: Mapping[_Cell, Printed]) -> Odds[_Cell] | None:
+def odds(
+    drawn: Mapping[_Cell, Sequence[float | None] | Numbers], printed: Mapping[_Cell, Printed]
+) -> Odds[_Cell] | None:
     """Return how likely the printed table is among the drawn ones; None where they share no cell.
 
     `drawn` holds a number for each drawn experiment, all in one order of the experiments; None where an experiment leaves it undefined.
@@ -41,7 +43,10 @@ def odds(drawn: Mapping[_Cell, Sequence[float | None] | Numbers], printed: Mappi
     if not cells:
         return None
     steps = {cell: np.round(_numbers(drawn[cell]) / printed[cell].step) for cell in cells}
-    found = {cell: float(_two_sided(steps[cell], np.array([round(printed[cell].value / printed[cell].step)]))[0]) for cell in cells}
+    found = {
+        cell: float(_two_sided(steps[cell], np.array([round(printed[cell].value / printed[cell].step)]))[0])
+        for cell in cells
+    }
     smallest = np.min([_two_sided(steps[cell], steps[cell]) for cell in cells], axis=0)
     return Odds(found, float(np.mean(smallest <= min(found.values()))))
 

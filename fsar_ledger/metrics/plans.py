@@ -56,7 +56,10 @@ def _missing(database: Database, unfinished: tuple[dict[str, Any], ...]) -> int 
     lacking: list[int] = [plan["missing_count"] for plan in unfinished]
     if len(unfinished) < 2:
         return sum(lacking)
-    if any(len(plan["architectures"]) * len(plan["configurations"]) * len(plan["scenarios"]) > MAX_COMBINATIONS for plan in unfinished):
+    if any(
+        len(plan["architectures"]) * len(plan["configurations"]) * len(plan["scenarios"]) > MAX_COMBINATIONS
+        for plan in unfinished
+    ):
         return None
     lacking = [row["missing_count"] for row in database.rows(MISSING)]
     return sum(lacking)

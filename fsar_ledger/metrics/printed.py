@@ -41,7 +41,9 @@ class Place(NamedTuple):
 @cache
 def printed(table: Table) -> dict[Place, Printed]:
     """The numbers of one table of the paper, in its order, by their place. Paper: tab:results, tab:ablation, sec:evaluation:ablation, tab:scaling."""
-    rows = list(csv.DictReader(files("fsar_ledger.reports").joinpath("paper", f"{table}.csv").read_text("utf-8").splitlines()))
+    rows = list(
+        csv.DictReader(files("fsar_ledger.reports").joinpath("paper", f"{table}.csv").read_text("utf-8").splitlines())
+    )
     read = {"results": _results, "ablation": _ablation, "ablation_text": _ablation_text, "scaling": _scaling}[table]
     return dict(read(rows))
 
@@ -64,7 +66,12 @@ def _ablation_text(rows: list[dict[str, str]]) -> Iterator[tuple[Place, Printed]
     """A claim of the text is two numbers: in full, and without the mechanism."""
     for row in rows:
         for configuration, text in ((FULL, row["full_fsar"]), (_hyphened(row["configuration"]), row["ablated"])):
-            yield Place("ablation_text", _metric(row["metric"]), _FSAR, configuration, _FLEET, _hyphened(row["scenario"])), _number(text)
+            yield (
+                Place(
+                    "ablation_text", _metric(row["metric"]), _FSAR, configuration, _FLEET, _hyphened(row["scenario"])
+                ),
+                _number(text),
+            )
 
 
 def _scaling(rows: list[dict[str, str]]) -> Iterator[tuple[Place, Printed]]:

@@ -29,7 +29,9 @@ _DATASET, _UPCAST, _AS_STORED = "events_dataset", "events_upcast", "events_as_st
 def hold_segments(database: "Database", segments: Sequence[Path], releases: Sequence[str]) -> None:
     """The database's `events` are the rows of these segments, given the release of each. Raises: as `_upcast`."""
     types = _types(database, segments)
-    database.absent = frozenset(tag for tag in LAYOUTS if types is not None and _name(tag) not in set(map(_name, types)))
+    database.absent = frozenset(
+        tag for tag in LAYOUTS if types is not None and _name(tag) not in set(map(_name, types))
+    )
     holding = _holding(database, segments, types)
     alike: dict[str, list[Path]] = {}
     for path, release in zip(segments, releases, strict=True):
@@ -54,7 +56,9 @@ def hold_dataset(database: "Database", stored: Any, segments: Sequence[Path]) ->
     _hold_newest(database, [(_DATASET, frozenset(COLUMNS))], holding)
 
 
-def _hold_newest(database: "Database", parts: Sequence[tuple[str, frozenset[str]]], holding: Mapping[str, Sequence[Path]]) -> None:
+def _hold_newest(
+    database: "Database", parts: Sequence[tuple[str, frozenset[str]]], holding: Mapping[str, Sequence[Path]]
+) -> None:
     """The database's `events` are the rows of these relations, which have these columns, those of the retired types that they hold as their newest versions."""
     others = {tag: paths for tag, paths in holding.items() if RETIRED[tag].cls not in ADDITIONS}
     added = [tag for tag in holding if tag not in others]
@@ -71,12 +75,16 @@ def _hold_newest(database: "Database", parts: Sequence[tuple[str, frozenset[str]
 
 def _select(source: str, present: frozenset[str], added: Sequence[str] = ()) -> str:
     """The rows of a relation that has these columns, with all of today's, NULL in others; rows of these retired types with what their way adds."""
-    values = {name: f'"{name}"' if name in present else f"CAST(NULL AS {SQL_TYPES[kind]})" for name, kind in COLUMNS.items()}
+    values = {
+        name: f'"{name}"' if name in present else f"CAST(NULL AS {SQL_TYPES[kind]})" for name, kind in COLUMNS.items()
+    }
     for tag in added:
         way = ADDITIONS[RETIRED[tag].cls]
         for name, value in {**way.added, "type": way.after.__struct_config__.tag}.items():
             # One look at each row: a second one, for these rows alone, would decode the types of all of them once more.
-            values[name] = f"CASE WHEN type = {_literal(tag)} THEN CAST({_literal(value)} AS {SQL_TYPES[COLUMNS[name]]}) ELSE {values[name]} END"
+            values[name] = (
+                f"CASE WHEN type = {_literal(tag)} THEN CAST({_literal(value)} AS {SQL_TYPES[COLUMNS[name]]}) ELSE {values[name]} END"
+            )
     columns = ", ".join(f'{value} AS "{name}"' for name, value in values.items())
     return f"SELECT {columns} FROM {source}"
 
@@ -103,18 +111,25 @@ def _parquet(paths: Sequence[Path], *options: str) -> str:
 def _types(database: "Database", segments: Sequence[Path]) -> frozenset[str] | None:
     """The event types of which these segments hold rows; None where one cannot be read."""
     try:
-        return frozenset(str(tag) for (tag,) in (database.direct(f"SELECT DISTINCT type FROM {_parquet(segments)}") if segments else ()))
+        return frozenset(
+            str(tag)
+            for (tag,) in (database.direct(f"SELECT DISTINCT type FROM {_parquet(segments)}") if segments else ())
+        )
     except FsarLedgerError:
         return None
 
 
-def _holding(database: "Database", segments: Sequence[Path], types: frozenset[str] | None) -> Mapping[str, Sequence[Path]]:
+def _holding(
+    database: "Database", segments: Sequence[Path], types: frozenset[str] | None
+) -> Mapping[str, Sequence[Path]]:
     """The retired types among these of the segments, and which hold them; all of both where one cannot be read, so that reading it says what is wrong."""
     if types is None:
         return dict.fromkeys(RETIRED, segments)
     if types.isdisjoint(RETIRED):
         return {}
-    found = database.direct(f"SELECT DISTINCT type, filename FROM {_parquet(segments, 'filename = true')} WHERE type IN ({_listed(RETIRED)})")
+    found = database.direct(
+        f"SELECT DISTINCT type, filename FROM {_parquet(segments, 'filename = true')} WHERE type IN ({_listed(RETIRED)})"
+    )
     held = {tag: [path for path in segments if (tag, str(path)) in found] for tag in RETIRED}
     return {tag: paths for tag, paths in held.items() if paths}
 

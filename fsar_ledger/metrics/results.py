@@ -153,4 +153,6 @@ def typed(rows: list[dict[str, Any]], kind: type[_Row]) -> list[_Row]:
     try:
         return msgspec.convert(rows, list[kind])  # type: ignore[valid-type]
     except msgspec.ValidationError as error:
-        raise LedgerCorrupted(f"the answer: found a row that no events give ({error}), expected what {kind.__name__} holds; run fsar-ledger verify") from error
+        raise LedgerCorrupted(
+            f"the answer: found a row that no events give ({error}), expected what {kind.__name__} holds; run fsar-ledger verify"
+        ) from error

@@ -38,7 +38,10 @@ def _by_digest(database: Database, path: str, decoded: pa.Table) -> tuple[str, s
     columns = {name: whole(decoded.column(name)) for name in decoded.column_names}
     integers = [name for name, column in columns.items() if pa.types.is_int64(column.type)]
     counts = [f'count("{name}")' for name in columns] + [f'bit_xor("{name}")' for name in integers]
-    expected = [("run_id", len(decoded)), *((name, len(column) - column.null_count) for name, column in columns.items())]
+    expected = [
+        ("run_id", len(decoded)),
+        *((name, len(column) - column.null_count) for name, column in columns.items()),
+    ]
     for name in integers:
         values = numbers(columns[name])[validity(columns[name])]
         expected.append((name, int(np.bitwise_xor.reduce(values, initial=0))))
@@ -57,7 +60,9 @@ def _by_value(database: Database, path: str, decoded: pa.Table) -> tuple[str, st
     try:
         if database.direct(f"SELECT count(*) {source} WHERE {' OR '.join(differences.values())}") == [(0,)]:
             return None
-        [found] = database.direct(f"SELECT {', '.join(f'count(*) FILTER ({difference})' for difference in differences.values())} {source}")
+        [found] = database.direct(
+            f"SELECT {', '.join(f'count(*) FILTER ({difference})' for difference in differences.values())} {source}"
+        )
     finally:
         database.drop(_DECODED)
     name, count = next(((name, count) for name, count in zip(differences, found, strict=True) if count), ("run_id", 0))

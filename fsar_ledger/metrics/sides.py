@@ -86,9 +86,16 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
     @property
     def names(self) -> set[str]:
         """All by which it can be asked for: the configuration `full`, the constants and the fleet size may be left out."""
-        heads = {f"{self.architecture or '-'}:{self.configuration or '-'}"} | ({self.architecture or "-"} if self.configuration in (FULL, None) else set())
+        heads = {f"{self.architecture or '-'}:{self.configuration or '-'}"} | (
+            {self.architecture or "-"} if self.configuration in (FULL, None) else set()
+        )
         size = "-" if self.fleet_size is None else str(self.fleet_size)
-        return {f"{head}{constants}{robots}{self._end}" for head in heads for constants in ("", f"@{self.letter or '-'}") for robots in ("", f"/{size}")}
+        return {
+            f"{head}{constants}{robots}{self._end}"
+            for head in heads
+            for constants in ("", f"@{self.letter or '-'}")
+            for robots in ("", f"/{size}")
+        }
 
     @property
     def _end(self) -> str:
@@ -100,8 +107,16 @@ class Side(msgspec.Struct, frozen=True, kw_only=True):
 
     def held(self) -> str:
         """What its runs are numbered by, in words."""
-        unnamed = "" if self.named_count == self.run_count else f", {self.run_count - self.named_count:,} of them without seed, scenario, number or size"
-        seeds = f"seed{'' if len(self.seeds) == 1 else 's'} {printable.some(map(str, self.seeds))}" if self.seeds else "no seed"
+        unnamed = (
+            ""
+            if self.named_count == self.run_count
+            else f", {self.run_count - self.named_count:,} of them without seed, scenario, number or size"
+        )
+        seeds = (
+            f"seed{'' if len(self.seeds) == 1 else 's'} {printable.some(map(str, self.seeds))}"
+            if self.seeds
+            else "no seed"
+        )
         return f"{self}{unnamed} under {seeds}, {printable.some(map(printable.value, self.scenarios or ())) or 'no scenario'}"
 
 
@@ -168,12 +183,20 @@ class Paired(msgspec.Struct, frozen=True, kw_only=True):
 
 def sides(database: Database) -> list[Side]:
     """All sides of a ledger, in the order of the paper. Raises: as `Database.rows` and `models`."""
-    letters = {(one.kind, one.source, one.model_version, one.parameter_set): letter for one, letter in lettered(models(database))}
+    letters = {
+        (one.kind, one.source, one.model_version, one.parameter_set): letter
+        for one, letter in lettered(models(database))
+    }
     found = typed(database.rows(SIDES), Side)
-    return [msgspec.structs.replace(one, letter=letters.get((one.kind, one.source, one.model_version, one.parameter_set))) for one in found]
+    return [
+        msgspec.structs.replace(one, letter=letters.get((one.kind, one.source, one.model_version, one.parameter_set)))
+        for one in found
+    ]
 
 
-def chosen(held: Sequence[Sequence[Side]], asked: tuple[str | None, str | None], places: Sequence[str]) -> tuple[Side, Side]:
+def chosen(
+    held: Sequence[Sequence[Side]], asked: tuple[str | None, str | None], places: Sequence[str]
+) -> tuple[Side, Side]:
     """The two sides that are meant.
 
     Args:
@@ -190,21 +213,30 @@ def chosen(held: Sequence[Sequence[Side]], asked: tuple[str | None, str | None],
     if len(held) == 1:
         first, second = _of_one(firsts, first, second, places[0])
         if first.side == second.side:
-            raise UsageError(f"{places[0]}: found {first} as both sides, expected two that differ; it holds {_listed(firsts)}")
+            raise UsageError(
+                f"{places[0]}: found {first} as both sides, expected two that differ; it holds {_listed(firsts)}"
+            )
         return first, second
     if first is None and second is None:
         alike = [(one, other) for one in firsts for other in _alike(one, seconds)]
         only = [(firsts[0], seconds[0])] if len(firsts) == len(seconds) == 1 else alike
         if len(only) != 1:
             found = f"found {counted(len(alike), 'side')} in common" if alike else "found no side in common"
-            raise UsageError(f"{found}, expected --first NAME, or one: {places[0]} holds {_listed(firsts)}; {places[1]} holds {_listed(seconds)}")
+            raise UsageError(
+                f"{found}, expected --first NAME, or one: {places[0]} holds {_listed(firsts)}; {places[1]} holds {_listed(seconds)}"
+            )
         return only[0]
     return first or _like(second, firsts, "--first", places[0]), second or _like(first, seconds, "--second", places[1])
 
 
 def _alike(one: Side | None, held: Sequence[Side]) -> list[Side]:
     """Those that are this one but for constants, model and kind of runs; where none is, but for the size of the fleet, too."""
-    named = [side for side in held if one and (side.architecture, side.configuration, side.made_as) == (one.architecture, one.configuration, one.made_as)]
+    named = [
+        side
+        for side in held
+        if one
+        and (side.architecture, side.configuration, side.made_as) == (one.architecture, one.configuration, one.made_as)
+    ]
     return [side for side in named if one and side.fleet_size == one.fleet_size] or named
 
 
@@ -216,9 +248,15 @@ def _named(option: str, asked: str | None, held: Sequence[Side], place: str) -> 
         return found[0]
     shown = printable.value(asked)
     if found:
-        more = "; their names are the same, so they cannot be told apart here" if len({one.name for one in found}) < len(found) else "; name one of them"
+        more = (
+            "; their names are the same, so they cannot be told apart here"
+            if len({one.name for one in found}) < len(found)
+            else "; name one of them"
+        )
         raise UsageError(f"{option} {shown}: found {len(found):,} such in {place}: {_listed(found)}{more}")
-    raise UsageError(f"{option} {shown}: found no such runs in {place}, expected ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]: it holds {_listed(held)}")
+    raise UsageError(
+        f"{option} {shown}: found no such runs in {place}, expected ARCHITECTURE[:CONFIGURATION][@CONSTANTS][/ROBOTS]: it holds {_listed(held)}"
+    )
 
 
 def _of_one(held: Sequence[Side], first: Side | None, second: Side | None, place: str) -> tuple[Side, Side]:
@@ -228,9 +266,13 @@ def _of_one(held: Sequence[Side], first: Side | None, second: Side | None, place
     one = first or second
     others = [side for side in held if one is None or side.side != one.side]
     if len(others) != (1 if one else 2):
-        missing = "--first NAME and --second NAME" if one is None else "--second NAME" if second is None else "--first NAME"
+        missing = (
+            "--first NAME and --second NAME" if one is None else "--second NAME" if second is None else "--first NAME"
+        )
         what = (
-            f"{place}: found {len(held):,} sides, expected two, or {missing} to say which" if held else f"{place}: found no runs, expected two sides to compare"
+            f"{place}: found {len(held):,} sides, expected two, or {missing} to say which"
+            if held
+            else f"{place}: found no runs, expected two sides to compare"
         )
         raise UsageError(f"{what}; it holds {_listed(held)}" if held else what)
     return (others[0], others[1]) if one is None else (one, others[0]) if first is not None else (others[0], one)
@@ -240,7 +282,9 @@ def _like(one: Side | None, held: Sequence[Side], option: str, place: str) -> Si
     """The side of the other ledger that is like this one, or the only one there."""
     alike = _alike(one, held) or list(held)
     if len(alike) != 1:
-        raise UsageError(f"{option} is missing: found {len(alike):,} that may be meant in {place}: {_listed(alike)}; name one")
+        raise UsageError(
+            f"{option} is missing: found {len(alike):,} that may be meant in {place}: {_listed(alike)}; name one"
+        )
     return alike[0]
 
 
@@ -248,9 +292,14 @@ def _listed(held: Sequence[Side]) -> str:
     return printable.some(map(str, held), "more, which `fsar-ledger info` lists") or "no runs"
 
 
-def paired(held: Sequence[Database], both: tuple[Side, Side], *, pools_seeds: bool = False, by_scenario: bool = False) -> Paired:
+def paired(
+    held: Sequence[Database], both: tuple[Side, Side], *, pools_seeds: bool = False, by_scenario: bool = False
+) -> Paired:
     """What the runs of the two sides, each in its ledger, have to say in pairs. Raises: as `Database.rows`."""
-    tables = [_runs(database, side, name) for database, side, name in zip((held[0], held[-1]), both, ("first", "second"), strict=True)]
+    tables = [
+        _runs(database, side, name)
+        for database, side, name in zip((held[0], held[-1]), both, ("first", "second"), strict=True)
+    ]
     comparison = {
         "comparison": "first-second",
         "family": "first-second",
@@ -263,7 +312,12 @@ def paired(held: Sequence[Database], both: tuple[Side, Side], *, pools_seeds: bo
         database.hold("side_runs", pa.concat_tables(tables))
         database.hold("side_comparisons", pa.Table.from_pylist([comparison]))
         for name, of, side in zip(("first_constants", "second_constants"), (held[0], held[-1]), both, strict=True):
-            database.hold(name, of.table(CONSTANTS, {key: getattr(side, key) for key in ("kind", "source", "model_version", "parameter_set")}))
+            database.hold(
+                name,
+                of.table(
+                    CONSTANTS, {key: getattr(side, key) for key in ("kind", "source", "model_version", "parameter_set")}
+                ),
+            )
         [counts] = database.rows(COUNTS)
         simulated = {"first_simulated": both[0].kind == "simulated", "second_simulated": both[1].kind == "simulated"}
         rows = database.rows(

@@ -75,7 +75,9 @@ def run_untrusted(ledger: Path, sql: str, limits: Limits | None = None, demanded
 
 
 @contextmanager
-def stream_untrusted(ledger: Path, sql: str, limits: Limits | None = None, demanded: str | None = None) -> Iterator[Stream]:
+def stream_untrusted(
+    ledger: Path, sql: str, limits: Limits | None = None, demanded: str | None = None
+) -> Iterator[Stream]:
     """The answer of this SELECT over the ledger's present head; with `demanded`, only over the head with that newest record.
 
     The limit of time holds until the last part has been taken.
@@ -103,7 +105,9 @@ def _parts(process: "_Process") -> Iterator[list[dict[str, Any]]]:
         try:
             rows = plain_rows(pa.ipc.open_stream(data).read_all())
         except (OverflowError, ValueError) as error:
-            found = "SQL: found a date or time that an answer cannot show, expected years 1 to 9999 and whole microseconds"
+            found = (
+                "SQL: found a date or time that an answer cannot show, expected years 1 to 9999 and whole microseconds"
+            )
             raise QueryFailed(f"{found}; make it text, as in CAST(... AS VARCHAR)") from error
         yield rows
         process.check_time()
@@ -118,9 +122,13 @@ def check_text(sql: str, limits: Limits) -> None:
     try:
         size = len(sql.encode())
     except UnicodeEncodeError as error:
-        raise QueryFailed(f"SQL: found bytes that are not UTF-8 at character {error.start + 1}, expected text; save it as UTF-8") from error
+        raise QueryFailed(
+            f"SQL: found bytes that are not UTF-8 at character {error.start + 1}, expected text; save it as UTF-8"
+        ) from error
     if size > limits.sql_bytes:
-        raise QueryFailed(f"SQL: found {size:,} bytes of text, expected at most {limits.sql_bytes:,}; split the question")
+        raise QueryFailed(
+            f"SQL: found {size:,} bytes of text, expected at most {limits.sql_bytes:,}; split the question"
+        )
     if "\0" in sql:
         raise QueryFailed(f"SQL: found a NUL at character {sql.index(chr(0)) + 1}, expected text; remove it")
 
@@ -181,7 +189,9 @@ class _Process:
 
     def _gone(self) -> QueryFailed:
         if time.monotonic() >= self._ends:
-            return QueryFailed(f"SQL: found no answer after {self.limits.seconds} s, the limit; ask for less, or use a packaged query")
+            return QueryFailed(
+                f"SQL: found no answer after {self.limits.seconds} s, the limit; ask for less, or use a packaged query"
+            )
         try:
             code: int | None = self._child.wait(DYING_S)
         except subprocess.TimeoutExpired:
@@ -196,7 +206,9 @@ class _Process:
 def cause_of_death(code: int | None, said: str, limits: Limits) -> str:
     """Why a process ended without an answer, and what to do, by its exit code (a signal's number below zero) and the end of what it wrote to stderr."""
     last = next((line for line in reversed(said.splitlines()) if line.strip()), "nothing")[:SHOWN]
-    memory = f"ran out of memory, the limit is {limits.memory_bytes >> 20:,} MiB; ask for less, or raise it with --memory"
+    memory = (
+        f"ran out of memory, the limit is {limits.memory_bytes >> 20:,} MiB; ask for less, or raise it with --memory"
+    )
     if any(sign in said for sign in OUT_OF_MEMORY):
         return memory
     if code is None:

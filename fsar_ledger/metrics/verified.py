@@ -28,7 +28,9 @@ from fsar_ledger.ledger.verify import Asked, VerifyReport, verify
 _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 
 
-def whole_look(ledger: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None, asked: Asked | None = None) -> VerifyReport:
+def whole_look(
+    ledger: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None, asked: Asked | None = None
+) -> VerifyReport:
     """The report of `verify`; where it read the rows and doubts nothing, the head is remembered. Raises: as `verify`."""
     asked = asked or Asked()
     if not asked.is_quick:
@@ -52,7 +54,9 @@ def required_look(ledger: Path, workers: int = 1, progress: Callable[[int, int],
     if report.record_sha256 is None:
         first, *others = report.problems
         more = f" ({len(others)} more of these)" if others else ""
-        raise LedgerCorrupted(f"{ledger}: {first}{more}; no answer is given from rows that are not those under the root, run fsar-ledger verify")
+        raise LedgerCorrupted(
+            f"{ledger}: {first}{more}; no answer is given from rows that are not those under the root, run fsar-ledger verify"
+        )
     return report.record_sha256
 
 
@@ -67,7 +71,9 @@ def is_verified(view: LedgerView, demanded: str | None = None) -> bool:
         SequenceConflict: The view is of another head than the one that is demanded.
     """
     if demanded is not None and view.record_sha256 != demanded:
-        raise SequenceConflict(f"{view.path}: found another newest commit than a moment ago, when its rows were compared with its root; run it again")
+        raise SequenceConflict(
+            f"{view.path}: found another newest commit than a moment ago, when its rows were compared with its root; run it again"
+        )
     return demanded is not None or not view.records or is_remembered(view.record_sha256)
 
 

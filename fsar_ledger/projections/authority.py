@@ -27,7 +27,12 @@ HANDLES = (
     | ExecutionFinished
 )
 
-LEVELS: tuple[OverrideLevel, ...] = ("none", "soft-priority", "hard-preempt", "emergency-only")  # from weak to strong, eq:override
+LEVELS: tuple[OverrideLevel, ...] = (
+    "none",
+    "soft-priority",
+    "hard-preempt",
+    "emergency-only",
+)  # from weak to strong, eq:override
 Right = AuthorityGranted | AuthorityRevoked
 
 

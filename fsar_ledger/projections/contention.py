@@ -55,6 +55,10 @@ def evolve(state: Contention, event: HANDLES) -> Contention:
             joins = any(order.other == event.action_id and not order.is_answered for order in state.orders.values())
             return Contention(state.orders, state.refused, state.arrived | {event.action_id}) if joins else state
         case RequestDenied() | RequestUnanswered():
-            return state if event.action_id is None else Contention(state.orders, state.refused | {event.action_id}, state.arrived)
+            return (
+                state
+                if event.action_id is None
+                else Contention(state.orders, state.refused | {event.action_id}, state.arrived)
+            )
         case _:
             assert_never(event)

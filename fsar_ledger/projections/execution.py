@@ -39,7 +39,9 @@ HANDLES = (
     | AssistanceFailed
 )
 
-Stage = Literal["queued", "approaching", "held", "polling", "running", "paused", "halted", "failed", "withdrawn", "preempted"]
+Stage = Literal[
+    "queued", "approaching", "held", "polling", "running", "paused", "halted", "failed", "withdrawn", "preempted"
+]
 HELPING = "assist:"  # what holds a robot that helps with an action
 INTERRUPTING = rank("hard-preempt")  # from this level on a request takes the robot from a weaker one
 
@@ -148,7 +150,9 @@ def _queued(state: Execution, event: ExecutionQueued) -> Execution:
     if event.robot in state.current:
         queue = state.queues.get(event.robot, ())
         place = len(queue) if event.override == "none" else _place(state, queue, event.override)
-        return Execution(state.current, {**state.queues, event.robot: (*queue[:place], event.action_id, *queue[place:])}, actions)
+        return Execution(
+            state.current, {**state.queues, event.robot: (*queue[:place], event.action_id, *queue[place:])}, actions
+        )
     return Execution({**state.current, event.robot: event.action_id}, state.queues, actions)
 
 
@@ -165,7 +169,12 @@ def _preempted(state: Execution, event: ExecutionPreempted) -> Execution:
     """The action waits at the head of the queue, and the robot is there for whoever has preempted it."""
     known = state.actions[event.action_id]
     changed = msgspec.structs.replace(
-        known, stage="preempted", ends_us=0, remaining_us=event.remaining_us or 0, preemptions=known.preemptions + 1, has_begun=event.remaining_us is not None
+        known,
+        stage="preempted",
+        ends_us=0,
+        remaining_us=event.remaining_us or 0,
+        preemptions=known.preemptions + 1,
+        has_begun=event.remaining_us is not None,
     )
     current = {robot: held for robot, held in state.current.items() if held != event.action_id}
     queues = {**state.queues, event.robot: (event.action_id, *state.queues.get(event.robot, ()))}
@@ -180,7 +189,9 @@ def _held(state: Execution, event: ExecutionHeld) -> Execution:
     return Execution(state.current, state.queues, {**state.actions, event.action_id: changed})
 
 
-def _staged(state: Execution, action_id: str, stage: Stage, ends_us: int = 0, remaining_us: int = 0, failures: int | None = None) -> Execution:
+def _staged(
+    state: Execution, action_id: str, stage: Stage, ends_us: int = 0, remaining_us: int = 0, failures: int | None = None
+) -> Execution:
     action = state.actions[action_id]
     changed = msgspec.structs.replace(
         action,

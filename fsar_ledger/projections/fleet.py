@@ -45,10 +45,14 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
     match event:
         case RunStarted():
             structure, answer_us = _structure(event.parameters)
-            return Fleet(lacks(event.configuration or ""), event.fleet_size or 0, structure, state.robots, answer_us=answer_us)
+            return Fleet(
+                lacks(event.configuration or ""), event.fleet_size or 0, structure, state.robots, answer_us=answer_us
+            )
         case RobotJoined():
             robot = Robot(event.robot, event.role, event.team, event.supervisor, event.domain, event.place)
-            return msgspec.structs.replace(state, robots={**state.robots, event.robot: robot}, teams=max(state.teams, event.team))
+            return msgspec.structs.replace(
+                state, robots={**state.robots, event.robot: robot}, teams=max(state.teams, event.team)
+            )
         case _:
             assert_never(event)
 

@@ -10,7 +10,23 @@ from typing import Any, get_args
 
 from fsar_ledger.events import EVENT_TYPES, Event
 
-from . import authority, budget, contention, context, execution, fleet, knowledge, policy, recovery, registry, request, supervision, task, trust, world
+from . import (
+    authority,
+    budget,
+    contention,
+    context,
+    execution,
+    fleet,
+    knowledge,
+    policy,
+    recovery,
+    registry,
+    request,
+    supervision,
+    task,
+    trust,
+    world,
+)
 
 
 class State:
@@ -57,7 +73,23 @@ class State:
     __hash__ = None  # type: ignore[assignment]
 
 
-_PROJECTIONS = (authority, budget, contention, context, execution, fleet, knowledge, policy, recovery, registry, request, supervision, task, trust, world)
+_PROJECTIONS = (
+    authority,
+    budget,
+    contention,
+    context,
+    execution,
+    fleet,
+    knowledge,
+    policy,
+    recovery,
+    registry,
+    request,
+    supervision,
+    task,
+    trust,
+    world,
+)
 _Evolve = Callable[[Any, Any], Any]
 
 

@@ -5,7 +5,14 @@ from typing import assert_never
 import msgspec
 
 from fsar_ledger.events.envelope import PolicyOutcome
-from fsar_ledger.events.knowledge import CopySynced, FleetRuleLearned, PeerRemembered, PlannerEngaged, SnapshotTaken, WorkQueued
+from fsar_ledger.events.knowledge import (
+    CopySynced,
+    FleetRuleLearned,
+    PeerRemembered,
+    PlannerEngaged,
+    SnapshotTaken,
+    WorkQueued,
+)
 from fsar_ledger.events.world import SyncPhaseSet
 
 HANDLES = SyncPhaseSet | FleetRuleLearned | PeerRemembered | CopySynced | SnapshotTaken | PlannerEngaged | WorkQueued
@@ -39,7 +46,9 @@ def evolve(state: Knowledge, event: HANDLES) -> Knowledge:
             return replace(state, snapshot={**state.snapshot, event.robot: event.outcome})
         case FleetRuleLearned():
             as_of_us = {**state.fleet_rule_as_of_us, event.robot: event.as_of_us}
-            return replace(state, fleet_rule={**state.fleet_rule, event.robot: event.outcome}, fleet_rule_as_of_us=as_of_us)
+            return replace(
+                state, fleet_rule={**state.fleet_rule, event.robot: event.outcome}, fleet_rule_as_of_us=as_of_us
+            )
         case PlannerEngaged():
             return replace(state, engaged_until_us={**state.engaged_until_us, event.robot: event.until_us})
         case PeerRemembered():

@@ -35,7 +35,12 @@ INITIAL = Policy()
 
 
 def ruled(
-    state: Policy, scope: PolicyScope, robot: str, capability: str | None, context: str | None, among: Container[Rule | RoleRule] | None = None
+    state: Policy,
+    scope: PolicyScope,
+    robot: str,
+    capability: str | None,
+    context: str | None,
+    among: Container[Rule | RoleRule] | None = None,
 ) -> PolicyOutcome | None:
     """The strictest rule of this scope that applies, of all or of those `among` them, or None when nothing is ruled. Reading: R36.
 
@@ -49,7 +54,9 @@ def ruled(
     return outcome
 
 
-def _applying(state: Policy, scope: PolicyScope, robot: str, capability: str | None, context: str | None) -> Iterator[tuple[Rule | RoleRule, PolicyOutcome]]:
+def _applying(
+    state: Policy, scope: PolicyScope, robot: str, capability: str | None, context: str | None
+) -> Iterator[tuple[Rule | RoleRule, PolicyOutcome]]:
     """The rules that apply, without those that another replaces."""
     for about in ((capability, context), (capability, None), (None, context), (None, None)):
         of_all: Rule = (scope, None, *about)

@@ -6,11 +6,25 @@ import msgspec
 
 from fsar_ledger.events.envelope import FailureCause, RecoveryLevel
 from fsar_ledger.events.execution import ExecutionFailed
-from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceDeclined, AssistanceRequested, FailureResolved, RecoveryAttempted, RecoveryEscalated
+from fsar_ledger.events.recovery import (
+    AssistanceAdmitted,
+    AssistanceDeclined,
+    AssistanceRequested,
+    FailureResolved,
+    RecoveryAttempted,
+    RecoveryEscalated,
+)
 from fsar_ledger.events.supervision import SupervisorCalled
 
 HANDLES = (
-    ExecutionFailed | RecoveryAttempted | RecoveryEscalated | AssistanceRequested | AssistanceAdmitted | AssistanceDeclined | SupervisorCalled | FailureResolved
+    ExecutionFailed
+    | RecoveryAttempted
+    | RecoveryEscalated
+    | AssistanceRequested
+    | AssistanceAdmitted
+    | AssistanceDeclined
+    | SupervisorCalled
+    | FailureResolved
 )
 
 
@@ -45,17 +59,30 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
         case ExecutionFailed():
             return {**state, event.action_id: Recovery(event.robot, event.failure, event.cause, event.detected_us)}
         case RecoveryAttempted():
-            changed = msgspec.structs.replace(state[event.failed_action], number=event.number, deadline_us=event.deadline_us)
+            changed = msgspec.structs.replace(
+                state[event.failed_action], number=event.number, deadline_us=event.deadline_us
+            )
             return {**state, event.failed_action: changed}
         case RecoveryEscalated():
-            return {**state, event.failed_action: msgspec.structs.replace(state[event.failed_action], level=event.to_level, awaited=None)}
+            return {
+                **state,
+                event.failed_action: msgspec.structs.replace(
+                    state[event.failed_action], level=event.to_level, awaited=None
+                ),
+            }
         case AssistanceRequested():
             known = state[event.failed_action]
-            asked = msgspec.structs.replace(known, tried=(*known.tried, event.helper), since_us=event.since_us or 0, awaited=event.helper)
+            asked = msgspec.structs.replace(
+                known, tried=(*known.tried, event.helper), since_us=event.since_us or 0, awaited=event.helper
+            )
             return {**state, event.failed_action: asked}
         case AssistanceAdmitted() | AssistanceDeclined():
             action_id = event.action_id or ""
-            return {**state, action_id: msgspec.structs.replace(state[action_id], awaited=None)} if action_id in state else state
+            return (
+                {**state, action_id: msgspec.structs.replace(state[action_id], awaited=None)}
+                if action_id in state
+                else state
+            )
         case SupervisorCalled():
             called = state.get(event.action_id)
             if called is None or event.purpose != "recovery":

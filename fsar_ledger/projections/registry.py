@@ -156,17 +156,31 @@ def evolve(state: Registry, event: HANDLES) -> Registry:
         case RobotJoined():
             return replace(state, domains={**state.domains, event.robot: event.domain})
         case CapabilityInstalled():
-            module = Module(event.capability, event.version, Contract(event.preconditions, event.postconditions, event.resources))
-            return replace(state, modules={**state.modules, event.robot: {**state.modules.get(event.robot, {}), event.capability: module}})
+            module = Module(
+                event.capability, event.version, Contract(event.preconditions, event.postconditions, event.resources)
+            )
+            return replace(
+                state,
+                modules={
+                    **state.modules,
+                    event.robot: {**state.modules.get(event.robot, {}), event.capability: module},
+                },
+            )
         case CapabilityRemoved():
-            left = {name: module for name, module in state.modules.get(event.robot, {}).items() if name != event.capability}
-            return replace(_put(state, event.robot, event.capability, None), modules={**state.modules, event.robot: left})
+            left = {
+                name: module for name, module in state.modules.get(event.robot, {}).items() if name != event.capability
+            }
+            return replace(
+                _put(state, event.robot, event.capability, None), modules={**state.modules, event.robot: left}
+            )
         case CapabilityAdvertised():
             return _put(state, event.robot, event.capability, _record(state, event))
         case CapabilityWithdrawn():
             return _put(state, event.robot, event.capability, None)
         case AvailabilityChanged():
-            changed = [record for record in surface(state, event.robot) if event.capability in (None, record.capability)]
+            changed = [
+                record for record in surface(state, event.robot) if event.capability in (None, record.capability)
+            ]
             silent = _silent(state, event, changed)
             for record in changed:
                 state = _put(state, event.robot, record.capability, replace(record, availability=event.availability))
@@ -175,7 +189,9 @@ def evolve(state: Registry, event: HANDLES) -> Registry:
             known = advertisement(state, event.robot, event.capability)
             if known is None or known.version != event.version:
                 return state
-            return _put(state, event.robot, event.capability, replace(known, is_deprecated=True, successor=event.successor))
+            return _put(
+                state, event.robot, event.capability, replace(known, is_deprecated=True, successor=event.successor)
+            )
         case RegistryCached():
             return replace(state, caches={**state.caches, event.holder: Cache(event.as_of_us, state.offers)})
         case _:
@@ -204,11 +220,16 @@ def _put(state: Registry, robot: str, capability: str, record: Advertisement | N
     return Registry(state.domains, state.modules, changed, state.caches, state.silent)
 
 
-def _silent(state: Registry, event: AvailabilityChanged, changed: list[Advertisement]) -> dict[str, dict[str, Availability]]:
+def _silent(
+    state: Registry, event: AvailabilityChanged, changed: list[Advertisement]
+) -> dict[str, dict[str, Availability]]:
     """Who is silent by now: whoever did not answer, but for what it has spoken of since."""
     known = state.silent.get(event.robot)
     if event.reason == NO_ANSWER and event.availability == "offline":
-        return {**state.silent, event.robot: {**(known or {}), **{record.capability: record.availability for record in changed}}}
+        return {
+            **state.silent,
+            event.robot: {**(known or {}), **{record.capability: record.availability for record in changed}},
+        }
     if known is None:
         return state.silent
     others = {robot: before for robot, before in state.silent.items() if robot != event.robot}
@@ -222,7 +243,11 @@ def _changed(found: Offers, path: tuple[str, ...], robot: str, capability: str, 
         name = path[0]
         before = found.below.get(name, Offers())
         after = _changed(before, path[1:], robot, capability, record)
-        ways = found.ways if _leads(before, capability) == _leads(after, capability) else _turned(found.ways, name, capability)
+        ways = (
+            found.ways
+            if _leads(before, capability) == _leads(after, capability)
+            else _turned(found.ways, name, capability)
+        )
         return Offers(found.records, {**found.below, name: after}, ways)
     known = found.records.get(capability, {})
     if record is not None:

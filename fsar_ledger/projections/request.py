@@ -109,18 +109,42 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
     """The requests after the event."""
     match event:
         case StepBegan():
-            others = {name: request for name, request in state.items() if request.is_adhoc or request.task_id != event.task_id}
-            begun = Request(event.task_id, event.action_id, event.robot, event.capability, event.step, event.attempt, event.target_role is not None)
+            others = {
+                name: request for name, request in state.items() if request.is_adhoc or request.task_id != event.task_id
+            }
+            begun = Request(
+                event.task_id,
+                event.action_id,
+                event.robot,
+                event.capability,
+                event.step,
+                event.attempt,
+                event.target_role is not None,
+            )
             return {**others, event.action_id: begun}
         case ExecutionFinished() | RequestClosed() | RequestDenied():
             return _ended(state, event)
         case StepCompleted():
             return {name: request for name, request in state.items() if name != event.action_id}
         case TaskAbandoned():  # what a robot has goes on or is withdrawn there; nobody answers the rest
-            kept = {name: request for name, request in state.items() if request.is_adhoc or request.is_received or request.task_id != event.task_id}
+            kept = {
+                name: request
+                for name, request in state.items()
+                if request.is_adhoc or request.is_received or request.task_id != event.task_id
+            }
             return state if len(kept) == len(state) else kept
         case OutsiderRequestInjected():
-            injected = Request(event.task_id, event.task_id, event.robot, event.capability, 0, 1, True, (event.peer,), target=event.peer)
+            injected = Request(
+                event.task_id,
+                event.task_id,
+                event.robot,
+                event.capability,
+                0,
+                1,
+                True,
+                (event.peer,),
+                target=event.peer,
+            )
             return {**state, event.task_id: injected}
         case RegistryQueried():
             asking = state.get(event.action_id or "")
@@ -136,7 +160,9 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
         case BidSubmitted():
             return _bid(state, event)
         case BidReceived():
-            earlier = tuple(bid for bid in state[event.action_id].bids if bid[0] != event.robot)  # one that answers late was asked again
+            earlier = tuple(
+                bid for bid in state[event.action_id].bids if bid[0] != event.robot
+            )  # one that answers late was asked again
             bids = (*earlier, (event.robot, event.outcome))
             return _changed(state, event.action_id, bids=bids)
         case AwardMade():
@@ -155,7 +181,15 @@ def evolve(state: Requests, event: HANDLES) -> Requests:
         case ContractVoided():
             known = state[event.action_id]
             return _changed(
-                state, event.action_id, bidders=(), bids=(), target=None, is_accepted=False, is_questioned=False, is_received=False, round=known.round + 1
+                state,
+                event.action_id,
+                bidders=(),
+                bids=(),
+                target=None,
+                is_accepted=False,
+                is_questioned=False,
+                is_received=False,
+                round=known.round + 1,
             )
         case RequestUnanswered():
             return _unanswered(state, event)
@@ -174,7 +208,12 @@ def _issued(state: Requests, event: RequestIssued) -> Requests:
     if action_id in state or task_id is None or action_id is None or robot is None or executor is None:
         return _changed(state, action_id, carried=carried, relay=event.relay, override=event.override)
     begun = Request(task_id, action_id, robot, event.capability, 1, 1, True, (executor,), event.relay, carried)
-    asked = {"override": event.override, "parent": event.parent, "directives": event.directives, "version": event.version}
+    asked = {
+        "override": event.override,
+        "parent": event.parent,
+        "directives": event.directives,
+        "version": event.version,
+    }
     return {**state, action_id: msgspec.structs.replace(begun, is_adhoc=True, **asked)}
 
 
@@ -184,7 +223,11 @@ def _ended(state: Requests, event: ExecutionFinished | RequestClosed | RequestDe
     if known is None:
         return state
     if isinstance(event, ExecutionFinished):
-        return _changed(state, known.action_id, result=event.result) if known.is_adhoc or event.result != "success" else state
+        return (
+            _changed(state, known.action_id, result=event.result)
+            if known.is_adhoc or event.result != "success"
+            else state
+        )
     return _changed(state, known.action_id, is_over=True)
 
 
@@ -209,7 +252,11 @@ def _unanswered(state: Requests, event: RequestUnanswered) -> Requests:
     """The request is over for who did not answer; without a name nobody did, or there was nobody to ask."""
     if event.action_id not in state:
         return state
-    silent = state[event.action_id].silent if event.executed_by is None else (*state[event.action_id].silent, event.executed_by)
+    silent = (
+        state[event.action_id].silent
+        if event.executed_by is None
+        else (*state[event.action_id].silent, event.executed_by)
+    )
     return _changed(state, event.action_id, silent=silent, target=None, is_accepted=False, is_unanswered=True)
 
 

@@ -46,13 +46,29 @@ def evolve(state: Supervision, event: HANDLES) -> Supervision:
             if event.executed_by is None:
                 return state
             count = state.admissions.get(event.executed_by, 0) + 1
-            return Supervision(state.approved, state.calls, state.review_every, {**state.admissions, event.executed_by: count}, state.called)
+            return Supervision(
+                state.approved,
+                state.calls,
+                state.review_every,
+                {**state.admissions, event.executed_by: count},
+                state.called,
+            )
         case SupervisorCalled():
             called = state.called + 1
-            return Supervision(state.approved, {**state.calls, called: event}, state.review_every, state.admissions, called)
+            return Supervision(
+                state.approved, {**state.calls, called: event}, state.review_every, state.admissions, called
+            )
         case SupervisorResponded():
-            approved = state.approved | {event.action_id} if event.purpose == "review" and event.approves else state.approved
-            return Supervision(approved, _without(state.calls, event.action_id, event.purpose), state.review_every, state.admissions, state.called)
+            approved = (
+                state.approved | {event.action_id} if event.purpose == "review" and event.approves else state.approved
+            )
+            return Supervision(
+                approved,
+                _without(state.calls, event.action_id, event.purpose),
+                state.review_every,
+                state.admissions,
+                state.called,
+            )
         case FailureResolved():
             calls = _without(state.calls, event.action_id, "recovery")
             return Supervision(state.approved, calls, state.review_every, state.admissions, state.called)

@@ -44,7 +44,10 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
             return {**state, event.task_id: _at(state[event.task_id], 1, 0, "")}
         case TaskArrived():
             about = (event.task_id, event.robot, event.team, event.steps, event.budget_us, event.due_us)
-            return {**state, event.task_id: Task(*about, checkpoints=event.checkpoints, is_time_critical=event.is_time_critical)}
+            return {
+                **state,
+                event.task_id: Task(*about, checkpoints=event.checkpoints, is_time_critical=event.is_time_critical),
+            }
         case TaskCompleted() | TaskAbandoned():
             return {task_id: task for task_id, task in state.items() if task_id != event.task_id}
         case _:

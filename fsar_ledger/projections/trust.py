@@ -57,12 +57,16 @@ class Trust(msgspec.Struct, frozen=True, gc=False):
 INITIAL = Trust()
 
 
-def scope_of(state: Trust, robot: str, peer: str, capability: str | None = None, context: str | None = None) -> TrustScope:
+def scope_of(
+    state: Trust, robot: str, peer: str, capability: str | None = None, context: str | None = None
+) -> TrustScope:
     """How far the robot trusts the peer; the most specific entry holds, and without any there is none."""
     return _holding(state, robot, peer, capability, context)[1]
 
 
-def _holding(state: Trust, robot: str, peer: str, capability: str | None, context: str | None) -> tuple[About, TrustScope]:
+def _holding(
+    state: Trust, robot: str, peer: str, capability: str | None, context: str | None
+) -> tuple[About, TrustScope]:
     """What the entry is about that holds between the two, and its scope: of those about the pair, else about their roles in the smallest domain."""
     entries = state.entries.get((robot, peer))
     if entries is not None and (found := _most_specific(entries, capability, context)) is not None:
@@ -113,11 +117,17 @@ def evolve(state: Trust, event: HANDLES) -> Trust:
             return replace(state, members={**state.members, event.robot: (event.role, event.domain)})
         case TrustSet():
             pair = (event.robot, event.peer)
-            entries = {**state.entries, pair: {**state.entries.get(pair, {}), (event.capability, event.context): event.scope}}
+            entries = {
+                **state.entries,
+                pair: {**state.entries.get(pair, {}), (event.capability, event.context): event.scope},
+            }
             return _set(replace(state, entries=entries), event)
         case RoleTrustSet():
             roles = (event.role, event.peer_role, event.domain)
-            of_roles = {**state.of_roles, roles: {**state.of_roles.get(roles, {}), (event.capability, event.context): event.scope}}
+            of_roles = {
+                **state.of_roles,
+                roles: {**state.of_roles.get(roles, {}), (event.capability, event.context): event.scope},
+            }
             return _set(replace(state, of_roles=of_roles), event)
         case TrustThresholdsSet():
             if not event.promote_after and not event.downgrade_after:
@@ -135,7 +145,9 @@ def _set(state: Trust, event: TrustSet | RoleTrustSet) -> Trust:
     records = {
         key: record
         for key, record in state.records.items()
-        if event.capability not in (None, key[2]) or event.context != key[3] or not is_about(state, event, key[0], key[1])
+        if event.capability not in (None, key[2])
+        or event.context != key[3]
+        or not is_about(state, event, key[0], key[1])
     }
     return replace(state, contexts=contexts, records=records)
 
@@ -147,32 +159,52 @@ def is_about(state: Trust, event: TrustSet | RoleTrustSet, robot: str, peer: str
     if robot not in state.members or peer not in state.members:
         return False
     (role, domain), (peer_role, peer_domain) = state.members[robot], state.members[peer]
-    return (event.role, event.peer_role) == (role, peer_role) and is_within(domain, event.domain) and is_within(peer_domain, event.domain)
+    return (
+        (event.role, event.peer_role) == (role, peer_role)
+        and is_within(domain, event.domain)
+        and is_within(peer_domain, event.domain)
+    )
 
 
 def _noted(state: Trust, event: Result) -> Trust:
     """The record after the result. Paper: sec:model:trust (performance history, failures)."""
     match event:
         case RequestIssued():
-            if event.action_id is None or event.requested_by is None or event.executed_by is None or event.relay is not None:
+            if (
+                event.action_id is None
+                or event.requested_by is None
+                or event.executed_by is None
+                or event.relay is not None
+            ):
                 return state  # whoever needs a relay has no direct trust that could move
-            return _asking(state, event.action_id, (event.executed_by, event.requested_by, event.capability, event.task_id))
+            return _asking(
+                state, event.action_id, (event.executed_by, event.requested_by, event.capability, event.task_id)
+            )
         case OutsiderRequestInjected():
             return _asking(state, event.task_id, (event.peer, event.robot, event.capability, event.task_id))
         case RequestDenied():
             asked = state.asked.get(event.action_id or "")
-            return _changed(_closed(state, event.action_id), (asked, False) if asked is not None and event.reason in VIOLATIONS else None)
+            return _changed(
+                _closed(state, event.action_id),
+                (asked, False) if asked is not None and event.reason in VIOLATIONS else None,
+            )
         case RequestClosed():
             asked = state.asked.get(event.action_id)
             if asked is None:
                 return _changed(state)
             executor, requester, capability, context = event.executed_by or asked[0], *asked[1:]
-            of_executor = ((requester, executor, capability, context), {"success": True, "partial": None, "failure": False}[event.result])
+            of_executor = (
+                (requester, executor, capability, context),
+                {"success": True, "partial": None, "failure": False}[event.result],
+            )
             of_requester = ((executor, requester, capability, context), True) if event.result == "success" else None
             return _changed(_closed(state, event.action_id), of_executor, of_requester)
         case ExecutionFailed():
             asked = state.asked.get(event.action_id)
-            return _changed(state, None if asked is None or asked[1] == event.robot else ((asked[1], event.robot, *asked[2:]), False))
+            return _changed(
+                state,
+                None if asked is None or asked[1] == event.robot else ((asked[1], event.robot, *asked[2:]), False),
+            )
         case AuthorityRevoked():
             if event.reason != "human override" or event.executed_by is None or event.capability is None:
                 return _changed(state)
@@ -197,7 +229,9 @@ def _changed(state: Trust, *results: tuple[Asked, bool | None] | None) -> Trust:
         key = _row(state, *about)
         judged.append(key)
         known = records.get(key, Record())
-        records[key] = Record(known.successes + 1, 0) if is_success else Record(0, known.failures + (is_success is False))
+        records[key] = (
+            Record(known.successes + 1, 0) if is_success else Record(0, known.failures + (is_success is False))
+        )
     return replace(state, records=records, judged=tuple(judged))
 
 

@@ -75,13 +75,21 @@ def _squared_sd_range(first: float, second: float, d: float, mean_step: float, d
     return least**2, most**2
 
 
-def implied_variances(metric: str, means: Mapping[str, float], d: Mapping[frozenset[str], float], mean_step: float, d_step: float = 0.01) -> Variances:
+def implied_variances(
+    metric: str, means: Mapping[str, float], d: Mapping[frozenset[str], float], mean_step: float, d_step: float = 0.01
+) -> Variances:
     """The three variances that follow from (v_a + v_b) / 2 = ((m_a - m_b) / d_ab)^2 for each pair.
 
     `mean_step` and `d_step` are one unit in the last printed place; `largest` uses whatever the rounding leaves open.
     """
-    squared = {frozenset(pair): pooled_sd(means[pair[0]] - means[pair[1]], d[frozenset(pair)]) ** 2 for pair in combinations(means, 2)}
-    ranges = {frozenset(pair): _squared_sd_range(means[pair[0]], means[pair[1]], d[frozenset(pair)], mean_step, d_step) for pair in combinations(means, 2)}
+    squared = {
+        frozenset(pair): pooled_sd(means[pair[0]] - means[pair[1]], d[frozenset(pair)]) ** 2
+        for pair in combinations(means, 2)
+    }
+    ranges = {
+        frozenset(pair): _squared_sd_range(means[pair[0]], means[pair[1]], d[frozenset(pair)], mean_step, d_step)
+        for pair in combinations(means, 2)
+    }
     implied, largest = {}, {}
     for one in means:
         first, second = (other for other in means if other != one)

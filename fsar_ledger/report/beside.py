@@ -49,16 +49,28 @@ class Alike(NamedTuple):
 
 def ablation_of(database: Database, *, pools_seeds: bool = False) -> Ablation | None:
     """The ablations that the ledger holds; None where there are none."""
-    if not _has(database, "architecture = 'fsar' AND fleet_size = 4 AND list_contains($configurations, configuration)", list(CONFIGURATIONS[1:])):
+    if not _has(
+        database,
+        "architecture = 'fsar' AND fleet_size = 4 AND list_contains($configurations, configuration)",
+        list(CONFIGURATIONS[1:]),
+    ):
         return None
-    rows = [row for row in dialled_rows(database, pools_seeds=pools_seeds) if (row.architecture, row.fleet_size) == ("fsar", MAIN_FLEET_SIZE)]
+    rows = [
+        row
+        for row in dialled_rows(database, pools_seeds=pools_seeds)
+        if (row.architecture, row.fleet_size) == ("fsar", MAIN_FLEET_SIZE)
+    ]
     tables: dict[tuple[Alike, float | None], list[DialledRow]] = {}
     for row in rows:
         tables.setdefault((_alike(row), row.encounter_mean_s), []).append(row)
-    ablated = {key: found for key, found in tables.items() if {row.configuration for row in found} & set(CONFIGURATIONS[1:])}
+    ablated = {
+        key: found for key, found in tables.items() if {row.configuration for row in found} & set(CONFIGURATIONS[1:])
+    }
     if not ablated:
         return None
-    alike, mean = max(ablated, key=lambda key: (len({row.configuration for row in ablated[key]}), sum(row.n for row in ablated[key])))
+    alike, mean = max(
+        ablated, key=lambda key: (len({row.configuration for row in ablated[key]}), sum(row.n for row in ablated[key]))
+    )
     table = ablated[alike, mean]
     curve = [row for row in rows if _alike(row) == alike and row.configuration == DIALLED]
     return Ablation(
@@ -75,7 +87,11 @@ def scaling_of(database: Database, *, pools_seeds: bool = False) -> Scaling | No
     """The fleets of other sizes than four robots that the ledger holds, with those of four that were made alike; None where there are none."""
     if not _has(database, "fleet_size <> 4 AND list_contains($configurations, configuration)", [FULL]):
         return None
-    rows = [row for row in dialled_rows(database, pools_seeds=pools_seeds) if row.configuration == FULL and row.architecture in ARCHITECTURES]
+    rows = [
+        row
+        for row in dialled_rows(database, pools_seeds=pools_seeds)
+        if row.configuration == FULL and row.architecture in ARCHITECTURES
+    ]
     sizes: dict[Alike, set[int]] = {}
     counts: Counter[Alike] = Counter()
     for row in rows:
@@ -112,7 +128,9 @@ def _lies(cell: Row) -> str | None:
         return None
     low, high = sorted((cell["mean"], cell["one"]))
     margin = verdicts.MARGINS[cell["metric"]]
-    return "below both" if cell["paper"] < low - margin else "above both" if cell["paper"] > high + margin else "between"
+    return (
+        "below both" if cell["paper"] < low - margin else "above both" if cell["paper"] > high + margin else "between"
+    )
 
 
 def _judged(database: Database, name: Table, table: Sequence[DialledRow]) -> list[Row]:
@@ -139,7 +157,13 @@ def _judged(database: Database, name: Table, table: Sequence[DialledRow]) -> lis
         if row is not None and row.mean is not None and said.dial is None and _is_shaped(place, runs):
             one = verdicts.judge(row, paper.value, shares.get(place))
             difference = None if one.low is None or one.high is None else (one.low, one.high)
-            cell |= {"difference": difference, "distance": one.distance, "gives": one.gives, "share": one.share, "could": one.could}
+            cell |= {
+                "difference": difference,
+                "distance": one.distance,
+                "gives": one.gives,
+                "share": one.share,
+                "could": one.could,
+            }
             if said.kind == "cannot_follow":  # the paper's own text answers
                 cell |= {"gives": "no", "could": "no"}
         cells.append(cell)
@@ -148,7 +172,9 @@ def _judged(database: Database, name: Table, table: Sequence[DialledRow]) -> lis
 
 def _is_shaped(place: Place, runs: Mapping[Shape, whole.Held]) -> bool:
     """Whether the runs are those that a printed number is over: of one scenario, or equally many of all."""
-    return place.scenario is not None or whole.is_whole(runs.get((place.architecture, place.configuration, place.fleet_size), {}))
+    return place.scenario is not None or whole.is_whole(
+        runs.get((place.architecture, place.configuration, place.fleet_size), {})
+    )
 
 
 def _runs(table: Iterable[DialledRow]) -> dict[Shape, dict[str | None, int]]:
@@ -161,7 +187,9 @@ def _runs(table: Iterable[DialledRow]) -> dict[Shape, dict[str | None, int]]:
     return found
 
 
-def _shares(database: Database, name: Table, rows: Sequence[DialledRow], runs: Mapping[Shape, whole.Held]) -> dict[Place, float]:
+def _shares(
+    database: Database, name: Table, rows: Sequence[DialledRow], runs: Mapping[Shape, whole.Held]
+) -> dict[Place, float]:
     """How many of the experiments drawn from our runs print a number as far out; of no cell where they are fewer than one such experiment."""
     said = registration()
     cells = {place: paper for place, paper in printed(name).items() if said.said_of(name, place._asdict()).dial is None}
@@ -170,8 +198,14 @@ def _shares(database: Database, name: Table, rows: Sequence[DialledRow], runs: M
     drawn: dict[Place, list[float | None]] = {}
     for setting, size, seed in dict.fromkeys((row.setting, row.fleet_size or 0, row.seed) for row in rows):
         for scenario in dict.fromkeys(place.scenario for place in enough if place.fleet_size == size):
-            relation = "drawn_experiments" if scenario is None else f"(SELECT * FROM drawn_scenarios WHERE scenario = '{scenario}')"
-            for configuration in sorted({place.configuration for place in enough if place.scenario == scenario}):  # one by one: all draws at once are large
+            relation = (
+                "drawn_experiments"
+                if scenario is None
+                else f"(SELECT * FROM drawn_scenarios WHERE scenario = '{scenario}')"
+            )
+            for configuration in sorted(
+                {place.configuration for place in enough if place.scenario == scenario}
+            ):  # one by one: all draws at once are large
                 chosen: dict[str, Value] = {"setting": setting, "seed": seed, "configuration": configuration}
                 for found in database.rows(DRAWN_SQL.format(relation=relation), chosen):
                     place = Place(name, found["metric"], found["architecture"], configuration, size, scenario)
@@ -220,7 +254,10 @@ def _over_all(rows: Iterable[DialledRow]) -> list[DialledRow]:
     return [
         row
         for row in every
-        if row.scenario is None and whole.is_whole(shaped.get(((row.architecture or "", row.configuration or "", row.fleet_size or 0), row.teams_working), {}))
+        if row.scenario is None
+        and whole.is_whole(
+            shaped.get(((row.architecture or "", row.configuration or "", row.fleet_size or 0), row.teams_working), {})
+        )
     ]
 
 
@@ -237,7 +274,10 @@ def _as_printed(metric: str, paper: Printed) -> str:
 def _plain(row: DialledRow) -> Row:
     """A point of a curve."""
     return {
-        **{name: getattr(row, name) for name in ("metric", "architecture", "configuration", "fleet_size", "scenario", "mean", "n")},
+        **{
+            name: getattr(row, name)
+            for name in ("metric", "architecture", "configuration", "fleet_size", "scenario", "mean", "n")
+        },
         **{name: getattr(row, name) for name in ("encounter_mean_s", "teams_working")},
         "interval": _interval(row),
     }
@@ -247,7 +287,10 @@ def _wide(rows: Iterable[DialledRow]) -> tuple[Row, ...]:
     """One row for each rate of encounters, with a column for each metric."""
     found: dict[float | None, Row] = {}
     for row in sorted(rows, key=lambda row: row.encounter_mean_s or 0.0):
-        line = found.setdefault(row.encounter_mean_s, {"encounter_mean_s": row.encounter_mean_s, "n": 0, **{spec.name: None for spec in specs.metrics()}})
+        line = found.setdefault(
+            row.encounter_mean_s,
+            {"encounter_mean_s": row.encounter_mean_s, "n": 0, **{spec.name: None for spec in specs.metrics()}},
+        )
         line[row.metric] = row.mean
         line["n"] = max(line["n"], row.n)
     return tuple(found.values())

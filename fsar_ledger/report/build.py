@@ -59,7 +59,9 @@ def write_report(
         typeset.require_place(place)
     given = None if sensitivity is None else open_effects(sensitivity)
     demanded = demanded or required_look(ledger, workers, progress)
-    theirs = {one: required_look(one, workers, progress) for one in (*([] if workflows is None else [workflows]), *beside)}
+    theirs = {
+        one: required_look(one, workers, progress) for one in (*([] if workflows is None else [workflows]), *beside)
+    }
     findings = gather(ledger, workflows, demanded, theirs, pools_seeds=pools_seeds, reads_every_way=reads_every_way)
     effects = section(given, findings.model_version, [findings.parameters_sha256 or "unknown"])
     record = recorded()

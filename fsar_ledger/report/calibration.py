@@ -85,4 +85,6 @@ def recorded(folder: Traversable | None = None) -> Record | None:
     try:
         return msgspec.json.decode(path.read_bytes(), type=Record)
     except msgspec.DecodeError as error:
-        raise FsarLedgerError(f"reports/calibration.json: {error}; expected what `fsar-ledger calibrate --out FILE` writes; write it again") from error
+        raise FsarLedgerError(
+            f"reports/calibration.json: {error}; expected what `fsar-ledger calibrate --out FILE` writes; write it again"
+        ) from error

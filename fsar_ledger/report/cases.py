@@ -35,7 +35,11 @@ def _row(cell: specs.CaseCell, counts: Counts) -> Row:
         "said": cell.said,
         "paper": printed[cell.case, cell.architecture],
         "value": counted / of_how_many if of_how_many else None,
-        "counted": f"{printing.integer(counted)}{total} in {printing.integer(of_how_many)} {cell.unit}" if of_how_many else None,
-        "other": f"{printing.number(other / of_others, 2)} ({printing.integer(other)} in {printing.integer(of_others)})" if of_others else None,
+        "counted": f"{printing.integer(counted)}{total} in {printing.integer(of_how_many)} {cell.unit}"
+        if of_how_many
+        else None,
+        "other": f"{printing.number(other / of_others, 2)} ({printing.integer(other)} in {printing.integer(of_others)})"
+        if of_others
+        else None,
         "class": cell.kind,
     }

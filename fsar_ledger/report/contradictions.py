@@ -51,7 +51,11 @@ def variances() -> list[Variances]:
     for spec in specs.metrics():
         rows = results[spec.name]
         means = {one: float(rows[one]["mean"]) for one in ARCHITECTURES}
-        found.append(arithmetic.implied_variances(spec.name, means, effects[spec.name], mean_step=10.0 ** -_decimals(rows["FSAR"]["mean"])))
+        found.append(
+            arithmetic.implied_variances(
+                spec.name, means, effects[spec.name], mean_step=10.0 ** -_decimals(rows["FSAR"]["mean"])
+            )
+        )
     return found
 
 
@@ -85,7 +89,12 @@ def interval_rows() -> list[Row]:
             difference, d = float(a["mean"]) - float(b["mean"]), effects[spec.name][frozenset((first, second))]
             by_interval, by_effect = _pooled_of_intervals((a, b), n, 0.0), arithmetic.pooled_sd(difference, d)
             widest = _pooled_of_intervals((a, b), n, 0.5)
-            row: Row = {"metric": spec.name, "pair": f"{first} vs {second}", "interval_sd": by_interval, "effect_sd": by_effect}
+            row: Row = {
+                "metric": spec.name,
+                "pair": f"{first} vs {second}",
+                "interval_sd": by_interval,
+                "effect_sd": by_effect,
+            }
             rows.append(row | {"ratio": by_effect / by_interval, "ratio_rounded": by_effect / widest})
     return rows
 
@@ -99,11 +108,25 @@ def _printed_intervals() -> Facts:
     human = results["human_intervention"]["FSAR"]
     share = float(human["mean"]) / 100
     rows = interval_rows()
-    found: dict[str, float | int | str] = {"scenarios": scenarios, "n": n, "success": float(success["FSAR"]["mean"]), "low": 100 * low, "high": 100 * high}
+    found: dict[str, float | int | str] = {
+        "scenarios": scenarios,
+        "n": n,
+        "success": float(success["FSAR"]["mean"]),
+        "low": 100 * low,
+        "high": 100 * high,
+    }
     for name in ("FSAR", "CFC"):
         key = name.lower()
-        found |= {f"sd_{key}": sds[name].value, f"half_{key}": arithmetic.half_width(sds[name].value, n), f"printed_{key}": success[name]["printed_ci95"]}
-    found |= {"human": float(human["mean"]), "human_sd": 100 * math.sqrt(share * (1 - share)), "human_printed": human["printed_ci95"]}
+        found |= {
+            f"sd_{key}": sds[name].value,
+            f"half_{key}": arithmetic.half_width(sds[name].value, n),
+            f"printed_{key}": success[name]["printed_ci95"],
+        }
+    found |= {
+        "human": float(human["mean"]),
+        "human_sd": 100 * math.sqrt(share * (1 - share)),
+        "human_printed": human["printed_ci95"],
+    }
     found["human_half"] = arithmetic.half_width(float(found["human_sd"]), n)
     found |= {
         "pairs": len(rows),
@@ -134,7 +157,9 @@ def _without_layered_recovery() -> Facts:
 
 
 def _case(case: int, architecture: str) -> float:
-    rows = [row for row in specs.paper_table("cases") if (int(row["case"]), row["architecture"]) == (case, architecture)]
+    rows = [
+        row for row in specs.paper_table("cases") if (int(row["case"]), row["architecture"]) == (case, architecture)
+    ]
     return float(rows[0]["value"])
 
 
@@ -145,7 +170,11 @@ def _fractions_of_runs() -> Facts:
         key, share = name.lower(), _case(2, name)
         fitting = arithmetic.counts_that_print(round(100 * share), runs)
         found |= {f"pct_{key}": round(100 * share), f"runs_{key}": share * runs}
-        found |= {f"below_{key}": 100 * math.floor(share * runs) / runs, f"above_{key}": 100 * math.ceil(share * runs) / runs, f"fit_{key}": ", ".join(fitting)}
+        found |= {
+            f"below_{key}": 100 * math.floor(share * runs) / runs,
+            f"above_{key}": 100 * math.ceil(share * runs) / runs,
+            f"fit_{key}": ", ".join(fitting),
+        }
     return found
 
 
@@ -191,7 +220,11 @@ def _negative_variance() -> Facts:
     squared: dict[str, float | int | str] = {}
     for first, second in (("FSAR", "CFC"), ("FSAR", "DHMA"), ("CFC", "DHMA")):
         key, d = (first[0] + second[0]).lower(), effects[frozenset((first, second))]
-        squared |= {f"diff_{key}": abs(means[first] - means[second]), f"d_{key}": d, f"var_{key}": (abs(means[first] - means[second]) / d) ** 2}
+        squared |= {
+            f"diff_{key}": abs(means[first] - means[second]),
+            f"d_{key}": d,
+            f"var_{key}": (abs(means[first] - means[second]) / d) ** 2,
+        }
     titles = {spec.name: spec.short.partition(" (")[0].lower() for spec in specs.metrics()}
     squared["variance"] = next(one for one in found if one.metric == "authority_conflicts").implied["FSAR"]
     squared["negative"] = _listed([titles[one.metric] for one in found if one.implied["FSAR"] < 0])
@@ -205,7 +238,12 @@ def _binary_effects() -> Facts:
     for first, second in (("FSAR", "CFC"), ("FSAR", "DHMA"), ("CFC", "DHMA")):
         key = (first[0] + second[0]).lower()
         a, b = float(results[first]["mean"]) / 100, float(results[second]["mean"]) / 100
-        found |= {f"a_{key}": a, f"b_{key}": b, f"d_{key}": arithmetic.binary_d(a, b), f"printed_{key}": effects[frozenset((first, second))]}
+        found |= {
+            f"a_{key}": a,
+            f"b_{key}": b,
+            f"d_{key}": arithmetic.binary_d(a, b),
+            f"printed_{key}": effects[frozenset((first, second))],
+        }
     return found
 
 
@@ -213,7 +251,11 @@ def _two_full_systems() -> Facts:
     full = next(row for row in specs.paper_table("ablation") if row["configuration"] == "full")
     results = _results()
     pairs = []
-    columns = {"success": "coordination_success", "governance_locality": "governance_locality", "recovery_containment": "recovery_containment"}
+    columns = {
+        "success": "coordination_success",
+        "governance_locality": "governance_locality",
+        "recovery_containment": "recovery_containment",
+    }
     columns |= {name: name for name in ("authority_conflicts", "policy_violations", "audit_attributability")}
     for column, name in columns.items():
         spec = specs.metric(name)

@@ -8,9 +8,22 @@ from typing import Any
 from fsar_ledger.report import printing, specs
 from fsar_ledger.report.figures import COLOURS, DIAMOND, HEADROOM, Row, canvas, rendered
 
-ABLATED = ("coordination_success", "governance_locality", "recovery_containment", "authority_conflicts", "policy_violations", "audit_attributability")
+ABLATED = (
+    "coordination_success",
+    "governance_locality",
+    "recovery_containment",
+    "authority_conflicts",
+    "policy_violations",
+    "audit_attributability",
+)
 """The metrics of the ablation table, in its order."""
-SCALED = ("coordination_success", "governance_locality", "recovery_containment", "authority_conflicts", "audit_attributability")
+SCALED = (
+    "coordination_success",
+    "governance_locality",
+    "recovery_containment",
+    "authority_conflicts",
+    "audit_attributability",
+)
 """Those of the scaling table."""
 LETTERS = {
     "full": "full",
@@ -19,7 +32,11 @@ LETTERS = {
     "without-layered-recovery": "− recovery",
     "without-shared-registry": "− registry",
 }
-SCENARIO_STYLES = {None: ("black", "-", "o"), "door-relay": ("#0072B2", "--", "s"), "collaborative-delivery": ("#D55E00", ":", "^")}
+SCENARIO_STYLES = {
+    None: ("black", "-", "o"),
+    "door-relay": ("#0072B2", "--", "s"),
+    "collaborative-delivery": ("#D55E00", ":", "^"),
+}
 MARKERS = {"fsar": "o", "cfc": "s", "dhma": "^"}  # told apart in grey, too
 LARGEST = 16
 """Robots of the paper's largest fleet."""
@@ -36,18 +53,51 @@ def ablation(rows: Sequence[Row], kind: str = "svg") -> bytes:
             for position, row in enumerate(found):
                 panel.plot(position + 0.3, row["paper"] * spec.scale, zorder=4, **DIAMOND)
                 if row["mean"] is None:
-                    panel.annotate("no value", (position - 0.08, 0), (0, 3), textcoords="offset points", rotation=90, ha="center", va="bottom", color="#777777")
+                    panel.annotate(
+                        "no value",
+                        (position - 0.08, 0),
+                        (0, 3),
+                        textcoords="offset points",
+                        rotation=90,
+                        ha="center",
+                        va="bottom",
+                        color="#777777",
+                    )
                     continue
                 colour = COLOURS["fsar"] if row["configuration"] == "full" else "#8fb8d6"
                 hatch = "///" if row["class"] in ("unspecified", "cannot follow") else None
-                panel.bar(position - 0.08, row["mean"] * spec.scale, width=0.55, color=colour, hatch=hatch, edgecolor="white", linewidth=0, zorder=2)
+                panel.bar(
+                    position - 0.08,
+                    row["mean"] * spec.scale,
+                    width=0.55,
+                    color=colour,
+                    hatch=hatch,
+                    edgecolor="white",
+                    linewidth=0,
+                    zorder=2,
+                )
                 _whisker(panel, position - 0.08, row["interval"], spec.scale)
             panel.set_title(spec.title)
-            panel.set_xticks(range(len(found)), [LETTERS[row["configuration"]] for row in found], rotation=30, ha="right", rotation_mode="anchor")
+            panel.set_xticks(
+                range(len(found)),
+                [LETTERS[row["configuration"]] for row in found],
+                rotation=30,
+                ha="right",
+                rotation_mode="anchor",
+            )
             panel.tick_params(axis="x", length=0)
             panel.set_xlim(-0.6, len(found) - 0.4)
-            _from_zero(panel, [value * spec.scale for row in found for value in (row["paper"], row["mean"] or 0.0, *(row["interval"] or ()))])
-        handles: list[Any] = [Line2D([], [], color="black", marker="|", markersize=9, linestyle="none", label="95 % interval")]
+            _from_zero(
+                panel,
+                [
+                    value * spec.scale
+                    for row in found
+                    for value in (row["paper"], row["mean"] or 0.0, *(row["interval"] or ()))
+                ],
+            )
+        handles: list[Any] = [
+            Line2D([], [], color="black", marker="|", markersize=9, linestyle="none", label="95 % interval")
+        ]
         handles.append(Line2D([], [], label="printed in the paper", **DIAMOND))
         figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False)
         return rendered(figure, kind)
@@ -95,7 +145,12 @@ def scaling(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> by
                     _line(panel, points, spec.scale, color=colour, linestyle=style, marker=MARKERS[architecture])
                 for row in cells:
                     if (row["metric"], row["architecture"]) == (metric, architecture):
-                        panel.plot(row["fleet_size"], row["paper"] * spec.scale, zorder=5, **{**DIAMOND, "markeredgecolor": colour})
+                        panel.plot(
+                            row["fleet_size"],
+                            row["paper"] * spec.scale,
+                            zorder=5,
+                            **{**DIAMOND, "markeredgecolor": colour},
+                        )
             panel.set_xscale("log", base=2)
             sizes = sorted({row["fleet_size"] for row in curve})
             panel.set_xticks(sizes, [str(size) for size in sizes])
@@ -119,7 +174,9 @@ def loads(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> byte
                     if (row["metric"], row["architecture"], row["fleet_size"]) == (metric, architecture, LARGEST):
                         panel.axhline(row["paper"] * spec.scale, color=colour, linewidth=0.8, linestyle=":", zorder=1)
                         for at in crossings(points, row["paper"]):
-                            panel.plot(at, row["paper"] * spec.scale, zorder=5, **{**DIAMOND, "markeredgecolor": colour})
+                            panel.plot(
+                                at, row["paper"] * spec.scale, zorder=5, **{**DIAMOND, "markeredgecolor": colour}
+                            )
             panel.set_xticks(sorted({row["teams_working"] for row in at_size}))
             _titled(panel, spec, "teams working")
         _legend(axes.flat[len(SCALED)], (("-", "this ledger"), (":", "the paper's number")))
@@ -128,7 +185,11 @@ def loads(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> byte
 
 def points_of(curve: Sequence[Row], dial: str, **same: Any) -> list[tuple[float, Row]]:
     """The defined points of a curve over a dial, those rows that have these values; one a place on the dial."""
-    found = {row[dial]: row for row in curve if row["mean"] is not None and row[dial] is not None and all(row[name] == value for name, value in same.items())}
+    found = {
+        row[dial]: row
+        for row in curve
+        if row["mean"] is not None and row[dial] is not None and all(row[name] == value for name, value in same.items())
+    }
     return sorted(found.items())
 
 
@@ -144,7 +205,14 @@ def crossings(points: Sequence[tuple[float, Row]], value: float) -> list[float]:
 
 
 def _line(panel: Any, points: Sequence[tuple[float, Row]], scale: float, **look: Any) -> None:
-    panel.plot([at for at, _ in points], [row["mean"] * scale for _, row in points], markersize=3.5, linewidth=1.2, zorder=3, **look)
+    panel.plot(
+        [at for at, _ in points],
+        [row["mean"] * scale for _, row in points],
+        markersize=3.5,
+        linewidth=1.2,
+        zorder=3,
+        **look,
+    )
     for at, row in points:
         _whisker(panel, at, row["interval"], scale, look["color"])
 
@@ -152,7 +220,9 @@ def _line(panel: Any, points: Sequence[tuple[float, Row]], scale: float, **look:
 def _whisker(panel: Any, at: float, interval: tuple[float, float] | None, scale: float, colour: str = "black") -> None:
     if interval is not None:
         low, high = (end * scale for end in interval)
-        panel.errorbar(at, (low + high) / 2, yerr=(high - low) / 2, fmt="none", ecolor=colour, elinewidth=0.9, capsize=2, zorder=3)
+        panel.errorbar(
+            at, (low + high) / 2, yerr=(high - low) / 2, fmt="none", ecolor=colour, elinewidth=0.9, capsize=2, zorder=3
+        )
 
 
 def _from_zero(panel: Any, values: Sequence[float]) -> None:
@@ -173,7 +243,10 @@ def _legend(panel: Any, styles: Sequence[tuple[Any, str]]) -> None:
     from matplotlib.lines import Line2D
 
     panel.axis("off")
-    handles: list[Any] = [Line2D([], [], color=colour, marker=MARKERS[name], markersize=4, label=name.upper()) for name, colour in COLOURS.items()]
+    handles: list[Any] = [
+        Line2D([], [], color=colour, marker=MARKERS[name], markersize=4, label=name.upper())
+        for name, colour in COLOURS.items()
+    ]
     handles += [Line2D([], [], color="black", ls=style, label=label) for style, label in styles]
     handles.append(Line2D([], [], label="printed in the paper", **DIAMOND))
     panel.legend(handles=handles, loc="center", frameon=False)

@@ -49,10 +49,16 @@ def _table(findings: Findings, name: str, rows: Sequence[Row]) -> Table:
 def _constants(items: Mapping[str, str]) -> list[Row]:
     """The constants in two columns, each with where its value is from."""
     words, ours = provenance.origins(), dict(flat("", msgspec.json.decode(write_constants(Constants()))))
-    said = [(name, value, words.get(name, provenance.GIVEN) if ours.get(name) == value else provenance.GIVEN) for name, value in items.items()]
+    said = [
+        (name, value, words.get(name, provenance.GIVEN) if ours.get(name) == value else provenance.GIVEN)
+        for name, value in items.items()
+    ]
     half = (len(said) + 1) // 2
     pairs = zip_longest(said[:half], said[half:], fillvalue=("", "", ""))
-    return [dict(zip(("name", "value", "from", "name2", "value2", "from2"), (*one, *other), strict=True)) for one, other in pairs]
+    return [
+        dict(zip(("name", "value", "from", "name2", "value2", "from2"), (*one, *other), strict=True))
+        for one, other in pairs
+    ]
 
 
 def _versions() -> list[Row]:
@@ -83,7 +89,11 @@ def _ledger_tables(findings: Findings) -> dict[str, Table]:
 
 def _workflow_tables(findings: Findings) -> dict[str, Table]:
     found, name = findings.workflows, "mechanism-coverage"
-    return {} if found is None else {name: printing.table(name, found.coverage, _source(findings, specs.table(name).query))}
+    return (
+        {}
+        if found is None
+        else {name: printing.table(name, found.coverage, _source(findings, specs.table(name).query))}
+    )
 
 
 def _workflows(findings: Findings) -> dict[str, Any] | None:
@@ -92,7 +102,12 @@ def _workflows(findings: Findings) -> dict[str, Any] | None:
     if found is None:
         return None
     reasons = [reason for row in found.coverage for reason in row["reasons"]]
-    head = {"size": printing.integer(found.size), "root": found.root, "runs": printing.integer(found.run_count), "commits": found.commits}
+    head = {
+        "size": printing.integer(found.size),
+        "root": found.root,
+        "runs": printing.integer(found.run_count),
+        "commits": found.commits,
+    }
     return head | {"reasons": reasons, "others": found.others and printable.counted(found.others, "run")}
 
 
@@ -100,7 +115,12 @@ def _fit_tables(findings: Findings, record: Record | None) -> dict[str, Table]:
     if record is None:
         return {}
     directions = [
-        {"position": position, "singular_value": one.singular_value, "identified": one.identified, "weights": _weights(one.weights)}
+        {
+            "position": position,
+            "singular_value": one.singular_value,
+            "identified": one.identified,
+            "weights": _weights(one.weights),
+        }
         for position, one in enumerate(record.directions, 1)
     ]
     rows: dict[str, Sequence[Row]] = {
@@ -144,11 +164,19 @@ def _contradictions() -> list[dict[str, Any]]:
 
 def _changed(findings: Findings, record: Record | None) -> str | None:
     """That the record of the fit is of another model than these runs, in words; None where it is of theirs, or there is nothing to say it of."""
-    versions = [findings.model_version] if findings.model_version else sorted({row["model_version"] for row in findings.models} - {None})
+    versions = (
+        [findings.model_version]
+        if findings.model_version
+        else sorted({row["model_version"] for row in findings.models} - {None})
+    )
     if record is None or not versions or versions == [record.model_version]:
         return None
     ran = f"of version{'' if len(versions) == 1 else 's'} {printable.some(map(printing.words, versions))}"
-    fitted = "a model whose version is not on record" if record.model_version is None else f"model version {printing.words(record.model_version)}"
+    fitted = (
+        "a model whose version is not on record"
+        if record.model_version is None
+        else f"model version {printing.words(record.model_version)}"
+    )
     return f"The model has changed since the fit: the constants were fitted to {fitted}, and these runs are {ran}."
 
 
@@ -167,7 +195,8 @@ def _fit(findings: Findings, record: Record | None) -> dict[str, Any] | None:
         "identified": sum(one.identified for one in record.directions),
         "directions": len(record.directions),
         "changed": _changed(findings, record),
-        "trial": record.model_version == registration().model_version,  # a fit of this registration came after the trial that it tells of
+        "trial": record.model_version
+        == registration().model_version,  # a fit of this registration came after the trial that it tells of
     }
 
 
@@ -210,7 +239,11 @@ def _heads(findings: Findings) -> list[dict[str, str]]:
     """The heads of the other ledgers, for the appendix."""
     parts = {"Ablation": findings.ablation, "Scaling": findings.scaling, "Mechanisms": findings.mechanisms}
     held = {name: part and part.told for name, part in parts.items()} | {"Workflows": findings.workflows}
-    return [{"name": name, "size": printing.integer(one.size), "runs": printing.integer(one.run_count), "root": one.root} for name, one in held.items() if one]
+    return [
+        {"name": name, "size": printing.integer(one.size), "runs": printing.integer(one.run_count), "root": one.root}
+        for name, one in held.items()
+        if one
+    ]
 
 
 def data(findings: Findings, record: Record | None, effects: Section | None = None) -> dict[str, Any]:
@@ -220,7 +253,9 @@ def data(findings: Findings, record: Record | None, effects: Section | None = No
         return _source(findings, query)
 
     tables = _ledger_tables(findings) | _fit_tables(findings, record) | _workflow_tables(findings)
-    tables |= sections.tables(findings, sourced) | mechanisms.tables(findings, sourced) | everyway.tables(findings.multiverse)
+    tables |= (
+        sections.tables(findings, sourced) | mechanisms.tables(findings, sourced) | everyway.tables(findings.multiverse)
+    )
     tables |= {name: _table(findings, name, rows()) for name, rows in contradictions.TABLES.items()}
     rows, foretold = counted(findings, record), predictions.outcomes(findings)
     tables |= {"predictions": _table(findings, "predictions", foretold)} if foretold else {}
@@ -286,7 +321,9 @@ def _drawers(findings: Findings) -> dict[str, sections.Drawer]:
 
 def drawings(findings: Findings, effects: Section | None = None) -> dict[str, bytes]:
     """The figures as SVG, by file name."""
-    drawn = {name: draw() for name, draw in _drawers(findings).items()} | ({"sensitivity": effects.figure} if effects and effects.figure else {})
+    drawn = {name: draw() for name, draw in _drawers(findings).items()} | (
+        {"sensitivity": effects.figure} if effects and effects.figure else {}
+    )
     return {f"{name}.svg": svg for name, svg in drawn.items()}
 
 

@@ -23,7 +23,11 @@ def every_way(database: Database, setting: Row, *, pools_seeds: bool = False) ->
     found: list[Universe] = []
     for spec in specs.metrics():
         every = universes(database, spec.name, pools_seeds=pools_seeds)
-        found += [one for one in every if one.architecture in ARCHITECTURES and all(getattr(one, name) == value for name, value in setting.items())]
+        found += [
+            one
+            for one in every
+            if one.architecture in ARCHITECTURES and all(getattr(one, name) == value for name, value in setting.items())
+        ]
     better = {spec.name: spec.better for spec in specs.metrics()}
     return Multiverse(readings(), tuple(cells(found)), tuple(rankings(found, better)), tuple(found)) if found else None
 
@@ -50,7 +54,10 @@ def ranges(found: Multiverse) -> list[Row]:
         if cell.paper is not None and cell.lowest is not None and cell.highest is not None:
             is_held = cell.lowest - margin <= cell.paper <= cell.highest + margin
         rows.append(
-            {name: getattr(cell, name) for name in ("metric", "architecture", "paper", "ours", "combinations", "moved_by")}
+            {
+                name: getattr(cell, name)
+                for name in ("metric", "architecture", "paper", "ours", "combinations", "moved_by")
+            }
             | {"range": None if cell.lowest is None else (cell.lowest, cell.highest), "holds": is_held}
             | {"most_moving": cell.most_moving and _named(found, cell.most_moving)}
         )
@@ -76,7 +83,10 @@ def _sets(found: Multiverse, sets: Sequence[Chosen] | None) -> str | None:
     """The smallest combinations under which FSAR is not the best one, those of fewest readings first."""
     if not sets:
         return None
-    named = [" with ".join(_named(found, name) for name in one) or "our own readings" for one in sorted(sets, key=lambda one: (len(one), one))]
+    named = [
+        " with ".join(_named(found, name) for name in one) or "our own readings"
+        for one in sorted(sets, key=lambda one: (len(one), one))
+    ]
     return "; ".join(named[:MAX_SETS] + ([f"and {len(named) - MAX_SETS} more"] if len(named) > MAX_SETS else []))
 
 

@@ -26,7 +26,14 @@ STYLE: dict[str, Any] = {
     "axes.spines.top": False,
     "axes.spines.right": False,
 }
-DIAMOND: dict[str, Any] = {"marker": "D", "markersize": 5, "markerfacecolor": "white", "markeredgecolor": "black", "markeredgewidth": 0.9, "linestyle": "none"}
+DIAMOND: dict[str, Any] = {
+    "marker": "D",
+    "markersize": 5,
+    "markerfacecolor": "white",
+    "markeredgecolor": "black",
+    "markeredgewidth": 0.9,
+    "linestyle": "none",
+}
 COMPARED = {"fsar-cfc": ("o", "#0072B2"), "fsar-dhma": ("s", "#009E73"), "cfc-dhma": ("^", "#D55E00")}
 """Marker and colour of each comparison: in grey the marker tells."""
 
@@ -68,7 +75,10 @@ def plain_canvas(width_in: float, height_in: float) -> Iterator[tuple[Any, Any]]
 def label(text: str, most: int) -> str:
     """The text as a figure shows it, cut after `most` characters: escaped where the font has no picture of a character, or a reader would not see it."""
     glyphs = _glyphs()
-    return "".join(one if ord(one) in glyphs and not combining(one) else one.encode("unicode_escape").decode("ascii") for one in printable.value(text, most))
+    return "".join(
+        one if ord(one) in glyphs and not combining(one) else one.encode("unicode_escape").decode("ascii")
+        for one in printable.value(text, most)
+    )
 
 
 @lru_cache(maxsize=1)
@@ -98,18 +108,42 @@ def _panel(axes: Any, spec: specs.MetricSpec, rows: Sequence[Row]) -> None:
         for row in found:
             axes.plot(position + 0.27, row["paper"] * spec.scale, zorder=4, **DIAMOND)
             if row["mean"] is None:
-                axes.annotate("no value", (position - 0.08, 0), (0, 3), textcoords="offset points", rotation=90, ha="center", va="bottom", color="#777777")
+                axes.annotate(
+                    "no value",
+                    (position - 0.08, 0),
+                    (0, 3),
+                    textcoords="offset points",
+                    rotation=90,
+                    ha="center",
+                    va="bottom",
+                    color="#777777",
+                )
                 continue
             axes.bar(position - 0.08, row["mean"] * spec.scale, width=0.5, color=colour, alpha=0.75, zorder=2)
             if row["ci_low"] is not None:
                 low, high = row["ci_low"] * spec.scale, row["ci_high"] * spec.scale
                 # Around its own middle: at a share of 0 a Wilson interval may begin a rounding error above the mean.
-                axes.errorbar(position - 0.08, (low + high) / 2, yerr=(high - low) / 2, fmt="none", ecolor="black", elinewidth=0.9, capsize=2.5, zorder=3)
+                axes.errorbar(
+                    position - 0.08,
+                    (low + high) / 2,
+                    yerr=(high - low) / 2,
+                    fmt="none",
+                    ecolor="black",
+                    elinewidth=0.9,
+                    capsize=2.5,
+                    zorder=3,
+                )
     axes.set_title(spec.title)
     axes.set_xticks(range(len(COLOURS)), [name.upper() for name in COLOURS])
     axes.set_xlim(-0.55, len(COLOURS) - 0.35)
     axes.tick_params(axis="x", length=0)
-    drawn = [row[key] for row in rows if row["metric"] == spec.name for key in ("paper", "mean", "ci_high") if row[key] is not None]
+    drawn = [
+        row[key]
+        for row in rows
+        if row["metric"] == spec.name
+        for key in ("paper", "mean", "ci_high")
+        if row[key] is not None
+    ]
     axes.set_ylim(0, HEADROOM * spec.scale * max(drawn))
     axes.grid(axis="y", color="#dddddd", linewidth=0.5, zorder=0)
     axes.set_axisbelow(True)
@@ -126,10 +160,19 @@ def evaluation_results(rows: Sequence[Row], kind: str = "svg") -> bytes:
     with canvas(specs.figure("evaluation-results"), 2, 4) as (figure, axes):
         for panel, spec in zip(axes.flat, specs.metrics(), strict=True):
             _panel(panel, spec, rows)
-        handles: list[Any] = [Patch(color=colour, alpha=0.75, label=f"{name.upper()}, this ledger") for name, colour in COLOURS.items()]
+        handles: list[Any] = [
+            Patch(color=colour, alpha=0.75, label=f"{name.upper()}, this ledger") for name, colour in COLOURS.items()
+        ]
         handles.append(Line2D([], [], color="black", marker="|", markersize=9, linestyle="none", label="95 % interval"))
         handles.append(Line2D([], [], label="printed in the paper", **DIAMOND))
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, handletextpad=0.5, columnspacing=1.6)
+        figure.legend(
+            handles=handles,
+            loc="outside lower center",
+            ncols=len(handles),
+            frameon=False,
+            handletextpad=0.5,
+            columnspacing=1.6,
+        )
         return rendered(figure, kind)
 
 
@@ -149,13 +192,22 @@ def effects(rows: Sequence[Row], kind: str = "svg") -> bytes:
         for offset, (comparison, (marker, colour)) in zip((-0.27, 0.0, 0.27), COMPARED.items(), strict=True):
             for row in (row for row in rows if row["comparison"] == comparison):
                 height = names.index(row["metric"]) + offset
-                panel.plot(row["paper_d"] * (1 if row["paper_t"] > 0 else -1), height, zorder=4, **(DIAMOND | {"markerfacecolor": "none"}))
+                panel.plot(
+                    row["paper_d"] * (1 if row["paper_t"] > 0 else -1),
+                    height,
+                    zorder=4,
+                    **(DIAMOND | {"markerfacecolor": "none"}),
+                )
                 if row["cohens_d"] is None:
                     continue
                 if row["d_ci_low"] is not None:
                     panel.hlines(height, row["d_ci_low"], row["d_ci_high"], color=colour, linewidth=1.6, zorder=2)
-                panel.plot(row["cohens_d"], height, marker=marker, markersize=4.5, color=colour, linestyle="none", zorder=3)
-        numbers = [row[key] for row in rows for key in ("cohens_d", "d_ci_low", "d_ci_high", "paper_d") if row[key] is not None]
+                panel.plot(
+                    row["cohens_d"], height, marker=marker, markersize=4.5, color=colour, linestyle="none", zorder=3
+                )
+        numbers = [
+            row[key] for row in rows for key in ("cohens_d", "d_ci_low", "d_ci_high", "paper_d") if row[key] is not None
+        ]
         reach = 1.25 * max([2.0, *map(abs, numbers)])
         panel.set_xscale("symlog", linthresh=1.0, linscale=1.0)
         panel.set_xlim(-reach, reach)
@@ -167,9 +219,24 @@ def effects(rows: Sequence[Row], kind: str = "svg") -> bytes:
         panel.tick_params(axis="y", length=0)
         panel.set_xlabel("effect in standard deviations, first minus second (linear up to 1, logarithmic beyond)")
         handles: list[Any] = [
-            Line2D([], [], marker=marker, color=colour, markersize=4.5, linewidth=1.6, label=" − ".join(name.upper().split("-")))
+            Line2D(
+                [],
+                [],
+                marker=marker,
+                color=colour,
+                markersize=4.5,
+                linewidth=1.6,
+                label=" − ".join(name.upper().split("-")),
+            )
             for name, (marker, colour) in COMPARED.items()
         ]
         handles.append(Line2D([], [], label="printed in the paper", **DIAMOND))
-        figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), frameon=False, handletextpad=0.5, columnspacing=1.6)
+        figure.legend(
+            handles=handles,
+            loc="outside lower center",
+            ncols=len(handles),
+            frameon=False,
+            handletextpad=0.5,
+            columnspacing=1.6,
+        )
         return rendered(figure, kind)

@@ -13,7 +13,13 @@ ARCHITECTURES = ("fsar", "cfc", "dhma")
 COMPARISONS = ("fsar-cfc", "fsar-dhma", "cfc-dhma")
 MAIN_CONFIGURATION = "full"
 MAIN_FLEET_SIZE = 4  # robots, as in the paper's main table
-SCENARIOS: tuple[Scenario, ...] = ("door-relay", "collaborative-delivery", "failure-recovery-chain", "mixed-trust-inspection", "fleet-contention")
+SCENARIOS: tuple[Scenario, ...] = (
+    "door-relay",
+    "collaborative-delivery",
+    "failure-recovery-chain",
+    "mixed-trust-inspection",
+    "fleet-contention",
+)
 
 
 class Source(msgspec.Struct, frozen=True):

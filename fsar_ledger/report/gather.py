@@ -21,7 +21,17 @@ from fsar_ledger.metrics.odds import Cell, Odds, odds
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
 from fsar_ledger.report import cases, everyway, marks, printing, specs, whole
-from fsar_ledger.report.findings import ARCHITECTURES, COMPARISONS, MAIN_CONFIGURATION, MAIN_FLEET_SIZE, SCENARIOS, Findings, Row, Source, with_agreement
+from fsar_ledger.report.findings import (
+    ARCHITECTURES,
+    COMPARISONS,
+    MAIN_CONFIGURATION,
+    MAIN_FLEET_SIZE,
+    SCENARIOS,
+    Findings,
+    Row,
+    Source,
+    with_agreement,
+)
 from fsar_ledger.report.others import held, others
 
 QUERIES = (
@@ -128,9 +138,17 @@ def _main(rows: Iterable[MetricRow]) -> Setting | None:
 def _otherwise(setting: Setting, main: Setting | None) -> str | None:
     """In what other rows differ from the tables beside configuration and fleet size, in words; None where in nothing."""
     _, _, seed, kind, source, model_version, constants = setting
-    said = (f"seed {seed}", kind, f"source {source}", f"model {model_version}", constants or "constants that do not vary")
+    said = (
+        f"seed {seed}",
+        kind,
+        f"source {source}",
+        f"model {model_version}",
+        constants or "constants that do not vary",
+    )
     ours = main or (None,) * len(setting)
-    return "; ".join(text for text, theirs, own in zip(said, setting[2:], ours[2:], strict=True) if theirs != own) or None
+    return (
+        "; ".join(text for text, theirs, own in zip(said, setting[2:], ours[2:], strict=True) if theirs != own) or None
+    )
 
 
 def _blank(cls: type[msgspec.Struct]) -> Row:
@@ -139,7 +157,11 @@ def _blank(cls: type[msgspec.Struct]) -> Row:
 
 def _cells(rows: Iterable[MetricRow], apart: Collection[str], drawn: Odds[Cell] | None) -> tuple[Row, ...]:
     found = {(row.metric, row.architecture): row for row in rows}
-    judged = {(one.metric, one.architecture): one for one in verdicts.compare(found.values(), drawn) if one.architecture not in apart}
+    judged = {
+        (one.metric, one.architecture): one
+        for one in verdicts.compare(found.values(), drawn)
+        if one.architecture not in apart
+    }
     printed = {(row["metric"], row["architecture"]): row["mean"] for row in specs.paper_table("results")}
     cells = []
     for spec in specs.metrics():
@@ -147,7 +169,11 @@ def _cells(rows: Iterable[MetricRow], apart: Collection[str], drawn: Odds[Cell] 
             key = (spec.name, architecture)
             row, paper = found.get(key), verdicts.published()[key].value
             cell = msgspec.structs.asdict(row) if row is not None else _blank(MetricRow)
-            beside = {"paper": paper, "paper_printed": printed[spec.result, architecture.upper()], "interval": _interval(cell)}
+            beside = {
+                "paper": paper,
+                "paper_printed": printed[spec.result, architecture.upper()],
+                "interval": _interval(cell),
+            }
             cells.append(cell | {"metric": spec.name, "architecture": architecture} | beside | _judged(judged.get(key)))
     return tuple(cells)
 
@@ -162,7 +188,14 @@ def _judged(one: verdicts.Comparison | None) -> Row:
     if one is None or one.ours is None:
         return dict.fromkeys(("difference", "distance", "gives", "power", "share", "could"))
     difference = None if one.low is None or one.high is None else (one.low, one.high)
-    return {"difference": difference, "distance": one.distance, "gives": one.gives, "power": one.power, "share": one.share, "could": one.could}
+    return {
+        "difference": difference,
+        "distance": one.distance,
+        "gives": one.gives,
+        "power": one.power,
+        "share": one.share,
+        "could": one.could,
+    }
 
 
 def _tests(rows: Iterable[StatisticRow], apart: Collection[str]) -> tuple[Row, ...]:
@@ -174,8 +207,17 @@ def _tests(rows: Iterable[StatisticRow], apart: Collection[str]) -> tuple[Row, .
             paper = printed[spec.significance, " vs ".join(comparison.upper().split("-"))]
             row = found.get((spec.name, comparison))
             test = msgspec.structs.asdict(row) if row is not None else _blank(StatisticRow)
-            beside = {"paper_t": float(paper["t"]), "paper_p": paper["p"], "paper_d": float(paper["cohens_d"]), "paper_level": paper["significance"]}
-            named = {"metric": spec.name, "comparison": comparison, "pooled_interval": _interval(test, "pooled_ci_low", "pooled_ci_high")}
+            beside = {
+                "paper_t": float(paper["t"]),
+                "paper_p": paper["p"],
+                "paper_d": float(paper["cohens_d"]),
+                "paper_level": paper["significance"],
+            }
+            named = {
+                "metric": spec.name,
+                "comparison": comparison,
+                "pooled_interval": _interval(test, "pooled_ci_low", "pooled_ci_high"),
+            }
             tests.append(with_agreement(test | named | _effect(test) | beside, is_judged=comparison not in apart))
     return tuple(tests)
 
@@ -185,13 +227,17 @@ def _effect(test: Row) -> Row:
     if test["cohens_d"] is None or test["d_ci_low"] is None:
         return {"effect": None, "effect_interval": None}
     sign = -1 if test["cohens_d"] < 0 else 1
-    return {"effect": sign * test["cohens_d"], "effect_interval": tuple(sorted((sign * test["d_ci_low"], sign * test["d_ci_high"])))}
+    return {
+        "effect": sign * test["cohens_d"],
+        "effect_interval": tuple(sorted((sign * test["d_ci_low"], sign * test["d_ci_high"]))),
+    }
 
 
 def _scenarios(overall: Iterable[MetricRow], by_scenario: Iterable[MetricRow]) -> tuple[Row, ...]:
     means = {(row.metric, row.architecture, row.scenario or "mean"): row.mean for row in (*overall, *by_scenario)}
     return tuple(
-        {"metric": spec.name, "architecture": architecture} | {name: means.get((spec.name, architecture, name)) for name in (*SCENARIOS, "mean")}
+        {"metric": spec.name, "architecture": architecture}
+        | {name: means.get((spec.name, architecture, name)) for name in (*SCENARIOS, "mean")}
         for spec in specs.metrics()
         for architecture in ARCHITECTURES
     )
@@ -201,11 +247,15 @@ def _rule(cells: tuple[Row, ...]) -> tuple[Row, ...]:
     """Margin of every metric, and the chance of each cell that its number is found equivalent where it is exactly the printed one."""
     power = {(row["metric"], row["architecture"]): row["power"] for row in cells}
     return tuple(
-        {"metric": spec.name, "margin": verdicts.MARGINS[spec.name]} | {name: power[spec.name, name] for name in ARCHITECTURES} for spec in specs.metrics()
+        {"metric": spec.name, "margin": verdicts.MARGINS[spec.name]}
+        | {name: power[spec.name, name] for name in ARCHITECTURES}
+        for spec in specs.metrics()
     )
 
 
-def _odds(database: Database, main: Setting | None, runs_held: Mapping[str, Mapping[str | None, int]]) -> Odds[Cell] | None:
+def _odds(
+    database: Database, main: Setting | None, runs_held: Mapping[str, Mapping[str | None, int]]
+) -> Odds[Cell] | None:
     """How likely the printed table is among experiments that are drawn from the main runs; None where they are fewer than one such experiment."""
     if main is None or any(count < PAPER_RUNS for held in runs_held.values() for count in held.values()):
         return None
@@ -217,7 +267,9 @@ def _odds(database: Database, main: Setting | None, runs_held: Mapping[str, Mapp
 
 def _background(rows: Iterable[Row]) -> tuple[Row, ...]:
     """How much of the main runs' numbers is routine, for each architecture."""
-    return tuple(row for row in rows if (row["configuration"], row["fleet_size"]) == (MAIN_CONFIGURATION, MAIN_FLEET_SIZE))
+    return tuple(
+        row for row in rows if (row["configuration"], row["fleet_size"]) == (MAIN_CONFIGURATION, MAIN_FLEET_SIZE)
+    )
 
 
 def _of_setting(rows: Iterable[Row], main: Setting | None) -> list[Row]:
@@ -235,7 +287,10 @@ def _others(rows: Iterable[MetricRow], main: Setting | None) -> tuple[Row, ...]:
         setting = _setting(row)
         if setting != main:
             named = {"configuration": row.configuration, "fleet_size": row.fleet_size, "architecture": row.architecture}
-            line = found.setdefault((setting, row.architecture), {**named, "otherwise": _otherwise(setting, main), "n": 0, **dict.fromkeys(METRICS)})
+            line = found.setdefault(
+                (setting, row.architecture),
+                {**named, "otherwise": _otherwise(setting, main), "n": 0, **dict.fromkeys(METRICS)},
+            )
             line[row.metric] = row.mean
             line["n"] = max(line["n"], row.n)
     return tuple(found.values())
@@ -255,7 +310,9 @@ def _ranges(numbers: Iterable[int]) -> str:
         else:
             spans.append([one, one])
     told = [_span(low, high) for low, high in spans[:MAX_SPANS]]
-    return ", ".join(told if len(spans) <= MAX_SPANS else [*told, f"and {printing.integer(len(spans) - MAX_SPANS)} more"])
+    return ", ".join(
+        told if len(spans) <= MAX_SPANS else [*told, f"and {printing.integer(len(spans) - MAX_SPANS)} more"]
+    )
 
 
 def _span(low: int, high: int) -> str:
@@ -305,7 +362,9 @@ def gather(
         NotALedger, FormatVersionMismatch, LedgerCorrupted: As `fsar_ledger.metrics.database.connect`; SequenceConflict, too.
         QueryFailed: A packaged query fails on this ledger's data.
     """
-    told = others({**({} if workflows is None else {workflows: None}), **(beside or {})}, workflows, pools_seeds=pools_seeds)  # first: some may be mistakes
+    told = others(
+        {**({} if workflows is None else {workflows: None}), **(beside or {})}, workflows, pools_seeds=pools_seeds
+    )  # first: some may be mistakes
     with connect(ledger, demanded=demanded) as database:
         head = database.head
         every, every_by_scenario = (metric_rows(database, one, pools_seeds=pools_seeds) for one in (False, True))
@@ -338,7 +397,11 @@ def gather(
             models=kinds,
             parameters=parameters,
             parameters_sha256=digest,
-            sources=tuple(Source(name=query.name, sha256=query.sha256) for query in sorted(needed, key=lambda query: query.name) if _is_file(query.name)),
+            sources=tuple(
+                Source(name=query.name, sha256=query.sha256)
+                for query in sorted(needed, key=lambda query: query.name)
+                if _is_file(query.name)
+            ),
             features=marks.features(graded, apart),
             evidence=tuple(graded),
             background=background,
@@ -358,7 +421,11 @@ def gather(
 
 def _read(database: Database, main: Setting | None, *, pools_seeds: bool) -> Multiverse | None:
     """The cells under every reading of the text, of the runs that the tables are of."""
-    return None if main is None else everyway.every_way(database, dict(zip(SETTING, main, strict=True)), pools_seeds=pools_seeds)
+    return (
+        None
+        if main is None
+        else everyway.every_way(database, dict(zip(SETTING, main, strict=True)), pools_seeds=pools_seeds)
+    )
 
 
 def _shown(main: Setting | None, others: tuple[Row, ...]) -> str | None:
@@ -366,19 +433,33 @@ def _shown(main: Setting | None, others: tuple[Row, ...]) -> str | None:
     if main is None or not any((row["configuration"], row["fleet_size"]) == main[:2] for row in others):
         return None
     _, _, seed, kind, source, model_version, constants = main
-    named = ("all seeds" if seed is None else f"seed {seed}", f"{kind} runs", source, f"model {model_version}", constants)
-    return f"The tables are of {', '.join(filter(None, named))}; runs made otherwise are never taken together with these."
+    named = (
+        "all seeds" if seed is None else f"seed {seed}",
+        f"{kind} runs",
+        source,
+        f"model {model_version}",
+        constants,
+    )
+    return (
+        f"The tables are of {', '.join(filter(None, named))}; runs made otherwise are never taken together with these."
+    )
 
 
-def _held(database: Database, main: Setting | None) -> tuple[dict[str, dict[str | None, int]], dict[str, dict[str | None, int]]]:
+def _held(
+    database: Database, main: Setting | None
+) -> tuple[dict[str, dict[str | None, int]], dict[str, dict[str | None, int]]]:
     """The runs that the tables are of, by architecture and scenario, and their pairs, by comparison and scenario."""
     if main is None:
         return {}, {}
     chosen = dict(zip(SETTING, main, strict=True))
-    return whole.held(database.rows(OF_MAIN_SQL, chosen), "architecture"), whole.held(database.rows(PAIRS_OF_MAIN_SQL, chosen), "comparison")
+    return whole.held(database.rows(OF_MAIN_SQL, chosen), "architecture"), whole.held(
+        database.rows(PAIRS_OF_MAIN_SQL, chosen), "comparison"
+    )
 
 
-def _of_main(ledger: Path, demanded: str | None, database: Database, main: Setting | None, *, alone: bool) -> tuple[list[Row], tuple[Row, ...]]:
+def _of_main(
+    ledger: Path, demanded: str | None, database: Database, main: Setting | None, *, alone: bool
+) -> tuple[list[Row], tuple[Row, ...]]:
     """The marks and the background of the runs that the tables are of; what else the ledger holds has no part in them, and of no tables there are none."""
     if main is None:
         return [], ()
@@ -389,5 +470,8 @@ def _of_main(ledger: Path, demanded: str | None, database: Database, main: Setti
         narrowed.hold("chosen_runs", chosen)
         narrowed.prepare("SELECT * FROM run_started")
         seed = "* REPLACE (NULL::BIGINT AS seed)" if main[2] is None else "*"  # all seeds are asked for together
-        narrowed.define("runs", f"SELECT {seed} FROM ({narrowed.library.find('staging/runs').sql}) WHERE run_id IN (SELECT run_id FROM chosen_runs)")
+        narrowed.define(
+            "runs",
+            f"SELECT {seed} FROM ({narrowed.library.find('staging/runs').sql}) WHERE run_id IN (SELECT run_id FROM chosen_runs)",
+        )
         return marks.graded(narrowed), _background(narrowed.rows(BACKGROUND_SQL))

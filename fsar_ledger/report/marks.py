@@ -11,7 +11,12 @@ from fsar_ledger.metrics.database import Database, connect, plain_rows
 from fsar_ledger.report import specs
 from fsar_ledger.report.findings import ARCHITECTURES, MAIN_CONFIGURATION, Row, Workflows
 
-QUERIES = ("tables/mechanism_coverage", "audit/requests", "audit/request_story", "audit/failure_story")  # what is read of a ledger of workflows
+QUERIES = (
+    "tables/mechanism_coverage",
+    "audit/requests",
+    "audit/request_story",
+    "audit/failure_story",
+)  # what is read of a ledger of workflows
 NOT_RUN = ("RoboOS", "JADE", "ALLIANCE")  # systems of the paper's table that no ledger holds
 WORKFLOWS = {
     "workflow-door-relay": "workflow_1_door_relay",
@@ -36,7 +41,12 @@ def graded(database: Database) -> list[Row]:
     rows = plain_rows(database.query("tables/architecture_features"))
     found = {(row["feature"], row["architecture"]): row for row in rows if row["configuration"] == MAIN_CONFIGURATION}
     return [
-        {"feature": printed["feature"], "architecture": architecture, "grade": row["grade"], "evidence": row["evidence"]}
+        {
+            "feature": printed["feature"],
+            "architecture": architecture,
+            "grade": row["grade"],
+            "evidence": row["evidence"],
+        }
         for printed in specs.paper_table("architecture_features")
         for architecture in ARCHITECTURES
         if (row := found.get((printed["feature"], architecture))) is not None
@@ -49,7 +59,10 @@ def features(grades: Sequence[Row], apart: Collection[str] = ()) -> tuple[Row, .
     rows = []
     for printed in specs.paper_table("architecture_features"):
         pairs = {name: (printed[name.upper()], ours.get((printed["feature"], name))) for name in ARCHITECTURES}
-        row: Row = {"feature": printed["feature"], "verdict": verdict({name.upper(): pair for name, pair in pairs.items() if name not in apart})}
+        row: Row = {
+            "feature": printed["feature"],
+            "verdict": verdict({name.upper(): pair for name, pair in pairs.items() if name not in apart}),
+        }
         for name, (paper, grade) in pairs.items():
             row |= {f"{name}_paper": paper, f"{name}_ours": grade}
         rows.append(row | {name.lower(): printed[name] for name in NOT_RUN})
@@ -75,7 +88,9 @@ def workflows(ledger: Path, demanded: str | None = None) -> Workflows:
     with connect(ledger, demanded=demanded) as database:
         groups = database.rows(GROUPS, {"names": list(WORKFLOWS)})
         if not groups:
-            raise UsageError(f"--workflows {ledger}: found no run of {', '.join(WORKFLOWS)}; make one with `fsar-ledger simulate`")
+            raise UsageError(
+                f"--workflows {ledger}: found no run of {', '.join(WORKFLOWS)}; make one with `fsar-ledger simulate`"
+            )
         head, main = database.head, groups[0]["made_alike"]
         runs = {row["scenario"]: row["run_id"] for row in database.rows(FIRST, {"made_alike": main})}
         return Workflows(
@@ -97,13 +112,26 @@ def _coverage(database: Database, main: str) -> tuple[Row, ...]:
     rows = []
     for printed in specs.paper_table("mechanism_coverage"):
         name = printed["mechanism"]
-        pairs = {workflow: (printed[column] or None, ours.get((name, workflow))) for workflow, column in WORKFLOWS.items()}
+        pairs = {
+            workflow: (printed[column] or None, ours.get((name, workflow))) for workflow, column in WORKFLOWS.items()
+        }
         held = {workflow for _, workflow in ours}
-        differing = [workflow for workflow, (paper, cell) in pairs.items() if workflow in held and paper != cell != NOT_OBSERVABLE]
+        differing = [
+            workflow
+            for workflow, (paper, cell) in pairs.items()
+            if workflow in held and paper != cell != NOT_OBSERVABLE
+        ]
         titles = [specs.labels("workflow")[workflow] for workflow in differing]
         is_seen = any(cell != NOT_OBSERVABLE for workflow, (_, cell) in pairs.items() if workflow in held)
-        row: Row = {"mechanism": name, "verdict": f"{DIFFERS}: {', '.join(titles)}" if differing else AGREES if is_seen or not held else None}
-        row["reasons"] = [reason for workflow in differing if (reason := specs.labels("difference").get(f"{workflow}/{name}/{pairs[workflow][1]}"))]
+        row: Row = {
+            "mechanism": name,
+            "verdict": f"{DIFFERS}: {', '.join(titles)}" if differing else AGREES if is_seen or not held else None,
+        }
+        row["reasons"] = [
+            reason
+            for workflow in differing
+            if (reason := specs.labels("difference").get(f"{workflow}/{name}/{pairs[workflow][1]}"))
+        ]
         for workflow, (paper, cell) in pairs.items():
             row |= {f"{workflow}_paper": paper, f"{workflow}_ours": cell}
         rows.append(row)
@@ -114,6 +142,9 @@ def _first(database: Database, query: str, run: str | None, kind: str) -> tuple[
     """The story of the first action of the run that has an event of this type; empty without a run or such an event."""
     if run is None:
         return ()
-    found = database.rows("SELECT arg_min(action_id, seq) AS action_id FROM events WHERE run_id = $run AND type = $kind", {"run": run, "kind": kind})
+    found = database.rows(
+        "SELECT arg_min(action_id, seq) AS action_id FROM events WHERE run_id = $run AND type = $kind",
+        {"run": run, "kind": kind},
+    )
     action = found[0]["action_id"]
     return () if action is None else tuple(plain_rows(database.query(f"audit/{query}", {"run": run, "action": action})))

@@ -38,7 +38,10 @@ DIGESTS_SQL = """
 
 def mechanisms_of(database: Database, *, pools_seeds: bool = False) -> Mechanisms | None:
     """What each mechanism adds to each metric, in the setting with most of them; None where the ledger holds no architecture without one."""
-    chosen: dict[str, Any] = {"fleet_size": MAIN_FLEET_SIZE, "configurations": [without([name]) for name in EVERY_MECHANISM]}
+    chosen: dict[str, Any] = {
+        "fleet_size": MAIN_FLEET_SIZE,
+        "configurations": [without([name]) for name in EVERY_MECHANISM],
+    }
     if not database.rows(HELD_SQL, chosen)[0]["runs"]:
         return None
     tables: dict[tuple[str, int | None], list[Row]] = {}
@@ -82,9 +85,14 @@ def carried(found: Mechanisms) -> list[Row]:
             bearing = sorted((row for row in asked if row["stands"]), key=lambda row: -abs(row["mean_difference"]))
             cell: Row = {"metric": spec.name, "architecture": architecture, "asked": len(asked)}
             most = bearing[0] if bearing else None
-            cell |= {name: None if most is None else most[name] for name in ("mechanism", "mean_difference", "interval", "p_holm")}
+            cell |= {
+                name: None if most is None else most[name]
+                for name in ("mechanism", "mean_difference", "interval", "p_holm")
+            }
             shown = most or max(asked, key=lambda row: row["n"], default=None)
-            cell |= {name: None if shown is None else shown[source] for name, source in (("mean", "full_mean"), ("n", "n"))}
+            cell |= {
+                name: None if shown is None else shown[source] for name, source in (("mean", "full_mean"), ("n", "n"))
+            }
             cell["others"] = _others(bearing[1:], cell["n"])
             cell["words"] = _words(cell["mechanism"]) if most else "none of these" if asked else None
             cells.append(cell)
@@ -117,7 +125,11 @@ def tables(findings: Findings, sourced: Sourced) -> dict[str, printing.Table]:
     if found is None:
         return {}
     source = sourced(QUERY)
-    cells = [row | {"mean_difference": None if row["mean_difference"] is None else signed(row["metric"], row["mean_difference"])} for row in carried(found)]
+    cells = [
+        row
+        | {"mean_difference": None if row["mean_difference"] is None else signed(row["metric"], row["mean_difference"])}
+        for row in carried(found)
+    ]
     return {"mechanism-differences": _wide(found.rows, source), "carried": printing.table("carried", cells, source)}
 
 
@@ -125,7 +137,10 @@ def _wide(rows: Iterable[Row], source: str) -> printing.Table:
     """One row for each mechanism, with a column for each metric: what the mechanism adds, and below it the interval; strong where that excludes 0."""
     lines: dict[tuple[str, str], dict[str, Any]] = {}
     for row in rows:
-        line = lines.setdefault((row["architecture"], row["mechanism"]), {"architecture": row["architecture"], "words": _words(row["mechanism"]), "n": 0})
+        line = lines.setdefault(
+            (row["architecture"], row["mechanism"]),
+            {"architecture": row["architecture"], "words": _words(row["mechanism"]), "n": 0},
+        )
         line[row["metric"]] = row
         line["n"] = max(line["n"], row["n"])
     blank = dict.fromkeys(spec.name for spec in specs.metrics())
@@ -143,8 +158,14 @@ def _difference(cell: printing.Cell) -> printing.Cell:
         return printing.Cell(value, printing.NOTHING, "quiet")
     if not row["differing_pairs"]:
         return printing.Cell(value, "0", "quiet")
-    ends = "no interval" if row["interval"] is None else " to ".join(printing.in_metric(row["metric"], end) for end in row["interval"])
-    return printing.Cell(value, f"{signed(row['metric'], row['mean_difference'])}\n{ends}", "strong" if row["is_marked"] else "plain")
+    ends = (
+        "no interval"
+        if row["interval"] is None
+        else " to ".join(printing.in_metric(row["metric"], end) for end in row["interval"])
+    )
+    return printing.Cell(
+        value, f"{signed(row['metric'], row['mean_difference'])}\n{ends}", "strong" if row["is_marked"] else "plain"
+    )
 
 
 def _other_constants(found: Mechanisms, expected: str | None) -> str | None:
@@ -160,7 +181,11 @@ def sentences(findings: Findings) -> dict[str, Any] | None:
     if found is None:
         return None
     tested = [row for row in found.rows if row["p_holm"] is not None]
-    another = found.told.model_version if findings.model_version is not None and found.told.model_version != findings.model_version else None
+    another = (
+        found.told.model_version
+        if findings.model_version is not None and found.told.model_version != findings.model_version
+        else None
+    )
     held = {(row["architecture"], row["mechanism"]) for row in found.rows}
     every = {(architecture, name) for architecture, names in MECHANISMS_OF.items() for name in names}
     return {
@@ -177,11 +202,15 @@ def sentences(findings: Findings) -> dict[str, Any] | None:
         "marked": sum(row["is_marked"] for row in found.rows),
         "tests": len(tested),
         "standing": sum(row["stands"] for row in tested),
-        "on_record": [_words(name) for name in EVERY_MECHANISM if name in ON_RECORD_ALONE and any(name == one for _, one in held)],
+        "on_record": [
+            _words(name) for name in EVERY_MECHANISM if name in ON_RECORD_ALONE and any(name == one for _, one in held)
+        ],
         "meaning": [
             {
                 "architecture": architecture.upper(),
-                "each": [{"name": _words(name), "what": what} for name, what in names.items() if (architecture, name) in held],
+                "each": [
+                    {"name": _words(name), "what": what} for name, what in names.items() if (architecture, name) in held
+                ],
             }
             for architecture, names in MECHANISMS_OF.items()
             if any(one == architecture for one, _ in held)

@@ -39,7 +39,11 @@ def numbers(findings: Findings, *, is_fitted: bool = True) -> tuple[Row, ...]:
     paper has it), paper, ours, n, interval, difference (90 %), margin, distance and reach (the 90 % interval, or what an open dial gives; both in
     margins), gives, share, could, outcome. `is_fitted` False: the fit was of another model, so no number counts as fitted.
     """
-    rows = [_row("results", row, _class(row, is_fitted=is_fitted)) for row in findings.cells if any(one["mean"] is not None for one in findings.cells)]
+    rows = [
+        _row("results", row, _class(row, is_fitted=is_fitted))
+        for row in findings.cells
+        if any(one["mean"] is not None for one in findings.cells)
+    ]
     if (ablation := findings.ablation) is not None:
         rows += [
             _row(name, row, row["class"], _dialled(row, ablation.curve))
@@ -49,12 +53,19 @@ def numbers(findings: Findings, *, is_fitted: bool = True) -> tuple[Row, ...]:
     rows += [_case(row) for row in findings.cases]
     rows += [_test(row) for row in findings.tests if any(one["t"] is not None for one in findings.tests)]
     if (scaling := findings.scaling) is not None:
-        rows += [_row("scaling", row, row["class"], [row["mean"], row["one"], *_dialled(row, scaling.curve, "fleet_size")]) for row in scaling.cells]
+        rows += [
+            _row("scaling", row, row["class"], [row["mean"], row["one"], *_dialled(row, scaling.curve, "fleet_size")])
+            for row in scaling.cells
+        ]
     return tuple(rows)
 
 
 def _class(row: Row, *, is_fitted: bool) -> str:
-    kind = registration().said_of("results", {"metric": row["metric"], "architecture": row["architecture"]}).kind.replace("_", " ")
+    kind = (
+        registration()
+        .said_of("results", {"metric": row["metric"], "architecture": row["architecture"]})
+        .kind.replace("_", " ")
+    )
     return INFORMED if kind == FITTED and not is_fitted else kind
 
 
@@ -69,7 +80,10 @@ def _row(table: str, row: Row, kind: str, dial: Sequence[float | None] = ()) -> 
     given = [mean - row["paper"] for mean in dial if mean is not None] if kind == UNSPECIFIED else []
     ends = (min(given), max(given)) if given else row["difference"]
     return _blank(table) | {
-        **{name: row.get(name) for name in ("metric", "architecture", "configuration", "fleet_size", "scenario", "n", "interval", "paper")},
+        **{
+            name: row.get(name)
+            for name in ("metric", "architecture", "configuration", "fleet_size", "scenario", "n", "interval", "paper")
+        },
         **{name: row[name] for name in ("difference", "distance", "gives", "share", "could")},
         "class": kind,
         "printed": row["paper_printed"],
@@ -90,7 +104,11 @@ def _case(row: Row) -> Row:
     """A number of a case: decided where a mechanism restates it, so that no chance is in it; for the others no margin was registered."""
     paper, ours = 1.0 if row["paper"] == ALL else float(row["paper"]), row["value"]
     is_exact = row["class"] == BY_CONSTRUCTION and ours is not None
-    told = {name: row[name] for name in ("case", "architecture", "class")} | {"printed": row["paper"], "paper": paper, "ours": ours}
+    told = {name: row[name] for name in ("case", "architecture", "class")} | {
+        "printed": row["paper"],
+        "paper": paper,
+        "ours": ours,
+    }
     return _blank("cases") | told | {"outcome": (STANDS if ours == paper else FAILS) if is_exact else UNDECIDED}
 
 
@@ -109,7 +127,22 @@ def _test(row: Row) -> Row:
 
 def _blank(table: str) -> Row:
     where = ("metric", "architecture", "configuration", "fleet_size", "scenario", "comparison", "case")
-    ours = ("class", "printed", "paper", "ours", "n", "interval", "difference", "margin", "distance", "reach", "gives", "share", "could", "outcome")
+    ours = (
+        "class",
+        "printed",
+        "paper",
+        "ours",
+        "n",
+        "interval",
+        "difference",
+        "margin",
+        "distance",
+        "reach",
+        "gives",
+        "share",
+        "could",
+        "outcome",
+    )
     return {"table": table} | dict.fromkeys((*where, *ours))
 
 
@@ -126,7 +159,9 @@ def tally(rows: Sequence[Row]) -> list[Row]:
         for row in rows:
             if row["table"] == table:
                 counts.setdefault((table, row["class"]), Counter())[row["outcome"]] += 1
-    found: list[Row] = [{"table": TABLES[table], "class": kind, **_counted(counted)} for (table, kind), counted in counts.items()]
+    found: list[Row] = [
+        {"table": TABLES[table], "class": kind, **_counted(counted)} for (table, kind), counted in counts.items()
+    ]
     return [*found, {"table": "All", "class": "", **_counted(sum(counts.values(), Counter()))}] if found else []
 
 
@@ -150,7 +185,10 @@ def said(rows: Sequence[Row]) -> dict[str, Any]:
         "could": sum(row["could"] == "yes" for row in of[FAILS] if row["class"] != EXCLUDED),
         "drawn": sum(row["could"] is not None for row in of[FAILS] if row["class"] != EXCLUDED),
         "undecided": len(of[UNDECIDED]),
-        "unregistered": sum(row["table"] == "cases" and row["class"] != BY_CONSTRUCTION and row["ours"] is not None for row in of[UNDECIDED]),
+        "unregistered": sum(
+            row["table"] == "cases" and row["class"] != BY_CONSTRUCTION and row["ours"] is not None
+            for row in of[UNDECIDED]
+        ),
         "open": len(of[OPEN]),
         "open_told": len(told),
         "outside": len(outside),
@@ -159,4 +197,7 @@ def said(rows: Sequence[Row]) -> dict[str, Any]:
 
 def _by_class(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """How many of each class, the most first."""
-    return [{"class": kind, "count": count} for kind, count in sorted(Counter(row["class"] for row in rows).items(), key=lambda item: (-item[1], item[0]))]
+    return [
+        {"class": kind, "count": count}
+        for kind, count in sorted(Counter(row["class"] for row in rows).items(), key=lambda item: (-item[1], item[0]))
+    ]

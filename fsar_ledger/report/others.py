@@ -23,7 +23,10 @@ class Others(msgspec.Struct, frozen=True):
 
     def queries(self) -> tuple[str, ...]:
         """The packaged queries that these rest on."""
-        further = (*(beside.QUERIES if self.ablation or self.scaling else ()), *(mechanisms.QUERIES if self.mechanisms else ()))
+        further = (
+            *(beside.QUERIES if self.ablation or self.scaling else ()),
+            *(mechanisms.QUERIES if self.mechanisms else ()),
+        )
         return (*(marks.QUERIES if self.workflows else ()), *further)
 
     def over(self, other: "Others") -> "Others":
@@ -62,4 +65,9 @@ def others(ledgers: Mapping[Path, str | None], workflows: Path | None = None, *,
 def held(database: Database, *, pools_seeds: bool = False) -> Others:
     """The ablations, the fleets of other sizes and the pairs with and without a mechanism that this ledger holds."""
     given = {"pools_seeds": pools_seeds}
-    return Others(None, beside.ablation_of(database, **given), beside.scaling_of(database, **given), mechanisms.mechanisms_of(database, **given))
+    return Others(
+        None,
+        beside.ablation_of(database, **given),
+        beside.scaling_of(database, **given),
+        mechanisms.mechanisms_of(database, **given),
+    )

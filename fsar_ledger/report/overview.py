@@ -9,7 +9,11 @@ from fsar_ledger.report.curves import MARKERS
 from fsar_ledger.report.findings import Row
 from fsar_ledger.report.numbers import OPEN, STANDS, UNDECIDED
 
-PANELS: dict[str, tuple[str, ...]] = {"Evaluation results": ("results",), "Ablation": ("ablation", "ablation_text"), "Scaling": ("scaling",)}
+PANELS: dict[str, tuple[str, ...]] = {
+    "Evaluation results": ("results",),
+    "Ablation": ("ablation", "ablation_text"),
+    "Scaling": ("scaling",),
+}
 """The panels, from left to right, and the tables of each."""
 
 REACH = 80.0
@@ -29,7 +33,11 @@ def overview(rows: Sequence[Row], kind: str = "svg") -> bytes:
     Rows: those of `numbers.numbers`.
     """
     shown = {
-        title: [row for row in rows if row["table"] in tables and row["distance" if row["outcome"] != OPEN else "reach"] is not None]
+        title: [
+            row
+            for row in rows
+            if row["table"] in tables and row["distance" if row["outcome"] != OPEN else "reach"] is not None
+        ]
         for title, tables in PANELS.items()
     }
     shown = {title: found for title, found in shown.items() if found} or {next(iter(PANELS)): []}
@@ -50,7 +58,9 @@ def overview(rows: Sequence[Row], kind: str = "svg") -> bytes:
             panel.tick_params(axis="y", length=0)
         axes[0, 0].set_yticks(range(len(metrics)), [spec.short for spec in specs.metrics()])
         axes[0, len(shown) // 2].set_xlabel("(ours − paper) / margin: linear up to 1, logarithmic beyond")
-        figure.legend(handles=_legend(), loc="outside lower center", ncols=7, frameon=False, handletextpad=0.4, columnspacing=1.3)
+        figure.legend(
+            handles=_legend(), loc="outside lower center", ncols=7, frameon=False, handletextpad=0.4, columnspacing=1.3
+        )
         return figures.rendered(figure, kind)
 
 
@@ -68,30 +78,67 @@ def _number(panel: Any, row: Row, height: float) -> None:
     ends = [*(row["reach"] or ()), *([] if row["outcome"] == OPEN else [row["distance"]])]
     for edge, caret in ((-REACH, CARETLEFTBASE), (REACH, CARETRIGHTBASE)):
         if any(end / edge > 1 for end in ends):
-            panel.plot(edge, height, color=colour, marker=caret, markersize=3.2, linestyle="none", clip_on=False, zorder=2.5)
+            panel.plot(
+                edge, height, color=colour, marker=caret, markersize=3.2, linestyle="none", clip_on=False, zorder=2.5
+            )
     if row["reach"] is not None:
         low, high = (max(-REACH, min(REACH, end)) for end in row["reach"])
         if row["outcome"] == OPEN:
-            panel.plot([low, high], [height, height], color=colour, linewidth=0.9, linestyle=(0, (2, 1.2)), marker="|", markersize=3.2, zorder=2)
+            panel.plot(
+                [low, high],
+                [height, height],
+                color=colour,
+                linewidth=0.9,
+                linestyle=(0, (2, 1.2)),
+                marker="|",
+                markersize=3.2,
+                zorder=2,
+            )
         else:
             panel.plot([low, high], [height, height], color=colour, linewidth=1.1, zorder=2)
     if row["outcome"] != OPEN:
         at = row["distance"] if abs(row["distance"]) <= REACH else math.copysign(REACH * INSIDE, row["distance"])
-        panel.plot(at, height, color=colour, clip_on=False, zorder=3, **_look(row["outcome"], colour) | {"marker": MARKERS[row["architecture"]]})
+        panel.plot(
+            at,
+            height,
+            color=colour,
+            clip_on=False,
+            zorder=3,
+            **_look(row["outcome"], colour) | {"marker": MARKERS[row["architecture"]]},
+        )
 
 
 def _look(outcome: str, colour: str) -> dict[str, Any]:
     """Filled where the number stands, hollow where it does not, grey where it is undecided: told apart without colour."""
     fill = {STANDS: colour, UNDECIDED: "#bbbbbb"}.get(outcome, "white")
-    return {"markersize": 4.4, "markerfacecolor": fill, "markeredgecolor": colour, "markeredgewidth": 0.9, "linestyle": "none"}
+    return {
+        "markersize": 4.4,
+        "markerfacecolor": fill,
+        "markeredgecolor": colour,
+        "markeredgewidth": 0.9,
+        "linestyle": "none",
+    }
 
 
 def _legend() -> list[Any]:
     from matplotlib.lines import Line2D
 
     names: list[Any] = [
-        Line2D([], [], marker=MARKERS[name], color=colour, markersize=4.4, linestyle="none", label=name.upper()) for name, colour in figures.COLOURS.items()
+        Line2D([], [], marker=MARKERS[name], color=colour, markersize=4.4, linestyle="none", label=name.upper())
+        for name, colour in figures.COLOURS.items()
     ]
     looks = ((STANDS, "stands"), ("does not", "does not"), (UNDECIDED, "undecided"))
     names += [Line2D([], [], label=label, marker="o", **_look(outcome, "#444444")) for outcome, label in looks]
-    return [*names, Line2D([], [], color="#444444", linewidth=0.9, linestyle=(0, (2, 1.2)), marker="|", markersize=3.2, label="open: over its dial")]
+    return [
+        *names,
+        Line2D(
+            [],
+            [],
+            color="#444444",
+            linewidth=0.9,
+            linestyle=(0, (2, 1.2)),
+            marker="|",
+            markersize=3.2,
+            label="open: over its dial",
+        ),
+    ]

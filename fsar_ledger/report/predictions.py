@@ -32,17 +32,24 @@ def outcomes(findings: Findings, folder: Traversable | None = None) -> list[Row]
         record = msgspec.json.decode(path.read_bytes(), type=Record)
         constants = dict(flat("", msgspec.json.decode(record.parameters)))
     except msgspec.DecodeError as error:
-        raise FsarLedgerError(f"reports/comparison.json: {error}; expected what `fsar-ledger judge PREDICTIONS --out FILE` writes; write it again") from error
+        raise FsarLedgerError(
+            f"reports/comparison.json: {error}; expected what `fsar-ledger judge PREDICTIONS --out FILE` writes; write it again"
+        ) from error
     if (record.model_version, constants) != (findings.model_version, findings.parameters):
         return []
-    return [{"name": one.name, "implies": one.implies, "checks": f"{one.held} of {one.of}", "holds": one.holds} for one in record.predictions]
+    return [
+        {"name": one.name, "implies": one.implies, "checks": f"{one.held} of {one.of}", "holds": one.holds}
+        for one in record.predictions
+    ]
 
 
 def said(rows: Sequence[Row]) -> Row | None:
     """How many hold, how many do not, and of how many it cannot be told, by name, in a sentence for the first page; None without predictions."""
     if not rows:
         return None
-    kept, failed, open_ones = ([row["name"] for row in rows if row["holds"] is answer] for answer in (True, False, None))
+    kept, failed, open_ones = (
+        [row["name"] for row in rows if row["holds"] is answer] for answer in (True, False, None)
+    )
     holds = f"{len(kept)} {'holds' if len(kept) == 1 else 'hold'}{_listed(kept)}"
     fails = f"{len(failed)} {'does' if len(failed) == 1 else 'do'} not{_listed(failed)}"
     untold = f"; of {len(open_ones)} it cannot be told{_listed(open_ones)}" if open_ones else ""

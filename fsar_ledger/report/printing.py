@@ -132,7 +132,11 @@ FORMATS: Mapping[str, Formatter] = {
 def _tone(column: specs.Column, value: Any) -> str:
     if column.format == "code":
         return "code"
-    if value in ("differs", "no") or str(value).startswith("differs: ") or (column.format == "agreement" and value is False):
+    if (
+        value in ("differs", "no")
+        or str(value).startswith("differs: ")
+        or (column.format == "agreement" and value is False)
+    ):
         return "strong"
     return "quiet" if value in ("undecided", None) else "plain"
 
@@ -167,7 +171,9 @@ def table(name: str, rows: Sequence[Row], source: str = "") -> Table:
         name=name,
         title=spec.title,
         caption=spec.caption,
-        source=source if len(rows) <= MAX_ROWS else f"{source}{'; ' if source else ''}{len(rows) - MAX_ROWS:,} more rows are not shown",
+        source=source
+        if len(rows) <= MAX_ROWS
+        else f"{source}{'; ' if source else ''}{len(rows) - MAX_ROWS:,} more rows are not shown",
         size=spec.size,
         heads=tuple(column.head for column in spec.column),
         aligns=tuple(column.align for column in spec.column),
@@ -181,7 +187,11 @@ def flat(name: str, value: object) -> Iterator[tuple[str, str]]:
 
     A mapping of low_s and high_s is a range of seconds; a list of [name, value] pairs is read as a mapping.
     """
-    if isinstance(value, list) and value and all(isinstance(item, list) and len(item) == 2 and isinstance(item[0], str) for item in value):
+    if (
+        isinstance(value, list)
+        and value
+        and all(isinstance(item, list) and len(item) == 2 and isinstance(item[0], str) for item in value)
+    ):
         value = dict(value)
     if isinstance(value, Mapping):
         if value.keys() == {"low_s", "high_s"}:

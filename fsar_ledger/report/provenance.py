@@ -44,4 +44,7 @@ def _split(name: str, word: str) -> dict[str, str]:
     """Durations are one constant for each capability, and some of them are the paper's."""
     if name != "world.durations":
         return {name: word}
-    return {f"{name}.{capability}": "paper" if capability in constants.PRINTED_DURATIONS else word for capability, _ in constants.DURATIONS}
+    return {
+        f"{name}.{capability}": "paper" if capability in constants.PRINTED_DURATIONS else word
+        for capability, _ in constants.DURATIONS
+    }

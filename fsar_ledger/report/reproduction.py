@@ -40,7 +40,9 @@ def reproduction(findings: Findings, counted: Sequence[Row]) -> bytes:
         "tests": findings.tests,
         "scenarios": findings.scenarios,
         "mechanisms": None if findings.mechanisms is None else findings.mechanisms.rows,
-        "multiverse": None if read is None else {"readings": read.readings, "cells": read.cells, "rankings": read.rankings, "universes": read.universes},
+        "multiverse": None
+        if read is None
+        else {"readings": read.readings, "cells": read.cells, "rankings": read.rankings, "universes": read.universes},
         "queries": {one.name: one.sha256 for one in findings.sources},
     }
     return msgspec.json.format(msgspec.json.encode(said, order="deterministic"), indent=1) + b"\n"

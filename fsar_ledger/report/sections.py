@@ -29,7 +29,11 @@ def _rows(findings: Findings) -> dict[str, Sequence[Row]]:
     found: dict[str, Sequence[Row]] = {}
     if (ablation := findings.ablation) is not None:
         by_metric = sorted(ablation.cells, key=lambda row: curves.ABLATED.index(row["metric"]))
-        found |= {"ablation": by_metric, "ablation-text": ablation.text, "encounters": ablation.rates if len(ablation.rates) > 1 else ()}
+        found |= {
+            "ablation": by_metric,
+            "ablation-text": ablation.text,
+            "encounters": ablation.rates if len(ablation.rates) > 1 else (),
+        }
     if (scaling := findings.scaling) is not None:
         by_metric = sorted(scaling.cells, key=lambda row: curves.SCALED.index(row["metric"]))
         found |= {"scaling": by_metric, "beyond": _beyond(scaling.curve)}
@@ -42,7 +46,12 @@ def _beyond(curve: Sequence[Row]) -> list[Row]:
     for row in curve:
         if row["fleet_size"] > curves.LARGEST:
             key = (row["fleet_size"], row["teams_working"], row["architecture"])
-            line = found.setdefault(key, dict.fromkeys(curves.SCALED) | dict(zip(("fleet_size", "teams_working", "architecture"), key, strict=True)) | {"n": 0})
+            line = found.setdefault(
+                key,
+                dict.fromkeys(curves.SCALED)
+                | dict(zip(("fleet_size", "teams_working", "architecture"), key, strict=True))
+                | {"n": 0},
+            )
             line[row["metric"]] = row["mean"]
             line["n"] = max(line["n"], row["n"])
     return [found[key] for key in sorted(found, key=lambda key: (key[0], key[1], ARCHITECTURES.index(key[2])))]
@@ -66,7 +75,11 @@ def _dialled(findings: Findings) -> list[Row]:
     """The printed successes without a shared registry: of all scenarios, and of those that the text names."""
     ablation = findings.ablation
     every = () if ablation is None else (*ablation.cells, *ablation.text)
-    return [row for row in every if row["configuration"] == "without-shared-registry" and row["metric"] == "coordination_success"]
+    return [
+        row
+        for row in every
+        if row["configuration"] == "without-shared-registry" and row["metric"] == "coordination_success"
+    ]
 
 
 def ablation(findings: Findings) -> dict[str, Any] | None:
@@ -78,8 +91,18 @@ def ablation(findings: Findings) -> dict[str, Any] | None:
     for row in _dialled(findings):
         points = curves.points_of(found.curve, "encounter_mean_s", metric=row["metric"], scenario=row["scenario"])
         at = [printing.significant(one, 2) for one in curves.crossings(points, row["paper"])] if len(points) > 1 else []
-        meets.append({"scenario": (row["scenario"] or "all scenarios").replace("-", " "), "paper": row["paper_printed"], "at": at})
-    proofs = [_named(row) | {"because": row["because"]} for row in (*found.cells, *found.text) if row["class"] == "cannot follow"]
+        meets.append(
+            {
+                "scenario": (row["scenario"] or "all scenarios").replace("-", " "),
+                "paper": row["paper_printed"],
+                "at": at,
+            }
+        )
+    proofs = [
+        _named(row) | {"because": row["because"]}
+        for row in (*found.cells, *found.text)
+        if row["class"] == "cannot follow"
+    ]
     mean = found.encounter_mean_s
     return {
         **_told(findings, found.told),
@@ -116,18 +139,35 @@ def scaling(findings: Findings) -> dict[str, Any] | None:
 
 def _told(findings: Findings, told: Told) -> dict[str, Any]:
     """The head that it is of, and its model where the results are of another."""
-    another = told.model_version if findings.model_version is not None and told.model_version != findings.model_version else None
-    named = {"size": printing.integer(told.size), "root": told.root, "runs": printing.integer(told.run_count), "commits": told.commits}
+    another = (
+        told.model_version
+        if findings.model_version is not None and told.model_version != findings.model_version
+        else None
+    )
+    named = {
+        "size": printing.integer(told.size),
+        "root": told.root,
+        "runs": printing.integer(told.run_count),
+        "commits": told.commits,
+    }
     return {**named, "completeness": told.completeness, "another_model": another and printing.words(another)}
 
 
 def _answers(rows: Sequence[Row]) -> dict[str, int]:
     given, could = Counter(row["gives"] for row in rows), Counter(row["could"] for row in rows)
-    counts = {"judged": sum(given.values()) - given[None], "drawn": sum(could.values()) - could[None], "could": could["yes"], "could_not": could["no"]}
+    counts = {
+        "judged": sum(given.values()) - given[None],
+        "drawn": sum(could.values()) - could[None],
+        "could": could["yes"],
+        "could_not": could["no"],
+    }
     return counts | {"gives": given["yes"], "gives_not": given["no"], "undecided": given["undecided"]}
 
 
 def _named(row: Row) -> dict[str, str]:
     """A cell in words: its metric, configuration and scenario, and the printed number."""
     where = "" if row["scenario"] is None else f", {row['scenario'].replace('-', ' ')}"
-    return {"title": f"{specs.metric(row['metric']).title}, {printing.configuration(row['configuration'])}{where}", "paper": row["paper_printed"]}
+    return {
+        "title": f"{specs.metric(row['metric']).title}, {printing.configuration(row['configuration'])}{where}",
+        "paper": row["paper_printed"],
+    }

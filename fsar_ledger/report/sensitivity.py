@@ -91,7 +91,9 @@ class Section(msgspec.Struct, frozen=True):
 
 
 _TYPES: dict[Any, pa.DataType] = {str: pa.string(), int: pa.int64(), float: pa.float64(), float | None: pa.float64()}
-SCHEMA = pa.schema([pa.field(field.name, _TYPES[field.type], field.type == float | None) for field in msgspec.structs.fields(Effect)])
+SCHEMA = pa.schema(
+    [pa.field(field.name, _TYPES[field.type], field.type == float | None) for field in msgspec.structs.fields(Effect)]
+)
 
 
 def table_of(found: Sensitivity) -> pa.Table:
@@ -111,20 +113,28 @@ def read_sensitivity(path: Path, model_version: str, parameters: str) -> Sensiti
         raise UsageError(f"{path}: {_of_another_model(found.about, model_version)}")
     if found.about.parameters != parameters:
         differing = list(_differing("", *(read_parameters(text) for text in (found.about.parameters, parameters))))
-        named = ", ".join(map(printable.value, differing[:MAX_NAMED])) + (f" and {len(differing) - MAX_NAMED} more" if len(differing) > MAX_NAMED else "")
-        raise UsageError(f"{path}: found effects around other constants ({named}), expected those of these runs; make them again: {MADE_BY}")
+        named = ", ".join(map(printable.value, differing[:MAX_NAMED])) + (
+            f" and {len(differing) - MAX_NAMED} more" if len(differing) > MAX_NAMED else ""
+        )
+        raise UsageError(
+            f"{path}: found effects around other constants ({named}), expected those of these runs; make them again: {MADE_BY}"
+        )
     return found
 
 
 def section(found: Sensitivity | None, model_version: str | None, digests: Collection[str]) -> Section:
     """What a report about runs of this model has to say of how much hangs on what; their constants have one of these SHA-256, as a ledger records them."""
     if found is None:
-        return Section(f"How much of each number hangs on each constant was not looked at for this report; {MADE_BY} does it, in most of an hour.")
+        return Section(
+            f"How much of each number hangs on each constant was not looked at for this report; {MADE_BY} does it, in most of an hour."
+        )
     about, still = found.about, sum(furthest == 0 for furthest in reach(found).values())
     if about.model_version != model_version:
         return Section(f"The effects that were given are not of these runs: {_of_another_model(about, model_version)}.")
     if sha256(about.parameters.encode()).hexdigest() not in digests:
-        return Section(f"The effects that were given are not of these runs: found effects around other constants; make them again: {MADE_BY}.")
+        return Section(
+            f"The effects that were given are not of these runs: found effects around other constants; make them again: {MADE_BY}."
+        )
     sentence = (
         f"{len(about.factors)} factors, all constants of world and structure, the load and the size of the fleet, were each varied {about.trajectories} times, "
         f"over {about.evaluations} evaluations of {about.runs} runs per scenario and architecture; {still} of them move nothing."
@@ -142,12 +152,27 @@ def open_effects(path: Path) -> Sensitivity:
         effects = msgspec.convert(table.select(SCHEMA.names).to_pylist(), tuple[Effect, ...])
         read_parameters(about.parameters)
     except (pa.ArrowException, KeyError, msgspec.MsgspecError, BadParameters) as error:
-        raise UsageError(f"{path}: found no file of effects ({str(error).splitlines()[0]:.200}), expected one of `{MADE_BY}`") from error
+        raise UsageError(
+            f"{path}: found no file of effects ({str(error).splitlines()[0]:.200}), expected one of `{MADE_BY}`"
+        ) from error
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror or str(error):.200}), expected a file of `{MADE_BY}`") from error
-    grid = {(spec.name, architecture, factor) for spec in specs.metrics() for architecture in ARCHITECTURES for factor in about.factors}
-    if {(one.metric, one.architecture, one.factor) for one in effects} != grid or len(effects) != len(grid) or not set(about.dozen) <= set(about.factors):
-        raise UsageError(f"{path}: found no file of effects (a row for each cell and factor is not there), expected one of `{MADE_BY}`")
+        raise UsageError(
+            f"{path}: cannot be read ({error.strerror or str(error):.200}), expected a file of `{MADE_BY}`"
+        ) from error
+    grid = {
+        (spec.name, architecture, factor)
+        for spec in specs.metrics()
+        for architecture in ARCHITECTURES
+        for factor in about.factors
+    }
+    if (
+        {(one.metric, one.architecture, one.factor) for one in effects} != grid
+        or len(effects) != len(grid)
+        or not set(about.dozen) <= set(about.factors)
+    ):
+        raise UsageError(
+            f"{path}: found no file of effects (a row for each cell and factor is not there), expected one of `{MADE_BY}`"
+        )
     return Sensitivity(about, effects)
 
 
@@ -219,7 +244,9 @@ def heat_map(found: Sensitivity, kind: str = "svg") -> bytes:
 
     A cell that was undefined is crossed out.
     """
-    shown = [name for name, furthest in reach(found).items() if furthest >= SHOWN_FROM][:MAX_SHOWN] or list(found.about.factors[:1])
+    shown = [name for name, furthest in reach(found).items() if furthest >= SHOWN_FROM][:MAX_SHOWN] or list(
+        found.about.factors[:1]
+    )
     columns = [(spec.name, architecture) for spec in specs.metrics() for architecture in ARCHITECTURES]
     at = {(effect.factor, effect.metric, effect.architecture): effect for effect in found.effects}
     spec = msgspec.structs.replace(specs.figure("sensitivity"), height_in=1.7 + 0.135 * len(shown))
@@ -227,7 +254,9 @@ def heat_map(found: Sensitivity, kind: str = "svg") -> bytes:
         panel = axes[0, 0]
         _cells(figure, panel, [[at.get((name, *column)) for column in columns] for name in shown])
         panel.set_yticks(range(len(shown)), [figures.label(name, 60) for name in shown], fontsize=6)
-        panel.set_xticks(range(len(columns)), [architecture.upper() for _, architecture in columns], rotation=90, fontsize=6)
+        panel.set_xticks(
+            range(len(columns)), [architecture.upper() for _, architecture in columns], rotation=90, fontsize=6
+        )
         top = panel.secondary_xaxis("top")
         titles = [one.short for one in specs.metrics()]
         top.set_xticks([3 * number + 1 for number in range(len(titles))], titles, rotation=25, ha="left", fontsize=7)
@@ -243,16 +272,26 @@ def _cells(figure: Any, panel: Any, rows: Sequence[Sequence[Effect | None]]) -> 
     import matplotlib as mpl
     from matplotlib.colors import BoundaryNorm
 
-    values = [[math.nan if one is None or one.mu_star_margins is None else one.mu_star_margins for one in row] for row in rows]
+    values = [
+        [math.nan if one is None or one.mu_star_margins is None else one.mu_star_margins for one in row] for row in rows
+    ]
     colours = mpl.colormaps["Greys"].resampled(len(BOUNDS) + 1)
-    image = panel.imshow(values, aspect="auto", cmap=colours, norm=BoundaryNorm(BOUNDS, colours.N, extend="both"), interpolation="nearest")
+    image = panel.imshow(
+        values,
+        aspect="auto",
+        cmap=colours,
+        norm=BoundaryNorm(BOUNDS, colours.N, extend="both"),
+        interpolation="nearest",
+    )
     for height, row in enumerate(rows):
         for place, one in enumerate(row):
             if one is None or one.mu_star_margins is None:
                 panel.plot(place, height, marker="x", markersize=3, color="black", markeredgewidth=0.5)
             elif one.mu_star_margins >= BOUNDS[0] and one.mu_star_margins <= (one.by_chance_margins or 0.0):
                 dark = one.mu_star_margins >= BOUNDS[3]
-                panel.plot(place, height, marker=".", markersize=2.5, color="white" if dark else "black", markeredgewidth=0)
+                panel.plot(
+                    place, height, marker=".", markersize=2.5, color="white" if dark else "black", markeredgewidth=0
+                )
     bar = figure.colorbar(image, ax=panel, location="bottom", fraction=0.03, pad=0.02, aspect=50, ticks=BOUNDS)
     bar.ax.set_xticklabels([f"{bound:g}" for bound in BOUNDS], fontsize=6)
     bar.set_label("mean change of the cell over the range of the constant, in margins", fontsize=7)

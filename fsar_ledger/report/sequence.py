@@ -24,13 +24,23 @@ AGENT_LANE = 1.15  # the same where a figure has many
 DEED = 2.4  # the widest that a deed is written
 HEAD = 0.45
 TEXT: dict[str, Any] = {"fontsize": FONT, "parse_math": False}
-FILLS = {"robot": "#e3f1e3", "agent": "#f3e6f0", "service": "#e1ebf7", "coordinator": "#e1ebf7", "supervisor": "#fbe7d3"}
+FILLS = {
+    "robot": "#e3f1e3",
+    "agent": "#f3e6f0",
+    "service": "#e1ebf7",
+    "coordinator": "#e1ebf7",
+    "supervisor": "#fbe7d3",
+}
 NOBODY = "not on record"
 LEVEL_FILLS = {"local": "#dff0df", "peer": "#fbf6cf", "fleet": "#fbe7c9", "human": "#f7d9d6"}
 GOOD, BAD, QUIET = "#2e7d32", "#b23b3b", "#666666"
 GOOD_RESULTS = ("success", "resolved", "helped")
 MAX_STEPS, MAX_LANES, MAX_LETTERS = 120, 12, 8_000  # a letter takes some 90 bytes of SVG
-MAX_NAME, MAX_WORDS, MAX_LINE = 40, 240, 80  # characters of a principal, of what a step says, and of one line of that in a box
+MAX_NAME, MAX_WORDS, MAX_LINE = (
+    40,
+    240,
+    80,
+)  # characters of a principal, of what a step says, and of one line of that in a box
 NAMES = ("sender", "receiver", "decided_by", "level", "to_level")
 
 
@@ -39,12 +49,17 @@ def drawable(rows: Sequence[Row]) -> tuple[list[dict[str, Any]], str]:
     drawn: list[dict[str, Any]] = []
     letters = 0
     for row in rows[:MAX_STEPS]:
-        step = {name: figures.label(value, MAX_NAME if name in NAMES else MAX_WORDS) if isinstance(value, str) else value for name, value in row.items()}
+        step = {
+            name: figures.label(value, MAX_NAME if name in NAMES else MAX_WORDS) if isinstance(value, str) else value
+            for name, value in row.items()
+        }
         letters += sum(len(value) for value in step.values() if isinstance(value, str))
         if drawn and letters > MAX_LETTERS:
             break
         drawn.append(step)
-    return drawn, f"... and {len(rows) - len(drawn):,} more steps, which are not drawn" if len(drawn) < len(rows) else ""
+    return drawn, f"... and {len(rows) - len(drawn):,} more steps, which are not drawn" if len(drawn) < len(
+        rows
+    ) else ""
 
 
 def _in_lanes(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -59,7 +74,11 @@ def _in_lanes(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def lanes(rows: Sequence[Row]) -> list[str]:
     """The principals of the story in order of appearance; one lane for what the record leaves open."""
-    named = [row[side] or NOBODY for row in rows for side in (("sender", "receiver") if row["kind"] == "message" else ("sender",))]
+    named = [
+        row[side] or NOBODY
+        for row in rows
+        for side in (("sender", "receiver") if row["kind"] == "message" else ("sender",))
+    ]
     return list(dict.fromkeys(named))
 
 
@@ -81,7 +100,16 @@ def drawn_sequence(rows: Sequence[Row]) -> Iterator[Any]:
     step = LANE if len(names) <= 5 else AGENT_LANE
     at = {name: TIME + 0.55 + step * position for position, name in enumerate(names)}
     width = max(at.values()) + step / 2
-    width = max([width, *(at[row["sender"] or NOBODY] + 0.2 + min(LETTER * len(_words(row)), DEED) for row in rows if row["kind"] == "deed")])
+    width = max(
+        [
+            width,
+            *(
+                at[row["sender"] or NOBODY] + 0.2 + min(LETTER * len(_words(row)), DEED)
+                for row in rows
+                if row["kind"] == "deed"
+            ),
+        ]
+    )
     texts = [_lines(row, at) for row in rows]
     heights = [_height(row, lines) for row, lines in zip(rows, texts, strict=True)]
     tops = [HEAD + 0.08 + sum(heights[:position]) for position in range(len(rows))]
@@ -89,7 +117,16 @@ def drawn_sequence(rows: Sequence[Row]) -> Iterator[Any]:
     with figures.plain_canvas(width, height) as (figure, axes):
         for name, x in at.items():
             axes.plot([x, x], [HEAD, height - 0.05], color="#bbbbbb", linewidth=0.8, zorder=1)
-            _box(axes, x, HEAD - 0.2, step - 0.1, 0.34, FILLS.get(name.partition("/")[0], "white"), name.replace("/", "\n", 1), weight="bold")
+            _box(
+                axes,
+                x,
+                HEAD - 0.2,
+                step - 0.1,
+                0.34,
+                FILLS.get(name.partition("/")[0], "white"),
+                name.replace("/", "\n", 1),
+                weight="bold",
+            )
         before = None
         for row, lines, top, room in zip(rows, texts, tops, heights, strict=True):
             time = f"{row['time_s']:.3f} s"
@@ -112,7 +149,9 @@ def _lines(row: Row, at: Mapping[str, float]) -> list[str]:
     if row["kind"] == "evaluation":
         said = [row["message"], *(row["note"].split("; ") if row["note"] else ())]
         return [part for one in said for part in (textwrap.wrap(one, MAX_LINE) if len(one) > MAX_LINE else [one])]
-    between = abs(at[row["receiver"] or NOBODY] - at[row["sender"] or NOBODY]) - 0.15 if row["kind"] == "message" else DEED
+    between = (
+        abs(at[row["receiver"] or NOBODY] - at[row["sender"] or NOBODY]) - 0.15 if row["kind"] == "message" else DEED
+    )
     return textwrap.wrap(_words(row), max(int(between / LETTER), 12))
 
 
@@ -132,21 +171,71 @@ def _step(axes: Any, row: Row, lines: Sequence[str], at: Mapping[str, float], to
     elif row["kind"] == "message":
         there = at[row["receiver"] or NOBODY]
         below = top + room - 0.06
-        arrow = {"arrowstyle": "-|>", "color": "#1f4e79", "linewidth": 1.0, "linestyle": style, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8}
+        arrow = {
+            "arrowstyle": "-|>",
+            "color": "#1f4e79",
+            "linewidth": 1.0,
+            "linestyle": style,
+            "shrinkA": 0,
+            "shrinkB": 0,
+            "mutation_scale": 8,
+        }
         axes.annotate("", (there, below), (here, below), arrowprops=arrow, zorder=3)
-        axes.text((here + there) / 2, below - 0.035, words, ha="center", va="bottom", bbox=paper, zorder=2, linespacing=1.05, **TEXT)
+        axes.text(
+            (here + there) / 2,
+            below - 0.035,
+            words,
+            ha="center",
+            va="bottom",
+            bbox=paper,
+            zorder=2,
+            linespacing=1.05,
+            **TEXT,
+        )
     else:
         axes.plot([here], [top + room / 2], marker="o", markersize=3, color="#444444", zorder=3)
-        axes.text(here + 0.08, top + room / 2, words, ha="left", va="center", bbox=paper, zorder=2, color="#333333", style="italic", **TEXT)
+        axes.text(
+            here + 0.08,
+            top + room / 2,
+            words,
+            ha="left",
+            va="center",
+            bbox=paper,
+            zorder=2,
+            color="#333333",
+            style="italic",
+            **TEXT,
+        )
 
 
-def _box(axes: Any, x: float, y: float, width: float, height: float, fill: str, words: str, *, weight: str = "normal", style: str = "-") -> None:
+def _box(
+    axes: Any,
+    x: float,
+    y: float,
+    width: float,
+    height: float,
+    fill: str,
+    words: str,
+    *,
+    weight: str = "normal",
+    style: str = "-",
+) -> None:
     from matplotlib.patches import FancyBboxPatch
 
     shape = "round,pad=0,rounding_size=0.05"
     edge = "#444444"
     axes.add_patch(
-        FancyBboxPatch((x - width / 2, y - height / 2), width, height, boxstyle=shape, facecolor=fill, edgecolor=edge, linewidth=0.8, linestyle=style, zorder=4)
+        FancyBboxPatch(
+            (x - width / 2, y - height / 2),
+            width,
+            height,
+            boxstyle=shape,
+            facecolor=fill,
+            edgecolor=edge,
+            linewidth=0.8,
+            linestyle=style,
+            zorder=4,
+        )
     )
     axes.text(x, y, words, ha="center", va="center", zorder=5, weight=weight, linespacing=1.1, **TEXT)
 
@@ -154,7 +243,9 @@ def _box(axes: Any, x: float, y: float, width: float, height: float, fill: str, 
 def rungs(rows: Sequence[Row]) -> list[Row]:
     """The rows that a ladder shows: without a resolution that only repeats the result of the step before it."""
     return [
-        row for before, row in zip([None, *rows], rows, strict=False) if row["what"] != "resolved" or before is None or before["result"] not in GOOD_RESULTS
+        row
+        for before, row in zip([None, *rows], rows, strict=False)
+        if row["what"] != "resolved" or before is None or before["result"] not in GOOD_RESULTS
     ]
 
 
@@ -183,9 +274,25 @@ def drawn_ladder(rows: Sequence[Row]) -> Iterator[Any]:
             axes.text(left + 0.3, y, f"{row['time_s']:.3f} s", ha="left", va="center", color=QUIET, **TEXT)
             if row["result"] and not is_way:
                 colour = GOOD if row["result"] in GOOD_RESULTS or row["result"].startswith("to ") else BAD
-                axes.text(middle + box / 2 + 0.12, y, _outcome(row), ha="left", va="center", color=colour, weight="bold", **TEXT)
+                axes.text(
+                    middle + box / 2 + 0.12,
+                    y,
+                    _outcome(row),
+                    ha="left",
+                    va="center",
+                    color=colour,
+                    weight="bold",
+                    **TEXT,
+                )
             if below is not None:
-                arrow = {"arrowstyle": "-|>", "color": "#888888", "linewidth": 0.9, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 7}
+                arrow = {
+                    "arrowstyle": "-|>",
+                    "color": "#888888",
+                    "linewidth": 0.9,
+                    "shrinkA": 0,
+                    "shrinkB": 0,
+                    "mutation_scale": 7,
+                }
                 axes.annotate("", (middle, below - tall / 2), (middle, y + tall / 2), arrowprops=arrow, zorder=3)
         _levels(axes, shown, heights, left, tall)
         if more:
@@ -196,20 +303,28 @@ def drawn_ladder(rows: Sequence[Row]) -> Iterator[Any]:
 def _levels(axes: Any, shown: Sequence[Row], heights: Sequence[float], left: float, tall: float) -> None:
     """The name of each level beside its steps, and how long recovery stayed there."""
     placed = list(zip(shown, heights, strict=True))
-    for (failure, number, level), group in groupby(placed, key=lambda one: (one[0]["failure"], one[0]["level_number"], one[0]["level"])):
+    for (failure, number, level), group in groupby(
+        placed, key=lambda one: (one[0]["failure"], one[0]["level_number"], one[0]["level"])
+    ):
         rows = list(group)
         first, last = rows[0][1] - tall / 2, rows[-1][1] + tall / 2
         axes.plot([left + 0.15, left + 0.15], [first, last], color=figures.COLOURS["cfc"], linewidth=1.4, zorder=2)
         spent = "" if rows[0][0]["spent_s"] is None else f"\n{rows[0][0]['spent_s']:.3f} s"
         which = "" if failure == 1 else f"failure {failure}, "
-        axes.text(left + 0.05, (first + last) / 2, f"{which}level {number}: {level}{spent}", ha="right", va="center", **TEXT)
+        axes.text(
+            left + 0.05, (first + last) / 2, f"{which}level {number}: {level}{spent}", ha="right", va="center", **TEXT
+        )
 
 
 def _rung(row: Row, rows: Sequence[Row]) -> str:
     """Who took which step; for a level that is left, why."""
     if row["to_level"] is None:
         return f"{row['decided_by']}: {row['what']}" if row["decided_by"] else str(row["what"])
-    mates = [one for one in rows if (one["failure"], one["level"]) == (row["failure"], row["level"]) and one["budget_s"] is not None]
+    mates = [
+        one
+        for one in rows
+        if (one["failure"], one["level"]) == (row["failure"], row["level"]) and one["budget_s"] is not None
+    ]
     budget = f" ({mates[0]['budget_s']:g} s, {len(mates)})" if mates else ""
     return "\n".join(textwrap.wrap(f"{row['result'] or row['what']}{budget}", 52))
 

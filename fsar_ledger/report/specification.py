@@ -28,8 +28,15 @@ def curves(found: Multiverse, kind: str = "svg") -> bytes:
     chosen = [spec for spec in specs.metrics() if any(one.metric == spec.name for one in found.universes)]
     pairs = [chosen[at : at + COLUMNS] for at in range(0, len(chosen), COLUMNS)] or [[]]
     moving = {spec.name: [one for one in found.readings if spec.name in one.moves] for spec in chosen}
-    ratios = [ratio for pair in pairs for ratio in (CURVE, MARK * max((len(moving[spec.name]) for spec in pair), default=1), GAP)]
-    with figures.canvas(specs.figure("specification-curves"), len(ratios), COLUMNS, height_ratios=ratios) as (figure, axes):
+    ratios = [
+        ratio
+        for pair in pairs
+        for ratio in (CURVE, MARK * max((len(moving[spec.name]) for spec in pair), default=1), GAP)
+    ]
+    with figures.canvas(specs.figure("specification-curves"), len(ratios), COLUMNS, height_ratios=ratios) as (
+        figure,
+        axes,
+    ):
         figure.set_layout_engine(None)
         figure.subplots_adjust(**PLACE)
         for panel in axes.flat:
@@ -38,7 +45,9 @@ def curves(found: Multiverse, kind: str = "svg") -> bytes:
             for column, spec in enumerate(pair):
                 columns = ordered(found.universes, spec)
                 _curve(axes[3 * row, column], spec, columns, printed(found.cells, spec))
-                _marks(axes[3 * row + 1, column], moving[spec.name], columns, max(len(moving[one.name]) for one in pair))
+                _marks(
+                    axes[3 * row + 1, column], moving[spec.name], columns, max(len(moving[one.name]) for one in pair)
+                )
         figure.legend(*_legend(), loc="lower center", ncols=len(figures.COLOURS) + 2, frameon=False)
         return figures.rendered(figure, kind)
 
@@ -71,7 +80,9 @@ def printed(cells: Sequence[Cell], spec: specs.MetricSpec) -> dict[str, float]:
     return {
         one.architecture: one.paper * spec.scale
         for one in mine
-        if one.architecture is not None and one.paper is not None and [getattr(one, name) for name in CONDITIONS] == place
+        if one.architecture is not None
+        and one.paper is not None
+        and [getattr(one, name) for name in CONDITIONS] == place
     }
 
 
@@ -80,7 +91,14 @@ def _curve(panel: Any, spec: specs.MetricSpec, columns: Sequence[Column], paper:
     panel.set_visible(True)
     for (architecture, colour), marker in zip(figures.COLOURS.items(), MARKERS, strict=True):
         points = [(at, means[architecture]) for at, (_, means) in enumerate(columns) if architecture in means]
-        panel.plot(*zip(*points, strict=True) if points else ([], []), marker=marker, markersize=2.4, linewidth=0.4, color=colour, zorder=3)
+        panel.plot(
+            *zip(*points, strict=True) if points else ([], []),
+            marker=marker,
+            markersize=2.4,
+            linewidth=0.4,
+            color=colour,
+            zorder=3,
+        )
     best = [at for at, (_, means) in enumerate(columns) if lead(means, spec.better) > 0]
     if best:
         panel.axvspan(best[0] - 0.5, best[-1] + 0.5, color=figures.COLOURS["fsar"], alpha=0.08, linewidth=0, zorder=0)
@@ -98,10 +116,20 @@ def _marks(panel: Any, readings: Sequence[Reading], columns: Sequence[Column], l
     panel.set_visible(True)
     for height, reading in enumerate(readings):
         places = [at for at, (names, _) in enumerate(columns) if reading.name in names]
-        panel.plot(places, [height] * len(places), marker="|", markersize=4, markeredgewidth=1.1, linestyle="none", color="#444444")
+        panel.plot(
+            places,
+            [height] * len(places),
+            marker="|",
+            markersize=4,
+            markeredgewidth=1.1,
+            linestyle="none",
+            color="#444444",
+        )
     _frame(panel, columns)
     panel.set_ylim(lines - 0.4, -0.6)
-    panel.set_yticks(range(len(readings)), [f"{one.name.replace('_', ' ')} ({one.reading})" for one in readings], fontsize=SMALL)
+    panel.set_yticks(
+        range(len(readings)), [f"{one.name.replace('_', ' ')} ({one.reading})" for one in readings], fontsize=SMALL
+    )
     panel.tick_params(axis="y", length=0)
     panel.spines["bottom"].set_visible(False)
     panel.spines["left"].set_visible(False)
@@ -120,5 +148,11 @@ def _legend() -> tuple[list[Any], list[str]]:
     from matplotlib.lines import Line2D
 
     drawn = zip(figures.COLOURS.values(), MARKERS, strict=True)
-    lines: list[Any] = [Line2D([], [], color=colour, marker=marker, markersize=3.5, linewidth=0.6) for colour, marker in drawn]
-    return [*lines, Line2D([], [], **OURS), Line2D([], [], **PAPER)], [*(name.upper() for name in figures.COLOURS), "our reading", "printed in the paper"]
+    lines: list[Any] = [
+        Line2D([], [], color=colour, marker=marker, markersize=3.5, linewidth=0.6) for colour, marker in drawn
+    ]
+    return [*lines, Line2D([], [], **OURS), Line2D([], [], **PAPER)], [
+        *(name.upper() for name in figures.COLOURS),
+        "our reading",
+        "printed in the paper",
+    ]

@@ -35,7 +35,9 @@ def _compiled(root: Path) -> bytes:
     """The PDF of `report.typ` in this folder; it can read nothing outside, and no fonts but Typst's own."""
     import typst
 
-    compiled: bytes = typst.compile(root / "report.typ", root=root, timestamp=0, font_paths=typst.Fonts(include_system_fonts=False))
+    compiled: bytes = typst.compile(
+        root / "report.typ", root=root, timestamp=0, font_paths=typst.Fonts(include_system_fonts=False)
+    )
     return compiled
 
 
@@ -58,7 +60,9 @@ def _require_file(path: Path) -> None:
 
 
 def _unwritten(path: Path, error: OSError) -> WriteFailed:
-    return WriteFailed(f"{path}: cannot be written: {error.strerror or error}. Nothing was changed; free space or choose another --out.")
+    return WriteFailed(
+        f"{path}: cannot be written: {error.strerror or error}. Nothing was changed; free space or choose another --out."
+    )
 
 
 def publish(path: Path, content: bytes) -> None:

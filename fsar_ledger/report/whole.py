@@ -25,7 +25,10 @@ def is_whole(runs: Held) -> bool:
 def apart(runs: Mapping[str, Held], pairs: Mapping[str, Held]) -> frozenset[str]:
     """The architectures, and the comparisons, whose numbers are not those of the paper's tables."""
     partial = {name for name, of_scenarios in runs.items() if not is_whole(of_scenarios)}
-    return frozenset(partial | {one for one in COMPARISONS if partial & {*one.split("-")} or (one in pairs and not is_whole(pairs[one]))})
+    return frozenset(
+        partial
+        | {one for one in COMPARISONS if partial & {*one.split("-")} or (one in pairs and not is_whole(pairs[one]))}
+    )
 
 
 def why_apart(runs: Mapping[str, Held], pairs: Mapping[str, Held]) -> str | None:
@@ -34,7 +37,9 @@ def why_apart(runs: Mapping[str, Held], pairs: Mapping[str, Held]) -> str | None
     told: dict[str, list[str]] = {}
     for name in (one for one in ARCHITECTURES if one in found):
         told.setdefault(_listed(runs[name], "run"), []).append(name.upper())
-    for name in (one for one in COMPARISONS if one in found and not {*one.split("-")} & found):  # else the runs of its sides say it
+    for name in (
+        one for one in COMPARISONS if one in found and not {*one.split("-")} & found
+    ):  # else the runs of its sides say it
         told.setdefault(_listed(pairs[name], "pair"), []).append(name.upper().replace("-", " vs "))
     if not told:
         return None
@@ -43,4 +48,7 @@ def why_apart(runs: Mapping[str, Held], pairs: Mapping[str, Held]) -> str | None
 
 
 def _listed(of_scenarios: Held, what: str) -> str:
-    return some(f"{counted(count, what)} of {name or 'no scenario'}" for name, count in sorted(of_scenarios.items(), key=lambda item: item[0] or ""))
+    return some(
+        f"{counted(count, what)} of {name or 'no scenario'}"
+        for name, count in sorted(of_scenarios.items(), key=lambda item: item[0] or "")
+    )

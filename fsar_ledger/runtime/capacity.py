@@ -38,8 +38,12 @@ class Growth(NamedTuple):
 
 GROWTH: dict[Architecture, Growth] = {
     "fsar": Growth(5, 350, 0, 3, 180, 2.0),  # the registry names every candidate in its answer
-    "cfc": Growth(6, 350, 0, 12, 190, 0),  # every candidate is matched, but the more there are, the fewer steps the coordinator comes to
-    "dhma": Growth(17, 670, 10.2, 3, 450, 5.2),  # every candidate bids, which takes three agents and a record of each word between them
+    "cfc": Growth(
+        6, 350, 0, 12, 190, 0
+    ),  # every candidate is matched, but the more there are, the fewer steps the coordinator comes to
+    "dhma": Growth(
+        17, 670, 10.2, 3, 450, 5.2
+    ),  # every candidate bids, which takes three agents and a record of each word between them
 }
 POLLING_PER_ROBOT = 45  # without a registry each meeting is remembered
 
@@ -64,7 +68,10 @@ def expected(cell: Cell, fleet_size: int, constants: Constants) -> Expected:
     polling = POLLING_PER_ROBOT if "shared-registry" in lacks(configuration) else 0
     facts = FACTS_PER_ARRIVAL * arrivals_expected(constants.world, fleet_size, constants.outages, load)
     return Expected(
-        facts + (FOUNDING_PER_ROBOT + growth.of_robot + polling) * fleet_size + growth.of_team * sets + growth.of_candidate * asked,
+        facts
+        + (FOUNDING_PER_ROBOT + growth.of_robot + polling) * fleet_size
+        + growth.of_team * sets
+        + growth.of_candidate * asked,
         growth.list_of_robot * fleet_size + growth.list_of_team * sets + growth.list_of_candidate * asked,
     )
 
@@ -74,7 +81,10 @@ def fits(scenarios: Iterable[tuple[Cell, ...]], runs_at_once: int, fleet_size: i
     for cells in scenarios:
         rounds, rest = divmod(runs_at_once, len(cells))
         found = [expected(cell, fleet_size, constants) for cell in cells]
-        for each, most in (([one.events for one in found], MAX_ROWS), ([one.list_values for one in found], MAX_LIST_VALUES)):
+        for each, most in (
+            ([one.events for one in found], MAX_ROWS),
+            ([one.list_values for one in found], MAX_LIST_VALUES),
+        ):
             if not rounds * sum(each) + sum(sorted(each, reverse=True)[:rest]) <= most:
                 return False
     return True

@@ -29,7 +29,9 @@ from .capacity import Cell, Expected, expected, fits, largest_fleet
 from .world.workflows import FLEET_SIZE, WORKFLOWS
 
 ORIGIN = "fsar-ledger/simulated"
-WORKFLOWS_ORIGIN = "fsar-ledger/workflows"  # of the second ledger of `reproduce`: no key signs two trees under one origin
+WORKFLOWS_ORIGIN = (
+    "fsar-ledger/workflows"  # of the second ledger of `reproduce`: no key signs two trees under one origin
+)
 BATCH_RUNS = 25  # runs in a commit, if it holds so many, whatever the number of workers
 IN_FLIGHT = 2  # batches per worker that may be under way, so that memory stays flat
 
@@ -62,7 +64,9 @@ class Experiment(msgspec.Struct, frozen=True):
         if not 0 <= self.seed < 2**53:
             raise InvalidExperiment(f"seed: found {self.seed}, expected 0 to {2**53 - 1}")
         if self.fleet_size < 4 or self.fleet_size % 4:
-            raise InvalidExperiment(f"fleet size: found {self.fleet_size}, expected a multiple of 4 (teams of four roles) from 4")
+            raise InvalidExperiment(
+                f"fleet size: found {self.fleet_size}, expected a multiple of 4 (teams of four roles) from 4"
+            )
         self._require_mechanisms()
         if wrong := negatives(self.constants):
             raise InvalidExperiment(f"constants: found {some(wrong)}, expected 0 or more")
@@ -75,7 +79,11 @@ class Experiment(msgspec.Struct, frozen=True):
         """A commit holds so many runs of such a fleet, or all there are. Raises: InvalidExperiment, with the largest fleet of which it does."""
         at_once = min(runs_at_once, self.size)
         cells = [
-            tuple((scenario, architecture, configuration) for architecture in self.architectures for configuration in self.configurations)
+            tuple(
+                (scenario, architecture, configuration)
+                for architecture in self.architectures
+                for configuration in self.configurations
+            )
             for scenario in self.scenarios
         ]
         if fits(cells, at_once, self.fleet_size, self.constants):
@@ -106,7 +114,9 @@ class Experiment(msgspec.Struct, frozen=True):
             return
         teams, working = self.fleet_size // 4, load.teams_working
         if working is not None and not 1 <= working <= teams:
-            raise InvalidExperiment(f"teams working: found {working}, expected 1 to {teams}, the teams of a fleet of {self.fleet_size}")
+            raise InvalidExperiment(
+                f"teams working: found {working}, expected 1 to {teams}, the teams of a fleet of {self.fleet_size}"
+            )
         if load.interval_s <= 0:
             raise InvalidExperiment(f"interval of task sets: found {load.interval_s} s, expected more than 0")
         most = int(world.horizon_s / 2 / load.interval_s) + 1
@@ -115,7 +125,9 @@ class Experiment(msgspec.Struct, frozen=True):
                 f"task sets: found {load.task_sets}, expected 1 to {most}, one each {load.interval_s:g} s in half the world's {world.horizon_s:g} s"
             )
         if any(name in WORKFLOWS for name in self.scenarios):
-            raise InvalidExperiment(f"workflow {self.scenarios[0]}: found another load, expected the tasks of its script alone")
+            raise InvalidExperiment(
+                f"workflow {self.scenarios[0]}: found another load, expected the tasks of its script alone"
+            )
 
     def _require_workflows_as_written(self) -> None:
         """The workflows are those of the paper: FSAR's, in full, with one robot of each role."""
@@ -126,7 +138,9 @@ class Experiment(msgspec.Struct, frozen=True):
         if len(workflows) < len(self.scenarios):
             raise InvalidExperiment(f"{about}: found beside scenarios, expected workflows alone")
         if self.architectures != ("fsar",) or self.configurations != (FULL,):
-            raise InvalidExperiment(f"{about}: found {', '.join(self.architectures)} ({', '.join(self.configurations)}), expected fsar (full)")
+            raise InvalidExperiment(
+                f"{about}: found {', '.join(self.architectures)} ({', '.join(self.configurations)}), expected fsar (full)"
+            )
         if self.fleet_size != FLEET_SIZE:
             raise InvalidExperiment(f"{about}: found fleet size {self.fleet_size}, expected {FLEET_SIZE}")
         if self.constants.outages is not None:
@@ -190,7 +204,9 @@ class Experiment(msgspec.Struct, frozen=True):
 def _require_known(what: str, found: tuple[str, ...], expected: tuple[str, ...]) -> None:
     unknown = [name for name in found if name not in expected]
     if unknown or not found or len(set(found)) != len(found):
-        raise InvalidExperiment(f"{what}: found {', '.join(found) or 'none'}, expected some of {', '.join(expected)}, each once")
+        raise InvalidExperiment(
+            f"{what}: found {', '.join(found) or 'none'}, expected some of {', '.join(expected)}, each once"
+        )
 
 
 def _require_configurations(found: tuple[Configuration, ...]) -> None:
@@ -245,7 +261,11 @@ def carry_out(
     name = origin or (signer.verifier.name if signer is not None else ORIGIN)
     with Writer(out, name, signer, adopts=adopts) as writer:
         found = writer.held()
-        missing = experiment.batches(lambda spec: run_id(run_started(spec, constants)) in found.runs) if found.runs else experiment.batches()
+        missing = (
+            experiment.batches(lambda spec: run_id(run_started(spec, constants)) in found.runs)
+            if found.runs
+            else experiment.batches()
+        )
         if missing and plan.run_id not in found.plans:
             writer.append(stage(out, [plan]))
         made, done = sum(map(len, missing)), max(0, ceil(experiment.size / BATCH_RUNS) - len(missing))

@@ -38,7 +38,12 @@ FURTHER = 2
 BEYOND: dict[int, int] = {32: 5, 64: 10}
 """Larger fleets, and how many times fewer runs they have: one run of 64 robots costs as much as twenty of four."""
 
-_ORIGINS: dict[Name, str] = {"results": ORIGIN, "ablation": "fsar-ledger/ablation", "scaling": "fsar-ledger/scaling", "workflows": WORKFLOWS_ORIGIN}
+_ORIGINS: dict[Name, str] = {
+    "results": ORIGIN,
+    "ablation": "fsar-ledger/ablation",
+    "scaling": "fsar-ledger/scaling",
+    "workflows": WORKFLOWS_ORIGIN,
+}
 
 
 class Named(msgspec.Struct, frozen=True):
@@ -55,7 +60,9 @@ class Named(msgspec.Struct, frozen=True):
 
     def signer(self, signer: Signer | None) -> Signer | None:
         """Return the same secret under this ledger's name: under the key's own for `results`, else under that and the experiment's. None: unsigned."""
-        return signer if signer is None or self.name == "results" else signer.under(f"{signer.verifier.name}/{self.name}")
+        return (
+            signer if signer is None or self.name == "results" else signer.under(f"{signer.verifier.name}/{self.name}")
+        )
 
 
 def named(name: Name, seed: int, runs: int | None = None) -> Named:
@@ -89,7 +96,9 @@ def _scaling(seed: int, runs: int) -> Iterator[Experiment]:
         if size in BEYOND:
             yield Experiment(ARCHITECTURES, SCENARIOS, fewer, seed, size)
         for teams in range(1, size // 4) if size == LOADED_SIZE else (1,):
-            yield Experiment(ARCHITECTURES, SCENARIOS, fewer, seed, size, constants=Constants(load=Load(teams_working=teams)))
+            yield Experiment(
+                ARCHITECTURES, SCENARIOS, fewer, seed, size, constants=Constants(load=Load(teams_working=teams))
+            )
 
 
 def _workflows(seed: int, runs: int) -> Iterator[Experiment]:

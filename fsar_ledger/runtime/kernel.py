@@ -28,7 +28,9 @@ from .world.draws import Draws
 from .world.schedule import Fact
 
 _Plan = dict[type[Event], tuple[tuple[tuple[str, Callable[[Any, Any], Any]], ...], tuple[React, ...]]]
-_Pending = tuple[int, int, int, Scheduled]  # when it is due (or, of what is kept, after how long then), serial, cause, command
+_Pending = tuple[
+    int, int, int, Scheduled
+]  # when it is due (or, of what is kept, after how long then), serial, cause, command
 
 LATEST_US = 2 * END_US  # a run is this long at most; one that still does things a moment apart by then is a bug
 MOMENT_US = 60_000_000
@@ -43,7 +45,14 @@ def _plan(wiring: Wiring) -> _Plan:
 class Kernel:
     """One run in progress: what was recorded, the state it makes, and the commands that are pending."""
 
-    def __init__(self, wiring: Wiring, facts: Sequence[Fact], draws: Draws, founding: Sequence[Event], founded: State | None = None) -> None:
+    def __init__(
+        self,
+        wiring: Wiring,
+        facts: Sequence[Fact],
+        draws: Draws,
+        founding: Sequence[Event],
+        founded: State | None = None,
+    ) -> None:
         """The run begins with `founding`; `founded` is the state that all of it but its first event makes, where that is known already."""
         self.times_us: list[int] = []
         self.caused_by: list[int | None] = []
@@ -103,7 +112,9 @@ class Kernel:
     def _require_end(self, time_us: int, cause: int, scheduled: Scheduled) -> None:
         """What is due so late was waited for long. Raises: RuntimeError if it was not."""
         if time_us - self.times_us[cause] < MOMENT_US:
-            raise RuntimeError(f"the run does not end: {scheduled.command} is due at {time_us} microseconds, caused by event {cause}")
+            raise RuntimeError(
+                f"the run does not end: {scheduled.command} is due at {time_us} microseconds, caused by event {cause}"
+            )
 
     def restore(self, times_us: Sequence[int], caused_by: Sequence[int | None], events: Sequence[Event]) -> None:
         """The run stands before the last batch of these recorded events; `run` makes that batch again and goes on.
@@ -135,7 +146,10 @@ class Kernel:
         heappop(self._pending)
 
     def _discard_before(self, time_us: int, cause: int | None) -> None:
-        while self._pending and (self._pending[0][0] < time_us or (cause != 0 and self._pending[0][0] == time_us and self._pending[0][2] != cause)):
+        while self._pending and (
+            self._pending[0][0] < time_us
+            or (cause != 0 and self._pending[0][0] == time_us and self._pending[0][2] != cause)
+        ):
             self._keep(heappop(self._pending))
 
     def _batch(self, events: Sequence[Event], time_us: int, cause: int | None) -> None:
@@ -200,7 +214,10 @@ class Kernel:
         self._record(fact, time_us, 0)
         if isinstance(fact, RobotWentOff):
             stopped = [one for one in self._pending if self._actor(one[3]) == fact.robot and not _is_message(one[3])]
-            self._kept += [(due_us - time_us, serial, cause, scheduled) for due_us, serial, cause, scheduled in sorted(stopped, key=lambda one: one[:2])]
+            self._kept += [
+                (due_us - time_us, serial, cause, scheduled)
+                for due_us, serial, cause, scheduled in sorted(stopped, key=lambda one: one[:2])
+            ]
             self._pending[:] = [one for one in self._pending if one not in stopped]
             heapify(self._pending)
         elif isinstance(fact, RobotCameBack | LinkCameUp):
@@ -223,7 +240,9 @@ class Kernel:
 
 def _is_message(scheduled: Scheduled) -> bool:
     """True for what only travels: it goes on its way while who receives it is off, and waits there."""
-    return scheduled.after_us <= 1 and bool(scheduled.draws) and all(draw.sender is not None for draw in scheduled.draws)
+    return (
+        scheduled.after_us <= 1 and bool(scheduled.draws) and all(draw.sender is not None for draw in scheduled.draws)
+    )
 
 
 def _is_same_batch(times_us: Sequence[int], caused_by: Sequence[int | None], seq: int) -> bool:

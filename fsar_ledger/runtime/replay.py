@@ -85,7 +85,9 @@ class Difference(msgspec.Struct, frozen=True):
         parts = (("commit", self.commit), ("run", self.run), ("seq", self.seq), ("field", self.field))
         place = ", ".join(f"{name} {value}" for name, value in parts if value is not None)
         source = "" if self.handler is None else f" from {self.handler}"
-        return f"{': '.join(filter(None, (self.segment, place)))}: found {self.actual}, expected {self.expected}{source}"
+        return (
+            f"{': '.join(filter(None, (self.segment, place)))}: found {self.actual}, expected {self.expected}{source}"
+        )
 
 
 class ReplayReport(msgspec.Struct, frozen=True):
@@ -120,7 +122,9 @@ NOT_REPLAYED = ReplayReport(False)
 """The report on a ledger that does not verify: what its rows say is not known to be what was recorded."""
 
 
-def replay(path: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None, commits: int | None = None) -> ReplayReport:
+def replay(
+    path: Path, workers: int = 1, progress: Callable[[int, int], None] | None = None, commits: int | None = None
+) -> ReplayReport:
     """Every run was played again, and of each that differs the first difference is in the report; so is each run that could not be checked.
 
     Args:
@@ -224,7 +228,9 @@ class _Replay(Kernel):
         events, founded = founding_of(spec, constants)
         self._stored, self._count = record, len(record.events)
         self._deciding: Callable[..., object] = founding
-        self._facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size, constants.outages, constants.load)
+        self._facts = schedule(
+            constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size, constants.outages, constants.load
+        )
         self._silent: list[tuple[int, Decide]] = []  # when, and who had a turn since the last event and made nothing
         for seq, event in enumerate(events):
             self._require(seq, event, 0, None if seq == 0 else 0)
@@ -251,7 +257,9 @@ class _Replay(Kernel):
             if not events:
                 self._silent.append((command.now_us, decide))
                 if len(self._silent) > MAX_SILENT:
-                    raise RuntimeError(f"more than {MAX_SILENT:,} decisions in a row made nothing, the last at {command.now_us} microseconds")
+                    raise RuntimeError(
+                        f"more than {MAX_SILENT:,} decisions in a row made nothing, the last at {command.now_us} microseconds"
+                    )
             return events
 
         return noted
@@ -276,7 +284,10 @@ class _Replay(Kernel):
         stored, actual_us = self._stored.events[seq], self._stored.times_us[seq]
         if type(stored) is not type(event):
             return "type", self.handler(), _at(event, time_us), self._actual(seq)
-        pairs: list[tuple[str, object, object]] = [("time_us", time_us, actual_us), ("caused_by", cause, self._stored.caused_by[seq])]
+        pairs: list[tuple[str, object, object]] = [
+            ("time_us", time_us, actual_us),
+            ("caused_by", cause, self._stored.caused_by[seq]),
+        ]
         pairs += [(name, getattr(event, name), getattr(stored, name)) for name in event.__struct_fields__]
         name, expected, actual = next(pair for pair in pairs if pair[1] != pair[2])
         if type(event) in _FACTS and name != "caused_by":
@@ -292,7 +303,11 @@ class _Replay(Kernel):
     def _unasked(self, seq: int) -> _Differs | None:
         """The difference, if the recorded event stands where a handler had its turn and made nothing."""
         decide = dict(self._silent).get(self._stored.times_us[seq])
-        return None if decide is None else _Differs(self._stored.run_id, seq, "type", _name(decide), "nothing", self._actual(seq))
+        return (
+            None
+            if decide is None
+            else _Differs(self._stored.run_id, seq, "type", _name(decide), "nothing", self._actual(seq))
+        )
 
 
 def _name(function: Callable[..., object]) -> str:
@@ -301,7 +316,11 @@ def _name(function: Callable[..., object]) -> str:
 
 def _at(event: Event, time_us: int) -> str:
     """The event, of a fact of the world also what it is about."""
-    about = ", ".join(f"{name} {getattr(event, name)!r:.80}" for name in event.__struct_fields__) if type(event) in _FACTS else ""
+    about = (
+        ", ".join(f"{name} {getattr(event, name)!r:.80}" for name in event.__struct_fields__)
+        if type(event) in _FACTS
+        else ""
+    )
     return f"{event.__struct_config__.tag} at {time_us} microseconds{f' ({about})' if about else ''}"
 
 
@@ -325,14 +344,26 @@ def _parameters(run: str, started: RunStarted, event_count: int) -> tuple[RunSpe
     if started.kind != "simulated":
         raise refused("kind", "a simulated run", f"a {started.kind} run, whose commands are not stored")
     if started.model_version != MODEL_VERSION:
-        raise refused("model_version", f"{MODEL_VERSION!r}; replay it with the version that wrote it", repr(started.model_version))
+        raise refused(
+            "model_version", f"{MODEL_VERSION!r}; replay it with the version that wrote it", repr(started.model_version)
+        )
     try:
         spec = msgspec.convert({name: getattr(started, name) for name in RunSpec.__struct_fields__}, RunSpec)
         constants = _constants(started.parameters or "")
         most = FACTS_PER_ROBOT * spec.fleet_size + event_count
         if not arrivals_expected(constants.world, spec.fleet_size, constants.outages, constants.load) <= most:
-            raise refused("parameters", f"rates of the world that make at most {most} facts", "more than that to be expected")
-        Experiment((spec.architecture,), (spec.scenario,), spec.run + 1, spec.seed, spec.fleet_size, (spec.configuration,), constants)
+            raise refused(
+                "parameters", f"rates of the world that make at most {most} facts", "more than that to be expected"
+            )
+        Experiment(
+            (spec.architecture,),
+            (spec.scenario,),
+            spec.run + 1,
+            spec.seed,
+            spec.fleet_size,
+            (spec.configuration,),
+            constants,
+        )
     except BadParameters as error:
         raise refused("parameters", "the constants of the model", str(error).removeprefix("found ")) from error
     except (InvalidExperiment, msgspec.ValidationError) as error:
@@ -341,7 +372,11 @@ def _parameters(run: str, started: RunStarted, event_count: int) -> tuple[RunSpe
     if started.observes != own.observes:
         raise refused("observes", repr(own.observes), repr(started.observes))
     if own != started:
-        raise refused("parameters", "all constants of the model, in the form in which it writes them", f"{started.parameters!r:.300}")
+        raise refused(
+            "parameters",
+            "all constants of the model, in the form in which it writes them",
+            f"{started.parameters!r:.300}",
+        )
     return spec, constants
 
 

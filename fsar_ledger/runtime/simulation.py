@@ -82,9 +82,13 @@ def run_id(started: RunStarted) -> str:
 
 def kernel(spec: RunSpec, constants: Constants, structure: Wiring | None = None) -> Kernel:
     """The run at its founding, before the world has done anything; `structure` replaces the architecture's own wiring."""
-    facts = schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size, constants.outages, constants.load)
+    facts = schedule(
+        constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size, constants.outages, constants.load
+    )
     draws = Draws(run_key(spec.seed, spec.scenario, spec.run), constants.world)
-    return Kernel(structure or wiring(spec.architecture, spec.configuration), facts, draws, *founding_of(spec, constants))
+    return Kernel(
+        structure or wiring(spec.architecture, spec.configuration), facts, draws, *founding_of(spec, constants)
+    )
 
 
 def founding_of(spec: RunSpec, constants: Constants) -> tuple[tuple[Event, ...], State]:

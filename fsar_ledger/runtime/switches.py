@@ -38,7 +38,17 @@ from fsar_ledger.runtime.architectures.fsar import request as fsar_request
 from fsar_ledger.runtime.architectures.wiring import Wiring
 from fsar_ledger.runtime.handlers.actors import body
 from fsar_ledger.runtime.handlers.attribution import on_shift, principals
-from fsar_ledger.runtime.handlers.commands import CloseRequest, Command, Decide, DecideRoutine, Draw, EndAttempt, React, Scheduled, StartAction
+from fsar_ledger.runtime.handlers.commands import (
+    CloseRequest,
+    Command,
+    Decide,
+    DecideRoutine,
+    Draw,
+    EndAttempt,
+    React,
+    Scheduled,
+    StartAction,
+)
 from fsar_ledger.runtime.handlers.execution import holds_robot, started
 from fsar_ledger.runtime.handlers.recovery import attempt_result, attempt_succeeds, budget, open_failure
 
@@ -120,7 +130,9 @@ def _retold(change: Callable[[State, Event], Event | None], decide: Decide) -> D
 
 def _everywhere(change: Callable[[Decide], Decide]) -> Rewire:
     def rewired(whole: Wiring) -> Wiring:
-        return Wiring({command: change(decide) for command, decide in whole.decides.items()}, whole.reacts, whole.actors)
+        return Wiring(
+            {command: change(decide) for command, decide in whole.decides.items()}, whole.reacts, whole.actors
+        )
 
     return rewired
 
@@ -155,7 +167,9 @@ def _in_no_time(name: str) -> Callable[[State], Any]:
 
 def _closed_by_requester(state: State, command: CloseRequest) -> tuple[Event, ...]:
     events = fsar_request.close_request(state, command)
-    return tuple(_decided_by(event, event.requested_by) if isinstance(event, RequestClosed) else event for event in events)
+    return tuple(
+        _decided_by(event, event.requested_by) if isinstance(event, RequestClosed) else event for event in events
+    )
 
 
 def _started_unchecked(state: State, command: StartAction) -> tuple[Event, ...]:
@@ -258,7 +272,11 @@ def _on_own_attempt(state: State, event: RecoveryAttempted, now_us: int) -> tupl
         return cfc_recovery.REACTS[RecoveryAttempted](state, event, now_us)
     key = f"{event.failed_action}/{event.failure}/{event.number}"
     end = EndAttempt(event.failed_action, event.number)
-    return (Scheduled(end, state.fleet.structure.retry_preparation_us, (Draw("retry", key),), Draw("reliability", "retry/" + key)),)
+    return (
+        Scheduled(
+            end, state.fleet.structure.retry_preparation_us, (Draw("retry", key),), Draw("reliability", "retry/" + key)
+        ),
+    )
 
 
 def _on_own_attempt_failed(state: State, event: RecoveryAttemptFailed, now_us: int) -> tuple[Scheduled, ...]:
@@ -277,7 +295,11 @@ def _recovering_alone(whole: Wiring) -> Wiring:
         cfc_recovery.REACTS[RecoveryAttemptFailed]: _on_own_attempt_failed,
     }
     reacts = {event: tuple(instead.get(react, react) for react in several) for event, several in whole.reacts.items()}
-    return Wiring({**whole.decides, RetryAlone: _retry_alone, EndAttempt: _end_own_attempt}, reacts, {**whole.actors, RetryAlone: body})
+    return Wiring(
+        {**whole.decides, RetryAlone: _retry_alone, EndAttempt: _end_own_attempt},
+        reacts,
+        {**whole.actors, RetryAlone: body},
+    )
 
 
 def _requester_named(state: State, event: Any) -> Event:
@@ -305,19 +327,25 @@ def _decided_by_robots(state: State, event: Any) -> Event:
 def _passed_at_once(state: State, command: dhma_authority.PassExecution) -> tuple[Event, ...]:
     """The sender lets go in the same instant in which the receiver claims."""
     events = dhma_authority.pass_execution(state, command)
-    acknowledged = dhma_authority.acknowledge_execution(state, dhma_authority.AcknowledgeExecution(command.action_id, command.round, command.sender))
+    acknowledged = dhma_authority.acknowledge_execution(
+        state, dhma_authority.AcknowledgeExecution(command.action_id, command.round, command.sender)
+    )
     return (*acknowledged, *events)
 
 
 def _snapshots_of_now(state: State) -> Any:
     """What is known, with snapshots that show every robot's policy as it is."""
-    return msgspec.structs.replace(state.knowledge, snapshot={robot: in_force(state.world.local, robot) for robot in state.fleet.robots})
+    return msgspec.structs.replace(
+        state.knowledge, snapshot={robot: in_force(state.world.local, robot) for robot in state.fleet.robots}
+    )
 
 
 def _talking_in_no_time(whole: Wiring) -> Wiring:
     """The agents of a robot hear each other at once; what they say is on record as before."""
     quick = partial(_seeing, "fleet", _in_no_time("hop_ppm"))
-    return Wiring(whole.decides, {event: tuple(map(quick, several)) for event, several in whole.reacts.items()}, whole.actors)
+    return Wiring(
+        whole.decides, {event: tuple(map(quick, several)) for event, several in whole.reacts.items()}, whole.actors
+    )
 
 
 def _decided_as_one(_state: State, event: Any) -> Event:
@@ -339,7 +367,12 @@ SWITCHES: tuple[Switch, ...] = (
     Switch("shared-registry", "fsar", ("coordination_success",)),
     Switch("engine-closing", "fsar", ("governance_locality",), {CloseRequest: _closed_by_requester}),
     Switch("boundary-revocation", "fsar", ("authority_conflicts",), {fsar_authority.Revoke: _nothing}),
-    Switch("start-recheck", "fsar", ("policy_violations", "coordination_success"), rewire=_starting_unchecked(is_delegated=True)),
+    Switch(
+        "start-recheck",
+        "fsar",
+        ("policy_violations", "coordination_success"),
+        rewire=_starting_unchecked(is_delegated=True),
+    ),
     Switch(
         "own-work-check",
         "fsar",
@@ -367,13 +400,37 @@ SWITCHES: tuple[Switch, ...] = (
             cfc_recovery.GoOnWithoutHelp: _served_at_once(cfc_recovery.go_on_without_help),
         },
     ),
-    Switch("central-recovery", "cfc", ("recovery_containment", "reassignment_latency_s", "human_intervention"), rewire=_recovering_alone),
-    Switch("unnamed-requests", "cfc", ("audit_attributability",), rewire=_everywhere(partial(_retold, _requester_named))),
-    Switch("central-decisions", "cfc", ("governance_locality",), rewire=_everywhere(partial(_retold, _decided_by_robots))),
+    Switch(
+        "central-recovery",
+        "cfc",
+        ("recovery_containment", "reassignment_latency_s", "human_intervention"),
+        rewire=_recovering_alone,
+    ),
+    Switch(
+        "unnamed-requests", "cfc", ("audit_attributability",), rewire=_everywhere(partial(_retold, _requester_named))
+    ),
+    Switch(
+        "central-decisions", "cfc", ("governance_locality",), rewire=_everywhere(partial(_retold, _decided_by_robots))
+    ),
     Switch("acknowledged-handoffs", "dhma", ("authority_conflicts",), {dhma_authority.PassExecution: _passed_at_once}),
-    Switch("planner-claims", "dhma", ("authority_conflicts",), rewire=_leaving_out(AuthorityClaimed, dhma_agents.EngagePlanner)),
-    Switch("recovery-disputes", "dhma", ("recovery_containment", "reassignment_latency_s"), {dhma_recovery.Dispute: _nothing}),
-    Switch("contract-questioning", "dhma", ("coordination_success",), rewire=_leaving_out(ContractQuestioned, dhma_agents.EngagePlanner)),
+    Switch(
+        "planner-claims",
+        "dhma",
+        ("authority_conflicts",),
+        rewire=_leaving_out(AuthorityClaimed, dhma_agents.EngagePlanner),
+    ),
+    Switch(
+        "recovery-disputes",
+        "dhma",
+        ("recovery_containment", "reassignment_latency_s"),
+        {dhma_recovery.Dispute: _nothing},
+    ),
+    Switch(
+        "contract-questioning",
+        "dhma",
+        ("coordination_success",),
+        rewire=_leaving_out(ContractQuestioned, dhma_agents.EngagePlanner),
+    ),
     Switch(
         "policy-snapshots",
         "dhma",
@@ -387,6 +444,10 @@ SWITCHES: tuple[Switch, ...] = (
     Switch("hop-latency", "dhma", ("reassignment_latency_s", "coordination_success"), rewire=_talking_in_no_time),
     Switch("handoff-records", "dhma", ("audit_attributability",), {dhma_talk.HandOver: _nothing}),
     Switch("agent-decisions", "dhma", ("governance_locality",), rewire=_everywhere(partial(_retold, _decided_as_one))),
-    Switch("nested-queries", "dhma", ("policy_violations", "audit_attributability"), {dhma_authority.RunOutsider: _nothing}),
+    Switch(
+        "nested-queries", "dhma", ("policy_violations", "audit_attributability"), {dhma_authority.RunOutsider: _nothing}
+    ),
 )
-assert {(one.architecture, one.name) for one in SWITCHES} == {(architecture, name) for architecture, names in MECHANISMS_OF.items() for name in names}
+assert {(one.architecture, one.name) for one in SWITCHES} == {
+    (architecture, name) for architecture, names in MECHANISMS_OF.items() for name in names
+}

@@ -15,7 +15,10 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.metrics.naming import unlike_ours
 from fsar_ledger.printable import NAMED, some
 
-KINDS = {"other constants": "met a world or a structure that is not this version's", "another load": "had other work than by default"}
+KINDS = {
+    "other constants": "met a world or a structure that is not this version's",
+    "another load": "had other work than by default",
+}
 
 World = tuple[int | None, str | None, int | None, int | None]  # seed, scenario, fleet size, run
 
@@ -33,7 +36,11 @@ def played(starts: Iterable[RunStarted]) -> tuple[Played, ...]:
     """What these runs met, in the order in which it was first met."""
     groups: dict[tuple[str, str, str], list[World]] = {}
     for one in starts:
-        kind = (one.parameters or "", one.architecture or "", one.configuration or "")  # all there of a run that was replayed
+        kind = (
+            one.parameters or "",
+            one.architecture or "",
+            one.configuration or "",
+        )  # all there of a run that was replayed
         groups.setdefault(kind, []).append((one.seed, one.scenario, one.fleet_size, one.run))
     return tuple(Played(*kind, tuple(worlds)) for kind, worlds in groups.items())
 
@@ -58,7 +65,11 @@ def remarks_on(found: Iterable[Played]) -> tuple[str, ...]:
     ]
     if len(lines) > NAMED:
         lines[NAMED:] = [f"other constants: {len(lines) - NAMED:,} sets more"]
-    unlike = [world for world, sides in met.items() if any(one.isdisjoint(other) for one, other in combinations(sides.values(), 2))]
+    unlike = [
+        world
+        for world, sides in met.items()
+        if any(one.isdisjoint(other) for one, other in combinations(sides.values(), 2))
+    ]
     if unlike:
         seed, scenario, fleet_size, run = unlike[0]
         lines.append(

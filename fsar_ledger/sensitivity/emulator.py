@@ -47,7 +47,9 @@ def design(points: int, names: Sequence[str]) -> Matrix:
     if not points:
         return np.zeros((0, len(names)))
     sequence = qmc.Sobol(len(names), scramble=False).random_base2((points - 1).bit_length())[:points]
-    shifts = [int.from_bytes(blake2b(name.encode(), digest_size=6, person=b"sobol").digest(), "big") / 2**48 for name in names]
+    shifts = [
+        int.from_bytes(blake2b(name.encode(), digest_size=6, person=b"sobol").digest(), "big") / 2**48 for name in names
+    ]
     return np.asarray((sequence + np.array(shifts)) % 1.0)
 
 
@@ -81,7 +83,9 @@ def _orthonormal(factor: Factor, positions: Vector) -> list[Vector]:
 def _coordinates(factor: Factor, positions: Vector) -> Vector:
     """Where on a line from -1 to 1 the factor is: at its position, or at the number of its setting."""
     count = len(factor.settings)
-    return np.asarray(2 * np.minimum(np.floor(positions * count), count - 1) / (count - 1) - 1 if count else 2 * positions - 1)
+    return np.asarray(
+        2 * np.minimum(np.floor(positions * count), count - 1) / (count - 1) - 1 if count else 2 * positions - 1
+    )
 
 
 def indices(found: Terms, outputs: Vector, factor_count: int) -> Indices:
@@ -93,8 +97,14 @@ def indices(found: Terms, outputs: Vector, factor_count: int) -> Indices:
     if r2 < LEAST_R2:
         return Indices(r2, None, None)
     whole = float(variances.sum())
-    first = [sum(float(part) for part, of in zip(variances, found.of, strict=True) if of == (factor,)) / whole for factor in range(factor_count)]
-    total = [sum(float(part) for part, of in zip(variances, found.of, strict=True) if factor in of) / whole for factor in range(factor_count)]
+    first = [
+        sum(float(part) for part, of in zip(variances, found.of, strict=True) if of == (factor,)) / whole
+        for factor in range(factor_count)
+    ]
+    total = [
+        sum(float(part) for part, of in zip(variances, found.of, strict=True) if factor in of) / whole
+        for factor in range(factor_count)
+    ]
     return Indices(r2, tuple(first), tuple(total))
 
 

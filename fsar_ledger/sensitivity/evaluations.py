@@ -26,7 +26,9 @@ from fsar_ledger.workers import WorkerPool
 
 from .factors import Setting
 
-CELLS: tuple[tuple[str, str], ...] = tuple((metric, architecture) for metric in MARGINS for architecture in ARCHITECTURES)
+CELLS: tuple[tuple[str, str], ...] = tuple(
+    (metric, architecture) for metric in MARGINS for architecture in ARCHITECTURES
+)
 """The 24 cells of the results table, in the order in which an evaluation answers them."""
 
 Answer = tuple[float | None, ...]
@@ -111,19 +113,25 @@ class Answers:
             if not lines:
                 self._write(header)
         except OSError as error:
-            raise WriteFailed(f"{path}: cannot be written ({error.strerror or error}); free space or give another --out") from error
+            raise WriteFailed(
+                f"{path}: cannot be written ({error.strerror or error}); free space or give another --out"
+            ) from error
 
     def _read(self, lines: list[bytes], header: _Header) -> None:
         try:
             if lines and msgspec.json.decode(lines[0], type=_Header) != header:
-                raise UsageError(f"{self._path}: found evaluations of another program, expected those of this one; remove the file to begin again")
+                raise UsageError(
+                    f"{self._path}: found evaluations of another program, expected those of this one; remove the file to begin again"
+                )
             for line in lines[1:]:
                 one = msgspec.json.decode(line, type=_Line)
                 if len(one.values) != len(CELLS):
                     raise msgspec.ValidationError(f"{len(one.values)} values")
                 self.found[one.key] = one.values
         except msgspec.MsgspecError as error:
-            raise UsageError(f"{self._path}: found a line that is no evaluation ({error}); remove the file, or give another --out") from error
+            raise UsageError(
+                f"{self._path}: found a line that is no evaluation ({error}); remove the file, or give another --out"
+            ) from error
 
     def _write(self, line: msgspec.Struct) -> None:
         self._file.write(msgspec.json.encode(line) + b"\n")
@@ -134,7 +142,9 @@ class Answers:
         try:
             self._write(_Line(key, values))
         except OSError as error:
-            raise WriteFailed(f"{self._path}: cannot be written ({error.strerror}); make room and call it again, which goes on from there") from error
+            raise WriteFailed(
+                f"{self._path}: cannot be written ({error.strerror}); make room and call it again, which goes on from there"
+            ) from error
         self.found[key] = values
 
     def finish(self) -> None:
@@ -143,14 +153,18 @@ class Answers:
         try:
             os.unlink(self._path)
         except OSError as error:
-            raise WriteFailed(f"{self._path}: cannot be removed ({error.strerror}); the result is complete, remove the file by hand") from error
+            raise WriteFailed(
+                f"{self._path}: cannot be removed ({error.strerror}); the result is complete, remove the file by hand"
+            ) from error
 
     def close(self) -> None:
         """Nothing more is kept."""
         self._file.close()
 
 
-def answer_all(questions: Mapping[str, Question], answers: Answers, ask: Evaluate, workers: int, told: Callable[[], None]) -> None:
+def answer_all(
+    questions: Mapping[str, Question], answers: Answers, ask: Evaluate, workers: int, told: Callable[[], None]
+) -> None:
     """Each question, by its key, has an answer; `told` hears of each that was not known before. Raises: WriteFailed, WorkerDied."""
     waiting = {key: question for key, question in questions.items() if key not in answers.found}
     if workers == 1 or len(waiting) < 2:

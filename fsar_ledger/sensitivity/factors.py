@@ -105,7 +105,10 @@ def factors() -> tuple[Factor, ...]:
         for name in part.__struct_fields__:
             value, dotted = getattr(part, name), f"{group}.{name}"
             if name == "durations":
-                found += [Factor(f"{dotted}.{capability}", "scaled", one, words[f"{dotted}.{capability}"]) for capability, one in value]
+                found += [
+                    Factor(f"{dotted}.{capability}", "scaled", one, words[f"{dotted}.{capability}"])
+                    for capability, one in value
+                ]
             else:
                 found.append(Factor(dotted, _kind(dotted), value, words[dotted]))
     found += [Factor(name, "settings", settings[0], words.get(name, "chosen")) for name, settings in SETTINGS.items()]

@@ -54,7 +54,10 @@ class _Study:
         self.size, self.factors = size, subject
         self.names = [factor.name for factor in subject]
         self.paths = [trajectory(number, self.names) for number in range(size.trajectories)]
-        self.points = [[self._question(self.names, point, SEED + number) for point in path.points] for number, path in enumerate(self.paths)]
+        self.points = [
+            [self._question(self.names, point, SEED + number) for point in path.points]
+            for number, path in enumerate(self.paths)
+        ]
         self.bases = [self._question([], np.zeros(0), BASE_SEED + number) for number in range(REPEATS)]
 
     def _question(self, names: Sequence[str], positions: Vector, seed: int) -> Question:
@@ -74,18 +77,30 @@ class _Study:
         """The effect of each factor on each cell, cells in their order, without Sobol indices."""
         outputs = [_matrix(found, path) for path in self.points]
         bases = _matrix(found, self.bases)
-        return [effect for cell in range(len(CELLS)) for effect in self._of_cell(cell, [one[:, cell] for one in outputs], bases[:, cell])]
+        return [
+            effect
+            for cell in range(len(CELLS))
+            for effect in self._of_cell(cell, [one[:, cell] for one in outputs], bases[:, cell])
+        ]
 
     def _of_cell(self, cell: int, outputs: list[Vector], bases: Vector) -> Iterable[Effect]:
         metric, architecture = CELLS[cell]
         switches = [factor.is_switch for factor in self.factors]
-        moves = np.array([elementary_effects(path, values, switches) for path, values in zip(self.paths, outputs, strict=True)])
+        moves = np.array(
+            [elementary_effects(path, values, switches) for path, values in zip(self.paths, outputs, strict=True)]
+        )
         known = bases[~np.isnan(bases)]
         deviation = float(np.std(known, ddof=1)) if len(known) > 1 else None
         for number, factor in enumerate(self.factors):
             one = summary(moves[:, number])
             chance = None if deviation is None else by_chance(deviation, is_switch=factor.is_switch)
-            lengths = {"mu": one.mu, "mu_star": one.mu_star, "sigma": one.sigma, "mu_star_conf": one.mu_star_conf, "by_chance": chance}
+            lengths = {
+                "mu": one.mu,
+                "mu_star": one.mu_star,
+                "sigma": one.sigma,
+                "mu_star_conf": one.mu_star_conf,
+                "by_chance": chance,
+            }
             margin = MARGINS[metric]
             yield Effect(
                 metric=metric,
@@ -99,7 +114,10 @@ class _Study:
                 margin=margin,
                 effects=one.count,
                 **{name: _rounded(length) for name, length in lengths.items()},
-                **{f"{name}_margins": _rounded(None if length is None else length / margin) for name, length in lengths.items()},
+                **{
+                    f"{name}_margins": _rounded(None if length is None else length / margin)
+                    for name, length in lengths.items()
+                },
                 sobol_first=None,
                 sobol_total=None,
                 emulator_r2=None,
@@ -163,9 +181,18 @@ def _studied(study: _Study, answers: Answers, ask: Evaluate, workers: int, progr
     positions, questions = study.of_dozen(dozen)
     answer_all({question.key: question for question in questions}, answers, ask, workers, told)
     chosen = [factor for name in dozen for factor in study.factors if factor.name == name]
-    polynomial, outputs = terms(chosen, positions) if chosen and len(questions) else None, _matrix(answers.found, questions)
-    parts = [Indices(None, None, None) if polynomial is None else indices(polynomial, outputs[:, cell], len(dozen)) for cell in range(len(CELLS))]
-    effects = tuple(_with_indices(effect, parts[CELLS.index((effect.metric, effect.architecture))], dozen) for effect in first.effects)
+    polynomial, outputs = (
+        terms(chosen, positions) if chosen and len(questions) else None,
+        _matrix(answers.found, questions),
+    )
+    parts = [
+        Indices(None, None, None) if polynomial is None else indices(polynomial, outputs[:, cell], len(dozen))
+        for cell in range(len(CELLS))
+    ]
+    effects = tuple(
+        _with_indices(effect, parts[CELLS.index((effect.metric, effect.architecture))], dozen)
+        for effect in first.effects
+    )
     evaluations = len(screening.keys() | {question.key for question in questions})
     return Sensitivity(msgspec.structs.replace(about, dozen=dozen, evaluations=evaluations), effects)
 
@@ -209,9 +236,13 @@ def _require_place(out: Path) -> None:
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise WriteFailed(f"{out}: cannot be written ({error.strerror}); give a path in a folder that can be made") from error
+        raise WriteFailed(
+            f"{out}: cannot be written ({error.strerror}); give a path in a folder that can be made"
+        ) from error
     if out.is_dir():
-        raise WriteFailed(f"{out}: cannot be written (it is a folder); expected the name of a file, such as {out / 'sensitivity.parquet'}")
+        raise WriteFailed(
+            f"{out}: cannot be written (it is a folder); expected the name of a file, such as {out / 'sensitivity.parquet'}"
+        )
 
 
 def _write(out: Path, found: Sensitivity) -> None:
@@ -220,6 +251,8 @@ def _write(out: Path, found: Sensitivity) -> None:
         pq.write_table(table_of(found), temporary, compression="zstd")
         temporary.replace(out)
     except OSError as error:
-        raise WriteFailed(f"{out}: cannot be written ({error.strerror or error}); make room and call it again, which goes on from there") from error
+        raise WriteFailed(
+            f"{out}: cannot be written ({error.strerror or error}); make room and call it again, which goes on from there"
+        ) from error
     finally:
         temporary.unlink(missing_ok=True)

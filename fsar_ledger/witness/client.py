@@ -69,7 +69,13 @@ def _place(url: str) -> SplitResult:
     """The parts of the URL. Raises: Silent if nobody can be asked there."""
     try:
         place = urlsplit(url)
-        is_right = place.scheme in ("http", "https") and bool(place.hostname) and (place.port is None or place.port > 0) and url.isascii() and url.isprintable()
+        is_right = (
+            place.scheme in ("http", "https")
+            and bool(place.hostname)
+            and (place.port is None or place.port > 0)
+            and url.isascii()
+            and url.isprintable()
+        )
     except ValueError:
         is_right = False
     if not is_right or place.query or place.fragment or place.username is not None:

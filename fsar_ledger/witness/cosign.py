@@ -39,7 +39,9 @@ def published(view: LedgerView) -> Note:
     is_behind = before is not None and read_checkpoint(view.path) == before.note
     note = (before if before is not None and is_behind else newest).signed_note()
     if not note.signatures:
-        raise UsageError(f"{view.path}: found an unsigned checkpoint, expected one signed by the ledger's key: witnesses cosign no other; see simulate --key")
+        raise UsageError(
+            f"{view.path}: found an unsigned checkpoint, expected one signed by the ledger's key: witnesses cosign no other; see simulate --key"
+        )
     return note
 
 
@@ -55,7 +57,9 @@ def cosign(ledger: Path, policy: Policy) -> Cosigned:
         raise UsageError(f"{policy.file}: found no witness with a URL, expected one that can be asked")
     note = published(open_ledger(ledger))
     answers = ask_all(lambda witness: _obtain(ledger, note, witness), asked)
-    silent = {witness.name: f"the policy has no URL of {witness.name}" for witness in policy.witnesses if witness.url is None}
+    silent = {
+        witness.name: f"the policy has no URL of {witness.name}" for witness in policy.witnesses if witness.url is None
+    }
     cosignatures: list[Signature] = []
     times: dict[str, int] = {}
     for witness, answer in zip(asked, answers, strict=True):
@@ -81,7 +85,9 @@ def _obtain(ledger: Path, note: Note, witness: Witness) -> tuple[int, Signature]
             break
         old = int(known)
         if old > size:
-            raise Silent(f"{url}: refused: it knows {old:,} events of this log, the ledger has {size:,}: this is an older copy, or the newest were removed")
+            raise Silent(
+                f"{url}: refused: it knows {old:,} events of this log, the ledger has {size:,}: this is an older copy, or the newest were removed"
+            )
     else:
         raise Silent(f"{url}: refused {_TRIES} times: it says each time that it knows another size")
     meaning = _MEANINGS.get(answer.status, "")

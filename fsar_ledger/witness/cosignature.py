@@ -22,7 +22,16 @@ import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.note import MAX_SIGNATURES, Checkpoint, Note, Signature, Signer, VerifierKey, is_name, parse_note
+from fsar_ledger.ledger.note import (
+    MAX_SIGNATURES,
+    Checkpoint,
+    Note,
+    Signature,
+    Signer,
+    VerifierKey,
+    is_name,
+    parse_note,
+)
 
 _COSIGNATURE = b"\x04"
 _ED25519 = b"\x01"
@@ -65,7 +74,9 @@ class WitnessKey(msgspec.Struct, frozen=True):
         time = int.from_bytes(signature.data[:_TIME_BYTES], "big")
         if len(signature.data) != _TIME_BYTES + _SIGNATURE_BYTES or not 0 < time <= MAX_TIME_S:
             return None
-        is_right = VerifierKey(self.name, self.public).made(signature.data[_TIME_BYTES:], cosigned_text(checkpoint, time))
+        is_right = VerifierKey(self.name, self.public).made(
+            signature.data[_TIME_BYTES:], cosigned_text(checkpoint, time)
+        )
         return time if is_right else None
 
 
@@ -122,14 +133,20 @@ def parse_vkey(text: str) -> VerifierKey | WitnessKey:
         or base64.b64encode(material).decode() != data
         or material[:1] not in (_ED25519, _COSIGNATURE)
     ):
-        raise ValueError("found no public key of a log or a witness, expected name+id+key as `fsar-ledger key new` and `fsar-ledger witness new` print it")
+        raise ValueError(
+            "found no public key of a log or a witness, expected name+id+key as `fsar-ledger key new` and `fsar-ledger witness new` print it"
+        )
     kind = WitnessKey if material[:1] == _COSIGNATURE else VerifierKey
     try:
         key = kind(name, material[1:])
     except ValueError as error:
-        raise ValueError(f"found {error}, expected an Ed25519 public key of prime order; no signature of it would prove anything, get another key") from error
+        raise ValueError(
+            f"found {error}, expected an Ed25519 public key of prime order; no signature of it would prove anything, get another key"
+        ) from error
     if key.key_id.hex() != key_id:
-        raise ValueError(f"found another key id than {key.key_id.hex()}, which this key has; it was altered, get it again")
+        raise ValueError(
+            f"found another key id than {key.key_id.hex()}, which this key has; it was altered, get it again"
+        )
     return key
 
 
@@ -146,7 +163,9 @@ def read_log_key(key: str) -> VerifierKey:
     except ValueError as error:
         raise UsageError(f"{where}: {error}") from error
     if not isinstance(found, VerifierKey):
-        raise UsageError(f"{where}: found the key of a witness, expected that of a log, as `fsar-ledger key new` prints it")
+        raise UsageError(
+            f"{where}: found the key of a witness, expected that of a log, as `fsar-ledger key new` prints it"
+        )
     return found
 
 
@@ -155,7 +174,9 @@ def _read(path: Path) -> str:
     try:
         return disk.read_document(Path(os.path.realpath(path))).decode().removesuffix("\n")
     except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"the key cannot be read ({error.strerror if isinstance(error, OSError) else 'not text'}), expected a .pub file") from error
+        raise ValueError(
+            f"the key cannot be read ({error.strerror if isinstance(error, OSError) else 'not text'}), expected a .pub file"
+        ) from error
 
 
 def secret_text(key: WitnessKey, secret: bytes) -> str:

@@ -49,8 +49,12 @@ def ask_witnesses(policy: Policy, logs: Sequence[VerifierKey], origin: str, now_
     """What the witnesses of the policy say now. Raises: UsageError if none of them has a URL."""
     asked = [witness for witness in policy.witnesses if witness.url is not None]
     if not asked:
-        raise UsageError(f"{policy.file}: found no witness with a URL, expected one that can be asked; or give what they cosigned with --cosigned FILE")
-    answers = dict(zip((witness.name for witness in asked), ask_all(lambda witness: _newest(witness, origin), asked), strict=True))
+        raise UsageError(
+            f"{policy.file}: found no witness with a URL, expected one that can be asked; or give what they cosigned with --cosigned FILE"
+        )
+    answers = dict(
+        zip((witness.name for witness in asked), ask_all(lambda witness: _newest(witness, origin), asked), strict=True)
+    )
     words, checkpoints = [], []
     for witness in policy.witnesses:
         answer = answers.get(witness.name, Silent("the policy has no URL for it"))
@@ -63,12 +67,16 @@ def ask_witnesses(policy: Policy, logs: Sequence[VerifierKey], origin: str, now_
     return _weighed(policy, words, checkpoints)
 
 
-def read_cosigned(policy: Policy, logs: Sequence[VerifierKey], origin: str, now_s: int, files: Sequence[Path]) -> Evidence:
+def read_cosigned(
+    policy: Policy, logs: Sequence[VerifierKey], origin: str, now_s: int, files: Sequence[Path]
+) -> Evidence:
     """What these files show of what the witnesses of the policy said, whenever that was. Raises: UsageError if one cannot be read or is no note of the log."""
     notes = {file: _read(file) for file in files}
     for file, note in notes.items():
         if not _is_of(logs, note, origin):
-            raise UsageError(f"--cosigned {file}: found no checkpoint of {origin} with a signature of its key, expected a note of this ledger")
+            raise UsageError(
+                f"--cosigned {file}: found no checkpoint of {origin} with a signature of its key, expected a note of this ledger"
+            )
     words = []
     for witness in policy.witnesses:
         said = [_word(witness, str(file), note, logs, origin, now_s, is_asked=False) for file, note in notes.items()]
@@ -81,7 +89,11 @@ def _newest(witness: Witness, origin: str) -> Note:
     url = witness.url or ""
     answer = ask(url, path_of(origin))
     if answer.status != HTTPStatus.OK:
-        said = "it has no checkpoint of this log" if answer.status == HTTPStatus.NOT_FOUND else f"an answer with status {answer.status}"
+        said = (
+            "it has no checkpoint of this log"
+            if answer.status == HTTPStatus.NOT_FOUND
+            else f"an answer with status {answer.status}"
+        )
         raise Silent(f"{url}: {said}")
     try:
         return parse_cosigned(url, answer.text.encode())
@@ -93,7 +105,9 @@ def _read(file: Path) -> Note:
     try:
         return parse_cosigned(f"--cosigned {file}", disk.read_document(Path(os.path.realpath(file))))
     except OSError as error:
-        raise UsageError(f"--cosigned {file}: it cannot be read ({error.strerror}), expected what `fsar-ledger witness ask` wrote") from error
+        raise UsageError(
+            f"--cosigned {file}: it cannot be read ({error.strerror}), expected what `fsar-ledger witness ask` wrote"
+        ) from error
     except LedgerCorrupted as error:
         raise UsageError(str(error)) from error
 
@@ -103,7 +117,9 @@ def _is_of(logs: Sequence[VerifierKey], note: Note, origin: str) -> bool:
     return note.checkpoint.origin == origin and any(key.has_signed(note) for key in logs)
 
 
-def _word(witness: Witness, where: str, note: Note, logs: Sequence[VerifierKey], origin: str, now_s: int, *, is_asked: bool) -> Word:
+def _word(
+    witness: Witness, where: str, note: Note, logs: Sequence[VerifierKey], origin: str, now_s: int, *, is_asked: bool
+) -> Word:
     """What this note is worth as the word of this witness."""
     time_s = witness.key.time_of(note)
     reason = None
@@ -122,5 +138,9 @@ def _word(witness: Witness, where: str, note: Note, logs: Sequence[VerifierKey],
 def _weighed(policy: Policy, words: Sequence[Word], checkpoints: Sequence[Anchor]) -> Evidence:
     """The words, and the largest size that enough of them cover: who saw a larger tree saw the smaller one in it."""
     sizes = sorted({word.size for word in words if word.size}, reverse=True)
-    enough = (size for size in sizes if policy.is_met({word.witness for word in words if word.size is not None and word.size >= size}))
+    enough = (
+        size
+        for size in sizes
+        if policy.is_met({word.witness for word in words if word.size is not None and word.size >= size})
+    )
     return Evidence(next(enough, 0), tuple(words), tuple(checkpoints))

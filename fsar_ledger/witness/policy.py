@@ -77,7 +77,9 @@ def read_policy(path: Path) -> Policy:
     try:
         return parse_policy(str(path), disk.read_document(Path(os.path.realpath(path))))
     except OSError as error:
-        raise UsageError(f"--witness-policy {path}: it cannot be read ({error.strerror}), expected a C2SP tlog-policy") from error
+        raise UsageError(
+            f"--witness-policy {path}: it cannot be read ({error.strerror}), expected a C2SP tlog-policy"
+        ) from error
 
 
 def parse_policy(file: str, data: bytes) -> Policy:
@@ -134,7 +136,10 @@ class _Reader:
                     raise self.wrong("a second quorum", "one")
                 self.quorum = self._known(name, is_quorum=True)
             case _:
-                raise self.wrong(f"{' '.join(words)!a:.60}", "log KEY [URL], witness NAME KEY [URL], group NAME K MEMBER..., or quorum NAME")
+                raise self.wrong(
+                    f"{' '.join(words)!a:.60}",
+                    "log KEY [URL], witness NAME KEY [URL], group NAME K MEMBER..., or quorum NAME",
+                )
 
     def _key(self, text: str) -> VerifierKey | WitnessKey:
         try:
@@ -153,19 +158,26 @@ class _Reader:
         if not isinstance(key, WitnessKey):
             raise self.wrong("the key of a log (0x01)", "that of a witness, as `fsar-ledger witness new` prints it")
         if any(witness.key.public == key.public for witness in self.witnesses):
-            raise self.wrong("the key of a witness that stands before", "each once; under two names it would count twice")
+            raise self.wrong(
+                "the key of a witness that stands before", "each once; under two names it would count twice"
+            )
         self.witnesses.append(Witness(self._new(name), key, url))
 
     def _group(self, name: str, threshold: str, members: list[str]) -> None:
         for member in members:
             self._known(member)
             if member in self.members:
-                raise self.wrong(f"{member!a:.60} in a second place", "each witness and group in one group at most, and once; else it would count twice")
+                raise self.wrong(
+                    f"{member!a:.60} in a second place",
+                    "each witness and group in one group at most, and once; else it would count twice",
+                )
             self.members.add(member)
         words = {"any": 1, "all": len(members)}
         count = words.get(threshold, int(threshold) if _DECIMAL.fullmatch(threshold) else 0)
         if not 1 <= count <= len(members):
-            raise self.wrong(f"{threshold!a:.60}", f"any, all, or a number from 1 to {len(members)}, the members of the group")
+            raise self.wrong(
+                f"{threshold!a:.60}", f"any, all, or a number from 1 to {len(members)}, the members of the group"
+            )
         self.groups.append(Group(self._new(name), count, tuple(members)))
 
     def _new(self, name: str) -> str:
@@ -182,6 +194,8 @@ class _Reader:
     def policy(self) -> Policy:
         """All that was read. Raises: UsageError if there is no quorum."""
         if self.quorum is None:
-            raise UsageError(f"{self.file}: found no quorum, expected a line with the witness or group that must have cosigned")
+            raise UsageError(
+                f"{self.file}: found no quorum, expected a line with the witness or group that must have cosigned"
+            )
         quorum = None if self.quorum == _NONE else self.quorum
         return Policy(self.file, tuple(self.logs), tuple(self.witnesses), tuple(self.groups), quorum)

@@ -53,7 +53,9 @@ class Request(msgspec.Struct, frozen=True):
     note: Note
 
     def __str__(self) -> str:
-        return "\n".join([f"old {self.old}", *(base64.b64encode(one).decode() for one in self.proof), "", str(self.note)])
+        return "\n".join(
+            [f"old {self.old}", *(base64.b64encode(one).decode() for one in self.proof), "", str(self.note)]
+        )
 
 
 def path_of(origin: str) -> str:
@@ -120,7 +122,10 @@ def judge(request: Request, logs: Sequence[VerifierKey], known: Checkpoint | Non
     if new.size == size and new.root != root:
         return Answer(HTTPStatus.CONFLICT, "another root of the same size was cosigned before\n")
     if not is_consistent(size, root, new.size, new.root, request.proof):
-        return Answer(HTTPStatus.UNPROCESSABLE_ENTITY, "the consistency proof does not lead from the checkpoint that was cosigned before to this one\n")
+        return Answer(
+            HTTPStatus.UNPROCESSABLE_ENTITY,
+            "the consistency proof does not lead from the checkpoint that was cosigned before to this one\n",
+        )
     return Note(new, signatures)
 
 

@@ -78,7 +78,9 @@ class _Handler(BaseHTTPRequestHandler):
     def do_POST(self) -> None:
         """A checkpoint to cosign."""
         lengths = self.headers.get_all("Content-Length", [])
-        is_length = len(lengths) == 1 and lengths[0].isascii() and lengths[0].isdecimal() and len(lengths[0]) <= _LENGTH_DIGITS
+        is_length = (
+            len(lengths) == 1 and lengths[0].isascii() and lengths[0].isdecimal() and len(lengths[0]) <= _LENGTH_DIGITS
+        )
         if "Transfer-Encoding" in self.headers or not lengths:
             self._refuse(HTTPStatus.LENGTH_REQUIRED, "the length of the request must be given\n")
         elif not is_length:

@@ -45,7 +45,9 @@ class Service:
             answer = judged if isinstance(judged, Answer) else self._cosign(judged)
         if answer.status != HTTPStatus.FORBIDDEN:  # anybody can send what the log did not sign
             size = request.note.checkpoint.size
-            self.tell(f"{origin}: {size:,} events: {'cosigned' if answer.status == HTTPStatus.OK else f'refused ({answer.text.strip()})'}")
+            self.tell(
+                f"{origin}: {size:,} events: {'cosigned' if answer.status == HTTPStatus.OK else f'refused ({answer.text.strip()})'}"
+            )
         return answer
 
     def newest(self, name: str) -> Answer:

@@ -57,13 +57,17 @@ def new_state(folder: Path, name: str) -> WitnessKey:
         WriteFailed: The disk refused; there is no key.
     """
     if not is_name(name):
-        raise UsageError(f"--name {name!r}: expected a printable name without spaces and plus signs, by custom host/path, as example.org/w1")
+        raise UsageError(
+            f"--name {name!r}: expected a printable name without spaces and plus signs, by custom host/path, as example.org/w1"
+        )
     secret = os.urandom(KEY_BYTES)
     key = Cosigner(name, secret).key
     with disk.refusals(folder, "making a witness"):
         disk.make_folder(folder)
         if os.listdir(folder):
-            raise UsageError(f"{folder}: found files in it, expected a new or empty folder; a witness is never overwritten")
+            raise UsageError(
+                f"{folder}: found files in it, expected a new or empty folder; a witness is never overwritten"
+            )
         disk.make_folder(folder / LOGS)
         disk.write_durably(folder / PUBLIC, f"{key}\n".encode())
         disk.write_secret(folder / SECRET, secret_text(key, secret).encode())  # last: without it there is no witness
@@ -80,7 +84,9 @@ def opened(folder: Path) -> Iterator[State]:
         WriteFailed: The folder cannot be locked.
     """
     if not (folder / SECRET).is_file():
-        raise UsageError(f"{folder}: found no witness there, expected the folder that `fsar-ledger witness new` made; a lost one cannot be made again")
+        raise UsageError(
+            f"{folder}: found no witness there, expected the folder that `fsar-ledger witness new` made; a lost one cannot be made again"
+        )
     handle = _locked(folder)
     try:
         cosigner = _read_key(folder / SECRET)
@@ -97,8 +103,12 @@ def _locked(folder: Path) -> int:
     except OSError as error:
         disk.close(handle)
         if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
-            raise UsageError(f"{folder}: found another process that serves this witness, expected one at most; two would cosign two histories") from error
-        raise WriteFailed(f"{folder}: found a file system without locks ({error.strerror}), expected one with them; keep the witness elsewhere") from error
+            raise UsageError(
+                f"{folder}: found another process that serves this witness, expected one at most; two would cosign two histories"
+            ) from error
+        raise WriteFailed(
+            f"{folder}: found a file system without locks ({error.strerror}), expected one with them; keep the witness elsewhere"
+        ) from error
     return handle
 
 
@@ -107,12 +117,18 @@ def _read_key(path: Path) -> Cosigner:
         text, mode = disk.read_document(path).decode(), stat.S_IMODE(path.lstat().st_mode)
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not text"
-        raise UsageError(f"{path}: the key cannot be read ({reason}), expected the file that `fsar-ledger witness new` wrote") from error
+        raise UsageError(
+            f"{path}: the key cannot be read ({reason}), expected the file that `fsar-ledger witness new` wrote"
+        ) from error
     if mode & 0o077:
-        raise UsageError(f"{path}: found a secret key with mode {mode:o}, which others may read, expected 600; run chmod 600 on it, or make a new witness")
+        raise UsageError(
+            f"{path}: found a secret key with mode {mode:o}, which others may read, expected 600; run chmod 600 on it, or make a new witness"
+        )
     cosigner = parse_secret(text)
     if cosigner is None:
-        raise UsageError(f"{path}: found no secret key of a witness, expected the file that `fsar-ledger witness new` wrote")
+        raise UsageError(
+            f"{path}: found no secret key of a witness, expected the file that `fsar-ledger witness new` wrote"
+        )
     return cosigner
 
 
@@ -133,7 +149,9 @@ def _read_logs(folder: Path, key: WitnessKey) -> dict[str, Note]:
         except OSError as error:
             raise LedgerCorrupted(f"{path}: it cannot be read ({error.strerror}), {_GONE}") from error
         if name != name_of(note.checkpoint.origin) or key.time_of(note) is None:
-            raise LedgerCorrupted(f"{path}: found a note that this witness did not cosign, or under another name, {_GONE}")
+            raise LedgerCorrupted(
+                f"{path}: found a note that this witness did not cosign, or under another name, {_GONE}"
+            )
         found[note.checkpoint.origin] = note
     return found
 

@@ -27,10 +27,24 @@ def command(tmp_path: Path) -> Attack:
     """Runs a command of the checkout under attack in a process of its own, with a cache of its own; ends it after `seconds` (exit code -9 then)."""
 
     def run(*arguments: object, seconds: float = 120, **surroundings: str) -> Called:
-        environment = {**os.environ, "PYTHONPATH": str(attacked()), "XDG_CACHE_HOME": str(tmp_path / "cache"), **surroundings}
+        environment = {
+            **os.environ,
+            "PYTHONPATH": str(attacked()),
+            "XDG_CACHE_HOME": str(tmp_path / "cache"),
+            **surroundings,
+        }
         call = [sys.executable, "-m", "fsar_ledger", *map(str, arguments)]
         try:
-            done = subprocess.run(call, cwd=tmp_path, env=environment, capture_output=True, text=True, errors="surrogateescape", timeout=seconds, check=False)
+            done = subprocess.run(
+                call,
+                cwd=tmp_path,
+                env=environment,
+                capture_output=True,
+                text=True,
+                errors="surrogateescape",
+                timeout=seconds,
+                check=False,
+            )
         except subprocess.TimeoutExpired:
             return Called(-9, "", "")
         return Called(done.returncode, done.stdout, done.stderr)

@@ -41,12 +41,16 @@ def main(revision: str, tests: list[str]) -> int:
         check_out(revision, Path(place))
         os.environ[ATTACKED] = place
         outcomes = Outcomes()
-        pytest.main(["-q", "--tb=line", "-p", "no:cacheprovider", "-m", "", *(tests or ["tests/attacks"])], plugins=[outcomes])
+        pytest.main(
+            ["-q", "--tb=line", "-p", "no:cacheprovider", "-m", "", *(tests or ["tests/attacks"])], plugins=[outcomes]
+        )
     for outcome in ("passed", "broken"):
         for name in sorted(outcomes.of[outcome]):
             print(f"{name}: {'the attack fails on' if outcome == 'passed' else 'cannot be tried on'} {revision} too")
     succeeded = len(outcomes.of["failed"])
-    print(f"{succeeded} attacks succeed on {revision}, {len(outcomes.of['passed'])} do not, {len(outcomes.of['broken'])} cannot be tried")
+    print(
+        f"{succeeded} attacks succeed on {revision}, {len(outcomes.of['passed'])} do not, {len(outcomes.of['broken'])} cannot be tried"
+    )
     return 0 if succeeded and not outcomes.of["passed"] and not outcomes.of["broken"] else 1
 
 

@@ -43,9 +43,13 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def children(parent: int) -> list[tuple[int, str]]:
     """The living processes below that one: number and command line."""
-    listed = subprocess.run(["ps", "-A", "-ww", "-o", "pid=,ppid=,stat=,args="], check=True, capture_output=True, text=True).stdout
+    listed = subprocess.run(
+        ["ps", "-A", "-ww", "-o", "pid=,ppid=,stat=,args="], check=True, capture_output=True, text=True
+    ).stdout
     rows = [line.split(None, 3) for line in listed.splitlines()]
-    return [(int(row[0]), row[3]) for row in rows if len(row) == 4 and int(row[1]) == parent and not row[2].startswith("Z")]
+    return [
+        (int(row[0]), row[3]) for row in rows if len(row) == 4 and int(row[1]) == parent and not row[2].startswith("Z")
+    ]
 
 
 def until(moment: float, seconds: float) -> Iterator[None]:
@@ -59,7 +63,9 @@ def begun(*arguments: object) -> subprocess.Popen[str]:
     """A command of the checkout under attack, which goes on meanwhile."""
     call = [sys.executable, "-m", "fsar_ledger", *map(str, arguments)]
     environment = {**os.environ, "PYTHONPATH": str(attacked())}
-    return subprocess.Popen(call, cwd=Path(sys.prefix), env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        call, cwd=Path(sys.prefix), env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
 
 
 def workers_of(process: subprocess.Popen[str], count: int = 2) -> list[int]:
@@ -72,7 +78,9 @@ def workers_of(process: subprocess.Popen[str], count: int = 2) -> list[int]:
 
 
 def is_alive(number: int) -> bool:
-    listed = subprocess.run(["ps", "-o", "stat=", "-p", str(number)], capture_output=True, text=True, check=False).stdout.strip()
+    listed = subprocess.run(
+        ["ps", "-o", "stat=", "-p", str(number)], capture_output=True, text=True, check=False
+    ).stdout.strip()
     return bool(listed) and not listed.startswith("Z")
 
 
@@ -80,7 +88,9 @@ def test_the_workers_of_a_simulation_that_was_killed_die_with_it(tmp_path: Path,
     ledger = tmp_path / "ledger"
     with begun("simulate", ledger, *MANY) as process:
         for _ in until(time.monotonic(), 60):
-            if len(list(ledger.glob("commits/*.json"))) > 1 or process.poll() is not None:  # the workers begin after the plan
+            if (
+                len(list(ledger.glob("commits/*.json"))) > 1 or process.poll() is not None
+            ):  # the workers begin after the plan
                 break
         left = children(process.pid)
         process.kill()
@@ -116,7 +126,9 @@ def ended_with_a_killed_worker(*arguments: object) -> tuple[int, str, str]:
     return process.returncode, out, err
 
 
-def test_a_simulation_whose_worker_is_killed_says_so_and_continues_when_it_is_called_again(tmp_path: Path, command: Attack, whole: Path) -> None:
+def test_a_simulation_whose_worker_is_killed_says_so_and_continues_when_it_is_called_again(
+    tmp_path: Path, command: Attack, whole: Path
+) -> None:
     ledger = tmp_path / "ledger"
     code, out, err = ended_with_a_killed_worker("simulate", ledger, *SOME)
     assert (code, out, len(err.splitlines())) == (1, "", 1), err
@@ -128,7 +140,9 @@ def test_a_simulation_whose_worker_is_killed_says_so_and_continues_when_it_is_ca
 
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [("verify",), pytest.param(("recover",), marks=pytest.mark.slow)], ids=" ".join)
-def test_a_look_that_could_not_finish_calls_a_ledger_neither_good_nor_bad(tmp_path: Path, whole: Path, options: tuple[str, ...]) -> None:
+def test_a_look_that_could_not_finish_calls_a_ledger_neither_good_nor_bad(
+    tmp_path: Path, whole: Path, options: tuple[str, ...]
+) -> None:
     ledger = shutil.copytree(whole, tmp_path / "ledger")
     code, out, err = ended_with_a_killed_worker(options[0], ledger, *options[1:], "--workers", "2")
     assert (code, out, len(err.splitlines())) == (1, "", 1), err
@@ -138,7 +152,9 @@ def test_a_look_that_could_not_finish_calls_a_ledger_neither_good_nor_bad(tmp_pa
 
 
 @pytest.mark.slow
-def test_after_a_recovery_without_room_a_simulation_goes_on_by_itself(tmp_path: Path, command: Attack, whole: Path) -> None:
+def test_after_a_recovery_without_room_a_simulation_goes_on_by_itself(
+    tmp_path: Path, command: Attack, whole: Path
+) -> None:
     """The second commit of runs was made, and then there was no room for what is derived from it."""
     ledger = tmp_path / "ledger"
     shutil.copytree(whole.with_name("one"), ledger)
@@ -152,7 +168,9 @@ def test_after_a_recovery_without_room_a_simulation_goes_on_by_itself(tmp_path: 
         capture_output=True,
         text=True,
         check=False,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)),  # folders and names can be made, a tile of 8 KiB cannot
+        preexec_fn=lambda: resource.setrlimit(
+            resource.RLIMIT_FSIZE, (4096, 4096)
+        ),  # folders and names can be made, a tile of 8 KiB cannot
     )
     assert without_room.returncode == 1
     assert "mending failed" in without_room.stderr
@@ -174,5 +192,11 @@ def test_a_report_on_parameters_that_are_none_ends_with_one_message(tmp_path: Pa
     ledger = tmp_path / "ledger"
     with Writer(ledger, ORIGIN) as writer:
         writer.append(stage_anything(ledger, [record]))
-    one_message(command("report", ledger, "--out", tmp_path / "report.pdf"), 3, record.run_id, "field parameters", "expected constants as a JSON object")
+    one_message(
+        command("report", ledger, "--out", tmp_path / "report.pdf"),
+        3,
+        record.run_id,
+        "field parameters",
+        "expected constants as a JSON object",
+    )
     assert not (tmp_path / "report.pdf").exists()

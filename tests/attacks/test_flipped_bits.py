@@ -72,7 +72,9 @@ def read_by_duckdb(segment: Path, column: str) -> list[tuple[object, ...]]:
         (("explain",), "action_id"),
     ],
 )
-def test_no_answer_comes_from_a_segment_with_a_flipped_bit(command: Attack, ledger: Path, verb: tuple[str, ...], column: str) -> None:
+def test_no_answer_comes_from_a_segment_with_a_flipped_bit(
+    command: Attack, ledger: Path, verb: tuple[str, ...], column: str
+) -> None:
     flip_unnoticed(segment_path(ledger, NUMBER), column)
     assert only_problem(ledger).commit == NUMBER
 
@@ -96,7 +98,9 @@ def test_a_look_before_the_bit_was_flipped_excuses_nothing(command: Attack, ledg
 @pytest.mark.slow
 def test_no_number_stands_under_a_root_that_is_not_that_of_its_rows(command: Attack, ledger: Path) -> None:
     rows = table_of(ledger, NUMBER)
-    forge_segment(ledger, NUMBER, changed(rows, "architecture", 0, "dhma"))  # the hashes are mended, the root is the old one
+    forge_segment(
+        ledger, NUMBER, changed(rows, "architecture", 0, "dhma")
+    )  # the hashes are mended, the root is the old one
 
     answer = command("metrics", ledger, "--json")
     assert answer.code != 0 or json.loads(answer.out).get("rows_verified") is False

@@ -14,13 +14,27 @@ import pytest
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.events.world import ActuatorDegraded, ObstructionAppeared, ObstructionCleared, PolicyWindowClosed, PolicyWindowOpened
+from fsar_ledger.events.world import (
+    ActuatorDegraded,
+    ObstructionAppeared,
+    ObstructionCleared,
+    PolicyWindowClosed,
+    PolicyWindowOpened,
+)
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.ledger.note import Signer, new_key, read_signer
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
 from fsar_ledger.runtime.kernel import Kernel
-from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, founding_of, run_id, run_started, simulate_run, wiring
+from fsar_ledger.runtime.simulation import (
+    ARCHITECTURES,
+    RunSpec,
+    founding_of,
+    run_id,
+    run_started,
+    simulate_run,
+    wiring,
+)
 from fsar_ledger.runtime.world.draws import Draws, run_key
 from fsar_ledger.runtime.world.schedule import Fact, schedule
 from tests.attacks.conftest import Attack
@@ -46,7 +60,12 @@ class Invented:
 
 def in_its_own_world(spec: RunSpec, facts: Sequence[Fact]) -> RunRecord:
     """What the handlers decide where only these facts happen."""
-    one = Kernel(wiring(spec.architecture), facts, Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world), *founding_of(spec, CONSTANTS))
+    one = Kernel(
+        wiring(spec.architecture),
+        facts,
+        Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world),
+        *founding_of(spec, CONSTANTS),
+    )
     one.run()
     return RunRecord(run_id(run_started(spec, CONSTANTS)), one.times_us, one.caused_by, one.events)
 
@@ -64,8 +83,12 @@ def committed(place: Path, runs: Sequence[RunRecord]) -> tuple[Path, Path, Path]
 
 def place_of(honest: RunRecord, record: RunRecord) -> int:
     """The first seq at which the record is another than the honest one."""
-    both = zip(zip(honest.times_us, honest.events, strict=True), zip(record.times_us, record.events, strict=True), strict=False)
-    return next((seq for seq, (left, right) in enumerate(both) if left != right), min(len(honest.events), len(record.events)))
+    both = zip(
+        zip(honest.times_us, honest.events, strict=True), zip(record.times_us, record.events, strict=True), strict=False
+    )
+    return next(
+        (seq for seq, (left, right) in enumerate(both) if left != right), min(len(honest.events), len(record.events))
+    )
 
 
 def ledger_of(place: Path, invent: Invent) -> Invented:
@@ -79,7 +102,9 @@ def ledger_of(place: Path, invent: Invent) -> Invented:
         if spec.architecture == FAVOURED and len(left) < len(facts):
             record = in_its_own_world(spec, left)
             at = place_of(honest, record)
-            places.append((record.run_id, at, f"{honest.events[at].__struct_config__.tag} at {honest.times_us[at]} microseconds"))
+            places.append(
+                (record.run_id, at, f"{honest.events[at].__struct_config__.tag} at {honest.times_us[at]} microseconds")
+            )
         runs.append(record)
     return Invented(*committed(place, runs), tuple(places))
 
@@ -102,7 +127,9 @@ def spared(spec: RunSpec, facts: Sequence[Fact]) -> Sequence[Fact]:
 
 def is_found(command: Attack, evil: Invented) -> None:
     """With a replay, each run is named with its place, what was found there and what was expected."""
-    called = command("verify", evil.ledger, "--trusted-key", evil.key, "--anchor", evil.anchor, "--replay", "--workers", "1")
+    called = command(
+        "verify", evil.ledger, "--trusted-key", evil.key, "--anchor", evil.anchor, "--replay", "--workers", "1"
+    )
     assert (called.code, called.out) == (3, ""), called.out
     lines = called.err.splitlines()
     assert len(lines) == len(evil.places) + 1
@@ -111,10 +138,16 @@ def is_found(command: Attack, evil: Invented) -> None:
             assert part in line, line
 
 
-def test_a_world_without_trouble_for_one_architecture_is_not_taken_for_the_one_that_was_drawn(command: Attack, tmp_path: Path) -> None:
+def test_a_world_without_trouble_for_one_architecture_is_not_taken_for_the_one_that_was_drawn(
+    command: Attack, tmp_path: Path
+) -> None:
     evil = ledger_of(tmp_path, lambda _, facts: without(facts, TROUBLE))
     assert command("verify", evil.ledger, "--trusted-key", evil.key, "--anchor", evil.anchor).code == 0
-    of = {row["architecture"]: row for row in json.loads(command("metrics", evil.ledger, "--json").out)["rows"] if row["metric"] == "policy_violations"}
+    of = {
+        row["architecture"]: row
+        for row in json.loads(command("metrics", evil.ledger, "--json").out)["rows"]
+        if row["metric"] == "policy_violations"
+    }
     assert of[FAVOURED]["mean"] == 0.0
     assert min(row["mean"] for name, row in of.items() if name != FAVOURED) > 0
     is_found(command, evil)

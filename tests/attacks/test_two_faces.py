@@ -25,7 +25,18 @@ def without_policy(table: pa.Table) -> pa.Table:
 @pytest.fixture
 def ledger(command: Attack, tmp_path: Path) -> Path:
     """A ledger of one run with violations of policy, signed."""
-    call = ("--runs", "1", "--architecture", "dhma", "--scenario", "mixed-trust-inspection", "--key", "key", "--origin", "example.org/fleet")
+    call = (
+        "--runs",
+        "1",
+        "--architecture",
+        "dhma",
+        "--scenario",
+        "mixed-trust-inspection",
+        "--key",
+        "key",
+        "--origin",
+        "example.org/fleet",
+    )
     assert command("key", "new", "key", "--name", "example.org/fleet").code == 0
     assert command("simulate", "ledger", *call).code == 0
     return tmp_path / "ledger"
@@ -58,19 +69,27 @@ def test_a_segment_with_two_contents_is_not_consistent(command: Attack, forged: 
     assert f"segments/{newest(forged):012d}.parquet" in called.err
 
 
-def test_a_segment_with_two_contents_gives_no_other_metrics(command: Attack, ledger: Path, request: pytest.FixtureRequest) -> None:
+def test_a_segment_with_two_contents_gives_no_other_metrics(
+    command: Attack, ledger: Path, request: pytest.FixtureRequest
+) -> None:
     honest = command("metrics", ledger, "--json")
     assert honest.code == 0, honest.err
     assert violations(honest) > 0
     forged = request.getfixturevalue("forged")
     called = command("metrics", forged, "--json")
-    assert called.code in (2, 3), f"found {violations(called)} policy violations under the same root, expected a refusal"
+    assert called.code in (2, 3), (
+        f"found {violations(called)} policy violations under the same root, expected a refusal"
+    )
     assert f"segments/{newest(forged):012d}.parquet" in called.err
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("verb", [("query", "metrics/policy_violations"), ("audit",), ("sql",)], ids=lambda verb: verb[0])
-def test_a_segment_with_two_contents_is_refused_by_every_answer(command: Attack, forged: Path, verb: tuple[str, ...]) -> None:
+@pytest.mark.parametrize(
+    "verb", [("query", "metrics/policy_violations"), ("audit",), ("sql",)], ids=lambda verb: verb[0]
+)
+def test_a_segment_with_two_contents_is_refused_by_every_answer(
+    command: Attack, forged: Path, verb: tuple[str, ...]
+) -> None:
     more = ("SELECT count(*) FROM policy_windows",) if verb == ("sql",) else ()
     called = command(*verb, forged, *more)
     assert called.code in (2, 3), called.out[:500]

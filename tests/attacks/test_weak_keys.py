@@ -27,7 +27,9 @@ def signed_by_nobody(unsigned: Path, folder: Path, kind: str) -> tuple[Path, For
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_signature_without_a_secret_does_not_make_a_ledger_signed(unsigned: Path, tmp_path: Path, command: Attack, kind: str) -> None:
+def test_a_signature_without_a_secret_does_not_make_a_ledger_signed(
+    unsigned: Path, tmp_path: Path, command: Attack, kind: str
+) -> None:
     path, forger = signed_by_nobody(unsigned, tmp_path, kind)
     (tmp_path / "weak.pub").write_text(f"{forger}\n")
     for key in (forger, tmp_path / "weak.pub"):
@@ -37,7 +39,9 @@ def test_a_signature_without_a_secret_does_not_make_a_ledger_signed(unsigned: Pa
 
 
 @pytest.mark.slow
-def test_a_signature_without_a_secret_does_not_make_a_proof_signed(unsigned: Path, tmp_path: Path, command: Attack) -> None:
+def test_a_signature_without_a_secret_does_not_make_a_proof_signed(
+    unsigned: Path, tmp_path: Path, command: Attack
+) -> None:
     path, forger = signed_by_nobody(unsigned, tmp_path, "order 2")
     assert command("prove", path, "3", "--out", tmp_path / "3.tlog-proof").code == 0
     called = command("verify-proof", tmp_path / "3.tlog-proof", "--trusted-key", forger)

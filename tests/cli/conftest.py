@@ -22,12 +22,25 @@ class Called(NamedTuple):
 
 Call = Callable[..., Called]
 
-SMALL = ("--scenario", "door-relay", "--scenario", "failure-recovery-chain", "--runs", "2", "--seed", "7", "--workers", "1")
+SMALL = (
+    "--scenario",
+    "door-relay",
+    "--scenario",
+    "failure-recovery-chain",
+    "--runs",
+    "2",
+    "--seed",
+    "7",
+    "--workers",
+    "1",
+)
 
 
 def in_a_process(*arguments: object, cwd: Path | None = None, surroundings: Mapping[str, str] = {}) -> Called:
     command = [sys.executable, "-m", "fsar_ledger", *map(str, arguments)]
-    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, env={**os.environ, **surroundings})
+    done = subprocess.run(
+        command, cwd=cwd, capture_output=True, text=True, check=False, env={**os.environ, **surroundings}
+    )
     return Called(done.returncode, done.stdout, done.stderr)
 
 

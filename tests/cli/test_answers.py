@@ -48,13 +48,28 @@ def test_simulate_says_what_was_committed(call: Call, ledger: Path, tmp_path: Pa
 
 def test_info_tells_a_complete_ledger_from_one_that_lacks_runs(call: Call, ledger: Path, tmp_path: Path) -> None:
     whole = json.loads(call("info", ledger, "--json").out)
-    assert (whole["is_complete"], whole["runs"], {group["runs_to_rectangle"] for group in whole["groups"]}) == (True, 12, {0})
+    assert (whole["is_complete"], whole["runs"], {group["runs_to_rectangle"] for group in whole["groups"]}) == (
+        True,
+        12,
+        {0},
+    )
     assert sum(group["events"] for group in whole["groups"]) + len(whole["plans"]) == whole["head"]["size"]
     assert whole["models"][0]["parameters"]
     assert "12 runs, complete" in call("info", ledger).out
     uneven = tmp_path / "uneven"
     for architecture, runs in (("fsar", "3"), ("cfc", "2")):
-        call("simulate", uneven, "--architecture", architecture, "--scenario", "door-relay", "--runs", runs, "--workers", "1")
+        call(
+            "simulate",
+            uneven,
+            "--architecture",
+            architecture,
+            "--scenario",
+            "door-relay",
+            "--runs",
+            runs,
+            "--workers",
+            "1",
+        )
     partial = json.loads(call("info", uneven, "--json").out)
     assert partial["is_complete"] is True  # each was planned so
     assert {group["architecture"]: group["runs_to_rectangle"] for group in partial["groups"]} == {"fsar": 0, "cfc": 1}
@@ -65,7 +80,18 @@ def test_metrics_have_the_agreed_columns_in_every_format(call: Call, ledger: Pat
     answer = json.loads(call("metrics", ledger, "--json").out)
     assert set(answer) == {"head", "rows_verified", "rows", "complete", "missing_count"}
     assert set(answer["head"]) == {"size", "root"}
-    agreed = {"architecture", "configuration", "fleet_size", "metric", "mean", "sd", "n", "ci_low", "ci_high", "published_convention_mean"}
+    agreed = {
+        "architecture",
+        "configuration",
+        "fleet_size",
+        "metric",
+        "mean",
+        "sd",
+        "n",
+        "ci_low",
+        "ci_high",
+        "published_convention_mean",
+    }
     assert agreed <= set(answer["rows"][0])
     assert len(answer["rows"]) == 24
     from_csv = rows_of(call("metrics", ledger, "--csv"))
@@ -106,8 +132,12 @@ def test_a_long_table_is_cut_and_says_so(call: Call, ledger: Path) -> None:
 def test_sql_answers_with_null_lists_and_text(call: Call, ledger: Path) -> None:
     select = "SELECT count(*) AS events, NULL AS nothing, ['a', 'b'] AS list, TRUE AS yes FROM events"
     size = json.loads(call("info", ledger, "--json").out)["head"]["size"]
-    assert json.loads(call("sql", ledger, select, "--json").out)["rows"] == [{"events": size, "nothing": None, "list": ["a", "b"], "yes": True}]
-    assert rows_of(call("sql", ledger, select, "--csv")) == [{"events": str(size), "nothing": "", "list": '["a","b"]', "yes": "true"}]
+    assert json.loads(call("sql", ledger, select, "--json").out)["rows"] == [
+        {"events": size, "nothing": None, "list": ["a", "b"], "yes": True}
+    ]
+    assert rows_of(call("sql", ledger, select, "--csv")) == [
+        {"events": str(size), "nothing": "", "list": '["a","b"]', "yes": "true"}
+    ]
     assert call("sql", ledger, select).out.splitlines()[2].split() == [str(size), "-", '["a","b"]', "true"]
 
 
@@ -143,12 +173,20 @@ def test_verify_says_what_was_checked(call: Call, ledger: Path) -> None:
     assert (answer["ok"], answer["problems"]) == (True, [])
 
 
-@pytest.mark.parametrize(("seed", "zone", "locale", "workers"), [("1", "UTC", "C", "1"), ("77", "Asia/Kathmandu", "C.UTF-8", "2")])
-def test_the_ledger_is_the_same_whatever_the_surroundings(ledger: Path, tmp_path: Path, seed: str, zone: str, locale: str, workers: str) -> None:
+@pytest.mark.parametrize(
+    ("seed", "zone", "locale", "workers"), [("1", "UTC", "C", "1"), ("77", "Asia/Kathmandu", "C.UTF-8", "2")]
+)
+def test_the_ledger_is_the_same_whatever_the_surroundings(
+    ledger: Path, tmp_path: Path, seed: str, zone: str, locale: str, workers: str
+) -> None:
     surroundings = {"PYTHONHASHSEED": seed, "TZ": zone, "LC_ALL": locale}
     assert in_a_process("simulate", tmp_path / "again", *SMALL[:-1], workers, surroundings=surroundings).code == 0
     files = {path.relative_to(ledger): path.read_bytes() for path in ledger.rglob("*") if path.is_file()}
-    assert {path.relative_to(tmp_path / "again"): path.read_bytes() for path in (tmp_path / "again").rglob("*") if path.is_file()} == files
+    assert {
+        path.relative_to(tmp_path / "again"): path.read_bytes()
+        for path in (tmp_path / "again").rglob("*")
+        if path.is_file()
+    } == files
 
 
 EXPERIMENTS = {"results": "", "ablation": "/ablation", "scaling": "/scaling", "workflows": "/workflows"}
@@ -176,10 +214,18 @@ def reproduced(call: Call, tmp_path: Path, *only: str) -> None:
     """The results and these experiments (none named: all) were done with one run of each scenario, complete and signed, in the folder `out`."""
     assert call("key", "new", tmp_path / "fleet.key", "--name", "example.org/fleet").code == 0
     asked = [option for name in only for option in ("--only", name)]
-    said = call("reproduce", "--out", tmp_path / "out", "--runs", 1, "--workers", "2", "--key", tmp_path / "fleet.key", *asked)
+    said = call(
+        "reproduce", "--out", tmp_path / "out", "--runs", 1, "--workers", "2", "--key", tmp_path / "fleet.key", *asked
+    )
     assert said.code == 0, said.err
     names = {"results", *only} if only else set(EXPERIMENTS)
-    assert {path.name for path in (tmp_path / "out").iterdir()} == {*names, "metrics.csv", "statistics.csv", "report.pdf", "reproduction.json"}
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {
+        *names,
+        "metrics.csv",
+        "statistics.csv",
+        "report.pdf",
+        "reproduction.json",
+    }
     assert len(said.out.splitlines()) == 2 + 24 + 3
     told = json.loads((tmp_path / "out" / "reproduction.json").read_text())
     assert told["ledgers"].keys() >= names  # of mechanisms too where an ablation is there

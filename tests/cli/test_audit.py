@@ -21,7 +21,11 @@ def test_a_broken_invariant_is_exit_code_1_and_names_the_first_event(call: Call,
     said = call("audit", ledger)
     answer = json.loads(call("audit", ledger, "--json").out)
     assert (said.code, said.err, answer["holds"]) == (1, "", False)
-    row = next(row for row in answer["rows"] if (row["invariant"], row["architecture"]) == ("i2_local_execution_ownership", "cfc"))
+    row = next(
+        row
+        for row in answer["rows"]
+        if (row["invariant"], row["architecture"]) == ("i2_local_execution_ownership", "cfc")
+    )
     assert f"{row['first_run']} seq {row['first_seq']}: {row['first_found']}" in said.out
     listed = json.loads(call("query", "i2_local_execution_ownership", ledger, "--json").out)["rows"]
     events = sorted((one["run_id"], one["seq"]) for one in listed if one["run_id"].startswith("cfc."))
@@ -30,7 +34,9 @@ def test_a_broken_invariant_is_exit_code_1_and_names_the_first_event(call: Call,
 
 def test_json_has_a_row_for_each_invariant_and_architecture(call: Call, ledger: Path) -> None:
     answer = json.loads(call("audit", ledger, "--json").out)
-    assert [(row["invariant"][:2], row["architecture"]) for row in answer["rows"]] == [(name, one) for name in NAMES for one in ("fsar", "cfc", "dhma")]
+    assert [(row["invariant"][:2], row["architecture"]) for row in answer["rows"]] == [
+        (name, one) for name in NAMES for one in ("fsar", "cfc", "dhma")
+    ]
     assert answer["head"] == json.loads(call("info", ledger, "--json").out)["head"]
     assert {row["runs"] for row in answer["rows"]} == {4}
 
@@ -55,5 +61,10 @@ def test_an_unknown_name_is_answered_with_the_nearest(call: Call, ledger: Path) 
 
 def test_nothing_is_said_to_hold_where_there_is_nothing_to_check(call: Call, tmp_path: Path) -> None:
     path = tmp_path / "ledger"
-    assert call("simulate", path, "--architecture", "cfc", "--scenario", "door-relay", "--runs", "1", "--workers", "1").code == 0
+    assert (
+        call(
+            "simulate", path, "--architecture", "cfc", "--scenario", "door-relay", "--runs", "1", "--workers", "1"
+        ).code
+        == 0
+    )
     one_message(call("audit", path, "--architecture", "fsar"), 2, "found no runs of fsar")

@@ -45,7 +45,9 @@ def contents_of(folder: Path) -> dict[str, bytes]:
         (("--architecture", "cfc", "--without", "shared-registry"), ("cfc", "fsar")),
     ],
 )
-def test_an_impossible_experiment_is_refused_before_anything_is_written(call: Call, tmp_path: Path, arguments: tuple[str, ...], parts: tuple[str, ...]) -> None:
+def test_an_impossible_experiment_is_refused_before_anything_is_written(
+    call: Call, tmp_path: Path, arguments: tuple[str, ...], parts: tuple[str, ...]
+) -> None:
     one_message(call("simulate", tmp_path / "new", *arguments), 2, *parts)
     assert not (tmp_path / "new").exists()
 
@@ -76,14 +78,21 @@ def test_an_interrupted_creation_is_no_damage_and_can_be_finished(call: Call, tm
             (ledger / name).write_bytes(b"{")
         else:
             (ledger / name).mkdir(parents=True)
-        one_message(call(command, ledger), 2, str(ledger), "creation was interrupted", "run the command that creates it again")
+        one_message(
+            call(command, ledger), 2, str(ledger), "creation was interrupted", "run the command that creates it again"
+        )
     with Writer(ledger, ORIGIN):
         pass
     assert call(command, ledger).code == 0
 
 
-@pytest.mark.parametrize("name", ["commits/000000000000.json", "segments/000000000000.parquet", "tile/0/000.p/1", "staging/x.parquet", "checkpoint"])
-def test_a_ledger_without_its_ledger_json_is_not_taken_for_one_that_was_only_begun(call: Call, tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize(
+    "name",
+    ["commits/000000000000.json", "segments/000000000000.parquet", "tile/0/000.p/1", "staging/x.parquet", "checkpoint"],
+)
+def test_a_ledger_without_its_ledger_json_is_not_taken_for_one_that_was_only_begun(
+    call: Call, tmp_path: Path, name: str
+) -> None:
     for folder in ("commits", "segments"):
         (tmp_path / folder).mkdir()
     (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -105,7 +114,9 @@ def test_a_ledger_without_its_ledger_json_is_not_taken_for_one_that_was_only_beg
         ("export", "elsewhere", "--out", "PATH.csv"),
     ],
 )
-def test_a_path_that_is_not_utf_8_is_refused_before_anything_is_done(call: Call, tmp_path: Path, arguments: tuple[str, ...]) -> None:
+def test_a_path_that_is_not_utf_8_is_refused_before_anything_is_done(
+    call: Call, tmp_path: Path, arguments: tuple[str, ...]
+) -> None:
     path = tmp_path / os.fsdecode(b"l\xff")
     one_message(call(*[argument.replace("PATH", str(path)) for argument in arguments]), 2, "l\\udcff", "UTF-8")
     assert list(tmp_path.iterdir()) == []
@@ -114,7 +125,9 @@ def test_a_path_that_is_not_utf_8_is_refused_before_anything_is_done(call: Call,
 @pytest.mark.parametrize("command", ["recover", "verify"])
 def test_a_file_whose_name_is_not_utf_8_is_named_in_json(call: Call, copy: Path, command: str) -> None:
     (copy / "segments" / os.fsdecode(b"x\xff")).write_bytes(b"")
-    assert "x\\udcff" in json.dumps(json.loads(call(command, copy, "--json").out), ensure_ascii=False).replace("\\\\", "\\")
+    assert "x\\udcff" in json.dumps(json.loads(call(command, copy, "--json").out), ensure_ascii=False).replace(
+        "\\\\", "\\"
+    )
 
 
 @pytest.mark.parametrize("command", ["simulate", "reproduce", "recover", "info", "export"])
@@ -123,7 +136,11 @@ def test_after_ctrl_c_each_command_says_what_is_left(call: Call, monkeypatch: py
         raise KeyboardInterrupt
 
     monkeypatch.setattr(cli, "_commands", lambda: SimpleNamespace(main=interrupted))
-    left = {"simulate": "the same command continues there", "reproduce": "the same command continues there", "recover": "run it again"}
+    left = {
+        "simulate": "the same command continues there",
+        "reproduce": "the same command continues there",
+        "recover": "run it again",
+    }
     one_message(call(command, "x"), 130, "interrupted; ", left.get(command, "nothing was changed"))
 
 
@@ -158,7 +175,12 @@ def test_verify_doubts_another_format_version(call: Call, copy: Path) -> None:
     ],
 )
 def test_a_missing_segment_is_named(
-    call: Call, copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: tuple[str, ...], after: tuple[str, ...]
+    call: Call,
+    copy: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    before: tuple[str, ...],
+    after: tuple[str, ...],
 ) -> None:
     monkeypatch.chdir(tmp_path)
     segment = next((copy / "segments").iterdir())
@@ -206,7 +228,18 @@ def test_a_parameter_given_twice_is_refused(call: Call, ledger: Path) -> None:
     one_message(call("query", "failures", ledger, "--param", "a=1", "--param", "a=2"), 2, "'1'")
 
 
-@pytest.mark.parametrize("text", ["SELEKT 1", "SELECT", "SELECT nothing FROM events", "SELECT * FROM eventz", "", "DROP VIEW events", "SELECT 1; SELECT 2"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "SELEKT 1",
+        "SELECT",
+        "SELECT nothing FROM events",
+        "SELECT * FROM eventz",
+        "",
+        "DROP VIEW events",
+        "SELECT 1; SELECT 2",
+    ],
+)
 def test_wrong_sql_is_explained(call: Call, ledger: Path, text: str) -> None:
     called = call("sql", ledger, text)
     assert called.code == 2
@@ -245,7 +278,9 @@ WRITERS = [
 
 
 @pytest.mark.parametrize("command", WRITERS)
-def test_no_command_writes_into_any_ledger(call: Call, ledger: Path, copy: Path, tmp_path: Path, command: tuple[str, ...]) -> None:
+def test_no_command_writes_into_any_ledger(
+    call: Call, ledger: Path, copy: Path, tmp_path: Path, command: tuple[str, ...]
+) -> None:
     (tmp_path / "link").symlink_to(copy / "segments")
     before = contents_of(copy)
     for place in (copy / "x", copy / "new" / "x", copy / "tile" / ".." / "x", tmp_path / "link" / "x"):
@@ -272,7 +307,9 @@ def test_a_link_that_leads_into_a_ledger_is_no_way_around(call: Call, ledger: Pa
 
 
 @pytest.mark.parametrize("arguments", [("export", "x.csv"), ("export", "x.parquet"), ("report", "x.pdf")])
-def test_an_output_that_cannot_be_written_is_named(call: Call, ledger: Path, tmp_path: Path, arguments: tuple[str, str]) -> None:
+def test_an_output_that_cannot_be_written_is_named(
+    call: Call, ledger: Path, tmp_path: Path, arguments: tuple[str, str]
+) -> None:
     (tmp_path / "file").write_text("in the way")
     one_message(call(arguments[0], ledger, "--out", tmp_path / "file" / arguments[1]), 1, arguments[1])
     (tmp_path / arguments[1]).mkdir()

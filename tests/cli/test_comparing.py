@@ -28,7 +28,12 @@ def unlike(tmp_path_factory: pytest.TempPathFactory) -> Path:
     records = [simulate_run(spec, CONSTANTS) for spec in EXPERIMENT.specs()]
     spec: RunSpec = next(EXPERIMENT.specs())
     facts = schedule(CONSTANTS.world, spec.seed, spec.scenario, spec.run, spec.fleet_size)
-    one = Kernel(wiring(spec.architecture), facts[:-1], Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world), *founding_of(spec, CONSTANTS))
+    one = Kernel(
+        wiring(spec.architecture),
+        facts[:-1],
+        Draws(run_key(spec.seed, spec.scenario, spec.run), CONSTANTS.world),
+        *founding_of(spec, CONSTANTS),
+    )
     one.run()
     records[0] = msgspec.structs.replace(records[0], times_us=one.times_us, caused_by=one.caused_by, events=one.events)
     assert records[0].run_id == run_id(run_started(spec, CONSTANTS))

@@ -65,7 +65,9 @@ def said(call: Call, path: Path) -> str:
 
 def live(name: str) -> RunRecord:
     """A run that was not simulated, and has only just begun."""
-    started = msgspec.structs.replace(run_started(RunSpec(1, "fsar", "full", "door-relay", 4, 0), Constants()), kind="live", scenario="live")
+    started = msgspec.structs.replace(
+        run_started(RunSpec(1, "fsar", "full", "door-relay", 4, 0), Constants()), kind="live", scenario="live"
+    )
     return RunRecord(name, (0,), (None,), (started,))
 
 
@@ -78,12 +80,20 @@ def test_a_ledger_with_all_that_was_planned_is_complete(call: Call, ledger: Path
     found = info(call, ledger)
     assert (found["is_complete"], found["runs"], found["runs_unplanned"]) == (True, 12, {})
     [plan] = found["plans"]
-    assert (plan["planned_count"], plan["there_count"], plan["missing_count"], plan["run_count"], plan["continues_with"]) == (12, 12, 0, 2, None)
+    assert (
+        plan["planned_count"],
+        plan["there_count"],
+        plan["missing_count"],
+        plan["run_count"],
+        plan["continues_with"],
+    ) == (12, 12, 0, 2, None)
     assert plan["scenarios"] == ["door-relay", "failure-recovery-chain"]
     assert "12 runs, complete: all that was planned is there" in said(call, ledger)
 
 
-def test_an_interrupted_experiment_is_not_complete_and_the_call_that_goes_on_is_told(call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_interrupted_experiment_is_not_complete_and_the_call_that_goes_on_is_told(
+    call: Call, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path, experiment = tmp_path / "a ledger", small("fsar", "cfc", runs=3, seed=5)
     monkeypatch.setattr(module, "BATCH_RUNS", 2)
     with pytest.raises(Stopped):
@@ -92,10 +102,20 @@ def test_an_interrupted_experiment_is_not_complete_and_the_call_that_goes_on_is_
     found = info(call, path)
     [plan] = found["plans"]
     assert (found["is_complete"], found["runs"], plan["there_count"], plan["planned_count"]) == (False, 2, 2, 6)
-    assert plan["continues_with"] == f"fsar-ledger simulate '{path}' --architecture cfc --architecture fsar --scenario door-relay --runs 3 --seed 5"
-    assert f"2 of 6 runs of door-relay x 3 runs x cfc, fsar, seed 5, 4 robots; go on with: {plan['continues_with']}\n" in said(call, path)
+    assert (
+        plan["continues_with"]
+        == f"fsar-ledger simulate '{path}' --architecture cfc --architecture fsar --scenario door-relay --runs 3 --seed 5"
+    )
+    assert (
+        f"2 of 6 runs of door-relay x 3 runs x cfc, fsar, seed 5, 4 robots; go on with: {plan['continues_with']}\n"
+        in said(call, path)
+    )
     made = call(*shlex.split(plan["continues_with"])[1:], "--json")
-    assert {name: json.loads(made.out)[name] for name in ("runs_asked", "runs_made", "runs_held")} == {"runs_asked": 6, "runs_made": 4, "runs_held": 6}
+    assert {name: json.loads(made.out)[name] for name in ("runs_asked", "runs_made", "runs_held")} == {
+        "runs_asked": 6,
+        "runs_made": 4,
+        "runs_held": 6,
+    }
     assert info(call, path)["is_complete"] is True
 
 
@@ -127,17 +147,25 @@ def test_a_signed_ledger_goes_on_with_a_key(call: Call, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("folder", "is_reproduced"), [("ablation", True), ("elsewhere", False)])
-def test_a_ledger_that_reproduce_signed_under_a_name_of_its_own_goes_on_with_reproduce(call: Call, tmp_path: Path, folder: str, is_reproduced: bool) -> None:
+def test_a_ledger_that_reproduce_signed_under_a_name_of_its_own_goes_on_with_reproduce(
+    call: Call, tmp_path: Path, folder: str, is_reproduced: bool
+) -> None:
     call("key", "new", tmp_path / "key", "--name", "example.org/fleet")
     experiment, path = named("ablation", 42, 1), tmp_path / "paper" / folder
     with pytest.raises(Stopped):
         simulate(path, experiment.parts[1], 1, stop_after(0), experiment.signer(read_signer(tmp_path / "key")))
     [plan] = info(call, path)["plans"]
-    wanted = f"fsar-ledger reproduce --out {shlex.quote(str(path.parent))} --only ablation --runs 1 --key KEY" if is_reproduced else None
+    wanted = (
+        f"fsar-ledger reproduce --out {shlex.quote(str(path.parent))} --only ablation --runs 1 --key KEY"
+        if is_reproduced
+        else None
+    )
     assert plan["continues_with"] == wanted
 
 
-def test_however_many_counts_of_runs_the_plans_of_a_ledger_name_only_the_largest_are_tried_and_each_once(tmp_path: Path) -> None:
+def test_however_many_counts_of_runs_the_plans_of_a_ledger_name_only_the_largest_are_tried_and_each_once(
+    tmp_path: Path,
+) -> None:
     ablation = tmp_path / "ablation"
     planned_only(ablation, named("ablation", 42, 1).parts[1], named("ablation", 42, 1).origin)
     calls = reproducing([*range(10_001), 5, 5], Shown(ablation, open_ledger(ablation)))
@@ -150,7 +178,11 @@ def test_two_shapes_in_one_ledger_are_two_plans_and_both_are_complete(call: Call
     simulate(tmp_path / "ledger", small("fsar", runs=3), 1)
     simulate(tmp_path / "ledger", small("cfc", scenarios=("fleet-contention",), runs=1), 1)
     found = info(call, tmp_path / "ledger")
-    assert (found["is_complete"], found["runs"], [plan["planned_count"] for plan in found["plans"]]) == (True, 4, [3, 1])
+    assert (found["is_complete"], found["runs"], [plan["planned_count"] for plan in found["plans"]]) == (
+        True,
+        4,
+        [3, 1],
+    )
     assert {group["architecture"]: group["runs_to_rectangle"] for group in found["groups"]} == {"fsar": 3, "cfc": 5}
     text = said(call, tmp_path / "ledger")
     assert "4 runs, complete: all that was planned is there" in text
@@ -171,19 +203,33 @@ def test_two_parameter_sets_are_told_apart_and_the_constants_named(call: Call, t
     planned_only(tmp_path / "ledger", small(constants=OTHER))
     simulate(tmp_path / "ledger", small(runs=1, constants=OTHER), 1)
     found = info(call, tmp_path / "ledger")
-    assert sorted((group["constants"], group["runs"], group["runs_to_rectangle"]) for group in found["groups"]) == [("A", 3, 0), ("B", 1, 0)]
+    assert sorted((group["constants"], group["runs"], group["runs_to_rectangle"]) for group in found["groups"]) == [
+        ("A", 3, 0),
+        ("B", 1, 0),
+    ]
     assert [model["differing"] for model in found["models"]] == [OURS, "world.window_mean_s=12"]
-    assert [(plan["planned_count"], plan["missing_count"], plan["continues_with"]) for plan in found["plans"]] == [(3, 0, None), (2, 1, None), (1, 0, None)]
+    assert [(plan["planned_count"], plan["missing_count"], plan["continues_with"]) for plan in found["plans"]] == [
+        (3, 0, None),
+        (2, 1, None),
+        (1, 0, None),
+    ]
     assert found["is_complete"] is False
     text = said(call, tmp_path / "ledger")
-    assert "1 of 2 runs of door-relay x 2 runs x fsar, seed 42, 4 robots; go on with the version and the constants that began it" in text
+    assert (
+        "1 of 2 runs of door-relay x 2 runs x fsar, seed 42, 4 robots; go on with the version and the constants that began it"
+        in text
+    )
     assert f"constants A: simulated, model version 2, 3 runs: {OURS}\n" in text
     assert "constants B: simulated, model version 2, 1 run: world.window_mean_s=12\n" in text
 
 
 def test_a_constant_of_a_group_that_is_absent_is_named_with_its_default(call: Call, tmp_path: Path) -> None:
     simulate(tmp_path / "ledger", small(), 1)
-    simulate(tmp_path / "ledger", small(runs=1, fleet_size=8, constants=Constants(load=Load(teams_working=1, task_sets=2))), 1)
+    simulate(
+        tmp_path / "ledger",
+        small(runs=1, fleet_size=8, constants=Constants(load=Load(teams_working=1, task_sets=2))),
+        1,
+    )
     text = said(call, tmp_path / "ledger")
     assert "constants A: simulated, model version 2, 2 runs: load.task_sets=1, load.teams_working=default\n" in text
     assert "constants B: simulated, model version 2, 1 run: load.task_sets=2, load.teams_working=1\n" in text
@@ -199,7 +245,9 @@ def test_runs_of_two_models_are_told_by_their_versions(call: Call, tmp_path: Pat
     assert "no constants on record: foreign, example.org, no model, 1 run\n" in text
 
 
-def test_runs_that_were_not_simulated_are_in_no_plan_and_nothing_is_said_of_what_is_missing(call: Call, tmp_path: Path) -> None:
+def test_runs_that_were_not_simulated_are_in_no_plan_and_nothing_is_said_of_what_is_missing(
+    call: Call, tmp_path: Path
+) -> None:
     simulate(tmp_path / "ledger", small(), 1)
     appended(tmp_path / "ledger", live("shift-1"), live("shift-2"))
     found = info(call, tmp_path / "ledger")
@@ -210,10 +258,15 @@ def test_runs_that_were_not_simulated_are_in_no_plan_and_nothing_is_said_of_what
 
 
 def test_runs_of_another_system_have_no_model_and_no_rectangle(call: Call, tmp_path: Path) -> None:
-    appended(tmp_path / "ledger", RunRecord("night", (0,), (None,), (RunStarted(kind="foreign", observes=(), source="example.org"),)))
+    appended(
+        tmp_path / "ledger",
+        RunRecord("night", (0,), (None,), (RunStarted(kind="foreign", observes=(), source="example.org"),)),
+    )
     found = info(call, tmp_path / "ledger")
     assert (found["is_complete"], found["runs"], found["runs_unplanned"]) == (None, 1, {"foreign": 1})
-    assert [(group["scenarios"], group["seed"], group["runs_to_rectangle"], group["events"]) for group in found["groups"]] == [(0, None, None, 1)]
+    assert [
+        (group["scenarios"], group["seed"], group["runs_to_rectangle"], group["events"]) for group in found["groups"]
+    ] == [(0, None, None, 1)]
     text = said(call, tmp_path / "ledger")
     assert "1 run; no plan is on record" in text
     assert "foreign, example.org, no model\n" in text
@@ -221,8 +274,13 @@ def test_runs_of_another_system_have_no_model_and_no_rectangle(call: Call, tmp_p
 
 
 @pytest.mark.parametrize(("numbers", "shape"), [((0, 1), "a rectangle"), ((0, 2), "not a rectangle: 1 run less")])
-def test_a_ledger_without_a_plan_is_never_complete(call: Call, tmp_path: Path, numbers: tuple[int, ...], shape: str) -> None:
-    appended(tmp_path / "ledger", *(simulate_run(RunSpec(42, "fsar", "full", "door-relay", 4, number), Constants()) for number in numbers))
+def test_a_ledger_without_a_plan_is_never_complete(
+    call: Call, tmp_path: Path, numbers: tuple[int, ...], shape: str
+) -> None:
+    appended(
+        tmp_path / "ledger",
+        *(simulate_run(RunSpec(42, "fsar", "full", "door-relay", 4, number), Constants()) for number in numbers),
+    )
     found = info(call, tmp_path / "ledger")
     assert (found["is_complete"], found["plans"], found["runs_unplanned"]) == (None, [], {"simulated": 2})
     text = said(call, tmp_path / "ledger")
@@ -253,8 +311,12 @@ def test_an_enlarged_ledger_says_so_and_fewer_runs_are_nothing_to_do(call: Call,
     options = ("--architecture", "fsar", "--scenario", "door-relay", "--workers", "1", "--runs")
     call("simulate", tmp_path / "ledger", *options, 2)
     assert "enlarged: " not in said(call, tmp_path / "ledger")
-    assert "made 1 run; of the 3 asked for 2 were there already" in call("simulate", tmp_path / "ledger", *options, 3).out
-    assert "enlarged: 1 of 2 plans is part of a larger one; runs, run ids and metrics are as if" in said(call, tmp_path / "ledger")
+    assert (
+        "made 1 run; of the 3 asked for 2 were there already" in call("simulate", tmp_path / "ledger", *options, 3).out
+    )
+    assert "enlarged: 1 of 2 plans is part of a larger one; runs, run ids and metrics are as if" in said(
+        call, tmp_path / "ledger"
+    )
     before = info(call, tmp_path / "ledger")
     assert before["is_complete"] is True
     again = call("simulate", tmp_path / "ledger", *options, 1)
@@ -265,7 +327,9 @@ def test_an_enlarged_ledger_says_so_and_fewer_runs_are_nothing_to_do(call: Call,
 def test_runs_beyond_the_papers_experiment_are_told() -> None:
     made = Made(EMPTY_HEAD, asked=300, made=0, held=301)
     assert before(made) == ["nothing to do: the 300 runs asked for are there, and 1 more"]
-    assert beyond(made) == ["the ledger holds 1 run beyond the 300 of the paper's experiment, and they are judged here, too"]
+    assert beyond(made) == [
+        "the ledger holds 1 run beyond the 300 of the paper's experiment, and they are judged here, too"
+    ]
     assert before(Made(EMPTY_HEAD, 20, 20, 30)) == ["made 20 runs, beside 10 of other experiments"]
     assert before(fresh := Made(EMPTY_HEAD, 20, 20, 20)) == beyond(fresh) == []
 
@@ -276,7 +340,12 @@ def test_what_is_judged_before_all_planned_runs_are_there_says_so(call: Call, tm
     call("verify", tmp_path / "ledger")
     for command in ("metrics", "statistics"):
         warned = call(command, tmp_path / "ledger")
-        one_message(warned, 0, "not complete: 4 of the 6 runs of a plan are missing", f"`fsar-ledger info {tmp_path / 'ledger'}`")
+        one_message(
+            warned,
+            0,
+            "not complete: 4 of the 6 runs of a plan are missing",
+            f"`fsar-ledger info {tmp_path / 'ledger'}`",
+        )
     call("verify", ledger)
     assert call("metrics", ledger).err == ""
 

@@ -18,7 +18,9 @@ def workflows(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-DOOR, RECOVERY, SUPERVISION = (f"fsar.full.workflow-{name}" for name in ("door-relay", "layered-recovery", "human-supervision"))
+DOOR, RECOVERY, SUPERVISION = (
+    f"fsar.full.workflow-{name}" for name in ("door-relay", "layered-recovery", "human-supervision")
+)
 
 
 def test_without_a_request_the_requests_of_the_first_run_are_listed(call: Call, ledger: Path) -> None:
@@ -55,7 +57,13 @@ def test_the_door_relay_is_told_from_gap_to_result(call: Call, workflows: Path) 
         "robot/B1 -> robot/A1",
         "service/coordination -> robot/A1",
     ]
-    for party in ("asked by       robot/A1", "allowed by     robot/B1", "executed by    robot/B1", "supervised by  supervisor/B1", "result         success"):
+    for party in (
+        "asked by       robot/A1",
+        "allowed by     robot/B1",
+        "executed by    robot/B1",
+        "supervised by  supervisor/B1",
+        "result         success",
+    ):
         assert party in said.out
 
 
@@ -71,7 +79,9 @@ def test_a_failure_is_told_level_by_level_with_the_time_at_each(call: Call, work
 
 def test_the_supervisor_who_ordered_two_requests_is_named_in_both(call: Call, workflows: Path) -> None:
     for action in ("B1-1/1.1", "D1-2/1.1"):
-        assert "supervisor/fleet -> robot/A1" in call("explain", workflows, "--run", SUPERVISION, "--request", action).out
+        assert (
+            "supervisor/fleet -> robot/A1" in call("explain", workflows, "--run", SUPERVISION, "--request", action).out
+        )
 
 
 @pytest.mark.parametrize("architecture", ["fsar", "cfc", "dhma"])
@@ -118,11 +128,15 @@ def test_a_request_is_drawn_beside_the_text(call: Call, workflows: Path, tmp_pat
         (("--svg", "x.svg"), ("found no request to draw", "--request")),
     ],
 )
-def test_a_wrong_call_is_one_message(call: Call, ledger: Path, arguments: tuple[str, ...], parts: tuple[str, ...]) -> None:
+def test_a_wrong_call_is_one_message(
+    call: Call, ledger: Path, arguments: tuple[str, ...], parts: tuple[str, ...]
+) -> None:
     one_message(call("explain", ledger, *arguments), 2, *parts)
 
 
-def test_a_drawing_inside_the_ledger_is_refused_and_none_is_written_for_a_wrong_name(call: Call, ledger: Path, tmp_path: Path) -> None:
+def test_a_drawing_inside_the_ledger_is_refused_and_none_is_written_for_a_wrong_name(
+    call: Call, ledger: Path, tmp_path: Path
+) -> None:
     one_message(call("explain", ledger, "--request", "A1-1/2.1", "--svg", ledger / "x.svg"), 2, "inside the ledger")
     one_message(call("explain", ledger, "--request", "zzz", "--svg", tmp_path / "x.svg"), 2, "zzz")
     assert not (tmp_path / "x.svg").exists()
@@ -138,7 +152,9 @@ def test_a_place_without_ledger_and_a_ledger_without_runs_are_named(call: Call, 
     one_message(call("explain", tmp_path / "empty"), 2, "found no run")
 
 
-def test_the_report_takes_a_ledger_of_workflows_and_refuses_another(call: Call, ledger: Path, workflows: Path, tmp_path: Path) -> None:
+def test_the_report_takes_a_ledger_of_workflows_and_refuses_another(
+    call: Call, ledger: Path, workflows: Path, tmp_path: Path
+) -> None:
     out = tmp_path / "report.pdf"
     one_message(call("report", ledger, "--workflows", ledger, "--out", out), 2, "found no run of workflow-door-relay")
     one_message(call("report", ledger, "--workflows", workflows, "--out", workflows / "x.pdf"), 2, "inside the ledger")

@@ -12,12 +12,22 @@ FULL = Path("/dev/full")
 pytestmark = pytest.mark.skipif(not FULL.is_char_device(), reason="no device here that is always full")
 
 
-@pytest.mark.parametrize("call", ["info LEDGER", "metrics LEDGER --csv", "sql LEDGER 'SELECT 1'", "verify --help", "--version"])
+@pytest.mark.parametrize(
+    "call", ["info LEDGER", "metrics LEDGER --csv", "sql LEDGER 'SELECT 1'", "verify --help", "--version"]
+)
 def test_an_answer_that_does_not_fit_is_one_message(ledger: Path, call: str) -> None:
-    arguments = [str(ledger) if word == "LEDGER" else word.strip("'") for word in call.replace("SELECT 1", "SELECT+1").split()]
+    arguments = [
+        str(ledger) if word == "LEDGER" else word.strip("'") for word in call.replace("SELECT 1", "SELECT+1").split()
+    ]
     arguments = [word.replace("+", " ") for word in arguments]
     with FULL.open("w") as full:
-        done = subprocess.run([sys.executable, "-m", "fsar_ledger", *arguments], stdout=full, stderr=subprocess.PIPE, text=True, check=False)
+        done = subprocess.run(
+            [sys.executable, "-m", "fsar_ledger", *arguments],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            check=False,
+        )
     assert done.returncode == 1
     assert "No space left on device" in done.stderr
     assert len(done.stderr.splitlines()) == 1
@@ -25,12 +35,22 @@ def test_an_answer_that_does_not_fit_is_one_message(ledger: Path, call: str) -> 
 
 def test_a_message_that_does_not_fit_changes_no_exit_code(ledger: Path) -> None:
     with FULL.open("w") as full:
-        done = subprocess.run([sys.executable, "-m", "fsar_ledger", "info", str(ledger / "nothing")], stdout=subprocess.PIPE, stderr=full, check=False)
+        done = subprocess.run(
+            [sys.executable, "-m", "fsar_ledger", "info", str(ledger / "nothing")],
+            stdout=subprocess.PIPE,
+            stderr=full,
+            check=False,
+        )
     assert (done.returncode, done.stdout) == (2, b"")
 
 
 def test_an_answer_without_any_output_to_go_to_is_one_message(ledger: Path) -> None:
-    done = subprocess.run(["sh", "-c", f'{sys.executable} -m fsar_ledger info "{ledger}" >&-'], capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["sh", "-c", f'{sys.executable} -m fsar_ledger info "{ledger}" >&-'],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
     assert done.returncode == 1
     assert done.stderr == "fsar-ledger: the output has nowhere to go: it was closed; write it to a file or a pipe\n"
 
@@ -38,14 +58,20 @@ def test_an_answer_without_any_output_to_go_to_is_one_message(ledger: Path) -> N
 def test_nothing_is_left_behind_where_libraries_keep_their_files(ledger: Path, tmp_path: Path) -> None:
     (tmp_path / "scratch").mkdir()
     environment = {"HOME": "/proc/nowhere", "TMPDIR": str(tmp_path / "scratch"), "PATH": "/usr/bin:/bin"}
-    done = subprocess.run([sys.executable, "-m", "fsar_ledger", "report", str(ledger), "--out", str(tmp_path / "r.pdf")], env=environment, capture_output=True)
+    done = subprocess.run(
+        [sys.executable, "-m", "fsar_ledger", "report", str(ledger), "--out", str(tmp_path / "r.pdf")],
+        env=environment,
+        capture_output=True,
+    )
     assert done.returncode == 0, done.stderr
     assert list((tmp_path / "scratch").iterdir()) == []
 
 
 def test_an_unbuffered_answer_that_fits_in_part_is_said_to_be_incomplete(ledger: Path, tmp_path: Path) -> None:
     call = f'ulimit -f 8; exec {sys.executable} -m fsar_ledger sql "{ledger}" "SELECT * FROM events" --csv > "{tmp_path / "part"}"'
-    done = subprocess.run(["sh", "-c", call], env={**os.environ, "PYTHONUNBUFFERED": "1"}, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        ["sh", "-c", call], env={**os.environ, "PYTHONUNBUFFERED": "1"}, capture_output=True, text=True, check=False
+    )
     assert (tmp_path / "part").stat().st_size > 0
     assert done.returncode == 1
     assert "the output is incomplete (File too large); write it where there is free space" in done.stderr

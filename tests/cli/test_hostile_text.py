@@ -54,10 +54,18 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
     """A call or two of every verb that show text of the ledger, or of their own arguments."""
     run, action = first_of(ledger, call, "run_id"), first_of(ledger, call, "action_id")
     out, key, proof = place / FOLDER, place / "evil\x1b[2J.key", place / "proof\x1b]0;x\x07.tlog-proof"
-    yield from (("info", ledger), ("verify", ledger, "--replay", "--workers", 1), ("explain", ledger, "--run", run, "--request", action))
+    yield from (
+        ("info", ledger),
+        ("verify", ledger, "--replay", "--workers", 1),
+        ("explain", ledger, "--run", run, "--request", action),
+    )
     yield from (("compare", ledger), ("compare", ledger, "--first", EVIL), ("compare", ledger, ledger))
     yield from (("metrics", ledger), ("statistics", ledger), ("audit", ledger), ("query", "failures", ledger))
-    yield "sql", ledger, f"SELECT run_id, robot, path, 'e' || robot AS \"{EVIL}\" FROM events WHERE robot IS NOT NULL LIMIT 3"
+    yield (
+        "sql",
+        ledger,
+        f"SELECT run_id, robot, path, 'e' || robot AS \"{EVIL}\" FROM events WHERE robot IS NOT NULL LIMIT 3",
+    )
     yield "sql", ledger, "SELECT CAST(run_id AS INTEGER) FROM events"
     yield from (
         ("export", ledger, "--out", out / "events.csv"),
@@ -65,18 +73,33 @@ def calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, ...]]
         ("verify-proof", proof),
         ("prove", ledger, EVIL),
     )
-    yield from (("key", "new", key, "--name", EVIL), ("key", "new", key, "--name", "x/\u05d0"), ("recover", ledger, "--workers", 1))
+    yield from (
+        ("key", "new", key, "--name", EVIL),
+        ("key", "new", key, "--name", "x/\u05d0"),
+        ("recover", ledger, "--workers", 1),
+    )
     policy, state = place / "policy\x1b[2J", place / "witness\x1b[2J"
-    yield from (("witness", "new", state, "--name", "x/\u05d0"), ("witness", "new", state, "--name", EVIL), ("witness", "new", state, "--name", ORIGIN))
+    yield from (
+        ("witness", "new", state, "--name", "x/\u05d0"),
+        ("witness", "new", state, "--name", EVIL),
+        ("witness", "new", state, "--name", ORIGIN),
+    )
     yield "witness", "serve", state, "--log", EVIL
     cosigner = Cosigner(ORIGIN, bytes(32)).key
-    policy.write_text(f"log {Signer(ORIGIN, bytes(32)).verifier}\nwitness {ORIGIN} {cosigner} http://127.0.0.1:9/\u202e\nquorum {ORIGIN}\n")
+    policy.write_text(
+        f"log {Signer(ORIGIN, bytes(32)).verifier}\nwitness {ORIGIN} {cosigner} http://127.0.0.1:9/\u202e\nquorum {ORIGIN}\n"
+    )
     yield from (
         ("verify", ledger, "--witness-policy", policy),
         ("witness", "ask", ledger, "--policy", policy),
         ("witness", "ask", ledger, "--policy", state / "none"),
     )
-    yield from (("simulate", ledger, "--runs", 1), ("simulate", out, "--scenario", EVIL), ("simulate", out, "--origin", EVIL), ("reproduce", "--out", ledger))
+    yield from (
+        ("simulate", ledger, "--runs", 1),
+        ("simulate", out, "--scenario", EVIL),
+        ("simulate", out, "--origin", EVIL),
+        ("reproduce", "--out", ledger),
+    )
     yield from (
         ("report", ledger, "--out", ledger / "x.pdf"),
         ("calibrate", "--out", out, "--workers", EVIL),
@@ -99,18 +122,54 @@ def more_calls(ledger: Path, call: Call, place: Path) -> Iterator[tuple[object, 
     for form in ("--json", "--csv"):
         yield from (("query", name, ledger, form) for name in ("runs", "failures", "audit/invariants"))
         yield from (("metrics", ledger, "--by", "scenario", form), ("statistics", ledger, form))
-        yield "sql", ledger, f"SELECT run_id, robot, path, 'e' || robot AS \"{EVIL}\" FROM events WHERE robot IS NOT NULL LIMIT 3", form
+        yield (
+            "sql",
+            ledger,
+            f"SELECT run_id, robot, path, 'e' || robot AS \"{EVIL}\" FROM events WHERE robot IS NOT NULL LIMIT 3",
+            form,
+        )
     yield from ((verb, ledger, "--json") for verb in ("info", "verify", "explain", "audit", "recover"))
-    yield from (("verify-proof", proof, "--json"), ("explain", ledger, "--run", run, "--request", action, "--json"), ("explain", ledger))
-    yield from (("metrics", out / "nowhere"), ("metrics", ledger, "--by", EVIL), ("audit", ledger, "--invariant", EVIL), ("verify", ledger, "--quick"))
-    yield from (("verify", ledger, "--trusted-key", EVIL), ("verify", ledger, "--anchor", out), ("explain", ledger, "--run", EVIL))
+    yield from (
+        ("verify-proof", proof, "--json"),
+        ("explain", ledger, "--run", run, "--request", action, "--json"),
+        ("explain", ledger),
+    )
+    yield from (
+        ("metrics", out / "nowhere"),
+        ("metrics", ledger, "--by", EVIL),
+        ("audit", ledger, "--invariant", EVIL),
+        ("verify", ledger, "--quick"),
+    )
+    yield from (
+        ("verify", ledger, "--trusted-key", EVIL),
+        ("verify", ledger, "--anchor", out),
+        ("explain", ledger, "--run", EVIL),
+    )
     yield from (("explain", ledger, "--run", run, "--request", EVIL), ("explain", ledger, "--failure", EVIL))
     yield "explain", ledger, "--run", run, "--failure", action, "--svg", out / "story.svg"
-    yield from (("query", EVIL, ledger), ("query", "runs", ledger, "--param", EVIL), ("query", "--file", question, ledger), ("query", "--list"))
+    yield from (
+        ("query", EVIL, ledger),
+        ("query", "runs", ledger, "--param", EVIL),
+        ("query", "--file", question, ledger),
+        ("query", "--list"),
+    )
     yield "query", "audit/requests", ledger, "--param", f"run={EVIL}", "--param", "action=all"
-    yield from (("sql", ledger, f"SELECT {EVIL}"), ("export", ledger, "--out", out / EVIL[:40].replace("/", "")), ("verify-proof", out / "none"))
-    yield from (("verify-proof", question), ("prove", ledger, f"{run}:99999"), ("key", EVIL), ("simulate", out, "--runs", EVIL))
-    yield from (("reproduce", "--key", out / "no.key"), ("report", out / "nowhere", "--out", out / "x.pdf"), ("report", ledger, "--out", out))
+    yield from (
+        ("sql", ledger, f"SELECT {EVIL}"),
+        ("export", ledger, "--out", out / EVIL[:40].replace("/", "")),
+        ("verify-proof", out / "none"),
+    )
+    yield from (
+        ("verify-proof", question),
+        ("prove", ledger, f"{run}:99999"),
+        ("key", EVIL),
+        ("simulate", out, "--runs", EVIL),
+    )
+    yield from (
+        ("reproduce", "--key", out / "no.key"),
+        ("report", out / "nowhere", "--out", out / "x.pdf"),
+        ("report", ledger, "--out", out),
+    )
     yield "recover", ledger, "--into", out / "copy", "--json", "--workers", 1
 
 

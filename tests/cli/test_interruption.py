@@ -23,28 +23,42 @@ SEVERAL_COMMITS = ("--scenario", "door-relay", "--runs", "60", "--seed", "11")
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
     """The head of the ledger that nothing interrupted."""
-    called = in_a_process("simulate", tmp_path_factory.mktemp("whole") / "ledger", *SEVERAL_COMMITS, "--workers", "2", "--json")
+    called = in_a_process(
+        "simulate", tmp_path_factory.mktemp("whole") / "ledger", *SEVERAL_COMMITS, "--workers", "2", "--json"
+    )
     head: dict[str, object] = json.loads(called.out)["head"]
     return head
 
 
 @pytest.mark.parametrize("workers", [pytest.param("1", marks=pytest.mark.slow), "2"])
-def test_an_interrupted_simulation_can_be_continued(call: Call, tmp_path: Path, workers: str, whole: dict[str, int]) -> None:
+def test_an_interrupted_simulation_can_be_continued(
+    call: Call, tmp_path: Path, workers: str, whole: dict[str, int]
+) -> None:
     out = tmp_path / "stopped"
     arguments = [*COMMAND, "simulate", str(out), *SEVERAL_COMMITS, "--workers", workers]
-    process = subprocess.Popen(arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    process = subprocess.Popen(
+        arguments, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
     deadline = time.monotonic() + 60
-    while process.poll() is None and len(list(out.glob("commits/*.json"))) < 2 and time.monotonic() < deadline:  # the plan, and a batch
+    while (
+        process.poll() is None and len(list(out.glob("commits/*.json"))) < 2 and time.monotonic() < deadline
+    ):  # the plan, and a batch
         time.sleep(0.005)
     os.killpg(process.pid, signal.SIGINT)  # a terminal sends it to the workers too
     _, err = process.communicate(timeout=60)
     assert process.returncode == 130, err
-    assert err.splitlines() == ["fsar-ledger: interrupted; what is committed stays, and the same command continues there"]
+    assert err.splitlines() == [
+        "fsar-ledger: interrupted; what is committed stays, and the same command continues there"
+    ]
     assert call("verify", out).code == 0
     info = json.loads(call("info", out, "--json").out)
     assert info["head"]["size"] < whole["size"]
     [plan] = info["plans"]
-    assert (info["is_complete"], plan["planned_count"], plan["there_count"] + plan["missing_count"]) == (False, 180, 180)
+    assert (info["is_complete"], plan["planned_count"], plan["there_count"] + plan["missing_count"]) == (
+        False,
+        180,
+        180,
+    )
     assert 25 <= plan["there_count"] < 180
     continued = in_a_process(*shlex.split(plan["continues_with"])[1:], "--workers", workers, "--json")
     assert json.loads(continued.out)["head"] == whole
@@ -57,7 +71,9 @@ def test_ctrl_c_before_a_command_has_begun_is_no_traceback(tmp_path: Path) -> No
 
 
 def test_a_closed_pipe_is_no_error(ledger: Path) -> None:
-    process = subprocess.Popen([*COMMAND, "sql", str(ledger), "SELECT * FROM events", "--csv"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    process = subprocess.Popen(
+        [*COMMAND, "sql", str(ledger), "SELECT * FROM events", "--csv"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
     assert process.stdout is not None
     assert process.stderr is not None
     process.stdout.readline()
@@ -73,11 +89,15 @@ def limited_disk(*arguments: object, file_bytes_max: int) -> subprocess.Complete
     def limit() -> None:
         resource.setrlimit(resource.RLIMIT_FSIZE, (file_bytes_max, file_bytes_max))
 
-    return subprocess.run([*COMMAND, *map(str, arguments)], capture_output=True, text=True, check=False, preexec_fn=limit)
+    return subprocess.run(
+        [*COMMAND, *map(str, arguments)], capture_output=True, text=True, check=False, preexec_fn=limit
+    )
 
 
 @pytest.mark.parametrize("workers", ["1", "2"])
-def test_a_full_disk_ends_a_simulation_without_half_a_commit(call: Call, ledger: Path, tmp_path: Path, workers: str) -> None:
+def test_a_full_disk_ends_a_simulation_without_half_a_commit(
+    call: Call, ledger: Path, tmp_path: Path, workers: str
+) -> None:
     small = (*SMALL[:-1], workers)
     called = limited_disk("simulate", tmp_path / "full", *small, file_bytes_max=4096)
     assert called.returncode == 1, called.stderr
@@ -100,7 +120,9 @@ def test_a_full_disk_leaves_no_half_of_an_export(ledger: Path, tmp_path: Path, n
 def test_progress_is_for_terminals(tmp_path: Path) -> None:
     assert in_a_process("simulate", tmp_path / "piped", *SMALL).err == ""
     terminal, child = pty.openpty()
-    process = subprocess.Popen([*COMMAND, "simulate", str(tmp_path / "watched"), *SMALL], stdout=subprocess.DEVNULL, stderr=child)
+    process = subprocess.Popen(
+        [*COMMAND, "simulate", str(tmp_path / "watched"), *SMALL], stdout=subprocess.DEVNULL, stderr=child
+    )
     os.close(child)
     seen = b""
     while select.select([terminal], [], [], 60)[0]:

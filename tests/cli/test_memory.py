@@ -8,7 +8,15 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger import memory
-from fsar_ledger.commands.memory import BASE_BYTES, PER_BYTE, PER_WORKER_BYTES, WORTH_BYTES, bounded, default_bytes, readers_of
+from fsar_ledger.commands.memory import (
+    BASE_BYTES,
+    PER_BYTE,
+    PER_WORKER_BYTES,
+    WORTH_BYTES,
+    bounded,
+    default_bytes,
+    readers_of,
+)
 from fsar_ledger.commands.options import workers_of
 from fsar_ledger.errors import LimitReached, UsageError
 from fsar_ledger.ledger.problem import unexpected
@@ -51,12 +59,16 @@ def test_what_takes_more_is_ended_with_one_message_and_leaves_no_half_file(tmp_p
     assert not (tmp_path / "part").exists()
 
 
-@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="only Linux says what a process and those that it started hold")
+@pytest.mark.skipif(
+    not Path("/proc/self/statm").exists(), reason="only Linux says what a process and those that it started hold"
+)
 def test_the_processes_that_it_starts_count_too(tmp_path: Path) -> None:
     grow = "kept = bytearray(b'x') * (400 << 20); import time; time.sleep(60)"
     within = f"import subprocess, sys\nwith bounded(256, Path('ledger')):\n    subprocess.run([sys.executable, '-c', {grow!r}])\n"
     code = f"from pathlib import Path\nfrom fsar_ledger.commands.memory import bounded\n{within}"
-    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60)
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
+    )
     assert done.returncode == 2
     assert LITTLE in done.stderr
 
@@ -76,7 +88,9 @@ def test_duckdb_counts_for_itself_and_spills_nowhere(tmp_path: Path) -> None:
     assert memory.limit() is None
 
 
-def test_the_default_grows_with_what_the_segments_take(ledger: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_default_grows_with_what_the_segments_take(
+    ledger: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     assert default_bytes(tmp_path, workers=2) == default_bytes(None, workers=2) == BASE_BYTES
     stored = sum(file.stat().st_size for file in (ledger / "segments").iterdir())
     assert default_bytes(ledger, workers=2) - BASE_BYTES == PER_BYTE * stored

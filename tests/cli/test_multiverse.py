@@ -14,10 +14,31 @@ def test_people_see_ranges_rankings_and_what_the_readings_say(call: Call, ledger
     called = call("multiverse", ledger, *ONE)
     assert called.code == 0
     ranges, rankings, verdicts, told = called.out.split("\n\n")
-    assert ranges.splitlines()[0].split() == ["metric", "architecture", "paper", "ours", "lowest", "highest", "combinations", "most_moving", "moved_by"]
-    assert [line.split()[:2] for line in ranges.splitlines()[2:]] == [["human_intervention", name] for name in ("fsar", "cfc", "dhma")]
+    assert ranges.splitlines()[0].split() == [
+        "metric",
+        "architecture",
+        "paper",
+        "ours",
+        "lowest",
+        "highest",
+        "combinations",
+        "most_moving",
+        "moved_by",
+    ]
+    assert [line.split()[:2] for line in ranges.splitlines()[2:]] == [
+        ["human_intervention", name] for name in ("fsar", "cfc", "dhma")
+    ]
     assert rankings.splitlines()[0].split() == [
-        *("metric", "better", "order", "combinations", "same_order", "changed_under", "fsar_best", "fsar_not_best_under")
+        *(
+            "metric",
+            "better",
+            "order",
+            "combinations",
+            "same_order",
+            "changed_under",
+            "fsar_best",
+            "fsar_not_best_under",
+        )
     ]
     assert verdicts.startswith("FSAR is the best one under every combination in ")
     assert verdicts.splitlines()[1].startswith("the order of the architectures is ours under every combination in ")
@@ -30,15 +51,25 @@ def test_programs_get_every_combination_and_the_same_bytes_again(call: Call, led
     assert (answer["complete"], answer["missing_count"], len(answer["head"]["root"])) == (True, 0, 64)
     names = ["level_four_is_fleet", "reviews_are_no_interventions"]
     assert [one["name"] for one in answer["readings"]] == names
-    assert [one["readings"] for one in answer["universes"]] == [chosen for chosen in ([], names[:1], names[1:], names) for _ in range(3)]
+    assert [one["readings"] for one in answer["universes"]] == [
+        chosen for chosen in ([], names[:1], names[1:], names) for _ in range(3)
+    ]
     means = [one["mean"] for one in answer["universes"] if one["architecture"] == "cfc"]
     (cell,) = [one for one in answer["cells"] if one["architecture"] == "cfc"]
-    assert (cell["ours"], cell["lowest"], cell["highest"], cell["combinations"]) == (means[0], min(means), max(means), 4)
+    assert (cell["ours"], cell["lowest"], cell["highest"], cell["combinations"]) == (
+        means[0],
+        min(means),
+        max(means),
+        4,
+    )
     assert call("multiverse", ledger, *ONE, "--json").out == called.out
 
 
 def test_our_reading_is_what_metrics_says(call: Call, ledger: Path) -> None:
-    ours = {row["architecture"]: row["ours"] for row in csv.DictReader(io.StringIO(call("multiverse", ledger, *ONE, "--csv").out))}
+    ours = {
+        row["architecture"]: row["ours"]
+        for row in csv.DictReader(io.StringIO(call("multiverse", ledger, *ONE, "--csv").out))
+    }
     found = csv.DictReader(io.StringIO(call("metrics", ledger, "--csv").out))
     assert ours == {row["architecture"]: row["mean"] for row in found if row["metric"] == "human_intervention"}
 
@@ -57,7 +88,21 @@ def test_a_metric_that_is_none_is_an_error_that_names_the_nearest(call: Call, le
 
 
 def test_a_ledger_in_which_nothing_can_be_ranked_says_so(call: Call, tmp_path: Path) -> None:
-    assert call("simulate", tmp_path / "one", "--architecture", "fsar", "--scenario", "door-relay", "--runs", "1", "--workers", "1").code == 0
+    assert (
+        call(
+            "simulate",
+            tmp_path / "one",
+            "--architecture",
+            "fsar",
+            "--scenario",
+            "door-relay",
+            "--runs",
+            "1",
+            "--workers",
+            "1",
+        ).code
+        == 0
+    )
     verdicts = call("multiverse", tmp_path / "one", *ONE).out.split("\n\n")[2]
     assert verdicts.splitlines() == [
         "whether FSAR is the best one: nothing to rank; that takes means of two architectures, one of them FSAR",

@@ -33,14 +33,24 @@ def test_audit_says_of_each_of_the_ten_that_it_is_not_observable_and_passes_none
 
 def test_an_invariant_without_a_case_is_no_pass_although_all_is_observed(call: Call, tmp_path: Path) -> None:
     joined = [RobotJoined(f"robot/A{number}", "A", number, f"supervisor/A{number}") for number in (1, 2, 3)]
-    append_all(tmp_path / "ledger", [[RunRecord("night", [0, 1, 2, 3], [None, 0, 1, 2], [RunStarted("live", CONCERNS), *joined])]])
+    append_all(
+        tmp_path / "ledger",
+        [[RunRecord("night", [0, 1, 2, 3], [None, 0, 1, 2], [RunStarted("live", CONCERNS), *joined])]],
+    )
     said = call("audit", tmp_path / "ledger")
     assert said.code == 1
     assert said.out.splitlines()[13] == "1 of 10 hold, 9 had no case"
-    assert said.out.splitlines()[14] == "nothing to judge was on record for I2, I3, I4, I5, A1, A2, A3, A4, A5; that is no pass"
-    assert [("no case" in line, "holds" in line) for line in said.out.splitlines()[2:12]] == [(False, True)] + [(True, False)] * 9
+    assert (
+        said.out.splitlines()[14]
+        == "nothing to judge was on record for I2, I3, I4, I5, A1, A2, A3, A4, A5; that is no pass"
+    )
+    assert [("no case" in line, "holds" in line) for line in said.out.splitlines()[2:12]] == [(False, True)] + [
+        (True, False)
+    ] * 9
     answer = json.loads(call("audit", tmp_path / "ledger", "--json").out)
-    assert [answer["holds"], *((row["holds"], row["cases"]) for row in answer["rows"])] == [None, (True, 3)] + [(None, 0)] * 9
+    assert [answer["holds"], *((row["holds"], row["cases"]) for row in answer["rows"])] == [None, (True, 3)] + [
+        (None, 0)
+    ] * 9
     assert call("audit", tmp_path / "ledger", "--invariant", "i1").code == 0
 
 
@@ -56,7 +66,9 @@ def test_metrics_shows_no_number_but_how_many_runs_are_not_observed(call: Call, 
     rows = json.loads(call("metrics", members, "--json").out)["rows"]
     assert len({row["metric"] for row in rows}) == len(rows) == 8
     for row in rows:
-        assert {row[name] for name in ("mean", "sd", "ci_low", "ci_high", "denominator", "published_convention_mean")} == {None}
+        assert {
+            row[name] for name in ("mean", "sd", "ci_low", "ci_high", "denominator", "published_convention_mean")
+        } == {None}
         assert (row["n"], row["runs_not_observed"]) == (0, 1)
     assert json.loads(call("statistics", members, "--json").out)["rows"] == []
 
@@ -77,7 +89,10 @@ def test_explain_does_not_say_that_there_were_no_requests(call: Call, members: P
 
 
 def test_info_names_what_no_answer_is_about(call: Call, members: Path) -> None:
-    assert "not observed, so that no answer is about it: authority (1 of 1 runs), command (1 of 1 runs), execution (1 of 1 runs)" in call("info", members).out
+    assert (
+        "not observed, so that no answer is about it: authority (1 of 1 runs), command (1 of 1 runs), execution (1 of 1 runs)"
+        in call("info", members).out
+    )
     found = json.loads(call("info", members, "--json").out)["not_observed"]
     assert {one["concern"] for one in found} == set(CONCERNS) - {"fleet"}
 
@@ -93,5 +108,8 @@ def test_where_everything_is_observed_nothing_is_said_of_it(call: Call, ledger: 
 def test_an_architecture_of_somebody_elses_can_be_asked_for_by_its_name(call: Call, tmp_path: Path) -> None:
     started = RunStarted("foreign", ("fleet",), architecture="open-rmf", source="a log")
     append_all(tmp_path / "ledger", [[RunRecord("ward", [0], [None], [started])]])
-    assert {row["architecture"] for row in json.loads(call("audit", tmp_path / "ledger", "--architecture", "open-rmf", "--json").out)["rows"]} == {"open-rmf"}
+    assert {
+        row["architecture"]
+        for row in json.loads(call("audit", tmp_path / "ledger", "--architecture", "open-rmf", "--json").out)["rows"]
+    } == {"open-rmf"}
     one_message(call("audit", tmp_path / "ledger", "--architecture", "open-rfm"), 2, "did you mean 'open-rmf'")

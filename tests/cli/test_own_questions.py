@@ -20,7 +20,9 @@ def question(tmp_path: Path) -> Path:
     return file
 
 
-def test_a_file_is_answered_like_its_text(call: Call, ledger: Path, question: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_is_answered_like_its_text(
+    call: Call, ledger: Path, question: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     answer = call("sql", ledger, SELECT, "--json")
     assert answer.code == 0
     assert json.loads(answer.out)["rows"]
@@ -41,7 +43,9 @@ def test_a_file_is_answered_like_its_text(call: Call, ledger: Path, question: Pa
         (b"SELECT * FROM read_text('/etc/passwd')", "disabled by configuration"),
     ],
 )
-def test_what_is_wrong_with_a_file_is_said_with_its_name(call: Call, ledger: Path, question: Path, content: bytes, part: str) -> None:
+def test_what_is_wrong_with_a_file_is_said_with_its_name(
+    call: Call, ledger: Path, question: Path, content: bytes, part: str
+) -> None:
     question.write_bytes(content)
     one_message(call("query", "--file", question, ledger), 2, f"{question}: SQL: ", part)
 
@@ -52,7 +56,11 @@ def test_a_file_that_cannot_be_read_is_named(call: Call, ledger: Path, tmp_path:
 
 
 def test_limits_are_kept_and_belong_to_questions_of_ones_own(call: Call, ledger: Path) -> None:
-    one_message(call("sql", ledger, "SELECT sum(x % 7) FROM range(1000000000000) AS t(x)", "--seconds", "1"), 2, "after 1 s, the limit")
+    one_message(
+        call("sql", ledger, "SELECT sum(x % 7) FROM range(1000000000000) AS t(x)", "--seconds", "1"),
+        2,
+        "after 1 s, the limit",
+    )
     one_message(call("sql", ledger, "SELECT len(range(1000000000))", "--memory", "1024"), 2, "the limit is 1,024 MiB")
     one_message(call("sql", ledger, "SELECT 1", "--seconds", "0"), 2, "at least 1")
     one_message(call("sql", ledger, "SELECT 1", "--memory", "1023"), 2, "at least 1024")
@@ -62,4 +70,6 @@ def test_limits_are_kept_and_belong_to_questions_of_ones_own(call: Call, ledger:
 def test_a_file_stands_instead_of_a_name_and_has_no_parameters(call: Call, ledger: Path, question: Path) -> None:
     one_message(call("query", "--file", question), 2, "one argument, LEDGER")
     one_message(call("query", "--file", question, "failures", ledger), 2, "one argument, LEDGER")
-    one_message(call("query", "--file", question, ledger, "--param", "robot=r"), 2, "only a packaged query has parameters")
+    one_message(
+        call("query", "--file", question, ledger, "--param", "robot=r"), 2, "only a packaged query has parameters"
+    )

@@ -13,7 +13,10 @@ from fsar_ledger.printable import Shown
 
 HEAD = Head(3, 1000, "ab" * 32)
 COLUMNS = ["seq", 'a "name"\nof two lines', "path"]
-ROWS: list[Row] = [{COLUMNS[0]: seq, COLUMNS[1]: f"a,b\n[]{seq}\r\n" if seq % 3 else None, COLUMNS[2]: [str(seq)] * (seq % 4)} for seq in range(10)]
+ROWS: list[Row] = [
+    {COLUMNS[0]: seq, COLUMNS[1]: f"a,b\n[]{seq}\r\n" if seq % 3 else None, COLUMNS[2]: [str(seq)] * (seq % 4)}
+    for seq in range(10)
+]
 
 
 @pytest.mark.parametrize("kind", [{"as_json": True}, {"as_csv": True}, {}, {"limit": 3}, {"limit": 10}, {"limit": 11}])
@@ -48,5 +51,8 @@ def test_what_breaks_off_is_not_shown() -> None:
 
 
 def test_a_table_without_rows_says_so_under_its_columns() -> None:
-    assert answer_text(None, [], ["run_id"], rows_verified=None, as_json=False, as_csv=False) == "run_id\n------\n(no rows)\n"
+    assert (
+        answer_text(None, [], ["run_id"], rows_verified=None, as_json=False, as_csv=False)
+        == "run_id\n------\n(no rows)\n"
+    )
     assert answer_text(None, [], ["run_id"], rows_verified=None, as_json=False, as_csv=True) == "run_id\n"

@@ -9,7 +9,16 @@ import pytest
 from tests.cli.conftest import SMALL, Call, one_message
 from tests.ledger.samples import contents
 
-MANY = ("--architecture", "fsar", "--scenario", "door-relay", "--runs", "60", "--workers", "1")  # the plan, and three commits
+MANY = (
+    "--architecture",
+    "fsar",
+    "--scenario",
+    "door-relay",
+    "--runs",
+    "60",
+    "--workers",
+    "1",
+)  # the plan, and three commits
 LAST = "segments/000000000003.parquet"
 
 
@@ -53,8 +62,16 @@ def test_a_damaged_ledger_is_explained_and_continued(call: Call, copy: Path, man
     before = contents(copy)
     said = call("recover", copy)
     assert (said.code, said.err) == (3, "")
-    assert said.out.startswith(f"{copy}: damaged at commit 2; nothing of it was changed\nfound\n  segments/000000000002.parquet: commit 2")
-    for line in ("  commits 0 to 1: ", "  commit 2: the segment is missing", "  commit 3: record and segment fit", "--into NEW copies", "SHA-256"):
+    assert said.out.startswith(
+        f"{copy}: damaged at commit 2; nothing of it was changed\nfound\n  segments/000000000002.parquet: commit 2"
+    )
+    for line in (
+        "  commits 0 to 1: ",
+        "  commit 2: the segment is missing",
+        "  commit 3: record and segment fit",
+        "--into NEW copies",
+        "SHA-256",
+    ):
         assert f"\n{line}" in said.out or line in said.out
     new = tmp_path / "new"
     done = call("recover", copy, "--into", new)

@@ -44,11 +44,23 @@ def words(verb: str, ledger: Path, *options: str) -> list[object]:
     """The call of this verb."""
     if verb == "compare":
         return [verb, ledger, "--first", "fsar", "--second", "cfc", *options]
-    own = ["SELECT count(*) AS events FROM events"] if verb == "sql" else ["--out", str(ledger.parent / "events.csv")] if verb == "export" else []
+    own = (
+        ["SELECT count(*) AS events FROM events"]
+        if verb == "sql"
+        else ["--out", str(ledger.parent / "events.csv")]
+        if verb == "export"
+        else []
+    )
     return [*verb.split(), ledger, *own, *options]
 
 
-@pytest.mark.parametrize("verb", [pytest.param(verb, marks=pytest.mark.slow if verb in ("statistics", "audit", "query runs") else ()) for verb in ANSWERS])
+@pytest.mark.parametrize(
+    "verb",
+    [
+        pytest.param(verb, marks=pytest.mark.slow if verb in ("statistics", "audit", "query runs") else ())
+        for verb in ANSWERS
+    ],
+)
 def test_an_answer_says_whether_its_rows_were_compared_with_the_root(call: Call, small: Path, verb: str) -> None:
     options = ("--json",) if verb in WITH_JSON else ()
     before = call(*words(verb, small, *options))
@@ -66,23 +78,37 @@ def test_an_answer_says_whether_its_rows_were_compared_with_the_root(call: Call,
 
 
 @pytest.mark.parametrize("verb", [*ANSWERS, "prove"])
-def test_rows_that_are_not_those_under_the_root_are_refused_where_that_is_demanded(call: Call, small: Path, verb: str) -> None:
+def test_rows_that_are_not_those_under_the_root_are_refused_where_that_is_demanded(
+    call: Call, small: Path, verb: str
+) -> None:
     forge_segment(small, 0, changed(table_of(small, 0), "time_us", 1, 4))
     own = ("7",) if verb == "prove" else ()
-    one_message(call(*words(verb, small, *own, "--verified")), 3, f"{small}: segments/000000000000.parquet: commit 0, field tree_root: found Merkle root")
+    one_message(
+        call(*words(verb, small, *own, "--verified")),
+        3,
+        f"{small}: segments/000000000000.parquet: commit 0, field tree_root: found Merkle root",
+    )
     assert not (small.parent / "events.csv").exists()
 
 
-def test_a_report_is_not_made_from_rows_that_are_not_those_under_the_root(call: Call, small: Path, tmp_path: Path) -> None:
+def test_a_report_is_not_made_from_rows_that_are_not_those_under_the_root(
+    call: Call, small: Path, tmp_path: Path
+) -> None:
     forge_segment(small, 0, changed(table_of(small, 0), "time_us", 1, 4))
-    one_message(call("report", small, "--out", tmp_path / "report.pdf"), 3, "found Merkle root", "run fsar-ledger verify")
+    one_message(
+        call("report", small, "--out", tmp_path / "report.pdf"), 3, "found Merkle root", "run fsar-ledger verify"
+    )
     assert not (tmp_path / "report.pdf").exists()
 
 
-def test_a_report_whose_workflows_are_not_those_under_their_root_is_not_made(call: Call, small: Path, tmp_path: Path) -> None:
+def test_a_report_whose_workflows_are_not_those_under_their_root_is_not_made(
+    call: Call, small: Path, tmp_path: Path
+) -> None:
     workflows = Path(shutil.copytree(small, tmp_path / "workflows"))
     forge_segment(workflows, 0, changed(table_of(workflows, 0), "time_us", 1, 4))
-    one_message(call("report", small, "--workflows", workflows, "--out", tmp_path / "report.pdf"), 3, f"{workflows}: segments/")
+    one_message(
+        call("report", small, "--workflows", workflows, "--out", tmp_path / "report.pdf"), 3, f"{workflows}: segments/"
+    )
 
 
 def test_verify_is_what_is_remembered_and_a_quick_look_is_not(call: Call, small: Path) -> None:
@@ -106,8 +132,12 @@ def test_a_proof_needs_no_look_at_all_rows(call: Call, small: Path) -> None:
 
 
 def test_a_proof_is_of_the_event_that_was_asked_for_or_is_not_made(call: Call, small: Path) -> None:
-    forge_segment(small, 0, changed(table_of(small, 0), "run_id", 2, "run-0-cfc"))  # so that this run seems to begin an event too early
-    one_message(call("prove", small, "run-0-cfc:1"), 3, "event 3: found run run-0-cfc seq 0, expected run-0-cfc:1 there")
+    forge_segment(
+        small, 0, changed(table_of(small, 0), "run_id", 2, "run-0-cfc")
+    )  # so that this run seems to begin an event too early
+    one_message(
+        call("prove", small, "run-0-cfc:1"), 3, "event 3: found run run-0-cfc seq 0, expected run-0-cfc:1 there"
+    )
 
 
 def test_rows_that_no_events_give_are_damage_and_no_traceback(call: Call, small: Path) -> None:

@@ -12,26 +12,60 @@ def test_compare_says_what_is_paired_before_the_numbers(call: Call, ledger: Path
     table = call("compare", ledger, "--first", "fsar", "--second", "cfc")
     lines = table.out.splitlines()
     assert table.code == 0
-    assert lines[:2] == ["first: fsar:full@A/4 (4 runs), simulated, model 2", "second: cfc:full@A/4 (4 runs), simulated, model 2"]
-    assert lines[2:4] == ["4 pairs by seed, scenario and number: 4 met the same facts of the world", "the constants are the same"]
+    assert lines[:2] == [
+        "first: fsar:full@A/4 (4 runs), simulated, model 2",
+        "second: cfc:full@A/4 (4 runs), simulated, model 2",
+    ]
+    assert lines[2:4] == [
+        "4 pairs by seed, scenario and number: 4 met the same facts of the world",
+        "the constants are the same",
+    ]
     assert len([line for line in lines if line.startswith(("coordination_", "governance_", "reassignment_"))]) == 3
     answer = json.loads(call("compare", ledger, "--first", "fsar", "--second", "cfc", "--by", "scenario", "--json").out)
-    assert (answer["pairs"], answer["same_facts"], answer["first"]["name"], answer["other"]) == (4, 4, "fsar:full@A/4", None)
+    assert (answer["pairs"], answer["same_facts"], answer["first"]["name"], answer["other"]) == (
+        4,
+        4,
+        "fsar:full@A/4",
+        None,
+    )
     assert {row["scenario"] for row in answer["rows"]} == {"door-relay", "failure-recovery-chain"}
     rows = list(csv.DictReader(io.StringIO(call("compare", ledger, "--first", "fsar", "--second", "cfc", "--csv").out)))
     assert [row["n"] for row in rows] == ["4"] * 8
 
 
 def test_two_ledgers_are_compared_each_with_its_head(call: Call, ledger: Path, tmp_path: Path) -> None:
-    call("simulate", tmp_path / "more", "--architecture", "fsar", "--scenario", "door-relay", "--runs", "1", "--seed", "7", "--fleet-size", "8")
+    call(
+        "simulate",
+        tmp_path / "more",
+        "--architecture",
+        "fsar",
+        "--scenario",
+        "door-relay",
+        "--runs",
+        "1",
+        "--seed",
+        "7",
+        "--fleet-size",
+        "8",
+    )
     answer = json.loads(call("compare", ledger, tmp_path / "more", "--first", "fsar", "--json").out)
-    assert (answer["pairs"], answer["same_draws"], answer["first_alone"], answer["second"]["fleet_size"]) == (1, 1, 3, 8)
+    assert (answer["pairs"], answer["same_draws"], answer["first_alone"], answer["second"]["fleet_size"]) == (
+        1,
+        1,
+        3,
+        8,
+    )
     assert answer["other"]["head"]["root"] != answer["head"]["root"]
     assert any("the fleets differ in size (4 and 8 robots)" in line for line in answer["remarks"])
 
 
 def test_compare_refuses_what_it_cannot_tell(call: Call, ledger: Path) -> None:
     one_message(call("compare", ledger), 2, "found 3 sides, expected two", "dhma:full@A/4 (4 runs)")
-    one_message(call("compare", ledger, "--first", "fsra", "--second", "cfc"), 2, "--first fsra: found no such runs", "fsar:full@A/4")
+    one_message(
+        call("compare", ledger, "--first", "fsra", "--second", "cfc"),
+        2,
+        "--first fsra: found no such runs",
+        "fsar:full@A/4",
+    )
     one_message(call("compare", ledger, ledger, "--first", "fsar"), 2, "found the same events in both")
     one_message(call("compare", ledger, "--by", "robot"), 2, "--by robot: expected --by scenario")

@@ -63,7 +63,14 @@ def test_key_alone_says_what_is_missing(call: Call) -> None:
 
 
 def test_a_key_in_the_environment_signs_as_well(folder: Path, tmp_path: Path) -> None:
-    called = in_a_process("simulate", tmp_path / "ledger", *SMALL[:2], "--runs", "1", surroundings={"FSAR_LEDGER_KEY": str(folder / "fleet.key")})
+    called = in_a_process(
+        "simulate",
+        tmp_path / "ledger",
+        *SMALL[:2],
+        "--runs",
+        "1",
+        surroundings={"FSAR_LEDGER_KEY": str(folder / "fleet.key")},
+    )
     assert (called.code, called.err) == (0, "")
     assert f"signed by {key_of(folder)}\n" in called.out
     assert (tmp_path / "ledger" / "checkpoint").read_text().count("\N{EM DASH} fsar-ledger/simulated ") == 1
@@ -72,7 +79,11 @@ def test_a_key_in_the_environment_signs_as_well(folder: Path, tmp_path: Path) ->
 def test_a_key_that_cannot_sign_is_refused_before_anything_is_written(call: Call, folder: Path, tmp_path: Path) -> None:
     assert call("key", "new", tmp_path / "arm.key", "--name", "example.org/arm").code == 0
     named = ("--origin", "example.org/leg", "--key", tmp_path / "arm.key")
-    one_message(call("simulate", tmp_path / "ledger", *SMALL, *named), 2, "found a key named example.org/arm, expected example.org/leg")
+    one_message(
+        call("simulate", tmp_path / "ledger", *SMALL, *named),
+        2,
+        "found a key named example.org/arm, expected example.org/leg",
+    )
     shutil.copy(folder / "fleet.key", tmp_path / "open.key")
     (tmp_path / "open.key").chmod(0o644)
     for key, part in (
@@ -98,7 +109,10 @@ def test_a_ledger_has_the_origin_that_was_asked_for_or_the_name_of_its_key(call:
         assert call("simulate", tmp_path / name, *small, *options).code == 0
         assert (tmp_path / name / "checkpoint").read_text().split("\n")[0] == origin
         assert call("simulate", tmp_path / name, *small, *options).code == 0
-    assert "consistent, signed by example.org/arm+" in call("verify", tmp_path / "key", "--trusted-key", tmp_path / "arm.key.pub").out
+    assert (
+        "consistent, signed by example.org/arm+"
+        in call("verify", tmp_path / "key", "--trusted-key", tmp_path / "arm.key.pub").out
+    )
     one_message(call("simulate", tmp_path / "asked", *small), 2, "found a ledger of origin 'example.org/leg'")
     for name in ("", "two words", "a+b"):
         one_message(call("simulate", tmp_path / "new", *small, "--origin", name), 2, "--origin", "without spaces")
@@ -113,10 +127,15 @@ def test_who_signs_changes_the_notes_and_nothing_else(folder: Path, ledger: Path
     assert rest(folder / "ledger") == rest(ledger)
 
 
-def test_a_ledger_that_is_complete_is_not_signed_afterwards_and_that_is_said(call: Call, folder: Path, tmp_path: Path) -> None:
+def test_a_ledger_that_is_complete_is_not_signed_afterwards_and_that_is_said(
+    call: Call, folder: Path, tmp_path: Path
+) -> None:
     small = ("simulate", tmp_path / "ledger", *SMALL[:2], "--runs", "1")
     assert "signed" not in call(*small).out
-    assert "nothing was signed; the newest commit is unsigned" in call(*small, "--key", folder / "fleet.key", "--adopt").out
+    assert (
+        "nothing was signed; the newest commit is unsigned"
+        in call(*small, "--key", folder / "fleet.key", "--adopt").out
+    )
     assert "consistent, unsigned" in call("verify", tmp_path / "ledger").out
 
 
@@ -126,7 +145,12 @@ def test_a_key_goes_on_after_what_it_did_not_sign_only_if_told_to(call: Call, fo
 
     key = ("--key", folder / "fleet.key")
     simulate(1)
-    one_message(simulate(2, *key), 2, "found a newest checkpoint with no signature", "verify the ledger, and say --adopt to sign on from here")
+    one_message(
+        simulate(2, *key),
+        2,
+        "found a newest checkpoint with no signature",
+        "verify the ledger, and say --adopt to sign on from here",
+    )
     assert open_ledger(tmp_path / "ledger").head.commits == 2
     assert "signed by" in simulate(2, *key, "--adopt").out
     assert "signed by" in simulate(3, *key).out
@@ -141,7 +165,9 @@ def test_the_secret_is_in_no_output_and_in_no_file_of_the_ledger(call: Call, fol
             called = call(arguments[0], target, arguments[1], key)
             assert called.code == 2
             assert secret not in called.out + called.err
-    assert not [file for file in (folder / "ledger").rglob("*") if file.is_file() and secret.encode() in file.read_bytes()]
+    assert not [
+        file for file in (folder / "ledger").rglob("*") if file.is_file() and secret.encode() in file.read_bytes()
+    ]
 
 
 # --- verify ---
@@ -160,18 +186,40 @@ def test_verify_says_how_it_looked_who_signed_and_since_when_it_only_grew(call: 
     assert quick.endswith("rows were not compared with the recorded roots\n")
     assert "runs" not in quick
     quick = call("verify", ledger, "--quick", *anchor).out
-    assert quick.endswith(f"\nthe recorded roots only grew since the anchor's {size_of(ledger):,} events; rows were not compared with them\n")
+    assert quick.endswith(
+        f"\nthe recorded roots only grew since the anchor's {size_of(ledger):,} events; rows were not compared with them\n"
+    )
 
 
 def test_verify_says_the_same_as_json(call: Call, folder: Path) -> None:
     answer = json.loads(
-        call("verify", folder / "ledger", "--quick", "--json", "--trusted-key", folder / "fleet.key.pub", "--anchor", folder / "ledger" / "checkpoint").out
+        call(
+            "verify",
+            folder / "ledger",
+            "--quick",
+            "--json",
+            "--trusted-key",
+            folder / "fleet.key.pub",
+            "--anchor",
+            folder / "ledger" / "checkpoint",
+        ).out
     )
-    assert (answer["ok"], answer["is_quick"], answer["signature"], answer["signer"]) == (True, True, "signed", key_of(folder))
-    assert (answer["signed"], answer["commits"], answer["anchored"], answer["head"]["size"]) == (2, 2, *[size_of(folder / "ledger")] * 2)
+    assert (answer["ok"], answer["is_quick"], answer["signature"], answer["signer"]) == (
+        True,
+        True,
+        "signed",
+        key_of(folder),
+    )
+    assert (answer["signed"], answer["commits"], answer["anchored"], answer["head"]["size"]) == (
+        2,
+        2,
+        *[size_of(folder / "ledger")] * 2,
+    )
 
 
-def test_verify_ends_with_3_where_the_key_or_the_anchor_does_not_agree(call: Call, folder: Path, ledger: Path, tmp_path: Path) -> None:
+def test_verify_ends_with_3_where_the_key_or_the_anchor_does_not_agree(
+    call: Call, folder: Path, ledger: Path, tmp_path: Path
+) -> None:
     assert call("key", "new", tmp_path / "other.key").code == 0
     for arguments, part in (
         ((ledger, "--trusted-key", folder / "fleet.key.pub"), "found no signature"),
@@ -200,11 +248,16 @@ def test_a_quick_look_finds_a_flipped_byte_and_says_that_it_was_quick(call: Call
 # --- prove and verify-proof ---
 
 
-def test_a_proof_says_which_event_who_and_what_the_signature_is_worth(call: Call, folder: Path, ledger: Path, tmp_path: Path) -> None:
+def test_a_proof_says_which_event_who_and_what_the_signature_is_worth(
+    call: Call, folder: Path, ledger: Path, tmp_path: Path
+) -> None:
     file = folder / "event.tlog-proof"
     called = call("verify-proof", file, "--trusted-key", folder / "fleet.key.pub")
     assert (called.code, called.err) == (0, "")
-    assert f"of {size_of(folder / 'ledger'):,} in the ledger of fsar-ledger/simulated, signed by {key_of(folder)}\n" in called.out
+    assert (
+        f"of {size_of(folder / 'ledger'):,} in the ledger of fsar-ledger/simulated, signed by {key_of(folder)}\n"
+        in called.out
+    )
     assert f"run {RUN}-" in called.out
     assert ", seq 12: " in called.out
     assert "decided by " in called.out
@@ -212,12 +265,19 @@ def test_a_proof_says_which_event_who_and_what_the_signature_is_worth(call: Call
     assert "compare the root" in call("verify-proof", file).out
     (tmp_path / "unsigned").write_text(call("prove", ledger, f"{RUN}:12").out)
     assert "fsar-ledger/simulated, unsigned\n" in call("verify-proof", tmp_path / "unsigned").out
-    one_message(call("verify-proof", tmp_path / "unsigned", "--trusted-key", folder / "fleet.key.pub"), 3, "found no signature")
+    one_message(
+        call("verify-proof", tmp_path / "unsigned", "--trusted-key", folder / "fleet.key.pub"), 3, "found no signature"
+    )
 
 
 def test_a_proof_says_the_same_as_json(call: Call, folder: Path, tmp_path: Path) -> None:
     answer = json.loads(call("verify-proof", folder / "event.tlog-proof", "--json").out)
-    assert (answer["ok"], answer["seq"], answer["signature"], answer["signer"]) == (True, 12, "signer not checked", key_of(folder))
+    assert (answer["ok"], answer["seq"], answer["signature"], answer["signer"]) == (
+        True,
+        12,
+        "signer not checked",
+        key_of(folder),
+    )
     assert answer["event"]["run_id"] == answer["run_id"]
     assert answer["head"]["root"] == json.loads(call("info", folder / "ledger", "--json").out)["head"]["root"]
     (tmp_path / "cut").write_bytes((folder / "event.tlog-proof").read_bytes()[:-1])
@@ -228,7 +288,13 @@ def test_a_proof_says_the_same_as_json(call: Call, folder: Path, tmp_path: Path)
 
 def test_a_proof_needs_no_ledger(folder: Path, tmp_path: Path) -> None:
     shutil.copy(folder / "event.tlog-proof", tmp_path)
-    called = in_a_process("verify-proof", "event.tlog-proof", "--trusted-key", (folder / "fleet.key.pub").read_text().strip(), cwd=tmp_path)
+    called = in_a_process(
+        "verify-proof",
+        "event.tlog-proof",
+        "--trusted-key",
+        (folder / "fleet.key.pub").read_text().strip(),
+        cwd=tmp_path,
+    )
     assert (called.code, called.err) == (0, "")
     assert os.listdir(tmp_path) == ["event.tlog-proof"]
 
@@ -259,7 +325,12 @@ def test_every_name_of_an_event_gives_the_same_proof(call: Call, folder: Path) -
     ],
 )
 def test_an_event_that_is_not_there_is_explained(call: Call, ledger: Path, event: str, parts: tuple[str, ...]) -> None:
-    held = call("sql", ledger, f"SELECT count(*) AS events FROM events INNER JOIN runs USING (run_id) WHERE run_id LIKE '{RUN}%'", "--json")
+    held = call(
+        "sql",
+        ledger,
+        f"SELECT count(*) AS events FROM events INNER JOIN runs USING (run_id) WHERE run_id LIKE '{RUN}%'",
+        "--json",
+    )
     (found,) = json.loads(held.out)["rows"]
     numbers = (size_of(ledger), found["events"], found["events"] - 1)
     one_message(call("prove", ledger, event.format(*numbers)), 2, *(part.format(*numbers) for part in parts))
@@ -282,18 +353,24 @@ def test_a_damaged_ledger_gives_no_proof(call: Call, copy: Path, tmp_path: Path)
     tile = copy / "tile" / "0" / "003"
     data = tile.read_bytes()
     tile.write_bytes(data[:-1] + bytes([data[-1] ^ 1]))
-    one_message(call("prove", copy, "1000", "--out", tmp_path / "x.tlog-proof"), 3, "fsar-ledger verify", "fsar-ledger recover")
+    one_message(
+        call("prove", copy, "1000", "--out", tmp_path / "x.tlog-proof"), 3, "fsar-ledger verify", "fsar-ledger recover"
+    )
     assert not (tmp_path / "x.tlog-proof").exists()
 
 
-@pytest.mark.parametrize("data", [b"", b"\xff", b"monday\n", b"c2sp.org/tlog-proof@v1\nextra e30=\nindex 0\n\nx\n1\n" + b"A" * 43 + b"=\n\n"])
+@pytest.mark.parametrize(
+    "data", [b"", b"\xff", b"monday\n", b"c2sp.org/tlog-proof@v1\nextra e30=\nindex 0\n\nx\n1\n" + b"A" * 43 + b"=\n\n"]
+)
 def test_a_file_that_proves_nothing_ends_with_3(call: Call, tmp_path: Path, data: bytes) -> None:
     (tmp_path / "file").write_bytes(data)
     one_message(call("verify-proof", tmp_path / "file"), 3, str(tmp_path / "file"))
     one_message(call("verify-proof", tmp_path / "none"), 2, str(tmp_path / "none"))
 
 
-def test_a_public_key_under_another_name_verifies_what_the_same_secret_signed_under_it(call: Call, tmp_path: Path) -> None:
+def test_a_public_key_under_another_name_verifies_what_the_same_secret_signed_under_it(
+    call: Call, tmp_path: Path
+) -> None:
     from fsar_ledger.ledger.note import read_signer
     from fsar_ledger.runtime.experiment import Experiment, simulate
 
@@ -302,6 +379,9 @@ def test_a_public_key_under_another_name_verifies_what_the_same_secret_signed_un
     simulate(tmp_path / "ledger", Experiment(("fsar",), ("door-relay",), 1), 1, signer=signer)
     said = call("key", "public", tmp_path / "arm.key.pub", "--name", "example.org/arm/ablation")
     assert said.out.strip() == str(signer.verifier)
-    assert "signed by example.org/arm/ablation+" in call("verify", tmp_path / "ledger", "--trusted-key", said.out.strip()).out
+    assert (
+        "signed by example.org/arm/ablation+"
+        in call("verify", tmp_path / "ledger", "--trusted-key", said.out.strip()).out
+    )
     assert call("verify", tmp_path / "ledger", "--trusted-key", tmp_path / "arm.key.pub").code == 3
     one_message(call("key", "public", tmp_path / "arm.key.pub", "--name", "two words"), 2, "without spaces")

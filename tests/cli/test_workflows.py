@@ -20,7 +20,10 @@ def test_the_workflows_are_simulated_once_each_and_every_invariant_holds(call: C
 
 
 def test_one_workflow_is_simulated_as_often_as_asked(call: Call, tmp_path: Path) -> None:
-    assert call("simulate", tmp_path / "workflows", "--workflow", "layered-recovery", "--runs", "4", "--seed", "7").code == 0
+    assert (
+        call("simulate", tmp_path / "workflows", "--workflow", "layered-recovery", "--runs", "4", "--seed", "7").code
+        == 0
+    )
     rows = json.loads(call("query", "skipped_levels", tmp_path / "workflows", "--json").out)["rows"]
     assert rows == []
     moves = json.loads(call("query", "recovery_moves", tmp_path / "workflows", "--json").out)["rows"]
@@ -31,15 +34,26 @@ def test_one_workflow_is_simulated_as_often_as_asked(call: Call, tmp_path: Path)
     ("arguments", "parts"),
     [
         (("--workflow", "door-rely"), ("unknown workflow 'door-rely'", "did you mean 'door-relay'")),
-        (("--workflow", "door-relay", "--scenario", "door-relay"), ("--workflow and --scenario door-relay", "one or the other")),
-        (("--workflow", "door-relay", "--without", "shared-registry"), ("--workflow and --without shared-registry", "one or the other")),
-        (("--workflow", "door-relay", "--architecture", "fsar", "--architecture", "cfc"), ("--architecture cfc", "expected fsar")),
+        (
+            ("--workflow", "door-relay", "--scenario", "door-relay"),
+            ("--workflow and --scenario door-relay", "one or the other"),
+        ),
+        (
+            ("--workflow", "door-relay", "--without", "shared-registry"),
+            ("--workflow and --without shared-registry", "one or the other"),
+        ),
+        (
+            ("--workflow", "door-relay", "--architecture", "fsar", "--architecture", "cfc"),
+            ("--architecture cfc", "expected fsar"),
+        ),
         (("--workflow", "door-relay", "--fleet-size", "8"), ("--fleet-size 8", "expected 4")),
         (("--workflow", "door-relay", "--teams-working", "1"), ("--teams-working 1", "one or the other")),
         (("--workflow", "door-relay", "--task-sets", "2"), ("--task-sets 2", "one or the other")),
         (("--workflow", "door-relay", "--runs", "0"), ("runs: found 0",)),
     ],
 )
-def test_what_a_workflow_does_not_have_cannot_be_asked_of_it(call: Call, tmp_path: Path, arguments: tuple[str, ...], parts: tuple[str, ...]) -> None:
+def test_what_a_workflow_does_not_have_cannot_be_asked_of_it(
+    call: Call, tmp_path: Path, arguments: tuple[str, ...], parts: tuple[str, ...]
+) -> None:
     one_message(call("simulate", tmp_path / "new", *arguments), 2, *parts)
     assert not (tmp_path / "new").exists()

@@ -116,16 +116,28 @@ def test_what_is_retired_today_has_its_way_to_a_current_type() -> None:
     ("table", "message"),
     [
         (((MovedV3,), (MovedV1, MovedV2), (FIRST,)), r"Moved\.v2: found 0 upcasters, expected exactly one"),
-        (((MovedV3,), (MovedV1, MovedV2), (FIRST, SECOND, SECOND)), r"Moved\.v2: found 2 upcasters, expected exactly one"),
+        (
+            ((MovedV3,), (MovedV1, MovedV2), (FIRST, SECOND, SECOND)),
+            r"Moved\.v2: found 2 upcasters, expected exactly one",
+        ),
         (((MovedV3,), (MovedV1, MovedV2), (FIRST, BACK)), r"found the cycle Moved\.v1 -> Moved\.v2 -> Moved\.v1"),
-        (((MovedV3,), (MovedV1, MovedV2), (LEAP, SECOND)), r"upcaster of Moved\.v1: found that it leads to Moved\.v3, expected Moved\.v2"),
+        (
+            ((MovedV3,), (MovedV1, MovedV2), (LEAP, SECOND)),
+            r"upcaster of Moved\.v1: found that it leads to Moved\.v3, expected Moved\.v2",
+        ),
         (((MovedV3,), (MovedV2,), (SECOND,)), r"Moved: found version 3 without version 1"),
         (((MovedV4,), (MovedV1, MovedV2), (FIRST, SECOND)), r"Moved: found version 4 without version 3"),
         (((MovedV3,), (), ()), r"Moved: found version 3 without version 1"),
-        (((Stopped,), (MovedV1, MovedV2), (FIRST, BACK)), r"Moved\.v2: found it retired, expected only version 2 of Moved to be current"),
+        (
+            ((Stopped,), (MovedV1, MovedV2), (FIRST, BACK)),
+            r"Moved\.v2: found it retired, expected only version 2 of Moved to be current",
+        ),
         (((MovedV1, MovedV2), (), ()), r"Moved\.v1: found it current, expected only version 2"),
         (((MovedV2,), (MovedV1,), (FIRST, SECOND)), r"upcaster of Moved\.v2: found a type that is not retired"),
-        (((MovedV2,), (MovedV1,), (LEAP,)), r"upcaster of Moved\.v1: found that it leads to Moved\.v3, expected a type that is listed"),
+        (
+            ((MovedV2,), (MovedV1,), (LEAP,)),
+            r"upcaster of Moved\.v1: found that it leads to Moved\.v3, expected a type that is listed",
+        ),
         (((MovedV1, MovedV1), (), ()), r"Moved\.v1: found two event types with this tag"),
         (((Untagged,), (), ()), r"Untagged: found a tag without version, expected NAME\.vN"),
         (((Zeroth,), (), ()), r"Zeroth\.v0: found a tag without version"),
@@ -164,7 +176,10 @@ def test_a_step_that_adds_keeps_every_field_of_the_version_before() -> None:
 def test_what_is_added_on_the_way_adds_up_and_a_way_with_another_change_adds_nothing() -> None:
     second, third = adding(MovedV2, MovedV3, is_fast=False), adding(MovedV3, MovedV6, place=None)
     both = Addition(MovedV6, {"is_fast": False, "place": None})
-    assert additions((MovedV1, MovedV2, MovedV3), (FIRST, second, third)) == {MovedV2: both, MovedV3: Addition(MovedV6, {"place": None})}
+    assert additions((MovedV1, MovedV2, MovedV3), (FIRST, second, third)) == {
+        MovedV2: both,
+        MovedV3: Addition(MovedV6, {"place": None}),
+    }
     assert additions((MovedV1, MovedV2), (FIRST, SECOND)) == {}
 
 
@@ -188,7 +203,11 @@ def test_a_field_may_come_to_take_more() -> None:
         ((MovedV4, MovedV5), {"by": (), "millimetres": 1}, r"adds \['by', 'millimetres'\]"),
         ((MovedV3, MovedV5), {"by": ()}, r"upcaster of Moved\.v3: found that it adds \['by'\] and lacks \[\]"),
         ((MovedV4, MovedV5), {"by": ("a", 1)}, r"upcaster of Moved\.v4: field by: Expected `str`, got `int`"),
-        ((MovedV4, MovedV8), {}, r"field millimetres: found <class 'int'> become <class 'str'>, expected a type that takes every value"),
+        (
+            (MovedV4, MovedV8),
+            {},
+            r"field millimetres: found <class 'int'> become <class 'str'>, expected a type that takes every value",
+        ),
         ((MovedV7, MovedV10), {}, r"field millimetres: found int \| None become <class 'int'>"),
         ((MovedV9, MovedV7), {}, r"field pace: found .* become typing.Literal\['slow', 'fast'\]"),
     ],
@@ -203,6 +222,8 @@ def test_a_field_may_come_to_take_more() -> None:
         "a field that takes fewer words",
     ],
 )
-def test_a_step_that_does_not_only_add_is_refused(versions: tuple[type[Event], type[Event]], added: dict[str, Value], message: str) -> None:
+def test_a_step_that_does_not_only_add_is_refused(
+    versions: tuple[type[Event], type[Event]], added: dict[str, Value], message: str
+) -> None:
     with pytest.raises(TypeError, match=message):
         adding(versions[0], versions[1], **added)

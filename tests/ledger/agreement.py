@@ -35,7 +35,27 @@ ROOT = Path(__file__).resolve().parents[2]
 KEY, STRANGER = Signer(ORIGIN, b"\1" * 32), Signer(ORIGIN, b"\2" * 32)
 VERSION = pa.__version__.encode()
 OTHER_VERSION = b"9" * len(VERSION)
-ODD = ["", "A", '"', "\\", "/", "\n", "\x00", "\x1f", "\x7f", "\u0085", "é", "e\u0301", "\u2028", "\ufeff", "\uffff", "\U0001f916", "\U0010ffff", "0", " "]
+ODD = [
+    "",
+    "A",
+    '"',
+    "\\",
+    "/",
+    "\n",
+    "\x00",
+    "\x1f",
+    "\x7f",
+    "\u0085",
+    "é",
+    "e\u0301",
+    "\u2028",
+    "\ufeff",
+    "\uffff",
+    "\U0001f916",
+    "\U0010ffff",
+    "0",
+    " ",
+]
 
 
 @cache
@@ -85,7 +105,10 @@ def odd_run(run_id: str, size: int, draw: random.Random) -> RunRecord:
 
 def long_run(run_id: str, size: int) -> RunRecord:
     """A run of many small events."""
-    events = [RunStarted(kind="live", observes=CONCERNS), *(TaskCompleted(f"T{number % 7}") for number in range(1, size))]
+    events = [
+        RunStarted(kind="live", observes=CONCERNS),
+        *(TaskCompleted(f"T{number % 7}") for number in range(1, size)),
+    ]
     return RunRecord(run_id, range(size), [None, *range(size - 1)], events)
 
 
@@ -102,7 +125,10 @@ def write(path: Path, batches: Sequence[Sequence[RunRecord]], signers: Sequence[
 def plain(sizes: Sequence[int]) -> list[list[RunRecord]]:
     """Batches of so many events, in two runs where there are enough."""
     cuts = [[size // 2, size - size // 2] if size > 1 else [size] for size in sizes]
-    return [[made_up_run(f"run-{number}-{at}", part, 10 * number + at) for at, part in enumerate(parts)] for number, parts in enumerate(cuts)]
+    return [
+        [made_up_run(f"run-{number}-{at}", part, 10 * number + at) for at, part in enumerate(parts)]
+        for number, parts in enumerate(cuts)
+    ]
 
 
 def bases(folder: Path, is_large: bool) -> list[Path]:
@@ -120,10 +146,19 @@ def bases(folder: Path, is_large: bool) -> list[Path]:
     ]
     found = [write(folder / f"base-{number}", plain(sizes), signers) for number, (sizes, signers) in enumerate(shapes)]
     draw = random.Random(1)
-    odd = [[odd_run(f"{one}{commit}\u2028{number}", 9, draw) for number, one in enumerate("\x00\U0001f916")] for commit in range(2)]
+    odd = [
+        [odd_run(f"{one}{commit}\u2028{number}", 9, draw) for number, one in enumerate("\x00\U0001f916")]
+        for commit in range(2)
+    ]
     found.append(write(folder / "base-odd", odd, [None, KEY]))
     if is_large:
-        found.append(write(folder / "base-large", [[long_run("long", 65_500)], [made_up_run("more", 300, 2)], [made_up_run("end", 9, 3)]], [None] * 3))
+        found.append(
+            write(
+                folder / "base-large",
+                [[long_run("long", 65_500)], [made_up_run("more", 300, 2)], [made_up_run("end", 9, 3)]],
+                [None] * 3,
+            )
+        )
     return found
 
 
@@ -141,7 +176,9 @@ def newest_tiles(old: int, new: int) -> list[str]:
 
 
 def records_of(path: Path) -> list[CommitRecord]:
-    return [msgspec.json.decode(file.read_bytes(), type=CommitRecord) for file in sorted((path / "commits").glob("*.json"))]
+    return [
+        msgspec.json.decode(file.read_bytes(), type=CommitRecord) for file in sorted((path / "commits").glob("*.json"))
+    ]
 
 
 def tables_of(path: Path) -> list[pa.Table]:
@@ -156,7 +193,12 @@ def note_of(tree: Frontier, signer: Signer | None) -> str:
 Pack = Callable[[pa.Table], bytes]
 
 
-def rewrite(path: Path, tables: Sequence[pa.Table], signer: Signer | None = None, pack: Pack = lambda table: bytes(segment.to_parquet(table))) -> None:
+def rewrite(
+    path: Path,
+    tables: Sequence[pa.Table],
+    signer: Signer | None = None,
+    pack: Pack = lambda table: bytes(segment.to_parquet(table)),
+) -> None:
     """The whole ledger again from other rows, with every hash and note as the format wants them."""
     shutil.rmtree(path / "tile", ignore_errors=True)
     (path / "checkpoint").unlink(missing_ok=True)
@@ -205,7 +247,9 @@ def chain(path: Path, records: Sequence[dict[str, Any]]) -> None:
 
 def unchained(path: Path) -> list[dict[str, Any]]:
     """The records as `chain` takes them."""
-    return [json.loads(file.read_bytes()) | {"previous_sha256": None} for file in sorted((path / "commits").glob("*.json"))]
+    return [
+        json.loads(file.read_bytes()) | {"previous_sha256": None} for file in sorted((path / "commits").glob("*.json"))
+    ]
 
 
 def with_value(table: pa.Table, name: str, row: int, value: object) -> pa.Table:
@@ -260,11 +304,15 @@ def judged(case: Case) -> Outcome:
     if is_about_bytes and theirs is None and case.is_good is None:
         return Outcome(False, "", is_stricter=True)
     if (ours is None) != (theirs is None):
-        return Outcome(ours is None, f"{case.name}: verify says {ours or 'good'}, the independent verifier {theirs or 'good'}")
+        return Outcome(
+            ours is None, f"{case.name}: verify says {ours or 'good'}, the independent verifier {theirs or 'good'}"
+        )
     if ours is not None and theirs is not None and not is_same_place(ours[0], theirs[0]):
         return Outcome(False, f"{case.name}: verify names {ours}, the independent verifier {theirs}")
     if case.is_good is not None and case.is_good != (ours is None):
-        return Outcome(ours is None, f"{case.name}: expected {'good' if case.is_good else 'damage'}, both say {ours or 'good'}")
+        return Outcome(
+            ours is None, f"{case.name}: expected {'good' if case.is_good else 'damage'}, both say {ours or 'good'}"
+        )
     return Outcome(ours is None, "")
 
 

@@ -50,14 +50,18 @@ def a_flipped_bit(path: Path, draw: random.Random, beside: Path) -> Case | None:
     at = draw.randrange(len(data))
     data[at] ^= 1 << draw.randrange(8)
     file.write_bytes(data)
-    is_vouched = file.name != "ledger.json" or len(files_of(path)) > 1  # for the origin of an empty ledger stands nothing
+    is_vouched = (
+        file.name != "ledger.json" or len(files_of(path)) > 1
+    )  # for the origin of an empty ledger stands nothing
     return Case(f"a flipped bit in byte {at} of {file.relative_to(path)}", path, False if is_vouched else None)
 
 
 def a_cut_or_longer_file(path: Path, draw: random.Random, beside: Path) -> Case | None:
     file = draw.choice(files_of(path))
     data = file.read_bytes()
-    file.write_bytes(draw.choice([data[: draw.randrange(len(data))], data + b"\n", data + data, b"", bytes(len(data)), b"[" * 5000]))
+    file.write_bytes(
+        draw.choice([data[: draw.randrange(len(data))], data + b"\n", data + data, b"", bytes(len(data)), b"[" * 5000])
+    )
     return Case(f"another length of {file.relative_to(path)}", path, False)
 
 
@@ -78,8 +82,26 @@ def a_file_gone_or_something_else(path: Path, draw: random.Random, beside: Path)
 
 def a_stray_file(path: Path, draw: random.Random, beside: Path) -> Case | None:
     count = len(list((path / "commits").iterdir()))
-    names = ["x", "tiles", "commits/x", f"commits/{count + 1:012d}.json", "commits/12.json", f"segments/{count:012d}.parquet", "segments/.x"]
-    names += ["tile/x", "tile/0/000.p/255.x", "tile/0/999", "tile/9/000", "tile/0/x000/000", "tile/0/000.p/0", "tile/0/0000", "tile/00/000", "tile/a/b/c"]
+    names = [
+        "x",
+        "tiles",
+        "commits/x",
+        f"commits/{count + 1:012d}.json",
+        "commits/12.json",
+        f"segments/{count:012d}.parquet",
+        "segments/.x",
+    ]
+    names += [
+        "tile/x",
+        "tile/0/000.p/255.x",
+        "tile/0/999",
+        "tile/9/000",
+        "tile/0/x000/000",
+        "tile/0/000.p/0",
+        "tile/0/0000",
+        "tile/00/000",
+        "tile/a/b/c",
+    ]
     file = path / draw.choice(names)
     file.parent.mkdir(parents=True, exist_ok=True)
     file.write_bytes(draw.choice([b"", bytes(32), b"{}"]))
@@ -114,7 +136,11 @@ def a_lost_tail(path: Path, draw: random.Random, beside: Path) -> Case | None:
         if draw.random() < 0.9:
             segment_path(path, number).unlink()
     is_whole = not any(segment_path(path, number).exists() for number in range(kept, len(records)))
-    return Case("a lost tail", path, False, None, anchor) if draw.random() < 0.5 else Case("a lost tail without an anchor", path, is_whole)
+    return (
+        Case("a lost tail", path, False, None, anchor)
+        if draw.random() < 0.5
+        else Case("a lost tail without an anchor", path, is_whole)
+    )
 
 
 # --- damaged records, notes and derived files, whose hashes were made to fit ---
@@ -147,7 +173,9 @@ def a_forged_record(path: Path, draw: random.Random, beside: Path) -> Case | Non
         "\ud7ff\U0001f916",
         record["rows"] + 1,
     ]
-    value = draw.choice([other for other in others if other != records[record["number"]][name] or isinstance(other, bool)])
+    value = draw.choice(
+        [other for other in others if other != records[record["number"]][name] or isinstance(other, bool)]
+    )
     if name == "previous_sha256" and value is None:
         return None
     record[name] = value
@@ -228,7 +256,13 @@ def a_wrong_anchor(path: Path, draw: random.Random, beside: Path) -> Case | None
         "\x00",
     ]
     (beside / "anchor").write_text(draw.choice(texts), "utf-8")
-    return Case("a wrong anchor", path, False, draw.choice([None, KEY.verifier]) if "\u2014" in records[-1].note else None, beside / "anchor")
+    return Case(
+        "a wrong anchor",
+        path,
+        False,
+        draw.choice([None, KEY.verifier]) if "\u2014" in records[-1].note else None,
+        beside / "anchor",
+    )
 
 
 def wrong_derived_files(path: Path, draw: random.Random, beside: Path) -> Case | None:
@@ -245,10 +279,16 @@ def wrong_derived_files(path: Path, draw: random.Random, beside: Path) -> Case |
         (path / "checkpoint").write_text(records[-3].note, "utf-8")
         return Case("a checkpoint two commits behind", path, False)
     if how == 2:
-        (path / "checkpoint").write_bytes(draw.choice([b"\xff", b"", b"x", records[-1].note.encode()[:-1], bytes(2 << 20)]))
+        (path / "checkpoint").write_bytes(
+            draw.choice([b"\xff", b"", b"x", records[-1].note.encode()[:-1], bytes(2 << 20)])
+        )
         return Case("another checkpoint", path, False)
     if how == 3 and len(records) > 1:  # one behind, but an older tile is missing
-        older = [tile for tile in tiles if str(tile.relative_to(path)) not in newest_tiles(records[-2].tree_size, records[-1].tree_size)]
+        older = [
+            tile
+            for tile in tiles
+            if str(tile.relative_to(path)) not in newest_tiles(records[-2].tree_size, records[-1].tree_size)
+        ]
         (path / "checkpoint").write_text(records[-2].note, "utf-8")
         if not older:
             return None
@@ -259,7 +299,9 @@ def wrong_derived_files(path: Path, draw: random.Random, beside: Path) -> Case |
         width = draw.randrange(1, WIDTH)
         if width in [record.tree_size for record in records]:
             return None
-        (path / "tile" / "0" / "000.p" / f"{width}").write_bytes(tile_reader(path)(partial_tiles(records[0].tree_size)[0])[: 32 * width] or b"x")
+        (path / "tile" / "0" / "000.p" / f"{width}").write_bytes(
+            tile_reader(path)(partial_tiles(records[0].tree_size)[0])[: 32 * width] or b"x"
+        )
         return Case("a tile of a size that was never published", path, False)
     shutil.rmtree(path / "tile")
     return Case("no tiles", path, False)
@@ -277,9 +319,15 @@ def a_broken_rule(path: Path, draw: random.Random, beside: Path) -> Case | None:
     row = draw.randrange(table.num_rows)
     layout = LAYOUTS[table.column("type")[row].as_py()]
     own = {field.name for field in layout.fields}
-    integers = [name for name, kind in COLUMNS.items() if kind == "integer" and (name in own or name in ("time_us",)) and table.column(name)[row].is_valid]
+    integers = [
+        name
+        for name, kind in COLUMNS.items()
+        if kind == "integer" and (name in own or name in ("time_us",)) and table.column(name)[row].is_valid
+    ]
     kinds: dict[str, object] = {"string": "x", "integer": 1, "boolean": True, "strings": ["x"]}
-    foreign = draw.choice([name for name in COLUMNS if name not in own and name not in {field.name for field in ENVELOPE}])
+    foreign = draw.choice(
+        [name for name in COLUMNS if name not in own and name not in {field.name for field in ENVELOPE}]
+    )
     rules: list[tuple[str, str, object]] = [
         ("seq", "seq", draw.choice([-1, 10**6, 2**60])),
         ("caused_by", "caused_by", draw.choice([10**6, -1, 2**60])),
@@ -287,7 +335,13 @@ def a_broken_rule(path: Path, draw: random.Random, beside: Path) -> Case | None:
         ("type", "type", draw.choice(["RobotFlew.v1", "", layout.tag.replace(".v1", ".v2")])),
         ("a field that its type does not have", foreign, kinds[COLUMNS[foreign]]),
         ("a large integer", draw.choice(integers), draw.choice([2**53, -(2**53), 2**63 - 1, -(2**63)])),
-        ("a run twice", "run_id", tables[0].column("run_id")[0].as_py() if row and tables[0].column("run_id")[0] != table.column("run_id")[row] else "other"),
+        (
+            "a run twice",
+            "run_id",
+            tables[0].column("run_id")[0].as_py()
+            if row and tables[0].column("run_id")[0] != table.column("run_id")[row]
+            else "other",
+        ),
     ]
     rules += [("no value", field.name, None) for field in layout.fields if not field.is_nullable]
     rules += [("another value", field.name, "x") for field in layout.fields if field.values is not None] * 3
@@ -361,7 +415,9 @@ def a_flipped_bit_whose_hash_fits(path: Path, draw: random.Random, beside: Path)
     footer = len(data) - int.from_bytes(data[-8:-4], "little") - 8
     at = draw.randrange(draw.choice([0, footer]), len(data))
     data[at] ^= 1 << draw.randrange(8)
-    return forged_segment(path, records, number, bytes(data), f"a flipped bit in byte {at} of segment {number}, whose hash fits")._replace(is_good=None)
+    return forged_segment(
+        path, records, number, bytes(data), f"a flipped bit in byte {at} of segment {number}, whose hash fits"
+    )._replace(is_good=None)
 
 
 def lying_statistics(path: Path, draw: random.Random, beside: Path) -> Case | None:
@@ -375,7 +431,9 @@ def lying_statistics(path: Path, draw: random.Random, beside: Path) -> Case | No
     lying = data[:footer] + data[footer:].replace(last, first)
     if lying == data or len(first) != len(last):
         return None
-    return forged_segment(path, records, number, draw.choice([lying, lying.replace(VERSION, OTHER_VERSION)]), "statistics that lie")
+    return forged_segment(
+        path, records, number, draw.choice([lying, lying.replace(VERSION, OTHER_VERSION)]), "statistics that lie"
+    )
 
 
 DAMAGED: tuple[Make, ...] = (

@@ -44,7 +44,13 @@ def with_its_key(path: Path, draw: random.Random, beside: Path) -> Case | None:
 def with_an_anchor(path: Path, draw: random.Random, beside: Path) -> Case | None:
     size = records_of(path)[-1].tree_size if records_of(path) else 0
     signer = draw.choice([KEY, STRANGER, None])
-    return Case("with an anchor of any size", path, True, None, anchor_at(path, draw.randint(0, size), signer, beside / "anchor"))
+    return Case(
+        "with an anchor of any size",
+        path,
+        True,
+        None,
+        anchor_at(path, draw.randint(0, size), signer, beside / "anchor"),
+    )
 
 
 def a_segment_in_staging(path: Path, draw: random.Random, beside: Path) -> Case | None:
@@ -84,7 +90,11 @@ def outgrown_tiles_left(path: Path, draw: random.Random, beside: Path) -> Case |
     records = records_of(path)
     if len(records) < 2:
         return None
-    newly = [tile for tile in partial_tiles(records[-2].tree_size) if tile.number < records[-1].tree_size >> 8 * tile.level >> 8]
+    newly = [
+        tile
+        for tile in partial_tiles(records[-2].tree_size)
+        if tile.number < records[-1].tree_size >> 8 * tile.level >> 8
+    ]
     for tile in newly:
         data = tile_reader(path)(tile)
         (path / tile.name).parent.mkdir(exist_ok=True)
@@ -118,7 +128,11 @@ def another_history(path: Path, draw: random.Random, beside: Path) -> Case | Non
 
 def packed_otherwise(path: Path, draw: random.Random, beside: Path) -> Case | None:
     """The same rows in other Parquet, by what says that it is another version of the library: other pages, compressed otherwise, with fewer statistics."""
-    level, pages, bounded = draw.randrange(1, 10), draw.choice([100, 1 << 20]), draw.choice([[], ["run_id"], ["run_id", "seq", "time_us"]])
+    level, pages, bounded = (
+        draw.randrange(1, 10),
+        draw.choice([100, 1 << 20]),
+        draw.choice([[], ["run_id"], ["run_id", "seq", "time_us"]]),
+    )
     has_index, has_order = draw.random() < 0.2, draw.random() < 0.2
 
     def pack(table: pa.Table) -> bytes:

@@ -39,7 +39,10 @@ def drawn(folder: Path, count: int, *, is_large: bool) -> Iterator[Case]:
 
 def odd(path: Path, draw: random.Random) -> None:
     """A ledger of some commits of events whose strings are hard to write."""
-    batches = [[odd_run(f"\u2028{commit}/{at}", draw.randrange(1, 9), draw) for at in range(draw.randrange(1, 3))] for commit in range(draw.randrange(1, 4))]
+    batches = [
+        [odd_run(f"\u2028{commit}/{at}", draw.randrange(1, 9), draw) for at in range(draw.randrange(1, 3))]
+        for commit in range(draw.randrange(1, 4))
+    ]
     write(path, batches, [None] * len(batches))
 
 
@@ -56,7 +59,9 @@ def main(arguments: list[str]) -> int:
     good = sum(outcome.is_good for outcome in found)
     stricter = sum(outcome.is_stricter for outcome in found)
     agreed = len(found) - len(differences) - stricter
-    print(f"ledgers {len(found)}, good {good}, damaged {len(found) - good}: agree {agreed}, disagree {len(differences)}, verify alone stricter {stricter}")
+    print(
+        f"ledgers {len(found)}, good {good}, damaged {len(found) - good}: agree {agreed}, disagree {len(differences)}, verify alone stricter {stricter}"
+    )
     for difference in differences:
         print(f"  {difference}")
     return 1 if differences else 0

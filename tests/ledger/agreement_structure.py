@@ -18,7 +18,9 @@ def a_segment_with_two_faces(path: Path, draw: random.Random, beside: Path) -> C
         return None
     number = draw.randrange(len(tables))
     row = draw.randrange(tables[number].num_rows)
-    honest, other = (bytes(to_parquet(table)) for table in (tables[number], with_value(tables[number], "type", row, "Forged.v1")))
+    honest, other = (
+        bytes(to_parquet(table)) for table in (tables[number], with_value(tables[number], "type", row, "Forged.v1"))
+    )
     data = two_faced(*draw.choice([(honest, other), (other, honest)]), "type")
     return forged_segment(path, records, number, data, "a segment with two faces")
 

@@ -38,7 +38,9 @@ def main(patience_s: float, arguments: Sequence[str]) -> None:
     """Prints the cost of this call as JSON."""
     with tempfile.TemporaryFile() as said:
         began = time.monotonic()
-        process = subprocess.Popen([sys.executable, "-m", "fsar_ledger", *arguments], stdout=subprocess.DEVNULL, stderr=said)
+        process = subprocess.Popen(
+            [sys.executable, "-m", "fsar_ledger", *arguments], stdout=subprocess.DEVNULL, stderr=said
+        )
         while True:
             ended, status, usage = os.wait4(process.pid, os.WNOHANG)
             if ended:

@@ -60,19 +60,43 @@ def base_ledger(path: Path) -> None:
 
 def rows(count: int, **values: object) -> pa.Table:
     """So many rows of one run that begins with RunStarted: a value stands in every row, an array as it is."""
-    started = {"kind": "simulated", "architecture": "fsar", "configuration": "full", "scenario": "door-relay", "model_version": "x", "parameters": "{}"}
-    types = pa.DictionaryArray.from_arrays(pa.array(np.minimum(np.arange(count), 1).astype(np.int32)), pa.array(["RunStarted.v1", "TaskCompleted.v1"]))
+    started = {
+        "kind": "simulated",
+        "architecture": "fsar",
+        "configuration": "full",
+        "scenario": "door-relay",
+        "model_version": "x",
+        "parameters": "{}",
+    }
+    types = pa.DictionaryArray.from_arrays(
+        pa.array(np.minimum(np.arange(count), 1).astype(np.int32)), pa.array(["RunStarted.v1", "TaskCompleted.v1"])
+    )
     numbers = np.arange(count)
-    given: Values = {"run_id": "r", "seq": numbers, "time_us": numbers, "type": types, "caused_by": pa.array(numbers - 1, mask=numbers == 0), **values}
+    given: Values = {
+        "run_id": "r",
+        "seq": numbers,
+        "time_us": numbers,
+        "type": types,
+        "caused_by": pa.array(numbers - 1, mask=numbers == 0),
+        **values,
+    }
     given |= {name: _first(count, value) for name, value in started.items() if name not in values}
-    given |= {name: _first(count, value) for name, value in {"seed": 1, "fleet_size": 4, "run": 0}.items() if name not in values}
-    return pa.Table.from_arrays([_column(field, given.get(field.name), count) for field in CODED_SCHEMA], schema=CODED_SCHEMA)
+    given |= {
+        name: _first(count, value)
+        for name, value in {"seed": 1, "fleet_size": 4, "run": 0}.items()
+        if name not in values
+    }
+    return pa.Table.from_arrays(
+        [_column(field, given.get(field.name), count) for field in CODED_SCHEMA], schema=CODED_SCHEMA
+    )
 
 
 def _first(count: int, value: object) -> pa.Array:
     """The value in the first row, and NULL in all others."""
     if isinstance(value, str):
-        return pa.DictionaryArray.from_arrays(pa.array(np.zeros(count, np.int32), mask=np.arange(count) > 0), pa.array([value]))
+        return pa.DictionaryArray.from_arrays(
+            pa.array(np.zeros(count, np.int32), mask=np.arange(count) > 0), pa.array([value])
+        )
     return pa.array(np.full(count, value), mask=np.arange(count) > 0)
 
 
@@ -81,8 +105,14 @@ def _column(field: pa.Field, value: object, count: int) -> pa.Array:
         return pa.nulls(count, field.type)
     if isinstance(value, str):
         return pa.DictionaryArray.from_arrays(pa.array(np.zeros(count, np.int32)), pa.array([value]))
-    array = value if isinstance(value, pa.Array) else pa.array(np.full(count, value) if isinstance(value, int) else value)
-    return array.dictionary_encode() if pa.types.is_dictionary(field.type) and not pa.types.is_dictionary(array.type) else array
+    array = (
+        value if isinstance(value, pa.Array) else pa.array(np.full(count, value) if isinstance(value, int) else value)
+    )
+    return (
+        array.dictionary_encode()
+        if pa.types.is_dictionary(field.type) and not pa.types.is_dictionary(array.type)
+        else array
+    )
 
 
 def commit(path: Path, data: bytes | pa.Table, count: int, times: int = 1) -> None:
@@ -94,9 +124,23 @@ def commit(path: Path, data: bytes | pa.Table, count: int, times: int = 1) -> No
         size = before.tree_size + count
         tree = Frontier(size, (bytes(32),) * size.bit_count())
         segment_path(path, number).write_bytes(data)
-        changes: Values = {"number": number, "previous_sha256": sha256_hex(commit_path(path, number - 1).read_bytes()), "rows": count, "tree_size": size}
-        changes |= {"segment_bytes": len(data), "segment_sha256": sha256_hex(data), "note": str(Note(checkpoint_of(ORIGIN, tree)))}
-        changes |= {"tree_root": tree.root().hex(), "frontier": tuple(map(bytes.hex, tree.subtrees)), "first_run": f"r{number}", "last_run": f"r{number}"}
+        changes: Values = {
+            "number": number,
+            "previous_sha256": sha256_hex(commit_path(path, number - 1).read_bytes()),
+            "rows": count,
+            "tree_size": size,
+        }
+        changes |= {
+            "segment_bytes": len(data),
+            "segment_sha256": sha256_hex(data),
+            "note": str(Note(checkpoint_of(ORIGIN, tree))),
+        }
+        changes |= {
+            "tree_root": tree.root().hex(),
+            "frontier": tuple(map(bytes.hex, tree.subtrees)),
+            "first_run": f"r{number}",
+            "last_run": f"r{number}",
+        }
         commit_path(path, number).write_bytes(canonical.document(msgspec.structs.replace(before, **changes)))
         (path / "checkpoint").write_text(str(changes["note"]))
 
@@ -119,7 +163,9 @@ def texts(count: int, *values: str) -> pa.DictionaryArray:
 def claims(count: int, claimants: int) -> pa.Table:
     """So many claims of one dimension of one action, none of them released."""
     numbers = pa.array((np.arange(count) % claimants).astype(np.int32))
-    types = pa.DictionaryArray.from_arrays(pa.array(np.minimum(np.arange(count), 1).astype(np.int32)), pa.array(["RunStarted.v2", "AuthorityClaimed.v1"]))
+    types = pa.DictionaryArray.from_arrays(
+        pa.array(np.minimum(np.arange(count), 1).astype(np.int32)), pa.array(["RunStarted.v2", "AuthorityClaimed.v1"])
+    )
     holders = pa.DictionaryArray.from_arrays(numbers, pa.array([f"robot/{number}" for number in range(claimants)]))
     return rows(count, type=types, action_id="a", dimension="override", claimant=holders, reason="x")
 
@@ -127,15 +173,32 @@ def claims(count: int, claimants: int) -> pa.Table:
 def lists(count: int, each: int) -> pa.Table:
     """Rows with a list of the same name, again and again."""
     values = pa.array(["robot/A1"]).take(pa.array(np.zeros(count * each, np.int32)))
-    return rows(count, path=pa.ListArray.from_arrays(pa.array(np.arange(0, (count + 1) * each, each, dtype=np.int32)), values))
+    return rows(
+        count, path=pa.ListArray.from_arrays(pa.array(np.arange(0, (count + 1) * each, each, dtype=np.int32)), values)
+    )
 
 
 def runs(count: int) -> pa.Table:
     """So many runs of one event."""
     names = pa.array([f"run-{number:07d}" for number in range(count)])
-    started = {"kind": "simulated", "architecture": "fsar", "configuration": "full", "scenario": "door-relay", "model_version": "x", "parameters": "{}"}
+    started = {
+        "kind": "simulated",
+        "architecture": "fsar",
+        "configuration": "full",
+        "scenario": "door-relay",
+        "model_version": "x",
+        "parameters": "{}",
+    }
     numbers = np.arange(count)
-    own = {"run_id": names, "seq": 0, "time_us": 0, "type": "RunStarted.v1", "caused_by": pa.nulls(count, pa.int64()), "seed": numbers, "run": numbers}
+    own = {
+        "run_id": names,
+        "seq": 0,
+        "time_us": 0,
+        "type": "RunStarted.v1",
+        "caused_by": pa.nulls(count, pa.int64()),
+        "seed": numbers,
+        "run": numbers,
+    }
     return rows(count, fleet_size=4, **own, **started)
 
 
@@ -193,8 +256,14 @@ def asked(*selects: str) -> tuple[tuple[str, ...], ...]:
 
 
 PROOF = (("verify-proof", "beside"),)
-ANCHORED = (("verify", LEDGER, "--workers", "1", "--anchor", "beside"), ("recover", LEDGER, "--workers", "1", "--anchor", "beside"))
-KEYED = (("verify", LEDGER, "--workers", "1", "--trusted-key", "beside"), ("verify-proof", "beside", "--trusted-key", "beside"))
+ANCHORED = (
+    ("verify", LEDGER, "--workers", "1", "--anchor", "beside"),
+    ("recover", LEDGER, "--workers", "1", "--anchor", "beside"),
+)
+KEYED = (
+    ("verify", LEDGER, "--workers", "1", "--trusted-key", "beside"),
+    ("verify-proof", "beside", "--trusted-key", "beside"),
+)
 NOTHING = sparse(0)
 
 BOMBS: dict[str, Bomb] = {
@@ -208,27 +277,46 @@ BOMBS: dict[str, Bomb] = {
     "200,000 open claims": Bomb(committed(lambda: claims(200_000, 200_000))),
     "a million open claims of two": Bomb(committed(lambda: claims(1_000_000, 2))),
     "a million runs": Bomb(committed(lambda: runs(1_000_000))),
-    "numbers as large as there are": Bomb(committed(lambda: rows(9, **{name: _first(9, MAX_INTEGER) for name in ("run", "seed")})), SOME),
-    "parameters that nest": Bomb(committed(lambda: rows(9, parameters=_first(9, '{"a":' * 100_000 + "1" + "}" * 100_000)))),
-    "a parameter of 6,000 digits": Bomb(committed(lambda: rows(9, parameters=_first(9, '{"a":' + "9" * 6_000 + "}"))), SOME),
-    "parameters of 100 MB": Bomb(committed(lambda: rows(9, parameters=_first(9, '{"a":[' + "1," * 50_000_000 + "1]}")))),
+    "numbers as large as there are": Bomb(
+        committed(lambda: rows(9, **{name: _first(9, MAX_INTEGER) for name in ("run", "seed")})), SOME
+    ),
+    "parameters that nest": Bomb(
+        committed(lambda: rows(9, parameters=_first(9, '{"a":' * 100_000 + "1" + "}" * 100_000)))
+    ),
+    "a parameter of 6,000 digits": Bomb(
+        committed(lambda: rows(9, parameters=_first(9, '{"a":' + "9" * 6_000 + "}"))), SOME
+    ),
+    "parameters of 100 MB": Bomb(
+        committed(lambda: rows(9, parameters=_first(9, '{"a":[' + "1," * 50_000_000 + "1]}")))
+    ),
     "a page that unpacks to 600 MB": Bomb(lambda path: commit(path, unpacking(600 * MIB), 1), SOME),
     "a segment of 256 MB of nothing": Bomb(lambda path: commit(path, bytes((1 << 28) - 1), 1), SOME),
     # files that are none
     "a pipe for a segment": Bomb(instead("segments/000000000000.parquet", os.mkfifo), SOME),
     "a terabyte of nothing for a segment": Bomb(instead("segments/000000000000.parquet", sparse(1 << 40))),
-    "a link to itself for a record": Bomb(instead("commits/000000000000.json", lambda file: file.symlink_to(file.name)), SOME),
+    "a link to itself for a record": Bomb(
+        instead("commits/000000000000.json", lambda file: file.symlink_to(file.name)), SOME
+    ),
     "a device for the description": Bomb(instead("ledger.json", lambda file: file.symlink_to("/dev/zero")), SOME),
-    "a terabyte of nothing for a tile": Bomb(instead("tile/0/000.p/6", sparse(1 << 40)), (("verify", LEDGER, "--workers", "1"), ("prove", LEDGER, "1"))),
+    "a terabyte of nothing for a tile": Bomb(
+        instead("tile/0/000.p/6", sparse(1 << 40)), (("verify", LEDGER, "--workers", "1"), ("prove", LEDGER, "1"))
+    ),
     # documents
-    "a record that nests": Bomb(replaced("commits/000000000000.json", document("100,000 objects in each other")), QUICK),
+    "a record that nests": Bomb(
+        replaced("commits/000000000000.json", document("100,000 objects in each other")), QUICK
+    ),
     "a description of a million names": Bomb(replaced("ledger.json", document("a million names")), QUICK),
-    "a number of 100,000 digits for a record": Bomb(replaced("commits/000000000000.json", document("a number of 100,000 digits")), QUICK),
+    "a number of 100,000 digits for a record": Bomb(
+        replaced("commits/000000000000.json", document("a number of 100,000 digits")), QUICK
+    ),
     "a checkpoint of a megabyte of lines": Bomb(replaced("checkpoint", b"\n" * MIB), QUICK),
     # proofs, anchors and keys
     "a proof of a terabyte": Bomb(beside("beside", sparse(1 << 40)), PROOF),
     "a proof with 20,000 hashes": Bomb(
-        beside("beside", lambda file: file.write_text("c2sp.org/tlog-proof@v1\nindex 1\n" + ("A" * 43 + "=\n") * 20_000)), PROOF
+        beside(
+            "beside", lambda file: file.write_text("c2sp.org/tlog-proof@v1\nindex 1\n" + ("A" * 43 + "=\n") * 20_000)
+        ),
+        PROOF,
     ),
     "a device for an anchor": Bomb(beside("beside", lambda file: file.symlink_to("/dev/zero")), ANCHORED),
     "a pipe for a key": Bomb(beside("beside", os.mkfifo), KEYED),
@@ -239,7 +327,9 @@ BOMBS: dict[str, Bomb] = {
             "SELECT [x, x, x, x, x, x] AS l FROM range(1000000) AS t(x)",
             "SELECT len(list(i)) FROM range(100000000000) AS t(i)",
             "SELECT [[]::INTEGER[] FOR x IN range(3000000)] AS l",
-            "SELECT * FROM range(999999) AS t(a), (SELECT " + ", ".join(f"NULL AS c{number}" for number in range(300)) + ")",
+            "SELECT * FROM range(999999) AS t(a), (SELECT "
+            + ", ".join(f"NULL AS c{number}" for number in range(300))
+            + ")",
         ),
     ),
     "a parameter of 100 kB": Bomb(

@@ -39,12 +39,16 @@ def pairs_of_faults(laboratory: Laboratory, calls: list[str], pairs: int) -> Non
         if number % 2:
             laboratory.trial([first, Fault(draw.randrange(first.at + 30), second.kind)], choices(number, 1)[-2:])
         else:
-            laboratory.trial_after_power_failure(first, draw.choice(choices(number, 3)), Fault(second.at // 2, second.kind))
+            laboratory.trial_after_power_failure(
+                first, draw.choice(choices(number, 3)), Fault(second.at // 2, second.kind)
+            )
 
 
 def kills_at_calls(laboratory: Laboratory, nursery: Nursery, calls: list[str]) -> None:
     """A process is really killed at every call, and in the middle of every write."""
-    kills = [Fault(at, "killed") for at in range(len(calls))] + [Fault(at, "killed-in-write") for at, name in enumerate(calls) if name == "write"]
+    kills = [Fault(at, "killed") for at in range(len(calls))] + [
+        Fault(at, "killed-in-write") for at, name in enumerate(calls) if name == "write"
+    ]
     for fault in kills:
         root = laboratory.folder / f"{fault.kind}-{fault.at}"
         path = root / "out" / "ledger"
@@ -95,14 +99,20 @@ def soak(folder: Path, kills: int, pairs: int) -> Tally:
         print(f"{time.monotonic() - start:6.0f} s  {text}", flush=True)
 
     single_faults(laboratory, calls)
-    say(f"{len(calls)} calls of two appends: {tally.faults:,} faults, {tally.power_failures:,} power failures after them")
+    say(
+        f"{len(calls)} calls of two appends: {tally.faults:,} faults, {tally.power_failures:,} power failures after them"
+    )
     pairs_of_faults(laboratory, calls, pairs)
-    say(f"{pairs:,} pairs of faults: {tally.faults_in_recovery:,} during the recovery, {tally.power_failures:,} power failures in all")
+    say(
+        f"{pairs:,} pairs of faults: {tally.faults_in_recovery:,} during the recovery, {tally.power_failures:,} power failures in all"
+    )
     with Nursery() as nursery:
         kills_at_calls(laboratory, nursery, calls)
         say(f"{tally.kills:,} processes killed, one at each call")
         acknowledged = kills_at_moments(folder, tally, nursery, kills)
-        say(f"{tally.kills:,} processes killed, with those at random moments; {acknowledged:,} batches acknowledged beside them")
+        say(
+            f"{tally.kills:,} processes killed, with those at random moments; {acknowledged:,} batches acknowledged beside them"
+        )
     return tally
 
 

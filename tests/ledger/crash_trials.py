@@ -119,7 +119,9 @@ class Session:
     was_killed: bool = False
 
 
-def append_with(faulty: FaultyOs, path: Path, commits: int = INTERRUPTED, acknowledge: Callable[[int], None] | None = None) -> Session:
+def append_with(
+    faulty: FaultyOs, path: Path, commits: int = INTERRUPTED, acknowledge: Callable[[int], None] | None = None
+) -> Session:
     """A process opens the ledger and appends what it lacks, and the newest batch once more: it may not have been acknowledged."""
     session = Session()
 
@@ -179,7 +181,10 @@ class Laboratory:
             view = open_ledger(path)
             for number in range(view.head.commits):
                 names = commit_path(path, number), view.segment(number)
-                expected = self.reference[f"commits/{number:012d}.json"], self.reference[f"segments/{number:012d}.parquet"]
+                expected = (
+                    self.reference[f"commits/{number:012d}.json"],
+                    self.reference[f"segments/{number:012d}.parquet"],
+                )
                 if tuple(name.read_bytes() for name in names) != expected:
                     complaints.append(f"torn: commit {number} has other bytes")
             with encoded_once(), examined_once(self._examined):
@@ -204,7 +209,9 @@ class Laboratory:
         if session.error is not None:
             return f"the next writer is told {session.error}"
         found = contents(path)
-        names = sorted(name for name in found.keys() | self.reference.keys() if found.get(name) != self.reference.get(name))
+        names = sorted(
+            name for name in found.keys() | self.reference.keys() if found.get(name) != self.reference.get(name)
+        )
         return f"after going on other bytes are in {', '.join(names)}" if names else None
 
     def trial(self, faults: Sequence[Fault], choices: Sequence[Choice] = ()) -> list[Session]:

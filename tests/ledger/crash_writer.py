@@ -76,7 +76,9 @@ def obey(order: Order) -> Outcome:
     path = Path(order.path)
     listen, pipe = os.pipe()
     stop, stopper = os.pipe()
-    readers = [_child(partial(_watch_until, stopper, path, stop), f"reader {number}", pipe) for number in range(order.readers)]
+    readers = [
+        _child(partial(_watch_until, stopper, path, stop), f"reader {number}", pipe) for number in range(order.readers)
+    ]
     start = time.monotonic_ns()
     if order.fault_at is not None:
         fault = Fault(order.fault_at, order.fault_kind)
@@ -97,7 +99,13 @@ def obey(order: Order) -> Outcome:
     wrong = [f"{name}: {value}" for name, what, value in said if what == "wrong"]
     wrong += [f"a process ended by signal {end}" for end in ends if end not in (0, signal.SIGKILL)]
     conflicts = tuple(value for _, what, value in said if what == "conflict")
-    return Outcome(dict(acknowledged), ends.count(signal.SIGKILL), sum(what == "head" for _, what, _ in said), conflicts, tuple(wrong))
+    return Outcome(
+        dict(acknowledged),
+        ends.count(signal.SIGKILL),
+        sum(what == "head" for _, what, _ in said),
+        conflicts,
+        tuple(wrong),
+    )
 
 
 def _watch_until(stopper: int, path: Path, stop: int, say: Callable[[str, object], None]) -> None:
@@ -106,7 +114,12 @@ def _watch_until(stopper: int, path: Path, stop: int, say: Callable[[str, object
 
 
 def _fail(path: Path, fault: Fault, say: Callable[[str, object], None]) -> None:
-    append_with(FaultyOs(path.parent.parent, fault, really_kills=True), path, INTERRUPTED, lambda commits: say("acknowledged", commits))
+    append_with(
+        FaultyOs(path.parent.parent, fault, really_kills=True),
+        path,
+        INTERRUPTED,
+        lambda commits: say("acknowledged", commits),
+    )
 
 
 def _gather(listen: int, writers: list[int], stopper: int, readers: list[int]) -> tuple[bytes, list[int]]:
@@ -145,7 +158,9 @@ class Nursery:
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
         assert self._process.stdin is not None
         assert self._process.stdout is not None
         self._process.stdin.close()

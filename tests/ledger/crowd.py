@@ -57,7 +57,10 @@ def watch(path: Path, stop: int, say: Callable[[str, object], None]) -> None:
             if runs != [f"{record.first_run[:-2]}-{run}" for record in view.records for run in range(2)]:
                 say("wrong", f"a reader of {view.head.commits} commits saw the runs {runs}")
             if before is not None and view.records[: len(before.records)] != before.records:
-                say("wrong", f"a reader of {view.head.commits} commits no longer saw the {before.head.commits} that it had seen")
+                say(
+                    "wrong",
+                    f"a reader of {view.head.commits} commits no longer saw the {before.head.commits} that it had seen",
+                )
             if before is None or view.head != before.head:
                 say("head", view.head.commits)
                 report = verify(path)
@@ -84,7 +87,11 @@ def judge(path: Path, acknowledged: Mapping[str, int]) -> list[str]:
         report = verify(path)
     except FsarLedgerError as error:
         return [f"torn: a reader is told {error}"]
-    complaints += [f"lost: {found[name]} of {count} acknowledged batches of {name} are there" for name, count in acknowledged.items() if found[name] < count]
+    complaints += [
+        f"lost: {found[name]} of {count} acknowledged batches of {name} are there"
+        for name, count in acknowledged.items()
+        if found[name] < count
+    ]
     if not report.ok:
         complaints.append(f"torn: verify found {'; '.join(map(str, report.problems))}")
     return complaints

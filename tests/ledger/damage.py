@@ -41,7 +41,11 @@ def files_of(path: Path) -> list[str]:
 def kind_of(name: str) -> str:
     """Which kind of file this name is of."""
     folder, _, rest = name.partition("/")
-    return {"commits": "records", "segments": "segments", "tile": "partial tiles" if ".p/" in rest else "full tiles"}.get(folder, name)
+    return {
+        "commits": "records",
+        "segments": "segments",
+        "tile": "partial tiles" if ".p/" in rest else "full tiles",
+    }.get(folder, name)
 
 
 def flips(data: bytes, first: int = 0, last: int | None = None) -> Iterator[bytes]:
@@ -65,7 +69,11 @@ def is_placed(report: VerifyReport, places: Iterable[str]) -> bool:
 
     A document may also be named as what another file does not agree with: nobody can know which of the two was altered.
     """
-    return not report.ok and report.root is None and any(_names(problem, place) for problem in report.problems for place in places)
+    return (
+        not report.ok
+        and report.root is None
+        and any(_names(problem, place) for problem in report.problems for place in places)
+    )
 
 
 def _names(problem: Problem, place: str) -> bool:
@@ -118,7 +126,9 @@ def _together(path: Path, one: str, other: str) -> Iterator[Case]:
     first, second = path / one, path / other
     data = first.read_bytes(), second.read_bytes()
     places = frozenset({one, other})
-    yield Case(f"{one} and {other} exchanged", lambda: (first.write_bytes(data[1]), second.write_bytes(data[0])), places)
+    yield Case(
+        f"{one} and {other} exchanged", lambda: (first.write_bytes(data[1]), second.write_bytes(data[0])), places
+    )
     yield Case(f"{one} once more as {other}", lambda: second.write_bytes(data[0]), places)
     yield Case(f"{other} once more as {one}", lambda: first.write_bytes(data[1]), places)
 
@@ -126,18 +136,45 @@ def _together(path: Path, one: str, other: str) -> Iterator[Case]:
 def _strays(path: Path) -> Iterator[Case]:
     count = len(os.listdir(path / "commits"))
     last = f"{count - 1:012d}", f"{count:012d}"
-    copies = [(f"commits/{last[0]}.json", f"commits/{last[1]}.json"), (f"segments/{last[0]}.parquet", f"segments/{last[1]}.parquet")]
-    copies += [("tile/0/000", name) for name in ("tile/0/001", "tile/0/x001/000", "tile/1/000", "tile/2/000", "tile/x", "tile/0/000.p/255", "tile/0/001.p/x")]
-    copies += [("checkpoint", "checkpoint.old"), ("ledger.json", "ledger.json~"), ("checkpoint", "tile/checkpoint"), ("checkpoint", "segments/checkpoint")]
+    copies = [
+        (f"commits/{last[0]}.json", f"commits/{last[1]}.json"),
+        (f"segments/{last[0]}.parquet", f"segments/{last[1]}.parquet"),
+    ]
+    copies += [
+        ("tile/0/000", name)
+        for name in (
+            "tile/0/001",
+            "tile/0/x001/000",
+            "tile/1/000",
+            "tile/2/000",
+            "tile/x",
+            "tile/0/000.p/255",
+            "tile/0/001.p/x",
+        )
+    ]
+    copies += [
+        ("checkpoint", "checkpoint.old"),
+        ("ledger.json", "ledger.json~"),
+        ("checkpoint", "tile/checkpoint"),
+        ("checkpoint", "segments/checkpoint"),
+    ]
 
     def copy(source: str, name: str) -> None:
         (path / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(path / source, path / name)
 
     for source, name in copies:
-        yield Case(f"{source} once more as {name}", lambda source=source, name=name: copy(source, name), frozenset({name}))  # type: ignore[misc]
+        yield Case(
+            f"{source} once more as {name}",
+            lambda source=source, name=name: copy(source, name),  # type: ignore[misc]
+            frozenset({name}),
+        )
     for folder in ("commits", "segments", "tile", "tile/0", "tile/0/001.p"):
-        yield Case(f"{folder} a link to itself elsewhere", lambda folder=folder: _put_aside(path, folder), frozenset({folder}))  # type: ignore[misc]
+        yield Case(
+            f"{folder} a link to itself elsewhere",
+            lambda folder=folder: _put_aside(path, folder),  # type: ignore[misc]
+            frozenset({folder}),
+        )
     for folder in ("commits", "segments"):
         yield Case(f"{folder} removed", lambda folder=folder: shutil.rmtree(path / folder), frozenset({folder}))  # type: ignore[misc]
 

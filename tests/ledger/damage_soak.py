@@ -70,7 +70,11 @@ def _try(path: Path, task: Task) -> Tally:
     kind = f"{kind_of(task.name)}: {'lengths' if task.is_cut else 'bits'}"
     tried = found = placed = 0
     missed = ""
-    damaged = (good[:length] for length in range(task.first, task.last)) if task.is_cut else flips(good, task.first, task.last)
+    damaged = (
+        (good[:length] for length in range(task.first, task.last))
+        if task.is_cut
+        else flips(good, task.first, task.last)
+    )
     for data in damaged:
         file.write_bytes(data)
         report = verify(path)
@@ -91,7 +95,11 @@ def try_places(folder: Path) -> Iterator[Tally]:
             report = verify(path)
             is_right = is_placed(report, case.places)
             yield Tally(
-                "files removed, replaced, exchanged, replayed, added", 1, not report.ok, is_right, "" if is_right else f"{case.name}: {report.problems[:3]}"
+                "files removed, replaced, exchanged, replayed, added",
+                1,
+                not report.ok,
+                is_right,
+                "" if is_right else f"{case.name}: {report.problems[:3]}",
             )
             shutil.rmtree(folder / "swapped")
             shutil.copytree(folder / "snapshots" / str(len(SWAPPED_SIZES)), path)
@@ -101,7 +109,13 @@ def try_places(folder: Path) -> Iterator[Tally]:
                 anchor = read_anchor(folder / "snapshots" / str(number) / "checkpoint")
                 report = verify(folder / "snapshots" / str(kept), asked=Asked(is_quick, SIGNER.verifier, anchor))
                 is_right = not report.ok and "the newest were removed" in report.problems[0].expected
-                yield Tally("tails dropped from all files, with an anchor", 1, not report.ok, is_right, "" if is_right else f"{kept} of {number}: {report}")
+                yield Tally(
+                    "tails dropped from all files, with an anchor",
+                    1,
+                    not report.ok,
+                    is_right,
+                    "" if is_right else f"{kept} of {number}: {report}",
+                )
 
 
 def main() -> int:

@@ -22,7 +22,22 @@ from tests.ledger.power import Disk, Node
 
 COUNTED = ("open", "read", "write", "fsync", "link", "rename", "replace", "unlink", "mkdir", "rmdir", "close")
 HARMLESS = frozenset(
-    ["path", "listdir", "scandir", "stat", "lstat", "fstat", "fspath", "strerror", "getpid", "DirEntry", "PathLike", "SEEK_SET", "SEEK_END", "error"]
+    [
+        "path",
+        "listdir",
+        "scandir",
+        "stat",
+        "lstat",
+        "fstat",
+        "fspath",
+        "strerror",
+        "getpid",
+        "DirEntry",
+        "PathLike",
+        "SEEK_SET",
+        "SEEK_END",
+        "error",
+    ]
 )
 NEED_ROOM = ("write", "link", "rename", "replace", "mkdir", "fsync")
 """What a full disk refuses, beside creating a file."""
@@ -30,7 +45,16 @@ NEED_ROOM = ("write", "link", "rename", "replace", "mkdir", "fsync")
 ONLY_READS = ("fsar_ledger.ledger.verify", "fsar_ledger.ledger.read")
 
 REFUSED = {"no-space": errno.ENOSPC, "io-error": errno.EIO, "quota": errno.EDQUOT}
-KINDS = (*REFUSED, "disk-full", "disk-gone", "io-error-after", "short-write", "short-write-no-space", "killed", "killed-in-write")
+KINDS = (
+    *REFUSED,
+    "disk-full",
+    "disk-gone",
+    "io-error-after",
+    "short-write",
+    "short-write-no-space",
+    "killed",
+    "killed-in-write",
+)
 """
 no-space, io-error, quota     this one call is refused
 disk-full                     from here on every call that needs room is refused with ENOSPC
@@ -131,7 +155,9 @@ class FaultyOs:
         match name:
             case "open":
                 assert result is not None
-                self._handles[result] = self.disk.opened(Path(arguments[0]), bool(arguments[1] & os.O_CREAT), bool(arguments[1] & os.O_TRUNC))
+                self._handles[result] = self.disk.opened(
+                    Path(arguments[0]), bool(arguments[1] & os.O_CREAT), bool(arguments[1] & os.O_TRUNC)
+                )
             case "write":
                 self.disk.written(self._handles.get(arguments[0]), bytes(arguments[1])[:result])
             case "fsync":
@@ -161,7 +187,11 @@ def in_place_of_os(faulty: FaultyOs) -> Iterator[FaultyOs]:
     """Every module of the ledger that writes and knows `os` sees the faulty one, as long as the block runs."""
     with pytest.MonkeyPatch.context() as patch:
         for name, module in list(sys.modules.items()):
-            if name.startswith("fsar_ledger.ledger.") and not name.startswith(ONLY_READS) and getattr(module, "os", None) is os:
+            if (
+                name.startswith("fsar_ledger.ledger.")
+                and not name.startswith(ONLY_READS)
+                and getattr(module, "os", None) is os
+            ):
                 patch.setattr(module, "os", faulty)
         patch.setattr(disk, "SYNCS_AT_ONCE", 1)  # the number of a call shall name the same call each time
         try:

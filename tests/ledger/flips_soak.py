@@ -38,7 +38,9 @@ def try_part(ledger: Path, flips: list[Flip]) -> tuple[Tally, list[str]]:
         path, out = Path(shutil.copytree(ledger, Path(folder) / "ledger")), Path(folder) / "out"
         out.mkdir()
         good = undamaged(path, out)
-        with patch.object(typer.main, "get_command", cache(typer.main.get_command)):  # half the time of a refusal is to put the commands together
+        with patch.object(
+            typer.main, "get_command", cache(typer.main.get_command)
+        ):  # half the time of a refusal is to put the commands together
             for flip in flips:
                 for verb, outcome in outcomes(path, out, flip, good).items():
                     tally.update([(kind_of(flip.name), outcome), (verb, outcome)])
@@ -61,7 +63,10 @@ def main(count: int) -> int:
             for counted, named in pool.map(try_part, repeat(ledger), parts):
                 tally += counted
                 wrong += named
-                print(f"{sum(tally[kind, outcome] for kind in KINDS for outcome in OUTCOMES):,} answers, {len(wrong):,} wrong", flush=True)
+                print(
+                    f"{sum(tally[kind, outcome] for kind in KINDS for outcome in OUTCOMES):,} answers, {len(wrong):,} wrong",
+                    flush=True,
+                )
     for name in (*KINDS, *VERBS):
         print(f"{name:20}" + "".join(f"{tally[name, outcome]:9,} {outcome}" for outcome in OUTCOMES))
     print(*wrong, sep="\n", end="\n" if wrong else "")

@@ -80,13 +80,22 @@ class Examined:
     def _key(self, data: bytes, number: int, record: CommitRecord) -> tuple[object, ...]:
         return sha256_hex(data), number, *(getattr(record, name) for name in sorted(self._fields))
 
-    def __call__(self, file: str, ledger: str, number: int, record: CommitRecord | None, second_reader: SecondReader | None = None) -> SegmentFacts:
+    def __call__(
+        self,
+        file: str,
+        ledger: str,
+        number: int,
+        record: CommitRecord | None,
+        second_reader: SecondReader | None = None,
+    ) -> SegmentFacts:
         """As `examine`."""
         try:
             known = record and self._known.get(self._key(disk.read_document(Path(ledger, file)), number, record))
         except OSError:
             known = None
-        return msgspec.structs.replace(known, file=file) if known else examine(file, ledger, number, record, second_reader)
+        return (
+            msgspec.structs.replace(known, file=file) if known else examine(file, ledger, number, record, second_reader)
+        )
 
 
 _examined: dict[tuple[tuple[str, str], ...], Examined] = {}
@@ -98,7 +107,11 @@ def examined_once(ledger: Path | Examined) -> Iterator[None]:
     if isinstance(ledger, Examined):
         examined = ledger
     else:
-        held = tuple((file.name, sha256_hex(file.read_bytes())) for part in ("commits", "segments") for file in sorted((ledger / part).iterdir()))
+        held = tuple(
+            (file.name, sha256_hex(file.read_bytes()))
+            for part in ("commits", "segments")
+            for file in sorted((ledger / part).iterdir())
+        )
         if held not in _examined:
             _examined[held] = Examined(ledger)
         examined = _examined[held]

@@ -53,7 +53,9 @@ def documents(good: bytes) -> Iterator[tuple[str, bytes]]:
 def records(good: CommitRecord) -> Iterator[tuple[str, bytes]]:
     """Commit records as a forger may write them: canonical JSON, but of what cannot be."""
     names = ("number", "rows", "segment_bytes", "tree_size")
-    fields: list[dict[str, object]] = [{name: value} for name in names for value in (MAX_INTEGER, -1, 10**30, True, "3")]
+    fields: list[dict[str, object]] = [
+        {name: value} for name in names for value in (MAX_INTEGER, -1, 10**30, True, "3")
+    ]
     fields += [
         {"rows": 0},
         {"segment_bytes": 0},
@@ -62,7 +64,19 @@ def records(good: CommitRecord) -> Iterator[tuple[str, bytes]]:
         {"frontier": [[]]},
     ]
     for name in ("first_run", "last_run", "segment_sha256", "note", "tree_root"):
-        fields += [{name: text} for text in ("../../../../etc/passwd", "/dev/zero", "\x00", "\x1b[2J\x1b[31m", "a\nb", "x" * 900_000, "", "\u202e")]
+        fields += [
+            {name: text}
+            for text in (
+                "../../../../etc/passwd",
+                "/dev/zero",
+                "\x00",
+                "\x1b[2J\x1b[31m",
+                "a\nb",
+                "x" * 900_000,
+                "",
+                "\u202e",
+            )
+        ]
     origin, size, root, *_ = good.note.split("\n")
     signature = "\N{EM DASH} " + origin + " " + "A" * 91 + "=\n"
     notes = [
@@ -86,7 +100,10 @@ def parquets(table: pa.Table, good: bytes) -> Iterator[tuple[str, bytes]]:
     footer = len(good) - 8 - int.from_bytes(good[-8:-4], "little")
     for length in (0, 1, footer - 1, len(good), 2**31 - 1, 2**32 - 1):
         yield f"a footer that says to have {length} bytes", good[:-8] + length.to_bytes(4, "little") + good[-4:]
-    yield from ((f"cut to {length} bytes", good[:length]) for length in (1, 4, 8, 11, 12, footer, len(good) - 8, len(good) - 4, len(good) - 1))
+    yield from (
+        (f"cut to {length} bytes", good[:length])
+        for length in (1, 4, 8, 11, 12, footer, len(good) - 8, len(good) - 4, len(good) - 1)
+    )
     yield "an encrypted file", b"PARE" + good[4:-4] + b"PARE"
     yield "other data before its footer", bytes(footer) + good[footer:]
     yield "twice", good + good
@@ -116,7 +133,9 @@ def parquets(table: pa.Table, good: bytes) -> Iterator[tuple[str, bytes]]:
 def written(table: pa.Table, **options: object) -> bytes:
     """The table as some Parquet file."""
     sink = pa.BufferOutputStream()
-    pq.write_table(table, sink, **{"compression": "zstd", "store_schema": False, "write_page_checksum": True, **options})
+    pq.write_table(
+        table, sink, **{"compression": "zstd", "store_schema": False, "write_page_checksum": True, **options}
+    )
     return bytes(sink.getvalue())
 
 
@@ -135,7 +154,9 @@ def _unpacks_to(mebibytes: int) -> bytes:
     """One column of text that is all blanks."""
     batch = pa.record_batch({"a": pa.array([" " * MIB])})
     sink = pa.BufferOutputStream()
-    with pq.ParquetWriter(sink, batch.schema, compression="zstd", use_dictionary=False, write_statistics=False) as writer:
+    with pq.ParquetWriter(
+        sink, batch.schema, compression="zstd", use_dictionary=False, write_statistics=False
+    ) as writer:
         for _ in range(mebibytes):
             writer.write_batch(batch)
     return bytes(sink.getvalue())
@@ -149,7 +170,10 @@ def lying_pages(table: pa.Table) -> Iterator[tuple[str, bytes]]:
     at = column.data_page_offset
     header = good[at : at + 40]
     rows = _zigzag(len(table))
-    for name, value in (("values", _zigzag((1 << 7 * len(rows) - 1) - 1)), ("a count below zero", _zigzag(-(1 << 7 * len(rows) - 1)))):
+    for name, value in (
+        ("values", _zigzag((1 << 7 * len(rows) - 1) - 1)),
+        ("a count below zero", _zigzag(-(1 << 7 * len(rows) - 1))),
+    ):
         yield f"a page that lies about its {name}", good[:at] + header.replace(rows, value) + good[at + 40 :]
 
 
@@ -184,8 +208,20 @@ def relabelled(run: RunRecord, name: Callable[[str], str]) -> RunRecord:
     """The same run with another text in every field that takes any but `parameters` and `observes`; what was the same text is the same text again."""
     events = []
     for event in run.events:
-        free = [field for field in LAYOUTS[str(event.__struct_config__.tag)].fields if field.values is None and field.name not in ("parameters", "observes")]
-        changes: dict[str, object] = {field.name: name(getattr(event, field.name)) for field in free if isinstance(getattr(event, field.name), str)}
-        changes |= {field.name: tuple(map(name, getattr(event, field.name))) for field in free if isinstance(getattr(event, field.name), tuple)}
+        free = [
+            field
+            for field in LAYOUTS[str(event.__struct_config__.tag)].fields
+            if field.values is None and field.name not in ("parameters", "observes")
+        ]
+        changes: dict[str, object] = {
+            field.name: name(getattr(event, field.name))
+            for field in free
+            if isinstance(getattr(event, field.name), str)
+        }
+        changes |= {
+            field.name: tuple(map(name, getattr(event, field.name)))
+            for field in free
+            if isinstance(getattr(event, field.name), tuple)
+        }
         events.append(msgspec.structs.replace(event, **changes))
     return RunRecord(name(run.run_id), run.times_us, run.caused_by, events)

@@ -27,7 +27,9 @@ LEDGERS = ROOT / "tests" / "ledgers"
 COLUMNS = ROOT / "fsar_ledger" / "ledger" / "columns"
 
 ORIGIN = "example.org/kept"
-SECRET = bytes(range(32))  # known to everyone: these signatures show that old ones are still understood, and protect nothing
+SECRET = bytes(
+    range(32)
+)  # known to everyone: these signatures show that old ones are still understood, and protect nothing
 
 
 class Kept(msgspec.Struct, frozen=True):
@@ -42,7 +44,10 @@ class Kept(msgspec.Struct, frozen=True):
 
 def stored_types(layouts: Iterable[Layout]) -> dict[str, dict[str, str]]:
     """How these event types are stored: by tag and field the kind, the allowed values and whether NULL is allowed, as text."""
-    return {layout.tag: {field.name: _stored(field) for field in sorted(layout.fields, key=lambda field: field.name)} for layout in layouts}
+    return {
+        layout.tag: {field.name: _stored(field) for field in sorted(layout.fields, key=lambda field: field.name)}
+        for layout in layouts
+    }
 
 
 def _stored(field: Field) -> str:
@@ -67,12 +72,16 @@ def keep(version: str, ledgers: Path = LEDGERS, columns: Path = COLUMNS) -> None
     """The ledger, the event types and, where they are new, the columns of this release are kept. Raises: SystemExit where one would be written over."""
     folder = ledgers / version
     if version != fsar_ledger.__version__:
-        raise SystemExit(f"found version {fsar_ledger.__version__} in fsar_ledger/__init__.py, expected {version}; set it first")
+        raise SystemExit(
+            f"found version {fsar_ledger.__version__} in fsar_ledger/__init__.py, expected {version}; set it first"
+        )
     if folder.exists():
         raise SystemExit(f"{folder}: found what was kept of {version}; a release is kept once, choose the next number")
     text = columns / f"{RELEASE}.txt"
     if text.exists() and text.read_text("utf-8") != described(SCHEMA):
-        raise SystemExit(f"{text}: found other columns than today's, expected them unchanged since release {RELEASE}; set RELEASE to {version}")
+        raise SystemExit(
+            f"{text}: found other columns than today's, expected them unchanged since release {RELEASE}; set RELEASE to {version}"
+        )
     kept = write_ledger(folder / "ledger")
     lines = [msgspec.json.encode({tag: fields}) + b"\n" for tag, fields in stored_types(LAYOUTS.values()).items()]
     (folder / "events.jsonl").write_bytes(b"".join(lines))

@@ -53,10 +53,26 @@ def _third(event: StepBeganV2) -> StepBegan:
 UPCASTERS = "Upcaster(StepBeganV1, StepBeganV2, _second), Upcaster(StepBeganV2, StepBegan, _third)"
 
 EDITS = (
-    ("events/task.py", "class StepBegan(Event, frozen=True):", 'class StepBegan(Event, frozen=True, tag="StepBegan.v3"):'),
-    ("events/task.py", "    capability: str\n    target_role", "    capability: str\n    is_delegated: bool\n    target_role"),
-    ("runtime/handlers/task.py", "            capability,\n            target[0]", "            capability,\n            bool(target),\n            target[0]"),
-    ("events/retired.py", "from .upcasting import Upcaster, adding\n", f"from .task import StepBegan\nfrom .upcasting import Upcaster, adding\n{STEPS}"),
+    (
+        "events/task.py",
+        "class StepBegan(Event, frozen=True):",
+        'class StepBegan(Event, frozen=True, tag="StepBegan.v3"):',
+    ),
+    (
+        "events/task.py",
+        "    capability: str\n    target_role",
+        "    capability: str\n    is_delegated: bool\n    target_role",
+    ),
+    (
+        "runtime/handlers/task.py",
+        "            capability,\n            target[0]",
+        "            capability,\n            bool(target),\n            target[0]",
+    ),
+    (
+        "events/retired.py",
+        "from .upcasting import Upcaster, adding\n",
+        f"from .task import StepBegan\nfrom .upcasting import Upcaster, adding\n{STEPS}",
+    ),
     ("events/retired.py", "] = (RunStartedV1,)\n", "] = (RunStartedV1, StepBeganV1, StepBeganV2)\n"),
     ("events/retired.py", "] = (adding(RunStartedV1", f"] = ({UPCASTERS}, adding(RunStartedV1"),
     ("events/fleet.py", '    domain: str = ""\n', '    domain: str = ""\n    depot: str | None = None\n'),
@@ -114,7 +130,9 @@ class LaterRelease:
     def __enter__(self) -> Self:
         environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (self._folder, ROOT)))}
         command = [sys.executable, "-c", SERVE]
-        self._process = subprocess.Popen(command, cwd=self._folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment)
+        self._process = subprocess.Popen(
+            command, cwd=self._folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
+        )
         return self
 
     def __exit__(self, *_: object) -> None:

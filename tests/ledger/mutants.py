@@ -67,7 +67,12 @@ def _mutants_of(path: Path, tree: ast.Module, function: ast.FunctionDef) -> Iter
             mutated = copy.deepcopy(tree)
             same = next(one for one in _functions(mutated) if one.lineno == function.lineno)
             change(list(ast.walk(same))[number])
-            yield Mutant(f"{path.name}, {function.name}: {what}", getattr(node, "lineno", function.lineno), path, ast.fix_missing_locations(mutated))
+            yield Mutant(
+                f"{path.name}, {function.name}: {what}",
+                getattr(node, "lineno", function.lineno),
+                path,
+                ast.fix_missing_locations(mutated),
+            )
 
 
 def _conditions(function: ast.FunctionDef) -> Iterator[ast.AST]:
@@ -76,7 +81,10 @@ def _conditions(function: ast.FunctionDef) -> Iterator[ast.AST]:
         match node:
             case ast.If(test=test) | ast.IfExp(test=test):
                 yield from ast.walk(test)
-            case ast.Return(value=ast.BoolOp() | ast.UnaryOp() as value) | ast.Assign(value=ast.BoolOp() | ast.Call(func=ast.Name(id="all" | "any")) as value):
+            case (
+                ast.Return(value=ast.BoolOp() | ast.UnaryOp() as value)
+                | ast.Assign(value=ast.BoolOp() | ast.Call(func=ast.Name(id="all" | "any")) as value)
+            ):
                 yield from ast.walk(value)
             case ast.comprehension(ifs=tests):
                 yield from (part for test in tests for part in ast.walk(test))
@@ -125,7 +133,9 @@ def _is_finding(node: ast.AST) -> bool:
         case ast.Expr(value=ast.Call(func=ast.Attribute(value=collector, attr="append"))):
             return _is_collector(collector)
         case ast.AugAssign(target=target) | ast.Assign(targets=[target]):
-            return _is_collector(target) and not (isinstance(node, ast.Assign) and isinstance(node.value, ast.List | ast.IfExp | ast.Tuple))
+            return _is_collector(target) and not (
+                isinstance(node, ast.Assign) and isinstance(node.value, ast.List | ast.IfExp | ast.Tuple)
+            )
     return False
 
 
@@ -135,9 +145,15 @@ def _is_collector(node: ast.AST) -> bool:
 
 def _makes_problem(node: ast.AST) -> bool:
     makers = ("Problem", "fail", "unexpected", "Flaw")
-    texts = [one.value if isinstance(one, ast.Constant) else one for one in node.elts] if isinstance(node, ast.Tuple) else []
+    texts = (
+        [one.value if isinstance(one, ast.Constant) else one for one in node.elts]
+        if isinstance(node, ast.Tuple)
+        else []
+    )
     is_found_and_expected = bool(texts) and all(isinstance(text, str | ast.JoinedStr) for text in texts)
-    return is_found_and_expected or any(isinstance(one, ast.Call) and ast.unparse(one.func) in makers for one in ast.walk(node))
+    return is_found_and_expected or any(
+        isinstance(one, ast.Call) and ast.unparse(one.func) in makers for one in ast.walk(node)
+    )
 
 
 def _never(node: ast.AST) -> None:

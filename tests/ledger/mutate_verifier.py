@@ -155,7 +155,25 @@ def _run_tests(folder: str, mutant: tuple[Path, ast.Module] | None, which: str) 
 
         SourceFileLoader.get_code = get_code  # type: ignore[method-assign, assignment]
     files = [test for test in TESTS if Path(test).exists()]
-    os._exit(int(pytest.main(["-x", "-q", "-W", "error", "-p", "no:cacheprovider", "--assert=plain", "-k", which, f"--basetemp={folder}/tests", *files])))
+    os._exit(
+        int(
+            pytest.main(
+                [
+                    "-x",
+                    "-q",
+                    "-W",
+                    "error",
+                    "-p",
+                    "no:cacheprovider",
+                    "--assert=plain",
+                    "-k",
+                    which,
+                    f"--basetemp={folder}/tests",
+                    *files,
+                ]
+            )
+        )
+    )
 
 
 if __name__ == "__main__":

@@ -5,9 +5,35 @@ from collections.abc import Callable
 from typing import cast
 
 from tests.ledger.parts import MAGIC, Page, Parts
-from tests.ledger.thrift import BINARY, I32, I64, LIST, STRUCT, TRUE, Field, Listed, Raw, Struct, Value, field, has, put, read, varint, write
+from tests.ledger.thrift import (
+    BINARY,
+    I32,
+    I64,
+    LIST,
+    STRUCT,
+    TRUE,
+    Field,
+    Listed,
+    Raw,
+    Struct,
+    Value,
+    field,
+    has,
+    put,
+    read,
+    varint,
+    write,
+)
 
-WRITERS = (b"parquet-cpp version 1.2.0", b"parquet-mr version 1.8.0", b"parquet-cpp-arrow version 1.0.0", b"DuckDB", b"impala version 1.0", b"", b"\xff")
+WRITERS = (
+    b"parquet-cpp version 1.2.0",
+    b"parquet-mr version 1.8.0",
+    b"parquet-cpp-arrow version 1.0.0",
+    b"DuckDB",
+    b"impala version 1.0",
+    b"",
+    b"\xff",
+)
 NUMBERS = (0, 1, 2, 3, 4, 5, 8, -1, 127, 128, 1 << 20, (1 << 31) - 1, 1 << 31, 1 << 32, (1 << 63) - 1, -(1 << 63))
 
 
@@ -24,7 +50,14 @@ class Template:
         self.chunks = [write(chunk) for chunk in parts.chunks()]
         self.headers: list[tuple[int, int]] = []
         """Where the headers of all pages begin and end."""
-        self.numbers = sorted({cast(int, one.value) for chunk in parts.chunks() for one in cast(Struct, field(chunk, 3)) if one.kind == I64})
+        self.numbers = sorted(
+            {
+                cast(int, one.value)
+                for chunk in parts.chunks()
+                for one in cast(Struct, field(chunk, 3))
+                if one.kind == I64
+            }
+        )
         at = len(MAGIC)
         for page in (page for pages in parts.pages for page in pages):
             length = len(write(page.header))
@@ -127,7 +160,14 @@ def a_field_twice(draft: Draft) -> None:
 def an_unknown_field(draft: Draft) -> None:
     struct = draft.any_struct()
     number, kind = draft.draw.randrange(1, 40), draft.draw.choice((I32, I64, BINARY, STRUCT, LIST, TRUE))
-    values: dict[int, Value] = {I32: draft.number(), I64: draft.number(), BINARY: b"x", STRUCT: [], LIST: Listed(STRUCT, []), TRUE: 1}
+    values: dict[int, Value] = {
+        I32: draft.number(),
+        I64: draft.number(),
+        BINARY: b"x",
+        STRUCT: [],
+        LIST: Listed(STRUCT, []),
+        TRUE: 1,
+    }
     struct.insert(draft.draw.randrange(len(struct) + 1), Field(number, kind, values[kind]))
 
 
@@ -155,7 +195,9 @@ def a_varint(draft: Draft) -> None:
     if (at := _pick(struct, draft.draw, I32, I64)) is not None:
         value = cast(int, struct[at].value)
         data = varint(value << 1 if value >= 0 else ~(value << 1))
-        longer = data[:-1] + bytes([data[-1] | 0x80]) + b"\x80" * draft.draw.randrange(5) + draft.draw.choice((b"\0", b"\1"))
+        longer = (
+            data[:-1] + bytes([data[-1] | 0x80]) + b"\x80" * draft.draw.randrange(5) + draft.draw.choice((b"\0", b"\1"))
+        )
         struct[at] = struct[at]._replace(value=Raw(draft.draw.choice((longer, data[:-1], b"\x80" * 12 + data))))
 
 
@@ -179,7 +221,9 @@ def some_text(draft: Draft) -> None:
     struct = draft.any_struct()
     if (at := _pick(struct, draft.draw, BINARY)) is not None:
         text = cast(bytes, struct[at].value)
-        struct[at] = struct[at]._replace(value=draft.draw.choice((text[:-1], text + b"x", text.upper(), b"", text[::-1])))
+        struct[at] = struct[at]._replace(
+            value=draft.draw.choice((text[:-1], text + b"x", text.upper(), b"", text[::-1]))
+        )
 
 
 def the_writer(draft: Draft) -> None:
@@ -210,7 +254,15 @@ def the_schema(draft: Draft) -> None:
 
 
 def key_values(draft: Draft) -> None:
-    pairs = Listed(STRUCT, [[Field(1, BINARY, draft.draw.choice((b"ARROW:schema", b"pandas", b"x"))), Field(2, BINARY, b"x" * draft.draw.randrange(9))]])
+    pairs = Listed(
+        STRUCT,
+        [
+            [
+                Field(1, BINARY, draft.draw.choice((b"ARROW:schema", b"pandas", b"x"))),
+                Field(2, BINARY, b"x" * draft.draw.randrange(9)),
+            ]
+        ],
+    )
     put(draft.root, 5, pairs, LIST)
 
 
@@ -283,7 +335,9 @@ def moved_pages(draft: Draft) -> bytes:
         page = draw.choice(pages)
         at = _pick(page.header, draw, I32)
         if at is not None:
-            page.header[at] = page.header[at]._replace(value=max(0, cast(int, page.header[at].value) + draw.choice((1, -1, 9))))
+            page.header[at] = page.header[at]._replace(
+                value=max(0, cast(int, page.header[at].value) + draw.choice((1, -1, 9)))
+            )
     else:
         page = pages[-1]
         pages[-1] = Page(page.header, page.body[:-1] + bytes([draw.randrange(256)]))

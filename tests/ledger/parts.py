@@ -78,7 +78,9 @@ class Parts:
         return self
 
     def __bytes__(self) -> bytes:
-        body = b"".join(self.gaps.get(number, b"") + b"".join(map(bytes, pages)) for number, pages in enumerate(self.pages))
+        body = b"".join(
+            self.gaps.get(number, b"") + b"".join(map(bytes, pages)) for number, pages in enumerate(self.pages)
+        )
         footer = write(self.footer)
         return MAGIC + body + self.gaps.get(len(self.pages), b"") + footer + len(footer).to_bytes(4, "little") + MAGIC
 

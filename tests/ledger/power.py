@@ -141,7 +141,9 @@ class Disk:
                         there[name] = node
         self._write(self._top, names, choice, path, {})
 
-    def _write(self, folder: Folder, names: dict[int, dict[str, Node]], choice: "Choice", path: Path, chosen: dict[int, bytes]) -> None:
+    def _write(
+        self, folder: Folder, names: dict[int, dict[str, Node]], choice: "Choice", path: Path, chosen: dict[int, bytes]
+    ) -> None:
         path.mkdir()
         for name, node in names.get(id(folder), {}).items():
             if isinstance(node, Folder):

@@ -35,7 +35,11 @@ BATCH = 500
 
 def segments() -> list[bytes]:
     """Small segments of several shapes."""
-    tables = [encode([run_of_every_type("every", seed=5)]), encode([made_up_run("one", 3, 1)]), encode([made_up_run("a", 30, 2), made_up_run("b", 25, 3)])]
+    tables = [
+        encode([run_of_every_type("every", seed=5)]),
+        encode([made_up_run("one", 3, 1)]),
+        encode([made_up_run("a", 30, 2), made_up_run("b", 25, 3)]),
+    ]
     return [bytes(segment.to_parquet(table)) for table in tables]
 
 
@@ -55,7 +59,9 @@ def read_by_all(data: bytes, place: Path) -> dict[str, Any]:
 
     place.write_bytes(data)
     readers: dict[str, Callable[[], pa.Table]] = {
-        "pyarrow": lambda: pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True).read(use_threads=False),
+        "pyarrow": lambda: pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True).read(
+            use_threads=False
+        ),
         "DuckDB": lambda: duckdb.connect().sql(f"SELECT * FROM read_parquet('{place}')").to_arrow_table(),
         "Polars": lambda: pl.read_parquet(place, use_statistics=False, glob=False).to_arrow(),
     }
@@ -73,7 +79,11 @@ def difference(data: bytes, place: Path) -> str | None:
     found = read_by_all(data, place)
     tables = {name: table for name, table in found.items() if isinstance(table, pa.Table)}
     if len(tables) < len(found):
-        return UNREAD if not tables else "; ".join(f"{name}: {what if isinstance(what, str) else 'reads it'}" for name, what in found.items())
+        return (
+            UNREAD
+            if not tables
+            else "; ".join(f"{name}: {what if isinstance(what, str) else 'reads it'}" for name, what in found.items())
+        )
     first = found["pyarrow"]
     for name, table in tables.items():
         if table.column_names != first.column_names:
@@ -124,7 +134,9 @@ class Readers:
         self._process.join()
 
 
-def soak(first: int, count: int, *, is_loose: bool = False, kinds: tuple[str, ...] = tuple(KINDS)) -> tuple[Counter[tuple[str, str]], list[str]]:
+def soak(
+    first: int, count: int, *, is_loose: bool = False, kinds: tuple[str, ...] = tuple(KINDS)
+) -> tuple[Counter[tuple[str, str]], list[str]]:
     """How often each kind of mutation, from this number on, ended how; and the first few differences."""
     templates, counts, differences = [Template(data) for data in segments()], Counter[tuple[str, str]](), list[str]()
     for name in ("explain_footer", "explain_page"):  # the reason takes longer than the refusal
@@ -158,14 +170,20 @@ def main(arguments: list[str]) -> int:
     counts, differences = Counter[tuple[str, str]](), list[str]()
     with ProcessPoolExecutor(WORKERS, mp_context=get_context("spawn")) as pool:
         while sum(counts.values()) < wanted:  # some mutations change nothing
-            batches = [pool.submit(soak, next(firsts), min(BATCH, wanted), is_loose=is_loose) for _ in range(min(40, -(-wanted // BATCH)))]
+            batches = [
+                pool.submit(soak, next(firsts), min(BATCH, wanted), is_loose=is_loose)
+                for _ in range(min(40, -(-wanted // BATCH)))
+            ]
             for batch in batches:
                 found, more = batch.result()
                 counts += found
                 differences += more
     print(f"{'mutation':28}{''.join(f'{outcome:>11}' for outcome in OUTCOMES)}")
     for kind in [*KINDS, None]:
-        row = [sum(count for (name, end), count in counts.items() if end == outcome and kind in (name, None)) for outcome in OUTCOMES]
+        row = [
+            sum(count for (name, end), count in counts.items() if end == outcome and kind in (name, None))
+            for outcome in OUTCOMES
+        ]
         print(f"{kind or 'all':28}{''.join(f'{count:11,}' for count in row)}")
     print(f"{sum(counts.values()):,} mutations in {time.monotonic() - began:.0f} s")
     for text in differences[:20]:

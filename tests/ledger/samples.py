@@ -64,7 +64,9 @@ def made_up_batches(commits: int, runs: int = 2, size: int = 12) -> list[list[Ru
     return [[made_up_run(f"run-{number:04d}", size, seed=number) for number in batch] for batch in numbers]
 
 
-def append_all(path: Path, batches: Sequence[Sequence[RunRecord]], origin: str = ORIGIN, signer: Signer | None = None) -> Head:
+def append_all(
+    path: Path, batches: Sequence[Sequence[RunRecord]], origin: str = ORIGIN, signer: Signer | None = None
+) -> Head:
     """The ledger at the path holds these batches, one a commit, after what it held; new commits are signed if there is a signer, whoever signed the others."""
     with Writer(path, origin, signer, adopts=True) as writer:
         for batch in batches:
@@ -112,7 +114,9 @@ def any_runs(draw: st.DrawFn) -> list[RunRecord]:
     for run_id in ids:
         events = draw(st.lists(any_event, min_size=1, max_size=6) | any_plan)
         times = [draw(_INTEGERS) for _ in events]
-        runs.append(RunRecord(run_id, times, [None, *(draw(st.integers(0, seq - 1)) for seq in range(1, len(events)))], events))
+        runs.append(
+            RunRecord(run_id, times, [None, *(draw(st.integers(0, seq - 1)) for seq in range(1, len(events)))], events)
+        )
     return runs
 
 
@@ -123,7 +127,11 @@ def pinned_row(layout: Layout) -> bytes:
     """The canonical bytes of a row of this type in which every field has a value."""
     samples: dict[str, object] = {"integer": 1_234_567, "boolean": True, "strings": ("robot/A1", 'a "quoted" é\n')}
     values = {
-        field.name: sorted(field.values)[0] if field.values else f"{field.name}\tü/\\\u2028\x1f" if field.kind == "string" else samples[field.kind]
+        field.name: sorted(field.values)[0]
+        if field.values
+        else f"{field.name}\tü/\\\u2028\x1f"
+        if field.kind == "string"
+        else samples[field.kind]
         for field in layout.fields
     }
     columns: dict[str, Sequence[object]] = {name: [value] for name, value in values.items()}
@@ -133,4 +141,6 @@ def pinned_row(layout: Layout) -> bytes:
 
 
 if __name__ == "__main__":
-    Path(__file__).with_name("canonical_rows.jsonl").write_bytes(b"".join(pinned_row(layout) + b"\n" for layout in LAYOUTS.values()))
+    Path(__file__).with_name("canonical_rows.jsonl").write_bytes(
+        b"".join(pinned_row(layout) + b"\n" for layout in LAYOUTS.values())
+    )

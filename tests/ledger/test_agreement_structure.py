@@ -65,7 +65,9 @@ def test_a_page_without_rows_has_no_statistics(path: Path, has_statistics: bool)
         within(5, to(5, []))(page.header)
     parts.pages[TIME].append(page)
     within(13, to(3, 2))(parts.about(TIME))
-    case = forged_segment(path, unchained(path), 1, bytes(parts.fit()), "a page of nothing")._replace(is_good=not has_statistics)
+    case = forged_segment(path, unchained(path), 1, bytes(parts.fit()), "a page of nothing")._replace(
+        is_good=not has_statistics
+    )
     assert judged(case).difference == ""
 
 

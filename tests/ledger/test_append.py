@@ -8,7 +8,15 @@ import msgspec
 import pyarrow as pa
 import pytest
 
-from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger, SequenceConflict, UnknownEventTag, UsageError, WriteFailed
+from fsar_ledger.errors import (
+    FormatVersionMismatch,
+    LedgerCorrupted,
+    NotALedger,
+    SequenceConflict,
+    UnknownEventTag,
+    UsageError,
+    WriteFailed,
+)
 from fsar_ledger.ledger import canonical, merkle, segment
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.codec import encode_hashed
@@ -94,7 +102,10 @@ def test_of_two_writers_one_wins_the_number_and_the_other_is_told(path: Path) ->
     with Writer(path, ORIGIN) as one, Writer(path, ORIGIN) as two:
         staged = stage(path, BATCHES[1])
         one.append(stage(path, BATCHES[0]))
-        with pytest.raises(SequenceConflict, match=r"000000000000\.json: found a commit of another writer, expected number 0 to be free"):
+        with pytest.raises(
+            SequenceConflict,
+            match=r"000000000000\.json: found a commit of another writer, expected number 0 to be free",
+        ):
             two.append(staged)
         with pytest.raises(WriteFailed, match="broken"):
             two.append(staged)
@@ -122,7 +133,10 @@ def test_a_writer_that_lags_behind_with_the_same_batches_takes_nothing_back(path
                 behind -= 1
         before = contents(path)
         lagging = stage(path, BATCHES[two.head.commits])
-        with pytest.raises(SequenceConflict, match=rf"found commits up to 3 of another writer, expected {two.head.commits} to be the newest"):
+        with pytest.raises(
+            SequenceConflict,
+            match=rf"found commits up to 3 of another writer, expected {two.head.commits} to be the newest",
+        ):
             two.append(lagging)
         with pytest.raises(WriteFailed, match="broken"):
             two.append(lagging)
@@ -186,7 +200,9 @@ def test_a_writer_derives_nothing_from_a_segment_that_was_altered_since_its_comm
     data[len(data) // 2] ^= 1
     segment_path(path, 2).write_bytes(data)
     before = contents(path)
-    with pytest.raises(LedgerCorrupted, match=r"000000000002\.parquet: commit 2: found SHA-256 .* as committed; restore the file"):
+    with pytest.raises(
+        LedgerCorrupted, match=r"000000000002\.parquet: commit 2: found SHA-256 .* as committed; restore the file"
+    ):
         Writer(path, ORIGIN)
     assert contents(path) == before
 
@@ -195,12 +211,17 @@ def test_a_writer_derives_nothing_from_rows_that_do_not_lead_to_the_root_as_comm
     _one_commit_behind(path)
     forge_segment(path, 2, changed(table_of(path, 2), "time_us", 3, 1))
     before = contents(path)
-    with pytest.raises(LedgerCorrupted, match=r"000000000002\.parquet: commit 2: found rows that lead to root .* run fsar-ledger verify"):
+    with pytest.raises(
+        LedgerCorrupted,
+        match=r"000000000002\.parquet: commit 2: found rows that lead to root .* run fsar-ledger verify",
+    ):
         Writer(path, ORIGIN)
     assert contents(path) == before
 
 
-def test_a_segment_that_moves_into_place_while_it_is_read_is_found_there(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_segment_that_moves_into_place_while_it_is_read_is_found_there(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     append_all(path, BATCHES[:1])
     placed = path / "segments" / "000000000000.parquet"
     staged = path / "staging" / f"{open_ledger(path).records[0].segment_sha256}.parquet"
@@ -224,7 +245,10 @@ def test_a_closed_writer_appends_nothing(path: Path) -> None:
 
 
 def test_a_staged_file_that_is_gone_or_changed_is_not_committed(path: Path) -> None:
-    damages: tuple[Callable[[Path], object], ...] = (lambda file: file.unlink(), lambda file: file.write_bytes(b"other"))
+    damages: tuple[Callable[[Path], object], ...] = (
+        lambda file: file.unlink(),
+        lambda file: file.write_bytes(b"other"),
+    )
     for damage in damages:
         with Writer(path, ORIGIN) as writer:
             staged = stage(path, BATCHES[0])
@@ -334,9 +358,14 @@ def test_a_row_that_cannot_be_read_is_named_with_its_file(path: Path) -> None:
     changed = table.set_column(4, table.schema.field(4), pa.array(["RobotFlew.v1"] * table.num_rows))
     data = bytes(segment.to_parquet(changed))
     file.write_bytes(data)
-    record = msgspec.structs.replace(open_ledger(path).records[1], segment_sha256=sha256_hex(data), segment_bytes=len(data))
+    record = msgspec.structs.replace(
+        open_ledger(path).records[1], segment_sha256=sha256_hex(data), segment_bytes=len(data)
+    )
     commit_path(path, 1).write_bytes(canonical.document(record))
-    with pytest.raises(UnknownEventTag, match=r"000000000001\.parquet: commit 1: run run-0002, seq 0, field type: found 'RobotFlew\.v1'"):
+    with pytest.raises(
+        UnknownEventTag,
+        match=r"000000000001\.parquet: commit 1: run run-0002, seq 0, field type: found 'RobotFlew\.v1'",
+    ):
         list(open_ledger(path).runs())
 
 

@@ -47,7 +47,9 @@ def test_a_segment_as_it_is_written_is_within_bounds(file: Path) -> None:
     assert segment.read_table(file).equals(TABLE)
 
 
-@pytest.mark.parametrize("options", [{"compression_level": 9}, {"write_statistics": False}, {"data_page_size": 100, "write_batch_size": 7}])
+@pytest.mark.parametrize(
+    "options", [{"compression_level": 9}, {"write_statistics": False}, {"data_page_size": 100, "write_batch_size": 7}]
+)
 def test_what_other_writers_may_choose_is_read(file: Path, options: Mapping[str, object]) -> None:
     file.write_bytes(written(TABLE, **{**AS_OURS, **options}))
     assert file.read_bytes() != bytes(segment.to_parquet(TABLE))
@@ -85,7 +87,9 @@ def test_a_file_without_a_whole_footer_is_refused(file: Path) -> None:
 
 def test_a_footer_longer_than_any_is_refused_unread(file: Path) -> None:
     data = b"PAR1" + bytes((1 << 20) + 1)
-    assert "a footer of 1048577 bytes, expected at most 1048576; restore" in refusal(file, data + ((1 << 20) + 1).to_bytes(4, "little") + b"PAR1")
+    assert "a footer of 1048577 bytes, expected at most 1048576; restore" in refusal(
+        file, data + ((1 << 20) + 1).to_bytes(4, "little") + b"PAR1"
+    )
 
 
 def test_a_file_larger_than_any_is_refused_unread(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -114,7 +118,9 @@ def test_pages_have_bounds(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_front_coded_strings_are_refused(file: Path) -> None:
-    assert "column run_id in encodings [3, 7], expected [0, 3, 8]" in refusal(file, TABLE, use_dictionary=False, column_encoding={"run_id": "DELTA_BYTE_ARRAY"})
+    assert "column run_id in encodings [3, 7], expected [0, 3, 8]" in refusal(
+        file, TABLE, use_dictionary=False, column_encoding={"run_id": "DELTA_BYTE_ARRAY"}
+    )
 
 
 def test_a_page_that_says_something_else_than_the_footer_is_refused(file: Path) -> None:
@@ -148,7 +154,10 @@ def test_text_is_counted_as_if_it_were_written_out() -> None:
     assert text_bytes(TABLE) == text_bytes(segment.coded(TABLE))
     coded = pa.DictionaryArray.from_arrays(pa.array(np.array([0, 0, 1, 0], np.int32)), pa.array(["abc", "é"]))
     assert text_bytes(pa.table({"a": coded, "b": pa.array([1, 2, 3, 4])})) == 11
-    assert text_bytes(pa.table({"a": pa.array(["abc", None, "", "é"]), "b": pa.array([["x", "yz"], None, [], ["x"]])})) == 9
+    assert (
+        text_bytes(pa.table({"a": pa.array(["abc", None, "", "é"]), "b": pa.array([["x", "yz"], None, [], ["x"]])}))
+        == 9
+    )
     assert text_bytes(pa.table({"a": pa.array([], pa.string())})) == 0
 
 

@@ -20,7 +20,10 @@ from tests.ledger.samples import any_event_of, any_runs, made_up_batches, made_u
 
 PINNED = Path(__file__).with_name("canonical_rows.jsonl").read_bytes().splitlines()
 LAYOUT_LIST = list(LAYOUTS.values())
-BY_MODULE = {module: list(layouts) for module, layouts in groupby(LAYOUT_LIST, key=lambda layout: layout.cls.__module__.rpartition(".")[2])}
+BY_MODULE = {
+    module: list(layouts)
+    for module, layouts in groupby(LAYOUT_LIST, key=lambda layout: layout.cls.__module__.rpartition(".")[2])
+}
 
 
 def through_parquet(table: pa.Table, path: Path) -> pa.Table:
@@ -31,7 +34,9 @@ def through_parquet(table: pa.Table, path: Path) -> pa.Table:
 @pytest.mark.parametrize("layouts", BY_MODULE.values(), ids=list(BY_MODULE))
 @settings(max_examples=10, deadline=None, suppress_health_check=list(HealthCheck))
 @given(data=st.data())
-def test_every_event_type_survives_arrow_and_parquet(layouts: list[schema.Layout], data: st.DataObject, tmp_path: Path) -> None:
+def test_every_event_type_survives_arrow_and_parquet(
+    layouts: list[schema.Layout], data: st.DataObject, tmp_path: Path
+) -> None:
     events = [data.draw(any_event_of(layout)) for layout in layouts]
     runs = [RunRecord("r", list(range(len(events))), [None, *range(len(events) - 1)], events)]
     assert list(decode(through_parquet(encode(runs), tmp_path / "s.parquet"))) == runs
@@ -49,7 +54,13 @@ def rows_as_json(runs: list[RunRecord]) -> list[bytes]:
     for run in runs:
         for seq, event in enumerate(run.events):
             row = {name: getattr(event, name) for name in event.__struct_fields__}
-            row |= {"run_id": run.run_id, "seq": seq, "time_us": run.times_us[seq], "caused_by": run.caused_by[seq], "type": type(event).__struct_config__.tag}
+            row |= {
+                "run_id": run.run_id,
+                "seq": seq,
+                "time_us": run.times_us[seq],
+                "caused_by": run.caused_by[seq],
+                "type": type(event).__struct_config__.tag,
+            }
             kept = {name: value for name, value in row.items() if value is not None}
             found.append(json.dumps(kept, sort_keys=True, separators=(",", ":"), ensure_ascii=False).encode())
     return found
@@ -72,7 +83,15 @@ def test_canonical_bytes_are_the_same_when_a_type_has_more_rows_than_are_encoded
     runs = [made_up_run(f"run-{seed}", 900, seed) for seed in range(2)]
     first = runs[0].events[0]
     many = [made_up_run("one-type", size, seed=3) for size in (255, 256, 257, 513)]
-    check_leaves([*runs, *(msgspec.structs.replace(run, run_id=f"r{len(run.events)}", events=[first] * len(run.events)) for run in many)])
+    check_leaves(
+        [
+            *runs,
+            *(
+                msgspec.structs.replace(run, run_id=f"r{len(run.events)}", events=[first] * len(run.events))
+                for run in many
+            ),
+        ]
+    )
 
 
 @settings(max_examples=25, deadline=None)
@@ -86,7 +105,9 @@ def test_coded_and_plain_strings_are_the_same_rows_and_the_same_segment(runs: li
 
 
 def test_the_bytes_of_one_row_of_each_type_are_pinned() -> None:
-    assert [json.loads(line)["type"] for line in PINNED] == list(LAYOUTS), "run `python -m tests.ledger.samples`; that changes the format"
+    assert [json.loads(line)["type"] for line in PINNED] == list(LAYOUTS), (
+        "run `python -m tests.ledger.samples`; that changes the format"
+    )
     assert [pinned_row(layout) for layout in LAYOUT_LIST] == PINNED
 
 
@@ -153,7 +174,11 @@ def test_encode_refuses_what_could_not_be_verified() -> None:
 
 
 def test_encode_refuses_none_in_a_field_that_must_have_a_value() -> None:
-    layout = next(layout for layout in LAYOUT_LIST if any(not field.is_nullable and field.kind == "string" and field.values is None for field in layout.fields))
+    layout = next(
+        layout
+        for layout in LAYOUT_LIST
+        if any(not field.is_nullable and field.kind == "string" and field.values is None for field in layout.fields)
+    )
     event = layout.cls(*[None for _ in layout.fields])
     with pytest.raises(ValueError, match="expected a value"):
         encode([RunRecord("run", [0], [None], [event])])
@@ -161,8 +186,12 @@ def test_encode_refuses_none_in_a_field_that_must_have_a_value() -> None:
 
 def run_with(kind: str, value: object) -> RunRecord:
     """A run of one event that is as it should be but for its fields of this kind."""
-    layout = next(layout for layout in LAYOUT_LIST if any(field.kind == kind and field.values is None for field in layout.fields))
-    event = next(event for seed in range(99) for event in made_up_run("run", 400, seed).events if type(event) is layout.cls)
+    layout = next(
+        layout for layout in LAYOUT_LIST if any(field.kind == kind and field.values is None for field in layout.fields)
+    )
+    event = next(
+        event for seed in range(99) for event in made_up_run("run", 400, seed).events if type(event) is layout.cls
+    )
     fields: dict[str, Any] = {field.name: value for field in layout.fields if field.kind == kind}
     return RunRecord("run", [0], [None], [msgspec.structs.replace(event, **fields)])
 
@@ -173,7 +202,10 @@ def test_encode_refuses_integers_that_json_readers_round(value: int) -> None:
         encode([run_with("integer", value)])
 
 
-@pytest.mark.parametrize(("kind", "value"), [("string", 1), ("string", b"text"), ("string", ("a",)), ("integer", "1"), ("boolean", 1), ("strings", (1,))])
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [("string", 1), ("string", b"text"), ("string", ("a",)), ("integer", "1"), ("boolean", 1), ("strings", (1,))],
+)
 def test_encode_refuses_values_of_another_type(kind: str, value: object) -> None:
     with pytest.raises((TypeError, ValueError)):
         encode([run_with(kind, value)])
@@ -191,7 +223,11 @@ def table_with(name: str, row: int, value: object, kind: pa.DataType | None = No
     values[row] = value
     field = SCHEMA.field(name)
     at = SCHEMA.get_field_index(name)
-    return table.set_column(at, field if kind is None else pa.field(name, kind, nullable=field.nullable), pa.array(values, kind or field.type))
+    return table.set_column(
+        at,
+        field if kind is None else pa.field(name, kind, nullable=field.nullable),
+        pa.array(values, kind or field.type),
+    )
 
 
 def row_of(condition: Any) -> int:
@@ -200,7 +236,8 @@ def row_of(condition: Any) -> int:
     return next(
         row
         for row, event in enumerate(events)
-        if row > 2 and condition({field.name: field for field in LAYOUTS[str(type(event).__struct_config__.tag)].fields})
+        if row > 2
+        and condition({field.name: field for field in LAYOUTS[str(type(event).__struct_config__.tag)].fields})
     )
 
 
@@ -298,8 +335,13 @@ def test_a_segment_of_other_columns_is_refused(tmp_path: Path) -> None:
     pq.write_table(table.drop_columns(["robot"]), tmp_path / "other.parquet")
     with pytest.raises(LedgerCorrupted, match="column"):
         segment.read_table(tmp_path / "other.parquet")
-    pq.write_table(table.append_column("more", pa.nulls(table.num_rows, pa.int64())), tmp_path / "more.parquet", store_schema=False)
-    with pytest.raises(LedgerCorrupted, match=rf"column {len(SCHEMA)} as \('more', 'INT64'\), expected None as in the columns of a release"):
+    pq.write_table(
+        table.append_column("more", pa.nulls(table.num_rows, pa.int64())), tmp_path / "more.parquet", store_schema=False
+    )
+    with pytest.raises(
+        LedgerCorrupted,
+        match=rf"column {len(SCHEMA)} as \('more', 'INT64'\), expected None as in the columns of a release",
+    ):
         segment.read_table(tmp_path / "more.parquet")
     (tmp_path / "none.parquet").write_bytes(b"PAR1 nothing PAR1")
     with pytest.raises(LedgerCorrupted, match="cannot be read"):

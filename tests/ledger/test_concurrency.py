@@ -22,7 +22,9 @@ BATCHES = made_up_batches(4)
 
 
 @pytest.mark.parametrize(("writers", "batches"), [(2, 3), pytest.param(8, 1, marks=pytest.mark.slow)])
-def test_what_several_writers_append_at_once_is_there_once_and_readers_see_whole_commits(nursery: Nursery, tmp_path: Path, writers: int, batches: int) -> None:
+def test_what_several_writers_append_at_once_is_there_once_and_readers_see_whole_commits(
+    nursery: Nursery, tmp_path: Path, writers: int, batches: int
+) -> None:
     path = tmp_path / "ledger"
     outcome = nursery(Order(str(path), NAMES[:writers], batches, readers=2))
     assert outcome.wrong == ()
@@ -30,7 +32,10 @@ def test_what_several_writers_append_at_once_is_there_once_and_readers_see_whole
     assert judge(path, outcome.acknowledged) == []
     assert open_ledger(path).head.commits == writers * batches
     assert outcome.heads >= 2
-    assert all("found a commit of another writer, expected number" in conflict and "to be free" in conflict for conflict in outcome.conflicts)
+    assert all(
+        "found a commit of another writer, expected number" in conflict and "to be free" in conflict
+        for conflict in outcome.conflicts
+    )
 
 
 def test_a_writer_killed_among_others_loses_nothing_and_stops_nobody(nursery: Nursery, tmp_path: Path) -> None:
@@ -38,7 +43,9 @@ def test_a_writer_killed_among_others_loses_nothing_and_stops_nobody(nursery: Nu
     killed = 0
     for trial in range(3):
         path = tmp_path / str(trial)
-        outcome = nursery(Order(str(path), NAMES[:3], 3, readers=1, kill_after_us=(moments.randrange(20_000, 200_000),)))
+        outcome = nursery(
+            Order(str(path), NAMES[:3], 3, readers=1, kill_after_us=(moments.randrange(20_000, 200_000),))
+        )
         killed += outcome.killed
         assert outcome.wrong == ()
         assert judge(path, outcome.acknowledged) == []
@@ -55,7 +62,9 @@ def test_the_judge_of_the_crowd_sees_a_lost_batch_and_one_out_of_order(tmp_path:
 
 
 @pytest.mark.parametrize("moment", ["looks whether something else is there", "gives the manifest its name"])
-def test_of_two_processes_that_create_a_ledger_the_slower_one_opens_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str) -> None:
+def test_of_two_processes_that_create_a_ledger_the_slower_one_opens_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
     path = tmp_path / "ledger"
     path.mkdir()
 
@@ -75,7 +84,9 @@ def test_of_two_processes_that_create_a_ledger_the_slower_one_opens_it(tmp_path:
         assert writer.head.commits == 1
 
 
-def test_a_listing_that_lacks_a_commit_made_meanwhile_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_listing_that_lacks_a_commit_made_meanwhile_is_made_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "ledger"
     append_all(path, BATCHES)
     entries = disk.entries
@@ -93,7 +104,9 @@ def test_a_listing_that_lacks_a_commit_made_meanwhile_is_made_again(tmp_path: Pa
         open_ledger(path)
 
 
-def test_verify_looks_again_where_a_writer_has_changed_the_ledger_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_verify_looks_again_where_a_writer_has_changed_the_ledger_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "ledger"
     append_all(path, BATCHES[:2])
 

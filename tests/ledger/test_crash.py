@@ -45,14 +45,18 @@ def one_fault_a_call(calls: list[str]) -> Iterator[Fault]:
 
 def says_what_to_do(error: FsarLedgerError, fault: Fault, path: Path) -> bool:
     """Whether the message names a path, the reason that the disk gave, and a way out."""
-    code = REFUSED.get(fault.kind) or (errno.ENOSPC if fault.kind in ("disk-full", "short-write-no-space") else errno.EIO)
+    code = REFUSED.get(fault.kind) or (
+        errno.ENOSPC if fault.kind in ("disk-full", "short-write-no-space") else errno.EIO
+    )
     message = str(error)
     way_out = ("run it again", "run the same command again", "restore it")
     return message.startswith(str(path)) and os.strerror(code) in message and message.endswith(way_out)
 
 
 @pytest.mark.slow
-def test_a_fault_at_any_call_loses_nothing_acknowledged_and_the_power_may_fail_after_it(laboratory: Laboratory, calls: list[str]) -> None:
+def test_a_fault_at_any_call_loses_nothing_acknowledged_and_the_power_may_fail_after_it(
+    laboratory: Laboratory, calls: list[str]
+) -> None:
     for number, fault in enumerate(one_fault_a_call(calls)):
         (session,) = laboratory.trial([fault], choices(number, 1)[number % 3 :: 3])
         assert session.was_killed == fault.ends_the_process
@@ -66,7 +70,10 @@ def test_a_fault_during_the_recovery_loses_nothing_either(laboratory: Laboratory
     draw = random.Random(5)
     faults = list(faults_at(calls))
     for number in range(40):
-        first, second = draw.choice(faults), Fault(draw.randrange(50), draw.choice(("killed", "io-error", "disk-full", "io-error-after")))
+        first, second = (
+            draw.choice(faults),
+            Fault(draw.randrange(50), draw.choice(("killed", "io-error", "disk-full", "io-error-after"))),
+        )
         laboratory.trial([first, second], choices(number, 1)[-1:])
         laboratory.trial_after_power_failure(first, draw.choice(choices(number, 2)), second)
     assert laboratory.tally.complaints == []
@@ -80,7 +87,9 @@ def test_every_kind_of_refusal_is_one_clear_error(tmp_path: Path, calls: list[st
             continue
         root = tmp_path / str(number)
         root.mkdir()
-        session: Session = append_with(FaultyOs(root, fault), root / "out" / "ledger")  # anything but our own errors escapes from it
+        session: Session = append_with(
+            FaultyOs(root, fault), root / "out" / "ledger"
+        )  # anything but our own errors escapes from it
         if session.error is not None:
             met[fault.kind] += 1
             assert says_what_to_do(session.error, fault, root), (fault, session.error)
@@ -99,7 +108,9 @@ def test_a_write_that_the_disk_takes_in_parts_is_continued(tmp_path: Path, monke
     assert contents(tmp_path / "parts") == contents(tmp_path / "whole")
 
 
-def test_a_disk_that_takes_nothing_and_says_nothing_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_takes_nothing_and_says_nothing_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(os, "write", lambda handle, data: 0)
     with pytest.raises(WriteFailed, match="the disk took no more bytes"):
         Writer(tmp_path / "ledger", ORIGIN)
@@ -119,7 +130,9 @@ def test_signals_interrupt_no_append(tmp_path: Path) -> None:
     assert contents(tmp_path / "interrupted") == contents(tmp_path / "calm")
 
 
-def test_a_process_really_killed_at_a_call_loses_nothing(nursery: Nursery, laboratory: Laboratory, calls: list[str], tmp_path: Path) -> None:
+def test_a_process_really_killed_at_a_call_loses_nothing(
+    nursery: Nursery, laboratory: Laboratory, calls: list[str], tmp_path: Path
+) -> None:
     for at in range(0, len(calls), 7):
         path = tmp_path / f"killed-{at}" / "out" / "ledger"
         path.parent.parent.mkdir()
@@ -138,7 +151,12 @@ def test_processes_killed_at_random_moments_lose_nothing(tmp_path: Path) -> None
         for ledger in range(4):
             path = tmp_path / str(ledger)
             for batches in range(2, 10, 2):  # the ledger is killed again and again while it grows
-                order = Order(str(path), NAMES[:2], batches, kill_after_us=(moments.randrange(150_000), moments.randrange(150_000)))
+                order = Order(
+                    str(path),
+                    NAMES[:2],
+                    batches,
+                    kill_after_us=(moments.randrange(150_000), moments.randrange(150_000)),
+                )
                 outcome = nursery(order)
                 killed += outcome.killed
                 assert outcome.wrong == ()

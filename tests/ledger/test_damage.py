@@ -27,11 +27,26 @@ def restored(path: Path, snapshots: Path, number: int) -> Path:
 
 
 def test_the_ledger_has_files_of_every_kind(path: Path) -> None:
-    assert {kind_of(name) for name in files_of(path)} == {"ledger.json", "checkpoint", "records", "segments", "full tiles", "partial tiles"}
+    assert {kind_of(name) for name in files_of(path)} == {
+        "ledger.json",
+        "checkpoint",
+        "records",
+        "segments",
+        "full tiles",
+        "partial tiles",
+    }
     assert verify(path).ok
 
 
-@pytest.mark.parametrize("name", ["ledger.json", "checkpoint", pytest.param("commits/000000000000.json", marks=pytest.mark.slow), "commits/000000000001.json"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "ledger.json",
+        "checkpoint",
+        pytest.param("commits/000000000000.json", marks=pytest.mark.slow),
+        "commits/000000000001.json",
+    ],
+)
 def test_a_flip_in_every_byte_of_json_and_notes_is_found_and_placed(tmp_path: Path, name: str) -> None:
     path = tmp_path / "ledger"
     write_ledger(path, (3, 3))
@@ -58,14 +73,21 @@ def test_two_thousand_flips_in_segments_and_tiles_are_found_and_placed(path: Pat
                 (path / name).write_bytes(flipped)
             problems = verify(path).problems
             assert sorted(problem.where for problem in problems) == sorted(names)
-            assert all(problem.field == "segment_sha256" if kind == "segments" else str(problem.field).startswith("hash ") for problem in problems)
+            assert all(
+                problem.field == "segment_sha256" if kind == "segments" else str(problem.field).startswith("hash ")
+                for problem in problems
+            )
         for name in names:
             (path / name).write_bytes(originals[name])
     assert verify(path).ok
 
 
 def test_a_flip_in_a_tile_names_the_event(path: Path) -> None:
-    for name, at, event in (("tile/0/000", 255 * 32 + 31, "event 255"), ("tile/0/001.p/44", 43 * 32, "event 299"), ("tile/1/000.p/1", 0, "events 0 to 255")):
+    for name, at, event in (
+        ("tile/0/000", 255 * 32 + 31, "event 255"),
+        ("tile/0/001.p/44", 43 * 32, "event 299"),
+        ("tile/1/000.p/1", 0, "events 0 to 255"),
+    ):
         data = bytearray((path / name).read_bytes())
         data[at] ^= 1
         (path / name).write_bytes(data)
@@ -123,7 +145,9 @@ def test_tiles_of_another_tree_are_found(path: Path, tmp_path: Path) -> None:
     write_ledger(tmp_path / "other", (131, 130, 20, 20))
     shutil.rmtree(path / "tile")
     shutil.copytree(tmp_path / "other" / "tile", path / "tile")
-    assert {"tile/0/000", "tile/0/001.p/44", "tile/0/001.p/45", "tile/1/000.p/1"} <= {problem.where for problem in verify(path).problems}
+    assert {"tile/0/000", "tile/0/001.p/44", "tile/0/001.p/45", "tile/1/000.p/1"} <= {
+        problem.where for problem in verify(path).problems
+    }
 
 
 def test_a_commit_of_another_ledger_is_found(path: Path, tmp_path: Path) -> None:
@@ -159,7 +183,9 @@ def test_a_missing_checkpoint_is_accepted_beside_one_commit_only(tmp_path: Path)
     assert (verify(tmp_path / "ledger").ok, verify(tmp_path / "ledger").remarks) == (True, (BEHIND,))
 
 
-def test_partial_tiles_whose_full_tile_came_with_the_newest_commit_are_accepted_and_said(snapshots: Path, tmp_path: Path) -> None:
+def test_partial_tiles_whose_full_tile_came_with_the_newest_commit_are_accepted_and_said(
+    snapshots: Path, tmp_path: Path
+) -> None:
     path = Path(shutil.copytree(snapshots / "2", tmp_path / "two"))
     shutil.copytree(snapshots / "1" / "tile/0/000.p", path / "tile/0/000.p")
     assert (verify(path).ok, verify(path).remarks) == (True, (LEFT_OVER,))
@@ -190,7 +216,9 @@ def test_dropped_commits_are_found_unless_every_file_is_rolled_back(path: Path, 
 
 @pytest.mark.parametrize("kept", [1, 2, 3])
 @pytest.mark.parametrize("is_quick", [False, True])
-def test_a_rollback_of_all_files_is_caught_by_an_anchor_and_by_nothing_else(path: Path, snapshots: Path, kept: int, is_quick: bool) -> None:
+def test_a_rollback_of_all_files_is_caught_by_an_anchor_and_by_nothing_else(
+    path: Path, snapshots: Path, kept: int, is_quick: bool
+) -> None:
     assert verify(restored(path, snapshots, kept)).ok
     for number in range(1, len(SIZES) + 1):
         anchor = read_anchor(snapshots / str(number) / "checkpoint")

@@ -76,8 +76,14 @@ def test_a_later_release_decodes_retired_types_as_their_newest_version(later: La
     assert all(event["is_delegated"] == (event["target_role"] is not None) for event in found["events"])
 
 
-def test_metrics_and_queries_over_retired_types_give_the_same_answers(later: LaterRelease, capsys: pytest.CaptureFixture[str]) -> None:
-    for question in (("metrics", OLD), ("query", "facts/cross_robot_records", OLD), ("query", "facts/policy_decisions", OLD)):
+def test_metrics_and_queries_over_retired_types_give_the_same_answers(
+    later: LaterRelease, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for question in (
+        ("metrics", OLD),
+        ("query", "facts/cross_robot_records", OLD),
+        ("query", "facts/policy_decisions", OLD),
+    ):
         assert cli.run([*map(str, question), "--json"]) == 0
         assert later.call(*question, "--json").out == capsys.readouterr().out
 
@@ -98,18 +104,29 @@ with connect(Path(sys.argv[1])) as database:
 
 
 @pytest.mark.parametrize("is_locked", [True, False], ids=["locked", "own"])
-def test_sql_meets_only_the_newest_version_and_null_in_columns_that_came_later(later: LaterRelease, is_locked: bool) -> None:
+def test_sql_meets_only_the_newest_version_and_null_in_columns_that_came_later(
+    later: LaterRelease, is_locked: bool
+) -> None:
     answer = later.answer("sql", OLD, COUNTED) if is_locked else later.run(CONNECT, OLD, COUNTED)
     assert answer["rows"] == [
         {"type": "RobotJoined.v1", "n": stored("RobotJoined.v1"), "told": 0, "retired": 0, "depots": 0, "agree": 0},
-        {"type": "StepBegan.v3", "n": stored("StepBegan.v1"), "told": stored("StepBegan.v1"), "retired": 0, "depots": 0, "agree": stored("StepBegan.v1")},
+        {
+            "type": "StepBegan.v3",
+            "n": stored("StepBegan.v1"),
+            "told": stored("StepBegan.v1"),
+            "retired": 0,
+            "depots": 0,
+            "agree": stored("StepBegan.v1"),
+        },
     ]
 
 
 def test_every_event_is_there_once_in_the_views_and_in_sql(later: LaterRelease, mixed: Path) -> None:
     views = later.answer("query", "staging/step_began", mixed)["rows"]
     assert len(views) == stored("StepBegan.v1") + 2
-    events = later.answer("sql", mixed, "SELECT count(*) AS n, count(DISTINCT run_id || ' ' || seq) AS places FROM events")
+    events = later.answer(
+        "sql", mixed, "SELECT count(*) AS n, count(DISTINCT run_id || ' ' || seq) AS places FROM events"
+    )
     assert events["rows"] == [{"n": events["head"]["size"], "places": events["head"]["size"]}]
 
 
@@ -130,7 +147,10 @@ def test_a_ledger_of_this_release_is_exported_as_it_is_stored(later: LaterReleas
 
 def test_the_records_of_each_commit_name_its_release(later: LaterRelease, mixed: Path) -> None:
     code = "import json, sys; from pathlib import Path; from fsar_ledger.ledger.read import open_ledger\n"
-    records = later.run(code + "print(json.dumps([[r.release, r.schema_sha256] for r in open_ledger(Path(sys.argv[1])).records]))", mixed)
+    records = later.run(
+        code + "print(json.dumps([[r.release, r.schema_sha256] for r in open_ledger(Path(sys.argv[1])).records]))",
+        mixed,
+    )
     assert [release for release, _ in records] == [KEPT] * 3 + [later_release.RELEASE]
     assert {fingerprint for _, fingerprint in records[:3]} == {FINGERPRINTS[KEPT]} != {records[3][1]}
 
@@ -164,7 +184,9 @@ def test_verify_names_the_release_that_it_cannot_judge_and_nothing_else(mixed: P
     ],
     ids=lambda value: value[0] if isinstance(value, tuple) else "",
 )
-def test_each_command_says_which_version_is_needed(mixed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], code: int, call: tuple[str, ...]) -> None:
+def test_each_command_says_which_version_is_needed(
+    mixed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], code: int, call: tuple[str, ...]
+) -> None:
     places = {"LEDGER": str(mixed), "OUT": str(tmp_path / "events.csv")}
     assert cli.run([places.get(word, word) for word in call]) == code
     printed = "".join(capsys.readouterr())
@@ -172,11 +194,16 @@ def test_each_command_says_which_version_is_needed(mixed: Path, tmp_path: Path, 
     assert "Traceback" not in printed
 
 
-def test_an_unknown_event_type_is_refused_with_its_place_and_what_to_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_event_type_is_refused_with_its_place_and_what_to_do(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     append_all(tmp_path / "ledger", made_up_batches(2))
     forge_segment(tmp_path / "ledger", 1, changed(table_of(tmp_path / "ledger", 1), "type", 3, "RobotFlew.v1"))
     place = r"run run-0002, seq 3, field type: found 'RobotFlew\.v1', expected an event type that this version of fsar-ledger knows"
-    with pytest.raises(UnknownEventTag, match=rf"000000000001\.parquet: commit 1: {place}; read it with the version that wrote it, or restore the segment"):
+    with pytest.raises(
+        UnknownEventTag,
+        match=rf"000000000001\.parquet: commit 1: {place}; read it with the version that wrote it, or restore the segment",
+    ):
         list(open_ledger(tmp_path / "ledger").runs())
     assert cli.run(["verify", str(tmp_path / "ledger")]) == 3
     printed = "".join(capsys.readouterr())

@@ -18,7 +18,17 @@ from tests.ledger.samples import ORIGIN, contents
 
 ALL_LOST, ALL_KEPT = Choice("lost", "lost", random.Random(1)), Choice("kept", "kept", random.Random(1))
 CHANGES = {"os.rename": "rename", "os.link": "link", "os.remove": "unlink", "os.mkdir": "mkdir", "os.rmdir": "rmdir"}
-NEVER = ("os.symlink", "os.truncate", "os.chmod", "os.chown", "os.utime", "os.setxattr", "shutil.move", "shutil.copyfile", "shutil.rmtree")
+NEVER = (
+    "os.symlink",
+    "os.truncate",
+    "os.chmod",
+    "os.chown",
+    "os.utime",
+    "os.setxattr",
+    "shutil.move",
+    "shutil.copyfile",
+    "shutil.rmtree",
+)
 
 _watched: list[Path] = []
 _changes: list[str] = []
@@ -31,7 +41,11 @@ def _note(event: str, arguments: tuple[object, ...]) -> None:
     assert event not in NEVER, f"{event} changes the disk unseen by the harness"
     if event in CHANGES:
         _changes.append(CHANGES[event])
-    elif event == "open" and isinstance(arguments[2], int) and arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC):
+    elif (
+        event == "open"
+        and isinstance(arguments[2], int)
+        and arguments[2] & (os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC)
+    ):
         _changes.append("open to write")
 
 
@@ -54,7 +68,9 @@ def test_the_harness_sees_every_change_of_the_disk(tmp_path: Path) -> None:
     seen = Counter(name.replace("replace", "rename") for name in faulty.calls if name in ("replace", *CHANGES.values()))
     assert Counter(_changes) == seen + Counter({"open to write": opened_to_write})
     assert opened_to_write >= 5
-    assert {"open", "read", "write", "fsync", "link", "rename", "replace", "unlink", "mkdir", "rmdir", "close"} == set(faulty.calls)
+    assert {"open", "read", "write", "fsync", "link", "rename", "replace", "unlink", "mkdir", "rmdir", "close"} == set(
+        faulty.calls
+    )
 
 
 def test_a_call_that_the_harness_does_not_know_is_refused(tmp_path: Path) -> None:
@@ -142,7 +158,9 @@ def is_free(path: Path) -> bool:
     return True
 
 
-def test_many_files_are_synced_together_and_one_that_cannot_be_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_many_files_are_synced_together_and_one_that_cannot_be_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     staging = tmp_path / "staging"
     staging.mkdir()
     files = {tmp_path / "tile" / f"{number % 7}" / f"{number:03d}": b"%d" % number for number in range(300)}

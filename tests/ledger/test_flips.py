@@ -32,7 +32,9 @@ def ledger(written: Path, tmp_path: Path) -> Ledger:
 
 def tried(ledger: Ledger, good: dict[str, Answer], count: int, kinds: dict[str, int]) -> Counter[str]:
     path, out = ledger
-    return Counter(outcome for flip in chosen(path, count, 3, kinds) for outcome in outcomes(path, out, flip, good).values())
+    return Counter(
+        outcome for flip in chosen(path, count, 3, kinds) for outcome in outcomes(path, out, flip, good).values()
+    )
 
 
 def test_no_flipped_bit_changes_an_answer(ledger: Ledger) -> None:
@@ -47,7 +49,9 @@ def test_no_flipped_bit_changes_an_answer(ledger: Ledger) -> None:
     assert tiles["same"] >= 2  # no other answer rests on tiles
 
 
-def test_without_the_comparison_of_hashes_wrong_answers_are_found(ledger: Ledger, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_the_comparison_of_hashes_wrong_answers_are_found(
+    ledger: Ledger, monkeypatch: pytest.MonkeyPatch
+) -> None:
     good = undamaged(*ledger, ("query",))
     monkeypatch.setattr(LedgerView, "_require_committed", lambda *_: None)
 

@@ -53,14 +53,29 @@ def of(table: pa.Table, **options: object) -> str:
         (lambda parts: put(parts.about(3), 14, 8, I64), "an index or a Bloom filter of column caused_by"),
         (lambda parts: put(parts.about(3), 8, Listed(STRUCT, []), LIST), "key-value metadata of column caused_by"),
         (lambda parts: put(parts.about(3), 10, 8, I64), "an index page of column caused_by"),
-        (lambda parts: put(parts.about(3), 1, 3), "column 3 as ('caused_by', 'INT96'), expected ('caused_by', 'INT64')"),
-        (lambda parts: put(parts.about(3), 1, 9), "column 3 as ('caused_by', 'type 9'), expected ('caused_by', 'INT64')"),
+        (
+            lambda parts: put(parts.about(3), 1, 3),
+            "column 3 as ('caused_by', 'INT96'), expected ('caused_by', 'INT64')",
+        ),
+        (
+            lambda parts: put(parts.about(3), 1, 9),
+            "column 3 as ('caused_by', 'type 9'), expected ('caused_by', 'INT64')",
+        ),
         (lambda parts: put(parts.about(3), 3, Listed(I32, [3])), "3, expected a name"),
         (lambda parts: put(parts.about(3), 4, 1), "column caused_by in codec 1, expected 6"),
         (lambda parts: put(parts.about(3), 5, -1), "-1 as field 5, expected a count"),
-        (lambda parts: put(parts.about(3), 12, [Field(3, I64, 0)], STRUCT), "statistics of column caused_by, expected none but of run_id, seq, time_us"),
-        (lambda parts: put(cast(thrift.Struct, thrift.field(parts.about(1), 12)), 3, 5), "statistics that say 5 NULL of column seq"),
-        (lambda parts: parts.chunks().pop(), f"column {len(SCHEMA.names) - 1} as None, expected ('window', 'BYTE_ARRAY')"),
+        (
+            lambda parts: put(parts.about(3), 12, [Field(3, I64, 0)], STRUCT),
+            "statistics of column caused_by, expected none but of run_id, seq, time_us",
+        ),
+        (
+            lambda parts: put(cast(thrift.Struct, thrift.field(parts.about(1), 12)), 3, 5),
+            "statistics that say 5 NULL of column seq",
+        ),
+        (
+            lambda parts: parts.chunks().pop(),
+            f"column {len(SCHEMA.names) - 1} as None, expected ('window', 'BYTE_ARRAY')",
+        ),
         (lambda parts: parts.about(1).reverse(), "fields in another order"),
     ],
 )
@@ -101,7 +116,10 @@ def test_the_fault_of_a_page_is_named(change: Callable[[thrift.Struct], object],
 
 
 def test_half_a_page_header_is_said_to_be_half_of_one() -> None:
-    assert explain_page(thrift.write(Parts(DATA).pages[1][0].header)[:-1], 0) == "half a page header at byte 0, expected all of it"
+    assert (
+        explain_page(thrift.write(Parts(DATA).pages[1][0].header)[:-1], 0)
+        == "half a page header at byte 0, expected all of it"
+    )
 
 
 @pytest.mark.parametrize("depth", [8, 9])
@@ -109,7 +127,9 @@ def test_structs_in_each_other_have_a_bound(depth: int) -> None:
     inner: thrift.Struct = []
     for _ in range(depth):
         inner = [Field(5, STRUCT, inner)]
-    assert ("more than 8 structs" if depth > 8 else "key-value metadata, expected none") in explain_footer(thrift.write(inner), SCHEMA)
+    assert ("more than 8 structs" if depth > 8 else "key-value metadata, expected none") in explain_footer(
+        thrift.write(inner), SCHEMA
+    )
     listed: thrift.Value = Listed(I32, [])
     for _ in range(depth - 1):
         listed = Listed(LIST, [listed])
@@ -123,4 +143,8 @@ def test_bytes_and_lists_longer_than_what_is_left_are_refused() -> None:
         read_struct(b"\x19\xf5\x64\x02\x00", 0)
     with pytest.raises(ValueError, match="a field of type 7"):
         read_struct(b"\x17\x00", 0)
-    assert read_struct(thrift.write([Field(1, TRUE, 1), Field(40, TRUE, 0), Field(41, thrift.BYTE, 9)]), 0)[0] == {1: 1, 40: 0, 41: 9}
+    assert read_struct(thrift.write([Field(1, TRUE, 1), Field(40, TRUE, 0), Field(41, thrift.BYTE, 9)]), 0)[0] == {
+        1: 1,
+        40: 0,
+        41: 9,
+    }

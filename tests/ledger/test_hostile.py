@@ -78,8 +78,12 @@ def within_limits(command: tuple[str, ...], path: Path) -> tuple[int, str]:
 # --- JSON and notes ---
 
 
-@pytest.mark.parametrize("name", ["ledger.json", "commits/000000000000.json", "commits/000000000001.json", "checkpoint"])
-def test_a_malformed_document_is_refused_by_every_command(path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+@pytest.mark.parametrize(
+    "name", ["ledger.json", "commits/000000000000.json", "commits/000000000001.json", "checkpoint"]
+)
+def test_a_malformed_document_is_refused_by_every_command(
+    path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
     good = (path / name).read_bytes()
     for what, data in documents(good):
         if data == good:
@@ -114,9 +118,31 @@ def test_a_record_of_what_cannot_be_is_refused_by_every_command(path: Path, caps
     name=st.sampled_from(["ledger.json", "commits/000000000001.json", "checkpoint"]),
     at=st.floats(0, 1),
     length=st.integers(0, 40),
-    piece=st.sampled_from([b"", b"\0", b'"', b"\\", b"{", b"[", b"}", b",", b":", b"\xff", b"\n", b"\n\n", b"-", b"e9", b"9" * 30, b"null", b"\\u0000"]),
+    piece=st.sampled_from(
+        [
+            b"",
+            b"\0",
+            b'"',
+            b"\\",
+            b"{",
+            b"[",
+            b"}",
+            b",",
+            b":",
+            b"\xff",
+            b"\n",
+            b"\n\n",
+            b"-",
+            b"e9",
+            b"9" * 30,
+            b"null",
+            b"\\u0000",
+        ]
+    ),
 )
-def test_any_json_with_a_piece_replaced_is_found_and_never_raises(examined: Path, tmp_path: Path, name: str, at: float, length: int, piece: bytes) -> None:
+def test_any_json_with_a_piece_replaced_is_found_and_never_raises(
+    examined: Path, tmp_path: Path, name: str, at: float, length: int, piece: bytes
+) -> None:
     path = Path(shutil.copytree(examined, tmp_path / "ledger", dirs_exist_ok=True))
     good = (path / name).read_bytes()
     start = int(at * len(good))
@@ -142,11 +168,16 @@ def test_a_hostile_segment_is_never_passed_and_never_unpacked(path: Path, capsys
         assert not report.ok, what
         assert (report.problems[0].commit, report.problems[0].run) == (0, None), (what, report.problems)
         forge(path, 0, rows=record.rows)
-    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1 << 20, "KiB more than before: something was unpacked"
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1 << 20, (
+        "KiB more than before: something was unpacked"
+    )
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("what", ["a string in 1000 rows that together are a gigabyte", "pages that unpack to 600 MB", "more rows than any batch"])
+@pytest.mark.parametrize(
+    "what",
+    ["a string in 1000 rows that together are a gigabyte", "pages that unpack to 600 MB", "more rows than any batch"],
+)
 def test_a_bomb_is_refused_in_little_memory_and_time(path: Path, what: str) -> None:
     bombs = dict(parquets(table_of(path, 0), segment_path(path, 0).read_bytes()))
     forge_segment(path, 0, bombs[what])
@@ -194,19 +225,33 @@ def in_place_of(file: Path) -> dict[str, Callable[[], object]]:
 
 
 @pytest.mark.parametrize(
-    "name", ["ledger.json", "checkpoint", "commits/000000000001.json", "segments/000000000001.parquet", "tile/0/000.p/133", "tile/0/000.p/130"]
+    "name",
+    [
+        "ledger.json",
+        "checkpoint",
+        "commits/000000000001.json",
+        "segments/000000000001.parquet",
+        "tile/0/000.p/133",
+        "tile/0/000.p/130",
+    ],
 )
-def test_what_is_no_file_is_refused_by_every_command(path: Path, intact: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str) -> None:
+def test_what_is_no_file_is_refused_by_every_command(
+    path: Path, intact: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], name: str
+) -> None:
     is_derived = name.startswith(("checkpoint", "tile"))
     for what in in_place_of(path / name):
         (path / name).unlink()
         try:
-            in_place_of(path / name)[what]() if what != "a terabyte of nothing" else _make_sparse(path / name, (intact / name).read_bytes())
+            in_place_of(path / name)[what]() if what != "a terabyte of nothing" else _make_sparse(
+                path / name, (intact / name).read_bytes()
+            )
         except OSError as error:
             pytest.skip(f"this file system has no {what}: {error}")
         report = verify(path)
         assert not report.ok, what
-        is_gone = what == "nothing" and name.startswith("commits")  # nobody knows of a newest record that is gone, but for its segment
+        is_gone = what == "nothing" and name.startswith(
+            "commits"
+        )  # nobody knows of a newest record that is gone, but for its segment
         place = "segments/000000000001.parquet" if is_gone else name
         assert any(place in problem.where for problem in report.problems), (what, report.problems)
         refused(capsys, ("verify", "--workers", "1"), path)
@@ -224,7 +269,9 @@ def _make_sparse(file: Path, data: bytes) -> None:
 
 @pytest.mark.parametrize("folder", ["", "commits", "segments", "tile", "tile/0", "tile/0/000.p"])
 @pytest.mark.parametrize("name", [b"\xff\xfe", b"a\nb", b"\x1b[2J", b"..." + b"x" * 200, "\u202e".encode()])
-def test_a_stray_file_of_any_name_is_named_in_printable_text(path: Path, capsys: pytest.CaptureFixture[str], folder: str, name: bytes) -> None:
+def test_a_stray_file_of_any_name_is_named_in_printable_text(
+    path: Path, capsys: pytest.CaptureFixture[str], folder: str, name: bytes
+) -> None:
     (Path(os.fsdecode(os.path.join(os.fsencode(path / folder), name)))).write_bytes(b"")
     (problem,) = verify(path).problems
     assert problem.where.startswith(folder)
@@ -232,7 +279,9 @@ def test_a_stray_file_of_any_name_is_named_in_printable_text(path: Path, capsys:
     refused(capsys, ("verify", "--workers", "1", "--json"), path)
 
 
-def test_a_folder_with_more_names_than_any_ledger_has_is_refused(path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_folder_with_more_names_than_any_ledger_has_is_refused(
+    path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(disk, "MAX_NAMES", 20)
     assert verify(path).ok
     for folder in ("", "commits", "segments", "tile", "tile/0/000.p"):
@@ -250,7 +299,9 @@ def test_a_folder_with_more_names_than_any_ledger_has_is_refused(path: Path, cap
 
 
 @pytest.mark.parametrize("folder", ["commits", "segments", "staging", "tile"])
-def test_a_folder_that_is_a_link_is_refused_and_what_it_leads_to_stays(path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], folder: str) -> None:
+def test_a_folder_that_is_a_link_is_refused_and_what_it_leads_to_stays(
+    path: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], folder: str
+) -> None:
     elsewhere = tmp_path / "elsewhere"
     (path / folder).rename(elsewhere)
     (path / folder).symlink_to(elsewhere)
@@ -264,7 +315,9 @@ def test_a_folder_that_is_a_link_is_refused_and_what_it_leads_to_stays(path: Pat
 
 
 @pytest.mark.parametrize("folder", ["tile/0", "tile/0/000.p", "tile/1"])
-def test_a_writer_neither_writes_nor_removes_through_a_link_among_the_tiles(path: Path, tmp_path: Path, folder: str) -> None:
+def test_a_writer_neither_writes_nor_removes_through_a_link_among_the_tiles(
+    path: Path, tmp_path: Path, folder: str
+) -> None:
     elsewhere = tmp_path / "elsewhere"
     if (path / folder).exists():
         (path / folder).rename(elsewhere)

@@ -39,7 +39,8 @@ def packed(table: pa.Table, **settings: Any) -> bytes:
     strings = [name for name in table.column_names if COLUMNS[name] == "string"]
     own = {
         "compression": "zstd",
-        "use_dictionary": strings + [f"{name}.list.element" for name in table.column_names if COLUMNS[name] == "strings"],
+        "use_dictionary": strings
+        + [f"{name}.list.element" for name in table.column_names if COLUMNS[name] == "strings"],
         "column_encoding": {name: "DELTA_BINARY_PACKED" for name in table.column_names if COLUMNS[name] == "integer"},
         "write_statistics": ["run_id", "seq", "time_us"],
         "write_page_checksum": True,
@@ -57,7 +58,15 @@ def test_it_reads_what_the_library_reads() -> None:
         assert read(data) == (table.num_rows, expected, rows_of(table))
 
 
-@pytest.mark.parametrize("pages", [{}, {"data_page_size": 100}, {"dictionary_pagesize_limit": 60}, {"data_page_size": 100, "dictionary_pagesize_limit": 60}])
+@pytest.mark.parametrize(
+    "pages",
+    [
+        {},
+        {"data_page_size": 100},
+        {"dictionary_pagesize_limit": 60},
+        {"data_page_size": 100, "dictionary_pagesize_limit": 60},
+    ],
+)
 def test_it_reads_pages_of_any_size_and_strings_beyond_a_full_dictionary(pages: dict[str, Any]) -> None:
     data = packed(TABLE, write_batch_size=5, **pages)
     assert read(data)[2] == rows_of(TABLE)
@@ -101,7 +110,12 @@ def test_it_reads_integers_of_any_size_in_differences() -> None:
 # --- what must not be ---
 
 
-CONTENT = ("a lie about all strings", "a page that unpacks to more", "statistics that lie", "statistics of a page that lie")
+CONTENT = (
+    "a lie about all strings",
+    "a page that unpacks to more",
+    "statistics that lie",
+    "statistics of a page that lie",
+)
 """Those that show when the pages are unpacked."""
 OTHER = with_value(TABLE, "type", 3, "Forged.v1")
 FACES = two_faced(DATA, bytes(segment.to_parquet(OTHER)), "type")

@@ -13,7 +13,19 @@ import pytest
 
 from fsar_ledger.ledger.releases import FINGERPRINTS
 from fsar_ledger.ledger.schema import COLUMNS, STORED
-from tests.ledger.agreement import KEY, ROOT, Case, by_independent, by_package, event_types, independent, judged, long_run, plain, write
+from tests.ledger.agreement import (
+    KEY,
+    ROOT,
+    Case,
+    by_independent,
+    by_package,
+    event_types,
+    independent,
+    judged,
+    long_run,
+    plain,
+    write,
+)
 from tests.ledger.agreement_soak import outcomes
 from tests.ledger.samples import append_all, made_up_run
 
@@ -28,7 +40,9 @@ def path(tmp_path: Path) -> Path:
 
 
 def imported(file: Path) -> set[str]:
-    nodes = [node for node in ast.walk(ast.parse(file.read_text("utf-8"))) if isinstance(node, ast.Import | ast.ImportFrom)]
+    nodes = [
+        node for node in ast.walk(ast.parse(file.read_text("utf-8"))) if isinstance(node, ast.Import | ast.ImportFrom)
+    ]
     names = {alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names}
     names |= {f"{node.module}" for node in nodes if isinstance(node, ast.ImportFrom)}
     return {name for name in names if name.partition(".")[0] not in sys.stdlib_module_names}
@@ -36,14 +50,26 @@ def imported(file: Path) -> set[str]:
 
 def test_the_independent_verifier_imports_nothing_of_ours_and_reads_parquet_by_itself() -> None:
     assert {file.stem: imported(file) for file in VERIFIER.parent.glob("independent_*.py")} == {
-        "independent_verifier": {"independent_ed25519", "independent_parquet", "cryptography.exceptions", "cryptography.hazmat.primitives.asymmetric.ed25519"},
+        "independent_verifier": {
+            "independent_ed25519",
+            "independent_parquet",
+            "cryptography.exceptions",
+            "cryptography.hazmat.primitives.asymmetric.ed25519",
+        },
         "independent_parquet": {"independent_pages", "independent_thrift", "pyarrow"},
         "independent_ed25519": set(),
         "independent_pages": {"independent_thrift"},
         "independent_thrift": set(),
     }
-    used = [node for node in ast.walk(ast.parse((VERIFIER.parent / "independent_parquet.py").read_text("utf-8"))) if isinstance(node, ast.Attribute)]
-    assert {node.attr for node in used if isinstance(node.value, ast.Name) and node.value.id == "pa"} == {"Codec", "ArrowException"}
+    used = [
+        node
+        for node in ast.walk(ast.parse((VERIFIER.parent / "independent_parquet.py").read_text("utf-8")))
+        if isinstance(node, ast.Attribute)
+    ]
+    assert {node.attr for node in used if isinstance(node.value, ast.Name) and node.value.id == "pa"} == {
+        "Codec",
+        "ArrowException",
+    }
 
 
 @pytest.mark.slow
@@ -76,7 +102,15 @@ def test_tiles_of_level_two_are_the_same_to_both(tmp_path: Path) -> None:
 def test_the_independent_verifier_works_from_a_shell(path: Path, tmp_path: Path) -> None:
     (tmp_path / "key.pub").write_text(f"{KEY.verifier}\n")
     (tmp_path / "anchor").write_bytes((path / "checkpoint").read_bytes())
-    command = [sys.executable, str(VERIFIER), str(path), "--key", str(tmp_path / "key.pub"), "--anchor", str(tmp_path / "anchor")]
+    command = [
+        sys.executable,
+        str(VERIFIER),
+        str(path),
+        "--key",
+        str(tmp_path / "key.pub"),
+        "--anchor",
+        str(tmp_path / "anchor"),
+    ]
     command += ["--event-types", str(ROOT / "docs" / "event-types.json")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout.split()[:2], done.stderr) == (0, ["consistent:", "74"], "")
@@ -93,7 +127,9 @@ def test_the_list_of_event_types_is_that_of_the_package() -> None:
     for tag, layout in STORED.items():
         assert set(types[tag]["required"]) == {field.name for field in layout.fields if not field.is_nullable}
         assert set(types[tag]["optional"]) == {field.name for field in layout.fields if field.is_nullable}
-        assert types[tag]["values"] == {field.name: sorted(field.values) for field in layout.fields if field.values is not None}
+        assert types[tag]["values"] == {
+            field.name: sorted(field.values) for field in layout.fields if field.values is not None
+        }
 
 
 # --- the document ---
@@ -141,7 +177,9 @@ def test_the_leaves_and_roots_of_the_example_follow_from_its_rows() -> None:
 def test_the_notes_of_the_example_are_signed_by_its_key() -> None:
     module = independent()
     key, note = module.read_key(EXAMPLE[0]), module.read_note(EXAMPLE[6])
-    assert key[2].hex() == "d75a980182b10ab7d54bfed3c964073a0ee172f3daa62325af021a68f707511a"  # RFC 8032, section 7.1, test 1
+    assert (
+        key[2].hex() == "d75a980182b10ab7d54bfed3c964073a0ee172f3daa62325af021a68f707511a"
+    )  # RFC 8032, section 7.1, test 1
     assert (note.origin, note.size, note.root.hex()) == (key[0], 3, EXAMPLE[4].split()[1])
     assert note.has(key)
     assert record_of_the_example()["note"] == EXAMPLE[6]

@@ -18,7 +18,22 @@ from fsar_ledger.ledger.schema import SCHEMA
 from tests.ledger.keep_release import LEDGERS
 from tests.ledger.parts import Page, Parts, two_faced
 from tests.ledger.samples import made_up_run
-from tests.ledger.thrift import BINARY, I32, I64, LIST, STRUCT, TRUE, Field, Listed, Raw, Struct, field, has, put, varint
+from tests.ledger.thrift import (
+    BINARY,
+    I32,
+    I64,
+    LIST,
+    STRUCT,
+    TRUE,
+    Field,
+    Listed,
+    Raw,
+    Struct,
+    field,
+    has,
+    put,
+    varint,
+)
 
 TABLE = encode([made_up_run("run-0", 60, 1), made_up_run("run-1", 60, 2)])
 DATA = bytes(segment.to_parquet(TABLE))
@@ -62,7 +77,9 @@ def statistics(parts: Parts, name: str) -> Struct:
 
 
 def refusal(data: bytes) -> str:
-    with pytest.raises(LedgerCorrupted, match=r"^file: the segment cannot be read: found .*; restore the file$") as caught:
+    with pytest.raises(
+        LedgerCorrupted, match=r"^file: the segment cannot be read: found .*; restore the file$"
+    ) as caught:
         check_layout(Path("file"), data)
     return str(caught.value)
 
@@ -97,7 +114,10 @@ def test_pages_without_a_dictionary_once_it_is_full_are_read() -> None:
     table = pa.concat_tables([TABLE] * 400).slice(0, 40_000)
     table = table.set_column(SCHEMA.get_field_index("achieved"), SCHEMA.field("achieved"), lists)
     data = bytes(segment.to_parquet(table))
-    encodings = {field(cast(Struct, field(page.header, 5)), 2) for page in Parts(data).pages[Parts(data).number_of("achieved")][1:]}
+    encodings = {
+        field(cast(Struct, field(page.header, 5)), 2)
+        for page in Parts(data).pages[Parts(data).number_of("achieved")][1:]
+    }
     assert encodings == {0, 8}
     assert read_layout(data).rows == 40_000
 
@@ -105,7 +125,9 @@ def test_pages_without_a_dictionary_once_it_is_full_are_read() -> None:
 def test_a_long_run_id_is_a_bound_or_none() -> None:
     for size in (127, 128, 4096, 4097):
         data = bytes(segment.to_parquet(encode([made_up_run("x" * size, 9, 1)])))
-        assert [said.most for said in read_layout(data).statistics if said.name == "run_id"] == ([b"x" * size] if size <= 4096 else [])
+        assert [said.most for said in read_layout(data).statistics if said.name == "run_id"] == (
+            [b"x" * size] if size <= 4096 else []
+        )
 
 
 @pytest.mark.parametrize("name", ["run_id", "seq", "time_us"])
@@ -136,7 +158,12 @@ def test_a_column_with_two_beginnings_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("number", "said"), [(0, "column run_id: pages from byte"), (5, "column achieved: pages from byte"), (len(SCHEMA.names), "3 bytes between the last page")]
+    ("number", "said"),
+    [
+        (0, "column run_id: pages from byte"),
+        (5, "column achieved: pages from byte"),
+        (len(SCHEMA.names), "3 bytes between the last page"),
+    ],
 )
 def test_hidden_bytes_are_refused(number: int, said: str) -> None:
     assert said in refusal(fitted(lambda parts: parts.gaps.update({number: b"abc"})))
@@ -158,18 +185,33 @@ def test_a_page_that_reaches_into_the_next_column_is_refused() -> None:
 
 CHANGES: dict[str, tuple[Change, str]] = {
     "another version of the format": (lambda parts: put(parts.footer, 1, 1), "the footer: "),
-    "key-value metadata": (lambda parts: put(parts.footer, 5, Listed(STRUCT, [[Field(1, BINARY, b"a")]]), LIST), "key-value metadata, expected none"),
+    "key-value metadata": (
+        lambda parts: put(parts.footer, 5, Listed(STRUCT, [[Field(1, BINARY, b"a")]]), LIST),
+        "key-value metadata, expected none",
+    ),
     "no rows": (lambda parts: put(parts.footer, 3, 0), "0 rows, expected 1 to"),
     "more rows": (lambda parts: add(parts.footer, 3, 1), "column run_id: 120 values, expected 121"),
     "a writer of another name": (lambda parts: put(parts.footer, 6, b"parquet-mr version 1.2.8"), "the footer: "),
-    "a writer whose name is long": (lambda parts: put(parts.footer, 6, b"parquet-cpp-arrow version " + b"1" * 41), "the footer: "),
-    "a writer whose name is longer than it says": (lambda parts: put(parts.footer, 6, Raw(b"\x1bparquet-cpp-arrow version 12")), "the footer: "),
+    "a writer whose name is long": (
+        lambda parts: put(parts.footer, 6, b"parquet-cpp-arrow version " + b"1" * 41),
+        "the footer: ",
+    ),
+    "a writer whose name is longer than it says": (
+        lambda parts: put(parts.footer, 6, Raw(b"\x1bparquet-cpp-arrow version 12")),
+        "the footer: ",
+    ),
     "no writer": (lambda parts: parts.footer.pop(4), "the footer: "),
-    "another order of columns": (lambda parts: put(parts.footer, 7, Listed(STRUCT, [[Field(1, STRUCT, [])]] * 121)), "the footer: "),
+    "another order of columns": (
+        lambda parts: put(parts.footer, 7, Listed(STRUCT, [[Field(1, STRUCT, [])]] * 121)),
+        "the footer: ",
+    ),
     "a field after the last": (lambda parts: parts.footer.append(Field(20, I32, 1)), "field 20, expected none"),
     "bytes after the footer": (lambda parts: parts.footer.append(Field(7, LIST, Raw(b"\x0c\x00"))), "field 7 twice"),
     "no row group": (lambda parts: put(parts.footer, 4, Listed(STRUCT, [])), "0 row groups, expected 1"),
-    "the row group twice": (lambda parts: put(parts.footer, 4, Listed(STRUCT, [parts.group()] * 2)), "2 row groups, expected 1"),
+    "the row group twice": (
+        lambda parts: put(parts.footer, 4, Listed(STRUCT, [parts.group()] * 2)),
+        "2 row groups, expected 1",
+    ),
     "other bytes unpacked in the row group": (lambda parts: add(parts.group(), 2, 1), "bytes unpacked, expected"),
     "other rows in the row group": (lambda parts: add(parts.group(), 3, 1), "a row group of 121 rows, expected 120"),
     "other bytes stored in the row group": (lambda parts: add(parts.group(), 6, 1), "bytes stored, expected"),
@@ -182,11 +224,23 @@ CHANGES: dict[str, tuple[Change, str]] = {
     "another codec": (lambda parts: put(parts.about(1), 4, 0), "column seq in codec 0, expected 6"),
     "another type": (lambda parts: put(parts.about(1), 1, 1), "expected ('seq', 'INT64')"),
     "another path": (lambda parts: put(parts.about(1), 3, Listed(BINARY, [b"sequence"])), "expected ('seq', 'INT64')"),
-    "another encoding of a chunk": (lambda parts: put(parts.about(1), 2, Listed(I32, [3, 0])), "column seq in encodings [3, 0]"),
-    "columns in another order": (lambda parts: parts.chunks().insert(1, parts.chunks().pop(2)), "column 1 as ('time_us', 'INT64')"),
+    "another encoding of a chunk": (
+        lambda parts: put(parts.about(1), 2, Listed(I32, [3, 0])),
+        "column seq in encodings [3, 0]",
+    ),
+    "columns in another order": (
+        lambda parts: parts.chunks().insert(1, parts.chunks().pop(2)),
+        "column 1 as ('time_us', 'INT64')",
+    ),
     "fewer values": (lambda parts: add(about(parts, "seq"), 5, -1), "column seq: 119 values, expected 120"),
-    "a list with fewer values than rows": (lambda parts: put(about(parts, "achieved"), 5, 119), "column achieved: 119 values, expected at least 120"),
-    "a list of more values than its pages": (lambda parts: add(about(parts, "achieved"), 5, 1), "column achieved: pages of "),
+    "a list with fewer values than rows": (
+        lambda parts: put(about(parts, "achieved"), 5, 119),
+        "column achieved: 119 values, expected at least 120",
+    ),
+    "a list of more values than its pages": (
+        lambda parts: add(about(parts, "achieved"), 5, 1),
+        "column achieved: pages of ",
+    ),
     "other unpacked bytes": (lambda parts: add(about(parts, "seq"), 6, 1), "column seq: pages that unpack to"),
     "more stored bytes": (lambda parts: add(about(parts, "seq"), 7, 1), "column seq: "),
     "data elsewhere": (lambda parts: add(about(parts, "seq"), 9, 1), "column seq: pages from byte"),
@@ -198,30 +252,69 @@ CHANGES: dict[str, tuple[Change, str]] = {
     "bounds of integers that are short": (lambda parts: put(statistics(parts, "seq"), 5, bytes(7)), "the footer: "),
     "a count of NULL": (lambda parts: put(statistics(parts, "seq"), 3, 1), "statistics that say 1 NULL of column seq"),
     "inexact bounds": (lambda parts: put(statistics(parts, "seq"), 7, 0), "the footer: "),
-    "a bound of text that is too long": (lambda parts: put(statistics(parts, "run_id"), 5, b"x" * 4097), "other statistics of column run_id"),
-    "half of the bounds of text": (lambda parts: statistics(parts, "run_id").pop(1), "other statistics of column run_id"),
-    "a field after the bounds of text": (lambda parts: put(statistics(parts, "run_id"), 9, 1, I32), "other statistics of column run_id"),
-    "statistics of another column": (lambda parts: put(about(parts, "robot"), 12, [], STRUCT), "statistics of column robot"),
+    "a bound of text that is too long": (
+        lambda parts: put(statistics(parts, "run_id"), 5, b"x" * 4097),
+        "other statistics of column run_id",
+    ),
+    "half of the bounds of text": (
+        lambda parts: statistics(parts, "run_id").pop(1),
+        "other statistics of column run_id",
+    ),
+    "a field after the bounds of text": (
+        lambda parts: put(statistics(parts, "run_id"), 9, 1, I32),
+        "other statistics of column run_id",
+    ),
+    "statistics of another column": (
+        lambda parts: put(about(parts, "robot"), 12, [], STRUCT),
+        "statistics of column robot",
+    ),
     "encodings of other pages": (
         lambda parts: put(cast(Struct, cast(Listed, field(about(parts, "type"), 13)).values[1]), 3, 2),
         "column type: other encodings than those of its 1 pages",
     ),
     "no encodings of pages": (lambda parts: about(parts, "type").pop(9), "the footer: "),
-    "histograms of more levels": (lambda parts: put(cast(Struct, field(about(parts, "robot"), 16)), 3, Listed(I64, [1, 1, 1])), "the footer: "),
-    "key-value metadata of a column": (lambda parts: put(about(parts, "type"), 8, Listed(STRUCT, []), LIST), "key-value metadata of column type"),
+    "histograms of more levels": (
+        lambda parts: put(cast(Struct, field(about(parts, "robot"), 16)), 3, Listed(I64, [1, 1, 1])),
+        "the footer: ",
+    ),
+    "key-value metadata of a column": (
+        lambda parts: put(about(parts, "type"), 8, Listed(STRUCT, []), LIST),
+        "key-value metadata of column type",
+    ),
     "a page of another kind": (lambda parts: put(header(parts, "seq"), 1, 3), "a page in encoding"),
-    "a page that says to unpack to more": (lambda parts: add(header(parts, "seq"), 2, 1), "column seq: pages that unpack to"),
+    "a page that says to unpack to more": (
+        lambda parts: add(header(parts, "seq"), 2, 1),
+        "column seq: pages that unpack to",
+    ),
     "a page that says to be longer": (lambda parts: add(header(parts, "seq"), 3, 1), "column seq: a page at byte"),
     "a page with another checksum": (lambda parts: put(header(parts, "seq"), 4, 7), "with the checksum"),
-    "a dictionary with another checksum": (lambda parts: put(header(parts, "type", 0), 4, 7), "column type: a page at byte"),
+    "a dictionary with another checksum": (
+        lambda parts: put(header(parts, "type", 0), 4, 7),
+        "column type: a page at byte",
+    ),
     "a page without a checksum": (lambda parts: header(parts, "seq").pop(3), "without a checksum"),
-    "a page of other values": (lambda parts: add(data_header(parts, "seq"), 1, 1), "column seq: pages of 121 values, expected 120"),
+    "a page of other values": (
+        lambda parts: add(data_header(parts, "seq"), 1, 1),
+        "column seq: pages of 121 values, expected 120",
+    ),
     "a page in another encoding": (lambda parts: put(data_header(parts, "seq"), 2, 0), "a page in encoding 0"),
-    "text without its dictionary": (lambda parts: put(data_header(parts, "type"), 2, 0), "column type: other encodings"),
+    "text without its dictionary": (
+        lambda parts: put(data_header(parts, "type"), 2, 0),
+        "column type: other encodings",
+    ),
     "levels in another encoding": (lambda parts: put(data_header(parts, "seq"), 3, 4), "a page in encoding 5"),
-    "statistics of a page of text": (lambda parts: put(cast(Struct, field(data_header(parts, "run_id"), 5)), 3, 1), "other statistics of column run_id"),
-    "a field after the statistics of a page": (lambda parts: data_header(parts, "run_id").append(Field(9, TRUE, 1)), "other statistics of column run_id"),
-    "a sorted dictionary": (lambda parts: put(cast(Struct, field(header(parts, "type", 0), 7)), 3, 1), "column type: a page in encoding 0"),
+    "statistics of a page of text": (
+        lambda parts: put(cast(Struct, field(data_header(parts, "run_id"), 5)), 3, 1),
+        "other statistics of column run_id",
+    ),
+    "a field after the statistics of a page": (
+        lambda parts: data_header(parts, "run_id").append(Field(9, TRUE, 1)),
+        "other statistics of column run_id",
+    ),
+    "a sorted dictionary": (
+        lambda parts: put(cast(Struct, field(header(parts, "type", 0), 7)), 3, 1),
+        "column type: a page in encoding 0",
+    ),
     "a dictionary second": (lambda parts: parts.pages[4].reverse(), "column type: a page in encoding"),
     "two dictionaries": (lambda parts: parts.pages[4].insert(1, parts.pages[4][0]), "column type: "),
 }
@@ -234,7 +327,14 @@ def test_what_is_said_otherwise_than_it_is_is_refused(what: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "what", ["a page that says to unpack to more", "a page of other values", "two dictionaries", "a page without a checksum", "a dictionary second"]
+    "what",
+    [
+        "a page that says to unpack to more",
+        "a page of other values",
+        "two dictionaries",
+        "a page without a checksum",
+        "a dictionary second",
+    ],
 )
 def test_sizes_that_fit_excuse_nothing(what: str) -> None:
     if what == "a page that says to unpack to more":  # then it is for who unpacks it
@@ -282,7 +382,9 @@ WAYS: dict[str, Callable[[Struct, int], object]] = {
     "missing": lambda struct, at: struct.pop(at),
     "twice": lambda struct, at: struct.insert(at, struct[at]),
     "unknown": lambda struct, at: struct.insert(at + 1, Field(struct[at].number + 40, I32, 1)),
-    "in another order": lambda struct, at: struct.append(struct.pop(at)) if at < len(struct) - 1 else struct.insert(0, struct.pop(at)),
+    "in another order": lambda struct, at: (
+        struct.append(struct.pop(at)) if at < len(struct) - 1 else struct.insert(0, struct.pop(at))
+    ),
     "longer than it need be": longer,
 }
 

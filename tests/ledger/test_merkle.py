@@ -173,7 +173,11 @@ def test_a_proof_leads_to_the_root_from_no_other_place(start: int) -> None:
     for size in range(start, start + 100, 3):
         for index in {0, size // 3, size - 1}:
             proof = inclusion_proof(node, index, size)
-            others = [other for other in range(-2, size + 2) if root_of_inclusion(LEAVES[index], other, size, proof) == range_of(0, size)]
+            others = [
+                other
+                for other in range(-2, size + 2)
+                if root_of_inclusion(LEAVES[index], other, size, proof) == range_of(0, size)
+            ]
             assert others == [index]
 
 
@@ -191,7 +195,9 @@ def pairs() -> list[tuple[int, int]]:
     """Every pair of sizes to 64, and of the larger ones each with a few older sizes."""
     draw = random.Random(8)
     small = [(old, new) for new in range(1, 65) for old in range(1, new + 1)]
-    return small + [(old, new) for new in range(65, 301) for old in sorted({1, new // 2, new - 1, new, 64, draw.randrange(1, new)})]
+    return small + [
+        (old, new) for new in range(65, 301) for old in sorted({1, new // 2, new - 1, new, 64, draw.randrange(1, new)})
+    ]
 
 
 def test_the_consistency_proof_of_every_pair_of_sizes_is_as_defined_and_convinces() -> None:
@@ -249,7 +255,10 @@ def test_an_older_tree_is_not_larger() -> None:
 
 # --- the test vectors of certificate-transparency (merkle_tree_test.cc), which count leaves from 0 here ---
 
-VECTORS = [leaf_hash(bytes.fromhex(text)) for text in ("", "00", "10", "2021", "3031", "40414243", "5051525354555657", "606162636465666768696a6b6c6d6e6f")]
+VECTORS = [
+    leaf_hash(bytes.fromhex(text))
+    for text in ("", "00", "10", "2021", "3031", "40414243", "5051525354555657", "606162636465666768696a6b6c6d6e6f")
+]
 ROOTS = (
     "6e340b9cffb37a989ca544e6bb780a2c78901d3fb33738768511a30617afa01d",
     "fac54203e7cc696cf0dfcb42c92a1d9dbaf70ad9e621f4bd8d98662f00e3c125",
@@ -299,7 +308,12 @@ def test_the_published_inclusion_proofs(index: int, size: int, path: list[str]) 
 
 @pytest.mark.parametrize(
     ("old", "new", "path"),
-    [(1, 1, []), (1, 8, [LEAF_1, LEAVES_2_3, LEAVES_4_7]), (6, 8, [LEAVES_4_5, LEAVES_6_7, ROOTS[3]]), (2, 5, [LEAVES_2_3, LEAF_4])],
+    [
+        (1, 1, []),
+        (1, 8, [LEAF_1, LEAVES_2_3, LEAVES_4_7]),
+        (6, 8, [LEAVES_4_5, LEAVES_6_7, ROOTS[3]]),
+        (2, 5, [LEAVES_2_3, LEAF_4]),
+    ],
 )
 def test_the_published_consistency_proofs(old: int, new: int, path: list[str]) -> None:
     proof = consistency_proof(vector_node, old, new)

@@ -131,7 +131,12 @@ def test_a_note_has_the_lines_that_the_specification_asks_for() -> None:
 
 
 def test_a_note_comes_back_from_its_text() -> None:
-    for note in (Note(CHECKPOINT), SIGNED, Note(CHECKPOINT, (SIGNER.sign(CHECKPOINT), OTHER.sign(CHECKPOINT))), Note(Checkpoint("x", 0, bytes(32)))):
+    for note in (
+        Note(CHECKPOINT),
+        SIGNED,
+        Note(CHECKPOINT, (SIGNER.sign(CHECKPOINT), OTHER.sign(CHECKPOINT))),
+        Note(Checkpoint("x", 0, bytes(32))),
+    ):
         assert parse_note("note", str(note)) == note
 
 
@@ -187,7 +192,9 @@ def test_what_is_written_otherwise_is_no_note(text: str) -> None:
 
 def test_a_note_carries_sixteen_signatures_and_no_more() -> None:
     signature = SIGNER.sign(CHECKPOINT)
-    assert len(parse_note("note", str(Note(CHECKPOINT, (signature,) * MAX_SIGNATURES))).signatures) == MAX_SIGNATURES == 16
+    assert (
+        len(parse_note("note", str(Note(CHECKPOINT, (signature,) * MAX_SIGNATURES))).signatures) == MAX_SIGNATURES == 16
+    )
     with pytest.raises(LedgerCorrupted):
         parse_note("note", str(Note(CHECKPOINT, (signature,) * (MAX_SIGNATURES + 1))))
 
@@ -269,10 +276,19 @@ def test_a_secret_key_that_others_may_touch_is_refused(tmp_path: Path, mode: int
 def test_a_key_with_any_character_changed_or_cut_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "fleet.key"
     verifier = new_key(path, ORIGIN)
-    for file, read in ((path, lambda: read_signer(path)), (tmp_path / "fleet.key.pub", lambda: read_verifier(f"{path}.pub"))):
+    for file, read in (
+        (path, lambda: read_signer(path)),
+        (tmp_path / "fleet.key.pub", lambda: read_verifier(f"{path}.pub")),
+    ):
         text = file.read_text()
         others = [text[:at] + ("A" if text[at] != "A" else "B") + text[at + 1 :] for at in range(len(text))]
-        others += [text[:cut] for cut in range(len(text) - 1)] + [text + "\n", "\n" + text, text * 2, text.replace("=", "") + "x", "\udcff"]
+        others += [text[:cut] for cut in range(len(text) - 1)] + [
+            text + "\n",
+            "\n" + text,
+            text * 2,
+            text.replace("=", "") + "x",
+            "\udcff",
+        ]
         for other in others:
             file.write_bytes(other.encode("utf-8", "surrogateescape"))
             with pytest.raises(UsageError):
@@ -295,7 +311,11 @@ def test_the_halves_are_not_taken_for_each_other_and_the_secret_one_is_not_shown
 
 
 def test_a_key_that_is_not_there_is_named(tmp_path: Path) -> None:
-    for read in (lambda: read_signer(tmp_path / "none"), lambda: read_verifier(str(tmp_path / "none")), lambda: read_signer(tmp_path)):
+    for read in (
+        lambda: read_signer(tmp_path / "none"),
+        lambda: read_verifier(str(tmp_path / "none")),
+        lambda: read_signer(tmp_path),
+    ):
         with pytest.raises(UsageError, match=str(tmp_path)):
             read()
 
@@ -320,7 +340,12 @@ def test_a_ledger_is_not_signed_by_the_key_of_another_origin(tmp_path: Path) -> 
 
 
 @settings(max_examples=200, deadline=None)
-@given(st.text(max_size=120) | st.sampled_from([str(SIGNED), str(SIGNER.verifier)]).flatmap(lambda text: st.permutations(text.split("\n")).map("\n".join)))
+@given(
+    st.text(max_size=120)
+    | st.sampled_from([str(SIGNED), str(SIGNER.verifier)]).flatmap(
+        lambda text: st.permutations(text.split("\n")).map("\n".join)
+    )
+)
 def test_any_text_is_read_or_refused_without_an_accident(text: str) -> None:
     with suppress(LedgerCorrupted):
         assert str(parse_note("note", text)) == text

@@ -73,7 +73,15 @@ def test_outgrown_tiles_behind_a_checkpoint_that_is_behind_are_one_remark(snapsh
 # --- records ---
 
 
-@pytest.mark.parametrize("change", [lambda text: text.upper(), lambda text: text[:30] + "  " + text[30:], lambda text: text[:-1], lambda text: text[:-1] + "g"])
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda text: text.upper(),
+        lambda text: text[:30] + "  " + text[30:],
+        lambda text: text[:-1],
+        lambda text: text[:-1] + "g",
+    ],
+)
 @pytest.mark.parametrize("field", ["frontier", "segment_sha256"])
 def test_a_hash_in_other_letters_is_found_in_its_record(path: Path, field: str, change) -> None:  # type: ignore[no-untyped-def]
     value = getattr(record_of(path, 2), field)
@@ -82,7 +90,9 @@ def test_a_hash_in_other_letters_is_found_in_its_record(path: Path, field: str, 
     assert f"field {field}" in only_problem(path).found
 
 
-@pytest.mark.parametrize("signatures", ["", "\N{EM DASH} other.org/x {data}\n", "\N{EM DASH} example.org/fsar-test AAAAAAAA\n", "{own}{own}"])
+@pytest.mark.parametrize(
+    "signatures", ["", "\N{EM DASH} other.org/x {data}\n", "\N{EM DASH} example.org/fsar-test AAAAAAAA\n", "{own}{own}"]
+)
 def test_a_note_of_a_record_is_signed_by_the_ledgers_own_key_or_by_nobody(path: Path, signatures: str) -> None:
     body, _, own = record_of(path, 2).note.rpartition("\n\n")
     note = f"{body}\n\n" + signatures.format(own=own, data=own.split(" ")[2].strip())
@@ -96,7 +106,9 @@ def test_a_note_of_a_record_is_signed_by_the_ledgers_own_key_or_by_nobody(path: 
 # --- a check that fails in a way nobody thought of ---
 
 
-def test_a_check_that_fails_in_a_way_nobody_thought_of_is_a_finding_in_its_place(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_check_that_fails_in_a_way_nobody_thought_of_is_a_finding_in_its_place(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def fail(*_: object) -> None:
         raise ZeroDivisionError("nobody thought of this")
 
@@ -128,7 +140,9 @@ def test_a_count_of_nulls_that_hides_rows_is_found_whoever_wrote_it(path: Path) 
         thrift.put(cast(thrift.Struct, thrift.field(parts.about(parts.number_of(name)), 12)), 3, 1)
         forge_segment(path, 2, bytes(parts))
         assert f"column {name}" in only_problem(path).found
-        assert ("other statistics" if name == "run_id" else f"statistics that say 1 NULL of column {name}") in only_problem(path).found
+        assert (
+            "other statistics" if name == "run_id" else f"statistics that say 1 NULL of column {name}"
+        ) in only_problem(path).found
 
 
 def test_a_footer_that_contradicts_itself_does_not_end_the_process(path: Path) -> None:
@@ -142,7 +156,14 @@ def test_a_footer_that_contradicts_itself_does_not_end_the_process(path: Path) -
 
 def test_a_page_index_is_found_whoever_wrote_it(path: Path) -> None:
     sink = pa.BufferOutputStream()
-    pq.write_table(segment.coded(table_of(path, 2)), sink, store_schema=False, compression="zstd", write_page_index=True, write_page_checksum=True)
+    pq.write_table(
+        segment.coded(table_of(path, 2)),
+        sink,
+        store_schema=False,
+        compression="zstd",
+        write_page_index=True,
+        write_page_checksum=True,
+    )
     version = pa.__version__.encode()
     forge_segment(path, 2, bytes(sink.getvalue()).replace(version, b"9" * len(version)))
     assert "an index or a Bloom filter" in only_problem(path).found

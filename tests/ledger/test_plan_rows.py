@@ -20,15 +20,26 @@ def of(name: str, *events: Event) -> RunRecord:
 
 
 def test_a_plan_alone_is_no_run_and_no_doubt(tmp_path: Path) -> None:
-    path = write(tmp_path / "ledger", [[of("plan", PLAN)], [of("run-1", TASK, TASK), of("another plan", PLAN), of("run-2", TASK)]], [None, None])
+    path = write(
+        tmp_path / "ledger",
+        [[of("plan", PLAN)], [of("run-1", TASK, TASK), of("another plan", PLAN), of("run-2", TASK)]],
+        [None, None],
+    )
     assert judged(Case("plans", path, True)).difference == ""
     report = verify(path)
     assert (report.ok, report.runs, report.events, report.commits) == (True, 2, 5, 2)
 
 
-@pytest.mark.parametrize(("events", "row"), [((PLAN, TASK), 0), ((TASK, PLAN), 1), ((TASK, PLAN, TASK), 1), ((PLAN, PLAN), 0)])
+@pytest.mark.parametrize(
+    ("events", "row"), [((PLAN, TASK), 0), ((TASK, PLAN), 1), ((TASK, PLAN, TASK), 1), ((PLAN, PLAN), 0)]
+)
 def test_a_plan_with_company_is_named_by_both_verifiers(tmp_path: Path, events: tuple[Event, ...], row: int) -> None:
     path = write(tmp_path / "ledger", [[of("before", TASK), of("run-1", *events), of("after", TASK)]], [None])
     assert judged(Case("a plan with company", path, False)).difference == ""
     [problem] = verify(path).problems
-    assert (problem.run, problem.seq, problem.field, problem.expected) == ("run-1", row, "type", "the only event of its run, as this type is")
+    assert (problem.run, problem.seq, problem.field, problem.expected) == (
+        "run-1",
+        row,
+        "type",
+        "the only event of its run, as this type is",
+    )

@@ -87,7 +87,9 @@ def test_without_a_trusted_key_the_signature_is_only_told(intact: Path, tmp_path
 
 
 def test_runs_are_found_where_they_are(intact: Path) -> None:
-    assert [(block.run, block.first, block.events) for block in blocks(open_ledger(intact))] == [(f"run-{n:04d}", 60 * n, 60) for n in range(6)]
+    assert [(block.run, block.first, block.events) for block in blocks(open_ledger(intact))] == [
+        (f"run-{n:04d}", 60 * n, 60) for n in range(6)
+    ]
 
 
 def test_what_is_not_there_has_no_proof(intact: Path, tmp_path: Path) -> None:
@@ -170,16 +172,24 @@ def test_the_signature_must_be_the_trusted_keys(proof: Proof) -> None:
     tree = proof.note.checkpoint
     namesake = Signer(ORIGIN, b"o" * 32)
     assert "found no signature" in refused(msgspec.structs.replace(proof, note=Note(tree)))
-    assert f"found a signature of {namesake.verifier.key}" in refused(msgspec.structs.replace(proof, note=Note(tree, (namesake.sign(tree),))))
+    assert f"found a signature of {namesake.verifier.key}" in refused(
+        msgspec.structs.replace(proof, note=Note(tree, (namesake.sign(tree),)))
+    )
     posing = msgspec.structs.replace(namesake.sign(tree), key_id=KEY.key_id)
     assert "that this key did not make" in refused(msgspec.structs.replace(proof, note=Note(tree, (posing,))))
     elsewhere = Checkpoint("example.org/elsewhere", tree.size, tree.root)
-    assert "a checkpoint of example.org/elsewhere" in refused(msgspec.structs.replace(proof, note=Note(elsewhere, (SIGNER.sign(elsewhere),))))
+    assert "a checkpoint of example.org/elsewhere" in refused(
+        msgspec.structs.replace(proof, note=Note(elsewhere, (SIGNER.sign(elsewhere),)))
+    )
 
 
 def test_an_index_below_zero_and_hashes_of_another_length_are_not_even_read(proof: Proof) -> None:
     assert parse_proof("a proof", str(proof)) == proof
-    for change in ({"index": -1}, {"hashes": (*proof.hashes[:-1], proof.hashes[-1][:-1])}, {"hashes": (*proof.hashes, bytes(33))}):
+    for change in (
+        {"index": -1},
+        {"hashes": (*proof.hashes[:-1], proof.hashes[-1][:-1])},
+        {"hashes": (*proof.hashes, bytes(33))},
+    ):
         with pytest.raises(LedgerCorrupted, match="expected a C2SP tlog-proof"):
             parse_proof("a proof", str(msgspec.structs.replace(proof, **change)))
 
@@ -239,7 +249,14 @@ def test_any_bytes_as_an_event_are_refused_or_a_row(event: bytes) -> None:
 def test_a_file_that_is_no_proof_is_refused(tmp_path: Path, intact: Path) -> None:
     with pytest.raises(UsageError, match="found no file"):
         read_proof(tmp_path / "none")
-    for data in (b"", b"\n\n", b"\xff\xfe", b"x" * 2_000_000, (intact / "checkpoint").read_bytes(), (intact / "ledger.json").read_bytes()):
+    for data in (
+        b"",
+        b"\n\n",
+        b"\xff\xfe",
+        b"x" * 2_000_000,
+        (intact / "checkpoint").read_bytes(),
+        (intact / "ledger.json").read_bytes(),
+    ):
         (tmp_path / "file").write_bytes(data)
         with pytest.raises(LedgerCorrupted, match=str(tmp_path / "file")):
             read_proof(tmp_path / "file")
@@ -274,7 +291,9 @@ def test_a_damaged_ledger_gives_no_proof(path: Path) -> None:
     prove(open_ledger(path), 20)
 
 
-def test_while_the_newest_tiles_are_not_written_yet_older_events_are_proven_by_the_checkpoint_before(path: Path, tmp_path: Path) -> None:
+def test_while_the_newest_tiles_are_not_written_yet_older_events_are_proven_by_the_checkpoint_before(
+    path: Path, tmp_path: Path
+) -> None:
     append_all(tmp_path / "older", BATCHES[:2], signer=SIGNER)
     for name in ("tile", "checkpoint"):  # as they are between a commit and what is derived from it
         shutil.rmtree(path / name) if name == "tile" else (path / name).unlink()

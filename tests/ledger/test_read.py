@@ -35,7 +35,10 @@ def flip(file: Path) -> None:
 def test_the_first_segment_that_is_not_as_committed_is_named(path: Path) -> None:
     for number in (1, 2):
         flip(segment_path(path, number))
-    with pytest.raises(LedgerCorrupted, match=r"segments/000000000001\.parquet: commit 1: found SHA-256 [0-9a-f]{64}, expected [0-9a-f]{64} as committed"):
+    with pytest.raises(
+        LedgerCorrupted,
+        match=r"segments/000000000001\.parquet: commit 1: found SHA-256 [0-9a-f]{64}, expected [0-9a-f]{64} as committed",
+    ):
         open_ledger(path).segments()
 
 
@@ -95,7 +98,9 @@ def test_a_segment_in_staging_is_compared_there_and_again_where_it_is_moved_to(p
 def test_who_only_moves_segments_does_not_read_them(path: Path) -> None:
     flip(segment_path(path, 0))
     assert open_ledger(path).place(0) == segment_path(path, 0)
-    with Writer(path, ORIGIN) as writer:  # an append costs the same however much is there; `verify` and every reader find the bit
+    with Writer(
+        path, ORIGIN
+    ) as writer:  # an append costs the same however much is there; `verify` and every reader find the bit
         writer.append(stage(path, [made_up_run("run-3", 20, seed=3)]))
 
 

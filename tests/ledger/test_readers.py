@@ -25,7 +25,9 @@ def test_each_kind_of_mutation_is_refused_or_read_alike() -> None:
     assert len(accepted) > 10
     readers = Readers()
     try:
-        assert [found for data in accepted[:12] if (found := readers.differ(data)) not in (None, readers_soak.UNREAD)] == []
+        assert [
+            found for data in accepted[:12] if (found := readers.differ(data)) not in (None, readers_soak.UNREAD)
+        ] == []
     finally:
         readers.close()
 

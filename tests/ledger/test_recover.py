@@ -61,7 +61,9 @@ def write(path: Path, files: Files) -> Path:
 def aside(path: Path) -> Files:
     """What was set aside, by its name within `NNN/`, all recoveries together."""
     folder = path.with_name(f"{path.name}.set-aside")
-    return {f"{number.name}/{name}": data for number in sorted(folder.glob("*")) for name, data in contents(number).items()}
+    return {
+        f"{number.name}/{name}": data for number in sorted(folder.glob("*")) for name, data in contents(number).items()
+    }
 
 
 def assert_nothing_lost(before: Files, path: Path) -> None:
@@ -130,23 +132,36 @@ def with_checkpoint(two: Files, three: Files) -> Files:
 
 
 BEFORE_THE_COMMIT = [with_segment_staged, with_half_a_segment, with_record_written]
-AFTER_THE_COMMIT = [with_record_linked, with_record_in_place, with_segment_in_place, with_one_tile, with_all_tiles, with_checkpoint]
+AFTER_THE_COMMIT = [
+    with_record_linked,
+    with_record_in_place,
+    with_segment_in_place,
+    with_one_tile,
+    with_all_tiles,
+    with_checkpoint,
+]
 
 
 @pytest.mark.parametrize("state", BEFORE_THE_COMMIT)
-def test_what_was_not_committed_is_set_aside(tmp_path: Path, two: Files, three: Files, state: Callable[[Files, Files], Files]) -> None:
+def test_what_was_not_committed_is_set_aside(
+    tmp_path: Path, two: Files, three: Files, state: Callable[[Files, Files], Files]
+) -> None:
     before = state(two, three)
     path = write(tmp_path / "ledger", before)
     found = recover(path)
     assert (found.outcome, found.head.commits) == ("mended", 2)
     left = before.keys() - two.keys()
-    assert {step.file: (step.did, step.to) for step in found.steps} == {name: ("set aside", f"{path}.set-aside/000/{name}") for name in left}
+    assert {step.file: (step.did, step.to) for step in found.steps} == {
+        name: ("set aside", f"{path}.set-aside/000/{name}") for name in left
+    }
     assert aside(path) == {f"000/{name}": before[name] for name in left}
     assert_like_new(path, two)
 
 
 @pytest.mark.parametrize("state", AFTER_THE_COMMIT)
-def test_what_was_committed_is_finished(tmp_path: Path, two: Files, three: Files, state: Callable[[Files, Files], Files]) -> None:
+def test_what_was_committed_is_finished(
+    tmp_path: Path, two: Files, three: Files, state: Callable[[Files, Files], Files]
+) -> None:
     before = state(two, three)
     path = write(tmp_path / "ledger", before)
     found = recover(path)
@@ -179,19 +194,30 @@ def test_an_empty_ledger_is_whole(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["checkpoint", "tile/0/000", "tile/0/001.p/104", "tile/1/000.p/1", "ledger.json"])
-@pytest.mark.parametrize("damage", [lambda data: None, lambda data: data[:-1], lambda data: bytes([data[0] ^ 1]) + data[1:], lambda data: b""])
-def test_what_stands_beside_the_commits_is_made_again_from_them(tmp_path: Path, three: Files, name: str, damage: Callable[[bytes], bytes | None]) -> None:
+@pytest.mark.parametrize(
+    "damage",
+    [lambda data: None, lambda data: data[:-1], lambda data: bytes([data[0] ^ 1]) + data[1:], lambda data: b""],
+)
+def test_what_stands_beside_the_commits_is_made_again_from_them(
+    tmp_path: Path, three: Files, name: str, damage: Callable[[bytes], bytes | None]
+) -> None:
     altered = damage(three[name])
     before = {key: data for key, data in (three | {name: altered}).items() if data is not None}
     path = write(tmp_path / "ledger", before)
     found = recover(path)
-    assert [(step.did, step.file) for step in found.steps] == [*([("set aside", name)] if altered is not None else []), ("made again", name)]
+    assert [(step.did, step.file) for step in found.steps] == [
+        *([("set aside", name)] if altered is not None else []),
+        ("made again", name),
+    ]
     assert_nothing_lost(before, path)
     assert_like_new(path, three)
 
 
 def test_all_tiles_and_the_checkpoint_are_made_again(tmp_path: Path, three: Files) -> None:
-    path = write(tmp_path / "ledger", {name: data for name, data in three.items() if name.startswith(("ledger", "commits", "segments"))})
+    path = write(
+        tmp_path / "ledger",
+        {name: data for name, data in three.items() if name.startswith(("ledger", "commits", "segments"))},
+    )
     assert {step.file for step in recover(path).steps} == {*tiles(three), "checkpoint"}
     assert_like_new(path, three)
 
@@ -206,7 +232,18 @@ def test_a_ledger_json_of_another_origin_gives_way_to_what_the_records_vouch_for
 
 
 def test_what_does_not_belong_there_is_set_aside_under_its_name(tmp_path: Path, three: Files) -> None:
-    strays = dict.fromkeys(["note.txt", "commits/old.json", "segments/copy.parquet", "tile/0/x", "tile/0/000.p/7", "staging/a/b", "deep/er/file"], b"?")
+    strays = dict.fromkeys(
+        [
+            "note.txt",
+            "commits/old.json",
+            "segments/copy.parquet",
+            "tile/0/x",
+            "tile/0/000.p/7",
+            "staging/a/b",
+            "deep/er/file",
+        ],
+        b"?",
+    )
     path = write(tmp_path / "ledger", three | strays)
     (path / "link").symlink_to(tmp_path)
     found = recover(path)
@@ -284,7 +321,13 @@ def one(tmp_path_factory: pytest.TempPathFactory) -> Files:
 
 def much_to_do(one: Files) -> Files:
     """What a crash leaves, and damage of all kinds that can be mended."""
-    files = one | {"tile/0/000": b"?" * 32, "stray": b"?", "segments/stray": b"??", "tile/1/000.p/1": b"", "staging/000000000000.json.77.tmp": b"{"}
+    files = one | {
+        "tile/0/000": b"?" * 32,
+        "stray": b"?",
+        "segments/stray": b"??",
+        "tile/1/000.p/1": b"",
+        "staging/000000000000.json.77.tmp": b"{",
+    }
     segment = files.pop("segments/000000000000.parquet")
     del files["ledger.json"], files["checkpoint"]
     return files | {f"staging/{sha256_hex(segment)}.parquet": segment}
@@ -315,7 +358,11 @@ def test_stopped_at_any_call_recovery_goes_on_when_called_again(
 def test_a_power_failure_in_recovery_loses_nothing_either(tmp_path: Path, one: Files) -> None:
     before = much_to_do(one)
     counting = write(tmp_path / "counting" / "ledger", before)
-    changes = [at for at, name in enumerate(calls_of(counting.parent, lambda: recover(counting))) if name not in ("open", "read", "close")]
+    changes = [
+        at
+        for at, name in enumerate(calls_of(counting.parent, lambda: recover(counting)))
+        if name not in ("open", "read", "close")
+    ]
     assert len(changes) > 30
     for at in changes[::8]:
         path = write(tmp_path / str(at) / "ledger", before)
@@ -331,9 +378,14 @@ def test_a_power_failure_in_recovery_loses_nothing_either(tmp_path: Path, one: F
             assert contents(after) == one
 
 
-def test_a_disk_that_refuses_is_named_with_what_to_do(tmp_path: Path, one: Files, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_refuses_is_named_with_what_to_do(
+    tmp_path: Path, one: Files, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = write(tmp_path / "ledger", much_to_do(one))
-    with stopping_at(5, monkeypatch, OSError(errno.EROFS, "Read-only file system")), pytest.raises(WriteFailed, match="mending failed: Read-only file system"):
+    with (
+        stopping_at(5, monkeypatch, OSError(errno.EROFS, "Read-only file system")),
+        pytest.raises(WriteFailed, match="mending failed: Read-only file system"),
+    ):
         recover(path)
     whole = write(tmp_path / "whole", one)
     with stopping_at(0, monkeypatch, OSError(errno.EROFS, "Read-only file system")):

@@ -24,7 +24,9 @@ def path(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("manifest", [None, b"{}"])
-def test_a_recovery_beside_a_writer_is_refused_where_the_description_is_lost(path: Path, manifest: bytes | None) -> None:
+def test_a_recovery_beside_a_writer_is_refused_where_the_description_is_lost(
+    path: Path, manifest: bytes | None
+) -> None:
     with Writer(path, ORIGIN) as writer:
         staged = stage(path, BATCHES[3])
         (path / "ledger.json").unlink()
@@ -39,7 +41,9 @@ def test_a_recovery_beside_a_writer_is_refused_where_the_description_is_lost(pat
     assert open_ledger(path).head.commits == 4
 
 
-def test_a_writer_that_opens_while_the_description_is_made_again_waits_for_the_end(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_writer_that_opens_while_the_description_is_made_again_waits_for_the_end(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (path / "ledger.json").unlink()
     shutil.rmtree(path / "tile")
     writer = Thread(target=append_all, args=(path, BATCHES[3:]))

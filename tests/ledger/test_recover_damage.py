@@ -59,7 +59,9 @@ def forge(path: Path, number: int, **changes: object) -> None:
         record = msgspec.json.decode(commit_path(path, at).read_bytes(), type=CommitRecord)
         previous = sha256_hex((commit_path(path, at - 1) if at else path / "ledger.json").read_bytes())
         own = changes if at == number else {}
-        commit_path(path, at).write_bytes(canonical.document(msgspec.structs.replace(record, **{"previous_sha256": previous, **own})))
+        commit_path(path, at).write_bytes(
+            canonical.document(msgspec.structs.replace(record, **{"previous_sha256": previous, **own}))
+        )
 
 
 def swap(path: Path) -> None:
@@ -87,7 +89,12 @@ def lose_the_newest_commit_but_the_checkpoint(path: Path) -> None:
 TAMPERING: list[tuple[str, Callable[[Path], object], int, dict[int, str]]] = [
     ("a bit of a segment", lambda path: flip(segment_path(path, 2), 300), 2, {2: NO_SEGMENT, 3: FITS}),
     ("a lost segment", lambda path: segment_path(path, 1).unlink(), 1, {1: NO_SEGMENT, 2: FITS, 3: FITS}),
-    ("half a segment", lambda path: segment_path(path, 3).write_bytes(segment_path(path, 3).read_bytes()[:99]), 3, {3: NO_SEGMENT}),
+    (
+        "half a segment",
+        lambda path: segment_path(path, 3).write_bytes(segment_path(path, 3).read_bytes()[:99]),
+        3,
+        {3: NO_SEGMENT},
+    ),
     ("segments in each other's place", swap, 1, {1: NO_SEGMENT, 2: NO_SEGMENT, 3: FITS}),
     ("a bit of a record", lambda path: flip(commit_path(path, 1), 20), 1, {1: FITS, 2: FITS, 3: FITS}),
     ("a record that is no JSON", lambda path: commit_path(path, 2).write_bytes(b"{"), 2, {2: NO_RECORD, 3: FITS}),
@@ -102,7 +109,9 @@ TAMPERING: list[tuple[str, Callable[[Path], object], int, dict[int, str]]] = [
 ]
 
 
-@pytest.mark.parametrize(("damage", "commits", "later"), [case[1:] for case in TAMPERING], ids=[case[0] for case in TAMPERING])
+@pytest.mark.parametrize(
+    ("damage", "commits", "later"), [case[1:] for case in TAMPERING], ids=[case[0] for case in TAMPERING]
+)
 def test_what_can_be_trusted_is_said_and_copied_and_the_damaged_ledger_stays(
     path: Path, tmp_path: Path, intact: Path, damage: Callable[[Path], object], commits: int, later: dict[int, str]
 ) -> None:
@@ -260,13 +269,17 @@ def assert_honest(found: Recovery, path: Path, before: dict[str, bytes]) -> None
         return
     assert verify(path).ok
     notes = {record.note.encode() for record in open_ledger(path).records}
-    assert [name for name, data in before.items() if data not in {*contents(path).values(), *aside(path).values()} | notes] == []
+    assert [
+        name for name, data in before.items() if data not in {*contents(path).values(), *aside(path).values()} | notes
+    ] == []
 
 
 @pytest.mark.slow
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(seed=st.integers(0, 1 << 32), times=st.integers(1, 3))
-def test_whatever_was_done_recovery_makes_no_false_ledger_verify(intact: Path, tmp_path_factory: pytest.TempPathFactory, seed: int, times: int) -> None:
+def test_whatever_was_done_recovery_makes_no_false_ledger_verify(
+    intact: Path, tmp_path_factory: pytest.TempPathFactory, seed: int, times: int
+) -> None:
     folder = tmp_path_factory.mktemp("any")
     path = Path(shutil.copytree(intact, folder / "ledger"))
     draw = random.Random(seed)
@@ -276,7 +289,10 @@ def test_whatever_was_done_recovery_makes_no_false_ledger_verify(intact: Path, t
     trusted = path
     try:
         found = recover(path, into=folder / "new")
-    except (LedgerCorrupted, UsageError):  # nothing can be trusted, or ledger.json is of something else and so is the first record
+    except (
+        LedgerCorrupted,
+        UsageError,
+    ):  # nothing can be trusted, or ledger.json is of something else and so is the first record
         found = Recovery("damaged", EMPTY_HEAD)
     assert_honest(found, path, before)
     if found.outcome == "continued":

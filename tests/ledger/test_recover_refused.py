@@ -36,7 +36,9 @@ def whole(tmp_path: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize("step", [pytest.param(1, marks=pytest.mark.slow), 13])
-def test_after_a_recovery_that_met_any_refusal_at_any_call_the_next_writer_goes_on(crashed: Path, whole: dict[str, bytes], tmp_path: Path, step: int) -> None:
+def test_after_a_recovery_that_met_any_refusal_at_any_call_the_next_writer_goes_on(
+    crashed: Path, whole: dict[str, bytes], tmp_path: Path, step: int
+) -> None:
     shutil.copytree(crashed, tmp_path / "counted")
     calls = calls_of(tmp_path / "counted", lambda: recover(tmp_path / "counted" / "ledger"))
     assert len(calls) > 30

@@ -50,7 +50,13 @@ def path(intact: Path, tmp_path: Path) -> Path:
 def seq_with(condition: Callable[[str, Layout], bool]) -> tuple[int, str]:
     """The first event of RUN that has such a field, and the field's name."""
     layouts = [(seq, LAYOUTS[str(event.__struct_config__.tag)]) for seq, event in enumerate(RUN.events)]
-    return next((seq, name) for seq, layout in layouts if seq > 0 for name in layout.cls.__struct_fields__ if condition(name, layout))
+    return next(
+        (seq, name)
+        for seq, layout in layouts
+        if seq > 0
+        for name in layout.cls.__struct_fields__
+        if condition(name, layout)
+    )
 
 
 def of_kind(kind: str, *, closed: bool = False, is_nullable: bool = False) -> tuple[int, str]:
@@ -71,10 +77,16 @@ def refused(path: Path, runs: list[RunRecord], said: str) -> None:
 
 WRONG: dict[str, tuple[tuple[int, str], tuple[object, ...]]] = {
     "text": (of_kind("string"), (None, 1, True, b"robot/A1", ("robot/A1",), Word.FSAR, Posing("robot/A1"), "\ud800")),
-    "of a closed list": (of_kind("string", closed=True), (None, 1, "perhaps", "", "Local", Word.FSAR, Posing("perhaps"))),
+    "of a closed list": (
+        of_kind("string", closed=True),
+        (None, 1, "perhaps", "", "Local", Word.FSAR, Posing("perhaps")),
+    ),
     "an integer": (of_kind("integer"), (None, True, 1.0, "1", Number.ONE, 2**53, -(2**53), 2**63, 2**200)),
     "yes or no": (of_kind("boolean"), (None, 0, 1, "true")),
-    "names": (of_kind("strings"), (None, "ab", ["a"], Pair(("a",)), {"a": 1}, (1,), (None,), (b"a",), (Posing("a"),), ("\ud800",))),
+    "names": (
+        of_kind("strings"),
+        (None, "ab", ["a"], Pair(("a",)), {"a": 1}, (1,), (None,), (b"a",), (Posing("a"),), ("\ud800",)),
+    ),
 }
 EACH = [(kind, value) for kind, (_, values) in WRONG.items() for value in values]
 
@@ -83,7 +95,11 @@ EACH = [(kind, value) for kind, (_, values) in WRONG.items() for value in values
 def test_a_value_that_its_field_cannot_hold_is_refused(path: Path, kind: str, value: object) -> None:
     (seq, field), _ = WRONG[kind]
     run = with_event(RUN, seq, msgspec.structs.replace(RUN.events[seq], **{field: value}))
-    refused(path, [BATCHES[2][0], run], f"run run-1, seq {seq}, field {field}: found {re.escape(f'{value!r:.80}')}, expected .*; nothing was written")
+    refused(
+        path,
+        [BATCHES[2][0], run],
+        f"run run-1, seq {seq}, field {field}: found {re.escape(f'{value!r:.80}')}, expected .*; nothing was written",
+    )
 
 
 def test_closed_lists_are_the_same_for_writer_and_verifier() -> None:
@@ -96,47 +112,89 @@ def test_closed_lists_are_the_same_for_writer_and_verifier() -> None:
         good = RunRecord("r", range(len(events)), [None, *range(len(events) - 1)], events)
         table = encode([good])
         assert first_flaw(table) is None
-        with pytest.raises(InvalidRun, match=re.escape(expected := f"seq 0, field {field.name}: found 'perhaps', expected one of {values}")):
+        with pytest.raises(
+            InvalidRun,
+            match=re.escape(expected := f"seq 0, field {field.name}: found 'perhaps', expected one of {values}"),
+        ):
             encode([with_event(good, 0, msgspec.structs.replace(event, **{field.name: "perhaps"}))])
         assert expected in str(first_flaw(changed(table, field.name, 0, "perhaps")))
 
 
 @pytest.mark.parametrize("event", [Stranger("robot/A1"), "RunStarted.v1", None, {}, Stranger])
 def test_what_is_no_event_of_today_is_refused(path: Path, event: object) -> None:
-    refused(path, [with_event(RUN, 4, event)], "run run-1, seq 4, field type: found .*, expected an event of a type that is written today")
+    refused(
+        path,
+        [with_event(RUN, 4, event)],
+        "run run-1, seq 4, field type: found .*, expected an event of a type that is written today",
+    )
 
 
-@pytest.mark.parametrize(("time", "said"), [(True, "True"), (1.0, r"1\.0"), (None, "None"), (2**53, "9007199254740992, expected at most"), (2**64, "1844")])
+@pytest.mark.parametrize(
+    ("time", "said"),
+    [(True, "True"), (1.0, r"1\.0"), (None, "None"), (2**53, "9007199254740992, expected at most"), (2**64, "1844")],
+)
 def test_a_time_that_is_none_is_refused(path: Path, time: Any, said: str) -> None:
     times = [*RUN.times_us[:-1], time]
-    refused(path, [msgspec.structs.replace(RUN, times_us=times)], f"run run-1, seq {len(times) - 1}, field time_us: found {said}")
+    refused(
+        path,
+        [msgspec.structs.replace(RUN, times_us=times)],
+        f"run run-1, seq {len(times) - 1}, field time_us: found {said}",
+    )
 
 
 def test_time_that_runs_backwards_is_refused(path: Path) -> None:
     times = [*RUN.times_us[:5], RUN.times_us[4] - 1, *RUN.times_us[6:]]
-    refused(path, [BATCHES[2][0], msgspec.structs.replace(RUN, times_us=times)], f"run run-1, seq 5, field time_us: found {times[5]}, expected no less")
+    refused(
+        path,
+        [BATCHES[2][0], msgspec.structs.replace(RUN, times_us=times)],
+        f"run run-1, seq 5, field time_us: found {times[5]}, expected no less",
+    )
     same = [*RUN.times_us[:5], RUN.times_us[4], *RUN.times_us[6:]]
-    assert stage(path, [BATCHES[2][0], msgspec.structs.replace(RUN, times_us=same)]).rows == len(BATCHES[2][0].events) + len(RUN.events)
+    assert stage(path, [BATCHES[2][0], msgspec.structs.replace(RUN, times_us=same)]).rows == len(
+        BATCHES[2][0].events
+    ) + len(RUN.events)
 
 
-@pytest.mark.parametrize(("seq", "cause"), [(0, 0), (0, -1), (3, 3), (3, 4), (3, -1), (3, None), (3, True), (3, 1.0), (3, "1"), (3, 2**64)])
+@pytest.mark.parametrize(
+    ("seq", "cause"), [(0, 0), (0, -1), (3, 3), (3, 4), (3, -1), (3, None), (3, True), (3, 1.0), (3, "1"), (3, 2**64)]
+)
 def test_a_cause_that_is_no_earlier_event_is_refused(path: Path, seq: int, cause: Any) -> None:
     causes = [*RUN.caused_by[:seq], cause, *RUN.caused_by[seq + 1 :]]
-    refused(path, [msgspec.structs.replace(RUN, caused_by=causes)], f"run run-1, seq {seq}, field caused_by: found {cause!r}, expected")
+    refused(
+        path,
+        [msgspec.structs.replace(RUN, caused_by=causes)],
+        f"run run-1, seq {seq}, field caused_by: found {cause!r}, expected",
+    )
 
 
 def test_a_run_begins_with_its_start_and_has_no_other(path: Path) -> None:
     assert {tag for tag in STORED if tag.startswith("RunStarted.v")} | STANDS_ALONE == OPENINGS
     headless = RunRecord("run-1", RUN.times_us[1:], [None, *[0] * (len(RUN.events) - 2)], RUN.events[1:])
-    refused(path, [BATCHES[2][0], headless], r"run run-1, seq 0, field type: found '\w+\.v\d+', expected one of \['ExperimentPlanned.*RunStarted")
-    refused(path, [with_event(RUN, 5, RUN.events[0])], "run run-1, seq 5, field type: found 'RunStarted.*, expected no second beginning of a run")
+    refused(
+        path,
+        [BATCHES[2][0], headless],
+        r"run run-1, seq 0, field type: found '\w+\.v\d+', expected one of \['ExperimentPlanned.*RunStarted",
+    )
+    refused(
+        path,
+        [with_event(RUN, 5, RUN.events[0])],
+        "run run-1, seq 5, field type: found 'RunStarted.*, expected no second beginning of a run",
+    )
 
 
 def test_what_stands_alone_is_in_no_run(path: Path) -> None:
     plan = ExperimentPlanned(("fsar",), ("full",), ("door-relay",), 20, 42, 4, "2", "{}")
     assert stage(path, [RunRecord("plan", [0], [None], [plan])]).rows == 1
-    refused(path, [with_event(RUN, 0, plan)], r"run run-1, seq 0, field type: found 'ExperimentPlanned.v1', expected the only event of its run")
-    refused(path, [with_event(RUN, 7, plan)], "run run-1, seq 7, field type: found 'ExperimentPlanned.v1', expected no second beginning")
+    refused(
+        path,
+        [with_event(RUN, 0, plan)],
+        r"run run-1, seq 0, field type: found 'ExperimentPlanned.v1', expected the only event of its run",
+    )
+    refused(
+        path,
+        [with_event(RUN, 7, plan)],
+        "run run-1, seq 7, field type: found 'ExperimentPlanned.v1', expected no second beginning",
+    )
 
 
 @pytest.mark.parametrize("name", [None, 1, b"run", Word.LIVE, Posing("run"), ("run",), ["run"]])
@@ -150,7 +208,11 @@ def test_a_name_that_no_file_can_hold_as_text_is_refused(path: Path) -> None:
 
 
 def test_a_name_that_no_record_could_carry_is_refused(path: Path) -> None:
-    refused(path, [msgspec.structs.replace(RUN, run_id="é" * 2049)], "field run_id: found a name of 4098 bytes, expected at most 4096")
+    refused(
+        path,
+        [msgspec.structs.replace(RUN, run_id="é" * 2049)],
+        "field run_id: found a name of 4098 bytes, expected at most 4096",
+    )
     append_all(path, [[msgspec.structs.replace(RUN, run_id='"' * 4096)]])
     assert verify(path).ok
     with pytest.raises(ValueError, match="found an origin of 5000 characters, expected at most 4096 bytes"):
@@ -160,8 +222,16 @@ def test_a_name_that_no_record_could_carry_is_refused(path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["times_us", "caused_by", "events"])
 def test_a_run_that_lacks_something_or_all_is_refused(path: Path, name: str) -> None:
-    refused(path, [msgspec.structs.replace(RUN, **{name: getattr(RUN, name)[:-1]})], "run run-1: found .* expected as many of each")
-    refused(path, [RunRecord("run-1", [], [], [])], "run run-1: found 0 events, 0 times and 0 causes, expected .*, at least 1")
+    refused(
+        path,
+        [msgspec.structs.replace(RUN, **{name: getattr(RUN, name)[:-1]})],
+        "run run-1: found .* expected as many of each",
+    )
+    refused(
+        path,
+        [RunRecord("run-1", [], [], [])],
+        "run run-1: found 0 events, 0 times and 0 causes, expected .*, at least 1",
+    )
 
 
 def test_a_refusal_is_a_mistake_of_the_caller(path: Path) -> None:
@@ -187,7 +257,8 @@ def test_a_run_of_an_earlier_commit_is_refused_and_the_writer_goes_on(path: Path
     with Writer(path, ORIGIN) as writer:
         for runs in ([run], [BATCHES[2][0], run], [made_up_run(run.run_id, 5, seed=77)]):
             with pytest.raises(
-                InvalidRun, match=rf"run {run.run_id}, seq 0, field run_id: found a run that commit {number} holds, expected each run in one commit"
+                InvalidRun,
+                match=rf"run {run.run_id}, seq 0, field run_id: found a run that commit {number} holds, expected each run in one commit",
             ):
                 writer.append(stage(path, runs))
             assert contents(path) == before
@@ -206,7 +277,10 @@ def test_of_two_writers_with_the_same_run_in_other_batches_one_commits_it(path: 
         one.append(stage(path, [*BATCHES[3], RUN]))
         with pytest.raises(SequenceConflict):
             two.append(staged)
-    with Writer(path, ORIGIN) as again, pytest.raises(InvalidRun, match=r"run run-1, .* found a run that commit 2 holds"):
+    with (
+        Writer(path, ORIGIN) as again,
+        pytest.raises(InvalidRun, match=r"run run-1, .* found a run that commit 2 holds"),
+    ):
         again.append(stage(path, [RUN, *BATCHES[2]]))
     assert verify(path).ok
 
@@ -247,7 +321,10 @@ def test_of_writers_at_once_with_the_same_runs_each_run_is_committed_once(path: 
 
 
 def test_runs_are_known_where_they_stand_in_no_dictionary_or_in_one_that_holds_more(path: Path) -> None:
-    many = [msgspec.structs.replace(made_up_run("", 1, seed=1), run_id=f"{number:04d}" + "x" * 2000) for number in range(700)]  # 1.4 MB of names
+    many = [
+        msgspec.structs.replace(made_up_run("", 1, seed=1), run_id=f"{number:04d}" + "x" * 2000)
+        for number in range(700)
+    ]  # 1.4 MB of names
     append_all(path, [many])
     with Writer(path, ORIGIN) as writer:
         for run in (many[0], many[699]):
@@ -268,7 +345,10 @@ def test_a_segment_whose_runs_cannot_be_read_is_named(path: Path) -> None:
     data[40] ^= 1
     segment_path(path, 0).write_bytes(data)
     before = contents(path)
-    with Writer(path, ORIGIN) as writer, pytest.raises(LedgerCorrupted, match=r"000000000000\.parquet: .*restore the file"):
+    with (
+        Writer(path, ORIGIN) as writer,
+        pytest.raises(LedgerCorrupted, match=r"000000000000\.parquet: .*restore the file"),
+    ):
         writer.append(stage(path, [RUN]))
     assert {name: data for name, data in contents(path).items() if not name.startswith("staging")} == before
 
@@ -313,7 +393,12 @@ def test_a_ledger_takes_no_more_commits_than_a_folder_holds_names(path: Path, mo
 
 def observing(*concerns: str) -> RunRecord:
     """A start that says so, two robots that join, and a task that is done."""
-    events = [RunStarted("foreign", concerns), RobotJoined("robot/A1", "carrier", 1, None), RobotJoined("robot/A2", "carrier", 1, None), TaskCompleted("T1")]
+    events = [
+        RunStarted("foreign", concerns),
+        RobotJoined("robot/A1", "carrier", 1, None),
+        RobotJoined("robot/A2", "carrier", 1, None),
+        TaskCompleted("T1"),
+    ]
     return RunRecord("seen", [0, 0, 0, 5], [None, 0, 0, 0], events)
 
 
@@ -354,13 +439,31 @@ def test_what_a_run_observes_it_may_hold_and_other_runs_may_hold_more(path: Path
     assert verify(path).ok
 
 
-@pytest.mark.parametrize("text", ["speed=3", "[1]", "", "{", '{"a":1e999999}' + "}", '{"a":' * 100_000 + "1" + "}" * 100_000, '{"seed":' + "9" * 6_000 + "}"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "speed=3",
+        "[1]",
+        "",
+        "{",
+        '{"a":1e999999}' + "}",
+        '{"a":' * 100_000 + "1" + "}" * 100_000,
+        '{"seed":' + "9" * 6_000 + "}",
+    ],
+)
 def test_parameters_that_nobody_can_read_are_refused(path: Path, text: str) -> None:
     run = RunRecord("night", [0], [None], [RunStarted("live", ("fleet",), parameters=text)])
-    refused(path, [run], "run night, seq 0, field parameters: found .*, expected constants as a JSON object, or None; nothing was written")
+    refused(
+        path,
+        [run],
+        "run night, seq 0, field parameters: found .*, expected constants as a JSON object, or None; nothing was written",
+    )
 
 
 @pytest.mark.parametrize("text", [None, "{}", '{"speed":{"limit_m_per_s":3.0},"modes":["slow"]}'])
 def test_parameters_of_somebody_elses_are_any_json_object(path: Path, text: str | None) -> None:
-    append_all(path, [[RunRecord("night", [0], [None], [RunStarted("foreign", ("fleet",), source="example.org", parameters=text)])]])
+    append_all(
+        path,
+        [[RunRecord("night", [0], [None], [RunStarted("foreign", ("fleet",), source="example.org", parameters=text)])]],
+    )
     assert verify(path).ok

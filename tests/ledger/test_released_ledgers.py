@@ -43,7 +43,11 @@ VERSIONS = sorted((folder.name for folder in LEDGERS.iterdir() if folder.is_dir(
 
 def kept_types(version: str) -> dict[str, dict[str, str]]:
     lines = (LEDGERS / version / "events.jsonl").read_bytes().splitlines()
-    return {tag: fields for line in lines for tag, fields in msgspec.json.decode(line, type=dict[str, dict[str, str]]).items()}
+    return {
+        tag: fields
+        for line in lines
+        for tag, fields in msgspec.json.decode(line, type=dict[str, dict[str, str]]).items()
+    }
 
 
 @pytest.fixture(params=VERSIONS)
@@ -72,7 +76,12 @@ def test_a_ledger_of_each_release_is_kept() -> None:
 def test_a_kept_ledger_verifies_to_the_root_and_the_signatures_that_it_had(path: Path, kept: Kept) -> None:
     report = verify(path, asked=Asked(trusted=read_verifier(kept.key)))
     assert report.problems == ()
-    assert (report.root, report.events, report.commits, report.runs) == (kept.root, kept.events, kept.commits, len(kept.runs))
+    assert (report.root, report.events, report.commits, report.runs) == (
+        kept.root,
+        kept.events,
+        kept.commits,
+        len(kept.runs),
+    )
     assert report.signed == kept.commits
 
 
@@ -83,12 +92,25 @@ def test_constants_of_a_live_run_that_cannot_be_read_are_shown_as_such_and_stop_
         _, found = contents(path)
     assert found is not None, "a ledger that verifies is called damaged"
     [unread] = [model for model in found.models if model["parameters"] is None]
-    assert (unread["kind"], unread["runs"], unread["differing"]) == ("live", 1, f"unreadable, SHA-256 {unread['parameters_sha256'][:12]}")
-    assert any(f"parameters that cannot be read, SHA-256 {unread['parameters_sha256'][:12]}" in line for line in found.summary())
+    assert (unread["kind"], unread["runs"], unread["differing"]) == (
+        "live",
+        1,
+        f"unreadable, SHA-256 {unread['parameters_sha256'][:12]}",
+    )
+    assert any(
+        f"parameters that cannot be read, SHA-256 {unread['parameters_sha256'][:12]}" in line
+        for line in found.summary()
+    )
     text, _ = audit(path, ["i4"], [], as_json=False)
-    assert "1 run with parameters that cannot be read: recovery budgets that they set are unknown, and none is judged" in text
+    assert (
+        "1 run with parameters that cannot be read: recovery budgets that they set are unknown, and none is judged"
+        in text
+    )
     with connect(path) as database:
-        budgets = {(row["t_max_us"], row["n_max"]) for row in database.rows("SELECT * FROM recovery_allowances WHERE run_id = 'made-up' AND since_seq = 0")}
+        budgets = {
+            (row["t_max_us"], row["n_max"])
+            for row in database.rows("SELECT * FROM recovery_allowances WHERE run_id = 'made-up' AND since_seq = 0")
+        }
     assert budgets == {(None, None)}
 
 
@@ -116,22 +138,30 @@ def test_the_runs_of_a_kept_ledger_have_the_leaves_that_they_had(path: Path) -> 
 def test_sql_answers_about_a_kept_ledger(path: Path, kept: Kept) -> None:
     with connect(path) as database:
         answers = [database.query(name) for name in QUESTIONS]
-        [counted] = database.rows("SELECT count(*) AS events, count(DISTINCT run_id) FILTER (type <> 'ExperimentPlanned.v1') AS runs FROM events")
+        [counted] = database.rows(
+            "SELECT count(*) AS events, count(DISTINCT run_id) FILTER (type <> 'ExperimentPlanned.v1') AS runs FROM events"
+        )
     assert counted == {"events": kept.events, "runs": len(kept.runs)}
     for answer in answers:
         assert answer.num_rows > 0
-    assert set(answers[0].column("run_id").to_pylist()) == set(answers[1].column("run_id").to_pylist()) == set(kept.runs)
+    assert (
+        set(answers[0].column("run_id").to_pylist()) == set(answers[1].column("run_id").to_pylist()) == set(kept.runs)
+    )
     assert run_untrusted(path, "SELECT count(*) AS events FROM events").rows == [{"events": kept.events}]
 
 
 @pytest.mark.parametrize("version", ["0.1.0", "0.2.0"])  # those with a retired type
 def test_sql_has_rows_of_retired_types_as_their_events_are_decoded(path: Path) -> None:
     started = [record for record in open_ledger(path).runs() if isinstance(record.events[0], RunStarted)]
-    [expected] = [encode([RunRecord(record.run_id, record.times_us[:1], [None], record.events[:1]) for record in started])]
+    [expected] = [
+        encode([RunRecord(record.run_id, record.times_us[:1], [None], record.events[:1]) for record in started])
+    ]
     select = "SELECT * FROM events WHERE type = 'RunStarted.v2' ORDER BY run_id"
     with connect(path) as database:
         assert database.table(select).to_pylist() == expected.sort_by("run_id").to_pylist()
-        assert database.rows("SELECT count(*) AS n FROM events WHERE type = 'RunStarted.v1' OR observes IS NOT NULL AND seq > 0") == [{"n": 0}]
+        assert database.rows(
+            "SELECT count(*) AS n FROM events WHERE type = 'RunStarted.v1' OR observes IS NOT NULL AND seq > 0"
+        ) == [{"n": 0}]
     assert run_untrusted(path, select).rows == expected.sort_by("run_id").to_pylist()
 
 
@@ -189,7 +219,9 @@ def broken_rules(then: Types, now: Types, retired: Types) -> list[str]:
             changed = [field for field in fields if own.get(field) != fields[field]]
             changed += [field for field in own if field not in fields and not own[field].endswith(OR_NULL)]
             if changed:
-                found.append(f"{tag}: {', '.join(sorted(changed))} changed; make it {name}.v{int(version) + 1} and keep {tag} in fsar_ledger/events/retired.py")
+                found.append(
+                    f"{tag}: {', '.join(sorted(changed))} changed; make it {name}.v{int(version) + 1} and keep {tag} in fsar_ledger/events/retired.py"
+                )
     return found
 
 
@@ -201,7 +233,9 @@ def test_other_event_types_have_another_release() -> None:
     newest = max((release for release in VERSIONS if number(release) <= number(RELEASE)), key=number)
     is_kept = RELEASE in VERSIONS
     is_same = kept_types(newest) == stored_types(LAYOUTS.values())
-    assert is_same == is_kept, f"event types differ from release {newest}: set RELEASE in fsar_ledger/ledger/releases.py to the release to come"
+    assert is_same == is_kept, (
+        f"event types differ from release {newest}: set RELEASE in fsar_ledger/ledger/releases.py to the release to come"
+    )
 
 
 def test_the_columns_of_a_release_are_pinned() -> None:
@@ -222,7 +256,15 @@ THEN = {"Moved.v1": {"robot": "string", "speed": "integer or NULL"}}
         {"robot": "string of A|B", "speed": "integer or NULL"},
         {"robot": "string", "speed": "integer or NULL", "place": "string"},
     ],
-    ids=["gone", "renamed", "another kind", "no longer optional", "now optional", "fewer values", "a new field that is not optional"],
+    ids=[
+        "gone",
+        "renamed",
+        "another kind",
+        "no longer optional",
+        "now optional",
+        "fewer values",
+        "a new field that is not optional",
+    ],
 )
 def test_any_other_change_of_an_event_type_is_found(fields: dict[str, str]) -> None:
     [rule] = broken_rules(THEN, {"Moved.v1": fields}, {})
@@ -230,12 +272,19 @@ def test_any_other_change_of_an_event_type_is_found(fields: dict[str, str]) -> N
 
 
 def test_a_new_optional_field_and_a_new_type_are_allowed() -> None:
-    assert broken_rules(THEN, {"Moved.v1": {**THEN["Moved.v1"], "place": "string or NULL"}, "Stopped.v1": {"robot": "string"}}, {}) == []
+    assert (
+        broken_rules(
+            THEN, {"Moved.v1": {**THEN["Moved.v1"], "place": "string or NULL"}, "Stopped.v1": {"robot": "string"}}, {}
+        )
+        == []
+    )
 
 
 def test_a_retired_type_stays_exactly_as_it_was_stored() -> None:
     assert broken_rules(THEN, {"Moved.v2": {"robot": "string"}}, THEN) == []
-    assert broken_rules(THEN, {"Moved.v2": {"robot": "string"}}, {}) == ["Moved.v1: it is gone; keep it in fsar_ledger/events/retired.py, with an upcaster"]
+    assert broken_rules(THEN, {"Moved.v2": {"robot": "string"}}, {}) == [
+        "Moved.v1: it is gone; keep it in fsar_ledger/events/retired.py, with an upcaster"
+    ]
     [rule] = broken_rules(THEN, {}, {"Moved.v1": {"robot": "string"}})
     assert rule.startswith("Moved.v1: it is retired and not as it was stored")
 
@@ -243,7 +292,13 @@ def test_a_retired_type_stays_exactly_as_it_was_stored() -> None:
 def test_columns_of_a_release_that_changed_or_went_are_refused() -> None:
     text = described(SCHEMA)
     assert parse_columns("x.txt", text).equals(SCHEMA)
-    assert parse_columns("x.txt", text.replace("robot string\n", "")).names == [name for name in SCHEMA.names if name != "robot"]
-    for other in (text.replace("robot string\n", "robot int64\n"), text + "zebra string\n", text.replace("seq int64 not null\n", "") + "seq int64 not null\n"):
+    assert parse_columns("x.txt", text.replace("robot string\n", "")).names == [
+        name for name in SCHEMA.names if name != "robot"
+    ]
+    for other in (
+        text.replace("robot string\n", "robot int64\n"),
+        text + "zebra string\n",
+        text.replace("seq int64 not null\n", "") + "seq int64 not null\n",
+    ):
         with pytest.raises(TypeError, match=r"x\.txt: found .*keep each column as it was"):
             parse_columns("x.txt", other)

@@ -5,7 +5,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier, inclusion_proof, leaf_hash, parents, root_of_inclusion, tree_root
+from fsar_ledger.ledger.merkle import (
+    HASH_BYTES,
+    Frontier,
+    inclusion_proof,
+    leaf_hash,
+    parents,
+    root_of_inclusion,
+    tree_root,
+)
 from fsar_ledger.ledger.tiles import HEIGHT, WIDTH, Edge, Tile, edge_at, node_of, partial_tiles, tile_reader
 
 LEAVES = b"".join(leaf_hash(b"%d" % number) for number in range(1000))
@@ -55,7 +63,11 @@ def test_a_tree_of_70_000_leaves_has_the_tiles_that_the_specification_counts() -
     leaves = b"".join(leaf_hash(b"%d" % number) for number in range(70_000))
     edge, made = Edge().extend(leaves)
     full = [tile for tile in made if tile.width == WIDTH]
-    assert sorted(set(made) - set(full)) == [Tile(0, 273, 112), Tile(1, 1, 17), Tile(2, 0, 1)] == list(partial_tiles(70_000))
+    assert (
+        sorted(set(made) - set(full))
+        == [Tile(0, 273, 112), Tile(1, 1, 17), Tile(2, 0, 1)]
+        == list(partial_tiles(70_000))
+    )
     assert [sum(1 for tile in full if tile.level == level) for level in (0, 1, 2)] == [273, 1, 0]
     assert edge.frontier() == Frontier().extend(leaves)
 
@@ -83,7 +95,9 @@ def test_batches_of_any_sizes_give_the_same_files_as_all_at_once(sizes: list[int
         batch = LEAVES[at * HASH_BYTES : (at + size) * HASH_BYTES]
         at += len(batch) // HASH_BYTES
         edge, made = edge.extend(batch)
-        assert not [tile for tile, data in made.items() if tile.name in files and files[tile.name] != data]  # a file never changes
+        assert not [
+            tile for tile, data in made.items() if tile.name in files and files[tile.name] != data
+        ]  # a file never changes
         files |= {tile.name: data for tile, data in made.items()}
     once, expected = Edge().extend(LEAVES[: at * HASH_BYTES])
     assert edge == once
@@ -113,7 +127,9 @@ def test_a_tile_that_became_full_since_is_read_as_far_as_it_was(tmp_path: Path) 
 def test_a_tile_that_is_missing_or_cut_is_named(tmp_path: Path, data: bytes | None) -> None:
     if data is not None:
         write(tmp_path, {"tile/0/000.p/100": data})
-    with pytest.raises(LedgerCorrupted, match=r"tile/0/000\.p/100: found .*, expected 100 hashes of 32 bytes; run fsar-ledger recover"):
+    with pytest.raises(
+        LedgerCorrupted, match=r"tile/0/000\.p/100: found .*, expected 100 hashes of 32 bytes; run fsar-ledger recover"
+    ):
         tree_root(node_of(tile_reader(tmp_path), 100), 100)
 
 

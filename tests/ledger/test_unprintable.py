@@ -20,8 +20,14 @@ EVIL = ("\x1b[2J", "a\nb", "\x00", "\x7f", "\x9b", "\u202e", "\u2028", "\u200b",
 def test_a_name_that_is_not_printed_is_refused_before_anything_is_written(tmp_path: Path, evil: str) -> None:
     with Writer(tmp_path / "ledger", ORIGIN) as writer:
         before = contents(tmp_path)
-        for runs in ([relabelled(RUN, lambda text: text + evil)], [RUN, RunRecord(f"run{evil}", RUN.times_us, RUN.caused_by, RUN.events)]):
-            with pytest.raises(ValueError, match=r"run run.*, seq \d+, field \w+: found .*, expected characters that can be printed; give it another name"):
+        for runs in (
+            [relabelled(RUN, lambda text: text + evil)],
+            [RUN, RunRecord(f"run{evil}", RUN.times_us, RUN.caused_by, RUN.events)],
+        ):
+            with pytest.raises(
+                ValueError,
+                match=r"run run.*, seq \d+, field \w+: found .*, expected characters that can be printed; give it another name",
+            ):
                 stage(tmp_path / "ledger", runs)
         assert contents(tmp_path) == before
         assert writer.append(stage(tmp_path / "ledger", [RUN])).commits == 1

@@ -47,15 +47,25 @@ def folders(kind: str) -> set[str]:
 
 @pytest.mark.parametrize("folder", sorted(folders("inclusion")))
 def test_inclusion_is_judged_as_the_vectors_of_transparency_dev_say(folder: str) -> None:
-    group = {name: vector for name, vector in vectors("merkle/inclusion.json").items() if name.rpartition("/")[0] == folder}
-    assert [f"{name}: {vector['desc']}" for name, vector in group.items() if is_included(vector) is vector["wantErr"]] == []
+    group = {
+        name: vector for name, vector in vectors("merkle/inclusion.json").items() if name.rpartition("/")[0] == folder
+    }
+    assert [
+        f"{name}: {vector['desc']}" for name, vector in group.items() if is_included(vector) is vector["wantErr"]
+    ] == []
 
 
 @pytest.mark.parametrize("folder", sorted(folders("consistency")))
 def test_consistency_is_judged_as_the_vectors_of_transparency_dev_say(folder: str) -> None:
-    group = {name: vector for name, vector in vectors("merkle/consistency.json").items() if name.rpartition("/")[0] == folder}
+    group = {
+        name: vector for name, vector in vectors("merkle/consistency.json").items() if name.rpartition("/")[0] == folder
+    }
     otherwise = {name for name in group if name == NO_HASHES}
-    assert {f"{name}: {vector['desc']}" for name, vector in group.items() if is_grown(vector) is vector["wantErr"] and name not in otherwise} == set()
+    assert {
+        f"{name}: {vector['desc']}"
+        for name, vector in group.items()
+        if is_grown(vector) is vector["wantErr"] and name not in otherwise
+    } == set()
     for name in otherwise:
         assert not is_grown(group[name])
         root = base64.b64encode(bytes(32)).decode()
@@ -63,7 +73,9 @@ def test_consistency_is_judged_as_the_vectors_of_transparency_dev_say(folder: st
 
 
 def test_all_196_vectors_are_there_and_some_are_good() -> None:
-    found = [vector["wantErr"] for kind in ("inclusion", "consistency") for vector in vectors(f"merkle/{kind}.json").values()]
+    found = [
+        vector["wantErr"] for kind in ("inclusion", "consistency") for vector in vectors(f"merkle/{kind}.json").values()
+    ]
     assert (len(found), found.count(False)) == (196, 12)
 
 
@@ -111,8 +123,14 @@ def test_the_checkpoint_that_the_specification_prints_is_read() -> None:
     text = (VECTORS / "c2sp" / "checkpoint.txt").read_text("utf-8")
     note = parse_note("example", text)
     assert str(note) == text
-    assert (note.checkpoint.origin, note.checkpoint.size, note.checkpoint.root.hex()[:8]) == ("example.com/behind-the-sofa", 20852163, "0ac5186a")
-    assert [(one.name, one.key_id.hex(), len(one.data)) for one in note.signatures] == [("example.com/behind-the-sofa", "033de0ae", 64)]
+    assert (note.checkpoint.origin, note.checkpoint.size, note.checkpoint.root.hex()[:8]) == (
+        "example.com/behind-the-sofa",
+        20852163,
+        "0ac5186a",
+    )
+    assert [(one.name, one.key_id.hex(), len(one.data)) for one in note.signatures] == [
+        ("example.com/behind-the-sofa", "033de0ae", 64)
+    ]
 
 
 def test_the_request_to_a_witness_that_the_specification_prints_is_read_and_its_proof_has_the_right_length() -> None:

@@ -76,7 +76,9 @@ def test_what_is_no_ledger_is_not_verified(tmp_path: Path) -> None:
 # --- files ---
 
 
-@pytest.mark.parametrize("name", ["ledger.json", "commits/000000000000.json", "commits/000000000002.json", "segments/000000000001.parquet"])
+@pytest.mark.parametrize(
+    "name", ["ledger.json", "commits/000000000000.json", "commits/000000000002.json", "segments/000000000001.parquet"]
+)
 def test_a_file_that_is_missing_a_link_a_folder_or_cut_is_named(path: Path, tmp_path: Path, name: str) -> None:
     file = path / name
     data = file.read_bytes()
@@ -122,7 +124,14 @@ def test_a_folder_that_is_missing_or_a_link_is_named(path: Path, tmp_path: Path,
 @pytest.mark.parametrize(
     "name",
     [
-        *("notes.txt", "commits/notes.txt", "commits/12.json", "commits/000000000007.json", "commits/000000000003.txt", "commits/00000000000x.json"),
+        *(
+            "notes.txt",
+            "commits/notes.txt",
+            "commits/12.json",
+            "commits/000000000007.json",
+            "commits/000000000003.txt",
+            "commits/00000000000x.json",
+        ),
         *("commits/٠٠٠٠٠٠٠٠٠٠٠٣.json", "commits/+00000000003.json", "segments/000000000003.parquet", "segments/x"),
     ],
 )
@@ -176,11 +185,21 @@ def test_a_tree_of_another_size_is_found(path: Path, number: int) -> None:
     leaves = b"".join(codec.encode_hashed(batch)[1] for batch in BATCHES[: number + 1])
     tree = merkle.Frontier().extend(leaves + merkle.leaf_hash(b"one more"))
     hashes = tuple(subtree.hex() for subtree in tree.subtrees)
-    forge(path, number, tree_size=tree.size, frontier=hashes, tree_root=tree.root().hex(), note=str(Note(checkpoint_of(ORIGIN, tree))), rows=record.rows + 1)
+    forge(
+        path,
+        number,
+        tree_size=tree.size,
+        frontier=hashes,
+        tree_root=tree.root().hex(),
+        note=str(Note(checkpoint_of(ORIGIN, tree))),
+        rows=record.rows + 1,
+    )
     assert first_problem(path).commit == number
     assert "tree_root" not in {problem.field for problem in verify(path).problems if problem.commit == number}
     forge(path, number, rows=record.rows)
-    assert [problem.field for problem in verify(path).problems if problem.commit == number] == ["rows"]  # and not the root again
+    assert [problem.field for problem in verify(path).problems if problem.commit == number] == [
+        "rows"
+    ]  # and not the root again
 
 
 @pytest.mark.parametrize("number", [0, 1, 2])
@@ -204,7 +223,10 @@ def test_a_frontier_that_does_not_give_the_root_is_found(path: Path) -> None:
 def test_an_unreadable_record_is_one_problem_and_the_others_are_checked_all_the_same(path: Path, number: int) -> None:
     commit_path(path, number).write_bytes(b"{}")
     problems = verify(path).problems
-    assert {(problem.commit, problem.field) for problem in problems} == {(number, None), *([(number + 1, "previous_sha256")] if number < 2 else [])}
+    assert {(problem.commit, problem.field) for problem in problems} == {
+        (number, None),
+        *([(number + 1, "previous_sha256")] if number < 2 else []),
+    }
 
 
 def test_json_that_means_the_same_in_other_bytes_is_found(path: Path) -> None:
@@ -224,7 +246,10 @@ def test_another_origin_is_found(path: Path) -> None:
     assert (first_problem(path).commit, first_problem(path).field) == (0, "note")
 
 
-@pytest.mark.parametrize("manifest", [Manifest("fsar-ledger", ORIGIN, 2), Manifest("photos", ORIGIN, 1), Manifest("fsar-ledger", "two words", 1)])
+@pytest.mark.parametrize(
+    "manifest",
+    [Manifest("fsar-ledger", ORIGIN, 2), Manifest("photos", ORIGIN, 1), Manifest("fsar-ledger", "two words", 1)],
+)
 def test_another_format_is_found(path: Path, manifest: Manifest) -> None:
     (path / "ledger.json").write_bytes(canonical.document(manifest))
     assert first_problem(path).where == "ledger.json"
@@ -240,7 +265,10 @@ def test_an_altered_row_is_found_by_the_tree(path: Path) -> None:
     assert len(verify(path).problems) == 1
 
 
-@pytest.mark.parametrize(("field", "row", "value"), [("seq", 5, 7), ("caused_by", 14, None), ("type", 5, "RobotFlew.v1"), ("time_us", 5, 2**60)])
+@pytest.mark.parametrize(
+    ("field", "row", "value"),
+    [("seq", 5, 7), ("caused_by", 14, None), ("type", 5, "RobotFlew.v1"), ("time_us", 5, 2**60)],
+)
 def test_a_row_that_cannot_be_is_named(path: Path, field: str, row: int, value: object) -> None:
     forge_segment(path, 1, changed(table_of(path, 1), field, row, value))
     problem = first_problem(path)
@@ -296,11 +324,15 @@ _JSON = st.recursive(
 
 @settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(name=st.sampled_from(CommitRecord.__struct_fields__), value=_JSON, number=st.integers(0, 2))
-def test_a_record_with_anything_in_a_field_is_found_and_never_raises(intact: Path, tmp_path: Path, name: str, value: object, number: int) -> None:
+def test_a_record_with_anything_in_a_field_is_found_and_never_raises(
+    intact: Path, tmp_path: Path, name: str, value: object, number: int
+) -> None:
     path = Path(shutil.copytree(intact, tmp_path / "ledger", dirs_exist_ok=True))
     record = json.loads(commit_path(path, number).read_bytes())
     assume(record[name] != value)
-    commit_path(path, number).write_bytes(json.dumps(record | {name: value}, sort_keys=True, separators=(",", ":"), ensure_ascii=True).encode())
+    commit_path(path, number).write_bytes(
+        json.dumps(record | {name: value}, sort_keys=True, separators=(",", ":"), ensure_ascii=True).encode()
+    )
     assert first_problem(path).commit == number
 
 

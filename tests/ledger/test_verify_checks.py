@@ -35,7 +35,9 @@ NEWEST = "segments/000000000001.parquet"
 
 
 @pytest.mark.parametrize("is_good", [True, False])
-def test_only_a_look_that_found_something_is_made_again_where_a_writer_was_at_work(path: Path, monkeypatch: pytest.MonkeyPatch, is_good: bool) -> None:
+def test_only_a_look_that_found_something_is_made_again_where_a_writer_was_at_work(
+    path: Path, monkeypatch: pytest.MonkeyPatch, is_good: bool
+) -> None:
     looks: list[Path] = []
     look = verification._look
 
@@ -74,7 +76,9 @@ def test_a_segment_that_is_missing_is_named_with_the_words_of_the_system(path: P
 
 @pytest.mark.parametrize("name", ["commits", "segments", "staging", "tile"])
 @pytest.mark.parametrize("is_link", [True, False])
-def test_a_folder_that_is_a_link_or_a_file_is_read_by_nobody(path: Path, tmp_path: Path, name: str, is_link: bool) -> None:
+def test_a_folder_that_is_a_link_or_a_file_is_read_by_nobody(
+    path: Path, tmp_path: Path, name: str, is_link: bool
+) -> None:
     (path / name).rename(tmp_path / "aside")
     if is_link:
         (path / name).symlink_to(tmp_path / "aside")
@@ -103,7 +107,9 @@ def test_readers_follow_no_link_to_a_segment(path: Path, tmp_path: Path) -> None
         open_ledger(path).segment(1)
 
 
-def test_readers_find_a_segment_that_a_writer_moves_into_its_place_meanwhile(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_readers_find_a_segment_that_a_writer_moves_into_its_place_meanwhile(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     place, staged, lstat = path / NEWEST, staged_path(path, record_of(path, 1).segment_sha256), Path.lstat
     place.rename(staged)
 
@@ -120,7 +126,9 @@ def test_half_a_footer_is_said_to_be_half_of_one(path: Path) -> None:
     data = segment_path(path, 1).read_bytes()
     length = int.from_bytes(data[-8:-4], "little")
     said = []
-    for left in range(length // 2, length // 2 + 40):  # where it ends decides what is missing: the rest of a list, of a text, of all
+    for left in range(
+        length // 2, length // 2 + 40
+    ):  # where it ends decides what is missing: the rest of a list, of a text, of all
         footer = data[-8 - length : -8][:left]
         (path / NEWEST).write_bytes(data[: -8 - length] + footer + len(footer).to_bytes(4, "little") + b"PAR1")
         with pytest.raises(LedgerCorrupted, match="the segment cannot be read: found the footer: ") as refused:
@@ -147,7 +155,12 @@ def test_a_document_is_a_regular_file_and_not_too_long(tmp_path: Path, monkeypat
 def test_a_note_that_is_none_is_a_problem_of_its_record(path: Path) -> None:
     forge(path, 1, note="no note")
     problem = only_problem(path)
-    assert (problem.where, problem.commit, problem.field, problem.found) == ("commits/000000000001.json", 1, "note", "'no note'")
+    assert (problem.where, problem.commit, problem.field, problem.found) == (
+        "commits/000000000001.json",
+        1,
+        "note",
+        "'no note'",
+    )
 
 
 def test_a_fingerprint_that_is_not_of_the_release_is_a_problem_of_the_record_too(path: Path) -> None:
@@ -157,7 +170,9 @@ def test_a_fingerprint_that_is_not_of_the_release_is_a_problem_of_the_record_too
 
 def test_columns_of_another_release_than_the_records_are_found(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     table = table_of(path, 1)
-    fewer = table.drop_columns([next(name for name in reversed(table.column_names) if table[name].null_count == len(table))])
+    fewer = table.drop_columns(
+        [next(name for name in reversed(table.column_names) if table[name].null_count == len(table))]
+    )
     monkeypatch.setitem(releases.FINGERPRINTS, "0.0.9", fingerprint(fewer.schema))
     monkeypatch.setattr(layout, "_footers", lambda: tuple(map(Footer, (fewer.schema, SCHEMA))))
     forge_segment(path, 1, fewer)
@@ -188,10 +203,14 @@ def with_one_more(column: pa.DictionaryArray) -> pa.DictionaryArray:
 
 
 @pytest.mark.parametrize("change", [backwards, with_one_more])
-def test_a_dictionary_that_we_would_not_have_written_is_found(path: Path, change: Callable[[pa.DictionaryArray], pa.DictionaryArray]) -> None:
+def test_a_dictionary_that_we_would_not_have_written_is_found(
+    path: Path, change: Callable[[pa.DictionaryArray], pa.DictionaryArray]
+) -> None:
     data = with_dictionary(table_of(path, 1), change)
     forge_segment(path, 1, data)
-    assert pq.read_table(pa.BufferReader(data)).equals(pq.read_table(pa.BufferReader(segment.to_parquet(table_of(path, 1)))))
+    assert pq.read_table(pa.BufferReader(data)).equals(
+        pq.read_table(pa.BufferReader(segment.to_parquet(table_of(path, 1))))
+    )
     assert only_problem(path).found == "other bytes"
 
 
@@ -210,7 +229,9 @@ def test_a_bound_that_hides_rows_is_found_whoever_wrote_it(path: Path, name: str
 # --- tiles ---
 
 
-@pytest.mark.parametrize("name", ["tile/x/000", "tile/0/x", "tile/00/000", "tile/0/0000", "tile/0/x000/000", "tile/0/001"])
+@pytest.mark.parametrize(
+    "name", ["tile/x/000", "tile/0/x", "tile/00/000", "tile/0/0000", "tile/0/x000/000", "tile/0/001"]
+)
 def test_a_name_that_is_almost_that_of_a_full_tile_is_a_stray_file(path: Path, name: str) -> None:
     (path / name).parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(path / "tile/0/000", path / name)
@@ -231,7 +252,9 @@ def test_more_tiles_than_any_ledger_has_are_not_all_looked_at(path: Path, monkey
 # --- anchors ---
 
 
-def test_an_anchor_within_the_newest_commit_is_proved_by_the_rows_where_its_tiles_are_not_there_yet(path: Path, snapshots: Path, tmp_path: Path) -> None:
+def test_an_anchor_within_the_newest_commit_is_proved_by_the_rows_where_its_tiles_are_not_there_yet(
+    path: Path, snapshots: Path, tmp_path: Path
+) -> None:
     view = open_ledger(path)
     tree = checkpoint_of(ORIGIN, Frontier().extend((view.leaves(0) + view.leaves(1))[: 280 * HASH_BYTES]))
     (tmp_path / "anchor").write_text(str(Note(tree, (SIGNER.sign(tree),))))

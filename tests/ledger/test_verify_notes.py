@@ -95,15 +95,23 @@ def test_a_key_that_follows_another_is_the_one_to_trust(tmp_path: Path) -> None:
     append_all(tmp_path / "ledger", BATCHES[2:], signer=SIGNER)
     assert (trusted(tmp_path / "ledger").ok, trusted(tmp_path / "ledger").signed) == (True, 1)
     report = verify(tmp_path / "ledger", asked=Asked(trusted=NAMESAKE.verifier))
-    assert f"commit 2, field note: found a signature of {KEY.key}, expected one of {NAMESAKE.verifier.key}" in the_problem(report)
+    assert (
+        f"commit 2, field note: found a signature of {KEY.key}, expected one of {NAMESAKE.verifier.key}"
+        in the_problem(report)
+    )
 
 
 def test_a_key_does_not_sign_on_top_of_what_it_did_not_sign_unless_it_adopts_it(tmp_path: Path) -> None:
-    for name, signer, found in (("unsigned", None, "no signature"), ("rotated", NAMESAKE, f"a signature of {NAMESAKE.verifier.key}")):
+    for name, signer, found in (
+        ("unsigned", None, "no signature"),
+        ("rotated", NAMESAKE, f"a signature of {NAMESAKE.verifier.key}"),
+    ):
         path = tmp_path / name
         append_all(path, BATCHES[:2], signer=signer)
         before = contents(path)
-        with pytest.raises(UsageError, match=re.escape(f"1.json: found a newest checkpoint with {found}, expected one of {KEY.key}; ")):
+        with pytest.raises(
+            UsageError, match=re.escape(f"1.json: found a newest checkpoint with {found}, expected one of {KEY.key}; ")
+        ):
             Writer(path, ORIGIN, SIGNER)
         assert contents(path) == before
         with Writer(path, ORIGIN, SIGNER, adopts=True) as writer:
@@ -201,14 +209,21 @@ def test_a_rewritten_history_is_found(path: Path, tmp_path: Path, number: int, i
 def test_an_anchor_of_another_ledger_is_refused(path: Path, is_quick: bool) -> None:
     tree = note_of(path, 1).checkpoint
     elsewhere = Note(Checkpoint("example.org/elsewhere", tree.size, tree.root))
-    assert f"found a checkpoint of example.org/elsewhere, expected one of {ORIGIN}" in the_problem(anchored(path, elsewhere, is_quick=is_quick))
+    assert f"found a checkpoint of example.org/elsewhere, expected one of {ORIGIN}" in the_problem(
+        anchored(path, elsewhere, is_quick=is_quick)
+    )
 
 
 def test_an_anchor_needs_the_signature_of_the_trusted_key(path: Path, is_quick: bool) -> None:
     tree = note_of(path, 1).checkpoint
-    for note, why in ((Note(tree), "no signature"), (Note(tree, (NAMESAKE.sign(tree),)), f"a signature of {NAMESAKE.verifier.key}")):
+    for note, why in (
+        (Note(tree), "no signature"),
+        (Note(tree, (NAMESAKE.sign(tree),)), f"a signature of {NAMESAKE.verifier.key}"),
+    ):
         assert anchored(path, note, is_quick=is_quick).ok
-        assert f"found a checkpoint with {why}, expected one signed by {KEY.key}" in the_problem(anchored(path, note, is_quick=is_quick, key=SIGNER))
+        assert f"found a checkpoint with {why}, expected one signed by {KEY.key}" in the_problem(
+            anchored(path, note, is_quick=is_quick, key=SIGNER)
+        )
 
 
 @pytest.mark.parametrize("data", [b"", b"monday", b"\xff", b"x" * 2_000_000, b"example.org/fsar-test\n24\nAAAA\n\n"])
@@ -248,7 +263,9 @@ def test_a_quick_look_with_an_anchor_needs_its_tiles(path: Path) -> None:
     shutil.rmtree(path / "tile")
     assert verify(path, asked=Asked(is_quick=True)).ok
     found = the_problem(anchored(path, note_of(path, 1), is_quick=True))
-    assert found.startswith("tile: found one that cannot be read (tile/0/000.p/72: found no file), expected those from the 48 events")
+    assert found.startswith(
+        "tile: found one that cannot be read (tile/0/000.p/72: found no file), expected those from the 48 events"
+    )
     assert "history" not in found
 
 
@@ -266,7 +283,10 @@ def behind(path: Path, tmp_path: Path) -> Path:
 def test_a_quick_look_one_commit_behind_proves_the_anchor_up_to_there_and_says_so(behind: Path, number: int) -> None:
     report = anchored(behind, note_of(behind, number), is_quick=True, key=SIGNER)
     assert (report.ok, report.anchored, report.remarks[0]) == (True, 24 * (number + 1), BEHIND), report.problems
-    assert f"the recorded roots only grew from the anchor's {24 * (number + 1)} events to 48, those before the newest commit" in report.remarks[1]
+    assert (
+        f"the recorded roots only grew from the anchor's {24 * (number + 1)} events to 48, those before the newest commit"
+        in report.remarks[1]
+    )
     newest = anchored(behind, note_of(behind, 2), is_quick=True, key=SIGNER)
     assert (newest.ok, newest.anchored) == (True, 72), newest.problems
 
@@ -335,4 +355,8 @@ def test_a_ledger_begins_with_each_checkpoint_that_witnesses_show(path: Path, tm
         report = verify(path, asked=Asked(is_quick, None, anchor, (kept[0], false, kept[1], larger, none)))
         assert not report.ok
         assert [str(problem) for problem in report.problems if "witness w" in str(problem)] == []
-        assert ["witness liar" in str(report.problems[0]), "witness ahead" in str(report.problems[1]), "witness dumb" in str(report.problems[2])] == [True] * 3
+        assert [
+            "witness liar" in str(report.problems[0]),
+            "witness ahead" in str(report.problems[1]),
+            "witness dumb" in str(report.problems[2]),
+        ] == [True] * 3

@@ -26,7 +26,9 @@ def mixed(public: bytes, weak: bytes) -> bytes:
 
 
 @pytest.mark.parametrize("name", WEAK)
-def test_a_key_of_small_order_under_which_anybody_signs_is_refused_wherever_it_is_read(name: str, tmp_path: Path) -> None:
+def test_a_key_of_small_order_under_which_anybody_signs_is_refused_wherever_it_is_read(
+    name: str, tmp_path: Path
+) -> None:
     forger = Forger(ORIGIN, WEAK[name])
     assert len(forged(forger.public, TEXT)) == 64  # what the library takes for a signature is made without a secret
     (tmp_path / "weak.pub").write_text(f"{forger}\n")
@@ -46,14 +48,22 @@ def test_the_list_of_small_order_is_the_whole_list() -> None:
     points = {point_of(bytes.fromhex(text)) for text in SMALL_ORDER.values()}
     assert len(points) == 8
     assert {plus(one, other) for one in points for other in points} == points
-    encodings = {y + over | sign << 255 for x, y in points for over in (0, P) for sign in (0, 1) if y + over < 2**255 and (x == 0 or x & 1 == sign)}
+    encodings = {
+        y + over | sign << 255
+        for x, y in points
+        for over in (0, P)
+        for sign in (0, 1)
+        if y + over < 2**255 and (x == 0 or x & 1 == sign)
+    }
     assert {one.to_bytes(32, "little") for one in encodings} == set(WEAK.values())
     assert len(WEAK) == len(SMALL_ORDER) + len(SECOND_WAY) == 14
 
 
 @pytest.mark.parametrize("name", [name for name in SMALL_ORDER if name != "order 1"])
 def test_an_honest_key_with_a_part_of_small_order_is_refused(name: str) -> None:
-    assert flaw_of(mixed(SIGNER.verifier.public, bytes.fromhex(SMALL_ORDER[name]))) == "a point with a part of small order"
+    assert (
+        flaw_of(mixed(SIGNER.verifier.public, bytes.fromhex(SMALL_ORDER[name]))) == "a point with a part of small order"
+    )
 
 
 def test_what_is_no_point_or_is_written_in_a_second_way_is_refused() -> None:
@@ -61,7 +71,9 @@ def test_what_is_no_point_or_is_written_in_a_second_way_is_refused() -> None:
     assert found == {"a point that is not written in its one way"}
     off = [y for y in range(2, 12) if flaw_of(y.to_bytes(32, "little")) == "no point of the curve"]
     assert off == [2, 7, 8, 11]
-    assert all(pow((y * y - 1) * pow(-121665 * pow(121666, -1, P) * y * y + 1, -1, P), (P - 1) // 2, P) == P - 1 for y in off)
+    assert all(
+        pow((y * y - 1) * pow(-121665 * pow(121666, -1, P) * y * y + 1, -1, P), (P - 1) // 2, P) == P - 1 for y in off
+    )
     assert flaw_of(b"") == "0 bytes"
     assert flaw_of(bytes(33)) == "33 bytes"
 

@@ -54,10 +54,43 @@ class Stranger(Event, frozen=True):
 
 STARTED = next(iter(LAYOUTS.values())).cls
 ODD: tuple[object, ...] = (
-    *(None, True, False, 0, 1, -1, 1.0, 0.5, float("nan"), MAX_INTEGER, -MAX_INTEGER, MAX_INTEGER + 1, -MAX_INTEGER - 1, 2**63, -(2**63) - 1, 2**70),
+    *(
+        None,
+        True,
+        False,
+        0,
+        1,
+        -1,
+        1.0,
+        0.5,
+        float("nan"),
+        MAX_INTEGER,
+        -MAX_INTEGER,
+        MAX_INTEGER + 1,
+        -MAX_INTEGER - 1,
+        2**63,
+        -(2**63) - 1,
+        2**70,
+    ),
     *("", "fsar", "live", "peer", "Local", "x" * 5_000, "\ud800", "\x1b[2J", "a\nb", "\u202e", "Zürich", '"\\'),
     *(b"fsar", Word.FSAR, Word.LIVE, Number.ONE, Posing("other"), Posing("live")),
-    *((), ("a",), ("a", "a"), (1,), (None,), (b"a",), (("a",),), (Word.FSAR,), (Posing("b"),), ("\ud800",), ("\x00",), Pair(("a",)), ["a"], {"a"}, {"a": 1}),
+    *(
+        (),
+        ("a",),
+        ("a", "a"),
+        (1,),
+        (None,),
+        (b"a",),
+        (("a",),),
+        (Word.FSAR,),
+        (Posing("b"),),
+        ("\ud800",),
+        ("\x00",),
+        Pair(("a",)),
+        ["a"],
+        {"a"},
+        {"a": 1},
+    ),
 )
 IDS: tuple[object, ...] = (
     "run-0",
@@ -149,7 +182,10 @@ CHANGES: tuple[Change, ...] = (
 @st.composite
 def batches(draw: st.DrawFn) -> list[RunRecord]:
     """Up to three runs, each good or with one thing changed; names are few, so that they come again."""
-    runs = [made_up_run(f"run-{draw(st.integers(0, 9))}", draw(st.integers(1, 7)), draw(st.integers(0, 99))) for _ in range(draw(st.integers(0, 3)))]
+    runs = [
+        made_up_run(f"run-{draw(st.integers(0, 9))}", draw(st.integers(1, 7)), draw(st.integers(0, 99)))
+        for _ in range(draw(st.integers(0, 3)))
+    ]
     return [draw(st.sampled_from(CHANGES))(run, draw) if draw(st.integers(0, 3)) == 0 else run for run in runs]
 
 
@@ -193,7 +229,13 @@ def look(offered: list[list[RunRecord]]) -> None:
 def at_all(examples: int, *, is_the_same: bool) -> None:
     """So many ledgers, the same each time or others."""
     FATES.clear()
-    limits = settings(max_examples=examples, deadline=None, suppress_health_check=list(HealthCheck), derandomize=is_the_same, database=None)
+    limits = settings(
+        max_examples=examples,
+        deadline=None,
+        suppress_health_check=list(HealthCheck),
+        derandomize=is_the_same,
+        database=None,
+    )
     limits(given(offered=st.lists(batches(), min_size=1, max_size=5))(look))()
     assert min(FATES["refused"], FATES["accepted"]) > examples // 2, FATES
 

@@ -100,7 +100,9 @@ def _bytes(kind: int, value: Value) -> bytes:
         case Raw(data):
             return data
         case Listed(inner, values):
-            head = bytes([len(values) << 4 | inner]) if len(values) < 15 else bytes([0xF0 | inner]) + varint(len(values))
+            head = (
+                bytes([len(values) << 4 | inner]) if len(values) < 15 else bytes([0xF0 | inner]) + varint(len(values))
+            )
             return head + b"".join(_bytes(inner, one) for one in values)
         case bytes():
             return varint(len(value)) + value

@@ -36,8 +36,13 @@ def tries() -> Iterator[tuple[bytes, bytes]]:
     """S B, as a point, and S, for one known S after the other."""
     for number in range(1_000):
         seed = number.to_bytes(32)
-        scalar = int.from_bytes(hashlib.sha512(seed).digest()[:32], "little") & ~7 & 2**254 - 1 | 2**254  # RFC 8032, section 5.1.5
-        yield Ed25519PrivateKey.from_private_bytes(seed).public_key().public_bytes_raw(), (scalar % L).to_bytes(32, "little")
+        scalar = (
+            int.from_bytes(hashlib.sha512(seed).digest()[:32], "little") & ~7 & 2**254 - 1 | 2**254
+        )  # RFC 8032, section 5.1.5
+        yield (
+            Ed25519PrivateKey.from_private_bytes(seed).public_key().public_bytes_raw(),
+            (scalar % L).to_bytes(32, "little"),
+        )
 
 
 def forged(public: bytes, text: bytes) -> bytes:

@@ -25,7 +25,12 @@ def record(architecture: str, number: int) -> RunRecord:
         model_version="test",
         parameters="{}",
     )
-    return RunRecord(f"run-{number}-{architecture}", [0, 5, 9], [None, 0, 1], [started, TaskCompleted(task_id="t1"), TaskAbandoned(task_id="t2")])
+    return RunRecord(
+        f"run-{number}-{architecture}",
+        [0, 5, 9],
+        [None, 0, 1],
+        [started, TaskCompleted(task_id="t1"), TaskAbandoned(task_id="t2")],
+    )
 
 
 @pytest.fixture

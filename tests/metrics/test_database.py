@@ -93,7 +93,9 @@ def test_an_unreadable_segment_is_named_to_untrusted_sql_too(ledger: Path, place
         run_untrusted(ledger, "SELECT * FROM events")
 
 
-@pytest.mark.parametrize("sql", ["SELEC 1", "SELECT nothing FROM events", "SELECT * FROM nowhere", "SELECT 'x'::INTEGER", "SELECT $a"])
+@pytest.mark.parametrize(
+    "sql", ["SELEC 1", "SELECT nothing FROM events", "SELECT * FROM nowhere", "SELECT 'x'::INTEGER", "SELECT $a"]
+)
 def test_wrong_sql_is_one_message_of_a_few_lines(sql: str) -> None:
     with from_rows([]) as database, pytest.raises(QueryFailed, match=r"^SQL: ") as caught:
         database.rows(sql)
@@ -129,7 +131,12 @@ def test_an_unknown_query_is_answered_with_the_nearest_names() -> None:
 
 
 HEADER = dict.fromkeys(REQUIRED_KEYS, "x")
-AUDIT = Query("audit/of_run", "SELECT seq FROM events WHERE run_id = $run AND seq >= $from::BIGINT", HEADER, {"run": None, "from": "0"})
+AUDIT = Query(
+    "audit/of_run",
+    "SELECT seq FROM events WHERE run_id = $run AND seq >= $from::BIGINT",
+    HEADER,
+    {"run": None, "from": "0"},
+)
 
 
 def audited(parameters: dict[str, str]) -> list[int]:
@@ -182,12 +189,22 @@ def test_a_stored_relation_is_computed_once_and_a_view_each_time() -> None:
 
 
 def test_a_refilled_database_answers_of_its_new_rows_alone() -> None:
-    started: dict[str, Value] = {"type": "RunStarted.v2", "seq": 0, "time_us": 0, "observes": list(CONCERNS), "parameters": "{}", "kind": "simulated"}
+    started: dict[str, Value] = {
+        "type": "RunStarted.v2",
+        "seq": 0,
+        "time_us": 0,
+        "observes": list(CONCERNS),
+        "parameters": "{}",
+        "kind": "simulated",
+    }
     with from_rows([{**started, "run_id": "old"}]) as database:
         assert [row["run_id"] for row in database.rows("SELECT DISTINCT run_id FROM run_metrics")] == ["old"]
         database.refill(table_of([{**started, "run_id": "new"}, {**started, "run_id": "newer"}]))
         for relation in ("events", "run_started", "runs", "run_metrics"):
-            assert [row["run_id"] for row in database.rows(f"SELECT DISTINCT run_id FROM {relation} ORDER BY ALL")] == ["new", "newer"], relation
+            assert [row["run_id"] for row in database.rows(f"SELECT DISTINCT run_id FROM {relation} ORDER BY ALL")] == [
+                "new",
+                "newer",
+            ], relation
 
 
 def test_rows_are_those_of_the_table_whatever_their_types() -> None:
@@ -200,6 +217,12 @@ def test_a_refilled_database_has_forgotten_what_was_defined_and_held_in_it() -> 
     with from_rows([]) as database:
         database.define("runs", "SELECT 1 AS run_id")
         database.hold("conflicts", pa.table({"run_id": ["mine"]}))
-        assert [database.rows(f"SELECT count(*) AS n FROM {name}") for name in ("runs", "conflicts")] == [[{"n": 1}], [{"n": 1}]]
+        assert [database.rows(f"SELECT count(*) AS n FROM {name}") for name in ("runs", "conflicts")] == [
+            [{"n": 1}],
+            [{"n": 1}],
+        ]
         database.refill(pa.table({"run_id": pa.array([], pa.string())}))
-        assert [database.rows(f"SELECT count(*) AS n FROM {name}") for name in ("runs", "conflicts")] == [[{"n": 0}], [{"n": 0}]]
+        assert [database.rows(f"SELECT count(*) AS n FROM {name}") for name in ("runs", "conflicts")] == [
+            [{"n": 0}],
+            [{"n": 0}],
+        ]

@@ -16,12 +16,16 @@ from fsar_ledger.metrics.untrusted import ENVIRONMENT, cause_of_death, run_untru
 
 NEVER_ENDS = "SELECT sum(x % 7) FROM range(1000000000000) AS t(x)"
 IN_TIME = "from fsar_ledger.metrics.locked import GRACE_S, Limits, give_up; give_up(Limits(seconds=1 - GRACE_S)); exec('while True: pass')"
-NOT_ENOUGH = "from fsar_ledger.metrics.locked import Limits, give_up; give_up(Limits(memory_bytes=1 << 29)); 'x' * (1 << 30)"
+NOT_ENOUGH = (
+    "from fsar_ledger.metrics.locked import Limits, give_up; give_up(Limits(memory_bytes=1 << 29)); 'x' * (1 << 30)"
+)
 
 
 def death_of(code: str) -> str:
     """What is said of a process that runs this."""
-    done = subprocess.run([sys.executable, "-c", code], env={**os.environ, **ENVIRONMENT}, capture_output=True, text=True, check=False)
+    done = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, **ENVIRONMENT}, capture_output=True, text=True, check=False
+    )
     return cause_of_death(done.returncode, done.stderr, Limits())
 
 
@@ -30,12 +34,18 @@ def death_of(code: str) -> str:
     [
         (IN_TIME, "used 65 s of processor time"),
         (NOT_ENOUGH, "ran out of memory, the limit is 4,096 MiB"),
-        ("import os, sys; sys.stderr.write(\"terminate called after throwing an instance of 'std::bad_alloc'\"); sys.stderr.flush(); os.abort()", "ran out of"),
+        (
+            "import os, sys; sys.stderr.write(\"terminate called after throwing an instance of 'std::bad_alloc'\"); sys.stderr.flush(); os.abort()",
+            "ran out of",
+        ),
         ("import os; os.abort()", "was ended by SIGABRT; the last that it wrote: nothing"),
         ("import os; os.kill(os.getpid(), 9)", "was killed from outside (SIGKILL)"),
         ("import os; os.kill(os.getpid(), 11)", "crashed (SIGSEGV): values nest too deep for it"),
         ("import os; os.kill(os.getpid(), 15)", "was ended by SIGTERM"),
-        ("import nothing_of_this_name", "exit code 1, as when it cannot start; the last that it wrote: ModuleNotFoundError"),
+        (
+            "import nothing_of_this_name",
+            "exit code 1, as when it cannot start; the last that it wrote: ModuleNotFoundError",
+        ),
     ],
 )
 def test_each_way_to_die_is_told_from_the_others(code: str, reason: str) -> None:
@@ -48,7 +58,9 @@ def test_a_process_that_closes_its_pipe_and_lives_is_told_too() -> None:
 
 def test_a_process_that_cannot_start_says_so(ledger: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "path", [])
-    with pytest.raises(QueryFailed, match="exit code 1, as when it cannot start; the last that it wrote: ModuleNotFoundError"):
+    with pytest.raises(
+        QueryFailed, match="exit code 1, as when it cannot start; the last that it wrote: ModuleNotFoundError"
+    ):
         run_untrusted(ledger, "SELECT 1")
 
 

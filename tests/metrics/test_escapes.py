@@ -46,7 +46,10 @@ REACHES_OUT = {
     "fetch by name": ("SELECT * FROM 'https://127.0.0.1:9/x.parquet'", DISABLED),
     "fetch from a bucket": ("SELECT * FROM read_parquet('s3://bucket/x.parquet')", DISABLED),
     "copy in a step": ("WITH x AS (COPY (SELECT 1) TO '{base}/out') SELECT * FROM x", DISABLED),
-    "copy in a step over a segment": ("WITH x AS (COPY (SELECT 1) TO '{ledger}/segments/000000000000.parquet') FROM x", DISABLED),
+    "copy in a step over a segment": (
+        "WITH x AS (COPY (SELECT 1) TO '{ledger}/segments/000000000000.parquet') FROM x",
+        DISABLED,
+    ),
     "copy in a step where DuckDB spills": ("WITH x AS (COPY (SELECT 1) TO '.tmp/out') SELECT * FROM x", DISABLED),
     "copy explained": ("EXPLAIN ANALYZE COPY (SELECT 1) TO '{base}/out'", DISABLED),
     "log to a file": ("SELECT * FROM enable_logging(storage = 'file', storage_path = '{base}/out')", "has been locked"),
@@ -56,10 +59,16 @@ REACHES_OUT = {
     "a Python variable": ("SELECT * FROM question", "question does not exist"),
     "a pointer": ("SELECT * FROM arrow_scan(1::POINTER, 1::POINTER, 1::POINTER)", "POINTER does not exist"),
     "a Python function": ("SELECT * FROM python_map_function(1)", "Binder Error"),
-    "insert in a step": ("WITH x AS (INSERT INTO run_metrics BY NAME SELECT 'r' AS run_id RETURNING *) SELECT * FROM x", "read-only mode"),
+    "insert in a step": (
+        "WITH x AS (INSERT INTO run_metrics BY NAME SELECT 'r' AS run_id RETURNING *) SELECT * FROM x",
+        "read-only mode",
+    ),
     "delete in a step": ("WITH x AS (DELETE FROM run_metrics RETURNING *) SELECT count(*) FROM x", "read-only mode"),
     "insert explained": ("EXPLAIN ANALYZE INSERT INTO run_metrics BY NAME SELECT 'r' AS run_id", "read-only mode"),
-    "statements as JSON": ("SELECT * FROM json_execute_serialized_sql(json_serialize_sql('COPY (SELECT 1) TO ''{base}/out'''))", "Only SELECT"),
+    "statements as JSON": (
+        "SELECT * FROM json_execute_serialized_sql(json_serialize_sql('COPY (SELECT 1) TO ''{base}/out'''))",
+        "Only SELECT",
+    ),
     "statements as text": ("SELECT * FROM query('COPY (SELECT 1) TO ''{base}/out''')", "single SELECT"),
     "force a checkpoint": ("SELECT * FROM force_checkpoint()", "Cannot FORCE CHECKPOINT"),
 }
@@ -73,7 +82,10 @@ IS_NO_SELECT = {
     "half a character": ("SELECT '\udcff'", "not UTF-8 at character 9"),
     "ten million characters": ("SELECT '" + MANY * 100_000 + "'", "10,000,009 bytes"),
     "10,000 parentheses": ("SELECT " + "(" * 10_000 + "1" + ")" * 10_000, "depth limit"),
-    "5,000 selects in each other": ("SELECT * FROM " + "(SELECT * FROM " * 5_000 + "events" + ")" * 5_000, "depth limit"),
+    "5,000 selects in each other": (
+        "SELECT * FROM " + "(SELECT * FROM " * 5_000 + "events" + ")" * 5_000,
+        "depth limit",
+    ),
 }
 
 IS_OF_ANOTHER_KIND = {
@@ -104,9 +116,18 @@ TAKES_ALL_MEMORY = {
     "a text of many": ("SELECT length(string_agg(repeat('x', 1000), '')) FROM range(100000000)", "ran out of memory"),
     "a list": ("SELECT len(range(1000000000))", "ran out of memory"),
     "a list of many": ("SELECT len(list(i)) FROM range(100000000000) AS t(i)", "ran out of memory"),
-    "a recursion that grows": ("WITH RECURSIVE r(s) AS (SELECT 'x' UNION ALL SELECT s || s FROM r) SELECT max(length(s)) FROM r", "ran out of memory"),
-    "windows": ("SELECT max(s) FROM (SELECT string_agg(repeat('x', 100), '') OVER (ORDER BY i) AS s FROM range(1000000) AS t(i))", "ran out of memory"),
-    "JSON that nests too deep": ("SELECT ((repeat('[', 100000) || repeat(']', 100000))::JSON::VARIANT)::VARCHAR AS x", "nest too deep"),
+    "a recursion that grows": (
+        "WITH RECURSIVE r(s) AS (SELECT 'x' UNION ALL SELECT s || s FROM r) SELECT max(length(s)) FROM r",
+        "ran out of memory",
+    ),
+    "windows": (
+        "SELECT max(s) FROM (SELECT string_agg(repeat('x', 100), '') OVER (ORDER BY i) AS s FROM range(1000000) AS t(i))",
+        "ran out of memory",
+    ),
+    "JSON that nests too deep": (
+        "SELECT ((repeat('[', 100000) || repeat(']', 100000))::JSON::VARIANT)::VARCHAR AS x",
+        "nest too deep",
+    ),
     "too many rows": ("SELECT * FROM range(100001)", "more than 100,000 rows"),
     "too many bytes": ("SELECT repeat('x', 1000) AS x FROM range(20000)", "more than 8,388,608 bytes"),
 }
@@ -124,7 +145,10 @@ NEVER_ENDS = {
 
 CANNOT_BE_SHOWN = {
     "two columns of one name": ("SELECT 1 AS a, 2 AS a", "two columns named 'a'"),
-    "a type that Arrow would change": ("SELECT 340282366920938463463374607431768211455::UHUGEINT AS x", "'x' holds UHUGEINT"),
+    "a type that Arrow would change": (
+        "SELECT 340282366920938463463374607431768211455::UHUGEINT AS x",
+        "'x' holds UHUGEINT",
+    ),
     "a type that Arrow would change, inside": ("SELECT [{{'k': '101'::BIT}}] AS x", "'x' holds BIT"),
     "a union": ("SELECT union_value(k := 1) AS x", "'x' holds UNION"),
     "a variant": ("SELECT 42::VARIANT AS x", "'x' holds VARIANT"),
@@ -133,7 +157,15 @@ CANNOT_BE_SHOWN = {
 
 REFUSED = REACHES_OUT | IS_NO_SELECT | TAKES_ALL_MEMORY | CANNOT_BE_SHOWN
 
-ALIKE = {"read a text", "read a blob", "read json", "read a database", "read by a name in a text", "guess a csv", "metadata of a segment"} | {
+ALIKE = {
+    "read a text",
+    "read a blob",
+    "read json",
+    "read a database",
+    "read by a name in a text",
+    "guess a csv",
+    "metadata of a segment",
+} | {
     "list what DuckDB has installed",
     "fetch by name",
     "fetch from a bucket",
@@ -189,14 +221,20 @@ def children() -> set[str]:
 
 
 def filled(sql: str, base: Path) -> str:
-    return sql.format(base=str(base).replace("'", "''"), ledger=str(ledger_in(base)).replace("'", "''")) if "{" in sql else sql
+    return (
+        sql.format(base=str(base).replace("'", "''"), ledger=str(ledger_in(base)).replace("'", "''"))
+        if "{" in sql
+        else sql
+    )
 
 
 def ledger_in(base: Path) -> Path:
     return base / "the auditor's ledger"
 
 
-@pytest.mark.parametrize("escape", [pytest.param(name, marks=pytest.mark.slow) if name in ALIKE else name for name in REFUSED])
+@pytest.mark.parametrize(
+    "escape", [pytest.param(name, marks=pytest.mark.slow) if name in ALIKE else name for name in REFUSED]
+)
 def test_it_is_refused_for_its_reason_and_leaves_no_trace(surrounded: Path, escape: str) -> None:
     sql, reason = REFUSED[escape]
     with pytest.raises(QueryFailed) as refused:
@@ -240,12 +278,21 @@ def test_what_only_reads_is_answered(surrounded: Path, question: str) -> None:
 
 
 def test_what_can_be_learnt_of_the_machine_names_no_place_and_no_user(surrounded: Path) -> None:
-    lists = {"settings": "name, value", "views": "view_name, sql", "databases": "database_name, path", "temporary_files": "'', path"}
+    lists = {
+        "settings": "name, value",
+        "views": "view_name, sql",
+        "databases": "database_name, path",
+        "temporary_files": "'', path",
+    }
     asked = " UNION ALL ".join(f"SELECT {columns} FROM duckdb_{name}()" for name, columns in lists.items())
     rows = run_untrusted(ledger_in(surrounded), f"{asked} UNION ALL SELECT 'user', current_user", PATIENT).rows
     learnt = {str(value) for row in rows for value in row.values() if value is not None}
     assert {"enable_external_access", "events", "duckdb"} <= learnt
-    assert [text for text in learnt if any(place in text for place in (str(surrounded), getpwuid(os.getuid()).pw_dir, ".duckdb", "hush"))] == []
+    assert [
+        text
+        for text in learnt
+        if any(place in text for place in (str(surrounded), getpwuid(os.getuid()).pw_dir, ".duckdb", "hush"))
+    ] == []
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="only Linux shows what a process may do")
@@ -313,5 +360,18 @@ def test_without_the_locks_these_escape(surrounded: Path) -> None:
             escaped.add(name)
     for path in (surrounded / "out", surrounded / ".tmp" / "out"):
         path.unlink()
-    assert escaped >= {"read a csv", "read by name", "read a blob", "list a folder", "copy in a step", "copy in a step where DuckDB spills"}
-    assert escaped >= {"copy explained", "insert in a step", "delete in a step", "read the segments", "a Python variable"}
+    assert escaped >= {
+        "read a csv",
+        "read by name",
+        "read a blob",
+        "list a folder",
+        "copy in a step",
+        "copy in a step where DuckDB spills",
+    }
+    assert escaped >= {
+        "copy explained",
+        "insert in a step",
+        "delete in a step",
+        "read the segments",
+        "a Python variable",
+    }

@@ -46,7 +46,9 @@ def test_a_table_with_one_number_that_the_model_never_gives_is_refused_as_a_whol
 
 
 def test_what_an_experiment_leaves_undefined_counts_neither_way_and_a_cell_without_numbers_has_no_share() -> None:
-    found = odds({CELL: [0.1, None, 0.3], OTHER: [None, None, None]}, {CELL: Printed(0.1, 0.1), OTHER: Printed(0.1, 0.1)})
+    found = odds(
+        {CELL: [0.1, None, 0.3], OTHER: [None, None, None]}, {CELL: Printed(0.1, 0.1), OTHER: Printed(0.1, 0.1)}
+    )
     assert found is not None
     assert found.cells == pytest.approx({CELL: 1.0})
     assert odds({OTHER: [None]}, {OTHER: Printed(0.1, 0.1)}) is None

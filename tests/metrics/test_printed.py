@@ -18,13 +18,21 @@ def test_each_table_has_its_cells_by_metrics_that_have_margins(table: Table, cou
 
 
 def test_numbers_are_in_our_unit_with_the_step_of_their_last_digit() -> None:
-    assert printed("results")[Place("results", "coordination_success", "fsar", "full", 4)] == pytest.approx((0.93, 0.001))
-    assert printed("ablation")[Place("ablation", "coordination_success", "fsar", "without-shared-registry", 4)] == pytest.approx((0.46, 0.01))
+    assert printed("results")[Place("results", "coordination_success", "fsar", "full", 4)] == pytest.approx(
+        (0.93, 0.001)
+    )
+    assert printed("ablation")[
+        Place("ablation", "coordination_success", "fsar", "without-shared-registry", 4)
+    ] == pytest.approx((0.46, 0.01))
     assert printed("scaling")[Place("scaling", "authority_conflicts", "dhma", "full", 16)] == pytest.approx((14.1, 0.1))
 
 
 def test_a_claim_of_the_text_is_a_number_in_full_and_one_without_the_mechanism() -> None:
-    of = {place.configuration: number.value for place, number in printed("ablation_text").items() if place.scenario == "mixed-trust-inspection"}
+    of = {
+        place.configuration: number.value
+        for place, number in printed("ablation_text").items()
+        if place.scenario == "mixed-trust-inspection"
+    }
     assert of == {"full": 1.20, "without-trust-evaluation": 2.85}
 
 

@@ -36,7 +36,15 @@ def test_the_same_rows_are_the_same_by_both_readers(tmp_path: Path, is_as_writte
 
 
 @pytest.mark.parametrize(
-    ("name", "value"), [("time_us", 5), ("robot", "nobody"), ("robot", None), ("achieved", ["x"]), ("approves", True), ("caused_by", None)]
+    ("name", "value"),
+    [
+        ("time_us", 5),
+        ("robot", "nobody"),
+        ("robot", None),
+        ("achieved", ["x"]),
+        ("approves", True),
+        ("caused_by", None),
+    ],
 )
 def test_one_value_that_differs_is_found_and_its_column_named(tmp_path: Path, name: str, value: object) -> None:
     row = next(row for row in range(100) if TABLE[name][row].as_py() != value)
@@ -66,7 +74,9 @@ def test_a_file_that_duckdb_cannot_read_is_found(tmp_path: Path) -> None:
     assert "a segment that DuckDB cannot read" in found[0]
 
 
-def test_two_contents_are_found_even_where_the_layout_is_not_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_contents_are_found_even_where_the_layout_is_not_checked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = tmp_path / "ledger"
     append_all(path, [[made_up_run("run-0", 60, 1)], [made_up_run("run-1", 40, 2)]])
     assert verify(path, asked=ASKED).ok
@@ -74,14 +84,18 @@ def test_two_contents_are_found_even_where_the_layout_is_not_checked(tmp_path: P
     honest = segment_path(path, 1).read_bytes()
     table = segment.read_table(segment_path(path, 1))
     at = SCHEMA.get_field_index("robot")
-    other = table.set_column(at, SCHEMA.field(at), pa.array([None if robot is None else "nobody" for robot in table["robot"].to_pylist()]))
+    other = table.set_column(
+        at, SCHEMA.field(at), pa.array([None if robot is None else "nobody" for robot in table["robot"].to_pylist()])
+    )
     forged = two_faced(honest, bytes(segment.to_parquet(other)), "robot")
     with pytest.raises(LedgerCorrupted):
         check_layout(path, forged)
     forge_segment(path, 1, forged)
 
     def unchecked(_: Path, data: bytes) -> Layout:
-        return read_layout(honest)._replace(created_by="another", statistics=()) if data == forged else read_layout(data)
+        return (
+            read_layout(honest)._replace(created_by="another", statistics=()) if data == forged else read_layout(data)
+        )
 
     monkeypatch.setattr(verify_segment, "check_layout", unchecked)
     assert verify(path).ok, "pyarrow reads the honest rows"

@@ -30,7 +30,11 @@ def close(expected: Any) -> Any:
     return pytest.approx(expected, rel=1e-9, abs=1e-12)
 
 
-def run_metrics(values: Mapping[tuple[str, str], Sequence[float | None]], published: float | None = None, fleet_sizes: Sequence[int] = (4,)) -> pa.Table:
+def run_metrics(
+    values: Mapping[tuple[str, str], Sequence[float | None]],
+    published: float | None = None,
+    fleet_sizes: Sequence[int] = (4,),
+) -> pa.Table:
     """The relation `run_metrics` with these values per (metric, architecture), one run each."""
     rows = [
         {
@@ -58,8 +62,24 @@ def run_metrics(values: Mapping[tuple[str, str], Sequence[float | None]], publis
         for (metric, architecture), numbers in values.items()
         for number, value in enumerate(numbers)
     ]
-    names = ("run_id", "architecture", "configuration", "scenario", "metric", "kind", "source", "model_version", "setting", "constants")
-    kinds = {"value": pa.float64(), "published_convention_value": pa.float64(), **dict.fromkeys(names, pa.string()), "observes": pa.list_(pa.string())}
+    names = (
+        "run_id",
+        "architecture",
+        "configuration",
+        "scenario",
+        "metric",
+        "kind",
+        "source",
+        "model_version",
+        "setting",
+        "constants",
+    )
+    kinds = {
+        "value": pa.float64(),
+        "published_convention_value": pa.float64(),
+        **dict.fromkeys(names, pa.string()),
+        "observes": pa.list_(pa.string()),
+    }
     return pa.Table.from_pylist(rows, schema=pa.schema([(name, kinds.get(name, pa.int64())) for name in rows[0]]))
 
 
@@ -116,7 +136,9 @@ def each(samples: list[Sample]) -> Iterator[tuple[Vector, Vector, StatisticRow]]
 def test_paired_t_cohens_d_and_d_z_agree_with_scipy(samples: list[Sample]) -> None:
     for first, second, row in each(samples):
         differences = first - second
-        assert (row.first_mean, row.second_mean, row.mean_difference) == close((first.mean(), second.mean(), differences.mean()))
+        assert (row.first_mean, row.second_mean, row.mean_difference) == close(
+            (first.mean(), second.mean(), differences.mean())
+        )
         assert row.df == row.n - 1 == len(first) - 1
         if len(set(billionths(list(differences)))) == 1:
             assert (row.t, row.p, row.d_z) == (None, None, None)
@@ -164,12 +186,18 @@ def test_hedges_g_and_its_interval_follow_their_formulas(samples: list[Sample]) 
             assert r == pytest.approx(1, abs=1e-8), "no interval of width 0"
             continue
         # 1 - r loses digits where r is near 1, whichever way it is computed; its root loses half of them.
-        assert (row.g_ci_low, row.g_ci_high) == pytest.approx((j * d - half_width, j * d + half_width), rel=1e-9, abs=1e-6)
-        assert (row.d_ci_low, row.d_ci_high) == pytest.approx((d - half_width / j, d + half_width / j), rel=1e-9, abs=1e-6)
+        assert (row.g_ci_low, row.g_ci_high) == pytest.approx(
+            (j * d - half_width, j * d + half_width), rel=1e-9, abs=1e-6
+        )
+        assert (row.d_ci_low, row.d_ci_high) == pytest.approx(
+            (d - half_width / j, d + half_width / j), rel=1e-9, abs=1e-6
+        )
 
 
 @pytest.mark.parametrize(("effect", "correlation"), [(0.0, 0.5), (1.0, 0.9), (5.0, 0.9), (5.0, 0.0)])
-def test_the_interval_of_an_effect_size_holds_the_truth_in_93_to_97_of_100_experiments(effect: float, correlation: float) -> None:
+def test_the_interval_of_an_effect_size_holds_the_truth_in_93_to_97_of_100_experiments(
+    effect: float, correlation: float
+) -> None:
     draws = np.random.default_rng(7)
     experiments, runs = 1500, 60
     second = draws.standard_normal((experiments, runs))
@@ -178,7 +206,16 @@ def test_the_interval_of_an_effect_size_holds_the_truth_in_93_to_97_of_100_exper
         {
             **{
                 name: pa.array(["x"] * first.size)
-                for name in ("holm_family", "basis", "family", "configuration", "kind", "source", "model_version", "constants")
+                for name in (
+                    "holm_family",
+                    "basis",
+                    "family",
+                    "configuration",
+                    "kind",
+                    "source",
+                    "model_version",
+                    "constants",
+                )
             },
             **{name: pa.array(np.full(first.size, 4)) for name in ("fleet_size", "seed", "position")},
             **{name: pa.array(["x"] * first.size) for name in ("metric", "comparison", "second_run_id")},
@@ -240,7 +277,9 @@ def test_two_pairs_have_no_hedges_g_and_sides_that_vary_alike_no_interval_of_it(
 def test_fewer_than_six_pairs_that_differ_have_no_wilcoxon_test() -> None:
     sides = [float(at * at) for at in range(6)]
     assert one([*sides[1:], 3.0], [0.0] * 5 + [3.0]).wilcoxon_p is None
-    assert one([*sides[1:], 4.0], [0.0] * 5 + [3.0]).wilcoxon_p == close(WILCOXON([*sides[1:], 1.0], correction=False, method="asymptotic").pvalue)
+    assert one([*sides[1:], 4.0], [0.0] * 5 + [3.0]).wilcoxon_p == close(
+        WILCOXON([*sides[1:], 1.0], correction=False, method="asymptotic").pvalue
+    )
 
 
 def test_a_single_pair_has_a_difference_and_no_test() -> None:
@@ -253,7 +292,11 @@ def family() -> pa.Table:
     chance = np.random.default_rng(5)
     architectures = {"fsar": 0.0, "cfc": 0.3, "dhma": 0.9}
     return run_metrics(
-        {(metric, name): list(chance.normal(shift * k, 1.0, 30)) for k, metric in enumerate(("a", "b", "c", "d")) for name, shift in architectures.items()},
+        {
+            (metric, name): list(chance.normal(shift * k, 1.0, 30))
+            for k, metric in enumerate(("a", "b", "c", "d"))
+            for name, shift in architectures.items()
+        },
         fleet_sizes=(4, 8),
     )
 
@@ -273,7 +316,9 @@ def test_holm_adjusts_over_the_family_of_one_fleet_size() -> None:
 
 
 def test_comparisons_are_three_per_metric_in_the_order_of_the_paper() -> None:
-    rows = compared(run_metrics({(METRIC, name): [float(at), 2.0, 5.0] for at, name in enumerate(("fsar", "cfc", "dhma"))}))
+    rows = compared(
+        run_metrics({(METRIC, name): [float(at), 2.0, 5.0] for at, name in enumerate(("fsar", "cfc", "dhma"))})
+    )
     assert [row.comparison for row in rows] == ["fsar-cfc", "fsar-dhma", "cfc-dhma"]
     assert [row.mean_difference for row in rows] == close([-1 / 3, -2 / 3, -1 / 3])
 
@@ -316,7 +361,10 @@ def test_the_answer_is_the_same_bits_on_any_number_of_threads() -> None:
 def test_the_cluster_bootstrap_takes_every_sample_of_scenarios() -> None:
     chance = np.random.default_rng(3)
     sizes = {"a": 3, "b": 7, "c": 5, "d": 4}
-    differences = {scenario: billionths(list(chance.normal(at, 1.0, size))) / 1e9 for at, (scenario, size) in enumerate(sizes.items())}
+    differences = {
+        scenario: billionths(list(chance.normal(at, 1.0, size))) / 1e9
+        for at, (scenario, size) in enumerate(sizes.items())
+    }
     flat = [(scenario, float(value)) for scenario, values in differences.items() for value in values]
     table = run_metrics({(METRIC, "fsar"): [value for _, value in flat], (METRIC, "cfc"): [0.0] * len(flat)})
     scenarios = pa.array([scenario for scenario, _ in flat] * 2)
@@ -324,7 +372,9 @@ def test_the_cluster_bootstrap_takes_every_sample_of_scenarios() -> None:
         rows = database.query("statistics/cluster_bootstrap").to_pylist()
     (row,) = [row for row in rows if row["test"].startswith("published/") and "/42/" in row["test"]]
     assert len(rows) == 4, "two bases, one seed and all seeds"
-    means = [np.concatenate([differences[one] for one in sample]).mean() for sample in itertools.product(sizes, repeat=4)]
+    means = [
+        np.concatenate([differences[one] for one in sample]).mean() for sample in itertools.product(sizes, repeat=4)
+    ]
     assert (row["scenarios"], row["samples"]) == (4, 256)
     assert row["mean_difference"] == close(np.mean([value for _, value in flat]))
     assert (row["ci_low"], row["ci_high"]) == close(tuple(np.quantile(means, (0.025, 0.975), method="inverted_cdf")))

@@ -13,11 +13,16 @@ from fsar_ledger.metrics.untrusted import run_untrusted, stream_untrusted
 
 
 def test_a_select_over_events_views_and_metrics_is_answered_with_the_head(ledger: Path) -> None:
-    answer = run_untrusted(ledger, "SELECT architecture, count(*) AS runs, sum(seq) AS zero FROM run_started GROUP BY ALL ORDER BY ALL")
+    answer = run_untrusted(
+        ledger, "SELECT architecture, count(*) AS runs, sum(seq) AS zero FROM run_started GROUP BY ALL ORDER BY ALL"
+    )
     assert answer.columns == ["architecture", "runs", "zero"]
     assert answer.rows == [{"architecture": name, "runs": 2, "zero": 0} for name in ("cfc", "dhma", "fsar")]
     assert (answer.head.size, answer.head.commits) == (18, 2)
-    means = run_untrusted(ledger, "select metric, mean from METRIC_SUMMARY where scenario is null and architecture = 'fsar' order by position")
+    means = run_untrusted(
+        ledger,
+        "select metric, mean from METRIC_SUMMARY where scenario is null and architecture = 'fsar' order by position",
+    )
     assert len(means.rows) == 8
 
 
@@ -83,7 +88,9 @@ def test_values_that_need_no_bytes_count_too() -> None:
 
 
 def test_what_lists_maps_and_structs_hold_is_counted_in_each_part() -> None:
-    schema = pa.schema({"s": pa.struct({"l": pa.list_(pa.int8())}), "f": pa.bool_(), "m": pa.map_(pa.string(), pa.int8())})
+    schema = pa.schema(
+        {"s": pa.struct({"l": pa.list_(pa.int8())}), "f": pa.bool_(), "m": pa.map_(pa.string(), pa.int8())}
+    )
     batch = pa.RecordBatch.from_pylist([{"s": {"l": [1, 2]}, "f": True, "m": [("a", 1)]}] * 10, schema=schema)
     whole, half = weight(batch), weight(batch.slice(5))
     assert whole - batch.nbytes == 16 * 10 * (1 + 1 + 2 + 1 + 3)

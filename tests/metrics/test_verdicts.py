@@ -37,7 +37,9 @@ def row(metric: str, architecture: str, mean: float | None, sd: float | None, n:
     )
 
 
-def judged(mean: float | None, sd: float | None, n: int = 100, metric: str = "authority_conflicts", architecture: str = "fsar") -> Comparison:
+def judged(
+    mean: float | None, sd: float | None, n: int = 100, metric: str = "authority_conflicts", architecture: str = "fsar"
+) -> Comparison:
     (one,) = compare([row(metric, architecture, mean, sd, n)])
     return one
 
@@ -91,20 +93,29 @@ def test_what_does_not_tell_how_much_runs_vary_is_undecided() -> None:
 def test_the_power_is_the_share_of_experiments_in_which_an_equal_number_is_found_equal() -> None:
     for sd, n in ((1.0, 100), (1.2, 100), (0.5, 20)):
         means = np.random.default_rng(3).normal(1.04, sd, size=(4000, n))
-        found = [judged(float(mean), float(spread), n).gives == "yes" for mean, spread in zip(means.mean(axis=1), means.std(axis=1, ddof=1), strict=True)]
+        found = [
+            judged(float(mean), float(spread), n).gives == "yes"
+            for mean, spread in zip(means.mean(axis=1), means.std(axis=1, ddof=1), strict=True)
+        ]
         assert np.mean(found) == pytest.approx(judged(1.04, sd, n).power, abs=0.05)
     assert judged(1.04, 3.0).power == 0.0
 
 
 def test_a_number_at_the_margin_is_found_equal_no_oftener_than_alpha() -> None:
     means = np.random.default_rng(4).normal(1.04 + 0.25, 0.8, size=(4000, 100))
-    found = [judged(float(mean), float(spread)).gives == "yes" for mean, spread in zip(means.mean(axis=1), means.std(axis=1, ddof=1), strict=True)]
+    found = [
+        judged(float(mean), float(spread)).gives == "yes"
+        for mean, spread in zip(means.mean(axis=1), means.std(axis=1, ddof=1), strict=True)
+    ]
     assert 0.035 < np.mean(found) < 0.065
 
 
 def test_the_second_answer_is_by_the_share_of_drawn_experiments_and_needs_them() -> None:
     of = row("authority_conflicts", "fsar", 1.0, 1.0)
-    answers = {share: compare([of], Odds({("authority_conflicts", "fsar"): share}, share))[0].could for share in (0.0, 0.049, 0.05, 1.0)}
+    answers = {
+        share: compare([of], Odds({("authority_conflicts", "fsar"): share}, share))[0].could
+        for share in (0.0, 0.049, 0.05, 1.0)
+    }
     assert answers == {0.0: "no", 0.049: "no", 0.05: "yes", 1.0: "yes"}
     assert compare([of])[0].could is None
     assert compare([of], Odds({}, 1.0))[0].could is None

@@ -50,7 +50,9 @@ def test_a_look_that_doubts_something_is_not_remembered(ledger: Path) -> None:
     forge_segment(ledger, 1, changed(rows, "time_us", 1, 4))
     assert not whole_look(ledger).ok
     assert not known(ledger)
-    with pytest.raises(LedgerCorrupted, match=r"commit 1, field tree_root: found Merkle root .* run fsar-ledger verify"):
+    with pytest.raises(
+        LedgerCorrupted, match=r"commit 1, field tree_root: found Merkle root .* run fsar-ledger verify"
+    ):
         required_look(ledger)
 
 
@@ -93,7 +95,9 @@ def test_another_version_looks_again(ledger: Path, monkeypatch: pytest.MonkeyPat
     if name == "fsar-ledger":
         monkeypatch.setattr(verified, "__version__", "9.9.9")
     else:
-        monkeypatch.setattr("fsar_ledger.metrics.verified.version", lambda package: "9.9.9" if package == name else version(package))
+        monkeypatch.setattr(
+            "fsar_ledger.metrics.verified.version", lambda package: "9.9.9" if package == name else version(package)
+        )
     assert not known(ledger)
 
 
@@ -156,7 +160,9 @@ def a_file_in_place_of_the_folder(cache: Path) -> None:
         a_file_in_place_of_the_folder,
     ],
 )
-def test_a_cache_that_others_may_have_written_is_not_believed(ledger: Path, cache: Path, spoil: Callable[[Path], None]) -> None:
+def test_a_cache_that_others_may_have_written_is_not_believed(
+    ledger: Path, cache: Path, spoil: Callable[[Path], None]
+) -> None:
     whole_look(ledger)
     assert known(ledger)
     spoil(cache)

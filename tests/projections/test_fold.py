@@ -45,24 +45,39 @@ RECORDS_ONLY = {
 
 def test_every_event_type_has_a_projection_or_is_listed_as_a_record() -> None:
     assert {event_type.__name__ for event_type in STATELESS} == RECORDS_ONLY
-    assert {event_type.__name__ for event_type in ROUTES} | RECORDS_ONLY == {event_type.__name__ for event_type in EVENT_TYPES}
+    assert {event_type.__name__ for event_type in ROUTES} | RECORDS_ONLY == {
+        event_type.__name__ for event_type in EVENT_TYPES
+    }
 
 
 @pytest.fixture(scope="module")
 def emitted() -> set[type[Event]]:
-    specs = [RunSpec(8, architecture, "full", scenario, 4, run) for architecture in get_args(Architecture) for scenario in SCENARIOS for run in range(12)]
-    specs += [RunSpec(8, "fsar", configuration, scenario, 4, 0) for configuration in CONFIGURATIONS[1:] for scenario in SCENARIOS]
+    specs = [
+        RunSpec(8, architecture, "full", scenario, 4, run)
+        for architecture in get_args(Architecture)
+        for scenario in SCENARIOS
+        for run in range(12)
+    ]
+    specs += [
+        RunSpec(8, "fsar", configuration, scenario, 4, 0)
+        for configuration in CONFIGURATIONS[1:]
+        for scenario in SCENARIOS
+    ]
     specs += [RunSpec(8, "fsar", "full", workflow, 4, 0) for workflow in get_args(Workflow)]
     specs.append(RunSpec(42, "fsar", "full", "fleet-contention", 4, 57))  # one of the few in which a task changes hands
     specs.append(RunSpec(8, "cfc", "full", "fleet-contention", 4, 20))  # and in which a helper is busy
-    away = simulate_run(RunSpec(8, "fsar", "full", "fleet-contention", 4, 0), Constants(outages=Outages(0.05, 8.0, 0.03, 6.0))).events
+    away = simulate_run(
+        RunSpec(8, "fsar", "full", "fleet-contention", 4, 0), Constants(outages=Outages(0.05, 8.0, 0.03, 6.0))
+    ).events
     planned = [Experiment(("fsar",), SCENARIOS, 12, 8).plan()]
     runs = (simulate_run(spec, Constants()).events for spec in specs)
     return {type(event) for events in (*runs, commanded().events, away, planned) for event in events}
 
 
 def test_every_event_type_is_emitted_by_some_run(emitted: set[type[Event]]) -> None:
-    assert {event_type.__name__ for event_type in EVENT_TYPES} - {event_type.__name__ for event_type in emitted} == set()
+    assert {event_type.__name__ for event_type in EVENT_TYPES} - {
+        event_type.__name__ for event_type in emitted
+    } == set()
 
 
 def test_folding_on_is_folding_all() -> None:

@@ -43,7 +43,13 @@ CHANGES = st.one_of(
     st.builds(CapabilityWithdrawn, NAMES, CAPABILITIES, st.just("x")),
     st.builds(CapabilityRemoved, NAMES, CAPABILITIES),
     st.builds(CapabilityInstalled, NAMES, CAPABILITIES, st.just("1.0.0")),
-    st.builds(AvailabilityChanged, NAMES, st.one_of(st.none(), CAPABILITIES), st.sampled_from(("busy", "offline")), st.just("x")),
+    st.builds(
+        AvailabilityChanged,
+        NAMES,
+        st.one_of(st.none(), CAPABILITIES),
+        st.sampled_from(("busy", "offline")),
+        st.just("x"),
+    ),
     st.builds(CapabilityDeprecated, NAMES, CAPABILITIES, st.sampled_from(("1.0.0", "2.0.0"))),
 )
 
@@ -77,7 +83,9 @@ def test_the_records_are_those_of_a_plain_table(changes: list[Any]) -> None:
     shown = {(robot, record.capability): record for robot in DOMAINS for record in surface(state, robot)}
     assert {key: (record.version, record.availability, record.is_deprecated) for key, record in shown.items()} == table
     for capability in ("lift", "open"):
-        assert sorted(record.robot for record in offers(state.offers, capability)) == sorted(robot for robot, name in table if name == capability)
+        assert sorted(record.robot for record in offers(state.offers, capability)) == sorted(
+            robot for robot, name in table if name == capability
+        )
         assert {(robot, capability) for robot in DOMAINS if registry.possesses(state, robot, capability)} <= installed
     assert_tidy(state.offers)
 
@@ -87,13 +95,18 @@ def assert_tidy(found: Offers) -> None:
     assert all(found.records.values())
     for name, inner in found.below.items():
         assert_tidy(inner)
-        assert {capability for capability, names in found.ways.items() if name in names} == set(inner.records) | set(inner.ways)
+        assert {capability for capability, names in found.ways.items() if name in names} == set(inner.records) | set(
+            inner.ways
+        )
     assert all(len(set(names)) == len(names) > 0 for names in found.ways.values())
 
 
 def test_the_registries_around_a_domain_go_outward_and_name_the_one_just_left() -> None:
     state = evolved(populated(), *[CapabilityAdvertised(robot, "lift") for robot in DOMAINS])
-    levels = [(path, [record.robot for record in offers(level, "lift", but)]) for path, level, but in enclosing(state.offers, "hall/cell")]
+    levels = [
+        (path, [record.robot for record in offers(level, "lift", but)])
+        for path, level, but in enclosing(state.offers, "hall/cell")
+    ]
     assert levels == [("hall/cell", ["robot/C1"]), ("hall", ["robot/B1"]), ("", ["robot/A1", "robot/D1"])]
 
 
@@ -121,7 +134,9 @@ def test_a_copy_keeps_what_was_offered_when_it_was_taken() -> None:
 
 def test_what_was_never_advertised_can_be_withdrawn_deprecated_and_removed_without_effect() -> None:
     state = populated()
-    after = evolved(state, CapabilityWithdrawn("robot/D1", "lift", "x"), CapabilityDeprecated("robot/D1", "lift", "1.0.0"))
+    after = evolved(
+        state, CapabilityWithdrawn("robot/D1", "lift", "x"), CapabilityDeprecated("robot/D1", "lift", "1.0.0")
+    )
     assert advertisement(after, "robot/D1", "lift") is None
     assert list(offers(after.offers, "lift")) == []
     assert not registry.possesses(evolved(after, CapabilityRemoved("robot/D1", "lift")), "robot/D1", "lift")

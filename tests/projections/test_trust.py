@@ -40,11 +40,20 @@ def failed(action: str = "t1/1", robot: str = B) -> ExecutionFailed:
 
 
 @given(st.lists(st.tuples(ABOUT, SCOPE), max_size=9), ABOUT)
-def test_the_most_specific_entry_holds_and_of_one_entry_the_last_word(entries: list[tuple[tuple[str | None, str | None], str]], asked: tuple[str, str]) -> None:
+def test_the_most_specific_entry_holds_and_of_one_entry_the_last_word(
+    entries: list[tuple[tuple[str | None, str | None], str]], asked: tuple[str, str]
+) -> None:
     state = folded(*[TrustSet(A, B, scope, *about) for about, scope in entries], of=INITIAL)  # type: ignore[arg-type]
     last = dict(entries)
     capability, context = asked
-    expected = next((last[about] for about in ((capability, context), (capability, None), (None, context), (None, None)) if about in last), "none")
+    expected = next(
+        (
+            last[about]
+            for about in ((capability, context), (capability, None), (None, context), (None, None))
+            if about in last
+        ),
+        "none",
+    )
     assert scope_of(state, A, B, capability, context) == expected
     assert scope_of(state, B, A, capability, context) == "none"
 
@@ -59,7 +68,11 @@ def test_none_covers_nothing_and_a_broader_scope_covers_a_narrower_one(scope: st
 def test_a_record_counts_the_last_results_that_were_alike(results: list[bool]) -> None:
     state = folded()
     for ordinal, is_success in enumerate(results):
-        state = folded(issued(f"t1/{ordinal}"), closed(f"t1/{ordinal}") if is_success else denied("trust", f"t1/{ordinal}"), of=state)
+        state = folded(
+            issued(f"t1/{ordinal}"),
+            closed(f"t1/{ordinal}") if is_success else denied("trust", f"t1/{ordinal}"),
+            of=state,
+        )
     alike = next((count for count, result in enumerate(reversed(results)) if result != results[-1]), len(results))
     expected = Record(alike, 0) if results and results[-1] else Record(0, alike)
     assert state.records.get(OF_REQUESTER, Record()) == expected
@@ -117,7 +130,9 @@ def test_results_count_for_the_trust_that_holds_in_their_context() -> None:
     of_context = (B, A, DOOR, "t1")
     assert folded(TrustSet(B, A, "task", DOOR, "t1"), issued(), denied("trust")).records == {of_context: Record(0, 1)}
     assert folded(TrustSet(B, A, "task", None, "t1"), issued(), denied("trust")).records == {of_context: Record(0, 1)}
-    assert folded(TrustSet(B, A, "task", None, "t1"), TrustSet(B, A, "task", DOOR), issued(), denied("trust")).records == {OF_REQUESTER: Record(0, 1)}
+    assert folded(
+        TrustSet(B, A, "task", None, "t1"), TrustSet(B, A, "task", DOOR), issued(), denied("trust")
+    ).records == {OF_REQUESTER: Record(0, 1)}
     assert folded(TrustSet(B, A, "task", DOOR, "t2"), issued(), denied("trust")).records == {OF_REQUESTER: Record(0, 1)}
 
 

@@ -32,7 +32,9 @@ def run(*events: Row, run_id: str = "r1", **dimensions: Value) -> list[Row]:
         "parameters": "{}",
     }
     rows = [{"type": "RunStarted.v2", "time_us": 0, **started, **dimensions}, *events]
-    return [{"run_id": run_id, "seq": seq, "caused_by": seq - 1 if seq else None, **row} for seq, row in enumerate(rows)]
+    return [
+        {"run_id": run_id, "seq": seq, "caused_by": seq - 1 if seq else None, **row} for seq, row in enumerate(rows)
+    ]
 
 
 def answer(name: str, *runs: Sequence[Row], columns: Sequence[str] = ()) -> list[tuple[Any, ...]]:
@@ -43,5 +45,7 @@ def answer(name: str, *runs: Sequence[Row], columns: Sequence[str] = ()) -> list
 
 def measured(name: str, *events: Row) -> tuple[int, int, float | None]:
     """Numerator, denominator and value of a metric for one run with these events."""
-    ((numerator, denominator, value),) = answer(f"metrics/{name}", run(*events), columns=("numerator", "denominator", "value"))
+    ((numerator, denominator, value),) = answer(
+        f"metrics/{name}", run(*events), columns=("numerator", "denominator", "value")
+    )
     return numerator, denominator, value

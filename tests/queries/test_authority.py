@@ -25,7 +25,9 @@ def test_a_claim_ends_at_the_first_later_release_by_its_claimant() -> None:
 
 
 def test_a_claim_is_not_ended_by_an_earlier_release_or_one_of_another_dimension_or_action() -> None:
-    assert claims(release("a", 1), claim("a", 1), release("a", 2, dimension="audit"), release("a", 3, action_id="t1/2")) == [("a", 1, None)]
+    assert claims(
+        release("a", 1), claim("a", 1), release("a", 2, dimension="audit"), release("a", 3, action_id="t1/2")
+    ) == [("a", 1, None)]
 
 
 def test_a_second_claim_after_a_release_has_its_own_end() -> None:
@@ -58,11 +60,27 @@ def test_two_claims_of_one_principal_do_not_conflict() -> None:
 
 
 def test_three_principals_and_many_pairs_are_one_conflict() -> None:
-    assert conflicts(claim("a", 1), claim("b", 2), claim("c", 3), release("a", 4), claim("a", 5), release("b", 6), release("c", 7)) == 1
+    assert (
+        conflicts(
+            claim("a", 1),
+            claim("b", 2),
+            claim("c", 3),
+            release("a", 4),
+            claim("a", 5),
+            release("b", 6),
+            release("c", 7),
+        )
+        == 1
+    )
 
 
 def test_dimensions_and_actions_conflict_separately() -> None:
-    other = [claim("a", 1, "execution"), claim("b", 2, "execution"), claim("a", 1, action_id="t1/2"), claim("b", 2, action_id="t1/2")]
+    other = [
+        claim("a", 1, "execution"),
+        claim("b", 2, "execution"),
+        claim("a", 1, action_id="t1/2"),
+        claim("b", 2, action_id="t1/2"),
+    ]
     assert conflicts(claim("a", 1), claim("b", 2), *other) == 3
     assert conflicts(claim("a", 1, "execution"), claim("b", 2, "override"), claim("c", 2, "audit")) == 0
     assert conflicts(claim("a", 1), claim("b", 2, action_id="t1/2")) == 0
@@ -73,5 +91,9 @@ def test_claims_of_two_runs_do_not_conflict() -> None:
 
 
 def test_a_conflict_begins_when_the_first_overlap_begins() -> None:
-    rows = answer("facts/conflicts", run(claim("a", 1), claim("b", 7), claim("c", 5)), columns=("action_id", "dimension", "began_us"))
+    rows = answer(
+        "facts/conflicts",
+        run(claim("a", 1), claim("b", 7), claim("c", 5)),
+        columns=("action_id", "dimension", "began_us"),
+    )
     assert rows == [("t1/1", "override", 5)]

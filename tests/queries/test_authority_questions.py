@@ -18,11 +18,25 @@ def asked(name: str, columns: str, *events: Row, **given: Any) -> list[tuple[Any
 
 def request(time_us: int, action_id: str, requester: str, executor: str, **fields: Any) -> Row:
     about = {"task_id": "visit", "capability": "lift", "override": "none", "decided_by": f"robot/{requester}", **fields}
-    return event("RequestIssued", time_us, action_id=action_id, requested_by=f"robot/{requester}", executed_by=f"robot/{executor}", **about)
+    return event(
+        "RequestIssued",
+        time_us,
+        action_id=action_id,
+        requested_by=f"robot/{requester}",
+        executed_by=f"robot/{executor}",
+        **about,
+    )
 
 
 def judged(time_us: int, action_id: str, verdict: str, executor: str, **fields: Any) -> Row:
-    return event(f"Request{verdict}", time_us, action_id=action_id, decided_by=f"robot/{executor}", executed_by=f"robot/{executor}", **fields)
+    return event(
+        f"Request{verdict}",
+        time_us,
+        action_id=action_id,
+        decided_by=f"robot/{executor}",
+        executed_by=f"robot/{executor}",
+        **fields,
+    )
 
 
 def right(time_us: int, verb: str, requester: str, executor: str | None = None, **fields: Any) -> Row:
@@ -97,7 +111,11 @@ def test_a_right_is_revoked_at_the_next_evaluation_that_it_is_about() -> None:
         request(5, "q3", "A1", "C1"),
         judged(6, "q3", "Admitted", "C1", **ADMITTED),
     )
-    after = (request(7, "q4", "A1", "B1"), judged(9, "q4", "Denied", "B1", reason="authority"), judged(10, "q4", "Denied", "B1", reason="authority"))
+    after = (
+        request(7, "q4", "A1", "B1"),
+        judged(9, "q4", "Denied", "B1", reason="authority"),
+        judged(10, "q4", "Denied", "B1", reason="authority"),
+    )
     row = ("supervisor/fleet", "robot/A1", "human override", 3)
     assert asked("revocations", columns, *before, revoked, *others) == [(*row, None, None, None, None)]
     assert asked("revocations", columns, *before, revoked, *others, *after) == [(*row, 9, 6, "q4", "RequestDenied.v1")]
@@ -105,11 +123,25 @@ def test_a_right_is_revoked_at_the_next_evaluation_that_it_is_about() -> None:
 
 @pytest.mark.parametrize(
     ("about", "effective_us"),
-    [({}, 5), ({"capability": "lift"}, 5), ({"context": "visit"}, 5), ({"capability": "grasp"}, None), ({"context": "rounds"}, None)],
+    [
+        ({}, 5),
+        ({"capability": "lift"}, 5),
+        ({"context": "visit"}, 5),
+        ({"capability": "grasp"}, None),
+        ({"context": "rounds"}, None),
+    ],
 )
-def test_a_right_for_another_capability_or_context_is_another_right(about: dict[str, str], effective_us: int | None) -> None:
-    events = (right(1, "Revoked", "A1", reason="context expired", **about), request(4, "q1", "A1", "B1"), judged(5, "q1", "Denied", "B1", reason="authority"))
-    assert asked("revocations", "effective_us capability context", *events) == [(effective_us, about.get("capability"), about.get("context"))]
+def test_a_right_for_another_capability_or_context_is_another_right(
+    about: dict[str, str], effective_us: int | None
+) -> None:
+    events = (
+        right(1, "Revoked", "A1", reason="context expired", **about),
+        request(4, "q1", "A1", "B1"),
+        judged(5, "q1", "Denied", "B1", reason="authority"),
+    )
+    assert asked("revocations", "effective_us capability context", *events) == [
+        (effective_us, about.get("capability"), about.get("context"))
+    ]
 
 
 def i2_found(*events: Row) -> list[tuple[Any, ...]]:
@@ -117,10 +149,15 @@ def i2_found(*events: Row) -> list[tuple[Any, ...]]:
 
 
 def test_a_revocation_that_a_grant_lifted_or_that_nobody_was_denied_for_never_took_effect() -> None:
-    revoked, granted = right(1, "Revoked", "A1", "B1", reason="human override"), right(2, "Granted", "A1", "B1", override="none")
+    revoked, granted = (
+        right(1, "Revoked", "A1", "B1", reason="human override"),
+        right(2, "Granted", "A1", "B1", override="none"),
+    )
     asking, admitted = request(4, "q1", "A1", "B1"), judged(5, "q1", "Admitted", "B1", **ADMITTED)
     assert asked("revocations", "effective_us boundary", revoked, granted, asking, admitted) == [(None, None)]
-    assert asked("revocations", "effective_us boundary", revoked, asking, judged(5, "q1", "Denied", "B1", reason="trust")) == [(None, None)]
+    assert asked(
+        "revocations", "effective_us boundary", revoked, asking, judged(5, "q1", "Denied", "B1", reason="trust")
+    ) == [(None, None)]
     assert i2_found(revoked, granted, asking, admitted) == []
     assert i2_found(revoked, asking, admitted) == [(5, "robot/B1 admits what robot/A1 may not ask since seq 1")]
 
@@ -144,7 +181,12 @@ def test_the_authority_chain_starts_with_the_rights_that_the_request_rested_on()
         event("ExecutionPreempted", 8, action_id="q1", robot="robot/B1", preempted_by="q2"),
         right(9, "Revoked", "A1", reason="human override"),
     )
-    rows = asked("authority_chain", "time_us deed principal trust may_request may_execute override is_audited", *events, action="q1")
+    rows = asked(
+        "authority_chain",
+        "time_us deed principal trust may_request may_execute override is_audited",
+        *events,
+        action="q1",
+    )
     assert sorted(rows) == [
         (1, "granted", "supervisor/fleet", None, None, None, "emergency-only", None),
         (4, "asked", "robot/A1", None, None, None, "hard-preempt", None),
@@ -176,7 +218,10 @@ def test_a_chain_is_well_formed_when_each_link_was_admitted_by_itself() -> None:
         (1, "admitted", None, False),
         (2, "denied", "trust", False),
     ]
-    assert sorted(asked("delegation_chains", "link verdict is_well_formed", *CHAIN)) == [(1, "admitted", False), (2, None, False)]
+    assert sorted(asked("delegation_chains", "link verdict is_well_formed", *CHAIN)) == [
+        (1, "admitted", False),
+        (2, None, False),
+    ]
 
 
 def test_a_request_that_serves_none_and_is_served_by_none_is_no_chain() -> None:
@@ -184,11 +229,17 @@ def test_a_request_that_serves_none_and_is_served_by_none_is_no_chain() -> None:
     assert asked("delegation_chains", LINKS, *CHAIN, action="q2") == []
     forged = (request(3, "q1", "A1", "B1", parent="q2"), request(4, "q2", "B1", "A1", parent="q1"))
     assert asked("delegation_chains", LINKS, *forged) == [], "a circle begins nowhere"
-    assert asked("delegation_chains", LINKS, CHAIN[4], CHAIN[2]) == [], "a request before the one that it serves is no link"
+    assert asked("delegation_chains", LINKS, CHAIN[4], CHAIN[2]) == [], (
+        "a request before the one that it serves is no link"
+    )
 
 
 def test_the_trust_of_the_last_in_the_first_is_that_for_the_capability() -> None:
-    about = (trust(1, "C1", "A1", "none"), trust(1, "C1", "A1", "task", capability="lift"), trust(2, "C1", "A1", "capability"))
+    about = (
+        trust(1, "C1", "A1", "none"),
+        trust(1, "C1", "A1", "task", capability="lift"),
+        trust(2, "C1", "A1", "capability"),
+    )
     assert sorted(asked("delegation_chains", "link end_scope", *about, *CHAIN)) == [(1, "task"), (2, "task")]
     other = trust(1, "C1", "A1", "task", capability="grasp")
     assert sorted(asked("delegation_chains", "link end_scope", other, *CHAIN), key=str) == [(1, "task"), (2, None)]
@@ -200,8 +251,16 @@ def test_a_relay_link_is_judged_by_the_trust_that_is_most_specific() -> None:
     columns = "link link_scope is_trusted"
     for about in ({"capability": "lift"}, {"context": "visit"}, {"capability": "lift", "context": "visit"}):
         narrow = trust(2, "B1", "A1", "none", **about)
-        assert asked("relay_links", columns, *broad, narrow, trust(3, "B1", "A1", "session"), *relayed) == [(1, "task", True), (2, "none", False)]
+        assert asked("relay_links", columns, *broad, narrow, trust(3, "B1", "A1", "session"), *relayed) == [
+            (1, "task", True),
+            (2, "none", False),
+        ]
     for about in ({"capability": "grasp"}, {"context": "rounds"}):
-        assert asked("relay_links", columns, *broad, trust(2, "B1", "A1", "none", **about), *relayed) == [(1, "task", True), (2, "task", True)]
+        assert asked("relay_links", columns, *broad, trust(2, "B1", "A1", "none", **about), *relayed) == [
+            (1, "task", True),
+            (2, "task", True),
+        ]
     both = (trust(1, "B1", "A1", "none", capability="lift"), trust(2, "B1", "A1", "session", context="visit"))
-    assert asked("relay_links", columns, *broad, *both, *relayed)[1] == (2, "none", False), "the capability's before the context's"
+    assert asked("relay_links", columns, *broad, *both, *relayed)[1] == (2, "none", False), (
+        "the capability's before the context's"
+    )

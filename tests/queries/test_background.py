@@ -6,7 +6,14 @@ from fsar_ledger.metrics.results import metric_rows
 from tests.queries.histories import Row, answer, event, run
 from tests.recycled import from_rows
 
-BESIDE = ("numerator", "denominator", "value", "numerator_without_routine", "denominator_without_routine", "value_without_routine")
+BESIDE = (
+    "numerator",
+    "denominator",
+    "value",
+    "numerator_without_routine",
+    "denominator_without_routine",
+    "value_without_routine",
+)
 WHOLE = {"requested_by": "robot/A1", "executed_by": "robot/A1", "supervised_by": "supervisor/A1"}
 OWN = {"decided_by": "robot/A1", "path": ["robot/A1"]}
 SENSING = event("RoutinePerformed", robot="robot/A1", operation="sensing", **WHOLE, **OWN)
@@ -53,7 +60,8 @@ def shares(*events: Row) -> dict[str, object]:
     return {
         name: value
         for name, value in row.items()
-        if name not in ("architecture", "configuration", "fleet_size", "kind", "source", "model_version", "constants", "seed")
+        if name
+        not in ("architecture", "configuration", "fleet_size", "kind", "source", "model_version", "constants", "seed")
     }
 
 
@@ -79,7 +87,12 @@ def test_runs_of_other_constants_have_a_row_of_their_own() -> None:
 
 
 def test_runs_of_another_seed_have_a_row_of_their_own() -> None:
-    rows = answer("metrics/background", run(SENSING, run_id="r1"), run(CLOSED, run_id="r2", seed=7), columns=("seed", "routine_share_of_decisions"))
+    rows = answer(
+        "metrics/background",
+        run(SENSING, run_id="r1"),
+        run(CLOSED, run_id="r2", seed=7),
+        columns=("seed", "routine_share_of_decisions"),
+    )
     assert sorted(rows) == [(7, 0.0), (42, 1.0)]
 
 
@@ -92,9 +105,14 @@ def test_a_share_of_nothing_is_null() -> None:
 
 
 def test_only_a_supervisor_who_is_recorded_as_absent_is_off_shift() -> None:
-    lacking = event("RoutinePerformed", robot="robot/A1", operation="sensing", **(WHOLE | {"supervised_by": None}), **OWN)
+    lacking = event(
+        "RoutinePerformed", robot="robot/A1", operation="sensing", **(WHOLE | {"supervised_by": None}), **OWN
+    )
     nobody = event("RoutinePerformed", robot="robot/A1", operation="sensing", executed_by="robot/A1", **OWN)
-    left, back = event("SupervisorLeft", supervisor="supervisor/A1"), event("SupervisorReturned", supervisor="supervisor/A1")
+    left, back = (
+        event("SupervisorLeft", supervisor="supervisor/A1"),
+        event("SupervisorReturned", supervisor="supervisor/A1"),
+    )
     name = "off_shift_share_of_unattributable_events"
     assert shares(left, lacking, back)[name] == 1.0
     assert shares(left, back, lacking)[name] == 0.0

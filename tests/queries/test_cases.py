@@ -17,7 +17,12 @@ from fsar_ledger.metrics.observing import types_read
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
 from tests.queries.histories import Row, answer, event, run
 
-TRUST, RECOVERY, CONTENTION, DELIVERY = "mixed-trust-inspection", "failure-recovery-chain", "fleet-contention", "collaborative-delivery"
+TRUST, RECOVERY, CONTENTION, DELIVERY = (
+    "mixed-trust-inspection",
+    "failure-recovery-chain",
+    "fleet-contention",
+    "collaborative-delivery",
+)
 SCENARIOS = {1: TRUST, 2: RECOVERY, 3: CONTENTION, 4: DELIVERY}
 JUDGES = dict(answer("cases/case_definitions", columns=("case_number", "judge")))
 
@@ -39,13 +44,23 @@ def of(claim: str, found: dict[str, dict[str, int]]) -> dict[str, int | None]:
 
 # --- case 1 ---
 
-INJECTED = event("OutsiderRequestInjected", 1, task_id="x1", robot="robot/D1", peer="robot/C1", capability="inspect.private_zone")
+INJECTED = event(
+    "OutsiderRequestInjected", 1, task_id="x1", robot="robot/D1", peer="robot/C1", capability="inspect.private_zone"
+)
 ISSUED = event("RequestIssued", 3, task_id="x1", action_id="x1", requested_by="robot/D1")
 DENIED = event("RequestDenied", 4, task_id="x1", reason="advertisement")
 
 
 def queried(*candidates: str) -> Row:
-    return event("RegistryQueried", 2, task_id="x1", action_id="x1", requested_by="robot/D1", capability="inspect.private_zone", candidates=list(candidates))
+    return event(
+        "RegistryQueried",
+        2,
+        task_id="x1",
+        action_id="x1",
+        requested_by="robot/D1",
+        capability="inspect.private_zone",
+        candidates=list(candidates),
+    )
 
 
 def test_a_request_without_trust_discovers_whom_it_is_told_or_asks_and_is_executed_when_that_begins() -> None:
@@ -62,12 +77,16 @@ def test_a_request_without_trust_discovers_whom_it_is_told_or_asks_and_is_execut
 
 
 def test_a_request_of_which_nothing_more_is_recorded_is_no_case() -> None:
-    assert counted(1, alone=[INJECTED], others=[INJECTED, event("ExecutionStarted", 5, task_id="t1", action_id="t1/1")]) == {"alone": {}, "others": {}}
+    assert counted(
+        1, alone=[INJECTED], others=[INJECTED, event("ExecutionStarted", 5, task_id="t1", action_id="t1/1")]
+    ) == {"alone": {}, "others": {}}
 
 
 # --- case 2 ---
 
-JOINED = [event("RobotJoined", robot=f"robot/{role}1", role=role, team=1, supervisor=f"supervisor/{role}1") for role in "ABCD"]
+JOINED = [
+    event("RobotJoined", robot=f"robot/{role}1", role=role, team=1, supervisor=f"supervisor/{role}1") for role in "ABCD"
+]
 RECOVERING, PLANNING = "agent/D1/recovery", "agent/D1/planning"
 
 
@@ -76,7 +95,17 @@ def failed(time_us: int = 1, failure: int = 1, cause: str = "obstruction", robot
 
 
 def attempted(by: str, failure: int = 1) -> Row:
-    return event("RecoveryAttempted", 2, failed_action="t1/1", failure=failure, robot="robot/D1", decided_by=by, number=1, level="local", deadline_us=9)
+    return event(
+        "RecoveryAttempted",
+        2,
+        failed_action="t1/1",
+        failure=failure,
+        robot="robot/D1",
+        decided_by=by,
+        number=1,
+        level="local",
+        deadline_us=9,
+    )
 
 
 def resolved(level: str = "local", failure: int = 1) -> Row:
@@ -84,7 +113,16 @@ def resolved(level: str = "local", failure: int = 1) -> Row:
 
 
 def escalated(by: str, failure: int = 1) -> Row:
-    return event("RecoveryEscalated", 7, failed_action="t1/1", failure=failure, robot="robot/D1", decided_by=by, level="local", to_level="human")
+    return event(
+        "RecoveryEscalated",
+        7,
+        failed_action="t1/1",
+        failure=failure,
+        robot="robot/D1",
+        decided_by=by,
+        level="local",
+        to_level="human",
+    )
 
 
 def disputed(*claimants: str, began_us: int = 3, ended_us: int = 8) -> list[Row]:
@@ -98,7 +136,14 @@ def test_a_run_is_contained_locally_if_the_robot_itself_resolves_every_failure()
         2,
         itself=[failed(), attempted("robot/D1"), resolved()],
         human=[failed(), attempted("robot/D1"), resolved("human")],
-        one_of_two=[failed(), attempted("robot/D1"), resolved(), failed(10, 2), attempted("robot/D1", 2), resolved("peer", 2)],
+        one_of_two=[
+            failed(),
+            attempted("robot/D1"),
+            resolved(),
+            failed(10, 2),
+            attempted("robot/D1", 2),
+            resolved("peer", 2),
+        ],
         never=[failed(), attempted("robot/D1")],
         ordered=[failed(), attempted("coordinator"), resolved()],
         no_failure=[],
@@ -116,7 +161,13 @@ def test_a_failure_is_escalated_at_once_if_the_coordinator_does_what_is_done_fir
         nothing_done=[failed()],
         one_of_two=[failed(), attempted("coordinator"), failed(5, 2), attempted("robot/D1", 2)],
     )
-    assert of("escalated at once", found) == {"at_once": 1, "robot_first": 0, "supervisor": 0, "nothing_done": 0, "one_of_two": 0}
+    assert of("escalated at once", found) == {
+        "at_once": 1,
+        "robot_first": 0,
+        "supervisor": 0,
+        "nothing_done": 0,
+        "one_of_two": 0,
+    }
 
 
 def test_a_loop_is_a_dispute_of_two_agents_about_a_failure_that_is_escalated_then() -> None:
@@ -127,7 +178,12 @@ def test_a_loop_is_a_dispute_of_two_agents_about_a_failure_that_is_escalated_the
         settled=[*begun, *disputed(RECOVERING, PLANNING), resolved()],
         one_agent=[*begun, *disputed(RECOVERING), end],
         not_about_recovery=[*begun, *disputed(PLANNING, "agent/D1/execution"), end],
-        one_after_the_other=[*begun, *disputed(RECOVERING, ended_us=4), *disputed(PLANNING, began_us=4, ended_us=5), end],
+        one_after_the_other=[
+            *begun,
+            *disputed(RECOVERING, ended_us=4),
+            *disputed(PLANNING, began_us=4, ended_us=5),
+            end,
+        ],
         before_it_failed=[*disputed(RECOVERING, PLANNING, began_us=0), *begun, end],
         after_the_escalation=[*begun, end, *disputed(RECOVERING, PLANNING)],
         no_agents=[failed(), attempted("robot/D1"), *disputed("robot/D1", "robot/A1"), escalated("robot/D1")],
@@ -139,7 +195,14 @@ def test_a_loop_is_a_dispute_of_two_agents_about_a_failure_that_is_escalated_the
 def test_only_a_worn_actuator_of_d_is_degradation() -> None:
     found = counted(
         2,
-        worn=[*JOINED, failed(cause="degradation"), attempted("robot/D1"), resolved(), failed(10, 2), attempted("robot/D1", 2)],
+        worn=[
+            *JOINED,
+            failed(cause="degradation"),
+            attempted("robot/D1"),
+            resolved(),
+            failed(10, 2),
+            attempted("robot/D1", 2),
+        ],
         of_a=[*JOINED, failed(cause="degradation", robot="robot/A1"), attempted("robot/A1"), resolved()],
     )
     assert of("contained locally (degradation)", found) == {"worn": 1, "of_a": None}
@@ -150,12 +213,31 @@ def test_only_a_worn_actuator_of_d_is_degradation() -> None:
 
 
 def begun(task: str, time_us: int, capability: str = "door.open.secure") -> Row:
-    return event("StepBegan", time_us, task_id=task, action_id=f"{task}/1", robot="robot/A1", step=1, attempt=1, capability=capability, target_role="B")
+    return event(
+        "StepBegan",
+        time_us,
+        task_id=task,
+        action_id=f"{task}/1",
+        robot="robot/A1",
+        step=1,
+        attempt=1,
+        capability=capability,
+        target_role="B",
+    )
 
 
 def over(task: str, *claimants: str, dimension: str = "execution") -> list[Row]:
     return [
-        event("AuthorityClaimed", 5, task_id=task, action_id=f"{task}/1", dimension=dimension, claimant=claimant, reason="command") for claimant in claimants
+        event(
+            "AuthorityClaimed",
+            5,
+            task_id=task,
+            action_id=f"{task}/1",
+            dimension=dimension,
+            claimant=claimant,
+            reason="command",
+        )
+        for claimant in claimants
     ]
 
 
@@ -188,7 +270,12 @@ def test_conflicts_over_the_contended_capability_count_and_those_over_execution_
         another_capability=[*BOTH, begun("t3", 3, "carry.heavy"), *over("t3", "x", "y")],
     )
     assert of("conflicts", found) == {"execution": 1, "two": 2, "each_its_own": 0, "another_capability": 0}
-    assert of("conflicts over execution", found) == {"execution": 1, "two": 1, "each_its_own": 0, "another_capability": 0}
+    assert of("conflicts over execution", found) == {
+        "execution": 1,
+        "two": 1,
+        "each_its_own": 0,
+        "another_capability": 0,
+    }
 
 
 def test_a_conflict_is_for_h_f_if_it_is_called_after_it_to_order_the_two() -> None:
@@ -212,7 +299,17 @@ def test_a_conflict_is_for_h_f_if_it_is_called_after_it_to_order_the_two() -> No
 
 KNOWN = {"requested_by": "robot/A1", "executed_by": "robot/D1", "supervised_by": "supervisor/D1"}
 ENDED = event("ExecutionFinished", 8, task_id="t1", action_id="t1/1", robot="robot/D1", result="success", **KNOWN)
-STEP = event("StepBegan", 1, task_id="t1", action_id="t1/1", robot="robot/A1", step=1, attempt=1, capability="carry.heavy", target_role="D")
+STEP = event(
+    "StepBegan",
+    1,
+    task_id="t1",
+    action_id="t1/1",
+    robot="robot/A1",
+    step=1,
+    attempt=1,
+    capability="carry.heavy",
+    target_role="D",
+)
 ORPHAN = event("CandidateMatched", 2, task_id="t1", decided_by="coordinator", supervised_by="supervisor/fleet")
 """It has no origin, no executor and no action; what comes before it in the history caused it."""
 
@@ -229,10 +326,28 @@ def test_the_events_of_a_handoff_are_counted_and_those_that_lack_a_principal() -
         complete=[*JOINED, STEP, event("RequestAccepted", 2, task_id="t1", action_id="t1/1", **KNOWN), ENDED],
         tied_by_its_cause=[*JOINED, STEP, ORPHAN, ORPHAN, ENDED],
         tied_to_nothing=[*JOINED, STEP, {**ORPHAN, "caused_by": 0}, ENDED],
-        disturbed=[*JOINED, STEP, attempted("coordinator"), event("ReplanOrdered", 3, task_id="t1", decided_by="coordinator"), ENDED],
+        disturbed=[
+            *JOINED,
+            STEP,
+            attempted("coordinator"),
+            event("ReplanOrdered", 3, task_id="t1", decided_by="coordinator"),
+            ENDED,
+        ],
     )
-    assert of("events", found) == {"result": 1, "complete": 2, "tied_by_its_cause": 3, "tied_to_nothing": 1, "disturbed": 1}
-    assert of("unattributed events", found) == {"result": 0, "complete": 0, "tied_by_its_cause": 2, "tied_to_nothing": 0, "disturbed": 0}
+    assert of("events", found) == {
+        "result": 1,
+        "complete": 2,
+        "tied_by_its_cause": 3,
+        "tied_to_nothing": 1,
+        "disturbed": 1,
+    }
+    assert of("unattributed events", found) == {
+        "result": 0,
+        "complete": 0,
+        "tied_by_its_cause": 2,
+        "tied_to_nothing": 0,
+        "disturbed": 0,
+    }
 
 
 def test_messages_between_agents_of_the_executor_count_beside_the_chain() -> None:
@@ -242,10 +357,25 @@ def test_messages_between_agents_of_the_executor_count_beside_the_chain() -> Non
         there_and_back=[*JOINED, STEP, *way_in, internal("agent/D1/execution", PLANNING), ENDED],
         of_the_requester=[*JOINED, STEP, internal("agent/A1/planning", "agent/A1/communication"), ENDED],
         of_nothing=[*JOINED, STEP, internal(PLANNING, "agent/D1/execution", caused_by=0), ENDED],
-        attributed=[*JOINED, STEP, internal(PLANNING, "agent/D1/execution", requested_by="robot/A1", supervised_by="supervisor/D1"), ENDED],
+        attributed=[
+            *JOINED,
+            STEP,
+            internal(PLANNING, "agent/D1/execution", requested_by="robot/A1", supervised_by="supervisor/D1"),
+            ENDED,
+        ],
     )
-    assert of("internal events", found) == {"there_and_back": 3, "of_the_requester": 0, "of_nothing": 0, "attributed": 0}
-    assert of("internal events (inward)", found) == {"there_and_back": 2, "of_the_requester": 0, "of_nothing": 0, "attributed": 0}
+    assert of("internal events", found) == {
+        "there_and_back": 3,
+        "of_the_requester": 0,
+        "of_nothing": 0,
+        "attributed": 0,
+    }
+    assert of("internal events (inward)", found) == {
+        "there_and_back": 2,
+        "of_the_requester": 0,
+        "of_nothing": 0,
+        "attributed": 0,
+    }
     assert of("events", found) == dict.fromkeys(found, 1)
 
 
@@ -253,7 +383,11 @@ def test_only_what_a_asks_and_d_has_ended_is_a_handoff() -> None:
     found = counted(
         4,
         of_d=[*JOINED, {**STEP, "robot": "robot/D1"}, ENDED],
-        unfinished=[*JOINED, STEP, event("ExecutionStarted", 8, task_id="t1", action_id="t1/1", robot="robot/D1", **KNOWN)],
+        unfinished=[
+            *JOINED,
+            STEP,
+            event("ExecutionStarted", 8, task_id="t1", action_id="t1/1", robot="robot/D1", **KNOWN),
+        ],
         to_b=[*JOINED, STEP, {**ENDED, "robot": "robot/B1"}],
     )
     assert found == {"of_d": {}, "unfinished": {}, "to_b": {}}
@@ -264,10 +398,21 @@ def test_only_what_a_asks_and_d_has_ended_is_a_handoff() -> None:
 
 def test_runs_of_other_seeds_sizes_and_configurations_are_never_in_one_row() -> None:
     failures = (*JOINED, failed(), attempted("robot/D1"), resolved())
-    others: list[dict[str, Any]] = [{}, {"run": 1}, {"seed": 7}, {"fleet_size": 8}, {"configuration": "without-trust-evaluation"}, {"parameters": '{"a":1}'}]
+    others: list[dict[str, Any]] = [
+        {},
+        {"run": 1},
+        {"seed": 7},
+        {"fleet_size": 8},
+        {"configuration": "without-trust-evaluation"},
+        {"parameters": '{"a":1}'},
+    ]
     runs = [run(*failures, run_id=f"r{number}", scenario=RECOVERY, **other) for number, other in enumerate(others)]
     columns = ("claim", "seed", "fleet_size", "configuration", "runs", "numerator", "denominator")
-    rows = [row[1:] for row in answer("cases/case_2_recovery_containment", *runs, columns=columns) if row[0] == "contained locally"]
+    rows = [
+        row[1:]
+        for row in answer("cases/case_2_recovery_containment", *runs, columns=columns)
+        if row[0] == "contained locally"
+    ]
     one = [(7, 4, "full"), (42, 8, "full"), (42, 4, "without-trust-evaluation"), (42, 4, "full")]
     assert sorted(rows) == sorted([(*key, 1, 1, 1) for key in one] + [(42, 4, "full", 2, 2, 2)])
 
@@ -277,7 +422,16 @@ def test_a_claim_has_no_number_where_its_scenario_was_not_run_or_is_not_observed
     for number, scenario in SCENARIOS.items():
         runs += [run(scenario=scenario, architecture=f"blind {number}", run_id=f"blind {number}", observes=[])]
         runs += [run(scenario=scenario, architecture=f"empty {number}", run_id=f"empty {number}")]
-    columns = ("architecture", "case_number", "runs", "runs_with_case", "runs_not_observed", "numerator", "denominator", "value")
+    columns = (
+        "architecture",
+        "case_number",
+        "runs",
+        "runs_with_case",
+        "runs_not_observed",
+        "numerator",
+        "denominator",
+        "value",
+    )
     for architecture, number, *found in answer("cases/case_claims", *runs, columns=columns):
         expected = {f"blind {number}": [0, 0, 1, None, None, None], f"empty {number}": [1, 0, 0, 0, 0, None]}
         assert found == expected.get(architecture, [0, 0, 0, None, None, None])
@@ -295,7 +449,9 @@ def variants() -> Iterator[pa.Table]:
             values = {"run_id": [f"{scenario}:{name}"] * len(left), "architecture": [name, *rest]}
             values["observes"] = [[one for one in CONCERNS if one != missing], *rest]
             for column, cells in values.items():
-                left = left.set_column(left.schema.get_field_index(column), column, pa.array(cells, left.schema.field(column).type))
+                left = left.set_column(
+                    left.schema.get_field_index(column), column, pa.array(cells, left.schema.field(column).type)
+                )
             yield left
 
 
@@ -311,9 +467,15 @@ def test_a_claim_has_no_number_without_a_concern_that_it_rests_on_and_else_the_s
             assert numbers == [None, None, None, 0, 1], (name, claim)
             hidden += 1
         else:
-            assert numbers == [rows[f"{architecture}:nothing", claim][column] for column in ("numerator", "denominator", "value", "runs", "runs_not_observed")]
+            assert numbers == [
+                rows[f"{architecture}:nothing", claim][column]
+                for column in ("numerator", "denominator", "value", "runs", "runs_not_observed")
+            ]
     assert hidden > 100
-    assert [rows["dhma:nothing", claim]["denominator"] > 0 for claim in ("executed", "recovery loop", "conflicts", "internal events")] == [True] * 4
+    assert [
+        rows["dhma:nothing", claim]["denominator"] > 0
+        for claim in ("executed", "recovery loop", "conflicts", "internal events")
+    ] == [True] * 4
 
 
 @pytest.mark.parametrize("number", SCENARIOS)
@@ -321,7 +483,9 @@ def test_a_case_rests_on_the_concerns_of_all_events_that_its_evidence_reads(numb
     concern_of = dict(answer("facts/event_concerns"))
     types = types_read(library(), library().relations[f"case_{number}_evidence"])
     needed = {concern for judge, concern, _ in answer("facts/judged_concerns") if judge == JUDGES[number]}
-    causes = {"authority", "knowledge"} if number == 4 else set()  # the chain of causes, by which a record is tied to its action, leads through them
+    causes = (
+        {"authority", "knowledge"} if number == 4 else set()
+    )  # the chain of causes, by which a record is tied to its action, leads through them
     assert types is not None
     assert needed == {concern_of[tag] for tag in types if tag in concern_of} | causes
 
@@ -329,9 +493,13 @@ def test_a_case_rests_on_the_concerns_of_all_events_that_its_evidence_reads(numb
 def test_the_events_behind_a_number_are_listed_with_the_action_to_explain() -> None:
     with from_rows(run(INJECTED, queried(), ISSUED, scenario=TRUST)) as database:
         found = database.query("cases/case_events", {"number": "1"}).to_pylist()
-        with pytest.raises(QueryFailed, match="found number=1, claim=conflicts, expected those of a row of cases/case_definitions"):
+        with pytest.raises(
+            QueryFailed, match="found number=1, claim=conflicts, expected those of a row of cases/case_definitions"
+        ):
             database.query("cases/case_events", {"number": "1", "claim": "conflicts"})
-    assert sorted((row["claim"], row["case_seq"], row["counted"], row["seq"], row["type"], row["action_id"]) for row in found) == [
+    assert sorted(
+        (row["claim"], row["case_seq"], row["counted"], row["seq"], row["type"], row["action_id"]) for row in found
+    ) == [
         ("attempted", 1, 1, 3, "RequestIssued.v1", "x1"),
         ("discovered", 1, 1, 3, "RequestIssued.v1", "x1"),
         ("executed", 1, 0, None, None, "x1"),
@@ -339,12 +507,20 @@ def test_the_events_behind_a_number_are_listed_with_the_action_to_explain() -> N
 
 
 def test_the_evidence_of_each_claim_adds_up_to_its_number_and_names_events_of_the_run() -> None:
-    specs = [RunSpec(42, architecture, "full", scenario, 4, 3) for architecture in ARCHITECTURES for scenario in SCENARIOS.values()]  # type: ignore[arg-type]
+    specs = [
+        RunSpec(42, architecture, "full", scenario, 4, 3)  # type: ignore[arg-type]
+        for architecture in ARCHITECTURES
+        for scenario in SCENARIOS.values()
+    ]
     with from_table(encode([simulate_run(spec, Constants()) for spec in specs])) as database:
         claims = {(row["claim"], row["architecture"]): row for row in database.query("cases/case_claims").to_pylist()}
         events = database.query("cases/case_events").to_pylist()
     assert len(claims) == len(ARCHITECTURES) * len(answer("cases/case_definitions"))
     assert {(row["counted"] > 0, row["type"] is not None) for row in events} == {(True, True), (False, False)}
     for (claim, architecture), row in claims.items():
-        things = {(one["run_id"], one["case_seq"]): one["counted"] for one in events if (one["claim"], one["architecture"]) == (claim, architecture)}
+        things = {
+            (one["run_id"], one["case_seq"]): one["counted"]
+            for one in events
+            if (one["claim"], one["architecture"]) == (claim, architecture)
+        }
         assert (sum(things.values()), len(things)) == (row["numerator"], row["denominator"]), (claim, architecture)

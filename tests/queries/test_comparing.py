@@ -9,7 +9,15 @@ from scipy import stats
 
 from fsar_ledger.events.concerns import EVENTS_OF
 from fsar_ledger.events.world import WorldEvent
-from fsar_ledger.metrics.comparing import DifferingWorlds, differing_worlds, imputed, left_over, not_compared, remarks_on, too_few
+from fsar_ledger.metrics.comparing import (
+    DifferingWorlds,
+    differing_worlds,
+    imputed,
+    left_over,
+    not_compared,
+    remarks_on,
+    too_few,
+)
 from fsar_ledger.metrics.database import Value
 from fsar_ledger.metrics.results import StatisticRow, statistic_rows
 from tests.queries.histories import Row, S, answer, event, run
@@ -22,7 +30,13 @@ SUMMARY = ("comparison", "differs", "first_run_id", "second_run_id")
 
 
 def of(architecture: str, number: int, *events: Row, **dimensions: Value) -> list[Row]:
-    return run(*events, run_id=f"{architecture}-{number}-{dimensions.get('configuration', 'full')}", architecture=architecture, run=number, **dimensions)
+    return run(
+        *events,
+        run_id=f"{architecture}-{number}-{dimensions.get('configuration', 'full')}",
+        architecture=architecture,
+        run=number,
+        **dimensions,
+    )
 
 
 def said(*runs: Sequence[Row]) -> tuple[list[DifferingWorlds], list[str], list[StatisticRow]]:
@@ -37,10 +51,19 @@ def test_runs_whose_facts_differ_are_no_pair_and_are_named_with_the_first_fact()
     assert len(differing) == 1
     found = differing[0]
     assert (found.comparison, found.differs, found.pairs, found.is_fault) == ("fsar-cfc", "facts", 1, True)
-    assert (found.first.first_run_id, found.first.first_found) == ("fsar-1-full", '2.0 s PeersMet.v1 peer="robot/B1" robot="robot/A1"')
-    assert (found.first.second_run_id, found.first.second_found) == ("cfc-1-full", '2.0 s ObstructionAppeared.v1 obstruction="o1" robot="robot/A1"')
+    assert (found.first.first_run_id, found.first.first_found) == (
+        "fsar-1-full",
+        '2.0 s PeersMet.v1 peer="robot/B1" robot="robot/A1"',
+    )
+    assert (found.first.second_run_id, found.first.second_found) == (
+        "cfc-1-full",
+        '2.0 s ObstructionAppeared.v1 obstruction="o1" robot="robot/A1"',
+    )
     assert {row.n for row in rows} == {1}
-    assert "1 pair of runs is left out: they did not meet the same facts of the world; first under seed 42, door-relay, 4 robots, run 1:" in str(found)
+    assert (
+        "1 pair of runs is left out: they did not meet the same facts of the world; first under seed 42, door-relay, 4 robots, run 1:"
+        in str(found)
+    )
 
 
 @pytest.mark.parametrize(
@@ -62,7 +85,9 @@ def test_a_fact_is_its_time_its_type_and_its_fields(other: Row) -> None:
 def test_neither_decisions_nor_the_order_of_facts_of_one_time_make_another_world() -> None:
     first, second = of("fsar", 0, CALL, OBSTRUCTED, MET), of("cfc", 0, MET, OBSTRUCTED, CALL, CALL)
     assert answer("statistics/differing_worlds", first, second) == []
-    assert answer("statistics/run_pairs", first, second, columns=("first_run_id", "second_run_id", "differs")) == [("fsar-0-full", "cfc-0-full", None)]
+    assert answer("statistics/run_pairs", first, second, columns=("first_run_id", "second_run_id", "differs")) == [
+        ("fsar-0-full", "cfc-0-full", None)
+    ]
 
 
 def test_constants_of_a_pair_are_compared_by_value_and_other_ones_are_named() -> None:
@@ -70,8 +95,14 @@ def test_constants_of_a_pair_are_compared_by_value_and_other_ones_are_named() ->
     assert answer("statistics/differing_worlds", of("fsar", 0, parameters=text), of("cfc", 0, parameters=same)) == []
     (found,), (why, *_), rows = said(of("fsar", 0, parameters=text), of("cfc", 0, parameters=other))
     assert (found.differs, found.is_fault, rows) == ("setting", False, [])
-    assert (found.first.first_found, found.first.second_found) == ("simulated, model test, world.b=2", "simulated, model test, world.b=3")
-    assert why == "fsar-cfc: every pair of runs (1) is left out, as said above; simulate both under one world and the same constants"
+    assert (found.first.first_found, found.first.second_found) == (
+        "simulated, model test, world.b=2",
+        "simulated, model test, world.b=3",
+    )
+    assert (
+        why
+        == "fsar-cfc: every pair of runs (1) is left out, as said above; simulate both under one world and the same constants"
+    )
 
 
 def test_a_run_with_a_counterpart_under_its_own_constants_is_not_held_against_others() -> None:
@@ -89,13 +120,20 @@ def test_nobody_says_which_of_two_runs_of_one_world_is_the_pair() -> None:
 
 
 def test_a_world_that_was_not_observed_is_not_taken_for_the_same() -> None:
-    found = answer("statistics/differing_worlds", of("fsar", 0), of("cfc", 0, observes=["request"]), columns=SUMMARY[:2])
+    found = answer(
+        "statistics/differing_worlds", of("fsar", 0), of("cfc", 0, observes=["request"]), columns=SUMMARY[:2]
+    )
     assert found == [("fsar-cfc", "unobserved")]
 
 
 def test_whose_source_records_the_world_records_every_fact_of_it() -> None:
-    concerns = {concern for concern, names in EVENTS_OF.items() for fact in get_args(WorldEvent) if fact.__name__ in names}
-    runs = [of("fsar", 0, observes=sorted(concerns)), *(of("fsar", at, observes=sorted(concerns - {one})) for at, one in enumerate(concerns, 1))]
+    concerns = {
+        concern for concern, names in EVENTS_OF.items() for fact in get_args(WorldEvent) if fact.__name__ in names
+    }
+    runs = [
+        of("fsar", 0, observes=sorted(concerns)),
+        *(of("fsar", at, observes=sorted(concerns - {one})) for at, one in enumerate(concerns, 1)),
+    ]
     observing = answer("statistics/compared_runs", *runs, columns=("run_id", "observes_world"))
     assert [run_id for run_id, observes in observing if observes] == ["fsar-0-full"]
     assert len(observing) == 1 + len(concerns) > 4
@@ -104,13 +142,19 @@ def test_whose_source_records_the_world_records_every_fact_of_it() -> None:
 def test_of_many_seeds_the_first_are_named_and_the_others_counted() -> None:
     runs = [of("fsar", at, seed=at) for at in range(1, 9)]
     _, (why, *_), _ = said(*runs, of("cfc", 0, seed=99))
-    assert "fsar (full) under seeds 1, 2, 3, 4, 5 and 3 more, 4 robots, door-relay; cfc (full) under seeds 99, 4 robots" in why
+    assert (
+        "fsar (full) under seeds 1, 2, 3, 4, 5 and 3 more, 4 robots, door-relay; cfc (full) under seeds 99, 4 robots"
+        in why
+    )
 
 
 def ablated(calls: Sequence[int], *, with_full: bool = True) -> list[list[Row]]:
     """Runs of FSAR, and of FSAR without trust evaluation with so many calls more."""
     full = [of("fsar", at, *[CALL] * (at % 2)) for at in range(len(calls))] if with_full else []
-    return [*full, *(of("fsar", at, *[CALL] * more, configuration="without-trust-evaluation") for at, more in enumerate(calls))]
+    return [
+        *full,
+        *(of("fsar", at, *[CALL] * more, configuration="without-trust-evaluation") for at, more in enumerate(calls)),
+    ]
 
 
 def test_an_ablation_is_compared_with_the_whole_architecture_in_pairs() -> None:
@@ -120,8 +164,15 @@ def test_an_ablation_is_compared_with_the_whole_architecture_in_pairs() -> None:
     row = next(row for row in rows if row.metric == "human_intervention")
     first, second = np.arange(16) % 2, np.minimum(calls, 1)
     expected = stats.ttest_rel(first, second)
-    assert (row.comparison, row.configuration, row.family, row.n) == ("fsar-without-trust-evaluation", "without-trust-evaluation", "ablations of fsar", 16)
-    assert (row.first_mean, row.second_mean, row.t, row.p) == pytest.approx((first.mean(), second.mean(), expected.statistic, expected.pvalue))
+    assert (row.comparison, row.configuration, row.family, row.n) == (
+        "fsar-without-trust-evaluation",
+        "without-trust-evaluation",
+        "ablations of fsar",
+        16,
+    )
+    assert (row.first_mean, row.second_mean, row.t, row.p) == pytest.approx(
+        (first.mean(), second.mean(), expected.statistic, expected.pvalue)
+    )
     assert row.d_z == pytest.approx((first - second).mean() / (first - second).std(ddof=1))
     assert row.wilcoxon_p is not None
     assert (row.family_tests, row.p_holm) == (1, row.p), "the other seven do not vary"
@@ -138,15 +189,30 @@ def test_ablations_are_adjusted_apart_from_architectures() -> None:
 def test_what_cannot_be_compared_is_said_with_what_it_takes() -> None:
     cases: list[tuple[list[list[Row]], str]] = [
         ([], "found no runs; `fsar-ledger simulate` makes some"),
-        ([of("fsar", 0)], "fsar-cfc: found 1 run of fsar (full) and none of cfc (full); simulate it with the same seed, scenarios, runs and fleet size"),
-        (ablated([0], with_full=False), "fsar-without-trust-evaluation: found 1 run of fsar (without-trust-evaluation) and none of fsar (full)"),
+        (
+            [of("fsar", 0)],
+            "fsar-cfc: found 1 run of fsar (full) and none of cfc (full); simulate it with the same seed, scenarios, runs and fleet size",
+        ),
+        (
+            ablated([0], with_full=False),
+            "fsar-without-trust-evaluation: found 1 run of fsar (without-trust-evaluation) and none of fsar (full)",
+        ),
         (
             [of("fsar", 0), of("cfc", 0, seed=7)],
             "no run of both has the same seed, scenario, fleet size and number: found fsar (full) under seeds 42, 4 robots",
         ),
-        ([of("fsar", 0), of("cfc", 0, fleet_size=8)], "cfc (full) under seeds 42, 8 robots, door-relay; simulate one as the other"),
-        ([of("fsar", 0, seed=None, kind="foreign")], "found 1 run (foreign) of fsar, all without seed, scenario, fleet size or number"),
-        ([of("ours", 0), of("theirs", 0)], "found 1 run (simulated) of ours, 1 run (simulated) of theirs; expected fsar, cfc or dhma"),
+        (
+            [of("fsar", 0), of("cfc", 0, fleet_size=8)],
+            "cfc (full) under seeds 42, 8 robots, door-relay; simulate one as the other",
+        ),
+        (
+            [of("fsar", 0, seed=None, kind="foreign")],
+            "found 1 run (foreign) of fsar, all without seed, scenario, fleet size or number",
+        ),
+        (
+            [of("ours", 0), of("theirs", 0)],
+            "found 1 run (simulated) of ours, 1 run (simulated) of theirs; expected fsar, cfc or dhma",
+        ),
     ]
     for runs, expected in cases:
         _, why, rows = said(*runs)
@@ -175,7 +241,10 @@ def test_runs_without_a_partner_are_said() -> None:
 
 
 def test_runs_counted_as_the_paper_does_are_said_and_pairs_of_nothing_else_are_no_test() -> None:
-    failed = (event("ExecutionFailed", 0, action_id="t1/1", failure=1), event("FailureResolved", S, action_id="t1/1", failure=1, level="local"))
+    failed = (
+        event("ExecutionFailed", 0, action_id="t1/1", failure=1),
+        event("FailureResolved", S, action_id="t1/1", failure=1, level="local"),
+    )
     names = ("recovery_containment", "reassignment_latency_s")
     for runs, shown in (([of("fsar", 0), of("cfc", 0)], 0), ([of("fsar", 0, *failed), of("cfc", 0)], 2)):
         with from_rows([row for rows in runs for row in rows]) as database:
@@ -183,7 +252,9 @@ def test_runs_counted_as_the_paper_does_are_said_and_pairs_of_nothing_else_are_n
             said_of_them = imputed(database, rows)
         assert [row.metric for row in rows if row.metric in names] == list(names[:shown])
         assert len(said_of_them) == shown
-    assert said_of_them[1].startswith("reassignment_latency_s: 1 run without a failure counts as in the paper, as 0 s (basis published)")
+    assert said_of_them[1].startswith(
+        "reassignment_latency_s: 1 run without a failure counts as in the paper, as 0 s (basis published)"
+    )
 
 
 def test_a_missing_wilcoxon_test_has_its_reason() -> None:

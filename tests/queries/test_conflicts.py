@@ -26,7 +26,12 @@ def events_of(claims: Sequence[Held], action: str) -> list[tuple[int, Row]]:
     """Claims and releases with their times; each claim has a reason of its own, so that its release ends no other."""
     found: list[tuple[int, Row]] = []
     for number, held in enumerate(claims):
-        fields = {"claimant": held.claimant, "action_id": action, "dimension": "override", "reason": f"{action} {number}"}
+        fields = {
+            "claimant": held.claimant,
+            "action_id": action,
+            "dimension": "override",
+            "reason": f"{action} {number}",
+        }
         found.append((held.began, event("AuthorityClaimed", held.began, **fields)))
         if held.ended < FOREVER:
             found.append((held.ended, event("AuthorityReleased", held.ended, **fields)))
@@ -36,7 +41,11 @@ def events_of(claims: Sequence[Held], action: str) -> list[tuple[int, Row]]:
 def first_overlap(claims: Sequence[Held]) -> int | None:
     """When two principals first hold at once, by comparing every pair of claims that last."""
     pairs = combinations([held for held in claims if held.ended > held.began], 2)
-    overlaps = [(max(one.began, other.began), min(one.ended, other.ended)) for one, other in pairs if one.claimant != other.claimant]
+    overlaps = [
+        (max(one.began, other.began), min(one.ended, other.ended))
+        for one, other in pairs
+        if one.claimant != other.claimant
+    ]
     return min((began for began, ended in overlaps if began < ended), default=None)
 
 
@@ -46,7 +55,11 @@ def test_the_sweep_finds_what_comparing_every_pair_finds() -> None:
     for number in range(400):
         claimants = "abcd"[: draw.randint(1, 4)]
         claims = [
-            Held(draw.choice(claimants), (began := draw.randint(0, 12)), draw.choice([FOREVER, *[began + draw.randint(0, 5)] * 5]))
+            Held(
+                draw.choice(claimants),
+                (began := draw.randint(0, 12)),
+                draw.choice([FOREVER, *[began + draw.randint(0, 5)] * 5]),
+            )
             for _ in range(draw.randint(1, 7))
         ]
         actions[f"a{number}"] = claims
@@ -65,9 +78,16 @@ def test_ten_times_the_open_claims_take_no_hundred_times_as_long() -> None:
 
 def taken(claims: int) -> float:
     """Seconds for one action on which so many principals hold open claims."""
-    names = {"run_id": ["r"] * claims, "action_id": ["a"] * claims, "dimension": ["override"] * claims, "type": ["AuthorityClaimed.v1"] * claims}
+    names = {
+        "run_id": ["r"] * claims,
+        "action_id": ["a"] * claims,
+        "dimension": ["override"] * claims,
+        "type": ["AuthorityClaimed.v1"] * claims,
+    }
     numbers = list(range(claims))
-    table = pa.table({**names, "seq": numbers, "time_us": numbers, "claimant": [f"robot/{number}" for number in numbers]})
+    table = pa.table(
+        {**names, "seq": numbers, "time_us": numbers, "claimant": [f"robot/{number}" for number in numbers]}
+    )
     with from_table(table, threads=1) as database:
         began = time.perf_counter()
         assert database.rows("SELECT began_us FROM conflicts") == [{"began_us": 1}]

@@ -20,13 +20,28 @@ WHOLE = {"requested_by": "robot/A1", "executed_by": "robot/B1", "supervised_by":
         (None, ["coordinator"], False),
     ],
 )
-def test_a_decision_is_local_if_a_robot_or_named_supervisor_took_it_by_itself(decided_by: str | None, path: list[str], is_local: bool) -> None:
-    rows = answer("facts/decisions", run(event("OwnStepDecided", decided_by=decided_by, path=path)), columns=("decision_kind", "is_local"))
+def test_a_decision_is_local_if_a_robot_or_named_supervisor_took_it_by_itself(
+    decided_by: str | None, path: list[str], is_local: bool
+) -> None:
+    rows = answer(
+        "facts/decisions",
+        run(event("OwnStepDecided", decided_by=decided_by, path=path)),
+        columns=("decision_kind", "is_local"),
+    )
     assert rows == [("own-step", is_local)]
 
 
 def test_an_event_with_an_empty_path_is_no_decision() -> None:
-    assert answer("facts/decisions", run(event("ExecutionHeld", decided_by=None, path=[]), event("ExecutionHeld", decided_by="robot/A1", path=None))) == []
+    assert (
+        answer(
+            "facts/decisions",
+            run(
+                event("ExecutionHeld", decided_by=None, path=[]),
+                event("ExecutionHeld", decided_by="robot/A1", path=None),
+            ),
+        )
+        == []
+    )
 
 
 def test_a_type_that_decides_nothing_is_no_decision() -> None:
@@ -43,7 +58,9 @@ def decided(*events: Row) -> list[str]:
 
 def test_a_denial_that_still_stands_when_looked_at_again_is_not_decided_again() -> None:
     assert len(decided(denied(), denied(), denied())) == 1
-    assert len(decided(denied(action="t1/1.1"), denied(action="t1/1.2"))) == 1, "a new number for the same step asks nobody anew"
+    assert len(decided(denied(action="t1/1.1"), denied(action="t1/1.2"))) == 1, (
+        "a new number for the same step asks nobody anew"
+    )
 
 
 def test_a_denial_of_something_else_or_by_somebody_else_is_decided() -> None:
@@ -55,7 +72,10 @@ def test_a_denial_of_something_else_or_by_somebody_else_is_decided() -> None:
 
 def test_who_asks_again_decides_to_ask_and_the_answer_is_a_decision() -> None:
     asked = event("RequestIssued", task_id="t1", decided_by="robot/A1", path=["robot/A1"])
-    assert decided(asked, denied(by="robot/B1"), asked, denied(by="robot/B1")) == ["RequestIssued.v1", "RequestDenied.v1"] * 2
+    assert (
+        decided(asked, denied(by="robot/B1"), asked, denied(by="robot/B1"))
+        == ["RequestIssued.v1", "RequestDenied.v1"] * 2
+    )
 
 
 def test_what_is_no_denial_is_decided_each_time() -> None:
@@ -87,13 +107,21 @@ def test_a_record_with_all_principals_is_attributable_without_any_other() -> Non
 def test_a_record_that_lacks_one_principal_is_not_attributable(lacking: str) -> None:
     ((*_, whole),) = judged(event("GapDetected", **(WHOLE | {lacking: None})))
     assert whole is False
-    judgements = judged(*[event(name, action_id="t1/1", **(WHOLE | {lacking: None})) for name in ("GapDetected", "RequestIssued")])
+    judgements = judged(
+        *[event(name, action_id="t1/1", **(WHOLE | {lacking: None})) for name in ("GapDetected", "RequestIssued")]
+    )
     assert [whole for *_, whole in judgements] == [False, False], "the other record of the action lacks it too"
 
 
 def test_a_principal_is_recoverable_from_a_record_of_the_same_robots_part_in_the_same_action() -> None:
     gap = event("GapDetected", action_id="t1/1", requested_by="robot/A1", supervised_by="supervisor/A1")
-    issued = event("RequestIssued", action_id="t1/1", requested_by="robot/A1", executed_by="robot/B1", supervised_by="supervisor/A1")
+    issued = event(
+        "RequestIssued",
+        action_id="t1/1",
+        requested_by="robot/A1",
+        executed_by="robot/B1",
+        supervised_by="supervisor/A1",
+    )
     assert judged(gap, issued) == [(True, True, True, True)] * 2
 
 
@@ -101,8 +129,18 @@ def test_a_losing_bidder_is_not_credited_with_the_winner() -> None:
     asked = {"action_id": "t1/1", "requested_by": "robot/A1"}
     lost = event("RequestAdmitted", decided_by="agent/B2/execution", supervised_by="supervisor/B2", **asked)
     won = event("RequestAdmitted", decided_by="agent/B1/execution", supervised_by="supervisor/B1", **asked)
-    accepted = event("RequestAccepted", decided_by="agent/B1/execution", executed_by="robot/B1", supervised_by="supervisor/B1", **asked)
-    assert judged(lost, won, accepted) == [(True, False, True, False), (True, True, True, True), (True, True, True, True)]
+    accepted = event(
+        "RequestAccepted",
+        decided_by="agent/B1/execution",
+        executed_by="robot/B1",
+        supervised_by="supervisor/B1",
+        **asked,
+    )
+    assert judged(lost, won, accepted) == [
+        (True, False, True, False),
+        (True, True, True, True),
+        (True, True, True, True),
+    ]
 
 
 def test_a_supervisor_is_not_credited_with_another_robots_shift() -> None:
@@ -113,22 +151,32 @@ def test_a_supervisor_is_not_credited_with_another_robots_shift() -> None:
 
 
 def test_a_record_that_names_no_robot_recovers_nothing() -> None:
-    answered = event("SupervisorResponded", action_id="t1/1", decided_by="supervisor/fleet", supervised_by="supervisor/fleet")
+    answered = event(
+        "SupervisorResponded", action_id="t1/1", decided_by="supervisor/fleet", supervised_by="supervisor/fleet"
+    )
     assert judged(answered, event("RequestIssued", action_id="t1/1", **WHOLE))[0] == (False, False, True, False)
 
 
 def test_a_principal_is_not_recoverable_from_another_action_another_run_or_without_an_action() -> None:
     gap = event("GapDetected", action_id="t1/1", requested_by="robot/A1", supervised_by="supervisor/A1")
     whole = {"requested_by": "robot/A1", "executed_by": "robot/B1", "supervised_by": "supervisor/A1"}
-    other, loose, same = event("RequestIssued", action_id="t1/2", **whole), event("RequestIssued", **whole), event("RequestIssued", action_id="t1/1", **whole)
+    other, loose, same = (
+        event("RequestIssued", action_id="t1/2", **whole),
+        event("RequestIssued", **whole),
+        event("RequestIssued", action_id="t1/1", **whole),
+    )
     assert judged(gap, other, loose)[0] == (True, False, True, False)
-    assert answer("facts/coordination_events", run(gap), run(same, run_id="r2"), columns=("run_id", "has_executor"))[0] == ("r1", False)
+    assert answer("facts/coordination_events", run(gap), run(same, run_id="r2"), columns=("run_id", "has_executor"))[
+        0
+    ] == ("r1", False)
     uncorrelated = event("InternalHandoff", executed_by="robot/B1", supervised_by="supervisor/B1")
     assert judged(uncorrelated, loose)[0] == (False, True, True, False)
 
 
 def test_an_off_shift_supervisor_is_required_and_lacking() -> None:
-    started = event("ExecutionStarted", action_id="t1/1", requested_by="robot/A1", executed_by="robot/B1", supervised_by=None)
+    started = event(
+        "ExecutionStarted", action_id="t1/1", requested_by="robot/A1", executed_by="robot/B1", supervised_by=None
+    )
     assert judged(started) == [(True, True, False, False)]
 
 
@@ -138,5 +186,7 @@ def test_a_type_that_is_no_record_does_not_count() -> None:
 
 def test_attributability_is_the_share_of_attributable_records() -> None:
     handoff = event("InternalHandoff")
-    assert measured("audit_attributability", event("GapDetected", **WHOLE), handoff, handoff, event("AwardMade", **WHOLE)) == (2, 4, 0.5)
+    assert measured(
+        "audit_attributability", event("GapDetected", **WHOLE), handoff, handoff, event("AwardMade", **WHOLE)
+    ) == (2, 4, 0.5)
     assert measured("audit_attributability") == (0, 0, None)

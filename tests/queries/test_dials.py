@@ -23,7 +23,11 @@ def alike(*runs: list[Row]) -> int:
 
 
 def test_dials_are_those_that_runs_record() -> None:
-    runs = [made("a", {"encounter_mean_s": 30.0}), made("b", fleet_size=16, load={"teams_working": 2}), made("c", fleet_size=16)]
+    runs = [
+        made("a", {"encounter_mean_s": 30.0}),
+        made("b", fleet_size=16, load={"teams_working": 2}),
+        made("c", fleet_size=16),
+    ]
     default = Constants().world.encounter_mean_s
     assert sorted(answer("staging/dials", *runs, columns=COLUMNS)) == sorted([(30.0, 1), (default, 2), (default, 4)])
 
@@ -35,12 +39,17 @@ def test_a_source_that_is_not_the_simulator_has_no_default_rate_of_encounters() 
 def test_runs_that_differ_in_dials_and_fleet_size_are_alike_and_in_anything_else_not() -> None:
     base = made("a", {"motion_share": 0.5})
     loaded = {"teams_working": 2, "task_sets": Load().task_sets, "interval_s": Load().interval_s}
-    same = [made("b", {"motion_share": 0.5, "encounter_mean_s": 30}), made("c", {"motion_share": 0.5}, fleet_size=16, load=loaded)]
+    same = [
+        made("b", {"motion_share": 0.5, "encounter_mean_s": 30}),
+        made("c", {"motion_share": 0.5}, fleet_size=16, load=loaded),
+    ]
     assert alike(base, *same) == 1
     assert alike(base, made("d", {"motion_share": 0.6})) == 2
     assert alike(base, made("e", {"motion_share": 0.5}, load={"task_sets": 2})) == 2
     assert alike(base, run(run_id="f", parameters='{"world":{"motion_share":0.5}}', model_version="another")) == 2
-    assert alike(run(run_id="g", parameters="{"), run(run_id="h", parameters="[")) == 2, "what cannot be read may be anything"
+    assert alike(run(run_id="g", parameters="{"), run(run_id="h", parameters="[")) == 2, (
+        "what cannot be read may be anything"
+    )
 
 
 def test_each_summary_has_the_dials_of_its_runs() -> None:

@@ -16,14 +16,41 @@ RUNS = 30
 
 def run(architecture: str, scenario: str, number: int, **more: Any) -> dict[str, Any]:
     """A row of `run_metrics`: success is the run's number for every architecture, failures none or two."""
-    same = {"kind": "simulated", "configuration": "full", "fleet_size": 4, "seed": 42, "setting": "a", "constants": None, "source": None, "model_version": "2"}
-    named = {"run_id": f"{architecture}/{scenario}/{number}", "architecture": architecture, "scenario": scenario, "run": number}
-    return {**same, **named, "position": 1, "metric": "coordination_success", "value": float(number), "numerator": number, "denominator": 1, **more}
+    same = {
+        "kind": "simulated",
+        "configuration": "full",
+        "fleet_size": 4,
+        "seed": 42,
+        "setting": "a",
+        "constants": None,
+        "source": None,
+        "model_version": "2",
+    }
+    named = {
+        "run_id": f"{architecture}/{scenario}/{number}",
+        "architecture": architecture,
+        "scenario": scenario,
+        "run": number,
+    }
+    return {
+        **same,
+        **named,
+        "position": 1,
+        "metric": "coordination_success",
+        "value": float(number),
+        "numerator": number,
+        "denominator": 1,
+        **more,
+    }
 
 
 def held(rows: list[dict[str, Any]]) -> pa.Table:
     text = ("source", "constants", "not_observed")
-    return pa.table(pl.DataFrame([{"not_observed": None, **row} for row in rows], schema_overrides=dict.fromkeys(text, pl.String)).to_arrow())
+    return pa.table(
+        pl.DataFrame(
+            [{"not_observed": None, **row} for row in rows], schema_overrides=dict.fromkeys(text, pl.String)
+        ).to_arrow()
+    )
 
 
 def drawn(rows: list[dict[str, Any]]) -> pl.DataFrame:
@@ -34,9 +61,22 @@ def drawn(rows: list[dict[str, Any]]) -> pl.DataFrame:
 
 @pytest.fixture(scope="module")
 def experiments() -> pl.DataFrame:
-    rows = [run(architecture, scenario, number) for architecture in ("fsar", "cfc") for scenario in SCENARIOS for number in range(RUNS)]
+    rows = [
+        run(architecture, scenario, number)
+        for architecture in ("fsar", "cfc")
+        for scenario in SCENARIOS
+        for number in range(RUNS)
+    ]
     failures = [
-        run("fsar", scenario, number, metric="recovery_containment", value=None, numerator=number % 2, denominator=2 * (number % 2))
+        run(
+            "fsar",
+            scenario,
+            number,
+            metric="recovery_containment",
+            value=None,
+            numerator=number % 2,
+            denominator=2 * (number % 2),
+        )
         for scenario in SCENARIOS
         for number in range(RUNS)
     ]
@@ -48,13 +88,17 @@ def test_as_many_are_drawn_as_were_registered(experiments: pl.DataFrame) -> None
 
 
 def test_what_is_drawn_varies_as_experiments_of_twenty_runs_a_scenario_do(experiments: pl.DataFrame) -> None:
-    means = experiments.filter(pl.col("architecture") == "fsar", pl.col("metric") == "coordination_success")["value"].to_numpy()
+    means = experiments.filter(pl.col("architecture") == "fsar", pl.col("metric") == "coordination_success")[
+        "value"
+    ].to_numpy()
     assert means.mean() == pytest.approx((RUNS - 1) / 2, abs=0.1)
     assert means.std() == pytest.approx(np.arange(RUNS).std() / np.sqrt(40), rel=0.05)
 
 
 def test_a_world_is_drawn_for_all_architectures_together(experiments: pl.DataFrame) -> None:
-    wide = experiments.filter(pl.col("metric") == "coordination_success").pivot("architecture", index="draw", values="value")
+    wide = experiments.filter(pl.col("metric") == "coordination_success").pivot(
+        "architecture", index="draw", values="value"
+    )
     assert (wide["fsar"] == wide["cfc"]).all()
 
 
@@ -63,7 +107,10 @@ def test_failures_are_pooled_over_the_drawn_runs(experiments: pl.DataFrame) -> N
 
 
 def test_an_experiment_without_failures_has_no_containment_and_what_is_not_observed_is_not_drawn() -> None:
-    none = [run("fsar", "door-relay", number, metric="recovery_containment", value=None, numerator=0, denominator=0) for number in range(3)]
+    none = [
+        run("fsar", "door-relay", number, metric="recovery_containment", value=None, numerator=0, denominator=0)
+        for number in range(3)
+    ]
     assert drawn(none)["value"].is_null().all()
     blind = [run("fsar", "door-relay", 0), run("fsar", "door-relay", 1, not_observed="tasks", value=None)]
     assert set(drawn(blind)["value"]) == {0.0}
@@ -85,7 +132,11 @@ def test_an_experiment_is_made_of_the_runs_that_were_drawn_of_each_scenario() ->
     rows = [run("fsar", scenario, number) for scenario in SCENARIOS for number in range(RUNS)]
     with from_rows([]) as database:
         database.hold("run_metrics", held(rows))
-        parts = pl.DataFrame(database.table("SELECT draw, avg(value) AS value, count(*) AS scenarios FROM drawn_scenarios GROUP BY draw ORDER BY draw"))
+        parts = pl.DataFrame(
+            database.table(
+                "SELECT draw, avg(value) AS value, count(*) AS scenarios FROM drawn_scenarios GROUP BY draw ORDER BY draw"
+            )
+        )
         whole = pl.DataFrame(database.table("SELECT draw, value FROM drawn_experiments ORDER BY draw"))
     assert set(parts["scenarios"]) == {len(SCENARIOS)}
     assert np.allclose(parts["value"].to_numpy(), whole["value"].to_numpy())

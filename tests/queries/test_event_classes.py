@@ -14,7 +14,9 @@ def fields(tag: str) -> set[str]:
 
 
 def test_a_type_has_one_class() -> None:
-    assert sorted(row[0] for row in ROWS) == sorted(CLASSES), "each row more is a decision and a record more for each event of its type"
+    assert sorted(row[0] for row in ROWS) == sorted(CLASSES), (
+        "each row more is a decision and a record more for each event of its type"
+    )
 
 
 def test_every_record_is_somebodys_part_in_the_action() -> None:
@@ -27,7 +29,9 @@ def test_every_class_is_of_an_event_type() -> None:
 
 
 def test_decisions_are_the_types_with_a_path_and_a_decider() -> None:
-    assert {tag for tag, (decision, *_) in CLASSES.items() if decision} == {tag for tag in LAYOUTS if {"path", "decided_by"} <= fields(tag)}
+    assert {tag for tag, (decision, *_) in CLASSES.items() if decision} == {
+        tag for tag in LAYOUTS if {"path", "decided_by"} <= fields(tag)
+    }
 
 
 def test_every_record_has_the_principals_that_it_requires() -> None:

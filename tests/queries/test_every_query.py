@@ -42,7 +42,11 @@ def test_header_without_a_required_key_is_refused(missing: str) -> None:
 
 
 def test_header_with_an_empty_unknown_or_repeated_key_is_refused() -> None:
-    for text in (HEADER.replace("Grain: something", "Grain:"), HEADER + "-- Colour: red\n", HEADER + "-- Title: again\n"):
+    for text in (
+        HEADER.replace("Grain: something", "Grain:"),
+        HEADER + "-- Colour: red\n",
+        HEADER + "-- Title: again\n",
+    ):
         with pytest.raises(ValueError, match="header"):
             parse("facts/x", text + "SELECT 1")
     assert "Parameters" in KEYS
@@ -78,9 +82,15 @@ def relations_in(sql: str, connection: duckdb.DuckDBPyConnection) -> set[str]:
 def test_duckdb_reads_nothing_that_the_library_does_not_make_for_a_query() -> None:
     made = {query.relation for query in library().queries.values()} | {"events"}
     with duckdb.connect() as connection:
-        assert relations_in("SELECT a.x FROM a, (SELECT y FROM b) WHERE x IN (SELECT z FROM c)", connection) == {"a", "b", "c"}
+        assert relations_in("SELECT a.x FROM a, (SELECT y FROM b) WHERE x IN (SELECT z FROM c)", connection) == {
+            "a",
+            "b",
+            "c",
+        }
         read = {name: relations_in(query.sql, connection) & made for name, query in library().queries.items()}
-    assert [(name, unseen) for name, relations in read.items() if (unseen := relations - library().queries[name].sources())] == []
+    assert [
+        (name, unseen) for name, relations in read.items() if (unseen := relations - library().queries[name].sources())
+    ] == []
     assert len([name for name, relations in read.items() if relations]) > 200
 
 
@@ -89,7 +99,13 @@ def test_every_event_type_has_a_view_with_its_fields_that_runs_on_an_empty_ledge
         for tag, layout in LAYOUTS.items():
             query = next(query for query in library().queries.values() if f"type = '{tag}'" in query.sql)
             table = database.query(query.name)
-            assert table.column_names == ["run_id", "seq", "time_us", "caused_by", *(field.name for field in layout.fields)]
+            assert table.column_names == [
+                "run_id",
+                "seq",
+                "time_us",
+                "caused_by",
+                *(field.name for field in layout.fields),
+            ]
 
 
 def test_a_query_that_reads_itself_is_refused() -> None:

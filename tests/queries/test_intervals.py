@@ -24,7 +24,9 @@ def opened() -> Database:
     return from_rows([])
 
 
-def intervals(metric: str, x: Numbers, pooled: Numbers | None = None, denominators: Numbers | None = None) -> tuple[Numbers, Numbers]:
+def intervals(
+    metric: str, x: Numbers, pooled: Numbers | None = None, denominators: Numbers | None = None
+) -> tuple[Numbers, Numbers]:
     """The lower and upper bounds for each row of `x`, whose columns are runs; NaN where there is none."""
     repeats, runs = x.shape
     each = np.repeat(np.arange(repeats), runs)
@@ -35,7 +37,10 @@ def intervals(metric: str, x: Numbers, pooled: Numbers | None = None, denominato
         "pools_seeds": pa.array(np.zeros(x.size, bool)),
         "seed": pa.array(np.full(x.size, 42)),
         "run_seed": pa.array(np.full(x.size, 42)),
-        **{name: pa.nulls(x.size, pa.string()) for name in ("setting", "kind", "source", "model_version", "constants", "scenario", "not_observed")},
+        **{
+            name: pa.nulls(x.size, pa.string())
+            for name in ("setting", "kind", "source", "model_version", "constants", "scenario", "not_observed")
+        },
         "position": pa.array(np.full(x.size, 1)),
         "metric": pa.array([metric] * x.size),
         "run_id": pa.array(np.tile(np.arange(runs), repeats)),
@@ -86,7 +91,11 @@ RUNS = 100
 
 LAWS: dict[str, tuple[str, float, Drawn]] = {
     "one or two tasks a run": (SHARE, 0.93, lambda draws, shape: (draws.binomial(2, 0.93, shape) / 2,)),
-    "scenarios that differ": (SHARE, 0.92, lambda draws, shape: (draws.binomial(1, np.where(np.arange(shape[1]) % 5, 0.95, 0.8), shape).astype(float),)),
+    "scenarios that differ": (
+        SHARE,
+        0.92,
+        lambda draws, shape: (draws.binomial(1, np.where(np.arange(shape[1]) % 5, 0.95, 0.8), shape).astype(float),),
+    ),
     "nearly every record": (SHARE, 0.98, lambda draws, shape: (draws.beta(98, 2, shape),)),
     "rare conflicts": (COUNT, 0.3, lambda draws, shape: (draws.poisson(0.3, shape).astype(float),)),
     "conflicts in bursts": (COUNT, 8.0, lambda draws, shape: (draws.negative_binomial(2, 0.2, shape).astype(float),)),
@@ -144,7 +153,9 @@ def test_runs_that_all_agree_leave_room_for_the_next_one() -> None:
     (low, high) = intervals(COUNT, np.zeros((1, 20)))
     assert (low[0], high[0]) == (0.0, pytest.approx(-np.log(0.025) / 20))
     (low, high) = intervals(TIME, np.zeros((1, 20)))
-    assert np.isnan([low[0], high[0]]).all(), "no time that differs from 0 was seen, so nothing says how long one would be"
+    assert np.isnan([low[0], high[0]]).all(), (
+        "no time that differs from 0 was seen, so nothing says how long one would be"
+    )
 
 
 def test_what_does_not_vary_has_an_exact_interval_or_none() -> None:

@@ -29,7 +29,13 @@ RUNS: tuple[tuple[Scenario, int], ...] = (
 """Between them: relays, holds, reviews, an absent supervisor at an execution, and recovery at all four levels."""
 
 
-def record(scenario: Scenario, run: int, architecture: Architecture = "fsar", configuration: Configuration = "full", structure: Wiring | None = None) -> Any:
+def record(
+    scenario: Scenario,
+    run: int,
+    architecture: Architecture = "fsar",
+    configuration: Configuration = "full",
+    structure: Wiring | None = None,
+) -> Any:
     return simulate_run(RunSpec(42, architecture, configuration, scenario, 4, run), Constants(), structure)
 
 
@@ -40,8 +46,14 @@ def history() -> tuple[Row, ...]:
 
 def where(rows: list[Row], name: str, **fields: Any) -> list[int]:
     """The positions of the events of this type with these values (a callable: that satisfy it), in order."""
-    matches = {key: value if callable(value) else (lambda found, value=value: found == value) for key, value in fields.items()}
-    return [at for at, row in enumerate(rows) if row["type"].partition(".")[0] == name and all(match(row[key]) for key, match in matches.items())]
+    matches = {
+        key: value if callable(value) else (lambda found, value=value: found == value) for key, value in fields.items()
+    }
+    return [
+        at
+        for at, row in enumerate(rows)
+        if row["type"].partition(".")[0] == name and all(match(row[key]) for key, match in matches.items())
+    ]
 
 
 def robots(name: str | None) -> bool:
@@ -67,7 +79,11 @@ def of_delegated_start(change: dict[str, Any]) -> Seeds:
     """The record of an execution for another robot, whose supervisor is on shift, says something else."""
 
     def seed(rows: list[Row]) -> list[int]:
-        at = next(at for at in where(rows, "ExecutionStarted", supervised_by=lambda found: found is not None) if rows[at]["robot"] != rows[at]["on_behalf_of"])
+        at = next(
+            at
+            for at in where(rows, "ExecutionStarted", supervised_by=lambda found: found is not None)
+            if rows[at]["robot"] != rows[at]["on_behalf_of"]
+        )
         rows[at] = {**rows[at], **change}
         return [at]
 
@@ -94,7 +110,11 @@ def swapped(name: str, other: str) -> Seeds:
     def seed(rows: list[Row]) -> list[int]:
         for at in where(rows, name):
             key = (rows[at]["run_id"], rows[at]["action_id"])
-            later = [place for place in where(rows, other) if place > at and (rows[place]["run_id"], rows[place]["action_id"]) == key]
+            later = [
+                place
+                for place in where(rows, other)
+                if place > at and (rows[place]["run_id"], rows[place]["action_id"]) == key
+            ]
             if later and (name != "RequestAccepted" or rows[later[0]]["robot"] != rows[later[0]]["on_behalf_of"]):
                 rows[at], rows[later[0]] = rows[later[0]], rows[at]
                 for column in ("seq", "time_us"):
@@ -109,17 +129,35 @@ def before_start(name: str, change: dict[str, Any]) -> Seeds:
     """An event of this type about the action stands just before a delegated execution, in place of another action's event."""
 
     def seed(rows: list[Row]) -> list[int]:
-        start = next(at for at in where(rows, "ExecutionStarted") if rows[at]["robot"] != rows[at]["on_behalf_of"] and is_free(rows[at - 1]))
+        start = next(
+            at
+            for at in where(rows, "ExecutionStarted")
+            if rows[at]["robot"] != rows[at]["on_behalf_of"] and is_free(rows[at - 1])
+        )
         kept = {column: rows[start - 1][column] for column in ("run_id", "seq", "time_us", "caused_by")}
         empty = dict.fromkeys(rows[start])
-        rows[start - 1] = {**empty, **kept, "type": f"{name}.v1", "action_id": rows[start]["action_id"], "robot": rows[start]["robot"], **change}
+        rows[start - 1] = {
+            **empty,
+            **kept,
+            "type": f"{name}.v1",
+            "action_id": rows[start]["action_id"],
+            "robot": rows[start]["robot"],
+            **change,
+        }
         return [start]
 
     return seed
 
 
 def is_free(row: Row) -> bool:
-    return row["type"] in ("RoutineDue.v1", "RoutinePerformed.v1", "ContextChanged.v1", "PeersMet.v1", "ObstructionAppeared.v1", "ApproachStarted.v1")
+    return row["type"] in (
+        "RoutineDue.v1",
+        "RoutinePerformed.v1",
+        "ContextChanged.v1",
+        "PeersMet.v1",
+        "ObstructionAppeared.v1",
+        "ApproachStarted.v1",
+    )
 
 
 def under_its_own_deny(name: str) -> Seeds:
@@ -127,10 +165,23 @@ def under_its_own_deny(name: str) -> Seeds:
 
     def seed(rows: list[Row]) -> list[int]:
         for start in where(rows, name, **({"operation": "motion"} if name == "RoutinePerformed" else {})):
-            free = next((at for at in range(start - 1, max(start - 6, 0), -1) if is_free(rows[at]) and rows[at]["run_id"] == rows[start]["run_id"]), None)
+            free = next(
+                (
+                    at
+                    for at in range(start - 1, max(start - 6, 0), -1)
+                    if is_free(rows[at]) and rows[at]["run_id"] == rows[start]["run_id"]
+                ),
+                None,
+            )
             if free is not None:
                 kept = {column: rows[free][column] for column in ("run_id", "seq", "time_us", "caused_by")}
-                window = {"type": "PolicyWindowOpened.v1", "robot": rows[start]["robot"], "scope": "local", "window": "seeded", "outcome": "deny"}
+                window = {
+                    "type": "PolicyWindowOpened.v1",
+                    "robot": rows[start]["robot"],
+                    "scope": "local",
+                    "window": "seeded",
+                    "outcome": "deny",
+                }
                 rows[free] = {**dict.fromkeys(rows[free]), **kept, **window}
                 return [start]
         raise AssertionError(f"no place before {name}")
@@ -168,7 +219,14 @@ def in_place_before(name: str, inserted: str, change: dict[str, Any], kept: tupl
 
     def seed(rows: list[Row]) -> list[int]:
         for at in where(rows, name, **fields):
-            free = next((place for place in range(at - 1, max(at - 12, 0), -1) if is_free(rows[place]) and rows[place]["run_id"] == rows[at]["run_id"]), None)
+            free = next(
+                (
+                    place
+                    for place in range(at - 1, max(at - 12, 0), -1)
+                    if is_free(rows[place]) and rows[place]["run_id"] == rows[at]["run_id"]
+                ),
+                None,
+            )
             if free is not None:
                 place = {column: rows[free][column] for column in ("run_id", "seq", "time_us", "caused_by")}
                 same = {column: rows[at][column] for column in kept}
@@ -182,10 +240,22 @@ def in_place_before(name: str, inserted: str, change: dict[str, Any], kept: tupl
 def revoked_before_admission(rows: list[Row]) -> list[int]:
     """The right to ask was revoked before a request was admitted; it shows at the admission."""
     for at in where(rows, "RequestAdmitted"):
-        free = next((place for place in range(at - 1, max(at - 12, 0), -1) if is_free(rows[place]) and rows[place]["run_id"] == rows[at]["run_id"]), None)
+        free = next(
+            (
+                place
+                for place in range(at - 1, max(at - 12, 0), -1)
+                if is_free(rows[place]) and rows[place]["run_id"] == rows[at]["run_id"]
+            ),
+            None,
+        )
         if free is not None:
             place = {column: rows[free][column] for column in ("run_id", "seq", "time_us", "caused_by")}
-            said = {"type": "AuthorityRevoked.v1", "requested_by": rows[at]["requested_by"], "reason": "human override", "decided_by": "supervisor/fleet"}
+            said = {
+                "type": "AuthorityRevoked.v1",
+                "requested_by": rows[at]["requested_by"],
+                "reason": "human override",
+                "decided_by": "supervisor/fleet",
+            }
             rows[free] = {**dict.fromkeys(rows[free]), **place, **said}
             return [at]
     raise AssertionError("no place before an admission")
@@ -193,7 +263,11 @@ def revoked_before_admission(rows: list[Row]) -> list[int]:
 
 def delegated_end(rows: list[Row]) -> int:
     start = delegated_start(rows)
-    return next(at for at in where(rows, "ExecutionFinished", run_id=rows[start]["run_id"], action_id=rows[start]["action_id"]) if at > start)
+    return next(
+        at
+        for at in where(rows, "ExecutionFinished", run_id=rows[start]["run_id"], action_id=rows[start]["action_id"])
+        if at > start
+    )
 
 
 def finished_by_another(rows: list[Row]) -> list[int]:
@@ -216,7 +290,11 @@ def without(name: str, shows_at: str, **fields: Any) -> Seeds:
         shown = where(rows, shows_at, **fields)[0]
         about = {rows[shown]["action_id"], rows[shown]["failed_action"]} - {None}
         key = rows[shown]["run_id"]
-        lost = [at for at in where(rows, name) if at < shown and rows[at]["run_id"] == key and about & {rows[at]["action_id"], rows[at]["failed_action"]}]
+        lost = [
+            at
+            for at in where(rows, name)
+            if at < shown and rows[at]["run_id"] == key and about & {rows[at]["action_id"], rows[at]["failed_action"]}
+        ]
         assert lost, f"no {name} before {shows_at}"
         rows[lost[-1]] = {**rows[lost[-1]], "type": "PeersMet.v1", "action_id": None, "failed_action": None}
         return [shown]
@@ -288,7 +366,11 @@ DEFECTS = (
     Defect("i4", "resolved below the level reached", forged("FailureResolved", {"level": "local"}, level="human")),
     Defect("i4", "the level is not recorded", forged("RecoveryEscalated", {"to_level": None})),
     Defect("i4", "recovery comes before the failure", swapped("ExecutionFailed", "RecoveryAttempted")),
-    Defect("i4", "a human is called before anything else", in_place_before("RecoveryAttempted", "SupervisorCalled", {"purpose": "recovery"}, ("action_id",))),
+    Defect(
+        "i4",
+        "a human is called before anything else",
+        in_place_before("RecoveryAttempted", "SupervisorCalled", {"purpose": "recovery"}, ("action_id",)),
+    ),
     Defect("i4", "more attempts than the level has", beyond("RecoveryAttempted", {"local_attempts": 0})),
     Defect("i4", "more helpers than the level has", beyond("AssistanceRequested", {"peer_helpers": 0})),
     Defect("i4", "an attempt takes an hour for itself", forged("RecoveryAttempted", {"deadline_us": 3_600_000_000})),
@@ -298,13 +380,23 @@ DEFECTS = (
     Defect("i4", "an hour at the level of the fleet", an_hour_later("RecoveryEscalated", to_level="human")),
     Defect("i4", "help that was never asked for", without("AssistanceRequested", "AssistanceAdmitted")),
     Defect("i4", "resolved by a peer who did not help", without("AssistanceAdmitted", "FailureResolved", level="peer")),
-    Defect("i4", "resolved by a human who never answered", without("SupervisorResponded", "FailureResolved", level="human")),
+    Defect(
+        "i4", "resolved by a human who never answered", without("SupervisorResponded", "FailureResolved", level="human")
+    ),
     Defect("i5", "a routine without executor", forged("RoutinePerformed", {"executed_by": None})),
     Defect("i5", "a routine without requester", forged("RoutinePerformed", {"requested_by": None})),
-    Defect("i5", "a routine without supervisor on shift", forged("RoutinePerformed", {"supervised_by": None}, supervised_by=lambda found: found is not None)),
+    Defect(
+        "i5",
+        "a routine without supervisor on shift",
+        forged("RoutinePerformed", {"supervised_by": None}, supervised_by=lambda found: found is not None),
+    ),
     Defect("i5", "a gap that belongs to no action", forged("GapDetected", {"action_id": None})),
     Defect("a1", "the coordinator decides an own step", forged("OwnStepDecided", {"decided_by": "coordinator"})),
-    Defect("a1", "a service is on the path of a motion", forged("RoutinePerformed", {"path": ["service/coordination", "robot/A1"]})),
+    Defect(
+        "a1",
+        "a service is on the path of a motion",
+        forged("RoutinePerformed", {"path": ["service/coordination", "robot/A1"]}),
+    ),
     Defect("a1", "nobody decides an own step", forged("OwnStepDecided", {"decided_by": None})),
     Defect("a1", "an own step is executed before it is decided", swapped("OwnStepDecided", "ExecutionStarted")),
     Defect("a2", "a service executes", forged("ExecutionStarted", {"executed_by": "service/coordination"})),
@@ -331,7 +423,11 @@ DEFECTS = (
     Defect("a5", "accepted before it is admitted", at_its_start(swapped("RequestAdmitted", "RequestAccepted"))),
     Defect("a5", "ended by another robot than began it", finished_by_another),
     Defect("a5", "the task goes on and the request is never closed", never_closed),
-    Defect("a5", "help without any principal", forged("AssistanceAdmitted", {"requested_by": None, "executed_by": None, "supervised_by": None})),
+    Defect(
+        "a5",
+        "help without any principal",
+        forged("AssistanceAdmitted", {"requested_by": None, "executed_by": None, "supervised_by": None}),
+    ),
 )
 
 
@@ -348,7 +444,9 @@ def test_all_ten_hold_on_the_untouched_history_which_has_what_they_judge() -> No
     assert {rows[at]["to_level"] for at in where(rows, "RecoveryEscalated")} == {"peer", "fleet", "human"}
     assert where(rows, "ExecutionStarted", supervised_by=None)
     with from_rows(rows, threads=1) as database:
-        assert [(row.invariant, row.events) for row in audit_rows(database, invariants())] == [(query.relation, 0) for query in invariants()]
+        assert [(row.invariant, row.events) for row in audit_rows(database, invariants())] == [
+            (query.relation, 0) for query in invariants()
+        ]
     assert len(invariants()) == 10
 
 
@@ -360,7 +458,9 @@ def test_a_seeded_defect_is_caught_at_its_event(defect: Defect) -> None:
 
 
 def test_every_invariant_has_at_least_three_seeded_defects() -> None:
-    count = {query.relation[:2]: sum(defect.invariant == query.relation[:2] for defect in DEFECTS) for query in invariants()}
+    count = {
+        query.relation[:2]: sum(defect.invariant == query.relation[:2] for defect in DEFECTS) for query in invariants()
+    }
     assert min(count.values()) >= 3, count
 
 

@@ -26,7 +26,9 @@ def changed(event: type[AnyEvent], **fields: Any) -> Wiring:
     """FSAR, with every handler that emits this event saying something else in it."""
 
     def mutated(decide: Any) -> Any:
-        return lambda state, command: tuple(msgspec.structs.replace(one, **fields) if isinstance(one, event) else one for one in decide(state, command))
+        return lambda state, command: tuple(
+            msgspec.structs.replace(one, **fields) if isinstance(one, event) else one for one in decide(state, command)
+        )
 
     return Wiring({command: mutated(decide) for command, decide in FSAR.decides.items()}, FSAR.reacts)
 
@@ -71,8 +73,15 @@ BROKEN_BY_DESIGN = {
 
 
 @pytest.mark.parametrize(("architecture", "configuration"), list(BROKEN_BY_DESIGN))
-def test_what_a_baseline_or_an_ablation_gives_up_is_reported_and_nothing_else(architecture: Architecture, configuration: Configuration) -> None:
-    scenarios: tuple[Scenario, ...] = ("door-relay", "collaborative-delivery", "failure-recovery-chain", "fleet-contention")
+def test_what_a_baseline_or_an_ablation_gives_up_is_reported_and_nothing_else(
+    architecture: Architecture, configuration: Configuration
+) -> None:
+    scenarios: tuple[Scenario, ...] = (
+        "door-relay",
+        "collaborative-delivery",
+        "failure-recovery-chain",
+        "fleet-contention",
+    )
     records = [record(scenario, run, architecture, configuration) for scenario in scenarios for run in range(8)]
     with from_table(encode(records), threads=1) as database:
         broken = {row.invariant[:2] for row in audit_rows(database, invariants()) if row.events}

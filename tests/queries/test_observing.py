@@ -34,7 +34,11 @@ PRINCIPALS = {"decided_by", "requested_by", "executed_by", "supervised_by", "cla
 
 def concerns_with(fields: set[str]) -> set[str]:
     """The concerns of the event types that have one of these fields."""
-    return {CONCERN_OF[tag] for tag, layout in LAYOUTS.items() if tag in CONCERN_OF and fields & {field.name for field in layout.fields}}
+    return {
+        CONCERN_OF[tag]
+        for tag, layout in LAYOUTS.items()
+        if tag in CONCERN_OF and fields & {field.name for field in layout.fields}
+    }
 
 
 # --- the tables are complete ---
@@ -43,7 +47,9 @@ def concerns_with(fields: set[str]) -> set[str]:
 def test_every_event_type_is_of_one_concern_and_every_concern_has_event_types() -> None:
     named = [name for names in EVENTS_OF.values() for name in names]
     known = {kind.__struct_config__.tag.partition(".")[0] for kind in (*EVENT_TYPES, *RETIRED_TYPES)}  # type: ignore[union-attr]
-    assert sorted(named) == sorted(known - OF_NO_CONCERN), "give each event type a concern in fsar_ledger/events/concerns.py"
+    assert sorted(named) == sorted(known - OF_NO_CONCERN), (
+        "give each event type a concern in fsar_ledger/events/concerns.py"
+    )
     assert set(CONCERN_OF.values()) == set(CONCERNS)
 
 
@@ -64,10 +70,18 @@ def _rules() -> Iterator[tuple[str, str]]:
                 yield row["feature"], part.removesuffix(" not observable")
 
 
-@pytest.mark.parametrize("judge", [query.relation for query in invariants()] + [row[0] for row in answer("metrics/metric_definitions", columns=("metric",))])
+@pytest.mark.parametrize(
+    "judge",
+    [query.relation for query in invariants()]
+    + [row[0] for row in answer("metrics/metric_definitions", columns=("metric",))],
+)
 def test_a_judge_rests_on_the_concerns_of_all_events_that_its_query_reads(judge: str) -> None:
     types = types_read(library(), library().relations[judge])
-    read = concerns_with({"executed_by", "robot"}) if types is None else {CONCERN_OF[tag] for tag in types if tag in CONCERN_OF}
+    read = (
+        concerns_with({"executed_by", "robot"})
+        if types is None
+        else {CONCERN_OF[tag] for tag in types if tag in CONCERN_OF}
+    )
     if judge == "governance_locality":
         read -= ONLY_RECORDS
     if judge == "i1_local_agent_coherence":
@@ -88,7 +102,9 @@ def variants() -> Iterator[pa.Table]:
             values = {"run_id": [f"{architecture}:{missing}"] * len(left)}
             values["observes"] = [[one for one in CONCERNS if one != missing], *[None] * (len(left) - 1)]  # type: ignore[list-item]
             for name, column in values.items():
-                left = left.set_column(left.schema.get_field_index(name), name, pa.array(column, left.schema.field(name).type))
+                left = left.set_column(
+                    left.schema.get_field_index(name), name, pa.array(column, left.schema.field(name).type)
+                )
             yield left
 
 
@@ -109,12 +125,16 @@ def test_a_metric_is_null_without_a_concern_that_it_rests_on_and_else_as_with_it
             hidden += 1
         else:
             full = rows[f"{architecture}:nothing", metric]
-            assert numbers == [full[column] for column in ("numerator", "denominator", "value", "published_convention_value")], (name, metric)
+            assert numbers == [
+                full[column] for column in ("numerator", "denominator", "value", "published_convention_value")
+            ], (name, metric)
             assert row["not_observed"] is None
     assert hidden == 3 * sum(len(NEEDED[metric]) for metric in {metric for _, metric in rows})
 
 
-def test_an_invariant_holds_of_no_run_that_lacks_what_it_rests_on_and_offences_are_never_made_of_gaps(database: Database) -> None:
+def test_an_invariant_holds_of_no_run_that_lacks_what_it_rests_on_and_offences_are_never_made_of_gaps(
+    database: Database,
+) -> None:
     context = {(judge, concern) for judge, concern, is_context in answer("facts/judged_concerns") if is_context}
     kept = 0
     for query in invariants():
@@ -139,14 +159,24 @@ def test_audit_judges_each_variant_so(database: Database) -> None:
         assert row.cases is not None
         assert row.events is not None
         assert row.events <= row.cases > 0
-        assert row.architecture != "fsar" or (row.holds, row.events) == (None, 0), "a gap in the record was taken for an offence"
+        assert row.architecture != "fsar" or (row.holds, row.events) == (None, 0), (
+            "a gap in the record was taken for an offence"
+        )
 
 
 # --- small cases ---
 
 
 JOINED = [event("RobotJoined", at, robot=f"robot/A{at}", supervisor=f"supervisor/A{at}") for at in (1, 2, 3)]
-MEMBERSHIP: dict[str, Any] = {"kind": "foreign", "observes": ["fleet"], "seed": None, "scenario": None, "run": None, "fleet_size": None, "architecture": None}
+MEMBERSHIP: dict[str, Any] = {
+    "kind": "foreign",
+    "observes": ["fleet"],
+    "seed": None,
+    "scenario": None,
+    "run": None,
+    "fleet_size": None,
+    "architecture": None,
+}
 
 
 def test_of_three_members_nothing_is_known_but_that_they_joined() -> None:
@@ -155,7 +185,14 @@ def test_of_three_members_nothing_is_known_but_that_they_joined() -> None:
             assert (audited.holds, audited.events, audited.cases, audited.runs_not_observed) == (None, None, None, 1)
             assert audited.not_observed
         for row in metric_rows(made):
-            assert (row.mean, row.ci_low, row.denominator, row.published_convention_mean, row.n, row.runs_not_observed) == (None, None, None, None, 0, 1)
+            assert (
+                row.mean,
+                row.ci_low,
+                row.denominator,
+                row.published_convention_mean,
+                row.n,
+                row.runs_not_observed,
+            ) == (None, None, None, None, 0, 1)
         marks = made.query("tables/architecture_features").to_pylist()
         assert {(row["grade"], row["essential_share"]) for row in marks} == {(None, None)}
         assert all(" not observable" in row["evidence"] and "0/" not in row["evidence"] for row in marks)
@@ -171,7 +208,9 @@ def test_a_member_that_joins_twice_is_an_offence_although_little_else_is_observe
 
 def test_a_run_in_which_nothing_happened_is_judged_and_says_of_how_much() -> None:
     with from_rows(run()) as made:
-        assert [(row.holds, row.cases, row.events, row.not_observed) for row in audit_rows(made, invariants())] == [(None, 0, 0, None)] * 10
+        assert [(row.holds, row.cases, row.events, row.not_observed) for row in audit_rows(made, invariants())] == [
+            (None, 0, 0, None)
+        ] * 10
         assert {row.metric: row.mean for row in metric_rows(made)}["policy_violations"] == 0
 
 
@@ -190,8 +229,12 @@ def test_a_decision_that_names_nobody_is_a_case_of_who_decides() -> None:
 
 
 def test_attributability_looks_at_each_record(database: Database) -> None:
-    looked = database.rows("SELECT run_id, cases FROM invariant_cases WHERE invariant = 'i5_audit_attributability' ORDER BY ALL")
-    assert looked == database.rows("SELECT run_id, count(*) AS cases FROM coordination_events GROUP BY run_id ORDER BY ALL")
+    looked = database.rows(
+        "SELECT run_id, cases FROM invariant_cases WHERE invariant = 'i5_audit_attributability' ORDER BY ALL"
+    )
+    assert looked == database.rows(
+        "SELECT run_id, count(*) AS cases FROM coordination_events GROUP BY run_id ORDER BY ALL"
+    )
     assert len(looked) > 3
 
 
@@ -204,8 +247,16 @@ def test_runs_that_do_not_observe_are_left_out_of_a_mean_and_counted() -> None:
 
 
 def test_what_the_paper_counts_where_nothing_failed_is_not_said_of_a_run_that_does_not_observe_failures() -> None:
-    rows = answer("metrics/run_metrics", run(run_id="r1"), run(run_id="r2", observes=["task"]), columns=("run_id", "metric", "published_convention_value"))
-    assert {run_id: value for run_id, metric, value in rows if metric == "recovery_containment"} == {"r1": 1.0, "r2": None}
+    rows = answer(
+        "metrics/run_metrics",
+        run(run_id="r1"),
+        run(run_id="r2", observes=["task"]),
+        columns=("run_id", "metric", "published_convention_value"),
+    )
+    assert {run_id: value for run_id, metric, value in rows if metric == "recovery_containment"} == {
+        "r1": 1.0,
+        "r2": None,
+    }
 
 
 def test_a_mechanism_that_a_workflow_does_not_record_is_no_empty_cell() -> None:
@@ -218,7 +269,10 @@ def test_a_mechanism_that_a_workflow_does_not_record_is_no_empty_cell() -> None:
 
 
 def test_events_that_contradict_the_declaration_are_listed() -> None:
-    rows = answer("audit/undeclared_events", run(*JOINED[:1], event("TaskCompleted", 9, task_id="t"), observes=["fleet", "weather"]))
+    rows = answer(
+        "audit/undeclared_events",
+        run(*JOINED[:1], event("TaskCompleted", 9, task_id="t"), observes=["fleet", "weather"]),
+    )
     assert sorted(rows, key=str) == [("r1", 2, "TaskCompleted.v1", "task"), ("r1", None, None, "weather")]
     assert answer("audit/undeclared_events", run(*JOINED)) == []
 
@@ -228,7 +282,11 @@ def test_runs_that_do_not_observe_have_no_weight_in_a_pooled_metric() -> None:
         event("ExecutionFailed", 1, action_id="a", robot="robot/A1", failure=1, cause="obstruction"),
         event("FailureResolved", 2, action_id="a", robot="robot/A1", failure=1, level="human"),
     ]
-    seen = [run(*failed, run_id="r1"), run(failed[0], run_id="r2"), run(*failed[:1], failed[1] | {"level": "peer"}, run_id="r3")]
+    seen = [
+        run(*failed, run_id="r1"),
+        run(failed[0], run_id="r2"),
+        run(*failed[:1], failed[1] | {"level": "peer"}, run_id="r3"),
+    ]
 
     def containment(*runs: Sequence[Any]) -> tuple[float | None, ...]:
         with from_rows([row for rows in runs for row in rows]) as made:

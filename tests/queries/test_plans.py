@@ -19,11 +19,15 @@ def plan(name: str = "p1", **changes: Any) -> list[dict[str, Any]]:
         "model_version": "test",
         "parameters": "{}",
     }
-    return [{"run_id": name, "seq": 0, "caused_by": None, "type": "ExperimentPlanned.v1", "time_us": 0, **given, **changes}]
+    return [
+        {"run_id": name, "seq": 0, "caused_by": None, "type": "ExperimentPlanned.v1", "time_us": 0, **given, **changes}
+    ]
 
 
 def counted(*rows: Any) -> list[tuple[Any, ...]]:
-    return answer("audit/experiments", *rows, columns=("plan", "planned_count", "there_count", "missing_count", "larger_plans"))
+    return answer(
+        "audit/experiments", *rows, columns=("plan", "planned_count", "there_count", "missing_count", "larger_plans")
+    )
 
 
 def test_a_plan_counts_the_runs_that_it_names_and_no_others() -> None:
@@ -40,8 +44,14 @@ def test_a_plan_counts_the_runs_that_it_names_and_no_others() -> None:
         run(run_id="l", kind="live"),
     ]
     assert counted(plan(), *there, *others) == [("p1", 4, 3, 1, 0)]
-    assert answer("facts/planned_runs", plan(), *there, *others, columns=("plan", "run_id")) == [("p1", "a"), ("p1", "b"), ("p1", "c")]
-    assert answer("audit/unplanned_runs", plan(), *there, *others, columns=("run_id",)) == [(name,) for name in "defghijkl"]
+    assert answer("facts/planned_runs", plan(), *there, *others, columns=("plan", "run_id")) == [
+        ("p1", "a"),
+        ("p1", "b"),
+        ("p1", "c"),
+    ]
+    assert answer("audit/unplanned_runs", plan(), *there, *others, columns=("run_id",)) == [
+        (name,) for name in "defghijkl"
+    ]
 
 
 def test_a_plan_without_any_run_lacks_all_of_them() -> None:
@@ -54,8 +64,14 @@ def test_a_plan_that_another_one_contains_is_part_of_a_larger_one() -> None:
 
 
 def test_plans_that_do_not_contain_each_other_are_not_larger() -> None:
-    others = [plan("p2", run_count=1, scenarios=["door-relay", "fleet-contention", "x", "y", "z"]), plan("p3", seed=41, run_count=9)]
-    others += [plan("p4", run_count=9, parameters='{"world":{}}'), plan("p5", run_count=9, architectures=["fsar", "dhma"])]
+    others = [
+        plan("p2", run_count=1, scenarios=["door-relay", "fleet-contention", "x", "y", "z"]),
+        plan("p3", seed=41, run_count=9),
+    ]
+    others += [
+        plan("p4", run_count=9, parameters='{"world":{}}'),
+        plan("p5", run_count=9, architectures=["fsar", "dhma"]),
+    ]
     assert [row[-1] for row in counted(plan(), *others)] == [0] * 5
 
 
@@ -81,7 +97,9 @@ def test_a_plan_of_endless_names_stops_no_answer() -> None:
 
 
 def test_a_name_that_a_plan_repeats_counts_once() -> None:
-    assert counted(plan(scenarios=["door-relay", "door-relay"]), run(run_id="a"), run(run_id="b")) == [("p1", 4, 1, 3, 0)]
+    assert counted(plan(scenarios=["door-relay", "door-relay"]), run(run_id="a"), run(run_id="b")) == [
+        ("p1", 4, 1, 3, 0)
+    ]
 
 
 def test_a_plan_is_neither_a_run_nor_a_decision() -> None:

@@ -5,7 +5,9 @@ import pytest
 from tests.queries.histories import Row, answer, event, measured, run
 
 
-def opened(time_us: int, outcome: str = "deny", robot: str = "robot/B1", scope: str = "local", window: str = "w1") -> Row:
+def opened(
+    time_us: int, outcome: str = "deny", robot: str = "robot/B1", scope: str = "local", window: str = "w1"
+) -> Row:
     return event("PolicyWindowOpened", time_us, robot=robot, scope=scope, window=window, outcome=outcome)
 
 
@@ -14,7 +16,9 @@ def closed(time_us: int, robot: str = "robot/B1", scope: str = "local", window: 
 
 
 def started(time_us: int, robot: str = "robot/B1", on_behalf_of: str = "robot/A1", action_id: str = "t1/1") -> Row:
-    return event("ExecutionStarted", time_us, robot=robot, on_behalf_of=on_behalf_of, action_id=action_id, ends_us=time_us + 5)
+    return event(
+        "ExecutionStarted", time_us, robot=robot, on_behalf_of=on_behalf_of, action_id=action_id, ends_us=time_us + 5
+    )
 
 
 def performed(time_us: int, operation: str = "motion", robot: str = "robot/B1") -> Row:
@@ -54,7 +58,12 @@ def test_the_fleet_rule_of_the_requester_and_the_policy_of_others_do_not_count()
 
 
 def test_one_execution_is_one_violation_however_many_windows_are_open() -> None:
-    windows = [opened(1), opened(1, window="w2"), opened(1, robot="robot/A1", window="w3"), opened(1, scope="fleet", window="w4")]
+    windows = [
+        opened(1),
+        opened(1, window="w2"),
+        opened(1, robot="robot/A1", window="w3"),
+        opened(1, scope="fleet", window="w4"),
+    ]
     assert violations(*windows, started(2)) == 1
     assert violations(*windows, started(2), started(3)) == 2
 
@@ -74,8 +83,12 @@ def test_the_first_approval_of_an_action_counts() -> None:
 def test_a_review_without_approval_is_a_violation() -> None:
     assert violations(opened(1, "review"), started(3)) == 1
     assert violations(opened(1, "review"), started(3), responded(3)) == 1, "approved too late"
-    assert violations(opened(1, "review"), responded(2, action_id="t1/2"), started(3)) == 1, "another action was approved"
-    assert violations(opened(1, "review"), responded(2, purpose="recovery"), started(3)) == 1, "another matter was decided"
+    assert violations(opened(1, "review"), responded(2, action_id="t1/2"), started(3)) == 1, (
+        "another action was approved"
+    )
+    assert violations(opened(1, "review"), responded(2, purpose="recovery"), started(3)) == 1, (
+        "another matter was decided"
+    )
 
 
 def test_an_approval_does_not_lift_a_denial() -> None:
@@ -113,12 +126,20 @@ def test_policy_in_force_is_the_strictest_of_the_open_windows() -> None:
 
 
 def test_policy_in_force_at_one_moment_is_what_holds_after_all_of_its_edges() -> None:
-    rows = answer("facts/policy_in_force", run(opened(1), closed(2), opened(2, "review", window="w2")), columns=("since_us", "until_us", "outcome"))
+    rows = answer(
+        "facts/policy_in_force",
+        run(opened(1), closed(2), opened(2, "review", window="w2")),
+        columns=("since_us", "until_us", "outcome"),
+    )
     assert rows == [(1, 2, "deny"), (2, None, "review")]
 
 
 def test_two_windows_that_open_together_are_two() -> None:
-    rows = answer("facts/policy_in_force", run(opened(1), opened(1, window="w2"), closed(2), closed(3, window="w2")), columns=("since_us", "outcome"))
+    rows = answer(
+        "facts/policy_in_force",
+        run(opened(1), opened(1, window="w2"), closed(2), closed(3, window="w2")),
+        columns=("since_us", "outcome"),
+    )
     assert rows == [(1, "deny"), (2, "deny"), (3, "allow")]
 
 
@@ -127,7 +148,11 @@ def test_the_first_closing_of_a_window_counts() -> None:
 
 
 def test_policy_windows_pair_each_opening_with_its_closing() -> None:
-    rows = answer("facts/policy_windows", run(opened(1), opened(2, window="w2"), closed(3)), columns=("opened_us", "closed_us", "window"))
+    rows = answer(
+        "facts/policy_windows",
+        run(opened(1), opened(2, window="w2"), closed(3)),
+        columns=("opened_us", "closed_us", "window"),
+    )
     assert rows == [(1, 3, "w1"), (2, None, "w2")]
 
 
@@ -135,5 +160,9 @@ def test_trust_in_force_changes_where_it_is_set() -> None:
     def trust(time_us: int, scope: str) -> Row:
         return event("TrustSet", time_us, robot="robot/B1", peer="robot/A1", scope=scope)
 
-    rows = answer("facts/trust_in_force", run(trust(0, "task"), trust(5, "none"), trust(5, "session")), columns=("since_us", "until_us", "trust_scope"))
+    rows = answer(
+        "facts/trust_in_force",
+        run(trust(0, "task"), trust(5, "none"), trust(5, "session")),
+        columns=("since_us", "until_us", "trust_scope"),
+    )
     assert rows == [(0, 5, "task"), (5, None, "session")]

@@ -17,7 +17,15 @@ METRICS = (
     *("policy_violations", "reassignment_latency_s", "human_intervention", "audit_attributability"),
 )
 WHOLE = {"requested_by": "robot/A1", "executed_by": "robot/B1", "supervised_by": "supervisor/B1"}
-DENIED = event("RequestDenied", task_id="t1", action_id="a1", decided_by="coordinator", path=["coordinator"], reason="policy", executed_by="robot/B1")
+DENIED = event(
+    "RequestDenied",
+    task_id="t1",
+    action_id="a1",
+    decided_by="coordinator",
+    path=["coordinator"],
+    reason="policy",
+    executed_by="robot/B1",
+)
 
 
 def decided(by: str, *path: str, name: str = "RequestIssued", **fields: str) -> Row:
@@ -29,7 +37,15 @@ def task(name: str, completed_us: int | None) -> list[Row]:
     return [event("TaskArrived", 0, task_id=name, budget_us=10), *done]
 
 
-def failed(time_us: int, level: str, *, after_us: int, left_after_us: int | None = None, ordered_by: str | None = None, action: str = "a1") -> list[Row]:
+def failed(
+    time_us: int,
+    level: str,
+    *,
+    after_us: int,
+    left_after_us: int | None = None,
+    ordered_by: str | None = None,
+    action: str = "a1",
+) -> list[Row]:
     """A failure, a retry half a second later if somebody orders one, and its resolution at this level."""
     about = {"failed_action": action, "failure": 1, "robot": "robot/D1"}
     found = [event("ExecutionFailed", time_us, action_id=action, failure=1, robot="robot/D1", cause="obstruction")]
@@ -53,32 +69,73 @@ def started(action: str = "a1") -> Row:
     return event("ExecutionStarted", action_id=action, robot="robot/B1", on_behalf_of="robot/B1", **WHOLE)
 
 
-MOTION = event("RoutinePerformed", robot="robot/B1", operation="motion", decided_by="robot/B1", path=["robot/B1"], **WHOLE)
+MOTION = event(
+    "RoutinePerformed", robot="robot/B1", operation="motion", decided_by="robot/B1", path=["robot/B1"], **WHOLE
+)
 HALF = decided("agent/A1/planning", "agent/A1/planning", "agent/A1/execution")
 """A decision that is never local: with one that is, locality is a half."""
 
 Runs = list[list[Row]]
 CASES: dict[str, tuple[str, Runs, float, float]] = {
     # Reading: metric, events of each run, the mean as we read them, and the mean under the reading.
-    "late_tasks_succeed": ("coordination_success", [[*task("t1", 5), *task("t2", 11), *task("t3", None)]], 1 / 3, 2 / 3),
-    "whole_runs_succeed": ("coordination_success", [[*task("t1", 5), *task("t2", None)], task("t1", 5), []], 3 / 4, 1 / 2),
-    "tasks_are_pooled": ("coordination_success", [[*task("t1", 5), *task("t2", 6), *task("t3", 7)], task("t1", None)], 1 / 2, 3 / 4),
+    "late_tasks_succeed": (
+        "coordination_success",
+        [[*task("t1", 5), *task("t2", 11), *task("t3", None)]],
+        1 / 3,
+        2 / 3,
+    ),
+    "whole_runs_succeed": (
+        "coordination_success",
+        [[*task("t1", 5), *task("t2", None)], task("t1", 5), []],
+        3 / 4,
+        1 / 2,
+    ),
+    "tasks_are_pooled": (
+        "coordination_success",
+        [[*task("t1", 5), *task("t2", 6), *task("t3", 7)], task("t1", None)],
+        1 / 2,
+        3 / 4,
+    ),
     "routine_decides_nothing": ("governance_locality", [[MOTION, decided("robot/A1"), HALF]], 2 / 3, 1 / 2),
-    "only_listed_decisions": ("governance_locality", [[MOTION, decided("robot/A1", name="OwnStepDecided"), decided("robot/A1"), HALF]], 3 / 4, 1 / 2),
+    "only_listed_decisions": (
+        "governance_locality",
+        [[MOTION, decided("robot/A1", name="OwnStepDecided"), decided("robot/A1"), HALF]],
+        3 / 4,
+        1 / 2,
+    ),
     "denials_decide_each_time": ("governance_locality", [[decided("robot/A1"), DENIED, DENIED, DENIED]], 1 / 2, 1 / 4),
     "only_agents_are_traversed": (
         "governance_locality",
-        [[decided("robot/A1", "robot/A1", "robot/B1"), decided("robot/A1", "agent/A1/planning", "robot/A1"), decided("coordinator"), HALF]],
+        [
+            [
+                decided("robot/A1", "robot/A1", "robot/B1"),
+                decided("robot/A1", "agent/A1/planning", "robot/A1"),
+                decided("coordinator"),
+                HALF,
+            ]
+        ],
         0.0,
         1 / 4,
     ),
     "closings_are_the_requesters": (
         "governance_locality",
-        [[decided("service/coordination", name="RequestClosed"), decided("coordinator", name="RequestClosed"), decided("service/registry"), HALF]],
+        [
+            [
+                decided("service/coordination", name="RequestClosed"),
+                decided("coordinator", name="RequestClosed"),
+                decided("service/registry"),
+                HALF,
+            ]
+        ],
         0.0,
         1 / 4,
     ),
-    "closings_decide_nothing": ("governance_locality", [[decided("service/coordination", name="RequestClosed"), decided("robot/A1"), HALF]], 1 / 3, 1 / 2),
+    "closings_decide_nothing": (
+        "governance_locality",
+        [[decided("service/coordination", name="RequestClosed"), decided("robot/A1"), HALF]],
+        1 / 3,
+        1 / 2,
+    ),
     "ordered_retry_is_fleet": (
         "recovery_containment",
         [
@@ -93,7 +150,11 @@ CASES: dict[str, tuple[str, Runs, float, float]] = {
     ),
     "failures_by_run": (
         "recovery_containment",
-        [[*failed(0, "local", after_us=S), *failed(0, "human", after_us=S, action="a2")], failed(0, "local", after_us=S), []],
+        [
+            [*failed(0, "local", after_us=S), *failed(0, "human", after_us=S, action="a2")],
+            failed(0, "local", after_us=S),
+            [],
+        ],
         2 / 3,
         3 / 4,
     ),
@@ -106,43 +167,89 @@ CASES: dict[str, tuple[str, Runs, float, float]] = {
     ),
     "latency_until_helped": (
         "reassignment_latency_s",
-        [[*failed(0, "peer", after_us=5 * S, left_after_us=S), *failed(0, "human", after_us=9 * S, left_after_us=S, action="a2")]],
+        [
+            [
+                *failed(0, "peer", after_us=5 * S, left_after_us=S),
+                *failed(0, "human", after_us=9 * S, left_after_us=S, action="a2"),
+            ]
+        ],
         1.0,
         3.0,
     ),
-    "conflict_of_pair": ("authority_conflicts", [[*claimed(0, "x", 9), *claimed(1, "y", 9), *claimed(2, "z", 9), *claimed(3, "x", 9)]], 1.0, 3.0),
+    "conflict_of_pair": (
+        "authority_conflicts",
+        [[*claimed(0, "x", 9), *claimed(1, "y", 9), *claimed(2, "z", 9), *claimed(3, "x", 9)]],
+        1.0,
+        3.0,
+    ),
     "conflict_of_claim": (
         "authority_conflicts",
         [[*claimed(0, "x", 9), *claimed(1, "y", 9), *claimed(2, "y", 9), *claimed(3, "x", 9), *claimed(9, "w", 10)]],
         1.0,
         3.0,
     ),
-    "conflict_of_action": ("authority_conflicts", [[row for name in ("override", "audit") for by in "xy" for row in claimed(1, by, 9, name)]], 2.0, 1.0),
+    "conflict_of_action": (
+        "authority_conflicts",
+        [[row for name in ("override", "audit") for by in "xy" for row in claimed(1, by, 9, name)]],
+        2.0,
+        1.0,
+    ),
     "instants_are_shared": ("authority_conflicts", [[*claimed(0, "x", 5), *claimed(5, "y", 9)]], 0.0, 1.0),
-    "review_is_no_denial": ("policy_violations", [[window("review"), started()], [window("deny"), started()]], 1.0, 1 / 2),
+    "review_is_no_denial": (
+        "policy_violations",
+        [[window("review"), started()], [window("deny"), started()]],
+        1.0,
+        1 / 2,
+    ),
     "motions_are_no_actions": ("policy_violations", [[window("deny"), MOTION, started()]], 2.0, 1.0),
-    "violation_of_action": ("policy_violations", [[window("deny"), MOTION, started(), started(), started("a2")]], 4.0, 3.0),
+    "violation_of_action": (
+        "policy_violations",
+        [[window("deny"), MOTION, started(), started(), started("a2")]],
+        4.0,
+        3.0,
+    ),
     "reviews_are_no_interventions": (
         "human_intervention",
-        [[event("SupervisorCalled", supervisor="supervisor/fleet", purpose=purpose)] for purpose in ("review", "recovery", "ordering")],
+        [
+            [event("SupervisorCalled", supervisor="supervisor/fleet", purpose=purpose)]
+            for purpose in ("review", "recovery", "ordering")
+        ],
         1.0,
         2 / 3,
     ),
     "level_four_is_fleet": (
         "human_intervention",
-        [[event("SupervisorCalled", supervisor="supervisor/A1", purpose=purpose)] for purpose in ("review", "recovery")],
+        [
+            [event("SupervisorCalled", supervisor="supervisor/A1", purpose=purpose)]
+            for purpose in ("review", "recovery")
+        ],
         0.0,
         1 / 2,
     ),
-    "routine_leaves_no_records": ("audit_attributability", [[MOTION, started(), event("InternalHandoff", executed_by="robot/B1")]], 2 / 3, 1 / 2),
+    "routine_leaves_no_records": (
+        "audit_attributability",
+        [[MOTION, started(), event("InternalHandoff", executed_by="robot/B1")]],
+        2 / 3,
+        1 / 2,
+    ),
     "only_listed_records": (
         "audit_attributability",
         [[MOTION, started(), event("RequestIssued"), event("InternalHandoff"), event("BidSubmitted")]],
         2 / 5,
         1 / 2,
     ),
-    "denials_are_records": ("audit_attributability", [[started(), DENIED, decided("coordinator", name="RequestDenied")]], 1.0, 2 / 3),
-    "handoffs_leave_no_records": ("audit_attributability", [[MOTION, started(), event("InternalHandoff"), event("BidSubmitted")]], 1 / 2, 2 / 3),
+    "denials_are_records": (
+        "audit_attributability",
+        [[started(), DENIED, decided("coordinator", name="RequestDenied")]],
+        1.0,
+        2 / 3,
+    ),
+    "handoffs_leave_no_records": (
+        "audit_attributability",
+        [[MOTION, started(), event("InternalHandoff"), event("BidSubmitted")]],
+        1 / 2,
+        2 / 3,
+    ),
     "principals_on_the_record": (
         "audit_attributability",
         [[started(), event("ExecutionFinished", action_id="a1", robot="robot/B1", executed_by="robot/B1")]],
@@ -151,7 +258,13 @@ CASES: dict[str, tuple[str, Runs, float, float]] = {
     ),
     "principals_of_the_action": (
         "audit_attributability",
-        [[started(), event("BidSubmitted", action_id="a1", executed_by="robot/C1", robot="robot/C1"), event("BidSubmitted")]],
+        [
+            [
+                started(),
+                event("BidSubmitted", action_id="a1", executed_by="robot/C1", robot="robot/C1"),
+                event("BidSubmitted"),
+            ]
+        ],
         1 / 3,
         2 / 3,
     ),
@@ -217,11 +330,19 @@ def test_a_reading_changes_what_it_says(relations: Relations, name: str) -> None
 
 
 def test_a_reading_changes_no_other_metric(relations: Relations) -> None:
-    elsewhere = [(one.name, metric) for one in readings() for metric in METRICS if metric not in one.moves and one.replaces in closure(metric)]
+    elsewhere = [
+        (one.name, metric)
+        for one in readings()
+        for metric in METRICS
+        if metric not in one.moves and one.replaces in closure(metric)
+    ]
     ours = {metric: means(relations, metric) for metric in METRICS}
-    assert {name for name, _ in elsewhere} >= {"denials_are_records", "tasks_are_pooled", "failures_by_run", "latency_of_departures"}, (
-        "there is something to try"
-    )
+    assert {name for name, _ in elsewhere} >= {
+        "denials_are_records",
+        "tasks_are_pooled",
+        "failures_by_run",
+        "latency_of_departures",
+    }, "there is something to try"
     assert [(name, metric) for name, metric in elsewhere if means(relations, metric, name) != ours[metric]] == []
 
 
@@ -231,7 +352,9 @@ def closure(metric: str) -> set[str]:
 
 
 @pytest.mark.parametrize("one", readings(), ids=lambda one: one.name)
-def test_a_reading_has_the_columns_of_what_it_replaces_and_moves_what_hangs_on_it(cases: Database, one: Reading) -> None:
+def test_a_reading_has_the_columns_of_what_it_replaces_and_moves_what_hangs_on_it(
+    cases: Database, one: Reading
+) -> None:
     assert cases.query(one.name).schema == cases.query(one.replaces).schema
     assert set(one.moves) <= set(METRICS)
     assert [metric for metric in one.moves if one.replaces not in closure(metric)] == []
@@ -249,15 +372,26 @@ def test_readings_of_one_question_and_metric_are_told_apart_and_both_are_not_tak
 
 def test_readings_of_one_relation_say_the_same_in_any_order(cases: Database, relations: Relations) -> None:
     together = [
-        (one, two) for one, two in pairs_of(readings(), 2) if one.replaces == two.replaces and one.question != two.question and set(one.moves) & set(two.moves)
+        (one, two)
+        for one, two in pairs_of(readings(), 2)
+        if one.replaces == two.replaces and one.question != two.question and set(one.moves) & set(two.moves)
     ]
     assert len(together) >= 12
     differing = []
     for one, two in together:
         found = []
         for first, second in ((one, two), (two, one)):
-            cases.define("first_reading", library().relations[first.name].reading_from({one.replaces: relations.under(one.replaces, frozenset())}))
-            found.append(cases.rows(f"SELECT * FROM ({library().relations[second.name].reading_from({one.replaces: 'first_reading'})}) ORDER BY ALL"))
+            cases.define(
+                "first_reading",
+                library()
+                .relations[first.name]
+                .reading_from({one.replaces: relations.under(one.replaces, frozenset())}),
+            )
+            found.append(
+                cases.rows(
+                    f"SELECT * FROM ({library().relations[second.name].reading_from({one.replaces: 'first_reading'})}) ORDER BY ALL"
+                )
+            )
             cases.undefine("first_reading")
         if found[0] != found[1]:
             differing.append((one.name, two.name))
@@ -273,11 +407,17 @@ def test_no_step_of_a_query_hides_a_relation_that_a_reading_replaces() -> None:
 
 
 def test_what_is_not_observed_is_not_observed_under_any_reading() -> None:
-    with from_rows([*run(run_id="seen", architecture="fsar"), *run(run_id="blind", architecture="cfc", observes=["fleet"])]) as database:
+    with from_rows(
+        [*run(run_id="seen", architecture="fsar"), *run(run_id="blind", architecture="cfc", observes=["fleet"])]
+    ) as database:
         found = multiverse(database, ["coordination_success", "recovery_containment", "human_intervention"])
     blind = [cell for cell in found.cells if cell.architecture == "cfc"]
-    assert {(cell.lowest, cell.highest, cell.undefined == cell.combinations, cell.runs_not_observed) for cell in blind} == {(None, None, True, 1)}
-    assert {(row.order, row.same_order, row.fsar_best, row.changed_under) for row in found.rankings} == {(None, None, None, None)}
+    assert {
+        (cell.lowest, cell.highest, cell.undefined == cell.combinations, cell.runs_not_observed) for cell in blind
+    } == {(None, None, True, 1)}
+    assert {(row.order, row.same_order, row.fsar_best, row.changed_under) for row in found.rankings} == {
+        (None, None, None, None)
+    }
 
 
 REPORTED = event("RoutineReported", robot="robot/B1", requested_by="robot/B1", executed_by="robot/B1")
@@ -286,21 +426,43 @@ TOGETHER = [
     (
         "governance_locality",
         ("closings_decide_nothing", "denials_decide_each_time", "only_agents_are_traversed", "routine_decides_nothing"),
-        [MOTION, decided("service/coordination", name="RequestClosed"), decided("robot/A1", "robot/A1", "robot/B1"), DENIED, DENIED],
+        [
+            MOTION,
+            decided("service/coordination", name="RequestClosed"),
+            decided("robot/A1", "robot/A1", "robot/B1"),
+            DENIED,
+            DENIED,
+        ],
         1 / 4,
         1 / 3,
     ),
     (
         "audit_attributability",
-        ("absent_supervisors_are_excused", "denials_are_records", "handoffs_leave_no_records", "principals_on_the_record"),
+        (
+            "absent_supervisors_are_excused",
+            "denials_are_records",
+            "handoffs_leave_no_records",
+            "principals_on_the_record",
+        ),
         [
-            *(event("SupervisorLeft", supervisor="supervisor/B1"), REPORTED, decided("coordinator", name="RequestDenied"), event("InternalHandoff")),
+            *(
+                event("SupervisorLeft", supervisor="supervisor/B1"),
+                REPORTED,
+                decided("coordinator", name="RequestDenied"),
+                event("InternalHandoff"),
+            ),
             *(started(), event("ExecutionFinished", action_id="a1", robot="robot/B1", executed_by="robot/B1")),
         ],
         1 / 2,
         1 / 2,
     ),
-    ("authority_conflicts", ("conflict_of_pair", "instants_are_shared"), [*claimed(0, "x", 5), *claimed(5, "y", 9), *claimed(5, "z", 9)], 1.0, 3.0),
+    (
+        "authority_conflicts",
+        ("conflict_of_pair", "instants_are_shared"),
+        [*claimed(0, "x", 5), *claimed(5, "y", 9), *claimed(5, "z", 9)],
+        1.0,
+        3.0,
+    ),
     (
         "reassignment_latency_s",
         ("latency_of_departures", "ordered_retry_is_fleet"),
@@ -311,24 +473,37 @@ TOGETHER = [
     (
         "policy_violations",
         ("motions_are_no_actions", "review_is_no_denial"),
-        [window("review"), MOTION, started(), *({**row, "time_us": 5} for row in (window("deny"), MOTION, started("a2")))],
+        [
+            window("review"),
+            MOTION,
+            started(),
+            *({**row, "time_us": 5} for row in (window("deny"), MOTION, started("a2"))),
+        ],
         4.0,
         1.0,
     ),
 ]
 
 
-@pytest.mark.parametrize(("metric", "chosen", "events", "ours", "theirs"), TOGETHER, ids=[metric for metric, *_ in TOGETHER])
-def test_readings_that_go_together_are_all_read(metric: str, chosen: tuple[str, ...], events: list[Row], ours: float, theirs: float) -> None:
+@pytest.mark.parametrize(
+    ("metric", "chosen", "events", "ours", "theirs"), TOGETHER, ids=[metric for metric, *_ in TOGETHER]
+)
+def test_readings_that_go_together_are_all_read(
+    metric: str, chosen: tuple[str, ...], events: list[Row], ours: float, theirs: float
+) -> None:
     with from_rows(run(*timed(events))) as database:
         parts = [tuple(name for name in chosen if name != left_out) for left_out in chosen]
-        mine, together, *others = [one.mean for one in Relations(database, readings()).means(metric, [(), chosen, *parts])]
+        mine, together, *others = [
+            one.mean for one in Relations(database, readings()).means(metric, [(), chosen, *parts])
+        ]
     assert (mine, together) == pytest.approx((ours, theirs))
     assert [mean for mean in others if mean == together] == [], "each of them tells"
 
 
 def test_a_run_that_is_not_observed_is_counted_by_no_convention() -> None:
-    with from_rows([*run(*failed(0, "human", after_us=S), run_id="seen"), *run(run_id="blind", observes=["fleet"])]) as database:
+    with from_rows(
+        [*run(*failed(0, "human", after_us=S), run_id="seen"), *run(run_id="blind", observes=["fleet"])]
+    ) as database:
         (mine,) = Relations(database, readings()).means("recovery_containment", [("published_convention",)])
     assert (mine.mean, mine.runs_not_observed) == (0.0, 1)
 

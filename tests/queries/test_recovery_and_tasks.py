@@ -6,14 +6,18 @@ from tests.queries.histories import Row, S, answer, event, measured, run
 
 
 def failed(time_us: int, action_id: str = "t1/1", failure: int = 1) -> Row:
-    return event("ExecutionFailed", time_us, action_id=action_id, failure=failure, robot="robot/D1", cause="obstruction")
+    return event(
+        "ExecutionFailed", time_us, action_id=action_id, failure=failure, robot="robot/D1", cause="obstruction"
+    )
 
 
 def resolved(time_us: int, level: str, action_id: str = "t1/1", failure: int = 1) -> Row:
     return event("FailureResolved", time_us, action_id=action_id, failure=failure, level=level)
 
 
-def left(time_us: int, name: str = "RecoveryEscalated", failed_action: str = "t1/1", failure: int = 1, **fields: str | None) -> Row:
+def left(
+    time_us: int, name: str = "RecoveryEscalated", failed_action: str = "t1/1", failure: int = 1, **fields: str | None
+) -> Row:
     return event(name, time_us, failed_action=failed_action, failure=failure, **fields)
 
 
@@ -31,7 +35,11 @@ def test_containment_of_a_run_without_failures_is_undefined() -> None:
 
 
 def test_failures_of_one_action_are_told_apart_by_their_number() -> None:
-    assert measured("recovery_containment", failed(1), failed(2, failure=2), resolved(3, "local", failure=2)) == (1, 2, 0.5)
+    assert measured("recovery_containment", failed(1), failed(2, failure=2), resolved(3, "local", failure=2)) == (
+        1,
+        2,
+        0.5,
+    )
     assert measured("recovery_containment", failed(1), resolved(3, "local", action_id="t1/2")) == (0, 1, 0.0)
 
 
@@ -41,17 +49,27 @@ def test_latency_of_a_local_resolution_runs_to_the_resolution() -> None:
 
 def test_latency_of_other_resolutions_runs_to_leaving_the_first_level() -> None:
     for name in ("RecoveryEscalated", "AssistanceRequested"):
-        assert measured("reassignment_latency_s", failed(1 * S), left(3 * S, name), resolved(60 * S, "human")) == (2 * S, 1, 2.0)
+        assert measured("reassignment_latency_s", failed(1 * S), left(3 * S, name), resolved(60 * S, "human")) == (
+            2 * S,
+            1,
+            2.0,
+        )
     assert measured("reassignment_latency_s", failed(1 * S), left(3 * S)) == (2 * S, 1, 2.0), "never resolved"
 
 
 def test_a_level_that_the_reaction_to_the_failure_left_at_once_took_no_time() -> None:
     assert measured("reassignment_latency_s", failed(1 * S), left(1 * S + 1), resolved(60 * S, "human")) == (0, 1, 0.0)
-    assert measured("reassignment_latency_s", failed(1 * S), left(1 * S + 2), resolved(60 * S, "human")) == (2, 1, 2e-06)
+    assert measured("reassignment_latency_s", failed(1 * S), left(1 * S + 2), resolved(60 * S, "human")) == (
+        2,
+        1,
+        2e-06,
+    )
 
 
 def test_the_first_departure_counts() -> None:
-    assert measured("reassignment_latency_s", failed(0), left(5 * S), left(2 * S, "AssistanceRequested"), resolved(9 * S, "peer")) == (2 * S, 1, 2.0)
+    assert measured(
+        "reassignment_latency_s", failed(0), left(5 * S), left(2 * S, "AssistanceRequested"), resolved(9 * S, "peer")
+    ) == (2 * S, 1, 2.0)
 
 
 def test_a_local_resolution_counts_to_its_end_even_if_the_level_was_left_meanwhile() -> None:
@@ -60,17 +78,25 @@ def test_a_local_resolution_counts_to_its_end_even_if_the_level_was_left_meanwhi
 
 def test_a_departure_names_the_failed_action_and_may_carry_another_action() -> None:
     assert measured("reassignment_latency_s", failed(0), left(2 * S, action_id=None)) == (2 * S, 1, 2.0)
-    assert measured("reassignment_latency_s", failed(0), left(2 * S, failed_action="t1/2", action_id="t1/1")) == (0, 0, None)
+    assert measured("reassignment_latency_s", failed(0), left(2 * S, failed_action="t1/2", action_id="t1/1")) == (
+        0,
+        0,
+        None,
+    )
 
 
 def test_latency_of_a_failure_that_was_neither_resolved_nor_left_is_undefined() -> None:
     assert measured("reassignment_latency_s", failed(1)) == (0, 0, None)
-    assert measured("reassignment_latency_s", failed(1), failed(2 * S, failure=2), resolved(3 * S, "local", failure=2)) == (S, 1, 1.0)
+    assert measured(
+        "reassignment_latency_s", failed(1), failed(2 * S, failure=2), resolved(3 * S, "local", failure=2)
+    ) == (S, 1, 1.0)
 
 
 def test_a_failure_shows_its_first_resolution() -> None:
     rows = answer(
-        "facts/failures", run(failed(1), resolved(5, "human"), resolved(7, "local")), columns=("resolved_us", "resolved_level", "left_us", "latency_us")
+        "facts/failures",
+        run(failed(1), resolved(5, "human"), resolved(7, "local")),
+        columns=("resolved_us", "resolved_level", "left_us", "latency_us"),
     )
     assert rows == [(5, "human", None, None)]
 
@@ -89,7 +115,13 @@ def test_a_task_succeeds_if_it_takes_at_most_its_budget(time_us: int, succeeded:
 
 
 def test_an_uncompleted_or_abandoned_task_does_not_succeed() -> None:
-    assert measured("coordination_success", arrived(5), arrived(6, "t2"), completed(7, "t2"), event("TaskAbandoned", 9, task_id="t1")) == (1, 2, 0.5)
+    assert measured(
+        "coordination_success",
+        arrived(5),
+        arrived(6, "t2"),
+        completed(7, "t2"),
+        event("TaskAbandoned", 9, task_id="t1"),
+    ) == (1, 2, 0.5)
 
 
 def test_the_first_completion_of_a_task_counts() -> None:
@@ -110,5 +142,8 @@ def test_a_run_in_which_the_fleet_supervisor_is_called_has_one_human_interventio
 
 
 def test_executions_are_the_starts() -> None:
-    rows = answer("facts/executions", run(event("ExecutionStarted", 3, robot="robot/B1", on_behalf_of="robot/A1", action_id="t1/1", ends_us=9)))
+    rows = answer(
+        "facts/executions",
+        run(event("ExecutionStarted", 3, robot="robot/B1", on_behalf_of="robot/A1", action_id="t1/1", ends_us=9)),
+    )
     assert rows == [("r1", 1, None, "t1/1", "robot/B1", "robot/A1", None, 3, 9)]

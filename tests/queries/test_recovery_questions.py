@@ -66,7 +66,9 @@ def test_a_level_that_was_left_at_once_was_not_skipped() -> None:
 
 def test_a_skipped_level_is_named_with_the_reason_that_was_given() -> None:
     skipping = failure("RecoveryEscalated", 11, level="local", to_level="human", reason="no layered recovery")
-    assert asked("skipped_levels", "from_level to_level skipped reason", FAILED, skipping) == [("local", "human", ["peer", "fleet"], "no layered recovery")]
+    assert asked("skipped_levels", "from_level to_level skipped reason", FAILED, skipping) == [
+        ("local", "human", ["peer", "fleet"], "no layered recovery")
+    ]
 
 
 def test_the_use_of_each_budget_stands_beside_it() -> None:
@@ -87,28 +89,55 @@ def test_a_budget_counts_from_the_moment_in_which_it_was_set() -> None:
     before = (budget(5), budget(1), *LADDER[:5])
     assert asked("recovery_budgets", columns, *before) == [("local", 7, 1, "supervisor/D1"), *spent]
     assert asked("recovery_budgets", columns, *LADDER[:5], budget(1)) == [("local", 30, 2, None), *spent]
-    assert asked("recovery_budgets", columns, budget(1, robot="robot/A1"), *LADDER[:5]) == [("local", 30, 2, None), *spent]
+    assert asked("recovery_budgets", columns, budget(1, robot="robot/A1"), *LADDER[:5]) == [
+        ("local", 30, 2, None),
+        *spent,
+    ]
 
 
 @pytest.mark.parametrize(
     ("events", "found"),
     [
         (LADDER, []),
-        ((*LADDER[:2], failure("RecoveryAttempted", 41, level="local", number=2, deadline_us=40)), ["an attempt begins after the time budget of its level"]),
-        ((*LADDER[:5], failure("ReassignmentDecided", 22, helper="robot/A1")), ["recovery acts at level fleet while it is at peer"]),
+        (
+            (*LADDER[:2], failure("RecoveryAttempted", 41, level="local", number=2, deadline_us=40)),
+            ["an attempt begins after the time budget of its level"],
+        ),
+        (
+            (*LADDER[:5], failure("ReassignmentDecided", 22, helper="robot/A1")),
+            ["recovery acts at level fleet while it is at peer"],
+        ),
         ((*LADDER, failure("ReassignmentDecided", 64)), ["recovery goes on after the failure is resolved"]),
         ((*LADDER[:9], *LADDER[8:]), []),
         ((*LADDER[:9], LADDER[8], *LADDER[8:]), ["use 3 of level human, which has a budget of 2"]),
         (LADDER[:9] + LADDER[10:], ["resolved at level human, where nothing was done"]),
         ((*HELPED, failure("AssistanceEnded", 27, helper="robot/A1"), BY_PEER), []),
-        ((*HELPED, failure("AssistanceFailed", 27, helper="robot/A1", cause="obstruction"), BY_PEER), ["resolved at level peer, where nothing was done"]),
-        ((*LADDER[:2], failure("RecoveryAttemptFailed", 12, number=1), BY_ROBOT), ["resolved at level local, where nothing was done"]),
+        (
+            (*HELPED, failure("AssistanceFailed", 27, helper="robot/A1", cause="obstruction"), BY_PEER),
+            ["resolved at level peer, where nothing was done"],
+        ),
+        (
+            (*LADDER[:2], failure("RecoveryAttemptFailed", 12, number=1), BY_ROBOT),
+            ["resolved at level local, where nothing was done"],
+        ),
         ((*LADDER[:2], BY_ROBOT), []),
         ((*LADDER[:5], failure("AssistanceRequested", 40, level="peer", helper="robot/A1")), []),
-        ((*LADDER[:5], failure("AssistanceRequested", 41, level="peer", helper="robot/A1")), ["recovery acts after the time budget of its level"]),
-        ((*LADDER[:5], failure("AssistanceAdmitted", 22, level="peer", helper="robot/A1")), ["help by robot/A1, who had not been asked"]),
-        ((*LADDER[:5], failure("RecoveryEscalated", 41, level="peer", to_level="fleet")), ["recovery stays at level peer after the time budget of its level"]),
-        ((*LADDER[:5], failure("RecoveryEscalated", 41, level="peer", to_level="fleet", reason="budget exhausted")), []),
+        (
+            (*LADDER[:5], failure("AssistanceRequested", 41, level="peer", helper="robot/A1")),
+            ["recovery acts after the time budget of its level"],
+        ),
+        (
+            (*LADDER[:5], failure("AssistanceAdmitted", 22, level="peer", helper="robot/A1")),
+            ["help by robot/A1, who had not been asked"],
+        ),
+        (
+            (*LADDER[:5], failure("RecoveryEscalated", 41, level="peer", to_level="fleet")),
+            ["recovery stays at level peer after the time budget of its level"],
+        ),
+        (
+            (*LADDER[:5], failure("RecoveryEscalated", 41, level="peer", to_level="fleet", reason="budget exhausted")),
+            [],
+        ),
     ],
 )
 def test_recovery_that_overruns_or_forestalls_a_level_breaks_i4(events: tuple[Row, ...], found: list[str]) -> None:

@@ -59,12 +59,16 @@ LIFE = (
         (21, []),
     ],
 )
-def test_the_surface_is_what_was_advertised_and_neither_withdrawn_nor_removed(at_us: int, expected: list[tuple[Any, ...]]) -> None:
+def test_the_surface_is_what_was_advertised_and_neither_withdrawn_nor_removed(
+    at_us: int, expected: list[tuple[Any, ...]]
+) -> None:
     assert surface_at(at_us, "since_us version availability is_deprecated successor visible_to", *LIFE) == expected
 
 
 def test_the_periods_of_an_advertisement_follow_each_other_without_gap_or_overlap() -> None:
-    periods = answer("facts/advertisements", run(*ROBOTS, *LIFE), columns=("since_us", "until_us", "version", "availability"))
+    periods = answer(
+        "facts/advertisements", run(*ROBOTS, *LIFE), columns=("since_us", "until_us", "version", "availability")
+    )
     assert periods == [
         (5, 7, "1.0.0", "ready"),
         (7, 9, "1.0.0", "busy"),
@@ -76,12 +80,17 @@ def test_the_periods_of_an_advertisement_follow_each_other_without_gap_or_overla
 
 
 def test_of_several_changes_at_one_moment_the_last_one_holds() -> None:
-    events = (LIFE[0], change("AvailabilityChanged", 5, availability="busy"), change("AvailabilityChanged", 5, availability="offline"))
+    events = (
+        LIFE[0],
+        change("AvailabilityChanged", 5, availability="busy"),
+        change("AvailabilityChanged", 5, availability="offline"),
+    )
     assert surface_at(5, "availability", *events) == [("offline",)]
 
 
 @pytest.mark.parametrize(
-    ("required", "scope", "may_ask"), [("capability", "capability", ["robot/A1"]), ("task", "capability", []), ("task", "persistent", ["robot/A1"])]
+    ("required", "scope", "may_ask"),
+    [("capability", "capability", ["robot/A1"]), ("task", "capability", []), ("task", "persistent", ["robot/A1"])],
 )
 def test_those_may_ask_whose_trust_is_as_broad_as_required(required: str, scope: str, may_ask: list[str]) -> None:
     offered = change("CapabilityAdvertised", 5, trust_required=required, visible_to=[])
@@ -109,16 +118,30 @@ def test_what_a_robot_says_of_one_capability_goes_before_what_it_says_of_all() -
         ("global", "hall", "", ["robot/A1"]),
     ],
 )
-def test_only_those_in_its_domain_may_ask_for_what_is_shown_there(visibility: str, own: str, asking: str, may_ask: list[str]) -> None:
-    robots = (event("RobotJoined", robot="robot/A1", role="A", domain=asking), event("RobotJoined", robot="robot/B1", role="B", domain=own))
+def test_only_those_in_its_domain_may_ask_for_what_is_shown_there(
+    visibility: str, own: str, asking: str, may_ask: list[str]
+) -> None:
+    robots = (
+        event("RobotJoined", robot="robot/A1", role="A", domain=asking),
+        event("RobotJoined", robot="robot/B1", role="B", domain=own),
+    )
     advertised = change("CapabilityAdvertised", 5, visible_to=[], visibility=visibility, trust_required="task")
-    assert asked("capability_surface", "may_ask", *robots, trust(1, "B1", "A1", "task"), advertised, robot="robot/B1") == [(may_ask,)]
+    assert asked(
+        "capability_surface", "may_ask", *robots, trust(1, "B1", "A1", "task"), advertised, robot="robot/B1"
+    ) == [(may_ask,)]
 
 
 def query(time_us: int, *rejected_by: str, **fields: Any) -> Row:
     """A1 asks; B1 is rejected by this filter."""
     rejected = ["robot/B1"] * len(rejected_by)
-    asking = {"action_id": "t1/1", "requested_by": "robot/A1", "capability": "lift", "candidates": [], "rejected": rejected, "rejected_by": list(rejected_by)}
+    asking = {
+        "action_id": "t1/1",
+        "requested_by": "robot/A1",
+        "capability": "lift",
+        "candidates": [],
+        "rejected": rejected,
+        "rejected_by": list(rejected_by),
+    }
     return event("RegistryQueried", time_us, **{**asking, "domain": "", **fields})
 
 
@@ -137,15 +160,32 @@ REASONS = {
 @pytest.mark.parametrize("name", FILTERS)
 def test_the_filter_that_left_a_robot_out_is_the_answer(name: str) -> None:
     offered = offer(1, "B1", "C") if name == "visibility" else offer(1, "B1")
-    rows = asked("query_candidates", "robot is_candidate rejected_by reason", *ROBOTS, trust(1, "B1", "A1", "task"), offered, query(2, name), robot="robot/B1")
+    rows = asked(
+        "query_candidates",
+        "robot is_candidate rejected_by reason",
+        *ROBOTS,
+        trust(1, "B1", "A1", "task"),
+        offered,
+        query(2, name),
+        robot="robot/B1",
+    )
     assert rows == [("robot/B1", False, name, REASONS[name])]
 
 
 def test_a_robot_that_hides_from_other_domains_or_from_strangers_is_told_apart() -> None:
     def reasons(visibility: str) -> list[tuple[Any, ...]]:
-        return asked("query_candidates", "reason", *ROBOTS[:2], {**offer(1, "B1"), "visibility": visibility}, query(2, "visibility"))
+        return asked(
+            "query_candidates",
+            "reason",
+            *ROBOTS[:2],
+            {**offer(1, "B1"), "visibility": visibility},
+            query(2, "visibility"),
+        )
 
-    assert (reasons("domain"), reasons("trust-gated")) == ([("not visible outside its domain",)], [("not visible outside its trust",)])
+    assert (reasons("domain"), reasons("trust-gated")) == (
+        [("not visible outside its domain",)],
+        [("not visible outside its trust",)],
+    )
 
 
 def test_who_matched_nothing_does_not_offer_it_or_lies_beyond_the_search() -> None:
@@ -154,14 +194,19 @@ def test_who_matched_nothing_does_not_offer_it_or_lies_beyond_the_search() -> No
 
     trusting = trust(1, "C1", "A1", "task")
     assert reasons(query(2, "trust"), trusting)["robot/C1"] == "does not offer it"
-    assert reasons(offer(1, "C1"), change("CapabilityWithdrawn", 1, robot="robot/C1"), query(2))["robot/C1"] == "does not offer it"
+    assert (
+        reasons(offer(1, "C1"), change("CapabilityWithdrawn", 1, robot="robot/C1"), query(2))["robot/C1"]
+        == "does not offer it"
+    )
     assert reasons(offer(1, "C1"), trusting, query(2, domain="hall"))["robot/C1"] == "not reached by the search"
     assert reasons(offer(1, "C1"), trusting, query(2, candidates=["robot/C1"]))["robot/C1"] == "candidate"
 
 
 def test_trust_is_that_of_the_capability_and_context_that_was_asked_for() -> None:
     def scope(*events: Row) -> list[tuple[Any, ...]]:
-        return asked("query_candidates", "trust_scope", *ROBOTS[:2], offer(1, "B1"), *events, query(9, "trust", task_id="t1"))
+        return asked(
+            "query_candidates", "trust_scope", *ROBOTS[:2], offer(1, "B1"), *events, query(9, "trust", task_id="t1")
+        )
 
     general, about = trust(3, "B1", "A1", "task"), {**trust(1, "B1", "A1", "capability"), "capability": "lift"}
     assert scope(general) == [("task",)]
@@ -219,16 +264,35 @@ def test_a_robot_is_in_the_state_that_the_events_by_then_make(at_us: int, state:
         change("CapabilityAdvertised", 10, availability="degraded", visible_to=[]),
         change("AvailabilityChanged", 11, capability=None, availability="ready"),
         doing("AssistanceAdmitted", 12, robot="robot/A1", helper="robot/B1", action_id="t9/1"),
-        doing("AssistanceFailed", 13, robot="robot/A1", helper="robot/B1", action_id="t9/1", failure=1, cause="obstruction"),
+        doing(
+            "AssistanceFailed",
+            13,
+            robot="robot/A1",
+            helper="robot/B1",
+            action_id="t9/1",
+            failure=1,
+            cause="obstruction",
+        ),
         doing("RobotWentOff", 14, action_id=None),
         doing("LinkWentDown", 14, action_id=None),
         doing("RobotCameBack", 15, action_id=None),
     )
-    assert asked("robot_state_at", "state action_id", *ROBOTS[:2], *events, at_us=at_us, robot="robot/B1") == [(state, action)]
+    assert asked("robot_state_at", "state action_id", *ROBOTS[:2], *events, at_us=at_us, robot="robot/B1") == [
+        (state, action)
+    ]
 
 
 def test_outages_are_spells_that_what_brings_them_back_ends() -> None:
-    facts = ("RobotWentOff", "LinkWentDown", "RobotCameBack", "ActuatorDegraded", "ActuatorDegraded", "LinkCameUp", "RobotWentOff", "ActuatorServiced")
+    facts = (
+        "RobotWentOff",
+        "LinkWentDown",
+        "RobotCameBack",
+        "ActuatorDegraded",
+        "ActuatorDegraded",
+        "LinkCameUp",
+        "RobotWentOff",
+        "ActuatorServiced",
+    )
     events = [doing(name, at, action_id=None) for at, name in enumerate(facts)]
     found = set(answer("facts/outages", run(*events), columns=("what", "since_us", "until_us")))
     expected = {("off", 0, 2), ("unlinked", 1, 5), ("degraded", 3, 4), ("degraded", 4, 7), ("off", 6, None)}
@@ -241,7 +305,10 @@ def test_help_for_a_failure_is_no_failure_of_the_helper() -> None:
         doing("RecoveryEscalated", 2, robot="robot/A1", failed_action="t9/1", action_id="t9/1"),
         doing("AssistanceAdmitted", 3, robot="robot/A1", helper="robot/B1", action_id="t9/1"),
     )
-    assert asked("robot_state_at", "robot state", *ROBOTS[:2], *events) == [("robot/A1", "failed"), ("robot/B1", "executing")]
+    assert asked("robot_state_at", "robot state", *ROBOTS[:2], *events) == [
+        ("robot/A1", "failed"),
+        ("robot/B1", "executing"),
+    ]
 
 
 def test_sql_and_the_fold_agree_on_states_and_surfaces_throughout_a_run_with_a_degraded_robot() -> None:
@@ -251,13 +318,18 @@ def test_sql_and_the_fold_agree_on_states_and_surfaces_throughout_a_run_with_a_d
         for seq, one in enumerate(record.events):
             apply(state, one)
             is_last = seq + 1 == len(record.events) or record.times_us[seq + 1] > record.times_us[seq]
-            is_telling = type(one).__name__.startswith(("Availability", "Actuator", "ExecutionFailed", "Assistance", "Recovery"))
+            is_telling = type(one).__name__.startswith(
+                ("Availability", "Actuator", "ExecutionFailed", "Assistance", "Recovery")
+            )
             if not is_last or record.times_us[seq] == 0 or (seq % 27 and not is_telling):
                 continue
             given = {"at_us": str(record.times_us[seq])}
             states = {row["robot"]: row["state"] for row in plain_rows(database.query("audit/robot_state_at", given))}
             assert states == {robot: execution_state(state, robot) for robot in state.fleet.robots}, one
-            shown = {(row["robot"], row["capability"]): row["availability"] for row in plain_rows(database.query("audit/capability_surface", given))}
+            shown = {
+                (row["robot"], row["capability"]): row["availability"]
+                for row in plain_rows(database.query("audit/capability_surface", given))
+            }
             folded = [record for robot in state.fleet.robots for record in surface(state.registry, robot)]
             assert shown == {(record.robot, record.capability): record.availability for record in folded}
             seen |= set(states.values()) | set(shown.values())
@@ -268,7 +340,11 @@ def test_every_robot_that_offers_what_a_run_of_two_teams_asked_for_was_candidate
     record = simulate_run(RunSpec(42, "fsar", "full", "mixed-trust-inspection", 8, 0), Constants())
     assert any(isinstance(one, RegistryQueried) and one.rejected for one in record.events)
     with from_table(encode([record]), threads=1) as database:
-        rows = [row for row in plain_rows(database.query("audit/query_candidates")) if not row["action_id"].startswith("injected")]
+        rows = [
+            row
+            for row in plain_rows(database.query("audit/query_candidates"))
+            if not row["action_id"].startswith("injected")
+        ]
     offering = [row for row in rows if row["reason"] != "does not offer it"]
     assert offering
     relayed = {row["seq"] for row in rows if row["relay"]}

@@ -59,13 +59,19 @@ def folded(events: Iterable[Event]) -> policy.Policy:
 
 def in_force(database: Database, at_us: int, capability: str, context: str) -> dict[tuple[str, str, str], str]:
     """What policy says at the time about the capability in the context, by run, robot and scope, as the queries have it."""
-    found = database.query("audit/policy_at", {"at_us": str(at_us), "capability": capability, "context": context}).to_pylist()
+    found = database.query(
+        "audit/policy_at", {"at_us": str(at_us), "capability": capability, "context": context}
+    ).to_pylist()
     return {(one["run_id"], one["robot"], one["scope"]): one["outcome"] for one in found}
 
 
 def test_handlers_and_queries_find_the_same_rules_of_robot_role_domain_capability_and_context() -> None:
     runs = {f"r{seed}": history(seed) for seed in range(50)}
-    rows = [one for name, events in runs.items() for one in run(*(row(one, 10 * place) for place, one in enumerate(events, 1)), run_id=name)]
+    rows = [
+        one
+        for name, events in runs.items()
+        for one in run(*(row(one, 10 * place) for place, one in enumerate(events, 1)), run_id=name)
+    ]
     seen = set()
     with from_rows(rows) as database:
         for (capability, context), place in product(ABOUT, (4, 9, 99)):
@@ -74,7 +80,14 @@ def test_handlers_and_queries_find_the_same_rules_of_robot_role_domain_capabilit
                 state = folded(events[:place])
                 for robot, scope in product(state.members, SCOPES):
                     expected = policy.ruled(state, scope, robot, capability, context)
-                    assert found[name, robot, scope] == (expected or "allow"), (name, place, robot, scope, capability, context)
+                    assert found[name, robot, scope] == (expected or "allow"), (
+                        name,
+                        place,
+                        robot,
+                        scope,
+                        capability,
+                        context,
+                    )
                     seen.add(expected)
     assert seen == {*OUTCOMES, None}
 
@@ -91,7 +104,10 @@ NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
     "about everything": ((OF_B, PolicyRuleSet("fleet", "robot/B1", None, None, "allow", None)), "deny"),
     "in one context": ((OF_B, PolicyRuleSet("fleet", "robot/B1", DOOR, "t1", "allow", None)), "deny"),
     "every robot": ((OF_B, PolicyRuleSet("fleet", None, DOOR, None, "allow", None)), "deny"),
-    "every robot before": ((PolicyRuleSet("fleet", None, DOOR, None, "deny", None), RolePolicyRuleSet("fleet", "B", "allow", "", DOOR)), "deny"),
+    "every robot before": (
+        (PolicyRuleSet("fleet", None, DOOR, None, "deny", None), RolePolicyRuleSet("fleet", "B", "allow", "", DOOR)),
+        "deny",
+    ),
     "replaced": ((OF_B, RolePolicyRuleSet("fleet", "B", "review", "", DOOR)), "review"),
     "its domain": ((OF_B, RolePolicyRuleSet("fleet", "B", "allow", "hall", DOOR)), "allow"),
     "its domain before": ((RolePolicyRuleSet("fleet", "B", "allow", "hall/cell", DOOR), OF_B), "allow"),
@@ -104,16 +120,25 @@ NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
 def test_a_rule_is_replaced_by_a_nearer_one_about_the_same_and_by_nothing_else() -> None:
     runs = {name: (RobotJoined("robot/B1", "B", 1, None, "hall/cell"), *rules) for name, (rules, _) in NEARNESS.items()}
     expected = {name: outcome for name, (_, outcome) in NEARNESS.items()}
-    assert {name: policy.ruled(folded(events), "fleet", "robot/B1", DOOR, "t1") for name, events in runs.items()} == expected
+    assert {
+        name: policy.ruled(folded(events), "fleet", "robot/B1", DOOR, "t1") for name, events in runs.items()
+    } == expected
     with from_rows([one for name, events in runs.items() for one in run(*map(row, events), run_id=name)]) as database:
         found = in_force(database, 5, DOOR, "t1")
-    assert {name: found[name, "robot/B1", "fleet"] for name in runs} == {name: outcome or "allow" for name, outcome in expected.items()}
+    assert {name: found[name, "robot/B1", "fleet"] for name in runs} == {
+        name: outcome or "allow" for name, outcome in expected.items()
+    }
 
 
 def test_a_rule_of_a_role_is_a_window_of_each_robot_until_a_nearer_one_is_set() -> None:
-    robots = [event("RobotJoined", robot=f"robot/{name}", role=name[0], team=1, domain=domain) for name, domain in (("A1", ""), ("B1", ""), ("B2", "yard"))]
+    robots = [
+        event("RobotJoined", robot=f"robot/{name}", role=name[0], team=1, domain=domain)
+        for name, domain in (("A1", ""), ("B1", ""), ("B2", "yard"))
+    ]
     late = event("RobotJoined", 9, robot="robot/B3", role="B", team=3)
-    of_b = event("RolePolicyRuleSet", 2, scope="fleet", role="B", domain="", outcome="deny", capability=DOOR, decided_by=H_F)
+    of_b = event(
+        "RolePolicyRuleSet", 2, scope="fleet", role="B", domain="", outcome="deny", capability=DOOR, decided_by=H_F
+    )
     rows = run(
         *robots,
         of_b,
@@ -129,20 +154,35 @@ def test_a_rule_of_a_role_is_a_window_of_each_robot_until_a_nearer_one_is_set() 
         ("robot/B3", 2, 7, "deny"),
         ("robot/B3", 7, None, "review"),
     ]
-    assert sorted(answer("facts/policy_windows", rows, columns=("robot", "opened_us", "closed_us", "outcome")), key=str) == expected
+    assert (
+        sorted(answer("facts/policy_windows", rows, columns=("robot", "opened_us", "closed_us", "outcome")), key=str)
+        == expected
+    )
     assert len(answer("facts/policy_rules", rows)) == 6, "and the exception of the one robot"
 
 
 def test_a_supervisors_rule_of_a_role_is_on_the_list_of_what_it_decided() -> None:
     said = event("RolePolicyRuleSet", 2, scope="fleet", role="B", domain="", outcome="deny", decided_by=H_F)
     rows = run(said, {**said, "domain": "yard", "context": "t1"}, {**said, "decided_by": None})
-    assert answer("audit/supervisor_decisions", rows, columns=("decision",)) == [("B fleet deny",), ("B of yard fleet deny in t1",)]
+    assert answer("audit/supervisor_decisions", rows, columns=("decision",)) == [
+        ("B fleet deny",),
+        ("B of yard fleet deny in t1",),
+    ]
 
 
 def test_a_hold_ends_when_a_rule_comes_into_force_for_the_robot() -> None:
     joined = event("RobotJoined", robot="robot/B1", role="B", team=1, domain="yard")
     held = event("ExecutionHeld", 2, robot="robot/B1", action_id="t1/1", outcome="deny")
-    began = event("ExecutionStarted", 4, task_id="t1", action_id="t1/1", robot="robot/B1", on_behalf_of="robot/B1", capability=DOOR, ends_us=9)
+    began = event(
+        "ExecutionStarted",
+        4,
+        task_id="t1",
+        action_id="t1/1",
+        robot="robot/B1",
+        on_behalf_of="robot/B1",
+        capability=DOOR,
+        ends_us=9,
+    )
     of_role = event("RolePolicyRuleSet", 3, scope="local", role="B", domain="", outcome="allow")
     own = event("PolicyRuleSet", 1, scope="local", robot="robot/B1", outcome="allow")
 
@@ -154,13 +194,27 @@ def test_a_hold_ends_when_a_rule_comes_into_force_for_the_robot() -> None:
         "another domain": (held, {**of_role, "domain": "hall"}, began),
         "an exception": (own, held, of_role, began),
     }
-    named = {"its own": {**own, "time_us": 3}, "every robot's": {**own, "robot": None, "time_us": 3}, "another's": {**own, "robot": "robot/A1", "time_us": 3}}
+    named = {
+        "its own": {**own, "time_us": 3},
+        "every robot's": {**own, "robot": None, "time_us": 3},
+        "another's": {**own, "robot": "robot/A1", "time_us": 3},
+    }
     rows = [one for name, events in histories.items() for one in run(joined, *events, run_id=name)]
-    rows += [one for name, rule in named.items() for one in run(held, rule, began, run_id=f"{name}, of a robot that nobody saw join")]
+    rows += [
+        one
+        for name, rule in named.items()
+        for one in run(held, rule, began, run_id=f"{name}, of a robot that nobody saw join")
+    ]
     (a3,) = chosen(["a3"])
     with from_rows(rows) as database:
         broken = {found["run_id"] for found in database.rows(f"SELECT run_id FROM {a3.relation}")}
-    assert broken == {"nothing", "another role", "another domain", "an exception", "another's, of a robot that nobody saw join"}
+    assert broken == {
+        "nothing",
+        "another role",
+        "another domain",
+        "an exception",
+        "another's, of a robot that nobody saw join",
+    }
 
 
 def test_a_refusal_against_a_mandate_of_the_role_is_a_conflict_unless_the_robot_is_an_exception() -> None:
@@ -175,8 +229,13 @@ def test_a_refusal_against_a_mandate_of_the_role_is_a_conflict_unless_the_robot_
         "an exception": (mandate, rule(1, "review", scope="fleet")),
         "the exception is the mandate": ({**mandate, "outcome": "review"}, rule(1, "allow", scope="fleet")),
     }
-    rows = [one for name, events in histories.items() for one in run(joined, *events, rule(2), ASKED, REFUSED, run_id=name)]
-    assert answer("facts/mandate_conflicts", rows, columns=("run_id",)) == [("its role",), ("the exception is the mandate",)]
+    rows = [
+        one for name, events in histories.items() for one in run(joined, *events, rule(2), ASKED, REFUSED, run_id=name)
+    ]
+    assert answer("facts/mandate_conflicts", rows, columns=("run_id",)) == [
+        ("its role",),
+        ("the exception is the mandate",),
+    ]
 
 
 # --- runs ---
@@ -202,7 +261,11 @@ COMMANDS = (
 
 def offences(database: Database) -> dict[tuple[str, str], int]:
     """How often I3 and A3 are broken in each run, where they are."""
-    found = [(query.relation[:2], one["run_id"]) for query in chosen(["i3", "a3"]) for one in database.rows(f"SELECT run_id FROM {query.relation}")]
+    found = [
+        (query.relation[:2], one["run_id"])
+        for query in chosen(["i3", "a3"])
+        for one in database.rows(f"SELECT run_id FROM {query.relation}")
+    ]
     return dict(Counter(found))
 
 
@@ -217,7 +280,11 @@ def test_in_a_commanded_run_the_role_is_ruled_the_exception_is_not_and_the_queri
             state = folded(event for time_us, event in zip(one.times_us, one.events, strict=True) if time_us <= at_us)
             found = in_force(database, at_us, DOOR, "visit")
             for robot, scope in product(state.members, SCOPES):
-                assert found["r1", robot, scope] == (policy.ruled(state, scope, robot, DOOR, "visit") or "allow"), (at_us, robot, scope)
+                assert found["r1", robot, scope] == (policy.ruled(state, scope, robot, DOOR, "visit") or "allow"), (
+                    at_us,
+                    robot,
+                    scope,
+                )
         assert offences(database) == {}
 
 
@@ -239,7 +306,9 @@ def test_in_simulated_runs_rules_of_roles_are_heeded_and_a_start_that_does_not_l
         assert min(times) > from_us
     blind = Wiring({**FSAR.decides, StartAction: unchecked_start}, FSAR.reacts)
     other = governed("door-relay", *INTERVENTIONS, run=4, structure=blind)
-    runs = [RunRecord(name, made.times_us, made.caused_by, made.events) for name, made in (("blind", other), ("fsar", one))]
+    runs = [
+        RunRecord(name, made.times_us, made.caused_by, made.events) for name, made in (("blind", other), ("fsar", one))
+    ]
     with from_table(encode(runs), threads=1) as database:
         broken = offences(database)
     assert broken["i3", "blind"] > 0

@@ -19,15 +19,26 @@ from tests.recycled import from_rows
 DOOR, LIFT = "door.open.secure", "carry.heavy"
 DOMAINS = ("", "hall", "hall/cell", "hall/cell/bay", "hallway", "yard")
 MEMBERS = [
-    RobotJoined(f"robot/{role}{team}", role, team, None, DOMAINS[(team * 3 + offset) % len(DOMAINS)]) for team in (1, 2) for offset, role in enumerate("AB")
+    RobotJoined(f"robot/{role}{team}", role, team, None, DOMAINS[(team * 3 + offset) % len(DOMAINS)])
+    for team in (1, 2)
+    for offset, role in enumerate("AB")
 ]
 ROBOTS = tuple(one.robot for one in MEMBERS)
-ASKED = [(robot, peer, capability, context) for robot, peer in permutations(ROBOTS, 2) for capability in (DOOR, LIFT) for context in ("t1", "t2")]
+ASKED = [
+    (robot, peer, capability, context)
+    for robot, peer in permutations(ROBOTS, 2)
+    for capability in (DOOR, LIFT)
+    for context in ("t1", "t2")
+]
 
 
 def row(one: Event, time_us: int = 0) -> Row:
     """The event as a row."""
-    return event(type(one).__name__, time_us, **{name: value for name, value in msgspec.structs.asdict(one).items() if value is not None})
+    return event(
+        type(one).__name__,
+        time_us,
+        **{name: value for name, value in msgspec.structs.asdict(one).items() if value is not None},
+    )
 
 
 def history(seed: int) -> list[Event]:
@@ -62,13 +73,17 @@ def test_handlers_and_queries_find_the_same_entry_of_pair_role_domain_capability
         rows = [row(one) for one in events]
         for robot, peer, capability, context in ASKED:
             began[f"r{seed}", len(rows) + 1] = (robot, peer, capability, context)
-            expected[f"r{seed}", robot, peer, capability, context] = trust.scope_of(state, robot, peer, capability, context)
+            expected[f"r{seed}", robot, peer, capability, context] = trust.scope_of(
+                state, robot, peer, capability, context
+            )
             action = {"task_id": context, "action_id": f"{context}/{len(rows)}", "capability": capability}
             rows.append(event("ExecutionStarted", 5, robot=robot, on_behalf_of=peer, ends_us=9, **action))
         runs.append(run(*rows, run_id=f"r{seed}"))
     assert set(expected.values()) == set(trust.SCOPES)
     with from_rows([one for rows in runs for one in rows]) as database:
-        direct = {(one["run_id"], one["seq"]): one["is_direct"] for one in database.query("facts/delegated_trust").to_pylist()}
+        direct = {
+            (one["run_id"], one["seq"]): one["is_direct"] for one in database.query("facts/delegated_trust").to_pylist()
+        }
         assert direct == {(run_id, seq): expected[(run_id, *about)] != "none" for (run_id, seq), about in began.items()}
         for capability, context in ((DOOR, "t1"), (DOOR, "t2"), (LIFT, "t1"), (LIFT, "t2")):
             found = database.query("audit/trust_at", {"capability": capability, "context": context}).to_pylist()
@@ -76,7 +91,13 @@ def test_handlers_and_queries_find_the_same_entry_of_pair_role_domain_capability
             assert len(scopes) == len(found)
             for (run_id, robot, peer, *about), scope in expected.items():
                 if about == [capability, context]:
-                    assert scopes.get((run_id, robot, peer), "none") == scope, (run_id, robot, peer, capability, context)
+                    assert scopes.get((run_id, robot, peer), "none") == scope, (
+                        run_id,
+                        robot,
+                        peer,
+                        capability,
+                        context,
+                    )
 
 
 @pytest.mark.parametrize(
@@ -92,7 +113,9 @@ def test_handlers_and_queries_find_the_same_entry_of_pair_role_domain_capability
         ((RoleTrustSet("B", "A", "task", "", DOOR), RoleTrustSet("B", "A", "none")), "task"),
     ],
 )
-def test_the_pair_goes_before_its_roles_and_the_smaller_domain_before_the_larger(entries: tuple[Event, ...], scope: str) -> None:
+def test_the_pair_goes_before_its_roles_and_the_smaller_domain_before_the_larger(
+    entries: tuple[Event, ...], scope: str
+) -> None:
     joined = (RobotJoined("robot/A1", "A", 1, None, "hall/cell"), RobotJoined("robot/B1", "B", 1, None, "hall"))
     state = folded([*joined, *entries])
     assert trust.scope_of(state, "robot/B1", "robot/A1", DOOR, "t1") == scope
@@ -126,16 +149,25 @@ def test_no_trust_is_in_force_before_both_robots_are_members() -> None:
     with from_rows(rows) as database:
 
         def trusted(at_us: int) -> list[tuple[str, int]]:
-            return [(row["peer"], row["since_us"]) for row in database.query("audit/trust_at", {"at_us": str(at_us)}).to_pylist()]
+            return [
+                (row["peer"], row["since_us"])
+                for row in database.query("audit/trust_at", {"at_us": str(at_us)}).to_pylist()
+            ]
 
         assert (trusted(19), trusted(20), trusted(99)) == ([], [("robot/A1", 20)], [("robot/A1", 20)])
 
 
 def test_a_robot_that_is_recorded_as_joining_twice_is_one_member_as_in_the_state() -> None:
-    joined = [RobotJoined("robot/B1", "A", 1, None, "hall"), RobotJoined("robot/A1", "A", 1, None), RobotJoined("robot/B1", "B", 2, None, "yard")]
+    joined = [
+        RobotJoined("robot/B1", "A", 1, None, "hall"),
+        RobotJoined("robot/A1", "A", 1, None),
+        RobotJoined("robot/B1", "B", 2, None, "yard"),
+    ]
     state = fold(joined)
     rows = run(*(row(one, number) for number, one in enumerate(joined)))
     members = answer("facts/fleet_members", rows, columns=("robot", "role", "team", "domain", "joined_us"))
     of_state = [(name, robot.role, robot.team, robot.domain) for name, robot in state.fleet.robots.items()]
-    assert sorted((*known, 0 if known[0] == "robot/B1" else 1) for known in of_state) == sorted((*member[:3], member[3] or "", member[4]) for member in members)
+    assert sorted((*known, 0 if known[0] == "robot/B1" else 1) for known in of_state) == sorted(
+        (*member[:3], member[3] or "", member[4]) for member in members
+    )
     assert (len(answer("audit/robot_activity", rows)), len(answer("audit/policy_at", rows))) == (2, 4)

@@ -23,16 +23,30 @@ from tests.runtime.governed import H_F, governed, record
 
 H_B = "supervisor/B1"
 DOOR = "door.open.secure"
-ROBOTS = tuple(event("RobotJoined", robot=f"robot/{name}1", role=name, team=1, supervisor=f"supervisor/{name}1") for name in "AB")
+ROBOTS = tuple(
+    event("RobotJoined", robot=f"robot/{name}1", role=name, team=1, supervisor=f"supervisor/{name}1") for name in "AB"
+)
 
 
-def rule(time_us: int, outcome: str = "deny", robot: str | None = "robot/B1", scope: str = "local", **about: str) -> Row:
+def rule(
+    time_us: int, outcome: str = "deny", robot: str | None = "robot/B1", scope: str = "local", **about: str
+) -> Row:
     return event("PolicyRuleSet", time_us, scope=scope, robot=robot, outcome=outcome, decided_by=H_B, **about)
 
 
-def started(time_us: int, capability: str = DOOR, robot: str = "robot/B1", on_behalf_of: str = "robot/A1", **fields: Any) -> Row:
+def started(
+    time_us: int, capability: str = DOOR, robot: str = "robot/B1", on_behalf_of: str = "robot/A1", **fields: Any
+) -> Row:
     about = {"task_id": "t1", "action_id": "t1/1", **fields}
-    return event("ExecutionStarted", time_us, robot=robot, on_behalf_of=on_behalf_of, capability=capability, ends_us=time_us + 5, **about)
+    return event(
+        "ExecutionStarted",
+        time_us,
+        robot=robot,
+        on_behalf_of=on_behalf_of,
+        capability=capability,
+        ends_us=time_us + 5,
+        **about,
+    )
 
 
 def motion(time_us: int) -> Row:
@@ -47,8 +61,20 @@ def admitted(time_us: int) -> Row:
     return event("RequestAdmitted", time_us, task_id="t1", action_id="t1/1", outcome="allow", decided_by="robot/B1")
 
 
-def trust(time_us: int, scope: str, capability: str | None = None, context: str | None = None, by: str | None = None) -> Row:
-    return event("TrustSet", time_us, robot="robot/B1", peer="robot/A1", scope=scope, capability=capability, context=context, decided_by=by, reason="operator")
+def trust(
+    time_us: int, scope: str, capability: str | None = None, context: str | None = None, by: str | None = None
+) -> Row:
+    return event(
+        "TrustSet",
+        time_us,
+        robot="robot/B1",
+        peer="robot/A1",
+        scope=scope,
+        capability=capability,
+        context=context,
+        decided_by=by,
+        reason="operator",
+    )
 
 
 def asked(name: str, columns: str, *events: Row, **given: Any) -> list[tuple[Any, ...]]:
@@ -71,7 +97,9 @@ def broken(name: str, *events: Row) -> list[int]:
 
 def test_a_rule_holds_until_another_about_the_same_replaces_it() -> None:
     rules = (rule(5), rule(7, "review", capability=DOOR), rule(9, "allow"), rule(11, "review"))
-    rows = answer("facts/policy_rules", run(*ROBOTS, *rules), columns=("set_us", "until_us", "capability", "outcome", "robot"))
+    rows = answer(
+        "facts/policy_rules", run(*ROBOTS, *rules), columns=("set_us", "until_us", "capability", "outcome", "robot")
+    )
     assert rows == [
         (5, 9, None, "deny", "robot/B1"),
         (7, None, DOOR, "review", "robot/B1"),
@@ -86,13 +114,24 @@ def test_a_rule_for_every_robot_is_one_row_for_each() -> None:
 
 
 def test_rules_that_deny_or_ask_for_review_are_windows_and_those_that_allow_are_none() -> None:
-    rules = (rule(5, capability=DOOR), rule(6, "review", context="t1"), rule(7, "allow", scope="fleet"), rule(9, "allow", capability=DOOR))
-    rows = answer("facts/policy_windows", run(*ROBOTS, *rules), columns=("opened_us", "closed_us", "window", "capability", "context", "outcome"))
+    rules = (
+        rule(5, capability=DOOR),
+        rule(6, "review", context="t1"),
+        rule(7, "allow", scope="fleet"),
+        rule(9, "allow", capability=DOOR),
+    )
+    rows = answer(
+        "facts/policy_windows",
+        run(*ROBOTS, *rules),
+        columns=("opened_us", "closed_us", "window", "capability", "context", "outcome"),
+    )
     assert rows == [(5, 9, None, DOOR, None, "deny"), (6, None, None, None, "t1", "review")]
 
 
 @pytest.mark.parametrize(("time_us", "count"), [(4, 0), (5, 1), (8, 1), (9, 0)])
-def test_a_start_under_a_rule_that_denies_is_a_violation_from_its_setting_until_just_before_its_replacement(time_us: int, count: int) -> None:
+def test_a_start_under_a_rule_that_denies_is_a_violation_from_its_setting_until_just_before_its_replacement(
+    time_us: int, count: int
+) -> None:
     assert violations(rule(5), started(time_us), rule(9, "allow")) == count
 
 
@@ -153,7 +192,9 @@ def test_a_rule_of_the_fleet_counts_as_known_at_the_decision() -> None:
     assert broken("i3", admitted(1), rule(2, scope="fleet"), started(3)) == [], "set after the executor had decided"
     assert broken("i3", rule(1, scope="fleet"), rule(2, "allow", scope="fleet"), admitted(3), started(4)) == []
     assert broken("i3", rule(1, scope="fleet"), admitted(2), rule(3, "allow", scope="fleet"), started(4)) == [4]
-    assert broken("i3", rule(1, robot=None, scope="fleet"), started(2, robot="robot/B1", on_behalf_of="robot/B1")) == [2], "its own step"
+    assert broken("i3", rule(1, robot=None, scope="fleet"), started(2, robot="robot/B1", on_behalf_of="robot/B1")) == [
+        2
+    ], "its own step"
     assert broken("i3", rule(1, robot="robot/A1", scope="fleet"), started(2)) == []
 
 
@@ -167,8 +208,18 @@ def test_a_hold_ends_when_a_rule_is_set_for_the_robot() -> None:
 
 
 ASKED = event("RequestIssued", 3, task_id="t1", action_id="t1/1", capability=DOOR, carried_policy="allow")
-REFUSED = event("RequestDenied", 6, task_id="t1", action_id="t1/1", executed_by="robot/B1", decided_by="robot/B1", reason="policy")
-ESCALATED = event("PolicyConflictEscalated", 6, task_id="t1", action_id="t1/1", decided_by=POLICY, requested_by="robot/A1", executed_by="robot/B1")
+REFUSED = event(
+    "RequestDenied", 6, task_id="t1", action_id="t1/1", executed_by="robot/B1", decided_by="robot/B1", reason="policy"
+)
+ESCALATED = event(
+    "PolicyConflictEscalated",
+    6,
+    task_id="t1",
+    action_id="t1/1",
+    decided_by=POLICY,
+    requested_by="robot/A1",
+    executed_by="robot/B1",
+)
 MANDATE = rule(1, "allow", robot=None, scope="fleet")
 
 
@@ -179,7 +230,9 @@ def test_a_conflict_of_mandate_and_own_denial_must_be_escalated() -> None:
 
 def test_a_conflict_of_mandate_and_own_denial_at_the_start_must_be_escalated() -> None:
     queued = event("ExecutionQueued", 4, task_id="t1", action_id="t1/1", robot="robot/B1", capability=DOOR)
-    held = event("ExecutionHeld", 6, task_id="t1", action_id="t1/1", robot="robot/B1", outcome="deny", reason="local-policy")
+    held = event(
+        "ExecutionHeld", 6, task_id="t1", action_id="t1/1", robot="robot/B1", outcome="deny", reason="local-policy"
+    )
     told = {**ESCALATED, "supervised_by": H_F}
     assert broken("a3", MANDATE, queued, rule(5), held) == [6]
     assert broken("a3", MANDATE, queued, rule(5), told, held) == []
@@ -189,7 +242,12 @@ def test_a_conflict_of_mandate_and_own_denial_at_the_start_must_be_escalated() -
 
 def test_every_refusal_is_told_of_by_itself() -> None:
     told = {**ESCALATED, "supervised_by": H_F}
-    again, held = {**REFUSED, "time_us": 8}, event("ExecutionHeld", 9, task_id="t1", action_id="t1/1", robot="robot/B1", outcome="deny", reason="local-policy")
+    again, held = (
+        {**REFUSED, "time_us": 8},
+        event(
+            "ExecutionHeld", 9, task_id="t1", action_id="t1/1", robot="robot/B1", outcome="deny", reason="local-policy"
+        ),
+    )
     queued = event("ExecutionQueued", 8, task_id="t1", action_id="t1/1", robot="robot/B1", capability=DOOR)
     assert broken("a3", MANDATE, rule(2), ASKED, told, REFUSED, again) == [8]
     assert broken("a3", MANDATE, rule(2), ASKED, told, REFUSED, {**told, "time_us": 8}, again) == []
@@ -208,7 +266,16 @@ def test_every_refusal_is_told_of_by_itself() -> None:
         (MANDATE, rule(2, context="t2")),
         (MANDATE, rule(2), event("FleetRuleLearned", 2, robot="robot/B1", outcome="deny", as_of_us=1)),
     ],
-    ids=["no mandate", "no denial", "own review", "fleet denies this", "mandate for another", "mandate replaced", "denies another task", "zone denies"],
+    ids=[
+        "no mandate",
+        "no denial",
+        "own review",
+        "fleet denies this",
+        "mandate for another",
+        "mandate replaced",
+        "denies another task",
+        "zone denies",
+    ],
 )
 def test_other_refusals_are_no_conflict(before: tuple[Row, ...]) -> None:
     assert answer("facts/mandate_conflicts", run(*ROBOTS, *before, ASKED, REFUSED)) == []
@@ -236,7 +303,12 @@ def test_each_entry_of_trust_holds_until_it_is_set_again() -> None:
     ],
 )
 def test_of_several_entries_the_most_specific_one_holds(given: dict[str, Any], expected: list[str]) -> None:
-    events = (trust(1, "task"), trust(2, "session", DOOR), trust(3, "none", None, "t1"), trust(4, "capability", DOOR, "t1"))
+    events = (
+        trust(1, "task"),
+        trust(2, "session", DOOR),
+        trust(3, "none", None, "t1"),
+        trust(4, "capability", DOOR, "t1"),
+    )
     assert sorted(row[0] for row in asked("trust_at", "trust_scope", *events, **given)) == sorted(expected)
 
 
@@ -252,12 +324,17 @@ def test_of_several_entries_the_most_specific_one_holds(given: dict[str, Any], e
 )
 def test_policy_at_a_time_is_the_strictest_of_what_is_about_the_question(given: dict[str, str], outcome: str) -> None:
     rules = (rule(1, "review", capability=DOOR), rule(2, context="t1"))
-    assert asked("policy_at", "scope outcome", *rules, robot="robot/B1", at_us=5, **given) == [("fleet", "allow"), ("local", outcome)]
+    assert asked("policy_at", "scope outcome", *rules, robot="robot/B1", at_us=5, **given) == [
+        ("fleet", "allow"),
+        ("local", outcome),
+    ]
 
 
 def test_what_was_told_is_compared_with_the_windows_of_the_world() -> None:
     told = event("FleetRuleLearned", 2, robot="robot/B1", outcome="allow", as_of_us=1)
-    assert asked("policy_known_at", "known_outcome true_outcome is_wrong", rule(1, scope="fleet"), told) == [("allow", "allow", False)]
+    assert asked("policy_known_at", "known_outcome true_outcome is_wrong", rule(1, scope="fleet"), told) == [
+        ("allow", "allow", False)
+    ]
 
 
 def test_every_intervention_of_a_supervisor_is_on_the_list() -> None:
@@ -273,7 +350,10 @@ def test_every_intervention_of_a_supervisor_is_on_the_list() -> None:
         {**reviewed(9, True), "purpose": "ordering", "preferred": "t1/2"},
     )
     others = (trust(1, "task"), trust(1, "task", by="service/trust"), admitted(2))
-    assert [row[1:] for row in sorted(asked("supervisor_decisions", "decided_us decided_by decision", *interventions, *others))] == [
+    assert [
+        row[1:]
+        for row in sorted(asked("supervisor_decisions", "decided_us decided_by decision", *interventions, *others))
+    ] == [
         (H_B, "robot/A1 none in t1"),
         (H_F, "promote after 3, downgrade after 1"),
         (H_B, "local review in t1"),
@@ -288,11 +368,22 @@ def test_every_intervention_of_a_supervisor_is_on_the_list() -> None:
 
 
 @pytest.mark.parametrize(
-    ("supervisor", "left", "count"), [("supervisor/night", "supervisor/night", 0), ("supervisor/night", "supervisor/X1", 1), (None, "supervisor/X1", 1)]
+    ("supervisor", "left", "count"),
+    [("supervisor/night", "supervisor/night", 0), ("supervisor/night", "supervisor/X1", 1), (None, "supervisor/X1", 1)],
 )
-def test_the_absence_that_excuses_is_that_of_the_robots_own_supervisor(supervisor: str | None, left: str, count: int) -> None:
+def test_the_absence_that_excuses_is_that_of_the_robots_own_supervisor(
+    supervisor: str | None, left: str, count: int
+) -> None:
     joined = event("RobotJoined", robot="robot/X1", role="A", team=1, supervisor=supervisor)
-    alone = event("RoutinePerformed", 3, decided_by="robot/X1", requested_by="robot/X1", executed_by="robot/X1", robot="robot/X1", operation="sensing")
+    alone = event(
+        "RoutinePerformed",
+        3,
+        decided_by="robot/X1",
+        requested_by="robot/X1",
+        executed_by="robot/X1",
+        robot="robot/X1",
+        operation="sensing",
+    )
     gone = event("SupervisorLeft", 2, supervisor=left)
     assert len(broken("i5", joined, gone, alone)) == count
     executed = started(3, robot="robot/X1", requested_by="robot/A1", executed_by="robot/X1")
@@ -313,7 +404,10 @@ GOVERNANCE = (
 
 def audited(structure: Any = FSAR) -> dict[str, int]:
     """How often each invariant, and policy, is broken in runs in which supervisors intervene."""
-    records = [record(governed(scenario, *GOVERNANCE, run=4, structure=structure)) for scenario in ("door-relay", "mixed-trust-inspection")]
+    records = [
+        record(governed(scenario, *GOVERNANCE, run=4, structure=structure))
+        for scenario in ("door-relay", "mixed-trust-inspection")
+    ]
     with from_table(encode(records), threads=1) as database:
         counts = {row.invariant[:2]: row.events for row in audit_rows(database, invariants())}
         (found,) = database.rows("SELECT sum(numerator)::BIGINT AS violations FROM policy_violations")
@@ -322,7 +416,11 @@ def audited(structure: Any = FSAR) -> dict[str, int]:
 
 def unchecked_start(state: Any, command: StartAction) -> tuple[Any, ...]:
     """FSAR's handler without its look at policy."""
-    return (has_started(state, state.execution.actions[command.action_id], command),) if start_as_fsar(state, command) else ()
+    return (
+        (has_started(state, state.execution.actions[command.action_id], command),)
+        if start_as_fsar(state, command)
+        else ()
+    )
 
 
 def silent_denial(state: Any, command: EvaluateRequest) -> tuple[Any, ...]:
@@ -332,7 +430,9 @@ def silent_denial(state: Any, command: EvaluateRequest) -> tuple[Any, ...]:
 
 def test_in_runs_with_interventions_the_invariants_of_policy_and_recovery_hold() -> None:
     counts = audited()
-    assert {name: counts[name] for name in ("i1", "i2", "i3", "i4", "a1", "a2", "a3", "a4", "a5")} == dict.fromkeys(counts.keys() - {"i5", "violations"}, 0)
+    assert {name: counts[name] for name in ("i1", "i2", "i3", "i4", "a1", "a2", "a3", "a4", "a5")} == dict.fromkeys(
+        counts.keys() - {"i5", "violations"}, 0
+    )
 
 
 def test_starts_under_a_rule_that_denies_are_caught_by_i3_and_the_violation_metric() -> None:
@@ -348,18 +448,41 @@ def test_a_conflict_that_nobody_was_told_of_is_caught_by_a3() -> None:
 def test_the_entry_of_the_capability_goes_before_that_of_the_context_for_an_execution_too() -> None:
     events = (trust(1, "session", DOOR), trust(2, "none", None, "t1"))
     pair = {key: events[0][key] for key in ("robot", "peer")}
-    began = event("ExecutionStarted", 3, task_id="t1", action_id="t1/1", robot=pair["robot"], on_behalf_of=pair["peer"], capability=DOOR, ends_us=9)
+    began = event(
+        "ExecutionStarted",
+        3,
+        task_id="t1",
+        action_id="t1/1",
+        robot=pair["robot"],
+        on_behalf_of=pair["peer"],
+        capability=DOOR,
+        ends_us=9,
+    )
     assert answer("facts/delegated_trust", run(*events, began), columns=("is_direct",)) == [(True,)]
-    assert answer("facts/delegated_trust", run(*events, {**began, "capability": "carry.package"}), columns=("is_direct",)) == [(False,)]
+    assert answer(
+        "facts/delegated_trust", run(*events, {**began, "capability": "carry.package"}), columns=("is_direct",)
+    ) == [(False,)]
 
 
 @pytest.mark.parametrize(
     ("about", "is_against"),
-    [({}, True), ({"capability": DOOR}, True), ({"context": "t1"}, True), ({"capability": "carry.package"}, False), ({"context": "t2"}, False)],
+    [
+        ({}, True),
+        ({"capability": DOOR}, True),
+        ({"context": "t1"}, True),
+        ({"capability": "carry.package"}, False),
+        ({"context": "t2"}, False),
+    ],
 )
 def test_a_decision_is_against_a_rule_only_where_the_rule_is_about_it(about: dict[str, str], is_against: bool) -> None:
     joined = event("RobotJoined", robot="robot/A1", role="A")
     rule = event("PolicyRuleSet", 1, scope="local", robot="robot/A1", outcome="deny", **about)
-    step = event("StepBegan", 5_000_000, task_id="t1", action_id="t1/1", robot="robot/A1", capability=DOOR, target_role="B")
-    admitted = event("RequestAdmitted", 5_000_001, task_id="t1", action_id="t1/1", decided_by="robot/B1", executed_by="robot/B1")
-    assert answer("facts/policy_decisions", run(joined, rule, step, admitted), columns=("is_against_requester",)) == [(is_against,)]
+    step = event(
+        "StepBegan", 5_000_000, task_id="t1", action_id="t1/1", robot="robot/A1", capability=DOOR, target_role="B"
+    )
+    admitted = event(
+        "RequestAdmitted", 5_000_001, task_id="t1", action_id="t1/1", decided_by="robot/B1", executed_by="robot/B1"
+    )
+    assert answer("facts/policy_decisions", run(joined, rule, step, admitted), columns=("is_against_requester",)) == [
+        (is_against,)
+    ]

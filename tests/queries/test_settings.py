@@ -15,7 +15,10 @@ from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, st
 from tests.queries.histories import Row, answer, event, run
 from tests.recycled import from_rows
 
-LOW, HIGH = '{"world":{"rate_per_s":0.01,"windows":{"mean_s":11.3}}}', '{"world":{"rate_per_s":0.03,"windows":{"mean_s":11.3}}}'
+LOW, HIGH = (
+    '{"world":{"rate_per_s":0.01,"windows":{"mean_s":11.3}}}',
+    '{"world":{"rate_per_s":0.03,"windows":{"mean_s":11.3}}}',
+)
 
 
 def called(*calls: int, **dimensions: Value) -> list[list[Row]]:
@@ -44,20 +47,43 @@ def constants(*parameters: str | None) -> list[str | None]:
     return [label for _, label in answer("staging/run_settings", *runs, columns=("run_id", "constants"))]
 
 
-OTHERS: dict[str, Any] = {"seed": 43, "fleet_size": 8, "model_version": "another", "parameters": HIGH, "kind": "live", "configuration": "without-x"}
+OTHERS: dict[str, Any] = {
+    "seed": 43,
+    "fleet_size": 8,
+    "model_version": "another",
+    "parameters": HIGH,
+    "kind": "live",
+    "configuration": "without-x",
+}
 
 
 def test_runs_that_differ_in_one_dimension_are_never_in_one_row() -> None:
     groups = [called(0, 1, parameters=LOW)]
-    groups += [called(*[0] * (3 + at), **{"parameters": LOW, name: other}) for at, (name, other) in enumerate(OTHERS.items())]
+    groups += [
+        called(*[0] * (3 + at), **{"parameters": LOW, name: other}) for at, (name, other) in enumerate(OTHERS.items())
+    ]
     metrics, statistics = judged([rows for group in groups for rows in group])
-    assert sorted(row.n for row in metrics if (row.metric, row.architecture) == ("human_intervention", "fsar")) == [2, 3, 4, 5, 6, 7, 8]
-    assert sorted(row.n for row in statistics if (row.metric, row.comparison) == ("human_intervention", "fsar-cfc")) == [2, 3, 4, 5, 6, 7, 8]
+    assert sorted(row.n for row in metrics if (row.metric, row.architecture) == ("human_intervention", "fsar")) == [
+        2,
+        3,
+        4,
+        5,
+        6,
+        7,
+        8,
+    ]
+    assert sorted(
+        row.n for row in statistics if (row.metric, row.comparison) == ("human_intervention", "fsar-cfc")
+    ) == [2, 3, 4, 5, 6, 7, 8]
 
 
 def test_other_constants_are_named_where_they_differ_and_only_there() -> None:
     metrics, statistics = judged([*called(0, parameters=LOW), *called(1, parameters=HIGH)])
-    assert {row.constants for row in metrics} == {row.constants for row in statistics} == {"world.rate_per_s=0.01", "world.rate_per_s=0.03"}
+    assert (
+        {row.constants for row in metrics}
+        == {row.constants for row in statistics}
+        == {"world.rate_per_s=0.01", "world.rate_per_s=0.03"}
+    )
     metrics, statistics = judged(called(0, 1, parameters=LOW))
     assert {row.constants for row in metrics} == {row.constants for row in statistics} == {None}
 
@@ -68,9 +94,23 @@ def test_constants_are_compared_by_value_and_not_by_text() -> None:
         ' {"list": [["carry.heavy", {"low_s": 2}]], "world": {"b": 25e-1, "a": 1.0}, "later": null}',
     )
     assert constants(*same) == [None, None]
-    assert len(set(answer("staging/run_settings", *[run(run_id=f"r{at}", parameters=one) for at, one in enumerate(same)], columns=("setting",)))) == 1
+    assert (
+        len(
+            set(
+                answer(
+                    "staging/run_settings",
+                    *[run(run_id=f"r{at}", parameters=one) for at, one in enumerate(same)],
+                    columns=("setting",),
+                )
+            )
+        )
+        == 1
+    )
     other = '{"world":{"a":1,"b":2.5},"list":[["carry.heavy",{"low_s":3}]],"more":{"x":"y"}}'
-    assert constants(*same, other) == [*['list["carry.heavy"].low_s=2, more.x=absent'] * 2, 'list["carry.heavy"].low_s=3, more.x="y"']
+    assert constants(*same, other) == [
+        *['list["carry.heavy"].low_s=2, more.x=absent'] * 2,
+        'list["carry.heavy"].low_s=3, more.x="y"',
+    ]
 
 
 def test_five_constants_are_named_and_the_others_counted() -> None:
@@ -107,13 +147,21 @@ def test_names_that_could_be_taken_for_others_are_not() -> None:
 
 CALLS = st.lists(st.integers(0, 2), min_size=1, max_size=4)
 OTHER_RUNS = st.lists(
-    st.tuples(st.integers(0, 2), st.sampled_from((43, 44)), st.sampled_from((4, 8)), st.sampled_from((LOW, '{"world":{}}'))), min_size=1, max_size=4
+    st.tuples(
+        st.integers(0, 2), st.sampled_from((43, 44)), st.sampled_from((4, 8)), st.sampled_from((LOW, '{"world":{}}'))
+    ),
+    min_size=1,
+    max_size=4,
 )
 
 
 def assert_only_rows_are_added(calls: list[int], others: list[tuple[int, int, int, str]]) -> None:
     ours = called(*calls, parameters=LOW)
-    more = [rows for count, seed, size, text in others for rows in called(count, seed=seed, fleet_size=size, parameters=text)]
+    more = [
+        rows
+        for count, seed, size, text in others
+        for rows in called(count, seed=seed, fleet_size=size, parameters=text)
+    ]
     unique = {str(rows[0]["run_id"]): rows for rows in more}
 
     def nameless(rows: Sequence[MetricRow | StatisticRow]) -> list[MetricRow | StatisticRow]:
@@ -132,7 +180,9 @@ def test_runs_of_another_seed_never_change_the_rows_of_the_first() -> None:
 @pytest.mark.slow
 @settings(max_examples=40, deadline=None)
 @given(CALLS, OTHER_RUNS)
-def test_no_runs_of_other_seeds_change_the_rows_of_the_first(calls: list[int], others: list[tuple[int, int, int, str]]) -> None:
+def test_no_runs_of_other_seeds_change_the_rows_of_the_first(
+    calls: list[int], others: list[tuple[int, int, int, str]]
+) -> None:
     assert_only_rows_are_added(calls, others)
 
 
@@ -144,22 +194,35 @@ def test_all_seeds_are_taken_together_only_when_that_is_asked_for() -> None:
     assert {row.n for row in statistics if row.metric == "human_intervention"} == {5}
     assert {row.seed for row in statistics} == {None}
     metrics, statistics = judged(runs)
-    assert {(row.seed, row.seeds, row.n) for row in metrics if row.metric == "human_intervention"} == {(42, 1, 2), (43, 1, 3)}
+    assert {(row.seed, row.seeds, row.n) for row in metrics if row.metric == "human_intervention"} == {
+        (42, 1, 2),
+        (43, 1, 3),
+    }
     assert {(row.seed, row.n) for row in statistics if row.metric == "human_intervention"} == {(42, 2), (43, 3)}
 
 
 def test_constants_of_other_seeds_do_not_keep_seeds_together() -> None:
     metrics, _ = judged([*called(0, parameters=LOW, seed=1), *called(0, parameters=HIGH, seed=2)], pools_seeds=True)
-    assert {(row.constants, row.n) for row in metrics if row.metric == "human_intervention"} == {("world.rate_per_s=0.01", 1), ("world.rate_per_s=0.03", 1)}
+    assert {(row.constants, row.n) for row in metrics if row.metric == "human_intervention"} == {
+        ("world.rate_per_s=0.01", 1),
+        ("world.rate_per_s=0.03", 1),
+    }
 
 
 def test_a_run_without_a_scenario_counts_once() -> None:
-    metrics, _ = judged([run(run_id="a", scenario=None, kind="foreign"), run(run_id="b", scenario=None, kind="foreign")])
+    metrics, _ = judged(
+        [run(run_id="a", scenario=None, kind="foreign"), run(run_id="b", scenario=None, kind="foreign")]
+    )
     assert {row.n for row in metrics if row.metric == "human_intervention"} == {2}
 
 
 def test_runs_of_workflows_are_no_runs_of_a_scenario_and_have_rows_of_their_own() -> None:
     rows, _ = judged([*called(1, 1), *called(0, scenario="workflow-door-relay")])
     calls = [(row.architecture, row.kind, row.n, row.mean) for row in rows if row.metric == "human_intervention"]
-    assert sorted(calls)[:4] == [("cfc", "simulated", 2, 1.0), ("cfc", "workflow", 1, 1.0), ("dhma", "simulated", 2, 1.0), ("dhma", "workflow", 1, 1.0)]
+    assert sorted(calls)[:4] == [
+        ("cfc", "simulated", 2, 1.0),
+        ("cfc", "workflow", 1, 1.0),
+        ("dhma", "simulated", 2, 1.0),
+        ("dhma", "workflow", 1, 1.0),
+    ]
     assert sorted(calls)[4:] == [("fsar", "simulated", 2, 1.0), ("fsar", "workflow", 1, 0.0)]

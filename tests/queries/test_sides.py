@@ -34,7 +34,10 @@ def differences(metric: str, first: tuple[Numbers, Numbers], second: tuple[Numbe
                 {
                     "side": pa.array([f"{name} {at:05}" for at in np.repeat(np.arange(experiments), runs)]),
                     "run_id": pa.array([f"{at:05}" for at in number]),
-                    **{key: pa.array([key] * number.size) for key in ("setting", "model_version", "world_sha256", "scenario")},
+                    **{
+                        key: pa.array([key] * number.size)
+                        for key in ("setting", "model_version", "world_sha256", "scenario")
+                    },
                     **{key: pa.array(np.ones(number.size, np.int64)) for key in ("seed", "twins")},
                     "kind": pa.array(["simulated"] * number.size),
                     "run": pa.array(number),
@@ -50,7 +53,9 @@ def differences(metric: str, first: tuple[Numbers, Numbers], second: tuple[Numbe
     with Database(None, ()) as database:
         database.hold("side_runs", pa.concat_tables(tables))
         database.hold("side_comparisons", pa.Table.from_pylist(pairs))
-        return database.rows("SELECT * FROM side_differences WHERE scenario IS NULL AND NOT pools_seeds ORDER BY first_side")
+        return database.rows(
+            "SELECT * FROM side_differences WHERE scenario IS NULL AND NOT pools_seeds ORDER BY first_side"
+        )
 
 
 def of_runs(metric: str, first: Sequence[float] | Numbers, second: Sequence[float] | Numbers) -> dict[str, Any]:
@@ -64,7 +69,9 @@ def test_a_difference_is_the_paired_t_test_of_what_runs_count() -> None:
     found, expected = of_runs(COUNT, first, second), stats.ttest_rel(first, second)
     low, high = expected.confidence_interval()
     assert (found["n"], found["differing_pairs"], found["test"]) == (8, 8, "paired t")
-    assert (found["first_mean"], found["second_mean"], found["mean_difference"]) == pytest.approx((31 / 8, 37 / 8, -6 / 8))
+    assert (found["first_mean"], found["second_mean"], found["mean_difference"]) == pytest.approx(
+        (31 / 8, 37 / 8, -6 / 8)
+    )
     assert (found["ci_low"], found["ci_high"], found["p"]) == pytest.approx((low, high, expected.pvalue))
     assert found["d_z"] == pytest.approx((first - second).mean() / (first - second).std(ddof=1))
 
@@ -92,36 +99,56 @@ def test_yes_or_no_has_mcnemars_test_and_an_interval_even_where_no_pair_differs(
 
 def test_equal_pairs_of_a_count_have_neither_test_nor_interval() -> None:
     found = of_runs(COUNT, [1, 2, 3], [1, 2, 3])
-    assert (found["mean_difference"], found["test"], found["p"], found["ci_low"], found["ci_high"], found["d_z"]) == (0, None, None, None, None, None)
+    assert (found["mean_difference"], found["test"], found["p"], found["ci_low"], found["ci_high"], found["d_z"]) == (
+        0,
+        None,
+        None,
+        None,
+        None,
+        None,
+    )
 
 
 def test_a_pooled_metric_is_a_difference_of_ratios_with_the_error_of_the_jackknife() -> None:
     n1, d1 = np.array([[2, 0, 1, 3, 0, 1.0]]), np.array([[2, 1, 1, 4, 0, 1.0]])
     n2, d2 = np.array([[1, 0, 0, 2, 0, 1.0]]), np.array([[2, 1, 2, 4, 0, 2.0]])
     [found] = differences(POOLED, (n1, d1), (n2, d2))
-    without = [np.delete(n1, at).sum() / np.delete(d1, at).sum() - np.delete(n2, at).sum() / np.delete(d2, at).sum() for at in range(6)]
+    without = [
+        np.delete(n1, at).sum() / np.delete(d1, at).sum() - np.delete(n2, at).sum() / np.delete(d2, at).sum()
+        for at in range(6)
+    ]
     error = np.sqrt(5 / 6 * ((np.array(without) - np.mean(without)) ** 2).sum())
     half = stats.t.ppf(0.975, 4 - 1) * error
     assert (found["n"], found["differing_pairs"]) == (6, 4)
-    assert (found["first_mean"], found["second_mean"], found["mean_difference"]) == pytest.approx((7 / 9, 4 / 11, 7 / 9 - 4 / 11))
+    assert (found["first_mean"], found["second_mean"], found["mean_difference"]) == pytest.approx(
+        (7 / 9, 4 / 11, 7 / 9 - 4 / 11)
+    )
     assert (found["ci_low"], found["ci_high"]) == pytest.approx((7 / 9 - 4 / 11 - half, min(1, 7 / 9 - 4 / 11 + half)))
     assert found["p"] == pytest.approx(2 * stats.t.sf((7 / 9 - 4 / 11) / error, 3))
 
 
 def test_a_ratio_that_hangs_on_one_pair_has_no_interval() -> None:
-    [found] = differences(POOLED, (np.array([[1, 0, 0.0]]), np.array([[2, 0, 0.0]])), (np.array([[1, 1, 0.0]]), np.array([[1, 1, 1.0]])))
+    [found] = differences(
+        POOLED, (np.array([[1, 0, 0.0]]), np.array([[2, 0, 0.0]])), (np.array([[1, 1, 0.0]]), np.array([[1, 1, 1.0]]))
+    )
     assert (found["mean_difference"], found["ci_low"], found["d_z"]) == (pytest.approx(1 / 2 - 2 / 3), None, None)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("failures", "share", "less"), [(0.5, 0.9, 0.6), (1.0, 0.7, 0.7), (3.0, 0.95, 0.8)])
-def test_the_interval_of_a_pooled_difference_holds_the_truth_in_94_to_98_of_100_experiments(failures: float, share: float, less: float) -> None:
+def test_the_interval_of_a_pooled_difference_holds_the_truth_in_94_to_98_of_100_experiments(
+    failures: float, share: float, less: float
+) -> None:
     draws, shape = np.random.default_rng(11), (600, 60)
     common = draws.poisson(failures, shape)
     kept = draws.binomial(common, less)
     more = kept + draws.binomial(common - kept, (share - less) / (1 - less))  # the same failures met twice
     own = draws.poisson(failures / 5, shape)
-    found = differences(POOLED, ((more + draws.binomial(own, share)).astype(float), (common + own).astype(float)), (kept.astype(float), common.astype(float)))
+    found = differences(
+        POOLED,
+        ((more + draws.binomial(own, share)).astype(float), (common + own).astype(float)),
+        (kept.astype(float), common.astype(float)),
+    )
     assert len(found) == 600
     holds = [row["ci_low"] <= share - less <= row["ci_high"] for row in found]
     assert 0.94 <= np.mean(holds) <= 0.98
@@ -132,14 +159,22 @@ def of(number: int, *events: Row, **dimensions: Any) -> list[Row]:
     return run(*events, run_id=name, run=number, **dimensions)
 
 
-def compared(*runs: Sequence[Row], first: str | None = None, second: str | None = None) -> tuple[tuple[Side, Side], Paired]:
+def compared(
+    *runs: Sequence[Row], first: str | None = None, second: str | None = None
+) -> tuple[tuple[Side, Side], Paired]:
     with from_rows([row for rows in runs for row in rows]) as database:
         both = chosen([sides(database)], (first, second), ["the ledger"])
         return both, paired([database], both)
 
 
 def test_two_sides_need_no_names_and_pairs_say_what_their_worlds_share() -> None:
-    both, found = compared(of(0, MET), of(1, MET), of(0, MET, CALL, architecture="cfc"), of(1, MET, architecture="cfc"), of(2, MET, architecture="cfc"))
+    both, found = compared(
+        of(0, MET),
+        of(1, MET),
+        of(0, MET, CALL, architecture="cfc"),
+        of(1, MET, architecture="cfc"),
+        of(2, MET, architecture="cfc"),
+    )
     assert [side.name for side in both] == ["fsar:full@A/4", "cfc:full@A/4"]
     assert (found.pairs, found.same_facts, found.first_alone, found.second_alone, found.constants) == (2, 2, 0, 1, [])
     row = next(row for row in found.rows if row.metric == YES_NO)
@@ -152,7 +187,9 @@ def test_other_constants_share_draws_alone_and_are_named() -> None:
     both, found = compared(*runs, first="fsar@A", second="fsar@B")
     assert (found.same_facts, found.same_draws, found.same_seed, found.left_out) == (1, 1, 0, [])
     values = {side.letter: value for side, value in zip(both, ("2", "3"), strict=True)}
-    assert [(one.name, one.first_value, one.second_value) for one in found.constants] == [("world.b", values["A"], values["B"])]
+    assert [(one.name, one.first_value, one.second_value) for one in found.constants] == [
+        ("world.b", values["A"], values["B"])
+    ]
 
 
 def test_another_model_shares_the_seed_alone() -> None:

@@ -31,7 +31,14 @@ def evidence(feature: str, *events: Row) -> str:
 def about(by: str | None, action: str = "t1/1.1", **fields: Any) -> dict[str, Any]:
     """The envelope of an event about an action that A asks of B; complete for an auditor."""
     principals = {"requested_by": A, "executed_by": B, "supervised_by": "supervisor/B1"}
-    return {"task_id": action.partition("/")[0], "action_id": action, **principals, "decided_by": by, "path": [by], **fields}
+    return {
+        "task_id": action.partition("/")[0],
+        "action_id": action,
+        **principals,
+        "decided_by": by,
+        "path": [by],
+        **fields,
+    }
 
 
 def asked(by: str = A, carried: str | None = "allow", action: str = "t1/1.1") -> Row:
@@ -43,7 +50,9 @@ def admitted(by: str = B, action: str = "t1/1.1") -> Row:
 
 
 def started(action: str = "t1/1.1") -> Row:
-    return event("ExecutionStarted", 4 * S, **about(None, action), robot=B, on_behalf_of=A, capability="lift", ends_us=5 * S)
+    return event(
+        "ExecutionStarted", 4 * S, **about(None, action), robot=B, on_behalf_of=A, capability="lift", ends_us=5 * S
+    )
 
 
 def trusts(robot: str, peer: str, scope: str = "task", **narrower: str) -> Row:
@@ -61,13 +70,18 @@ def test_nothing_is_graded_that_no_event_could_show() -> None:
 def test_a_robot_is_one_agent_until_an_agent_in_it_appears() -> None:
     assert grades(*JOINED, asked())["single_agent_robot"] == "full"
     assert grades(*JOINED, asked("agent/A1/planning"))["single_agent_robot"] == "none"
-    many = tuple(event("RobotJoined", robot=f"robot/A{number}", role="A", team=number, supervisor=None) for number in range(1, 6))
+    many = tuple(
+        event("RobotJoined", robot=f"robot/A{number}", role="A", team=number, supervisor=None) for number in range(1, 6)
+    )
     assert grades(*many, asked("agent/A1/planning"))["single_agent_robot"] == "partial"
 
 
 def test_agents_are_within_robots_when_a_robot_has_two() -> None:
     one = [asked(f"agent/{name}/planning") for name in ("A1", "B1", "C1")]
-    two = [event("InternalHandoff", 1 * S, sender=f"agent/{name}/planning", receiver=f"agent/{name}/execution") for name in ("A1", "B1", "C1")]
+    two = [
+        event("InternalHandoff", 1 * S, sender=f"agent/{name}/planning", receiver=f"agent/{name}/execution")
+        for name in ("A1", "B1", "C1")
+    ]
     assert grades(*JOINED, *one)["intra_robot_agents"] == "none"
     assert grades(*JOINED, *two)["intra_robot_agents"] == "full"
 
@@ -75,13 +89,23 @@ def test_agents_are_within_robots_when_a_robot_has_two() -> None:
 def test_coordination_is_central_when_one_principal_that_is_no_robot_assigns() -> None:
     commanded = [event("CommandIssued", 3 * S, **about("coordinator", f"t{number}/1"), robot=B) for number in range(20)]
     assert grades(*commanded)["centralized_coordination"] == "full"
-    assert grades(*commanded, *(admitted(action=f"u{number}/1") for number in range(5)))["centralized_coordination"] == "partial"
-    assert grades(admitted(), event("CommandIssued", 3 * S, **about("coordinator"), robot=B))["centralized_coordination"] == "none"
+    assert (
+        grades(*commanded, *(admitted(action=f"u{number}/1") for number in range(5)))["centralized_coordination"]
+        == "partial"
+    )
+    assert (
+        grades(admitted(), event("CommandIssued", 3 * S, **about("coordinator"), robot=B))["centralized_coordination"]
+        == "none"
+    )
     assert grades(admitted("supervisor/fleet"))["centralized_coordination"] == "none"
 
 
 def test_two_centres_are_no_single_one() -> None:
-    split = [event("CommandIssued", 3 * S, **about(f"service/{name}", f"t{number}/1"), robot=B) for number in range(4) for name in ("one", "two")]
+    split = [
+        event("CommandIssued", 3 * S, **about(f"service/{name}", f"t{number}/1"), robot=B)
+        for number in range(4)
+        for name in ("one", "two")
+    ]
     assert grades(*split)["centralized_coordination"] == "none"
 
 
@@ -99,17 +123,27 @@ def test_delegation_is_trust_scoped_when_what_lacks_trust_goes_through_trusted_l
 
 def test_an_outsider_who_is_served_through_a_chain_leaves_trust_partial() -> None:
     served = ({**RELAYED, "action_id": "x1/1", "task_id": "x1"}, started("x1/1"))
-    assert grades(trusts(B, C), trusts(C, A), asked(), RELAYED, started(), OUTSIDER, *served)["trust_scoped_delegation"] == "partial"
+    assert (
+        grades(trusts(B, C), trusts(C, A), asked(), RELAYED, started(), OUTSIDER, *served)["trust_scoped_delegation"]
+        == "partial"
+    )
 
 
 def test_delegation_that_trust_allows_shows_nothing_about_trust() -> None:
     assert grades(trusts(B, A), asked(), started(), OUTSIDER)["trust_scoped_delegation"] is None
-    assert "not shown; outsiders refused 1/1" in evidence("trust_scoped_delegation", trusts(B, A), asked(), started(), OUTSIDER)
+    assert "not shown; outsiders refused 1/1" in evidence(
+        "trust_scoped_delegation", trusts(B, A), asked(), started(), OUTSIDER
+    )
 
 
 @pytest.mark.parametrize(
     ("narrower", "untrusted"),
-    [({"capability": "lift"}, "0/1"), ({"context": "t1"}, "0/1"), ({"capability": "carry"}, "not shown"), ({"context": "t2"}, "not shown")],
+    [
+        ({"capability": "lift"}, "0/1"),
+        ({"context": "t1"}, "0/1"),
+        ({"capability": "carry"}, "not shown"),
+        ({"context": "t2"}, "not shown"),
+    ],
 )
 def test_the_most_specific_trust_holds(narrower: dict[str, str], untrusted: str) -> None:
     said = evidence("trust_scoped_delegation", trusts(B, A, "none", **narrower), trusts(B, A), started())
@@ -117,7 +151,19 @@ def test_the_most_specific_trust_holds(narrower: dict[str, str], untrusted: str)
 
 
 def failed(*steps: Row) -> tuple[Row, ...]:
-    return (event("ExecutionFailed", 10 * S, task_id="t1", action_id="t1/1.1", robot=B, failure=1, cause="obstruction", detected_us=10 * S), *steps)
+    return (
+        event(
+            "ExecutionFailed",
+            10 * S,
+            task_id="t1",
+            action_id="t1/1.1",
+            robot=B,
+            failure=1,
+            cause="obstruction",
+            detected_us=10 * S,
+        ),
+        *steps,
+    )
 
 
 def recovery(name: str, by: str, level: str | None = None, **fields: Any) -> Row:
@@ -141,20 +187,35 @@ def test_recovery_is_layered_when_the_robot_begins_and_all_four_levels_follow_in
     assert grades(*failed(tried("coordinator"), *whole))["layered_recovery"] == "none"
 
 
-BEGAN = event("StepBegan", 0, task_id="t1", action_id="t1/1.1", robot=A, step=1, attempt=1, capability="lift", target_role="B")
+BEGAN = event(
+    "StepBegan", 0, task_id="t1", action_id="t1/1.1", robot=A, step=1, attempt=1, capability="lift", target_role="B"
+)
 OWN = event("PolicyWindowOpened", 0, robot=A, scope="local", window="w1", outcome="deny")
 RULE = event("PolicyWindowOpened", 0, robot=B, scope="fleet", window="w2", outcome="review")
 DENIED = event("RequestDenied", 3 * S, **about(B), reason="policy")
-REVIEW = event("SupervisorCalled", 3 * S, task_id="t1", action_id="t1/1.1", supervisor="supervisor/fleet", purpose="review", robot=B)
+REVIEW = event(
+    "SupervisorCalled",
+    3 * S,
+    task_id="t1",
+    action_id="t1/1.1",
+    supervisor="supervisor/fleet",
+    purpose="review",
+    robot=B,
+)
 APPROVED = event("SupervisorResponded", 3 * S, **about("supervisor/fleet"), purpose="review", approves=True)
 
 
 def test_policy_is_composed_when_executor_requester_and_fleet_are_each_heeded() -> None:
     decided = (BEGAN, OWN, RULE, DENIED)
-    assert grades(*decided, event("RequestAdmitted", 9 * S, **about(B, "t9/1"), outcome="allow"))["policy_composition"] == "full"
+    assert (
+        grades(*decided, event("RequestAdmitted", 9 * S, **about(B, "t9/1"), outcome="allow"))["policy_composition"]
+        == "full"
+    )
     assert grades(*decided, admitted())["policy_composition"] == "partial"
     assert grades(*decided, admitted("coordinator"))["policy_composition"] == "none"
-    synced = event("CopySynced", 1 * S, fleet_deny=[], fleet_review=[], local_deny=[], local_review=[], busy=[], degraded=[])
+    synced = event(
+        "CopySynced", 1 * S, fleet_deny=[], fleet_review=[], local_deny=[], local_review=[], busy=[], degraded=[]
+    )
     assert grades(synced, *decided, admitted("coordinator"))["policy_composition"] == "partial"
     assert grades(BEGAN, admitted())["policy_composition"] is None
 
@@ -168,11 +229,17 @@ def test_policy_is_composed_when_executor_requester_and_fleet_are_each_heeded() 
         ((RULE, REVIEW, APPROVED, admitted()), "not shown", "2/2"),
         ((RULE, REVIEW, {**APPROVED, "approves": False}, admitted()), "not shown", "1/2"),
         (({**OWN, "time_us": 2 * S + 1}, admitted()), "not shown", "not shown"),
-        ((OWN, event("PolicyWindowClosed", 3 * S, robot=A, scope="local", window="w1"), admitted()), "not shown", "not shown"),
+        (
+            (OWN, event("PolicyWindowClosed", 3 * S, robot=A, scope="local", window="w1"), admitted()),
+            "not shown",
+            "not shown",
+        ),
         (({**OWN, "robot": C}, admitted()), "not shown", "not shown"),
     ],
 )
-def test_a_policy_is_heeded_when_the_decision_refuses_or_is_reviewed(events: tuple[Row, ...], requester: str, fleet: str) -> None:
+def test_a_policy_is_heeded_when_the_decision_refuses_or_is_reviewed(
+    events: tuple[Row, ...], requester: str, fleet: str
+) -> None:
     said = evidence("policy_composition", BEGAN, *events)
     assert f"the requester's policy heeded {requester}" in said
     assert f"the fleet's rule heeded {fleet}" in said
@@ -199,11 +266,22 @@ def test_audit_attribution_follows_the_share_of_complete_records() -> None:
 
 
 def test_grades_do_not_look_at_the_architecture_and_stand_for_each_configuration() -> None:
-    assert grades(*JOINED, asked(), architecture="cfc") == grades(*JOINED, asked(), architecture="dhma") == grades(*JOINED, asked())
-    runs = [*run(*JOINED, asked()), *run(*JOINED, asked("agent/A1/x"), run_id="r2", configuration="without-shared-registry")]
+    assert (
+        grades(*JOINED, asked(), architecture="cfc")
+        == grades(*JOINED, asked(), architecture="dhma")
+        == grades(*JOINED, asked())
+    )
+    runs = [
+        *run(*JOINED, asked()),
+        *run(*JOINED, asked("agent/A1/x"), run_id="r2", configuration="without-shared-registry"),
+    ]
     with from_rows(runs) as database:
         rows = plain_rows(database.query("tables/architecture_features"))
-    assert [row["configuration"] for row in rows].count("full") == [row["configuration"] for row in rows].count("without-shared-registry") == 8
+    assert (
+        [row["configuration"] for row in rows].count("full")
+        == [row["configuration"] for row in rows].count("without-shared-registry")
+        == 8
+    )
 
 
 @pytest.fixture(scope="module")
@@ -226,7 +304,9 @@ def marked(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, str], st
         ("shared-registry", "governed_registry", "none"),
     ],
 )
-def test_who_loses_a_mechanism_loses_its_mark(marked: dict[tuple[str, str], str | None], mechanism: str, feature: str, grade: str) -> None:
+def test_who_loses_a_mechanism_loses_its_mark(
+    marked: dict[tuple[str, str], str | None], mechanism: str, feature: str, grade: str
+) -> None:
     assert marked["full", feature] == "full"
     assert marked[f"without-{mechanism}", feature] == grade
 
@@ -239,8 +319,23 @@ def cells(*events: Row, scenario: str = "workflow-door-relay") -> dict[str, str]
     return {row["mechanism"]: row["cell"] for row in rows if row["cell"] is not None}
 
 
-STANDARD: dict[str, Value] = {"trust": "task", "may_request": True, "may_execute": True, "override": "none", "is_audited": True}
-CALL = event("SupervisorCalled", 3 * S, task_id="t1", action_id="t1/1.1", supervisor="supervisor/fleet", purpose="ordering", robot=B, competing="t2/1.1")
+STANDARD: dict[str, Value] = {
+    "trust": "task",
+    "may_request": True,
+    "may_execute": True,
+    "override": "none",
+    "is_audited": True,
+}
+CALL = event(
+    "SupervisorCalled",
+    3 * S,
+    task_id="t1",
+    action_id="t1/1.1",
+    supervisor="supervisor/fleet",
+    purpose="ordering",
+    robot=B,
+    competing="t2/1.1",
+)
 
 
 def test_the_door_relay_has_the_papers_cells() -> None:
@@ -286,8 +381,16 @@ def test_the_human_supervision_shows_both_scopes_and_a_conflict() -> None:
         ("authority_tuple", "other", ({**admitted(), **STANDARD, "override": "hard-preempt"},)),
         ("policy_composition", "deny", (asked(), event("RequestDenied", 3 * S, **about(B), reason="policy"))),
         ("registry_discovery", "several", ({**FOUND, "candidates": [B, C]},)),
-        ("layered_recovery", "2 of 4 levels", failed(tried(B), left("local", "peer"), recovery("AssistanceRequested", B, "peer", helper=C))),
-        ("fleet_reassignment", "done", (event("ReassignmentDecided", 12 * S, **about("service/recovery"), robot=B, failure=1, helper=C),)),
+        (
+            "layered_recovery",
+            "2 of 4 levels",
+            failed(tried(B), left("local", "peer"), recovery("AssistanceRequested", B, "peer", helper=C)),
+        ),
+        (
+            "fleet_reassignment",
+            "done",
+            (event("ReassignmentDecided", 12 * S, **about("service/recovery"), robot=B, failure=1, helper=C),),
+        ),
         ("human_escalation", "review", ({**CALL, "purpose": "review", "competing": None},)),
         ("delegation_chain", "several links", ({**asked(), "relay": C},)),
     ],
@@ -311,7 +414,11 @@ LOW = '{"world":{"rate_per_s":0.01}}'
 def made_otherwise(query: str, *events: Row, **dimensions: Any) -> tuple[list[Row], list[Row]]:
     """The rows of one run that did nothing, alone and beside a run each that was made otherwise, of these events."""
     ours = run(**{"parameters": LOW, **dimensions})
-    others = [row for name, more in OTHERWISE.items() for row in run(*events, run_id=name, **{"parameters": LOW, **dimensions, **more})]
+    others = [
+        row
+        for name, more in OTHERWISE.items()
+        for row in run(*events, run_id=name, **{"parameters": LOW, **dimensions, **more})
+    ]
     with from_rows(ours) as alone, from_rows([*ours, *others]) as together:
         return list(plain_rows(alone.query(query))), list(plain_rows(together.query(query)))
 
@@ -321,7 +428,11 @@ def test_features_of_runs_made_otherwise_are_marked_apart() -> None:
     assert len(together) == 8 * (1 + len(OTHERWISE))
     dimensions = ("architecture", "configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
     assert len({tuple(row[name] for name in dimensions) for row in together}) == 1 + len(OTHERWISE)
-    kept = [(row["feature"], row["evidence"]) for row in together if row["grade"] is None and row["feature"] == "single_agent_robot"]
+    kept = [
+        (row["feature"], row["evidence"])
+        for row in together
+        if row["grade"] is None and row["feature"] == "single_agent_robot"
+    ]
     assert kept == [("single_agent_robot", "robots that appear as one principal not shown")]
     assert {row["grade"] for row in alone} == {None}
 
@@ -336,8 +447,13 @@ def test_mechanisms_of_workflows_made_otherwise_are_in_rows_of_their_own() -> No
 
 def test_only_workflows_are_covered_and_runs_that_differ_show_both_cells() -> None:
     with from_rows([*run(FOUND), *run(FOUND, scenario="workflow-door-relay", run_id="r2")]) as database:
-        assert {row["workflow"] for row in plain_rows(database.query("tables/mechanism_coverage"))} == {"workflow-door-relay"}
+        assert {row["workflow"] for row in plain_rows(database.query("tables/mechanism_coverage"))} == {
+            "workflow-door-relay"
+        }
     several = run({**FOUND, "candidates": [B, C]}, scenario="workflow-door-relay", run_id="r2")
     with from_rows([*run(FOUND, scenario="workflow-door-relay"), *several]) as database:
-        rows = {row["mechanism"]: (row["cell"], row["runs"]) for row in plain_rows(database.query("tables/mechanism_coverage"))}
+        rows = {
+            row["mechanism"]: (row["cell"], row["runs"])
+            for row in plain_rows(database.query("tables/mechanism_coverage"))
+        }
     assert rows["registry_discovery"] == ("several / single", 2)

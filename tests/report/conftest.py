@@ -26,7 +26,9 @@ PARAMETERS = '{"structure":{"poll_us":1000000},"world":{"message":{"high_s":0.5,
 Make = Callable[..., Path]
 
 
-def _events(architecture: Architecture, configuration: Configuration, scenario: Scenario, fleet_size: int, run: int) -> Iterator[tuple[int, Event]]:
+def _events(
+    architecture: Architecture, configuration: Configuration, scenario: Scenario, fleet_size: int, run: int
+) -> Iterator[tuple[int, Event]]:
     """One run: a task of one step that fails once, with more going wrong in later runs and other architectures."""
     bad = ARCHITECTURES.index(architecture) + run
     yield (
@@ -44,25 +46,54 @@ def _events(architecture: Architecture, configuration: Configuration, scenario: 
             parameters=PARAMETERS,
         ),
     )
-    yield 1, TaskArrived(task_id="t1", robot="robot/A1", team=1, steps=("A navigate.indoor",), budget_us=60_000_000, due_us=60_000_001)
+    yield (
+        1,
+        TaskArrived(
+            task_id="t1",
+            robot="robot/A1",
+            team=1,
+            steps=("A navigate.indoor",),
+            budget_us=60_000_000,
+            due_us=60_000_001,
+        ),
+    )
     yield 2, _decision("t1/1", "robot/A1", ("robot/A1",))
     for number in range(bad):
         action = f"t1/{number + 2}"
         yield 3, _decision(action, "coordinator", ("robot/A1", "coordinator"))
         for claimant in ("robot/A1", "coordinator"):
-            yield 3, AuthorityClaimed(task_id="t1", action_id=action, dimension="override", claimant=claimant, reason="execution")
+            yield (
+                3,
+                AuthorityClaimed(
+                    task_id="t1", action_id=action, dimension="override", claimant=claimant, reason="execution"
+                ),
+            )
     yield 4, PolicyWindowOpened(robot="robot/A1", scope="local", window="w1", outcome="deny")
     for _ in range(bad):
         yield 5, _motion()
     if scenario != "door-relay":  # containment and latency stay undefined there
         yield (
             6,
-            ExecutionFailed(task_id="t1", action_id="t1/1", robot="robot/A1", failure=1, cause="obstruction", remaining_us=1_000_000, detected_us=6),
+            ExecutionFailed(
+                task_id="t1",
+                action_id="t1/1",
+                robot="robot/A1",
+                failure=1,
+                cause="obstruction",
+                remaining_us=1_000_000,
+                detected_us=6,
+            ),
         )
         level: RecoveryLevel = "local" if bad < 2 else "human"
-        yield 6 + (1 + bad) * 700_000, FailureResolved(task_id="t1", action_id="t1/1", robot="robot/A1", failure=1, level=level)
+        yield (
+            6 + (1 + bad) * 700_000,
+            FailureResolved(task_id="t1", action_id="t1/1", robot="robot/A1", failure=1, level=level),
+        )
     if bad > 2:
-        yield 9_000_000, SupervisorCalled(task_id="t1", action_id="t1/1", supervisor=FLEET_SUPERVISOR, purpose="recovery")
+        yield (
+            9_000_000,
+            SupervisorCalled(task_id="t1", action_id="t1/1", supervisor=FLEET_SUPERVISOR, purpose="recovery"),
+        )
     if bad < 3:
         yield 10_000_000, TaskCompleted(task_id="t1")
 
@@ -93,7 +124,9 @@ def _motion() -> Event:
     )
 
 
-def _record(architecture: Architecture, configuration: Configuration, scenario: Scenario, fleet_size: int, run: int) -> RunRecord:
+def _record(
+    architecture: Architecture, configuration: Configuration, scenario: Scenario, fleet_size: int, run: int
+) -> RunRecord:
     timed = list(_events(architecture, configuration, scenario, fleet_size, run))
     causes = [None, *range(len(timed) - 1)]
     name = f"{scenario}-{run}-{architecture}-{configuration}-{fleet_size}"
@@ -112,7 +145,12 @@ def make_ledger(tmp_path_factory: pytest.TempPathFactory) -> Make:
         scenarios: Sequence[Scenario] = SCENARIOS,
     ) -> Path:
         path = tmp_path_factory.mktemp("ledger") / "ledger"
-        records = [_record(one, configuration, scenario, fleet_size, run) for scenario in scenarios for run in range(runs) for one in architectures]
+        records = [
+            _record(one, configuration, scenario, fleet_size, run)
+            for scenario in scenarios
+            for run in range(runs)
+            for one in architectures
+        ]
         with Writer(path, "test") as writer:
             if records:
                 writer.append(stage(path, records))

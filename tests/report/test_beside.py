@@ -36,13 +36,23 @@ def meeting(mean: float, *configurations: str) -> Experiment:
 
 
 def loaded(size: int, teams: int | None, architectures: tuple[Architecture, ...] = ARCHITECTURES) -> Experiment:
-    return Experiment(architectures, SCENARIOS, 1, 42, size, constants=Constants(load=None if teams is None else Load(teams_working=teams)))
+    return Experiment(
+        architectures,
+        SCENARIOS,
+        1,
+        42,
+        size,
+        constants=Constants(load=None if teams is None else Load(teams_working=teams)),
+    )
 
 
 @pytest.fixture(scope="module")
 def ablations() -> Iterator[Database]:
     """Two ablations at one rate of encounters, one of them at another rate, too."""
-    chosen = [meeting(30.0, "full", "without-layered-recovery", "without-shared-registry"), meeting(300.0, "without-shared-registry")]
+    chosen = [
+        meeting(30.0, "full", "without-layered-recovery", "without-shared-registry"),
+        meeting(300.0, "without-shared-registry"),
+    ]
     with from_table(encode(list(played(*chosen)))) as database:
         yield database
 
@@ -56,16 +66,24 @@ def ablation(ablations: Database) -> Ablation:
 
 @pytest.fixture(scope="module")
 def fleets() -> Scaling:
-    with from_table(encode(list(played(loaded(4, None), loaded(8, None), loaded(8, 1), loaded(32, 1, ("fsar",)))))) as database:
+    with from_table(
+        encode(list(played(loaded(4, None), loaded(8, None), loaded(8, 1), loaded(32, 1, ("fsar",)))))
+    ) as database:
         found = scaling_of(database)
     assert found is not None
     return found
 
 
-def test_the_table_is_of_the_rate_with_most_configurations_and_the_other_rate_is_on_the_curve(ablations: Database, ablation: Ablation) -> None:
+def test_the_table_is_of_the_rate_with_most_configurations_and_the_other_rate_is_on_the_curve(
+    ablations: Database, ablation: Ablation
+) -> None:
     assert ablation.encounter_mean_s == MEANS[0]
     assert [row["encounter_mean_s"] for row in ablation.rates] == list(MEANS)
-    ours = {(row.encounter_mean_s, row.configuration, row.metric): row.mean for row in dialled_rows(ablations) if row.scenario is None}
+    ours = {
+        (row.encounter_mean_s, row.configuration, row.metric): row.mean
+        for row in dialled_rows(ablations)
+        if row.scenario is None
+    }
     assert len(ablation.cells) == 30
     for cell in ablation.cells:
         assert cell["mean"] == ours.get((MEANS[0], cell["configuration"], cell["metric"]))
@@ -73,7 +91,10 @@ def test_the_table_is_of_the_rate_with_most_configurations_and_the_other_rate_is
 
 def test_a_cell_has_the_answers_unless_the_text_leaves_its_dial_open_or_there_are_no_runs(ablation: Ablation) -> None:
     for cell in (*ablation.cells, *ablation.text):
-        held = cell["configuration"] in ("full", "without-layered-recovery", "without-shared-registry") and cell["mean"] is not None
+        held = (
+            cell["configuration"] in ("full", "without-layered-recovery", "without-shared-registry")
+            and cell["mean"] is not None
+        )
         assert (cell["gives"] is not None) == (held and cell["class"] != "unspecified"), cell
         by_text = "no" if held and cell["class"] == "cannot follow" else None
         assert cell["could"] == by_text, "two runs are fewer than the paper's experiment"
@@ -82,15 +103,23 @@ def test_a_cell_has_the_answers_unless_the_text_leaves_its_dial_open_or_there_ar
 
 
 def test_numbers_of_the_text_are_of_their_scenario(ablations: Database, ablation: Ablation) -> None:
-    ours = {(row.configuration, row.scenario, row.metric): row.mean for row in dialled_rows(ablations) if row.encounter_mean_s == MEANS[0]}
-    assert [row["mean"] for row in ablation.text] == [ours.get((row["configuration"], row["scenario"], row["metric"])) for row in ablation.text]
+    ours = {
+        (row.configuration, row.scenario, row.metric): row.mean
+        for row in dialled_rows(ablations)
+        if row.encounter_mean_s == MEANS[0]
+    }
+    assert [row["mean"] for row in ablation.text] == [
+        ours.get((row["configuration"], row["scenario"], row["metric"])) for row in ablation.text
+    ]
 
 
 def test_larger_fleets_stand_at_both_ends_of_the_load_and_have_no_answer(fleets: Scaling) -> None:
     assert len(fleets.cells) == 45
     larger = [cell for cell in fleets.cells if cell["fleet_size"] == 8]
     assert all(cell["gives"] is None and cell["class"] == "unspecified" for cell in larger)
-    conflicts = next(cell for cell in larger if (cell["architecture"], cell["metric"]) == ("dhma", "authority_conflicts"))
+    conflicts = next(
+        cell for cell in larger if (cell["architecture"], cell["metric"]) == ("dhma", "authority_conflicts")
+    )
     assert conflicts["mean"] > conflicts["one"], "two teams have more to contend for"
 
 
@@ -135,4 +164,6 @@ def test_sections_print_our_means_beside_the_papers(findings: Findings, ablation
     assert data["ablation"]["judged"] == sum(cell["gives"] is not None for cell in (*ablation.cells, *ablation.text))
     assert len(data["ablation"]["proofs"]) == 2
     assert data["scaling"]["judged"] == sum(cell["gives"] is not None for cell in fleets.cells)
-    assert (data["scaling"]["open"], document.data(findings, None)["scaling"]) == (30 - 15, None), "no runs of 16 robots"
+    assert (data["scaling"]["open"], document.data(findings, None)["scaling"]) == (30 - 15, None), (
+        "no runs of 16 robots"
+    )

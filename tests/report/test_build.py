@@ -23,7 +23,9 @@ write_report(Path(sys.argv[1]), Path(sys.argv[2]), reads_every_way=sys.argv[3] =
 
 
 @pytest.mark.parametrize("every_way", [False, pytest.param(True, marks=pytest.mark.slow)])
-def test_same_ledger_gives_the_same_bytes_in_another_process_with_another_hash_seed_and_zone(ledger: Path, tmp_path: Path, every_way: bool) -> None:
+def test_same_ledger_gives_the_same_bytes_in_another_process_with_another_hash_seed_and_zone(
+    ledger: Path, tmp_path: Path, every_way: bool
+) -> None:
     here, there = tmp_path / "here.pdf", tmp_path / "there.pdf"
     write_report(ledger, here, reads_every_way=every_way, numbers_out=tmp_path / "here.pdf.json")
     environment = os.environ | {"PYTHONHASHSEED": "7", "TZ": "Asia/Tokyo", "LC_ALL": "C"}
@@ -45,7 +47,9 @@ def test_another_ledger_gives_another_report(make_ledger: Make, ledger: Path, tm
     "contents",
     [
         pytest.param({"architectures": ("fsar",)}, marks=pytest.mark.slow),
-        pytest.param({"architectures": ("cfc", "dhma"), "scenarios": ("door-relay",), "runs": 1}, marks=pytest.mark.slow),
+        pytest.param(
+            {"architectures": ("cfc", "dhma"), "scenarios": ("door-relay",), "runs": 1}, marks=pytest.mark.slow
+        ),
         {"architectures": ("fsar",), "configuration": "without-shared-registry"},
         pytest.param({"fleet_size": 8}, marks=pytest.mark.slow),
         {"architectures": ()},

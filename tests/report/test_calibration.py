@@ -20,10 +20,29 @@ WHOLE: dict[str, Any] = {
     "evaluations": 7,
     "model_version": "1",
     "command": "fsar-ledger calibrate --out FILE",
-    "parameters": [{"name": "world.motion_share", "unit": "share", "start": 0.2, "accepted": 0.24, "meaning": "motion", "identified": False}],
-    "residuals": [{"metric": "governance_locality", "architecture": "fsar", "paper": 0.94, "ours": 0.947, "distance_margins": 0.8}],
+    "parameters": [
+        {
+            "name": "world.motion_share",
+            "unit": "share",
+            "start": 0.2,
+            "accepted": 0.24,
+            "meaning": "motion",
+            "identified": False,
+        }
+    ],
+    "residuals": [
+        {"metric": "governance_locality", "architecture": "fsar", "paper": 0.94, "ours": 0.947, "distance_margins": 0.8}
+    ],
     "directions": [{"singular_value": 3.0, "identified": True, "weights": {"a": 0.1, "b": -0.9, "c": 0.3, "d": 0.01}}],
-    "switch_offs": [{"mechanism": "closing", "metric": "governance_locality", "architecture": "fsar", "with_mechanism": 0.947, "without": 0.991}],
+    "switch_offs": [
+        {
+            "mechanism": "closing",
+            "metric": "governance_locality",
+            "architecture": "fsar",
+            "with_mechanism": 0.947,
+            "without": 0.991,
+        }
+    ],
     "a key of the future": [1],
 }
 
@@ -39,8 +58,12 @@ def test_absent_record_is_none_and_said(tmp_path: Path, findings: Findings) -> N
 
 
 @pytest.mark.parametrize("missing", [None, *WHOLE])
-def test_record_is_read_and_typeset_whatever_part_is_missing(tmp_path: Path, findings: Findings, drawings: dict[str, bytes], missing: str | None) -> None:
-    (tmp_path / "calibration.json").write_text(json.dumps({key: value for key, value in WHOLE.items() if key != missing}))
+def test_record_is_read_and_typeset_whatever_part_is_missing(
+    tmp_path: Path, findings: Findings, drawings: dict[str, bytes], missing: str | None
+) -> None:
+    (tmp_path / "calibration.json").write_text(
+        json.dumps({key: value for key, value in WHOLE.items() if key != missing})
+    )
     data = document.data(findings, recorded(tmp_path))
     assert typeset.pdf(document.encoded(data), drawings).startswith(b"%PDF")
 
@@ -50,7 +73,13 @@ def test_record_is_quoted_with_its_numbers(tmp_path: Path, findings: Findings) -
     data: dict[str, Any] = msgspec.json.decode(document.encoded(document.data(findings, recorded(tmp_path))))
     assert data["fit"]["objective"]["accepted"] == 12.25
     assert (data["fit"]["identified"], data["fit"]["directions"]) == (1, 1)
-    assert [cell["printed"] for cell in data["tables"]["calibrated-parameters"]["rows"][0]][:5] == ["world.motion_share", "0.2", "0.24", "share", "no"]
+    assert [cell["printed"] for cell in data["tables"]["calibrated-parameters"]["rows"][0]][:5] == [
+        "world.motion_share",
+        "0.2",
+        "0.24",
+        "share",
+        "no",
+    ]
     assert data["tables"]["directions"]["rows"][0][3]["printed"] == "b \u22120.90, c 0.30, a 0.10"
 
 
@@ -70,9 +99,17 @@ def said_of_the_fit(folder: Path, findings: Findings, record: Record | None) -> 
 
 def test_a_fit_of_another_model_is_named_once_at_the_answer(tmp_path: Path, findings: Findings) -> None:
     record = Record(model_version="0", parameters=[Parameter("world.motion_share", "share", 0.2, 0.24)])
-    for found in (findings, msgspec.structs.replace(findings, unjudged="Other runs.", cells=tuple(row | {"gives": None} for row in findings.cells))):
+    for found in (
+        findings,
+        msgspec.structs.replace(
+            findings, unjudged="Other runs.", cells=tuple(row | {"gives": None} for row in findings.cells)
+        ),
+    ):
         [passage] = said_of_the_fit(tmp_path, found, record)
-        assert "The model has changed since the fit: the constants were fitted to model version 0, and these runs are of version 1." in passage
+        assert (
+            "The model has changed since the fit: the constants were fitted to model version 0, and these runs are of version 1."
+            in passage
+        )
         assert "So no cell counts as fitted." in passage
 
 
@@ -91,20 +128,29 @@ def test_a_fit_of_these_runs_model_is_not_doubted(tmp_path: Path, findings: Find
         ("1", [], None),
     ],
 )
-def test_every_model_of_the_runs_counts(findings: Findings, fitted: str | None, ran: list[str], said: str | None) -> None:
-    several = msgspec.structs.replace(findings, model_version=None, models=tuple({**findings.models[0], "model_version": one} for one in ran))
+def test_every_model_of_the_runs_counts(
+    findings: Findings, fitted: str | None, ran: list[str], said: str | None
+) -> None:
+    several = msgspec.structs.replace(
+        findings, model_version=None, models=tuple({**findings.models[0], "model_version": one} for one in ran)
+    )
     changed = document.data(several, Record(model_version=fitted))["fit"]["changed"]
     assert changed == (said and f"The model has changed since the fit: the constants were fitted to {said}")
 
 
 def test_reasons_that_were_found_with_another_model_are_not_given(findings: Findings) -> None:
     miss = {"metric": "authority_conflicts", "architecture": "cfc", "gives": "no", "distance": 3.0}
-    cells = tuple(row | miss if (row["metric"], row["architecture"]) == ("authority_conflicts", "cfc") else row for row in findings.cells)
+    cells = tuple(
+        row | miss if (row["metric"], row["architecture"]) == ("authority_conflicts", "cfc") else row
+        for row in findings.cells
+    )
     missing = msgspec.structs.replace(findings, cells=cells)
 
     def reason(fitted: str) -> str | None:
         misses = document.data(missing, Record(model_version=fitted))["misses"]
-        found: str | None = next(one["reason"] for one in misses if one["title"] == "Authority conflicts (per run), CFC")
+        found: str | None = next(
+            one["reason"] for one in misses if one["title"] == "Authority conflicts (per run), CFC"
+        )
         return found
 
     assert reason("1") is not None

@@ -11,7 +11,13 @@ from tests.queries.histories import answer
 
 
 def claim(name: str, architecture: str, numerator: int, denominator: int, runs: int = 20) -> dict[str, Any]:
-    return {"claim": name, "architecture": architecture, "numerator": numerator, "denominator": denominator, "runs": runs}
+    return {
+        "claim": name,
+        "architecture": architecture,
+        "numerator": numerator,
+        "denominator": denominator,
+        "runs": runs,
+    }
 
 
 def test_every_number_of_the_paper_has_one_cell_with_claims_that_the_queries_know() -> None:
@@ -41,20 +47,33 @@ def test_ours_stands_beside_the_papers_in_both_readings_with_what_was_counted() 
         "8 in 11 runs with a failure",
         "0.67 (2 in 3)",
     )
-    assert (handed["paper"], handed["value"], handed["counted"], handed["other"]) == ("3", 3.0, "180 of 420 in 60 handoffs", None)
+    assert (handed["paper"], handed["value"], handed["counted"], handed["other"]) == (
+        "3",
+        3.0,
+        "180 of 420 in 60 handoffs",
+        None,
+    )
     assert [row["class"] for row in rows].count("by construction") == 6
 
 
 def test_seeds_that_are_asked_for_together_are_added_and_what_has_no_case_or_no_run_has_no_number() -> None:
-    rows = cases.beside([claim("recovery loop", "dhma", 1, 4), claim("recovery loop", "dhma", 2, 8), claim("conflicts", "fsar", 0, 0)])
+    rows = cases.beside(
+        [claim("recovery loop", "dhma", 1, 4), claim("recovery loop", "dhma", 2, 8), claim("conflicts", "fsar", 0, 0)]
+    )
     found = {(row["case"], row["architecture"]): row for row in rows}
     assert found[2, "dhma"]["value"] == 0.25
-    assert [found[case, name][column] for case, name in ((3, "fsar"), (1, "fsar")) for column in ("value", "counted", "other")] == [None] * 6
+    assert [
+        found[case, name][column]
+        for case, name in ((3, "fsar"), (1, "fsar"))
+        for column in ("value", "counted", "other")
+    ] == [None] * 6
     nothing = claim("conflicts", "fsar", 0, 0, runs=0) | {"numerator": None, "denominator": None}
     assert cases.beside([nothing]) == ()
 
 
-def test_the_report_has_the_cases_of_the_runs_that_it_is_of_and_no_table_of_none(ledger: Path, make_ledger: Callable[..., Path]) -> None:
+def test_the_report_has_the_cases_of_the_runs_that_it_is_of_and_no_table_of_none(
+    ledger: Path, make_ledger: Callable[..., Path]
+) -> None:
     table = data(gather(ledger), None)["tables"]["cases"]
     cells = {(row[0].value, row[1].value): row for row in table.rows}
     assert cells[2, "fsar"][4].value is not None

@@ -35,7 +35,11 @@ def test_half_width_of_a_share_of_14_percent_is_6_8_not_3_8() -> None:
 
 
 def test_conflicts_of_fsar_and_cfc_have_a_smaller_sd_by_the_half_widths_than_by_d() -> None:
-    row = next(row for row in contradictions.interval_rows() if (row["metric"], row["pair"]) == ("authority_conflicts", "FSAR vs CFC"))
+    row = next(
+        row
+        for row in contradictions.interval_rows()
+        if (row["metric"], row["pair"]) == ("authority_conflicts", "FSAR vs CFC")
+    )
     # half widths 0.03 and 0.12: sqrt((0.15306^2 + 0.61224^2) / 2) = 0.44625; d: 2.75 / 4.12 = 0.66748
     assert row["interval_sd"] == pytest.approx(0.446246, abs=1e-6)
     assert row["effect_sd"] == pytest.approx(0.667476, abs=1e-6)
@@ -108,8 +112,12 @@ def test_every_contradiction_has_its_numbers_and_uses_them_and_nothing_else() ->
 def test_every_place_in_the_paper_exists() -> None:
     places = [one.paper for one in specs.contradictions()]
     places += [one.paper for one in specs.passages("readings")]
-    places += [paper for name in ("evaluation-results", "statistical-significance") if (paper := specs.table(name).paper)]
-    places += [quote.where for topic in specs.quotes().values() for quote in topic.values() if quote.where != "abstract"]
+    places += [
+        paper for name in ("evaluation-results", "statistical-significance") if (paper := specs.table(name).paper)
+    ]
+    places += [
+        quote.where for topic in specs.quotes().values() for quote in topic.values() if quote.where != "abstract"
+    ]
     assert len(places) > 20
     assert set(places) <= set(LABELS)
 
@@ -124,7 +132,11 @@ def test_implied_variances_are_those_that_made_the_effect_sizes(sds: list[float]
     names = ("FSAR", "CFC", "DHMA")
     means = {name: 200 * position + shift for position, (name, shift) in enumerate(zip(names, shifts, strict=True))}
     pairs = [(a, b) for a in range(3) for b in range(a + 1, 3)]
-    d = {frozenset((names[a], names[b])): abs(means[names[a]] - means[names[b]]) / math.sqrt((sds[a] ** 2 + sds[b] ** 2) / 2) for a, b in pairs}
+    d = {
+        frozenset((names[a], names[b])): abs(means[names[a]] - means[names[b]])
+        / math.sqrt((sds[a] ** 2 + sds[b] ** 2) / 2)
+        for a, b in pairs
+    }
     found = arithmetic.implied_variances("x", means, d, mean_step=0.0, d_step=0.0)
     for name, sd in zip(names, sds, strict=True):
         assert found.implied[name] == pytest.approx(sd**2, rel=1e-6, abs=1e-6)

@@ -42,7 +42,13 @@ def values(printed: dict[str, Any], table: str, key: str) -> list[Any]:
 def test_evaluation_table_holds_the_query_rows(ledger: Path, printed: dict[str, Any]) -> None:
     with connect(ledger) as database:
         rows = {(row.metric, row.architecture): row for row in metric_rows(database)}
-    keys = list(zip(values(printed, "evaluation-results", "metric"), values(printed, "evaluation-results", "architecture"), strict=True))
+    keys = list(
+        zip(
+            values(printed, "evaluation-results", "metric"),
+            values(printed, "evaluation-results", "architecture"),
+            strict=True,
+        )
+    )
     assert len(keys) == len(set(keys)) == 24
     assert values(printed, "evaluation-results", "mean") == [rows[key].mean for key in keys]
     assert values(printed, "evaluation-results", "denominator") == [rows[key].denominator for key in keys]
@@ -62,7 +68,11 @@ def test_evaluation_table_prints_the_papers_own_digits_and_our_mean_in_the_same_
 def test_answers_are_those_of_the_rule(ledger: Path, printed: dict[str, Any]) -> None:
     with connect(ledger) as database:
         judged = {(one.metric, one.architecture): one for one in verdicts.compare(metric_rows(database))}
-    keys = zip(values(printed, "evaluation-results", "metric"), values(printed, "evaluation-results", "architecture"), strict=True)
+    keys = zip(
+        values(printed, "evaluation-results", "metric"),
+        values(printed, "evaluation-results", "architecture"),
+        strict=True,
+    )
     expected = [None if judged[key].ours is None else judged[key].gives for key in keys]
     assert values(printed, "evaluation-results", "gives") == expected
     assert {"no", "undecided"} <= set(expected)
@@ -71,26 +81,42 @@ def test_answers_are_those_of_the_rule(ledger: Path, printed: dict[str, Any]) ->
 def test_significance_table_holds_the_query_rows(ledger: Path, printed: dict[str, Any]) -> None:
     with connect(ledger) as database:
         rows = {(row.metric, row.comparison): row for row in statistic_rows(database)}
-    keys = list(zip(values(printed, "statistical-significance", "metric"), values(printed, "statistical-significance", "comparison"), strict=True))
+    keys = list(
+        zip(
+            values(printed, "statistical-significance", "metric"),
+            values(printed, "statistical-significance", "comparison"),
+            strict=True,
+        )
+    )
     assert len(set(keys)) == 24
     for name in ("t", "p", "p_holm", "wilcoxon_p", "n"):
         assert values(printed, "statistical-significance", name) == [getattr(rows[key], name) for key in keys]
-    assert values(printed, "statistical-significance", "paper_t") == [float(row["t"]) for row in specs.paper_table("significance")]
+    assert values(printed, "statistical-significance", "paper_t") == [
+        float(row["t"]) for row in specs.paper_table("significance")
+    ]
 
 
 def test_scenario_table_holds_the_query_rows(ledger: Path, printed: dict[str, Any]) -> None:
     with connect(ledger) as database:
-        rows = {(row.metric, row.architecture, row.scenario): row.mean for row in metric_rows(database, by_scenario=True)}
+        rows = {
+            (row.metric, row.architecture, row.scenario): row.mean for row in metric_rows(database, by_scenario=True)
+        }
     for scenario in SCENARIOS:
-        keys = zip(values(printed, "scenario-means", "metric"), values(printed, "scenario-means", "architecture"), strict=True)
-        assert values(printed, "scenario-means", scenario) == [rows[metric, architecture, scenario] for metric, architecture in keys]
+        keys = zip(
+            values(printed, "scenario-means", "metric"), values(printed, "scenario-means", "architecture"), strict=True
+        )
+        assert values(printed, "scenario-means", scenario) == [
+            rows[metric, architecture, scenario] for metric, architecture in keys
+        ]
 
 
 def test_undefined_metric_is_printed_as_a_dash_and_named(printed: dict[str, Any]) -> None:
     table = printed["tables"]["scenario-means"]["rows"]
     containment = next(row for row in table if row[0]["value"] == "recovery_containment")
     assert (containment[2]["value"], containment[2]["printed"]) == (None, "–")
-    assert "Reassignment latency (s) of DHMA" in printed["answer"]["undefined"]  # every failure of DHMA waits for a human in this ledger
+    assert (
+        "Reassignment latency (s) of DHMA" in printed["answer"]["undefined"]
+    )  # every failure of DHMA waits for a human in this ledger
 
 
 def test_missing_architectures_are_named_and_their_cells_are_empty(make_ledger: Make) -> None:
@@ -103,7 +129,9 @@ def test_missing_architectures_are_named_and_their_cells_are_empty(make_ledger: 
     assert [row["paper_printed"] for row in found.cells] == [row["mean"] for row in specs.paper_table("results")]
 
 
-def test_cells_that_the_model_does_not_give_are_listed_farthest_first(findings: Findings, printed: dict[str, Any]) -> None:
+def test_cells_that_the_model_does_not_give_are_listed_farthest_first(
+    findings: Findings, printed: dict[str, Any]
+) -> None:
     missed = [row for row in findings.cells if row["gives"] == "no"]
     assert len(printed["misses"]) == len(missed) > 0
     distances = [abs(float(miss["distance"].replace("\u2212", "-"))) for miss in printed["misses"]]
@@ -116,34 +144,59 @@ def test_reasons_name_cells_of_the_results_table(findings: Findings) -> None:
 
 
 SHAPES = {
-    "workflows only": (("workflow-door-relay", "workflow-layered-recovery"), (), "2 runs of workflow-door-relay, 2 runs of workflow-layered-recovery"),
+    "workflows only": (
+        ("workflow-door-relay", "workflow-layered-recovery"),
+        (),
+        "2 runs of workflow-door-relay, 2 runs of workflow-layered-recovery",
+    ),
     "some scenarios": (SCENARIOS[:2], (), "2 runs of collaborative-delivery, 2 runs of door-relay"),
     "uneven runs": (SCENARIOS, SCENARIOS[:1], "3 runs of door-relay, 2 runs of failure-recovery-chain"),
 }
 
 
-@pytest.mark.parametrize("shape", ["workflows only", "uneven runs", pytest.param("some scenarios", marks=pytest.mark.slow)])
-def test_runs_of_another_shape_than_the_papers_have_numbers_and_no_verdict_and_that_is_said(make_ledger: Make, tmp_path: Path, shape: str) -> None:
+@pytest.mark.parametrize(
+    "shape", ["workflows only", "uneven runs", pytest.param("some scenarios", marks=pytest.mark.slow)]
+)
+def test_runs_of_another_shape_than_the_papers_have_numbers_and_no_verdict_and_that_is_said(
+    make_ledger: Make, tmp_path: Path, shape: str
+) -> None:
     scenarios, more, held = SHAPES[shape]
     path = shutil.copytree(make_ledger(scenarios=scenarios), tmp_path / "ledger")
     with Writer(path, "test") as writer:
         for scenario in more:
             kept = [run for run in open_ledger(path).runs() if run.run_id.startswith(f"{scenario}-1-")]
             events = [[msgspec.structs.replace(run.events[0], run=2), *run.events[1:]] for run in kept]
-            writer.append(stage(path, [RunRecord(f"2-{run.run_id}", run.times_us, run.caused_by, one) for run, one in zip(kept, events, strict=True)]))
+            writer.append(
+                stage(
+                    path,
+                    [
+                        RunRecord(f"2-{run.run_id}", run.times_us, run.caused_by, one)
+                        for run, one in zip(kept, events, strict=True)
+                    ],
+                )
+            )
     found = gather(path)
     assert found.unjudged is not None
-    assert "The printed tables are over 5 scenarios with equally many runs of each, but of FSAR, CFC, DHMA this ledger has " in found.unjudged
+    assert (
+        "The printed tables are over 5 scenarios with equally many runs of each, but of FSAR, CFC, DHMA this ledger has "
+        in found.unjudged
+    )
     assert held in found.unjudged
     assert sum(row["mean"] is not None for row in found.cells) > 18
-    assert {row[name] for row in found.cells for name in ("gives", "could", "distance")} == {row["verdict"] for row in found.features} == {None}
+    assert (
+        {row[name] for row in found.cells for name in ("gives", "could", "distance")}
+        == {row["verdict"] for row in found.features}
+        == {None}
+    )
     assert {row["sign_agrees"] for row in found.tests} == {row["level_agrees"] for row in found.tests} == {None}
     assert any(row["t"] is not None for row in found.tests)
     said = document.data(found, None)
     assert (said["unjudged"], said["misses"], said["answer"]["judged"]) == (found.unjudged, [], 0)
 
 
-def test_only_the_architecture_of_another_shape_is_not_judged(make_ledger: Make, findings: Findings, tmp_path: Path) -> None:
+def test_only_the_architecture_of_another_shape_is_not_judged(
+    make_ledger: Make, findings: Findings, tmp_path: Path
+) -> None:
     path = shutil.copytree(make_ledger(architectures=("fsar", "dhma")), tmp_path / "ledger")
     part = list(open_ledger(make_ledger(architectures=("cfc",), scenarios=SCENARIOS[1:])).runs())
     with Writer(path, "test") as writer:
@@ -151,7 +204,9 @@ def test_only_the_architecture_of_another_shape_is_not_judged(make_ledger: Make,
     found = gather(path)
     assert found.unjudged is not None
     assert "but of CFC this ledger has 2 runs of collaborative-delivery, " in found.unjudged
-    assert [row for row in found.cells if row["architecture"] != "cfc"] == [row for row in findings.cells if row["architecture"] != "cfc"]
+    assert [row for row in found.cells if row["architecture"] != "cfc"] == [
+        row for row in findings.cells if row["architecture"] != "cfc"
+    ]
     assert {row["gives"] for row in found.cells if row["architecture"] == "cfc"} == {None}
     assert {row["comparison"] for row in found.tests if row["sign_agrees"] is not None} == {"fsar-dhma"}
 
@@ -176,32 +231,51 @@ def test_single_run_has_values_and_no_verdict(make_ledger: Make) -> None:
 def test_other_configurations_stand_in_their_own_table(make_ledger: Make) -> None:
     found = gather(make_ledger(architectures=("fsar",), configuration="without-shared-registry", fleet_size=8))
     assert answer(found)["judged"] == 0
-    assert [(row["configuration"], row["fleet_size"], row["n"]) for row in found.others] == [("without-shared-registry", 8, 10)]
+    assert [(row["configuration"], row["fleet_size"], row["n"]) for row in found.others] == [
+        ("without-shared-registry", 8, 10)
+    ]
     assert "other-runs" in document.data(found, None)["tables"]
 
 
 def test_tables_are_of_one_seed_and_the_others_stand_apart(ledger: Path, tmp_path: Path, findings: Findings) -> None:
     several = shutil.copytree(ledger, tmp_path / "several")
     kept = [run for run in open_ledger(ledger).runs() if run.run_id.startswith("failure-recovery-chain-0-")]
-    others = [RunRecord(f"other-{run.run_id}", run.times_us, run.caused_by, [msgspec.structs.replace(run.events[0], seed=43), *run.events[1:]]) for run in kept]
+    others = [
+        RunRecord(
+            f"other-{run.run_id}",
+            run.times_us,
+            run.caused_by,
+            [msgspec.structs.replace(run.events[0], seed=43), *run.events[1:]],
+        )
+        for run in kept
+    ]
     with Writer(several, "test") as writer:
         writer.append(stage(several, others))
     found = gather(several)
     assert [row["mean"] for row in found.cells] == [row["mean"] for row in findings.cells]
     assert found.evidence == findings.evidence
     assert {(row["otherwise"], row["n"]) for row in found.others} == {("seed 43", 1)}
-    assert found.shown == "The tables are of seed 42, simulated runs, model 1; runs made otherwise are never taken together with these."
+    assert (
+        found.shown
+        == "The tables are of seed 42, simulated runs, model 1; runs made otherwise are never taken together with these."
+    )
     pooled = gather(several, pools_seeds=True)
     assert (pooled.others, max(row["n"] for row in pooled.cells)) == ((), 11)
     assert [row["architecture"] for row in pooled.background] == [row["architecture"] for row in findings.background]
-    assert [(row["feature"], row["architecture"]) for row in pooled.evidence] == [(row["feature"], row["architecture"]) for row in findings.evidence]
+    assert [(row["feature"], row["architecture"]) for row in pooled.evidence] == [
+        (row["feature"], row["architecture"]) for row in findings.evidence
+    ]
 
 
 def test_pairs_that_met_different_worlds_are_named_in_the_document(findings: Findings) -> None:
     unlike = msgspec.structs.replace(findings, differing=("fsar-cfc: 1 pair \x1b[31m",))
     assert document.data(unlike, None)["differing"] == [r"fsar-cfc: 1 pair \x1b[31m"]
     template = specs.text("templates", "report.typ")
-    assert template.index("data.differing.join") < template.index("*The answer.*") < template.index('booktab("statistical-significance")')
+    assert (
+        template.index("data.differing.join")
+        < template.index("*The answer.*")
+        < template.index('booktab("statistical-significance")')
+    )
 
 
 def test_the_answer_counts_cells_by_each_of_the_two_questions() -> None:
@@ -211,7 +285,13 @@ def test_the_answer_counts_cells_by_each_of_the_two_questions() -> None:
     def test(t: float | None) -> dict[str, Any]:
         return with_agreement({"t": t, "p": 0.02, "paper_t": -2.0, "paper_level": "p<.05"})
 
-    cells = (cell(0.9, "yes", "yes"), cell(0.8, "undecided", None), cell(0.7, "no", "no"), cell(0.6, "no", "yes"), cell(None, None, None))
+    cells = (
+        cell(0.9, "yes", "yes"),
+        cell(0.8, "undecided", None),
+        cell(0.7, "no", "no"),
+        cell(0.6, "no", "yes"),
+        cell(None, None, None),
+    )
     blank = Findings(1, 1, "", 1, cells, (test(-1.0), test(1.0), test(None)), (), (), (), (), (), {}, ())
     said = answer(blank)
     assert [said[key] for key in ("cells", "valued", "judged", "gives", "gives_not", "undecided")] == [5, 4, 4, 1, 2, 1]
@@ -219,7 +299,9 @@ def test_the_answer_counts_cells_by_each_of_the_two_questions() -> None:
     assert [said[key] for key in ("tests", "tested", "signs", "levels")] == [3, 2, 1, 2]
 
 
-@pytest.mark.parametrize(("p", "level"), [(0.0009, "p<.001"), (0.001, "p<.01"), (0.01, "p<.05"), (0.05, "n.s."), (1.0, "n.s.")])
+@pytest.mark.parametrize(
+    ("p", "level"), [(0.0009, "p<.001"), (0.001, "p<.01"), (0.01, "p<.05"), (0.05, "n.s."), (1.0, "n.s.")]
+)
 def test_significance_level_is_the_papers(p: float, level: str) -> None:
     assert significance_level(p) == level
 
@@ -238,14 +320,32 @@ def test_head_and_query_hashes_are_those_of_the_ledger_and_the_files(ledger: Pat
 def test_every_table_spec_is_used_and_every_figure_has_its_query(printed: dict[str, Any]) -> None:
     named = {entry.name.removesuffix(".toml") for entry in files("fsar_ledger.reports").joinpath("tables").iterdir()}
     from_the_fit = {"calibrated-parameters", "residuals", "directions"}
-    of_other_ledgers = {"mechanism-coverage", "ablation", "ablation-text", "encounters", "scaling", "beyond", "carried", "mechanism-differences"}
+    of_other_ledgers = {
+        "mechanism-coverage",
+        "ablation",
+        "ablation-text",
+        "encounters",
+        "scaling",
+        "beyond",
+        "carried",
+        "mechanism-differences",
+    }
     of_readings = {"every-reading", "rankings"}
-    assert named == set(printed["tables"]) | from_the_fit | {"other-runs", "sensitivity", "predictions"} | of_other_ledgers | of_readings
+    assert (
+        named
+        == set(printed["tables"])
+        | from_the_fit
+        | {"other-runs", "sensitivity", "predictions"}
+        | of_other_ledgers
+        | of_readings
+    )
     for name in named:
         tomllib.loads(specs.text("tables", f"{name}.toml"))
         assert specs.table(name).caption
     for name, figure in printed["figures"].items():
-        assert ("statistics/pairwise_tests.sql" if name == "effects" else "metrics/metric_summary.sql") in figure["source"]
+        assert ("statistics/pairwise_tests.sql" if name == "effects" else "metrics/metric_summary.sql") in figure[
+            "source"
+        ]
         assert figure["alt"]
 
 
@@ -253,24 +353,40 @@ def test_the_effects_of_constants_stand_where_they_were_given(findings: Findings
     effects = Section("70 were varied.", b"<svg/>", printing.table("sensitivity", []))
     data, without = document.data(findings, None, effects), document.data(findings, None, Section("None were varied."))
     assert (data["sensitivity"], without["sensitivity"]) == ("70 were varied.", "None were varied.")
-    assert data["tables"].keys() - without["tables"].keys() == data["figures"].keys() - without["figures"].keys() == {"sensitivity"}
+    assert (
+        data["tables"].keys() - without["tables"].keys()
+        == data["figures"].keys() - without["figures"].keys()
+        == {"sensitivity"}
+    )
     assert document.drawings(findings, effects)["sensitivity.svg"] == b"<svg/>"
     assert "sensitivity.svg" not in document.drawings(findings)
 
 
 def test_constants_of_the_first_run_are_listed_by_name(findings: Findings) -> None:
-    assert findings.parameters == {"structure.poll_us": "1\u2009000\u2009000", "world.message": "0.05 to 0.5 s", "world.motion_share": "0.24"}
+    assert findings.parameters == {
+        "structure.poll_us": "1\u2009000\u2009000",
+        "world.message": "0.05 to 0.5 s",
+        "world.motion_share": "0.24",
+    }
     assert [row["runs"] for row in findings.models] == [30]
     assert findings.runs[0]["seeds"] == "42"
     assert findings.runs[0]["numbers"] == "0 to 1"
 
 
-def test_constants_are_those_of_the_runs_in_the_tables_and_not_of_others_that_come_first(ledger: Path, tmp_path: Path, findings: Findings) -> None:
+def test_constants_are_those_of_the_runs_in_the_tables_and_not_of_others_that_come_first(
+    ledger: Path, tmp_path: Path, findings: Findings
+) -> None:
     several = shutil.copytree(ledger, tmp_path / "several")
     kept = [run for run in open_ledger(ledger).runs() if run.run_id.startswith("fleet-contention-0-")]
     other = '{"world":{"motion_share":0.5}}'
     runs = [
-        RunRecord(f"0-{run.run_id}", run.times_us, run.caused_by, [msgspec.structs.replace(run.events[0], parameters=other), *run.events[1:]]) for run in kept
+        RunRecord(
+            f"0-{run.run_id}",
+            run.times_us,
+            run.caused_by,
+            [msgspec.structs.replace(run.events[0], parameters=other), *run.events[1:]],
+        )
+        for run in kept
     ]
     with Writer(several, "test") as writer:
         writer.append(stage(several, runs))
@@ -280,7 +396,10 @@ def test_constants_are_those_of_the_runs_in_the_tables_and_not_of_others_that_co
 
 
 def test_nested_constants_become_dotted_names() -> None:
-    nested = {"b": [["nav", {"low_s": 2.0, "high_s": 6.5}], ["carry", -50.0]], "a": {"flag": True, "list": [1, 20_000], "none": []}}
+    nested = {
+        "b": [["nav", {"low_s": 2.0, "high_s": 6.5}], ["carry", -50.0]],
+        "a": {"flag": True, "list": [1, 20_000], "none": []},
+    }
     assert list(flat("", nested)) == [
         ("a.flag", "True"),
         ("a.list", "1, 20\u2009000"),
@@ -292,11 +411,23 @@ def test_nested_constants_become_dotted_names() -> None:
 
 def test_what_stands_behind_the_numbers_is_said_where_they_stand(ledger: Path, printed: dict[str, Any]) -> None:
     with connect(ledger) as database:
-        rows = [row for row in database.rows("SELECT * FROM background") if (row["configuration"], row["fleet_size"]) == ("full", 4)]
+        rows = [
+            row
+            for row in database.rows("SELECT * FROM background")
+            if (row["configuration"], row["fleet_size"]) == ("full", 4)
+        ]
         beside = {(row.metric, row.architecture): row.mean_without_routine for row in metric_rows(database)}
-    keys = zip(values(printed, "evaluation-results", "metric"), values(printed, "evaluation-results", "architecture"), strict=True)
+    keys = zip(
+        values(printed, "evaluation-results", "metric"),
+        values(printed, "evaluation-results", "architecture"),
+        strict=True,
+    )
     assert values(printed, "evaluation-results", "mean_without_routine") == [beside[key] for key in keys]
-    for name in ("routine_share_of_decisions", "routine_share_of_local_decisions", "off_shift_share_of_unattributable_events"):
+    for name in (
+        "routine_share_of_decisions",
+        "routine_share_of_local_decisions",
+        "off_shift_share_of_unattributable_events",
+    ):
         assert values(printed, "background", name) == [row[name] for row in rows]
     assert [(one["architecture"].lower(), one["decisions"]) for one in printed["background"]] == [
         (row["architecture"], f"{100 * row['routine_share_of_decisions']:.1f}") for row in rows

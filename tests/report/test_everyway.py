@@ -18,9 +18,24 @@ PAPER = published()["human_intervention", "fsar"].value
 
 def multiverse(means: Means) -> Multiverse:
     """Human intervention of the three architectures under these combinations."""
-    setting = {"configuration": "full", "fleet_size": 4, "seed": 1, "kind": "simulated", "source": None, "model_version": "2", "constants": None}
+    setting = {
+        "configuration": "full",
+        "fleet_size": 4,
+        "seed": 1,
+        "kind": "simulated",
+        "source": None,
+        "model_version": "2",
+        "constants": None,
+    }
     found = [
-        Universe(metric="human_intervention", architecture=name, readings=chosen, mean=mean, runs_not_observed=0, **setting)  # type: ignore[arg-type]
+        Universe(
+            metric="human_intervention",
+            architecture=name,
+            readings=chosen,
+            mean=mean,
+            runs_not_observed=0,
+            **setting,  # type: ignore[arg-type]
+        )
         for chosen, mine in means.items()
         for name, mean in zip(("fsar", "cfc", "dhma"), mine, strict=True)
     ]
@@ -29,18 +44,30 @@ def multiverse(means: Means) -> Multiverse:
 
 
 def test_a_cell_has_its_range_and_the_reading_that_moves_it_most() -> None:
-    fsar = everyway.ranges(multiverse({(): (0.1, 0.3, 0.2), NAMES[:1]: (0.25, 0.3, 0.2), NAMES[1:]: (0.05, 0.3, 0.2)}))[0]
+    fsar = everyway.ranges(multiverse({(): (0.1, 0.3, 0.2), NAMES[:1]: (0.25, 0.3, 0.2), NAMES[1:]: (0.05, 0.3, 0.2)}))[
+        0
+    ]
     number = next(one.reading for one in readings() if one.name == NAMES[0])
-    assert (fsar["range"], fsar["most_moving"], fsar["moved_by"]) == ((0.05, 0.25), f"level four is fleet ({number})", pytest.approx(0.15))
+    assert (fsar["range"], fsar["most_moving"], fsar["moved_by"]) == (
+        (0.05, 0.25),
+        f"level four is fleet ({number})",
+        pytest.approx(0.15),
+    )
 
 
-@pytest.mark.parametrize(("mean", "holds"), [(PAPER, True), (PAPER - 0.049, True), (PAPER - 0.051, False), (None, None)])
+@pytest.mark.parametrize(
+    ("mean", "holds"), [(PAPER, True), (PAPER - 0.049, True), (PAPER - 0.051, False), (None, None)]
+)
 def test_the_range_holds_the_printed_number_give_or_take_a_margin(mean: float | None, holds: bool | None) -> None:
     assert everyway.ranges(multiverse({(): (mean, 0.3, 0.2)}))[0]["holds"] is holds
 
 
 def test_the_smallest_combinations_under_which_fsar_is_not_the_best_are_named() -> None:
-    row = everyway.orders(multiverse({(): (0.1, 0.3, 0.2), NAMES[:1]: (0.4, 0.3, 0.2), NAMES[1:]: (0.1, 0.3, 0.2), NAMES: (0.5, 0.3, 0.2)}))[0]
+    row = everyway.orders(
+        multiverse(
+            {(): (0.1, 0.3, 0.2), NAMES[:1]: (0.4, 0.3, 0.2), NAMES[1:]: (0.1, 0.3, 0.2), NAMES: (0.5, 0.3, 0.2)}
+        )
+    )[0]
     assert (row["order"], row["combinations"], row["fsar_best"], row["same_order"]) == ("FSAR > DHMA > CFC", 4, 2, 2)
     assert row["not_best_under"].startswith("level four is fleet (")
     assert " with " not in row["not_best_under"]
@@ -64,7 +91,9 @@ def test_the_report_has_the_multiverse_of_the_runs_that_its_tables_are_of(ledger
     found = gather(ledger, reads_every_way=True)
     assert found.multiverse is not None
     ours = {(cell["metric"], cell["architecture"]): cell["mean"] for cell in alone.cells}
-    assert {(cell.metric, cell.architecture): cell.ours for cell in found.multiverse.cells} == pytest.approx(ours, nan_ok=True)
+    assert {(cell.metric, cell.architecture): cell.ours for cell in found.multiverse.cells} == pytest.approx(
+        ours, nan_ok=True
+    )
     data = document.data(found, None)
     assert len(data["tables"]["every-reading"].rows) == 24
     assert "specification-curves" in data["figures"]

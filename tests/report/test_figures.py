@@ -46,7 +46,10 @@ def test_figures_are_the_same_bytes_twice_and_carry_no_date(cells: tuple[Row, ..
 
 
 def test_figures_show_the_rows(cells: tuple[Row, ...], plain: bytes) -> None:
-    moved = [row | ({"mean": 0.2} if (row["metric"], row["architecture"]) == ("governance_locality", "fsar") else {}) for row in cells]
+    moved = [
+        row | ({"mean": 0.2} if (row["metric"], row["architecture"]) == ("governance_locality", "fsar") else {})
+        for row in cells
+    ]
     assert figures.evaluation_results(moved) != plain
 
 

@@ -42,7 +42,9 @@ def of_cfc(*names: str, runs: int = 2, constants: Constants = Constants()) -> Ex
 
 @pytest.fixture(scope="module")
 def database() -> Iterator[Database]:
-    both = Experiment(("cfc",), SCENARIOS, 3, 42, 4, (without([CLAIMS, COPIES]),))  # is in no family of those that lack one
+    both = Experiment(
+        ("cfc",), SCENARIOS, 3, 42, 4, (without([CLAIMS, COPIES]),)
+    )  # is in no family of those that lack one
     with played(of_cfc(CLAIMS, COPIES, UNNAMED, runs=3), both) as opened:
         yield opened
 
@@ -55,32 +57,59 @@ def found(database: Database) -> Mechanisms:
 
 
 def test_every_mechanism_that_has_a_name_can_be_taken_out_and_names_are_of_one_architecture() -> None:
-    assert [(one.architecture, one.name) for one in SWITCHES] == [(architecture, name) for architecture, names in MECHANISMS_OF.items() for name in names]
+    assert [(one.architecture, one.name) for one in SWITCHES] == [
+        (architecture, name) for architecture, names in MECHANISMS_OF.items() for name in names
+    ]
     assert len({one.name for one in SWITCHES}) == len(SWITCHES)
-    assert {one.name for one in SWITCHES if not one.decides and one.rewire is None} == set(MECHANISMS), "only these are known to the handlers"
+    assert {one.name for one in SWITCHES if not one.decides and one.rewire is None} == set(MECHANISMS), (
+        "only these are known to the handlers"
+    )
 
 
 def test_of_two_mechanisms_that_are_taken_out_neither_puts_the_other_back() -> None:
     for architecture in MECHANISMS_OF:
         replaced = [command for one in SWITCHES if one.architecture == architecture for command in one.decides]
         assert len(replaced) == len(set(replaced)), "the second would decide as if the first were there"
-    names = [without(some) for some in ((), ("planner-claims",), ("contract-questioning",), ("planner-claims", "contract-questioning"))]
-    made = [simulate_run(RunSpec(5, "dhma", name, "mixed-trust-inspection", 4, 0), Constants()).events for name in names]
-    claims = [any(isinstance(event, AuthorityClaimed) and event.reason == "context change" for event in events) for events in made]
+    names = [
+        without(some)
+        for some in ((), ("planner-claims",), ("contract-questioning",), ("planner-claims", "contract-questioning"))
+    ]
+    made = [
+        simulate_run(RunSpec(5, "dhma", name, "mixed-trust-inspection", 4, 0), Constants()).events for name in names
+    ]
+    claims = [
+        any(isinstance(event, AuthorityClaimed) and event.reason == "context change" for event in events)
+        for events in made
+    ]
     questions = [any(isinstance(event, ContractQuestioned) for event in events) for events in made]
     assert claims == [True, False, True, False]
     assert questions == [True, True, False, False]
 
 
 def test_the_ledger_of_ablations_holds_every_architecture_without_each_mechanism() -> None:
-    held = {(one, name) for part in named("ablation", 42, 3).parts for one in part.architectures for name in part.configurations}
-    assert held == {(architecture, name) for architecture, names in MECHANISMS_OF.items() for name in ("full", *map(without, ([one] for one in names)))}
+    held = {
+        (one, name)
+        for part in named("ablation", 42, 3).parts
+        for one in part.architectures
+        for name in part.configurations
+    }
+    assert held == {
+        (architecture, name)
+        for architecture, names in MECHANISMS_OF.items()
+        for name in ("full", *map(without, ([one] for one in names)))
+    }
 
 
 @pytest.mark.parametrize("switch", [one for one in SWITCHES if one.name in ON_RECORD_ALONE], ids=lambda one: one.name)
 def test_without_what_is_on_record_alone_the_same_is_done_at_the_same_times(switch: Switch) -> None:
-    whole, less = (simulate_run(RunSpec(5, switch.architecture, name, "door-relay", 4, 0), Constants()) for name in ("full", switch.configuration))
-    done, done_less = ([(time, what(event)) for time, event in zip(run.times_us, run.events, strict=True) if is_deed(event)] for run in (whole, less))
+    whole, less = (
+        simulate_run(RunSpec(5, switch.architecture, name, "door-relay", 4, 0), Constants())
+        for name in ("full", switch.configuration)
+    )
+    done, done_less = (
+        [(time, what(event)) for time, event in zip(run.times_us, run.events, strict=True) if is_deed(event)]
+        for run in (whole, less)
+    )
     assert done == done_less
     assert whole.events[1:] != less.events[1:]
 
@@ -91,7 +120,11 @@ def is_deed(event: Event) -> bool:
 
 def what(event: Event) -> Any:
     """The event without who is on record for it."""
-    anybody: dict[str, Any] = {name: None if name != "path" else () for name in ("decided_by", "requested_by", "path") if name in event.__struct_fields__}
+    anybody: dict[str, Any] = {
+        name: None if name != "path" else ()
+        for name in ("decided_by", "requested_by", "path")
+        if name in event.__struct_fields__
+    }
     return msgspec.structs.replace(event, **anybody)
 
 
@@ -109,7 +142,9 @@ def test_a_mechanism_is_looked_for_in_the_architecture_that_has_it() -> None:
         (None, [f"{COPIES}+hop-latency"], "expected full, or without- and some of .*, of one architecture"),
     ],
 )
-def test_what_an_architecture_does_not_have_cannot_be_taken_out_of_it(architectures: list[str] | None, asked: list[str], why: str) -> None:
+def test_what_an_architecture_does_not_have_cannot_be_taken_out_of_it(
+    architectures: list[str] | None, asked: list[str], why: str
+) -> None:
     with pytest.raises(InvalidExperiment, match=why):
         experiment_of(architectures, None, 1, 42, 4, asked)
 
@@ -124,14 +159,23 @@ def test_where_a_mechanism_has_nothing_to_do_every_difference_is_exactly_0() -> 
 
 def test_a_difference_is_in_full_minus_without_and_its_interval_that_of_the_paired_t_test(database: Database) -> None:
     values = {
-        name: [row["value"] for row in database.rows("SELECT value FROM run_metrics WHERE metric = $m AND configuration = $c ORDER BY scenario, run", about)]
+        name: [
+            row["value"]
+            for row in database.rows(
+                "SELECT value FROM run_metrics WHERE metric = $m AND configuration = $c ORDER BY scenario, run", about
+            )
+        ]
         for name in ("full", without([CLAIMS]))
         if (about := {"m": "authority_conflicts", "c": name})
     }
     full, less = values.values()
     assert full != less
     expected = stats.ttest_rel(full, less)
-    [row] = [one for one in database.rows("SELECT * FROM mechanism_differences WHERE NOT pools_seeds") if _is(one, CLAIMS, "authority_conflicts")]
+    [row] = [
+        one
+        for one in database.rows("SELECT * FROM mechanism_differences WHERE NOT pools_seeds")
+        if _is(one, CLAIMS, "authority_conflicts")
+    ]
     low, high = expected.confidence_interval()
     assert row["mean_difference"] == pytest.approx(sum(full) / len(full) - sum(less) / len(less))
     # differing pairs set the degrees of freedom, so the interval is no narrower than that of all pairs
@@ -161,9 +205,14 @@ def test_a_cell_is_carried_by_the_mechanism_that_moves_it_furthest_of_those_that
     assert cells["governance_locality", "fsar"]["words"] is None, "nothing of FSAR was taken out"
     louder = msgspec.structs.replace(
         found,
-        rows=tuple(row | {"mean_difference": -1.0, "stands": True} if _is(row, COPIES, "audit_attributability") else row for row in found.rows),
+        rows=tuple(
+            row | {"mean_difference": -1.0, "stands": True} if _is(row, COPIES, "audit_attributability") else row
+            for row in found.rows
+        ),
     )
-    [cell] = [cell for cell in carried(louder) if (cell["metric"], cell["architecture"]) == ("audit_attributability", "cfc")]
+    [cell] = [
+        cell for cell in carried(louder) if (cell["metric"], cell["architecture"]) == ("audit_attributability", "cfc")
+    ]
     assert (cell["mechanism"], cell["others"][:16]) == (COPIES, "unnamed requests")
     assert cell["n"] == 15
     assert "pairs" not in cell["others"]
@@ -172,7 +221,9 @@ def test_a_cell_is_carried_by_the_mechanism_that_moves_it_furthest_of_those_that
 def test_a_mechanism_that_was_taken_out_of_other_runs_says_of_how_many_pairs_it_is(found: Mechanisms) -> None:
     metric = "audit_attributability"
     rows = (
-        row | {"n": 1200, "full_mean": 0.25, "mean_difference": -1.0, "stands": True} if _is(row, COPIES, metric) else row | {"full_mean": 0.5}
+        row | {"n": 1200, "full_mean": 0.25, "mean_difference": -1.0, "stands": True}
+        if _is(row, COPIES, metric)
+        else row | {"full_mean": 0.5}
         for row in found.rows
     )
     more = msgspec.structs.replace(found, rows=tuple(rows))
@@ -221,10 +272,17 @@ def test_mechanisms_of_other_constants_than_the_results_say_so(findings: Finding
     same = mechanisms.sentences(msgspec.structs.replace(findings, mechanisms=other, parameters_sha256=digest))
     assert same is not None
     assert same["other_constants"] is None
-    unknown = mechanisms.sentences(msgspec.structs.replace(findings, mechanisms=msgspec.structs.replace(other, parameters_sha256=())))
+    unknown = mechanisms.sentences(
+        msgspec.structs.replace(findings, mechanisms=msgspec.structs.replace(other, parameters_sha256=()))
+    )
     assert unknown is not None
     assert unknown["other_constants"] == "not on record"
 
 
 def test_a_difference_is_printed_with_its_sign_unless_it_is_printed_as_0() -> None:
-    assert [mechanisms.signed("authority_conflicts", value) for value in (0.5, -0.5, 0.001, -0.001)] == ["+0.50", "\u22120.50", "0.00", "0.00"]
+    assert [mechanisms.signed("authority_conflicts", value) for value in (0.5, -0.5, 0.001, -0.001)] == [
+        "+0.50",
+        "\u22120.50",
+        "0.00",
+        "0.00",
+    ]

@@ -50,7 +50,14 @@ def findings(
     loads: Iterable[Row] = (),
 ) -> Findings:
     """What ledgers with these rows say."""
-    points = ({"metric": "coordination_success", "architecture": "fsar", "configuration": "without-shared-registry", "scenario": None},)
+    points = (
+        {
+            "metric": "coordination_success",
+            "architecture": "fsar",
+            "configuration": "without-shared-registry",
+            "scenario": None,
+        },
+    )
     curve = tuple(point | {"mean": mean} for point in points for mean in (0.1, 0.7))
     return Findings(
         *(1, 1, "", 1, tuple(cells), tuple(tests), (), (), (), (), (), {}, ()),
@@ -70,7 +77,12 @@ def words(svg: bytes) -> list[str]:
 
 def test_a_number_stands_or_does_not_by_the_answer_that_its_table_has() -> None:
     rows = [cell("yes"), cell("no"), cell("undecided"), cell(None)]
-    assert outcomes(findings(rows)) == outcomes(findings(ablation=rows)) == outcomes(findings(scaling=rows)) == [STANDS, FAILS, UNDECIDED, UNDECIDED]
+    assert (
+        outcomes(findings(rows))
+        == outcomes(findings(ablation=rows))
+        == outcomes(findings(scaling=rows))
+        == [STANDS, FAILS, UNDECIDED, UNDECIDED]
+    )
 
 
 def test_what_the_papers_own_text_excludes_does_not_stand_whatever_the_runs_say() -> None:
@@ -81,7 +93,12 @@ def test_what_the_papers_own_text_excludes_does_not_stand_whatever_the_runs_say(
 
 
 def test_a_number_that_hangs_on_an_open_dial_has_no_verdict_but_the_range_that_the_dial_gives() -> None:
-    registry = {"metric": "coordination_success", "configuration": "without-shared-registry", "distance": None, "difference": None}
+    registry = {
+        "metric": "coordination_success",
+        "configuration": "without-shared-registry",
+        "distance": None,
+        "difference": None,
+    }
     ablated = cell(None, "unspecified", **registry, paper=0.8, mean=0.35)
     larger = cell(None, "unspecified", fleet_size=16, distance=None, difference=None, paper=0.93)
     found = numbers(findings(ablation=[ablated], scaling=[larger]))
@@ -89,15 +106,21 @@ def test_a_number_that_hangs_on_an_open_dial_has_no_verdict_but_the_range_that_t
     success, locality = MARGINS["coordination_success"], MARGINS["governance_locality"]
     assert found[0]["reach"] == pytest.approx(((0.1 - 0.8) / success, (0.7 - 0.8) / success))
     assert found[1]["reach"] == pytest.approx(((0.92 - 0.93) / locality, (0.94 - 0.93) / locality))
-    assert (said(found)["open"], said(found)["outside"]) == (2, 1), "only the first is farther than a margin from all that the dial gives"
+    assert (said(found)["open"], said(found)["outside"]) == (2, 1), (
+        "only the first is farther than a margin from all that the dial gives"
+    )
 
 
 def test_the_range_of_a_load_that_the_text_leaves_open_is_that_over_all_loads_at_this_size() -> None:
     larger = cell(None, "unspecified", fleet_size=16, distance=None, difference=None, paper=0.93)
-    between, other = (larger | {"fleet_size": size, "teams_working": 2, "mean": mean} for size, mean in ((16, 0.99), (8, 0.1)))
+    between, other = (
+        larger | {"fleet_size": size, "teams_working": 2, "mean": mean} for size, mean in ((16, 0.99), (8, 0.1))
+    )
     [found] = numbers(findings(scaling=[larger], loads=[between, other, between | {"mean": None}]))
     margin = MARGINS["governance_locality"]
-    assert found["reach"] == pytest.approx(((0.92 - 0.93) / margin, (0.99 - 0.93) / margin)), "one team gives 0.94, two give 0.99"
+    assert found["reach"] == pytest.approx(((0.92 - 0.93) / margin, (0.99 - 0.93) / margin)), (
+        "one team gives 0.94, two give 0.99"
+    )
 
 
 def test_a_pairwise_test_stands_where_its_sign_and_its_level_come_out() -> None:
@@ -105,7 +128,12 @@ def test_a_pairwise_test_stands_where_its_sign_and_its_level_come_out() -> None:
         named = {"metric": "governance_locality", "comparison": "fsar-cfc", "n": 5}
         return named | with_agreement({"t": t, "p": p, "paper_t": -2.0, "paper_level": "p<.05"})
 
-    assert outcomes(findings(tests=[test(-1.0), test(1.0), test(-1.0, 0.2), test(None)])) == [STANDS, FAILS, FAILS, UNDECIDED]
+    assert outcomes(findings(tests=[test(-1.0), test(1.0), test(-1.0, 0.2), test(None)])) == [
+        STANDS,
+        FAILS,
+        FAILS,
+        UNDECIDED,
+    ]
     assert numbers(findings(tests=[test(None)])) == (), "no test at all is a table that is not there"
 
 
@@ -113,16 +141,31 @@ def test_a_number_of_a_case_is_decided_exactly_where_a_mechanism_restates_it_and
     def case(paper: str, value: float | None, kind: str = "by construction") -> Row:
         return {"case": 1, "architecture": "cfc", "class": kind, "paper": paper, "value": value}
 
-    rows = [case("all", 1.0), case("all", 0.9), case("3", 3.0), case("0", 0.01), case("0", None), case("0.85", 0.85, "informed")]
+    rows = [
+        case("all", 1.0),
+        case("all", 0.9),
+        case("3", 3.0),
+        case("0", 0.01),
+        case("0", None),
+        case("0.85", 0.85, "informed"),
+    ]
     found = numbers(findings(cases=rows))
     assert [row["outcome"] for row in found] == [STANDS, FAILS, STANDS, FAILS, UNDECIDED, UNDECIDED]
     assert [row["paper"] for row in found[:3]] == [1.0, 1.0, 3.0]
     counted = said(numbers(findings(cases=[*rows, case("0.85", None, "informed")])))
-    assert (counted["undecided"], counted["unregistered"]) == (3, 1), "what has no value, or stands by construction, lacks no margin"
+    assert (counted["undecided"], counted["unregistered"]) == (3, 1), (
+        "what has no value, or stands by construction, lacks no margin"
+    )
 
 
 def test_every_number_of_a_table_is_counted_once_under_its_class_and_all_of_them_at_the_end() -> None:
-    found = numbers(findings([cell("yes"), cell("no")], [cell("yes"), cell("no", "cannot follow"), cell(None, "unspecified")], [cell("undecided")]))
+    found = numbers(
+        findings(
+            [cell("yes"), cell("no")],
+            [cell("yes"), cell("no", "cannot follow"), cell(None, "unspecified")],
+            [cell("undecided")],
+        )
+    )
     rows = tally(found)
     assert [(row["table"], row["class"], row["printed"]) for row in rows] == [
         ("Evaluation results", "fitted", 2),
@@ -141,19 +184,30 @@ def test_every_number_of_a_table_is_counted_once_under_its_class_and_all_of_them
 
 
 def test_tables_of_which_no_run_is_there_are_named() -> None:
-    assert said(numbers(findings([cell()], scaling=[cell()])))["missing"] == ["Ablation", "Ablation (text)", "Cases", "Significance"]
+    assert said(numbers(findings([cell()], scaling=[cell()])))["missing"] == [
+        "Ablation",
+        "Ablation (text)",
+        "Cases",
+        "Significance",
+    ]
     assert said(())["missing"] == list(TABLES.values())
     assert numbers(findings([cell(mean=None)])) == ()
 
 
 def test_no_number_counts_as_fitted_where_the_fit_was_of_another_model(alone: Findings) -> None:
-    assert {row["class"] for row in document.counted(alone, Record(model_version=alone.model_version)) if row["table"] == "results"} == {"fitted"}
+    assert {
+        row["class"]
+        for row in document.counted(alone, Record(model_version=alone.model_version))
+        if row["table"] == "results"
+    } == {"fitted"}
     assert "fitted" not in {row["class"] for row in document.counted(alone, Record(model_version="another"))}
 
 
 def test_the_numbers_of_a_ledger_are_those_of_its_tables(alone: Findings) -> None:
     found = numbers(alone)
-    assert [(row["ours"], row["gives"]) for row in found if row["table"] == "results"] == [(row["mean"], row["gives"]) for row in alone.cells]
+    assert [(row["ours"], row["gives"]) for row in found if row["table"] == "results"] == [
+        (row["mean"], row["gives"]) for row in alone.cells
+    ]
     assert sum(row["table"] == "significance" for row in found) == len(specs.paper_table("significance"))
     assert document.data(alone, None)["tables"]["tally"].rows[-1][2].value == len(found)
 
@@ -184,7 +238,16 @@ def test_what_goes_beyond_the_edge_of_the_figure_has_an_arrow_there() -> None:
         return overview(numbers(findings([cell("no", difference=(margin, margins * margin))])))
 
     def dial(margins: float) -> bytes:
-        larger = cell(None, "unspecified", fleet_size=16, distance=None, difference=None, paper=0.0, mean=-margin, one=-margins * margin)
+        larger = cell(
+            None,
+            "unspecified",
+            fleet_size=16,
+            distance=None,
+            difference=None,
+            paper=0.0,
+            mean=-margin,
+            one=-margins * margin,
+        )
         return overview(numbers(findings(scaling=[larger])))
 
     for drawn in (point, interval, dial):

@@ -30,7 +30,9 @@ def pages(findings: Findings, folder: Path) -> list[Any]:
     (folder / "data.json").write_bytes(document.encoded(document.data(findings, recorded())))
     for name, svg in document.drawings(findings).items():
         (folder / name).write_bytes(svg)
-    drawn = typst.compile(folder / "report.typ", format="png", ppi=36, font_paths=typst.Fonts(include_system_fonts=False))
+    drawn = typst.compile(
+        folder / "report.typ", format="png", ppi=36, font_paths=typst.Fonts(include_system_fonts=False)
+    )
     return [imread(io.BytesIO(page))[..., :3].min(axis=2) for page in (drawn if isinstance(drawn, list) else [drawn])]
 
 
@@ -44,10 +46,38 @@ def widest_gap(page: Any) -> float:
 
 def cells() -> Iterator[Row]:
     """So many cells as the ablation table has, each with an answer."""
-    answers = {"gives": "yes", "share": 0.2, "could": "yes", "class": "informed", "because": None, "lies": None, "one": 0.9, "one_interval": (0.8, 1.0)}
-    for metric in ("coordination_success", "governance_locality", "recovery_containment", "authority_conflicts", "policy_violations", "audit_attributability"):
-        for configuration in ("full", "without-trust-evaluation", "without-policy-composition", "without-layered-recovery", "without-shared-registry"):
-            where = {"metric": metric, "architecture": "fsar", "configuration": configuration, "fleet_size": 4, "scenario": None}
+    answers = {
+        "gives": "yes",
+        "share": 0.2,
+        "could": "yes",
+        "class": "informed",
+        "because": None,
+        "lies": None,
+        "one": 0.9,
+        "one_interval": (0.8, 1.0),
+    }
+    for metric in (
+        "coordination_success",
+        "governance_locality",
+        "recovery_containment",
+        "authority_conflicts",
+        "policy_violations",
+        "audit_attributability",
+    ):
+        for configuration in (
+            "full",
+            "without-trust-evaluation",
+            "without-policy-composition",
+            "without-layered-recovery",
+            "without-shared-registry",
+        ):
+            where = {
+                "metric": metric,
+                "architecture": "fsar",
+                "configuration": configuration,
+                "fleet_size": 4,
+                "scenario": None,
+            }
             ours = {"mean": 0.9, "interval": (0.8, 1.0), "n": 5, "difference": (-0.01, 0.01), "distance": 0.1}
             yield {**where, **ours, **answers, "paper": 0.9, "paper_printed": "0.90"}
 
@@ -59,10 +89,17 @@ def test_no_page_but_the_last_is_more_than_a_quarter_empty(alone: Findings, tmp_
     if held == "all tables":
         ablation = tuple(cells())
         scaling = tuple(row for row in ablation if row["metric"] != "policy_violations")
-        curve = tuple(row | {"fleet_size": size, "teams_working": 1, "encounter_mean_s": 90.0} for row in scaling for size in (4, 8, 16))
+        curve = tuple(
+            row | {"fleet_size": size, "teams_working": 1, "encounter_mean_s": 90.0}
+            for row in scaling
+            for size in (4, 8, 16)
+        )
         read = multiverse({(): (0.1, 0.3, 0.2), NAMES[:1]: (0.4, 0.3, 0.2)})
         found = msgspec.structs.replace(
-            alone, ablation=Ablation(TOLD, 90.0, ablation, ablation[:8], (), ()), scaling=Scaling(TOLD, scaling, curve), multiverse=read
+            alone,
+            ablation=Ablation(TOLD, 90.0, ablation, ablation[:8], (), ()),
+            scaling=Scaling(TOLD, scaling, curve),
+            multiverse=read,
         )
     shown = pages(found, tmp_path / "report")
     gaps = [widest_gap(page) for page in shown]

@@ -18,9 +18,31 @@ from fsar_ledger.report.findings import Findings
 from tests.report.test_sequence import STORY, told
 from tests.terminal import PAINT, painted
 
-FORMULAS = ("=1+1", "+1+1", "-1+1", "@SUM(A1)", "=cmd|' /C calc'!A0", '=HYPERLINK("http://x","y")', "\t=1+1", "\r=1+1", "\uff1d1+1", " =1+1", "'=1+1")
+FORMULAS = (
+    "=1+1",
+    "+1+1",
+    "-1+1",
+    "@SUM(A1)",
+    "=cmd|' /C calc'!A0",
+    '=HYPERLINK("http://x","y")',
+    "\t=1+1",
+    "\r=1+1",
+    "\uff1d1+1",
+    " =1+1",
+    "'=1+1",
+)
 MARKUP = (
-    *("<script>alert(1)</script>", "</text><script>1</script>", "<!-- x", "--> <b>", "]]>", "&lt;&amp;&#0;", '" onload="x', "<![CDATA[", "<?xml?>"),
+    *(
+        "<script>alert(1)</script>",
+        "</text><script>1</script>",
+        "<!-- x",
+        "--> <b>",
+        "]]>",
+        "&lt;&amp;&#0;",
+        '" onload="x',
+        "<![CDATA[",
+        "<?xml?>",
+    ),
     *(
         '#panic("evaluated")',
         '#read("/etc/passwd")',
@@ -35,7 +57,17 @@ MARKUP = (
         "\\",
         "= Title",
     ),
-    *("$x^{2$", r"$\frac{$", "$$", "{x}", "%s %d {0}", "https://evil.example/", "[x](javascript:1)", "../../x", "x" * 100_000),
+    *(
+        "$x^{2$",
+        r"$\frac{$",
+        "$$",
+        "{x}",
+        "%s %d {0}",
+        "https://evil.example/",
+        "[x](javascript:1)",
+        "../../x",
+        "x" * 100_000,
+    ),
 )
 PAYLOADS = (*FORMULAS, *MARKUP, *PAINT.values())
 TAGS = {"svg", "defs", "g", "path", "use", "style", "metadata", "RDF", "Work", "type", "format", "clipPath", "rect"}
@@ -43,8 +75,19 @@ TAGS = {"svg", "defs", "g", "path", "use", "style", "metadata", "RDF", "Work", "
 
 def drawn(kind: str, payloads: Sequence[str]) -> Iterator[bytes]:
     """A story and a ladder with these payloads in every text."""
-    story = [told(number, one, "robot/B1", one, "evaluation" if number % 2 else "message", note=one) for number, one in enumerate(payloads)]
-    rung: dict[str, object] = {"failure": 1, "level_number": 1, "spent_s": 1.0, "time_s": 1.0, "until_s": 2.0, "budget_s": 1.0, "to_level": None}
+    story = [
+        told(number, one, "robot/B1", one, "evaluation" if number % 2 else "message", note=one)
+        for number, one in enumerate(payloads)
+    ]
+    rung: dict[str, object] = {
+        "failure": 1,
+        "level_number": 1,
+        "spent_s": 1.0,
+        "time_s": 1.0,
+        "until_s": 2.0,
+        "budget_s": 1.0,
+        "to_level": None,
+    }
     rungs = [rung | dict.fromkeys(("level", "what", "result", "achieved", "decided_by"), one) for one in payloads]
     rungs[-1]["to_level"] = payloads[-1]
     assert not sequence.drawable(story)[1]
@@ -55,7 +98,9 @@ def assert_only_a_picture(svg: bytes) -> None:
     assert len(svg) < 1_000_000
     root = ElementTree.fromstring(svg)
     assert {one.tag.rpartition("}")[2] for one in root.iter()} <= TAGS
-    assert [name for one in root.iter() for name in one.attrib if name.startswith("on") or "javascript" in one.attrib[name]] == []
+    assert [
+        name for one in root.iter() for name in one.attrib if name.startswith("on") or "javascript" in one.attrib[name]
+    ] == []
 
 
 def test_there_are_forty() -> None:
@@ -73,7 +118,10 @@ def test_no_figure_breaks_and_none_grows() -> None:
 
 
 def test_a_long_story_says_what_it_leaves_out() -> None:
-    many = [told(number, f"robot/{number}", f"robot/{number + 1}", "x" * 1_000, note="y" * 1_000) for number in range(1, 5_000)]
+    many = [
+        told(number, f"robot/{number}", f"robot/{number + 1}", "x" * 1_000, note="y" * 1_000)
+        for number in range(1, 5_000)
+    ]
     svg = sequence.sequence(many)
     assert_only_a_picture(svg)
     assert re.search(rb"4,9\d\d more steps, which are not drawn", svg)
@@ -127,7 +175,9 @@ def test_an_exported_file_holds_no_formula_unless_asked(tmp_path: Path) -> None:
 def test_the_report_reads_no_payload_as_markup(findings: Findings) -> None:
     """A payload that were evaluated would stop the typesetter: it panics, or leaves something open."""
     hostile = {f"{payload[:200]} {number}": payload for number, payload in enumerate(PAYLOADS)}
-    others = tuple({**row, "configuration": payload, "architecture": payload} for row in findings.runs[:1] for payload in PAYLOADS)
+    others = tuple(
+        {**row, "configuration": payload, "architecture": payload} for row in findings.runs[:1] for payload in PAYLOADS
+    )
     models = tuple({**findings.models[0], "kind": payload, "model_version": payload} for payload in PAYLOADS * 5)
     evil = msgspec.structs.replace(findings, parameters=hostile, runs=others, models=models)
     data = document.data(evil, None)
@@ -136,7 +186,10 @@ def test_the_report_reads_no_payload_as_markup(findings: Findings) -> None:
     assert len(pdf) < 3_000_000
     assert f"{len(models) - printing.MAX_ROWS} more rows are not shown" in data["tables"]["models"].source
     for table in data["tables"].values():
-        assert painted("".join(f"{cell.printed}\n".replace(printing.THIN_SPACE, "") for row in table.rows for cell in row)) == []
+        assert (
+            painted("".join(f"{cell.printed}\n".replace(printing.THIN_SPACE, "") for row in table.rows for cell in row))
+            == []
+        )
 
 
 def test_nothing_of_ours_is_escaped_or_cut(findings: Findings) -> None:

@@ -19,17 +19,24 @@ def of_the_record(findings: Findings, **other: Any) -> Findings:
     """The same, of the model and the constants that the packaged record is of."""
     record = json.loads(specs.text("comparison.json"))
     parameters = dict(flat("", json.loads(record["parameters"])))
-    return msgspec.structs.replace(findings, **({"model_version": record["model_version"], "parameters": parameters} | other))
+    return msgspec.structs.replace(
+        findings, **({"model_version": record["model_version"], "parameters": parameters} | other)
+    )
 
 
 def write(folder: Path, *holds: bool | None) -> None:
     told: list[dict[str, object]] = [
-        {"name": f"p{n}", "implies": "as said", "holds": one, "held": 3 if one else 1, "of": 3, "checks": []} for n, one in enumerate(holds)
+        {"name": f"p{n}", "implies": "as said", "holds": one, "held": 3 if one else 1, "of": 3, "checks": []}
+        for n, one in enumerate(holds)
     ]
-    (folder / "comparison.json").write_text(json.dumps({"model_version": "1", "parameters": PARAMETERS, "predictions": told}))
+    (folder / "comparison.json").write_text(
+        json.dumps({"model_version": "1", "parameters": PARAMETERS, "predictions": told})
+    )
 
 
-def test_the_first_page_says_which_registered_predictions_fail_and_a_table_says_all(findings: Findings, tmp_path: Path) -> None:
+def test_the_first_page_says_which_registered_predictions_fail_and_a_table_says_all(
+    findings: Findings, tmp_path: Path
+) -> None:
     registered = json.loads(specs.text("comparison.json"))["predictions"]
     found = of_the_record(findings)
     data = document.data(found, None)
@@ -65,7 +72,11 @@ def test_predictions_are_those_of_the_runs_model_and_constants_or_none(findings:
         ((True, None), "1 holds (p0) and 0 do not; of 1 it cannot be told (p1)."),
     ],
 )
-def test_the_sentence_counts_and_names_what_holds_and_what_does_not(findings: Findings, tmp_path: Path, holds: tuple[bool | None, ...], words: str) -> None:
+def test_the_sentence_counts_and_names_what_holds_and_what_does_not(
+    findings: Findings, tmp_path: Path, holds: tuple[bool | None, ...], words: str
+) -> None:
     write(tmp_path, *holds)
-    assert predictions.said(predictions.outcomes(findings, tmp_path)) == {"sentence": f"Of {len(holds)} predictions registered before they were run, {words}"}
+    assert predictions.said(predictions.outcomes(findings, tmp_path)) == {
+        "sentence": f"Of {len(holds)} predictions registered before they were run, {words}"
+    }
     assert predictions.said([]) is None

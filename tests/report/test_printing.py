@@ -18,7 +18,16 @@ def test_number_has_a_real_minus_and_no_negative_zero(value: float, decimals: in
 
 @pytest.mark.parametrize(
     ("value", "printed"),
-    [(365.4, "365"), (0.00823, "0.00823"), (-2.118, "\u22122.12"), (1563.3, "1563"), (0, "0"), (1.0, "1.00"), (0.1, "0.100"), (10.0, "10.0")],
+    [
+        (365.4, "365"),
+        (0.00823, "0.00823"),
+        (-2.118, "\u22122.12"),
+        (1563.3, "1563"),
+        (0, "0"),
+        (1.0, "1.00"),
+        (0.1, "0.100"),
+        (10.0, "10.0"),
+    ],
 )
 def test_three_significant_digits(value: float, printed: str) -> None:
     assert printing.significant(value, 3) == printed
@@ -30,7 +39,12 @@ def test_significant_digits_keep_the_value_within_half_a_percent(value: float) -
 
 
 def test_integers_have_thin_spaces_from_five_digits_on() -> None:
-    assert [printing.integer(value) for value in (0, 9999, 10_000, 1_234_567)] == ["0", "9999", "10\u2009000", "1\u2009234\u2009567"]
+    assert [printing.integer(value) for value in (0, 9999, 10_000, 1_234_567)] == [
+        "0",
+        "9999",
+        "10\u2009000",
+        "1\u2009234\u2009567",
+    ]
 
 
 def test_small_p_is_printed_as_smaller_than_the_smallest() -> None:
@@ -43,7 +57,9 @@ def test_shares_are_percent_only_where_the_paper_has_percent() -> None:
 
 
 def test_missing_value_is_a_dash_not_a_zero() -> None:
-    cell = printing.cell(Column(key="mean", head="Ours", format="metric"), {"metric": "governance_locality", "mean": None})
+    cell = printing.cell(
+        Column(key="mean", head="Ours", format="metric"), {"metric": "governance_locality", "mean": None}
+    )
     assert (cell.value, cell.printed) == (None, printing.NOTHING)
 
 
@@ -62,5 +78,7 @@ def test_table_keeps_values_beside_prints_and_begins_groups() -> None:
 
 def test_eight_metrics_are_those_of_the_papers_tables() -> None:
     assert {spec.result for spec in specs.metrics()} == {row["metric"] for row in specs.paper_table("results")}
-    assert {spec.significance for spec in specs.metrics()} == {row["metric"] for row in specs.paper_table("significance")}
+    assert {spec.significance for spec in specs.metrics()} == {
+        row["metric"] for row in specs.paper_table("significance")
+    }
     assert len(specs.metrics()) == 8

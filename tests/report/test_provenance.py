@@ -18,12 +18,37 @@ from fsar_ledger.runtime.simulation import ARCHITECTURES
 
 RECORD = json.loads(files("fsar_ledger.reports").joinpath("calibration.json").read_text())
 INFORMED = {  # chosen after the held-out tables had been seen, or part of the study that came before the first fit
-    *("world.response", "world.encounter_mean_s", "world.routine_until_s", "world.approach", "world.budget_delegated_s", "world.budget_own_s"),
-    *("structure.expiry_budgets", "structure.candidate_cost_ppm", "structure.back_off_us", "structure.encounter_memory_us", "structure.replan_us"),
-    *("world.absence_from_s", "world.absence_to_s", "world.durations.navigate.indoor", "structure.assistance_us", "structure.ordering_response_ppm"),
+    *(
+        "world.response",
+        "world.encounter_mean_s",
+        "world.routine_until_s",
+        "world.approach",
+        "world.budget_delegated_s",
+        "world.budget_own_s",
+    ),
+    *(
+        "structure.expiry_budgets",
+        "structure.candidate_cost_ppm",
+        "structure.back_off_us",
+        "structure.encounter_memory_us",
+        "structure.replan_us",
+    ),
+    *(
+        "world.absence_from_s",
+        "world.absence_to_s",
+        "world.durations.navigate.indoor",
+        "structure.assistance_us",
+        "structure.ordering_response_ppm",
+    ),
 }
 CHANGES: dict[str, dict[str, Any]] = {
-    "structure": {"negotiation_rounds": 2, "peer_budget_us": 20_000_000, "fleet_budget_us": 20_000_000, "human_budget_us": 180_000_000, "human_calls": 3},
+    "structure": {
+        "negotiation_rounds": 2,
+        "peer_budget_us": 20_000_000,
+        "fleet_budget_us": 20_000_000,
+        "human_budget_us": 180_000_000,
+        "human_calls": 3,
+    },
     "world": {"floor_teams": 8, "crowding_rate_per_s": 0.01},
 }
 """Another value for each constant that no cell hangs on."""
@@ -66,7 +91,11 @@ def test_what_was_chosen_after_tables_had_been_seen_does_not_pass_for_anything_e
 
 
 def test_what_the_paper_prints_is_what_the_paper_prints() -> None:
-    printed = {name: value for name, value in flat("", msgspec.json.decode(write_constants(Constants()))) if name in of("paper")}
+    printed = {
+        name: value
+        for name, value in flat("", msgspec.json.decode(write_constants(Constants())))
+        if name in of("paper")
+    }
     assert printed == {
         "world.degradation_probability": "0.3",
         "world.degraded_reliability": "0.6",
@@ -86,13 +115,21 @@ def cells(constants: Constants, architecture: Architecture) -> list[MetricRow]:
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_no_cell_hangs_on_what_was_chosen(architecture: Architecture) -> None:
     changed = {f"{group}.{name}" for group, values in CHANGES.items() for name in values}
-    assert of("chosen") == changed | {name for name in origins() if name.partition(".")[0] not in CHANGES}, "the other groups are absent"
+    assert of("chosen") == changed | {name for name in origins() if name.partition(".")[0] not in CHANGES}, (
+        "the other groups are absent"
+    )
     replace = msgspec.structs.replace
     other = Constants(replace(WorldConstants(), **CHANGES["world"]), replace(Structure(), **CHANGES["structure"]))
     assert cells(other, architecture) == cells(Constants(), architecture)
 
 
 def test_the_report_says_where_each_value_is_from_and_which_are_not_ours() -> None:
-    rows = document._constants({"structure.poll_us": "2\u2009000\u2009000", "world.motion_share": str(Constants().world.motion_share), "of.another.model": "1"})
+    rows = document._constants(
+        {
+            "structure.poll_us": "2\u2009000\u2009000",
+            "world.motion_share": str(Constants().world.motion_share),
+            "of.another.model": "1",
+        }
+    )
     said = {row[name]: row[word] for row in rows for name, word in (("name", "from"), ("name2", "from2"))}
     assert said == {"structure.poll_us": GIVEN, "world.motion_share": "fitted", "of.another.model": GIVEN, "": ""}

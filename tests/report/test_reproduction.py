@@ -22,20 +22,31 @@ def written(alone: Findings) -> dict[str, Any]:
     return decoded
 
 
-def test_it_holds_every_printed_number_with_ours_and_what_became_of_it(alone: Findings, written: dict[str, Any]) -> None:
+def test_it_holds_every_printed_number_with_ours_and_what_became_of_it(
+    alone: Findings, written: dict[str, Any]
+) -> None:
     results = {(row["metric"], row["architecture"]): row for row in written["numbers"] if row["table"] == "results"}
     assert len(results) == 24
     for cell in alone.cells:
         row = results[cell["metric"], cell["architecture"]]
-        assert (row["paper"], row["printed"], row["ours"], row["n"]) == (cell["paper"], cell["paper_printed"], cell["mean"], cell["n"])
-        assert (row["gives"], row["share"], row["could"], row["distance"]) == tuple(cell[name] for name in ("gives", "share", "could", "distance"))
+        assert (row["paper"], row["printed"], row["ours"], row["n"]) == (
+            cell["paper"],
+            cell["paper_printed"],
+            cell["mean"],
+            cell["n"],
+        )
+        assert (row["gives"], row["share"], row["could"], row["distance"]) == tuple(
+            cell[name] for name in ("gives", "share", "could", "distance")
+        )
         assert row["interval"] == (None if cell["interval"] is None else list(cell["interval"]))
     assert written["tally"] == tally(document.counted(alone, None))
     assert [row["t"] for row in written["tests"]] == [row["t"] for row in alone.tests]
 
 
 def test_it_names_the_heads_the_model_the_constants_and_the_queries(alone: Findings, written: dict[str, Any]) -> None:
-    assert written["ledgers"] == {"results": {"commits": alone.commits, "events": alone.size, "root": alone.root, "runs": alone.run_count}}
+    assert written["ledgers"] == {
+        "results": {"commits": alone.commits, "events": alone.size, "root": alone.root, "runs": alone.run_count}
+    }
     assert written["queries"] == {one.name: one.sha256 for one in alone.sources}
     assert (written["model_version"], written["constants"]) == (alone.model_version, alone.parameters)
     assert written["parameters_sha256"] in {row["parameters_sha256"] for row in alone.models}
@@ -50,7 +61,9 @@ def test_it_holds_the_means_under_every_reading_where_they_were_asked_for(alone:
     assert [row["lowest"] for row in rows["cells"]] == [cell.lowest for cell in read.cells]
 
 
-def test_it_is_written_beside_the_report_and_is_the_same_bytes_again(ledger: Path, alone: Findings, tmp_path: Path) -> None:
+def test_it_is_written_beside_the_report_and_is_the_same_bytes_again(
+    ledger: Path, alone: Findings, tmp_path: Path
+) -> None:
     write_report(ledger, tmp_path / "report.pdf", reads_every_way=False, numbers_out=tmp_path / "numbers.json")
     assert (tmp_path / "report.pdf").read_bytes().startswith(b"%PDF")
     written = (tmp_path / "numbers.json").read_bytes()

@@ -10,8 +10,26 @@ from tests.report.test_figures import words
 A, B, REGISTRY = "robot/A1", "robot/B1", "service/registry"
 
 
-def told(step: int, sender: str | None, receiver: str | None, message: str, kind: str = "message", note: str | None = None, **other: Any) -> dict[str, Any]:
-    return {"step": step, "time_s": step / 2, "sender": sender, "receiver": receiver, "kind": kind, "message": message, "note": note, "is_tied": True, **other}
+def told(
+    step: int,
+    sender: str | None,
+    receiver: str | None,
+    message: str,
+    kind: str = "message",
+    note: str | None = None,
+    **other: Any,
+) -> dict[str, Any]:
+    return {
+        "step": step,
+        "time_s": step / 2,
+        "sender": sender,
+        "receiver": receiver,
+        "kind": kind,
+        "message": message,
+        "note": note,
+        "is_tied": True,
+        **other,
+    }
 
 
 STORY = [
@@ -27,12 +45,25 @@ STORY = [
 
 def test_every_principal_has_one_life_line_in_order_of_appearance() -> None:
     assert sequence.lanes(STORY) == [A, REGISTRY, B]
-    assert sequence.lanes([told(1, None, None, "lacks: lift", "deed"), told(2, A, None, "request: lift")]) == [sequence.NOBODY, A]
+    assert sequence.lanes([told(1, None, None, "lacks: lift", "deed"), told(2, A, None, "request: lift")]) == [
+        sequence.NOBODY,
+        A,
+    ]
 
 
 def test_the_sequence_shows_principals_messages_times_and_the_evaluation() -> None:
     drawn = words(sequence.sequence(STORY))
-    for text in ("robot", "A1", "service", "registry", "B1", "query: lift", "candidates: robot/B1", "request: lift (carries policy allow)", "accept"):
+    for text in (
+        "robot",
+        "A1",
+        "service",
+        "registry",
+        "B1",
+        "query: lift",
+        "candidates: robot/B1",
+        "request: lift (carries policy allow)",
+        "accept",
+    ):
         assert text in drawn
     assert {"evaluate: policy allow", "trust task", "authority (1, 1, 0, 1)"} <= set(drawn)
     assert [text for text in drawn if text.endswith(" s")] == [f"{step / 2:.3f} s" for step in range(1, 8)]
@@ -53,7 +84,12 @@ def edges_inches(figure: Any) -> tuple[float, float, float, float]:
     figure.canvas.draw()
     boxes = [text.get_window_extent(figure.canvas.get_renderer()) for text in figure.axes[0].texts if text.get_text()]
     dpi = figure.dpi
-    return min(b.x0 for b in boxes) / dpi, max(b.x1 for b in boxes) / dpi, min(b.y0 for b in boxes) / dpi, max(b.y1 for b in boxes) / dpi
+    return (
+        min(b.x0 for b in boxes) / dpi,
+        max(b.x1 for b in boxes) / dpi,
+        min(b.y0 for b in boxes) / dpi,
+        max(b.y1 for b in boxes) / dpi,
+    )
 
 
 def assert_nothing_is_clipped(figure: Any) -> None:
@@ -65,7 +101,11 @@ def assert_nothing_is_clipped(figure: Any) -> None:
 
 def test_long_words_are_wrapped_and_nothing_leaves_the_figure() -> None:
     note = "a reason that goes on for much longer than the room between two life lines " * 2
-    rows = [told(1, A, REGISTRY, "query: lift", note=note), told(2, B, B, "waits", "deed", note), told(3, B, A, "result: success")]
+    rows = [
+        told(1, A, REGISTRY, "query: lift", note=note),
+        told(2, B, B, "waits", "deed", note),
+        told(3, B, A, "result: success"),
+    ]
     with sequence.drawn_sequence(rows) as figure:
         assert_nothing_is_clipped(figure)
         assert max(text.get_text().count("\n") for text in figure.axes[0].texts) >= 4
@@ -80,8 +120,19 @@ def test_many_principals_make_a_wider_figure() -> None:
         assert_nothing_is_clipped(wide)
 
 
-def rung(number: int, level: str, time_s: float, what: str, result: str | None, to_level: str | None = None, **other: Any) -> dict[str, Any]:
-    row = {"failure": 1, "level_number": number, "level": level, "to_level": to_level, "time_s": time_s, "until_s": None, "what": what, "result": result}
+def rung(
+    number: int, level: str, time_s: float, what: str, result: str | None, to_level: str | None = None, **other: Any
+) -> dict[str, Any]:
+    row = {
+        "failure": 1,
+        "level_number": number,
+        "level": level,
+        "to_level": to_level,
+        "time_s": time_s,
+        "until_s": None,
+        "what": what,
+        "result": result,
+    }
     return {**row, "spent_s": 4.5, "achieved": None, "budget_s": None, "decided_by": None, **other}
 
 
@@ -108,7 +159,14 @@ def test_the_ladder_shows_levels_steps_results_and_the_exhausted_budget() -> Non
         "no peer",
     ):
         assert text in drawn
-    assert {"level 1: local", "level 2: peer", "level 4: human", "4.500 s", "resolved at 30.250 s", "leaves peer for fleet"} <= set(drawn)
+    assert {
+        "level 1: local",
+        "level 2: peer",
+        "level 4: human",
+        "4.500 s",
+        "resolved at 30.250 s",
+        "leaves peer for fleet",
+    } <= set(drawn)
     with sequence.drawn_ladder(RECOVERY) as figure:
         assert_nothing_is_clipped(figure)
 

@@ -16,16 +16,35 @@ MEANS: dict[Chosen, tuple[float | None, float, float]] = {
 }
 
 
-def found(means: dict[Chosen, tuple[float | None, float, float]] = MEANS, metric: str = "human_intervention") -> Multiverse:
+def found(
+    means: dict[Chosen, tuple[float | None, float, float]] = MEANS, metric: str = "human_intervention"
+) -> Multiverse:
     """One metric of three architectures under these combinations, and once more for another seed, under which FSAR is the worst."""
-    setting = {"configuration": "full", "fleet_size": 4, "kind": "simulated", "source": None, "model_version": "2", "constants": None}
+    setting = {
+        "configuration": "full",
+        "fleet_size": 4,
+        "kind": "simulated",
+        "source": None,
+        "model_version": "2",
+        "constants": None,
+    }
     universes = [
-        Universe(metric=metric, architecture=name, readings=chosen, mean=mean, seed=seed, runs_not_observed=0, **setting)  # type: ignore[arg-type]
+        Universe(
+            metric=metric,
+            architecture=name,
+            readings=chosen,
+            mean=mean,
+            seed=seed,
+            runs_not_observed=0,
+            **setting,  # type: ignore[arg-type]
+        )
         for chosen, mine in means.items()
         for seed, of_seed in ((1, mine), (2, (0.9, 0.1, 0.1)))
         for name, mean in zip(("fsar", "cfc", "dhma"), of_seed, strict=True)
     ]
-    return Multiverse(tuple(one for one in readings() if metric in one.moves), tuple(cells(universes)), (), tuple(universes))
+    return Multiverse(
+        tuple(one for one in readings() if metric in one.moves), tuple(cells(universes)), (), tuple(universes)
+    )
 
 
 def words(svg: bytes) -> list[str]:
@@ -53,11 +72,21 @@ def test_the_lead_is_over_the_better_one(better: str, lead: float) -> None:
 def test_the_figure_says_how_often_fsar_is_best_and_names_the_readings() -> None:
     drawn = words(specification.curves(found()))
     assert "Human interventions (%): FSAR best under 2 of 4" in drawn
-    assert {"level four is fleet (R9)", "reviews are no interventions (R37)", "FSAR", "CFC", "DHMA", "our reading", "printed in the paper"} <= set(drawn)
+    assert {
+        "level four is fleet (R9)",
+        "reviews are no interventions (R37)",
+        "FSAR",
+        "CFC",
+        "DHMA",
+        "our reading",
+        "printed in the paper",
+    } <= set(drawn)
 
 
 def test_the_papers_numbers_stand_on_the_line_of_our_reading() -> None:
-    assert specification.printed(found().cells, specs.metric("human_intervention")) == pytest.approx({"fsar": 14, "cfc": 32, "dhma": 19})
+    assert specification.printed(found().cells, specs.metric("human_intervention")) == pytest.approx(
+        {"fsar": 14, "cfc": 32, "dhma": 19}
+    )
     assert specification.printed(found(metric="policy_violations").cells, specs.metric("human_intervention")) == {}
 
 

@@ -46,8 +46,14 @@ def column(table: dict[str, Any], name: str, key: str, what: str = "value") -> l
 
 def test_the_papers_marks_are_printed_as_they_are() -> None:
     rows = {row["feature"]: row for row in marks.features([])}
-    assert [row["feature"] for row in rows.values()] == [row["feature"] for row in specs.paper_table("architecture_features")]
-    assert (rows["policy_composition"]["fsar_paper"], rows["policy_composition"]["cfc_paper"], rows["policy_composition"]["jade"]) == (
+    assert [row["feature"] for row in rows.values()] == [
+        row["feature"] for row in specs.paper_table("architecture_features")
+    ]
+    assert (
+        rows["policy_composition"]["fsar_paper"],
+        rows["policy_composition"]["cfc_paper"],
+        rows["policy_composition"]["jade"],
+    ) == (
         "full",
         "partial",
         "partial",
@@ -65,7 +71,10 @@ def test_the_papers_marks_are_printed_as_they_are() -> None:
     ],
 )
 def test_a_feature_agrees_or_differs_where_the_ledger_shows_it(ours: tuple[str | None, ...], verdict: str) -> None:
-    graded = [{"feature": "single_agent_robot", "architecture": name, "grade": grade} for name, grade in zip(("fsar", "cfc", "dhma"), ours, strict=True)]
+    graded = [
+        {"feature": "single_agent_robot", "architecture": name, "grade": grade}
+        for name, grade in zip(("fsar", "cfc", "dhma"), ours, strict=True)
+    ]
     assert marks.features(graded)[0]["verdict"] == verdict
 
 
@@ -85,9 +94,18 @@ def test_workflows_of_another_seed_have_no_part_in_the_table(make_ledger: Make, 
 def test_the_tables_hold_the_answers_of_their_queries(ledger: Path, findings: Findings) -> None:
     tables = printed(findings)["tables"]
     with connect(ledger) as database:
-        rows = {(row["feature"], row["architecture"]): row for row in plain_rows(database.query("tables/architecture_features"))}
+        rows = {
+            (row["feature"], row["architecture"]): row
+            for row in plain_rows(database.query("tables/architecture_features"))
+        }
     evidence = tables["feature-evidence"]
-    keys = list(zip(column(evidence, "feature-evidence", "feature"), column(evidence, "feature-evidence", "architecture"), strict=True))
+    keys = list(
+        zip(
+            column(evidence, "feature-evidence", "feature"),
+            column(evidence, "feature-evidence", "architecture"),
+            strict=True,
+        )
+    )
     assert len(keys) == len(set(keys)) == 24
     assert column(evidence, "feature-evidence", "grade") == [rows[key]["grade"] for key in keys]
     assert column(evidence, "feature-evidence", "evidence") == [rows[key]["evidence"] for key in keys]
@@ -98,7 +116,16 @@ def test_the_tables_hold_the_answers_of_their_queries(ledger: Path, findings: Fi
 
 def test_marks_are_the_papers_signs_and_a_mark_that_is_not_shown_is_a_dash(findings: Findings) -> None:
     table = printed(findings)["tables"]["architectural-comparison"]
-    assert column(table, "architectural-comparison", "fsar_paper", "printed") == ["●", "—", "—", "●", "●", "●", "●", "●"]
+    assert column(table, "architectural-comparison", "fsar_paper", "printed") == [
+        "●",
+        "—",
+        "—",
+        "●",
+        "●",
+        "●",
+        "●",
+        "●",
+    ]
     trust = list(specs.labels("feature")).index("trust_scoped_delegation")
     assert column(table, "architectural-comparison", "fsar_ours", "printed")[trust] == "–"
     assert {"RoboOS*", "JADE*", "ALLIANCE*"} <= set(table["heads"])
@@ -119,10 +146,14 @@ def test_every_cell_of_the_coverage_stands_beside_the_papers_and_agrees_or_has_i
     assert findings.workflows is not None
     for row in findings.workflows.coverage:
         differing = [name for name in marks.WORKFLOWS if row[f"{name}_paper"] != row[f"{name}_ours"]]
-        assert row["verdict"] == (f"differs: {', '.join(specs.labels('workflow')[name] for name in differing)}" if differing else "agrees")
+        assert row["verdict"] == (
+            f"differs: {', '.join(specs.labels('workflow')[name] for name in differing)}" if differing else "agrees"
+        )
     cells = {row["mechanism"]: row["workflow-layered-recovery_ours"] for row in findings.workflows.coverage}
     assert {name: cell for name, cell in cells.items() if cell is not None} == {
-        row["mechanism"]: row["workflow_2_layered_recovery"] for row in specs.paper_table("mechanism_coverage") if row["workflow_2_layered_recovery"]
+        row["mechanism"]: row["workflow_2_layered_recovery"]
+        for row in specs.paper_table("mechanism_coverage")
+        if row["workflow_2_layered_recovery"]
     }
 
 
@@ -141,10 +172,14 @@ def test_the_tables_name_their_queries_and_the_appendix_the_heads_that_were_aske
     assert data["figures"]["workflow-door-relay"]["source"] == "queries/audit/request_story.sql"
     assert [(one["name"], one["root"]) for one in data["heads"]] == [("Workflows", findings.workflows.root)]
     assert data["head"]["root"] == findings.root != findings.workflows.root
-    assert {"tables/mechanism_coverage", "audit/request_story", "facts/messages"} <= {source.name for source in findings.sources}
+    assert {"tables/mechanism_coverage", "audit/request_story", "facts/messages"} <= {
+        source.name for source in findings.sources
+    }
 
 
-def test_without_workflows_the_report_says_so_and_a_ledger_without_them_is_refused(alone: Findings, ledger: Path, make_ledger: Make) -> None:
+def test_without_workflows_the_report_says_so_and_a_ledger_without_them_is_refused(
+    alone: Findings, ledger: Path, make_ledger: Make
+) -> None:
     said = printed(alone)
     assert said["workflows"] is None
     assert "mechanism-coverage" not in said["tables"]

@@ -18,7 +18,12 @@ ASSERTED = ("assert", "AssertionError", "Failed: DID NOT RAISE", "Failed: DID NO
 
 def copy_tree(place: Path) -> None:
     """Copy what is under version control, or would be, so that its package runs from there."""
-    names = subprocess.run(["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"], cwd=ROOT, check=True, capture_output=True).stdout
+    names = subprocess.run(
+        ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"],
+        cwd=ROOT,
+        check=True,
+        capture_output=True,
+    ).stdout
     subprocess.run(["tar", "-c", "--null", "-T", "-", "-f", str(place / "tree.tar")], cwd=ROOT, input=names, check=True)
     subprocess.run(["tar", "-x", "-f", "tree.tar"], cwd=place, check=True)
     for folder in ("queries", "reports"):  # as the installed package has them
@@ -29,7 +34,19 @@ def outcome_of(place: Path, test: str) -> str:
     """Run the test in that tree; return `asserted` if it fails by an assertion, else what happened instead."""
     environment = os.environ | {"PYTHONPATH": str(place), "PYTHONDONTWRITEBYTECODE": "1"}
     report = place / "report.xml"
-    command = [sys.executable, "-m", "pytest", "-q", "-x", "-m", "", "-p", "no:cacheprovider", f"--junitxml={report}", test]
+    command = [
+        sys.executable,
+        "-m",
+        "pytest",
+        "-q",
+        "-x",
+        "-m",
+        "",
+        "-p",
+        "no:cacheprovider",
+        f"--junitxml={report}",
+        test,
+    ]
     done = subprocess.run(command, cwd=place, env=environment, capture_output=True, text=True, check=False)
     if not report.exists():
         return f"no test ran: {done.stdout[-300:]} {done.stderr[-300:]}"
@@ -64,7 +81,9 @@ def main(names: list[str]) -> int:
         if outcome != "asserted":
             silent.append(name)
     tests = len(names or known)
-    print(f"{tests} fixes taken out, {tests - len(silent)} tests failed by an assertion, {len(silent)} did not{': ' + ', '.join(silent) if silent else ''}")
+    print(
+        f"{tests} fixes taken out, {tests - len(silent)} tests failed by an assertion, {len(silent)} did not{': ' + ', '.join(silent) if silent else ''}"
+    )
     return 1 if silent else 0
 
 

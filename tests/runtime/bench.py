@@ -27,7 +27,9 @@ from fsar_ledger.runtime.world.draws import Draws, run_key
 CAPABILITIES = ("navigate.indoor", "carry.package", "door.open.secure", "grasp.robust", "carry.heavy")
 HELPER = "robot/F1"
 WORLD = WorldConstants(durations=(*DURATIONS, ("fly", Range(1.0, 2.0))))  # a robot may be given what no scenario knows
-PUBLIC: tuple[type[Command], ...] = tuple(sorted((kind for kind in FSAR.decides if issubclass(kind, PublicCommand)), key=lambda kind: kind.__name__))
+PUBLIC: tuple[type[Command], ...] = tuple(
+    sorted((kind for kind in FSAR.decides if issubclass(kind, PublicCommand)), key=lambda kind: kind.__name__)
+)
 _encoder, _decoder = msgspec.json.Encoder(), msgspec.json.Decoder(AnyEvent)
 
 
@@ -81,7 +83,9 @@ class Bench(Kernel):
         return fold(self.events)
 
 
-def founding(fleet: Sequence[tuple[str, int, bool, str, frozenset[str]]], trust: Sequence[tuple[int, int, Any]], has_helper: bool) -> tuple[Event, ...]:
+def founding(
+    fleet: Sequence[tuple[str, int, bool, str, frozenset[str]]], trust: Sequence[tuple[int, int, Any]], has_helper: bool
+) -> tuple[Event, ...]:
     """A live fleet of these robots (role, team, has a supervisor, domain, capabilities), with this trust between them by position.
 
     With a helper there is one robot more that can do everything for everybody and that no command names.
@@ -117,19 +121,26 @@ ROBOTS = st.lists(
     max_size=6,
     unique_by=lambda robot: robot[:2],
 )
-TRUST = st.lists(st.tuples(st.integers(0, 5), st.integers(0, 5), st.sampled_from(["capability", "task", "session", "persistent"])), max_size=12)
+TRUST = st.lists(
+    st.tuples(st.integers(0, 5), st.integers(0, 5), st.sampled_from(["capability", "task", "session", "persistent"])),
+    max_size=12,
+)
 
 
 def _names(state: State) -> dict[str, list[Any]]:
     """What a field of a command may name: mostly something that exists, sometimes something that does not."""
     robots = [name for name in state.fleet.robots if name != HELPER] * 3 + ["robot/Z9"]
-    supervised = [robot.supervisor for robot in state.fleet.robots.values() if robot.supervisor and robot.name != HELPER]
+    supervised = [
+        robot.supervisor for robot in state.fleet.robots.values() if robot.supervisor and robot.name != HELPER
+    ]
     supervisors = ["supervisor/fleet", *supervised] * 2 + ["supervisor/Z9"]
     actions = [*state.request, *state.execution.actions, "nothing/1.1"]
     tasks = [*state.task, "T1", "T2", "gone"]
     capabilities = [*CAPABILITIES] * 2 + ["fly"]
     return {
-        **dict.fromkeys(("robot", "requester", "executor", "peer", "helper", "holder", "requested_by", "executed_by"), robots),
+        **dict.fromkeys(
+            ("robot", "requester", "executor", "peer", "helper", "holder", "requested_by", "executed_by"), robots
+        ),
         **dict.fromkeys(("supervisor", "issued_by", "decided_by"), supervisors),
         **dict.fromkeys(("action_id", "request_id", "parent", "preferred"), actions),
         **dict.fromkeys(("task_id", "context"), tasks),
@@ -165,6 +176,10 @@ def arguments(state: State, command: type[msgspec.Struct]) -> st.SearchStrategy[
             continue
         hint = hints[field.name]
         kinds = get_args(hint) if type(None) in get_args(hint) else (hint,)
-        values = st.sampled_from(names[field.name]) if field.name in names else st.one_of(*[_typed(state, kind) for kind in kinds if kind is not type(None)])
+        values = (
+            st.sampled_from(names[field.name])
+            if field.name in names
+            else st.one_of(*[_typed(state, kind) for kind in kinds if kind is not type(None)])
+        )
         drawn[field.name] = st.one_of(st.none(), values) if type(None) in kinds else values
     return st.fixed_dictionaries(drawn)

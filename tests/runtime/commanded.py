@@ -27,7 +27,10 @@ COMMANDS: list[tuple[int, Command]] = [
     (8 * S, GrantAuthority(H_F, "robot/D1", "robot/B1", "hard-preempt")),
     (9 * S, RequestCapability("robot/A1", "robot/B1", DOOR, "visit", "q1")),
     (13 * S, RequestCapability("robot/D1", "robot/B1", DOOR, "visit", "q2", "hard-preempt")),
-    (40 * S, RequestCapability("robot/A1", "robot/B1", "door.open.basic", "visit", "q3", "soft-priority")),  # more than is allowed
+    (
+        40 * S,
+        RequestCapability("robot/A1", "robot/B1", "door.open.basic", "visit", "q3", "soft-priority"),
+    ),  # more than is allowed
     (45 * S, AnswerOffer("robot/A1", "q3", True)),
     (60 * S, RevokeAuthority(H_F, "robot/A1", "robot/B1")),
     (61 * S, SetPolicyRule(H_F, "fleet", None, "carry.heavy", None, "allow")),

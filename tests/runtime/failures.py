@@ -31,7 +31,9 @@ def executing(
         *before,
         TaskArrived("A1-1", owner, 1, STEPS, 60_000_000, 65_000_000, checkpoints),
         StepBegan("A1-1", ACTION, behalf, 2, 1, capability),
-        ExecutionQueued("A1-1", ACTION, behalf, robot, None, robot, behalf, capability, 2, 1, robot != behalf, robot != behalf, True),
+        ExecutionQueued(
+            "A1-1", ACTION, behalf, robot, None, robot, behalf, capability, 2, 1, robot != behalf, robot != behalf, True
+        ),
         ExecutionStarted("A1-1", ACTION, behalf, robot, None, robot, behalf, capability, 3_000_000),
         configuration=configuration,
     )

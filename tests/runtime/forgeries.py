@@ -10,7 +10,13 @@ import msgspec
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
-from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted, RoutinePerformed, RoutineWithheld
+from fsar_ledger.events.execution import (
+    ExecutionFailed,
+    ExecutionFinished,
+    ExecutionStarted,
+    RoutinePerformed,
+    RoutineWithheld,
+)
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.recovery import FailureResolved, RecoveryAttempted
 from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, RequestDenied, RequestIssued
@@ -23,7 +29,9 @@ from fsar_ledger.runtime.simulation import RunSpec, run_id, simulate_run
 HONEST = simulate_run(RunSpec(42, "fsar", "full", "failure-recovery-chain", 4, 59), Constants())
 
 
-def changed(record: RunRecord, seq: int, event: Event | None = None, time_us: int | None = None, caused_by: int | None = None) -> RunRecord:
+def changed(
+    record: RunRecord, seq: int, event: Event | None = None, time_us: int | None = None, caused_by: int | None = None
+) -> RunRecord:
     """The record with another event, time or cause at that place."""
     events, times, causes = list(record.events), list(record.times_us), list(record.caused_by)
     events[seq] = events[seq] if event is None else event
@@ -98,57 +106,121 @@ class Forgery(NamedTuple):
     handler: str | None
 
 
-TRUST, ADMITTED, ACCEPTED, STARTED = seq_of(RoleTrustSet), seq_of(RequestAdmitted), seq_of(RequestAccepted), seq_of(ExecutionStarted)
-ISSUED, FAILED, RESOLVED, REFUSED = seq_of(RequestIssued), seq_of(ExecutionFailed), seq_of(FailureResolved), seq_of(RequestDenied)
-FINISHED, DUE, WITHHELD, LAST = seq_of(ExecutionFinished), seq_of(RoutineDue), seq_of(RoutineWithheld), len(HONEST.events) - 1
+TRUST, ADMITTED, ACCEPTED, STARTED = (
+    seq_of(RoleTrustSet),
+    seq_of(RequestAdmitted),
+    seq_of(RequestAccepted),
+    seq_of(ExecutionStarted),
+)
+ISSUED, FAILED, RESOLVED, REFUSED = (
+    seq_of(RequestIssued),
+    seq_of(ExecutionFailed),
+    seq_of(FailureResolved),
+    seq_of(RequestDenied),
+)
+FINISHED, DUE, WITHHELD, LAST = (
+    seq_of(ExecutionFinished),
+    seq_of(RoutineDue),
+    seq_of(RoutineWithheld),
+    len(HONEST.events) - 1,
+)
 PERFORMED, ATTEMPT, OBSTRUCTED = seq_of(RoutinePerformed), seq_of(RecoveryAttempted), seq_of(ObstructionAppeared)
 withheld = HONEST.events[WITHHELD]
 assert isinstance(withheld, RoutineWithheld)
 LATE = HONEST.times_us[LAST] + 1
 
 FORGERIES = {
-    "an admission is made a refusal": Forgery(changed(HONEST, ADMITTED, denied(ADMITTED)), ADMITTED, "type", "fsar.request.evaluate_request"),
+    "an admission is made a refusal": Forgery(
+        changed(HONEST, ADMITTED, denied(ADMITTED)), ADMITTED, "type", "fsar.request.evaluate_request"
+    ),
     "a refusal is left out": Forgery(dropped(HONEST, REFUSED), REFUSED, "type", "fsar.request.evaluate_request"),
-    "the reason of a refusal is another": Forgery(restated(REFUSED, reason="trust"), REFUSED, "reason", "fsar.request.evaluate_request"),
-    "an execution without admission": Forgery(dropped(HONEST, ADMITTED), ADMITTED, "type", "fsar.request.evaluate_request"),
+    "the reason of a refusal is another": Forgery(
+        restated(REFUSED, reason="trust"), REFUSED, "reason", "fsar.request.evaluate_request"
+    ),
+    "an execution without admission": Forgery(
+        dropped(HONEST, ADMITTED), ADMITTED, "type", "fsar.request.evaluate_request"
+    ),
     "an execution that nobody accepted": Forgery(dropped(HONEST, ACCEPTED), ACCEPTED, "type", "fsar.request.take_turn"),
-    "an acceptance by another robot": Forgery(restated(ACCEPTED, decided_by="robot/C1"), ACCEPTED, "decided_by", "fsar.request.take_turn"),
-    "a request in the name of another": Forgery(restated(ISSUED, requested_by="robot/C1"), ISSUED, "requested_by", "fsar.request.issue_request"),
-    "no supervisor is named": Forgery(restated(STARTED, supervised_by=None), STARTED, "supervised_by", "fsar.execution.start"),
-    "an admission rests on more trust": Forgery(restated(ADMITTED, trust="persistent"), ADMITTED, "trust", "fsar.request.evaluate_request"),
-    "the fleet is founded with more trust": Forgery(restated(TRUST, scope="persistent"), TRUST, "scope", "world.scenarios.founding"),
+    "an acceptance by another robot": Forgery(
+        restated(ACCEPTED, decided_by="robot/C1"), ACCEPTED, "decided_by", "fsar.request.take_turn"
+    ),
+    "a request in the name of another": Forgery(
+        restated(ISSUED, requested_by="robot/C1"), ISSUED, "requested_by", "fsar.request.issue_request"
+    ),
+    "no supervisor is named": Forgery(
+        restated(STARTED, supervised_by=None), STARTED, "supervised_by", "fsar.execution.start"
+    ),
+    "an admission rests on more trust": Forgery(
+        restated(ADMITTED, trust="persistent"), ADMITTED, "trust", "fsar.request.evaluate_request"
+    ),
+    "the fleet is founded with more trust": Forgery(
+        restated(TRUST, scope="persistent"), TRUST, "scope", "world.scenarios.founding"
+    ),
     "a robot trusts one robot more at the founding": Forgery(
         added(HONEST, TRUST, TrustSet("robot/A1", "robot/C1", "task"), 0, 0), TRUST, "type", "world.scenarios.founding"
     ),
-    "an execution starts early": Forgery(changed(HONEST, STARTED, time_us=HONEST.times_us[STARTED] - 1), STARTED, "time_us", "fsar.execution.start"),
-    "an execution takes longer": Forgery(restated(STARTED, ends_us=HONEST.times_us[FINISHED] + 1), STARTED, "ends_us", "fsar.execution.start"),
-    "a failure has another cause": Forgery(restated(FAILED, cause="degradation"), FAILED, "cause", "handlers.execution.detect_obstruction"),
-    "a failure is left out": Forgery(dropped(HONEST, FAILED), FAILED, "type", "handlers.execution.detect_obstruction"),
-    "a failure was resolved by a human": Forgery(restated(RESOLVED, level="human"), RESOLVED, "level", "fsar.recovery.end_attempt"),
-    "an attempt was caused by something else": Forgery(changed(HONEST, ATTEMPT, caused_by=1), ATTEMPT, "caused_by", "fsar.recovery.start_recovery"),
-    "a result is partial": Forgery(restated(FINISHED, result="partial"), FINISHED, "result", "handlers.execution.finish_attempt"),
-    "a withheld routine is performed": Forgery(
-        changed(HONEST, WITHHELD, RoutinePerformed(*msgspec.structs.astuple(withheld))), WITHHELD, "type", "fsar.execution.decide_routine"
+    "an execution starts early": Forgery(
+        changed(HONEST, STARTED, time_us=HONEST.times_us[STARTED] - 1), STARTED, "time_us", "fsar.execution.start"
     ),
-    "two events of one decision are swapped": Forgery(swapped(HONEST, ADMITTED), ADMITTED, "type", "fsar.request.evaluate_request"),
-    "a decision comes before its cause": Forgery(swapped(HONEST, PERFORMED - 1), PERFORMED - 1, "type", "world.schedule.schedule"),
+    "an execution takes longer": Forgery(
+        restated(STARTED, ends_us=HONEST.times_us[FINISHED] + 1), STARTED, "ends_us", "fsar.execution.start"
+    ),
+    "a failure has another cause": Forgery(
+        restated(FAILED, cause="degradation"), FAILED, "cause", "handlers.execution.detect_obstruction"
+    ),
+    "a failure is left out": Forgery(dropped(HONEST, FAILED), FAILED, "type", "handlers.execution.detect_obstruction"),
+    "a failure was resolved by a human": Forgery(
+        restated(RESOLVED, level="human"), RESOLVED, "level", "fsar.recovery.end_attempt"
+    ),
+    "an attempt was caused by something else": Forgery(
+        changed(HONEST, ATTEMPT, caused_by=1), ATTEMPT, "caused_by", "fsar.recovery.start_recovery"
+    ),
+    "a result is partial": Forgery(
+        restated(FINISHED, result="partial"), FINISHED, "result", "handlers.execution.finish_attempt"
+    ),
+    "a withheld routine is performed": Forgery(
+        changed(HONEST, WITHHELD, RoutinePerformed(*msgspec.structs.astuple(withheld))),
+        WITHHELD,
+        "type",
+        "fsar.execution.decide_routine",
+    ),
+    "two events of one decision are swapped": Forgery(
+        swapped(HONEST, ADMITTED), ADMITTED, "type", "fsar.request.evaluate_request"
+    ),
+    "a decision comes before its cause": Forgery(
+        swapped(HONEST, PERFORMED - 1), PERFORMED - 1, "type", "world.schedule.schedule"
+    ),
     "a decision is doubled": Forgery(
-        added(HONEST, ACCEPTED, HONEST.events[ACCEPTED], HONEST.times_us[ACCEPTED], 1), ACCEPTED, "caused_by", "fsar.request.take_turn"
+        added(HONEST, ACCEPTED, HONEST.events[ACCEPTED], HONEST.times_us[ACCEPTED], 1),
+        ACCEPTED,
+        "caused_by",
+        "fsar.request.take_turn",
     ),
     "a task is begun that did not arrive": Forgery(
-        added(HONEST, DUE, StepBegan("A9-1", "A9-1/1.1", "robot/A1", 1, 1, "carry.package", None), HONEST.times_us[DUE], 0),
+        added(
+            HONEST, DUE, StepBegan("A9-1", "A9-1/1.1", "robot/A1", 1, 1, "carry.package", None), HONEST.times_us[DUE], 0
+        ),
         DUE,
         "type",
         "world.schedule.schedule",
     ),
-    "a fact of the world is left out, its consequence is not": Forgery(dropped(HONEST, DUE), DUE, "type", "world.schedule.schedule"),
+    "a fact of the world is left out, its consequence is not": Forgery(
+        dropped(HONEST, DUE), DUE, "type", "world.schedule.schedule"
+    ),
     "a fact of the world is added, without its consequence": Forgery(
         added(HONEST, LAST + 1, RoutineDue("robot/A1", "sensing"), LATE, 0), LAST + 1, "type", None
     ),
     "a robot fails without a cause in the world": Forgery(
-        added(HONEST, STARTED + 1, HONEST.events[FAILED], HONEST.times_us[STARTED] + 1, STARTED), STARTED + 1, "type", "world.schedule.schedule"
+        added(HONEST, STARTED + 1, HONEST.events[FAILED], HONEST.times_us[STARTED] + 1, STARTED),
+        STARTED + 1,
+        "type",
+        "world.schedule.schedule",
     ),
-    "a fact of the world is said to have a cause": Forgery(changed(HONEST, OBSTRUCTED, caused_by=1), OBSTRUCTED, "caused_by", "world.schedule.schedule"),
-    "the run goes on after its end": Forgery(added(HONEST, LAST + 1, HONEST.events[PERFORMED], LATE, LAST), LAST + 1, "type", None),
+    "a fact of the world is said to have a cause": Forgery(
+        changed(HONEST, OBSTRUCTED, caused_by=1), OBSTRUCTED, "caused_by", "world.schedule.schedule"
+    ),
+    "the run goes on after its end": Forgery(
+        added(HONEST, LAST + 1, HONEST.events[PERFORMED], LATE, LAST), LAST + 1, "type", None
+    ),
     "the run stops halfway": Forgery(stopped(RESOLVED), RESOLVED, "type", "fsar.recovery.end_attempt"),
 }

@@ -19,7 +19,12 @@ def governed(scenario: Scenario, *interventions: tuple[int, Event], run: int = 0
     """The finished run of four robots, with these events at these times (microseconds)."""
     constants, spec = Constants(), RunSpec(42, "fsar", "full", scenario, 4, run)
     facts = sorted([*schedule(constants.world, 42, scenario, run, 4), *interventions], key=lambda fact: fact[0])
-    one = Kernel(structure, facts, Draws(run_key(42, scenario, run), constants.world), (run_started(spec, constants), *founding(4)))
+    one = Kernel(
+        structure,
+        facts,
+        Draws(run_key(42, scenario, run), constants.world),
+        (run_started(spec, constants), *founding(4)),
+    )
     one.run()
     return one
 

@@ -21,7 +21,12 @@ def decided(state: State, command: Command) -> tuple[Event, ...]:
 def played(commands: Iterable[tuple[int, Command]], *before: Event, facts: Iterable[tuple[int, Event]] = ()) -> Kernel:
     """The whole run: a fleet of four, these events at its founding, and the commands at their times (microseconds)."""
     constants = Constants()
-    one = Kernel(FSAR, sorted(facts, key=lambda fact: fact[0]), Draws(run_key(1, "door-relay", 0), constants.world), (*started("fsar"), *before))
+    one = Kernel(
+        FSAR,
+        sorted(facts, key=lambda fact: fact[0]),
+        Draws(run_key(1, "door-relay", 0), constants.world),
+        (*started("fsar"), *before),
+    )
     for serial, (time_us, command) in enumerate(commands):
         heappush(one._pending, (time_us, serial - 1_000, 0, Scheduled(command)))
     one.run()
@@ -30,4 +35,6 @@ def played(commands: Iterable[tuple[int, Command]], *before: Event, facts: Itera
 
 def of(run: Kernel, *kinds: type[Event]) -> list[tuple[int, Event]]:
     """The events of these kinds with their times."""
-    return [(time_us, event) for time_us, event in zip(run.times_us, run.events, strict=True) if isinstance(event, kinds)]
+    return [
+        (time_us, event) for time_us, event in zip(run.times_us, run.events, strict=True) if isinstance(event, kinds)
+    ]

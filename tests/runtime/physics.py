@@ -10,7 +10,14 @@ import pytest
 from fsar_ledger.constants import Constants, Outages, Range, WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionPaused, ExecutionResumed, ExecutionStarted, RoutinePerformed
+from fsar_ledger.events.execution import (
+    ExecutionFailed,
+    ExecutionFinished,
+    ExecutionPaused,
+    ExecutionResumed,
+    ExecutionStarted,
+    RoutinePerformed,
+)
 from fsar_ledger.events.recovery import AssistanceEnded
 from fsar_ledger.ledger.codec import RunRecord, encode
 from fsar_ledger.metrics.results import metric_rows
@@ -67,7 +74,10 @@ def in_world(architecture: Architecture, constants: Constants, runs: int) -> Pla
 def _measured(constants: Constants, runs: int) -> dict[str, dict[str, float | None]]:
     """Of every architecture, since opening a database costs more than judging three times as many runs."""
     found: dict[str, dict[str, float | None]] = {architecture: {} for architecture in get_args(Architecture)}
-    with from_table(encode([record for one in get_args(Architecture) for record in in_world(one, constants, runs).records]), threads=1) as database:
+    with from_table(
+        encode([record for one in get_args(Architecture) for record in in_world(one, constants, runs).records]),
+        threads=1,
+    ) as database:
         for row in metric_rows(database):
             found[row.architecture or ""][row.metric] = row.mean
     return found

@@ -9,7 +9,13 @@ from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.execution import ExecutionQueued
-from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityDeprecated, CapabilityInstalled, CapabilityWithdrawn
+from fsar_ledger.events.registry import (
+    AvailabilityChanged,
+    CapabilityAdvertised,
+    CapabilityDeprecated,
+    CapabilityInstalled,
+    CapabilityWithdrawn,
+)
 from fsar_ledger.events.world import ActuatorDegraded
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.registry import Contract, advertisement, possesses, surface
@@ -54,13 +60,27 @@ def test_an_advertisement_has_all_seven_fields_and_who_may_see_it() -> None:
     state = given("fsar", GRIP, event)
     record = advertisement(state.registry, "robot/B1", "grasp")
     assert record is not None
-    assert (record.version, record.contract) == ("1.4.0", Contract(GRIP.preconditions, GRIP.postconditions, GRIP.resources))
-    assert (record.trust_required, record.policy_required, record.override_allowed) == ("task", ("delivery",), "soft-priority")
-    assert (record.availability, record.embodiment, record.visibility, record.visible_to) == ("busy", ("arm",), "domain", ("A",))
+    assert (record.version, record.contract) == (
+        "1.4.0",
+        Contract(GRIP.preconditions, GRIP.postconditions, GRIP.resources),
+    )
+    assert (record.trust_required, record.policy_required, record.override_allowed) == (
+        "task",
+        ("delivery",),
+        "soft-priority",
+    )
+    assert (record.availability, record.embodiment, record.visibility, record.visible_to) == (
+        "busy",
+        ("arm",),
+        "domain",
+        ("A",),
+    )
 
 
 def test_an_advertisement_may_demand_more_and_promise_less_than_the_module() -> None:
-    command = advertise(preconditions=("object.seen", "zone.clear"), postconditions=("object.held",), resources=("arm", "lamp"))
+    command = advertise(
+        preconditions=("object.seen", "zone.clear"), postconditions=("object.held",), resources=("arm", "lamp")
+    )
     [event] = advertise_capability(given("fsar", GRIP), command)
     assert types((event,)) == ["CapabilityAdvertised"]
 
@@ -103,7 +123,11 @@ def test_a_withdrawn_capability_is_off_the_surface_and_still_possessed() -> None
 def test_a_robot_reports_the_availability_of_one_capability_or_of_all() -> None:
     [one] = report_availability(given("fsar"), ReportAvailability(*DOOR, "restricted", "inspection"))
     [everything] = report_availability(given("fsar"), ReportAvailability("robot/B1", None, "offline", "charging"))
-    assert [record.availability for record in surface(given("fsar", one).registry, "robot/B1")] == ["ready", "ready", "restricted"]
+    assert [record.availability for record in surface(given("fsar", one).registry, "robot/B1")] == [
+        "ready",
+        "ready",
+        "restricted",
+    ]
     assert {record.availability for record in surface(given("fsar", everything).registry, "robot/B1")} == {"offline"}
 
 
@@ -116,7 +140,10 @@ def test_a_deprecated_version_names_its_successor() -> None:
 
 
 WITHDRAWN = CapabilityWithdrawn(*DOOR, "jammed")
-EMPTY = [CapabilityWithdrawn("robot/B1", name, "jammed") for name in ("navigate.indoor", "door.open.basic", "door.open.secure")]
+EMPTY = [
+    CapabilityWithdrawn("robot/B1", name, "jammed")
+    for name in ("navigate.indoor", "door.open.basic", "door.open.secure")
+]
 
 
 @pytest.mark.parametrize(
@@ -141,15 +168,25 @@ EMPTY = [CapabilityWithdrawn("robot/B1", name, "jammed") for name in ("navigate.
         ((), UpgradeCapability(*DOOR, "new"), "no version"),
         ((), UpgradeCapability(*DOOR, "2.0.0", preconditions=("lit", "not lit")), "contradict"),
         ((AvailabilityChanged("robot/B1", None, "offline", "x"),), UpgradeCapability(*DOOR, "2.0.0"), "is offline"),
-        ((AvailabilityChanged(*DOOR, "restricted", "roll-out of 2.0.0"),), UpgradeCapability(*DOOR, "3.0.0"), "in no other roll-out"),
         (
-            (ExecutionQueued("t", "t/1", None, None, None, "robot/B1", "robot/A1", "door.open.secure", 1, 1, True, True, True),),
+            (AvailabilityChanged(*DOOR, "restricted", "roll-out of 2.0.0"),),
+            UpgradeCapability(*DOOR, "3.0.0"),
+            "in no other roll-out",
+        ),
+        (
+            (
+                ExecutionQueued(
+                    "t", "t/1", None, None, None, "robot/B1", "robot/A1", "door.open.secure", 1, 1, True, True, True
+                ),
+            ),
             UpgradeCapability(*DOOR, "2.0.0"),
             "in use by t/1",
         ),
     ],
 )
-def test_what_names_something_unknown_over_or_impossible_is_rejected(events: tuple[Event, ...], command: Command, reason: str) -> None:
+def test_what_names_something_unknown_over_or_impossible_is_rejected(
+    events: tuple[Event, ...], command: Command, reason: str
+) -> None:
     [rejection] = DECIDES[type(command)](given("fsar", *events), command)
     assert types((rejection,)) == ["CommandRejected"]
     assert reason in rejection.reason  # type: ignore[attr-defined]
@@ -160,14 +197,20 @@ def rolling_out(state: State, events: tuple[Event, ...]) -> FinishRollOut:
     commands = []
     for event in events:
         apply(state, event)
-        commands += [scheduled.command for scheduled in REACTS[CapabilityInstalled](state, event, 0)] if isinstance(event, CapabilityInstalled) else []
+        commands += (
+            [scheduled.command for scheduled in REACTS[CapabilityInstalled](state, event, 0)]
+            if isinstance(event, CapabilityInstalled)
+            else []
+        )
     [command] = commands
     assert isinstance(command, FinishRollOut)
     return command
 
 
 def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on_its_terms() -> None:
-    terms = CapabilityAdvertised(*DOOR, ("A",), trust_required="task", override_allowed="soft-priority", visibility="domain", embodiment=("arm",))
+    terms = CapabilityAdvertised(
+        *DOOR, ("A",), trust_required="task", override_allowed="soft-priority", visibility="domain", embodiment=("arm",)
+    )
     state = given("fsar", terms)
     events = upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0", postconditions=("door.opened",)))
     assert types(events) == ["CapabilityInstalled", "AvailabilityChanged"]
@@ -178,7 +221,16 @@ def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on
     assert begun == FinishRollOut(*DOOR)
     [shown] = finish_roll_out(state, begun)
     assert shown == CapabilityAdvertised(
-        *DOOR, ("A",), "2.0.0", (), ("door.opened",), (), "task", override_allowed="soft-priority", embodiment=("arm",), visibility="domain"
+        *DOOR,
+        ("A",),
+        "2.0.0",
+        (),
+        ("door.opened",),
+        (),
+        "task",
+        override_allowed="soft-priority",
+        embodiment=("arm",),
+        visibility="domain",
     )
     apply(state, shown)
     assert finish_roll_out(state, FinishRollOut(*DOOR)) == ()
@@ -192,7 +244,9 @@ def test_a_roll_out_of_what_was_withdrawn_meanwhile_shows_nothing() -> None:
 
 
 def test_an_upgrade_puts_nothing_on_the_surface_that_was_not_there() -> None:
-    assert types(upgrade_capability(given("fsar", WITHDRAWN), UpgradeCapability(*DOOR, "2.0.0"))) == ["CapabilityInstalled"]
+    assert types(upgrade_capability(given("fsar", WITHDRAWN), UpgradeCapability(*DOOR, "2.0.0"))) == [
+        "CapabilityInstalled"
+    ]
 
 
 @pytest.mark.parametrize(
@@ -201,13 +255,19 @@ def test_an_upgrade_puts_nothing_on_the_surface_that_was_not_there() -> None:
         (None, None, "ready"),
         (AvailabilityChanged(*DOOR, "degraded", "actuator"), None, "degraded"),
         (AvailabilityChanged(*DOOR, "busy", "tour"), None, "busy"),
-        (AvailabilityChanged("robot/B1", "door.open.basic", "degraded", "actuator"), None, "ready"),  # that is another capability
+        (
+            AvailabilityChanged("robot/B1", "door.open.basic", "degraded", "actuator"),
+            None,
+            "ready",
+        ),  # that is another capability
         (ActuatorDegraded("robot/B1"), None, "ready"),  # nobody has noticed yet
         (None, AvailabilityChanged("robot/B1", None, "ready", "all well"), "ready"),
         (None, AvailabilityChanged("robot/B1", None, "offline", "charging"), "offline"),
     ],
 )
-def test_a_new_version_is_as_available_as_the_robot_has_said(before: Event | None, meanwhile: Event | None, shown: str) -> None:
+def test_a_new_version_is_as_available_as_the_robot_has_said(
+    before: Event | None, meanwhile: Event | None, shown: str
+) -> None:
     state = given("fsar", *([before] if before else []))
     command = rolling_out(state, upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")))
     for event in [meanwhile] if meanwhile else []:
@@ -235,10 +295,19 @@ def test_what_is_installed_and_not_advertised_is_not_rolled_out() -> None:
 VERSIONS = st.sampled_from(("1.0.0", "2.0.0", "3.0.0"))
 COMMANDS = st.one_of(
     st.builds(
-        AdvertiseCapability, st.sampled_from(("robot/B1", "robot/Z9")), st.sampled_from(("door.open.secure", "lift")), st.sampled_from(("1.0.0", "2.0.0"))
+        AdvertiseCapability,
+        st.sampled_from(("robot/B1", "robot/Z9")),
+        st.sampled_from(("door.open.secure", "lift")),
+        st.sampled_from(("1.0.0", "2.0.0")),
     ),
     st.builds(WithdrawCapability, st.just("robot/B1"), st.just("door.open.secure"), st.just("x")),
-    st.builds(ReportAvailability, st.just("robot/B1"), st.sampled_from((None, "door.open.secure")), st.sampled_from(("ready", "offline")), st.just("x")),
+    st.builds(
+        ReportAvailability,
+        st.just("robot/B1"),
+        st.sampled_from((None, "door.open.secure")),
+        st.sampled_from(("ready", "offline")),
+        st.just("x"),
+    ),
     st.builds(DeprecateCapability, st.just("robot/B1"), st.just("door.open.secure"), VERSIONS),
     st.builds(UpgradeCapability, st.just("robot/B1"), st.just("door.open.secure"), VERSIONS),
     st.builds(FinishRollOut, st.just("robot/B1"), st.just("door.open.secure")),
@@ -259,4 +328,8 @@ def test_whatever_is_commanded_the_surface_is_part_of_what_is_possessed(commands
         for record in surface(state.registry, "robot/B1"):
             assert possesses(state.registry, "robot/B1", record.capability)
             installed = state.registry.modules["robot/B1"][record.capability].version
-            assert record.version == installed or record.availability == "restricted" or any(isinstance(one, ReportAvailability) for one in commands)
+            assert (
+                record.version == installed
+                or record.availability == "restricted"
+                or any(isinstance(one, ReportAvailability) for one in commands)
+            )

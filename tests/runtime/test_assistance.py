@@ -2,7 +2,13 @@
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FailureCause
-from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceFailed, AssistanceRequested, RecoveryBudgetSet, RecoveryEscalated
+from fsar_ledger.events.recovery import (
+    AssistanceAdmitted,
+    AssistanceFailed,
+    AssistanceRequested,
+    RecoveryBudgetSet,
+    RecoveryEscalated,
+)
 from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import ActuatorDegraded, Grade, ObstructionAppeared, RobotWentOff
@@ -20,7 +26,9 @@ DOOR = "door.open.basic"
 D_TOO = TrustSet(D, B, "session", None, None, "supervisor/D1", "")  # D's body could help B as well
 
 
-def helped(*before: Event, robot: str = B, capability: str = DOOR, cause: FailureCause = "obstruction") -> tuple[State, str]:
+def helped(
+    *before: Event, robot: str = B, capability: str = DOOR, cause: FailureCause = "obstruction"
+) -> tuple[State, str]:
     """A failure with which a peer is helping now, and that peer."""
     state = failed(executing(robot, capability, *before), "peer", cause)
     made = ask_peers(state, AskPeers(ACTION, 2_500_000, now_us=3_000_000))
@@ -38,7 +46,9 @@ def asked_again(state: State, now_us: int = 9_000_000) -> tuple[Event, ...]:
     """What comes of the question that follows help that failed."""
     apply(state, AssistanceFailed("A1-1", ACTION, state.execution.actions[ACTION].robot, A, 1, "obstruction"))
     [again, last] = [
-        one.command for react in FSAR.reacts[AssistanceFailed] for one in react(state, AssistanceFailed("A1-1", ACTION, B, A, 1, "obstruction"), 0)
+        one.command
+        for react in FSAR.reacts[AssistanceFailed]
+        for one in react(state, AssistanceFailed("A1-1", ACTION, B, A, 1, "obstruction"), 0)
     ]
     assert isinstance(again, AskPeers)
     assert isinstance(last, AskPeers)

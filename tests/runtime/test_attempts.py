@@ -7,7 +7,14 @@ from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.events.registry import RegistryQueried
-from fsar_ledger.events.request import OfferAnswered, PeerSought, RequestClosed, RequestDenied, RequestIssued, RequestUnanswered
+from fsar_ledger.events.request import (
+    OfferAnswered,
+    PeerSought,
+    RequestClosed,
+    RequestDenied,
+    RequestIssued,
+    RequestUnanswered,
+)
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskCompleted
 from fsar_ledger.events.world import PolicyWindowClosed, TaskArrived
 from fsar_ledger.projections.fold import State, apply
@@ -140,7 +147,9 @@ def test_an_own_step_that_failed_is_followed_by_its_next_attempt() -> None:
 
 def test_in_dhma_the_next_attempt_follows_the_refused_own_step_and_the_call_without_a_good_bid() -> None:
     own = given("dhma", ARRIVED, began(FIRST, target=None))
-    assert begins(DHMA, own, RequestDenied("A1-1", FIRST, None, A, A, A, None, (A,), "own step")) == [BeginStep("A1-1", FIRST)]
+    assert begins(DHMA, own, RequestDenied("A1-1", FIRST, None, A, A, A, None, (A,), "own step")) == [
+        BeginStep("A1-1", FIRST)
+    ]
     called = given("dhma", ARRIVED, began(FIRST), RegistryQueried("A1-1", FIRST, A, None, None, DOOR, (B,)))
     assert begins(DHMA, called, BidReceived("A1-1", FIRST, B, "deny")) == [BeginStep("A1-1", FIRST)]
 

@@ -20,7 +20,13 @@ from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest
-from fsar_ledger.runtime.handlers.authority import ExpireContext, GrantAuthority, ReleaseAuthority, RevokeAuthority, RevokeDistrusted
+from fsar_ledger.runtime.handlers.authority import (
+    ExpireContext,
+    GrantAuthority,
+    ReleaseAuthority,
+    RevokeAuthority,
+    RevokeDistrusted,
+)
 from fsar_ledger.runtime.handlers.commands import Command, StartAction, TakeTurn
 from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
 from fsar_ledger.runtime.handlers.withdrawal import EndClaims
@@ -114,7 +120,9 @@ def test_a_revocation_takes_effect_at_the_next_request_and_leaves_alone_what_was
 
 def test_in_a_whole_run_a_running_action_outlives_its_revocation() -> None:
     [(began_us, _)] = of(played([(1_000_000, ASK)]), ExecutionStarted)
-    run = played([(1_000_000, ASK), (began_us + 1_000, RevokeAuthority(H_F, "robot/A1", "robot/B1")), (began_us + 2_000, NEXT)])
+    run = played(
+        [(1_000_000, ASK), (began_us + 1_000, RevokeAuthority(H_F, "robot/A1", "robot/B1")), (began_us + 2_000, NEXT)]
+    )
     assert [event.action_id for _, event in of(run, RequestClosed)] == ["q1"]  # type: ignore[attr-defined]
     assert [(event.action_id, event.reason) for _, event in of(run, RequestDenied)] == [("q2", "authority")]  # type: ignore[attr-defined]
     assert run.state == fold(run.events)
@@ -134,19 +142,26 @@ def test_in_a_whole_run_a_running_action_outlives_its_revocation() -> None:
 def test_a_revocation_is_about_what_it_names(about: tuple[str | None, str | None, str | None], is_denied: bool) -> None:
     state = given("fsar", AuthorityRevoked("robot/A1", *about, "human override", H_F))
     assert isinstance(evaluated(state), RequestDenied if is_denied else RequestAdmitted)
-    assert isinstance(evaluated(state, RequestCapability("robot/C1", "robot/B1", DOOR, "visit", "q3")), RequestAdmitted), "of another requester"
+    assert isinstance(
+        evaluated(state, RequestCapability("robot/C1", "robot/B1", DOOR, "visit", "q3")), RequestAdmitted
+    ), "of another requester"
 
 
 def test_a_later_grant_lifts_a_revocation() -> None:
     state = given("fsar", REVOKED, GRANTED)
     assert isinstance(evaluated(state), RequestAdmitted)
-    assert isinstance(evaluated(state, msgspec.structs.replace(ASK, context="rounds", action_id="q3")), RequestDenied), "for its context alone"
+    assert isinstance(
+        evaluated(state, msgspec.structs.replace(ASK, context="rounds", action_id="q3")), RequestDenied
+    ), "for its context alone"
 
 
 def test_what_the_relay_may_ask_does_not_lift_a_revocation_of_the_requester() -> None:
     assert verdict(relayed(), "A1-1/2.1") == ("accept", None)
     for robot in ("robot/D1", "robot/A1"):
-        assert verdict(relayed(AuthorityRevoked(robot, "robot/B1", None, None, "human override", H_F)), "A1-1/2.1") == ("reject", "authority")
+        assert verdict(relayed(AuthorityRevoked(robot, "robot/B1", None, None, "human override", H_F)), "A1-1/2.1") == (
+            "reject",
+            "authority",
+        )
 
 
 def test_a_context_that_ends_ends_the_rights_that_were_given_for_it_and_no_others() -> None:
@@ -163,7 +178,13 @@ def test_a_context_that_ends_ends_the_rights_that_were_given_for_it_and_no_other
 def test_a_context_without_rights_ends_without_a_word() -> None:
     assert scheduled(given("fsar"), TaskCompleted("visit")) == []
     assert scheduled(given("fsar", GRANTED), TaskCompleted("rounds")) == []
-    assert scheduled(given("fsar", GRANTED, REVOKED, msgspec.structs.replace(REVOKED, capability=DOOR, context="visit")), TaskCompleted("visit")) == []
+    assert (
+        scheduled(
+            given("fsar", GRANTED, REVOKED, msgspec.structs.replace(REVOKED, capability=DOOR, context="visit")),
+            TaskCompleted("visit"),
+        )
+        == []
+    )
 
 
 def test_trust_that_falls_below_what_is_required_revokes_what_the_peer_holds_admitted() -> None:
@@ -171,7 +192,9 @@ def test_trust_that_falls_below_what_is_required_revokes_what_the_peer_holds_adm
     play(state, ASK, EvaluateRequest("q1"))
     assert scheduled(state, TrustSet("robot/B1", "robot/A1", "capability")) == [], "enough"
     assert scheduled(state, TrustSet("robot/B1", "robot/D1", "none")) == [], "somebody else"
-    [command] = [one for one in scheduled(state, TrustSet("robot/B1", "robot/A1", "none")) if isinstance(one, RevokeDistrusted)]
+    [command] = [
+        one for one in scheduled(state, TrustSet("robot/B1", "robot/A1", "none")) if isinstance(one, RevokeDistrusted)
+    ]
     [revoked] = play(state, command)
     assert revoked == AuthorityRevoked("robot/A1", "robot/B1", DOOR, "visit", "trust downgrade", TRUST)
     assert play(state, command) == (), "once"
@@ -272,7 +295,9 @@ def test_an_approval_stands_while_a_window_denies_and_the_start_waits_for_it_to_
     assert types(play(state, START)) == ["ExecutionStarted"]
 
 
-def test_what_was_approved_and_then_held_by_a_rule_starts_when_the_rule_is_lifted_although_the_approved_one_stands() -> None:
+def test_what_was_approved_and_then_held_by_a_rule_starts_when_the_rule_is_lifted_although_the_approved_one_stands() -> (
+    None
+):
     rule = PolicyRuleSet("local", "robot/B1", DOOR, None, "review", H_B)
     state = approved(rule)
     broad = PolicyRuleSet("local", "robot/B1", None, None, "deny", H_B)

@@ -7,11 +7,32 @@ from fsar_ledger.events.request import CommandIssued, GapDetected, RequestDenied
 from fsar_ledger.events.world import ActuatorDegraded, ObstructionAppeared
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.architectures.cfc import CFC
-from fsar_ledger.runtime.architectures.cfc.coordinator import ProcessWork, ReachCoordinator, Sync, reach_coordinator, sync, until_next_sync_us
+from fsar_ledger.runtime.architectures.cfc.coordinator import (
+    ProcessWork,
+    ReachCoordinator,
+    Sync,
+    reach_coordinator,
+    sync,
+    until_next_sync_us,
+)
 from fsar_ledger.runtime.architectures.cfc.execution import SafeStop, decide_routine, safe_stop, start
 from fsar_ledger.runtime.architectures.cfc.recovery import ReachHelper, end_attempt, reach_helper
-from fsar_ledger.runtime.architectures.cfc.request import QueueOrdered, ReceiveCommand, close_execution, process, queue_ordered, receive_command
-from fsar_ledger.runtime.handlers.commands import CloseExecution, DecideRoutine, DetectObstruction, EndAttempt, StartAction, TakeTurn
+from fsar_ledger.runtime.architectures.cfc.request import (
+    QueueOrdered,
+    ReceiveCommand,
+    close_execution,
+    process,
+    queue_ordered,
+    receive_command,
+)
+from fsar_ledger.runtime.handlers.commands import (
+    CloseExecution,
+    DecideRoutine,
+    DetectObstruction,
+    EndAttempt,
+    StartAction,
+    TakeTurn,
+)
 from fsar_ledger.runtime.handlers.execution import approach, detect_obstruction
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
 
@@ -50,13 +71,23 @@ def test_work_is_served_in_order_of_arrival_and_takes_longer_with_candidates() -
     apply(state, first)
     *_, second = reach_coordinator(state, ReachCoordinator(ACTION, "completion", now_us=1_000_001))
     structure = state.fleet.structure
-    assert first.ready_us == 1_000_000 + structure.service_us + structure.service_us * structure.candidate_cost_ppm // 1_000_000  # type: ignore[union-attr]
+    assert (
+        first.ready_us  # type: ignore[union-attr]
+        == 1_000_000 + structure.service_us + structure.service_us * structure.candidate_cost_ppm // 1_000_000
+    )
     assert second.ready_us == first.ready_us + structure.service_us  # type: ignore[union-attr]
 
 
 def test_a_delegation_is_decided_committed_and_claimed_by_the_coordinator() -> None:
     events = process(given("cfc", *DELEGATED), ProcessWork(ACTION, "step"))
-    assert types(events) == ["RequestIssued", "CandidateMatched", "CommandIssued", "RequestAccepted", "AuthorityClaimed", "AuthorityClaimed"]
+    assert types(events) == [
+        "RequestIssued",
+        "CandidateMatched",
+        "CommandIssued",
+        "RequestAccepted",
+        "AuthorityClaimed",
+        "AuthorityClaimed",
+    ]
     assert {event.claimant for event in events if isinstance(event, AuthorityClaimed)} == {COORDINATOR}
 
 
@@ -68,7 +99,10 @@ def test_the_gate_reads_the_copied_policy_and_not_the_true_one() -> None:
 
 
 def test_the_gate_reads_the_fleet_rule_live_and_the_requesters_policy_not_at_all() -> None:
-    assert types(process(given("cfc", *DELEGATED, window("robot/B1", scope="fleet")), ProcessWork(ACTION, "step")))[-1] == "RequestDenied"
+    assert (
+        types(process(given("cfc", *DELEGATED, window("robot/B1", scope="fleet")), ProcessWork(ACTION, "step")))[-1]
+        == "RequestDenied"
+    )
     requester = given("cfc", *DELEGATED, window("robot/A1"), CopySynced(local_deny=("robot/A1",)))
     assert "CommandIssued" in types(process(requester, ProcessWork(ACTION, "step")))
 
@@ -182,8 +216,15 @@ def test_without_an_idle_helper_the_fleet_supervisor_is_called() -> None:
 
 
 def test_the_copy_shows_the_robots_as_they_are_at_the_sync() -> None:
-    [copy] = sync(running(window("robot/C1"), window("robot/D1", "review", "fleet"), ActuatorDegraded("robot/A1")), Sync())
-    assert (copy.local_deny, copy.fleet_review, copy.busy, copy.degraded) == (("robot/C1",), ("robot/D1",), ("robot/B1",), ("robot/A1",))
+    [copy] = sync(
+        running(window("robot/C1"), window("robot/D1", "review", "fleet"), ActuatorDegraded("robot/A1")), Sync()
+    )
+    assert (copy.local_deny, copy.fleet_review, copy.busy, copy.degraded) == (
+        ("robot/C1",),
+        ("robot/D1",),
+        ("robot/B1",),
+        ("robot/A1",),
+    )
 
 
 def test_the_next_sync_is_never_now() -> None:
@@ -199,8 +240,14 @@ def test_a_step_given_up_before_the_coordinator_comes_to_it_is_denied_by_the_coo
         made = reach_coordinator(state, ReachCoordinator(begun.action_id, "step", now_us=2_000_000))
         denied = [event for event in made if isinstance(event, RequestDenied)]
         assert len(denied) == 1
-        assert (denied[0].decided_by, denied[0].path, denied[0].reason) == ("coordinator", ("coordinator",), "no time left")
+        assert (denied[0].decided_by, denied[0].path, denied[0].reason) == (
+            "coordinator",
+            ("coordinator",),
+            "no time left",
+        )
         assert types(made)[-2:] == ["RequestDenied", "TaskAbandoned"]
         for event in made:
             apply(state, event)
-        assert all(react(state, denied[0], 2_000_000) == () for react in CFC.reacts[RequestDenied]), "nobody turns to it again"
+        assert all(react(state, denied[0], 2_000_000) == () for react in CFC.reacts[RequestDenied]), (
+            "nobody turns to it again"
+        )

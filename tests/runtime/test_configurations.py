@@ -26,11 +26,22 @@ def test_a_configuration_has_one_name_and_the_name_says_what_it_lacks(mechanisms
 
 
 @pytest.mark.parametrize(
-    "name", ["", "without-", "without-luck", "without-trust-evaluation+luck", "without-shared-registry+trust-evaluation", "without-a+a", "trust-evaluation"]
+    "name",
+    [
+        "",
+        "without-",
+        "without-luck",
+        "without-trust-evaluation+luck",
+        "without-shared-registry+trust-evaluation",
+        "without-a+a",
+        "trust-evaluation",
+    ],
 )
 def test_any_other_text_names_no_configuration_and_is_not_simulated(name: str) -> None:
     assert not is_known(name)
-    with pytest.raises(InvalidExperiment, match=r"configuration: found .*, expected full, or without- and some of trust-evaluation"):
+    with pytest.raises(
+        InvalidExperiment, match=r"configuration: found .*, expected full, or without- and some of trust-evaluation"
+    ):
         Experiment(("fsar",), SCENARIOS, 1, configurations=(name,))
 
 
@@ -39,20 +50,41 @@ def test_those_of_the_papers_table_lack_one_mechanism_each() -> None:
 
 
 def test_several_mechanisms_in_one_option_are_one_configuration_and_two_options_are_two() -> None:
-    asked = experiment_of(None, None, 1, 42, 4, ["shared-registry+trust-evaluation", "policy-composition", "trust-evaluation+shared-registry"])
+    asked = experiment_of(
+        None,
+        None,
+        1,
+        42,
+        4,
+        ["shared-registry+trust-evaluation", "policy-composition", "trust-evaluation+shared-registry"],
+    )
     assert asked.configurations == ("without-policy-composition", "without-trust-evaluation+shared-registry")
     assert asked.architectures == ("fsar",)
 
 
-@pytest.mark.parametrize(("asked", "said"), [("trust-evaluation+luck", "'luck'"), ("trust", "did you mean 'trust-evaluation'")])
+@pytest.mark.parametrize(
+    ("asked", "said"), [("trust-evaluation+luck", "'luck'"), ("trust", "did you mean 'trust-evaluation'")]
+)
 def test_a_mechanism_that_does_not_exist_is_named(asked: str, said: str) -> None:
     with pytest.raises(InvalidExperiment, match=f"unknown mechanism .*{said}"):
         experiment_of(None, None, 1, 42, 4, [asked])
 
 
-@pytest.mark.parametrize("asked", ["", "+", "trust-evaluation+", "+trust-evaluation", "trust-evaluation,shared-registry", "trust-evaluation+trust-evaluation"])
+@pytest.mark.parametrize(
+    "asked",
+    [
+        "",
+        "+",
+        "trust-evaluation+",
+        "+trust-evaluation",
+        "trust-evaluation,shared-registry",
+        "trust-evaluation+trust-evaluation",
+    ],
+)
 def test_mechanisms_that_are_joined_otherwise_are_refused_with_how_to_join_them(asked: str) -> None:
-    with pytest.raises(InvalidExperiment, match=r"--without .*expected mechanisms, each once, with \+ between them, as in "):
+    with pytest.raises(
+        InvalidExperiment, match=r"--without .*expected mechanisms, each once, with \+ between them, as in "
+    ):
         experiment_of(None, None, 1, 42, 4, [asked])
 
 
@@ -64,11 +96,21 @@ def test_full_comes_first_then_one_mechanism_less_then_two() -> None:
 
 def test_without_policy_composition_and_layered_recovery_a_run_shows_what_each_of_them_takes_away() -> None:
     """Policy alone moves violations, recovery alone the calls to the supervisor; together both move, on the same worlds."""
-    names = [without(some) for some in ((), ("policy-composition",), ("layered-recovery",), ("policy-composition", "layered-recovery"))]
-    runs = [simulate_run(RunSpec(42, "fsar", name, scenario, 4, run), Constants()) for scenario in SCENARIOS for run in range(8) for name in names]
+    names = [
+        without(some)
+        for some in ((), ("policy-composition",), ("layered-recovery",), ("policy-composition", "layered-recovery"))
+    ]
+    runs = [
+        simulate_run(RunSpec(42, "fsar", name, scenario, 4, run), Constants())
+        for scenario in SCENARIOS
+        for run in range(8)
+        for name in names
+    ]
     with from_table(encode(runs)) as database:
         mean = {(row.metric, row.configuration): row.mean or 0.0 for row in metric_rows(database)}
-    violations, calls = ([mean[metric, name] for name in names] for metric in ("policy_violations", "human_intervention"))
+    violations, calls = (
+        [mean[metric, name] for name in names] for metric in ("policy_violations", "human_intervention")
+    )
     assert violations[1] > violations[0]
     assert calls[2] > calls[0]
     assert violations[3] > violations[2]
@@ -76,10 +118,19 @@ def test_without_policy_composition_and_layered_recovery_a_run_shows_what_each_o
 
 
 def test_queries_read_a_name_as_handlers_do() -> None:
-    found = {query: (Path(__file__).parents[2] / "queries" / query).read_text() for query in ("facts/messages.sql", "audit/query_candidates.sql")}
+    found = {
+        query: (Path(__file__).parents[2] / "queries" / query).read_text()
+        for query in ("facts/messages.sql", "audit/query_candidates.sql")
+    }
     patterns = {re.findall(r"regexp_matches\(runs\.configuration, '([^']+)'\)", sql)[0] for sql in found.values()}
     assert len(patterns) == 1
     (pattern,) = patterns
-    others = ["with-shared-registry-cache", "without-shared-registry-v2", "shared-registry", "without-unshared-registry", ""]
+    others = [
+        "with-shared-registry-cache",
+        "without-shared-registry-v2",
+        "shared-registry",
+        "without-unshared-registry",
+        "",
+    ]
     for name in [*map(without, EVERY), *others]:
         assert bool(re.match(pattern, name)) == ("shared-registry" in lacks(name)), name

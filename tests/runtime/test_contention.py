@@ -22,7 +22,10 @@ from tests.runtime.live import decided, of, played
 
 DOOR, B = "door.open.secure", "robot/B1"
 TRUSTED = tuple(TrustSet(B, f"robot/{name}1", "session") for name in "ACD")
-ARRIVED = tuple(TaskArrived(f"{name}-1", f"robot/{name}1", 1, (f"{name} {DOOR} B",), 600_000_000, 900_000_000, None, name == "D") for name in "ACD")
+ARRIVED = tuple(
+    TaskArrived(f"{name}-1", f"robot/{name}1", 1, (f"{name} {DOOR} B",), 600_000_000, 900_000_000, None, name == "D")
+    for name in "ACD"
+)
 NAMES = [f"{name}-1/1.1" for name in "ACD"]
 URGENT = "D-1/1.1"
 
@@ -52,7 +55,11 @@ def again(state: State, *events: Event) -> list[str]:
         apply(state, event)
     for event in events:
         scheduled += [one for react in FSAR.reacts.get(type(event), ()) for one in react(state, event, 0)]
-    return [one.command.action_id for one in sorted(scheduled, key=lambda one: one.after_us) if isinstance(one.command, EvaluateRequest)]
+    return [
+        one.command.action_id
+        for one in sorted(scheduled, key=lambda one: one.after_us)
+        if isinstance(one.command, EvaluateRequest)
+    ]
 
 
 def answered(state: State, action_id: str) -> list[str]:
@@ -85,11 +92,17 @@ def test_a_denial_of_the_one_that_goes_first_lets_the_others_go_on() -> None:
 
 
 @pytest.mark.parametrize("order", [*permutations("ACD")])
-def test_in_a_run_with_three_rivals_the_urgent_one_is_executed_before_all_that_competed_with_it(order: tuple[str, ...]) -> None:
+def test_in_a_run_with_three_rivals_the_urgent_one_is_executed_before_all_that_competed_with_it(
+    order: tuple[str, ...],
+) -> None:
     arrived = {task.robot: task for task in ARRIVED}
     tasks = [(number * 100_000, arrived[f"robot/{name}1"]) for number, name in enumerate(order, start=1)]
     run = played([], *TRUSTED, facts=tasks)
-    rivals = {event.action_id for _, event in of(run, SupervisorCalled) if isinstance(event, SupervisorCalled) and event.purpose == "ordering"}
+    rivals = {
+        event.action_id
+        for _, event in of(run, SupervisorCalled)
+        if isinstance(event, SupervisorCalled) and event.purpose == "ordering"
+    }
     preferred = {event.preferred for _, event in of(run, SupervisorResponded) if isinstance(event, SupervisorResponded)}
     admitted = [event.action_id for _, event in of(run, RequestAdmitted) if isinstance(event, RequestAdmitted)]
     assert preferred == {URGENT}
@@ -103,7 +116,12 @@ def test_in_a_run_with_three_rivals_the_urgent_one_is_executed_before_all_that_c
 def test_a_request_that_has_its_result_is_no_rival(is_closed: bool) -> None:
     """A asks by itself in the context of D's urgent task, and is served; C's step comes afterwards."""
     state = given("fsar", *TRUSTED, *ARRIVED)
-    served = [RequestCapability("robot/A1", B, DOOR, "D-1", "q1"), EvaluateRequest("q1"), TakeTurn("q1"), StartAction("q1", drawn=5)]
+    served = [
+        RequestCapability("robot/A1", B, DOOR, "D-1", "q1"),
+        EvaluateRequest("q1"),
+        TakeTurn("q1"),
+        StartAction("q1", drawn=5),
+    ]
     for command in (*served, ReportResult(B, "q1", "success"), *([CloseRequest("q1")] if is_closed else [])):
         events = decided(state, command)
         assert "CommandRejected" not in types(events)

@@ -43,7 +43,11 @@ class Counted(msgspec.Struct, frozen=True):
 def counted(architecture: Architecture, name: str, length_us: int) -> Counted:
     """What is counted with this length of time in the structure."""
     constants = Constants(structure=msgspec.structs.replace(Structure(), **{name: length_us}))
-    records = [simulate_run(RunSpec(42, architecture, "full", scenario, 4, run), constants) for scenario in SCENARIOS for run in range(RUNS)]
+    records = [
+        simulate_run(RunSpec(42, architecture, "full", scenario, 4, run), constants)
+        for scenario in SCENARIOS
+        for run in range(RUNS)
+    ]
     with from_table(encode(records), threads=1) as database:
         [counts], [denials] = database.rows(COUNTS), database.rows(DENIALS_OF_STEPS)
     return Counted(**counts, **denials)
@@ -51,9 +55,15 @@ def counted(architecture: Architecture, name: str, length_us: int) -> Counted:
 
 @pytest.mark.parametrize(
     ("architecture", "name", "often_us", "seldom_us"),
-    [("fsar", "poll_us", 100_000, 5_000_000), ("cfc", "sync_period_us", 200_000, 5_850_000), ("dhma", "back_off_us", 1_000_000, 7_000_000)],
+    [
+        ("fsar", "poll_us", 100_000, 5_000_000),
+        ("cfc", "sync_period_us", 200_000, 5_850_000),
+        ("dhma", "back_off_us", 1_000_000, 7_000_000),
+    ],
 )
-def test_a_step_that_waits_is_denied_once_however_often_it_is_looked_at(architecture: Architecture, name: str, often_us: int, seldom_us: int) -> None:
+def test_a_step_that_waits_is_denied_once_however_often_it_is_looked_at(
+    architecture: Architecture, name: str, often_us: int, seldom_us: int
+) -> None:
     for length_us in (often_us, seldom_us):
         found = counted(architecture, name, length_us)
         assert found.denials > 0
@@ -71,7 +81,11 @@ def test_a_coordinator_that_syncs_thirty_times_as_often_neither_decides_nor_reco
 def attributability(architecture: Architecture, absence_s: float) -> tuple[float | None, int]:
     """The mean of the runs, and how many records in all are not attributable."""
     constants = Constants(world=msgspec.structs.replace(WorldConstants(), absence_s=absence_s))
-    records = [simulate_run(RunSpec(42, architecture, "full", scenario, 4, run), constants) for scenario in SCENARIOS for run in range(RUNS)]
+    records = [
+        simulate_run(RunSpec(42, architecture, "full", scenario, 4, run), constants)
+        for scenario in SCENARIOS
+        for run in range(RUNS)
+    ]
     with from_table(encode(records), threads=1) as database:
         [mean] = [row.mean for row in metric_rows(database) if row.metric == "audit_attributability"]
         [lost] = database.rows("SELECT count(*) AS n FROM coordination_events WHERE NOT is_attributable")

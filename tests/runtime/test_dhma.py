@@ -8,7 +8,13 @@ from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import AwardMade
 from fsar_ledger.events.world import ObstructionAppeared, OutsiderRequestInjected
 from fsar_ledger.projections.fold import State, apply
-from fsar_ledger.runtime.architectures.dhma.agents import EngagePlanner, TakeSnapshot, close_execution, engage_planner, take_snapshot
+from fsar_ledger.runtime.architectures.dhma.agents import (
+    EngagePlanner,
+    TakeSnapshot,
+    close_execution,
+    engage_planner,
+    take_snapshot,
+)
 from fsar_ledger.runtime.architectures.dhma.authority import (
     AcknowledgeExecution,
     PassExecution,
@@ -20,7 +26,15 @@ from fsar_ledger.runtime.architectures.dhma.authority import (
     settle_booking,
 )
 from fsar_ledger.runtime.architectures.dhma.execution import PlanOwnStep, decide_routine, plan_own_step, start
-from fsar_ledger.runtime.architectures.dhma.recovery import Dispute, Escalate, StartRecovery, dispute, end_attempt, escalate, start_recovery
+from fsar_ledger.runtime.architectures.dhma.recovery import (
+    Dispute,
+    Escalate,
+    StartRecovery,
+    dispute,
+    end_attempt,
+    escalate,
+    start_recovery,
+)
 from fsar_ledger.runtime.architectures.dhma.request import (
     AcceptAward,
     Award,
@@ -31,14 +45,29 @@ from fsar_ledger.runtime.architectures.dhma.request import (
     call_for_proposals,
     evaluate_bid,
 )
-from fsar_ledger.runtime.handlers.commands import CloseExecution, DecideRoutine, DetectObstruction, EndAttempt, StartAction, TakeTurn
+from fsar_ledger.runtime.handlers.commands import (
+    CloseExecution,
+    DecideRoutine,
+    DetectObstruction,
+    EndAttempt,
+    StartAction,
+    TakeTurn,
+)
 from fsar_ledger.runtime.handlers.execution import approach, detect_obstruction
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
 
 ACTION = "A1-1/2.1"
-CALLED = (ARRIVED, DELEGATED_STEP, RegistryQueried("A1-1", ACTION, "robot/A1", None, None, "door.open.secure", ("robot/B1",)))
-AWARDED = (*CALLED, BidReceived("A1-1", ACTION, "robot/B1", "allow"), AwardMade("A1-1", "robot/A1", None, None, "robot/B1"))
+CALLED = (
+    ARRIVED,
+    DELEGATED_STEP,
+    RegistryQueried("A1-1", ACTION, "robot/A1", None, None, "door.open.secure", ("robot/B1",)),
+)
+AWARDED = (
+    *CALLED,
+    BidReceived("A1-1", ACTION, "robot/B1", "allow"),
+    AwardMade("A1-1", "robot/A1", None, None, "robot/B1"),
+)
 
 
 def accepted(*before) -> State:  # type: ignore[no-untyped-def]
@@ -75,7 +104,9 @@ def test_a_bid_follows_the_planners_snapshot_and_not_the_true_policy() -> None:
 
 
 def test_a_snapshot_is_the_policy_of_its_moment() -> None:
-    assert take_snapshot(given("dhma", window("robot/B1", "review")), TakeSnapshot("robot/B1")) == (SnapshotTaken("robot/B1", "review"),)
+    assert take_snapshot(given("dhma", window("robot/B1", "review")), TakeSnapshot("robot/B1")) == (
+        SnapshotTaken("robot/B1", "review"),
+    )
 
 
 def test_a_bid_under_review_goes_to_the_fleet_supervisor_first() -> None:
@@ -102,7 +133,9 @@ def test_another_tasks_action_at_the_executor_is_double_booking_until_settled() 
         apply(state, event)
     booked = accept_award(state, AcceptAward(other))
     assert "RequestDeferred" in types(booked)
-    assert {event.claimant for event in booked if isinstance(event, AuthorityClaimed) and event.dimension == "override"} == {
+    assert {
+        event.claimant for event in booked if isinstance(event, AuthorityClaimed) and event.dimension == "override"
+    } == {
         "agent/B1/communication",
         "agent/B1/execution",
     }
@@ -115,7 +148,10 @@ def test_a_context_change_questions_a_contract_that_has_not_started() -> None:
     state = accepted()
     questioned = engage_planner(state, EngagePlanner("robot/A1", now_us=5_000_000))
     assert types(questioned) == ["PlannerEngaged", "AuthorityClaimed", "AuthorityClaimed", "ContractQuestioned"]
-    assert {event.claimant for event in questioned if isinstance(event, AuthorityClaimed)} == {"agent/A1/planning", "agent/B1/planning"}
+    assert {event.claimant for event in questioned if isinstance(event, AuthorityClaimed)} == {
+        "agent/A1/planning",
+        "agent/B1/planning",
+    }
     for event in (*questioned, *approach(state, TakeTurn(ACTION))):
         apply(state, event)
     voided = start(state, StartAction(ACTION, now_us=9_000_000, drawn=1))

@@ -7,7 +7,13 @@ import pytest
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.fleet import RobotJoined
-from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityInstalled, CapabilityWithdrawn, RegistryQueried
+from fsar_ledger.events.registry import (
+    AvailabilityChanged,
+    CapabilityAdvertised,
+    CapabilityInstalled,
+    CapabilityWithdrawn,
+    RegistryQueried,
+)
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import OutsiderRequestInjected, TaskArrived
@@ -29,7 +35,12 @@ def test_the_registry_says_by_which_filter_it_left_others_out() -> None:
     state = fold((run_started(spec, Constants()), *founding(8), arrived, step, distrust))
     [answer] = query_registry(state, QueryRegistry("A2-1/1.1"))
     assert isinstance(answer, RegistryQueried)
-    assert (answer.candidates, answer.relay, answer.rejected, answer.rejected_by) == (("robot/B2",), None, ("robot/B1",), ("trust",))
+    assert (answer.candidates, answer.relay, answer.rejected, answer.rejected_by) == (
+        ("robot/B2",),
+        None,
+        ("robot/B1",),
+        ("trust",),
+    )
 
 
 def test_who_is_reached_through_a_peer_is_not_rejected_beside_it() -> None:
@@ -48,20 +59,33 @@ def test_who_is_reached_through_a_peer_is_not_rejected_beside_it() -> None:
 def test_an_outsider_that_asks_for_what_nobody_shows_is_refused_by_visibility() -> None:
     injected = OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.visual")
     shown, _ = answer_outsider(given("fsar", injected), AnswerOutsider("injected-1-1"))
-    hidden, _ = answer_outsider(given("fsar", injected, CapabilityWithdrawn("robot/C1", "inspect.visual", "x")), AnswerOutsider("injected-1-1"))
+    hidden, _ = answer_outsider(
+        given("fsar", injected, CapabilityWithdrawn("robot/C1", "inspect.visual", "x")), AnswerOutsider("injected-1-1")
+    )
     assert (shown.rejected_by, hidden.rejected_by) == (("trust",), ("visibility",))  # type: ignore[attr-defined]
 
 
 def test_a_search_that_ends_in_its_own_domain_reads_no_other() -> None:
     """What lies in the other domain here cannot be read at all."""
-    founding_of_two = (RobotJoined("robot/A9", "A", 1, None, "hall"), RobotJoined("robot/B9", "B", 1, None, "hall"), TrustSet("robot/B9", "robot/A9", "task"))
-    state = given("fsar", *founding_of_two, RobotJoined("robot/B8", "B", 1, None, "yard"), TrustSet("robot/B8", "robot/A9", "task"))
+    founding_of_two = (
+        RobotJoined("robot/A9", "A", 1, None, "hall"),
+        RobotJoined("robot/B9", "B", 1, None, "hall"),
+        TrustSet("robot/B9", "robot/A9", "task"),
+    )
+    state = given(
+        "fsar",
+        *founding_of_two,
+        RobotJoined("robot/B8", "B", 1, None, "yard"),
+        TrustSet("robot/B8", "robot/A9", "task"),
+    )
     for robot in ("robot/B9", "robot/B8"):
         apply(state, CapabilityInstalled(robot, "lift", "1.0.0"))
         apply(state, CapabilityAdvertised(robot, "lift"))
     whole = state.registry.offers
     unreadable: Any = None
-    state.registry = msgspec.structs.replace(state.registry, offers=Offers(whole.records, {**whole.below, "yard": unreadable}, whole.ways))
+    state.registry = msgspec.structs.replace(
+        state.registry, offers=Offers(whole.records, {**whole.below, "yard": unreadable}, whole.ways)
+    )
     assert candidates(state, Query("robot/A9", "lift")).candidates == ("robot/B9",)
     apply(state, TrustSet("robot/B9", "robot/A9", "none"))
     with pytest.raises(AttributeError):

@@ -18,7 +18,12 @@ SMALL = Experiment(ARCHITECTURES, SCENARIOS[:2], runs=5, seed=3)
 
 def test_runs_come_in_canonical_order() -> None:
     specs = [(spec.scenario, spec.run, spec.architecture) for spec in SMALL.specs()]
-    assert specs[:4] == [("door-relay", 0, "fsar"), ("door-relay", 0, "cfc"), ("door-relay", 0, "dhma"), ("door-relay", 1, "fsar")]
+    assert specs[:4] == [
+        ("door-relay", 0, "fsar"),
+        ("door-relay", 0, "cfc"),
+        ("door-relay", 0, "dhma"),
+        ("door-relay", 1, "fsar"),
+    ]
     assert len(specs) == len(set(specs)) == 30
 
 
@@ -34,17 +39,32 @@ def test_batches_have_25_runs_and_the_last_one_the_rest() -> None:
         ({"architectures": ("cfc", "cfc")}, "each once"),
         ({"scenarios": ("moon",)}, "scenario: found moon"),
         ({"configurations": ("without-luck",)}, "configuration: found without-luck"),
-        ({"configurations": ("without-trust-evaluation",)}, r"without trust-evaluation: found architecture cfc, expected fsar alone"),
+        (
+            {"configurations": ("without-trust-evaluation",)},
+            r"without trust-evaluation: found architecture cfc, expected fsar alone",
+        ),
         ({"runs": 0}, "runs: found 0"),
         ({"runs": 10_000}, "runs: found 10000"),
         ({"seed": -1}, "seed: found -1"),
         ({"seed": 2**53}, "seed: found"),
         ({"fleet_size": 6}, "fleet size: found 6"),
         ({"fleet_size": 0}, "fleet size: found 0"),
-        ({"constants": Constants(WorldConstants(window_mean_s=-1.0))}, "constants: found world.window_mean_s -1.0, expected 0 or more"),
-        ({"constants": Constants(WorldConstants(message=Range(-0.5, 0.5)))}, "constants: found world.message.low_s -0.5"),
-        ({"constants": Constants(outages=Outages(loss_rate_per_s=nan))}, "constants: found outages.loss_rate_per_s nan"),
-        ({"constants": Constants(structure=Structure(sync_period_us=-1))}, "constants: found structure.sync_period_us -1"),
+        (
+            {"constants": Constants(WorldConstants(window_mean_s=-1.0))},
+            "constants: found world.window_mean_s -1.0, expected 0 or more",
+        ),
+        (
+            {"constants": Constants(WorldConstants(message=Range(-0.5, 0.5)))},
+            "constants: found world.message.low_s -0.5",
+        ),
+        (
+            {"constants": Constants(outages=Outages(loss_rate_per_s=nan))},
+            "constants: found outages.loss_rate_per_s nan",
+        ),
+        (
+            {"constants": Constants(structure=Structure(sync_period_us=-1))},
+            "constants: found structure.sync_period_us -1",
+        ),
     ],
 )
 def test_an_impossible_experiment_is_refused_with_what_was_found(changes: dict[str, Any], message: str) -> None:

@@ -9,7 +9,14 @@ from typing import Any, get_args
 
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
-from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, precondition, rule, run_state_machine_as_test
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    invariant,
+    precondition,
+    rule,
+    run_state_machine_as_test,
+)
 
 from fsar_ledger.events.command import CommandRejected
 from fsar_ledger.events.envelope import OverrideLevel, Result
@@ -90,7 +97,11 @@ class Federation(RuleBasedStateMachine):
             assert before == {slot: getattr(self.live.state, slot) for slot in State.__slots__}
             COUNTS["rejections"] += 1
         COUNTS["commands"] += 1
-        if self.has_helper and isinstance(command, JoinFleet) and any(isinstance(event, RobotJoined) for event in events):
+        if (
+            self.has_helper
+            and isinstance(command, JoinFleet)
+            and any(isinstance(event, RobotJoined) for event in events)
+        ):
             self.live.happen(TrustSet(HELPER, command.robot, "persistent"))
 
     @rule(data=st.data(), override=st.sampled_from(get_args(OverrideLevel)), urgent=st.booleans())
@@ -105,19 +116,47 @@ class Federation(RuleBasedStateMachine):
         ]
         if able:
             requester, executor, capability = data.draw(st.sampled_from(able))
-            parents = [None, *(name for name, action in state.execution.actions.items() if action.is_delegated and action.robot == requester)]
+            parents = [
+                None,
+                *(
+                    name
+                    for name, action in state.execution.actions.items()
+                    if action.is_delegated and action.robot == requester
+                ),
+            ]
             level: OverrideLevel = override if urgent else "none"
             name = self.new("action")
-            self.play(RequestCapability(requester, executor, capability, self.new("context"), name, level, data.draw(st.sampled_from(parents))))
+            self.play(
+                RequestCapability(
+                    requester,
+                    executor,
+                    capability,
+                    self.new("context"),
+                    name,
+                    level,
+                    data.draw(st.sampled_from(parents)),
+                )
+            )
 
-    @rule(data=st.data(), budget_us=st.sampled_from([1_000_000, 30_000_000, 90_000_000]), is_time_critical=st.booleans())
+    @rule(
+        data=st.data(), budget_us=st.sampled_from([1_000_000, 30_000_000, 90_000_000]), is_time_critical=st.booleans()
+    )
     def give_a_task(self, data: st.DataObject, budget_us: int, is_time_critical: bool) -> None:
         """A task that members of one team can do, some of it by others."""
         state = self.live.state
         owner = self.robot(data)
-        team = [robot for robot in state.fleet.robots.values() if robot.team == state.fleet.robots[owner].team and robot.name != HELPER]
+        team = [
+            robot
+            for robot in state.fleet.robots.values()
+            if robot.team == state.fleet.robots[owner].team and robot.name != HELPER
+        ]
         own = [f"{robot.role} {module}" for robot in team for module in state.registry.modules.get(robot.name, ())]
-        others = [f"{robot.role} {module} X" for robot in team for modules in state.registry.modules.values() for module in modules]
+        others = [
+            f"{robot.role} {module} X"
+            for robot in team
+            for modules in state.registry.modules.values()
+            for module in modules
+        ]
         if own and others:
             steps = tuple(data.draw(st.lists(st.sampled_from(own + others), min_size=1, max_size=4)))
             self.play(SubmitTask(owner, self.new("task").replace("/", "-"), steps, budget_us, None, is_time_critical))
@@ -127,7 +166,9 @@ class Federation(RuleBasedStateMachine):
         """Whoever is asked something answers: an offer, a call, a result."""
         state = self.live.state
         answers: list[Command] = [
-            RespondToCall(call.supervisor, call.action_id, approves) for call in state.supervision.calls.values() for approves in (True, False)
+            RespondToCall(call.supervisor, call.action_id, approves)
+            for call in state.supervision.calls.values()
+            for approves in (True, False)
         ]
         answers += [
             AnswerOffer(request.requester, name, is_accepted)
@@ -211,16 +252,35 @@ class Federation(RuleBasedStateMachine):
         COUNTS.update(f"event {type(event).__name__}" for event in self.bench.events)
         assert self.bench.refolded() == self.bench.state
         with from_table(encode([self.bench.record("live")])) as database:
-            broken = {row.invariant: (row.first_seq, row.first_found) for row in audit_rows(database, chosen(())) if row.events}
+            broken = {
+                row.invariant: (row.first_seq, row.first_found)
+                for row in audit_rows(database, chosen(()))
+                if row.events
+            }
             unattributed = database.rows("SELECT action_id, found FROM i5_audit_attributability")
         if not self.has_helper:  # a request that finds nobody has no execution principal, and I5 says so
-            asked = {event.action_id for event in self.bench.events if isinstance(event, (RequestIssued, RegistryQueried)) and event.executed_by}
-            assert [row for row in unattributed if row["action_id"] in asked or row["found"] != "no executor can be recovered"] == []
+            asked = {
+                event.action_id
+                for event in self.bench.events
+                if isinstance(event, (RequestIssued, RegistryQueried)) and event.executed_by
+            }
+            assert [
+                row
+                for row in unattributed
+                if row["action_id"] in asked or row["found"] != "no executor can be recovered"
+            ] == []
             broken.pop("i5_audit_attributability", None)
         assert broken == {}, broken
 
 
-SETTINGS = settings(max_examples=20, stateful_step_count=60, deadline=None, database=None, suppress_health_check=list(HealthCheck), phases=(Phase.generate,))
+SETTINGS = settings(
+    max_examples=20,
+    stateful_step_count=60,
+    deadline=None,
+    database=None,
+    suppress_health_check=list(HealthCheck),
+    phases=(Phase.generate,),
+)
 TestFederation = Federation.TestCase
 TestFederation.settings = settings(SETTINGS, derandomize=True, max_examples=8)
 
@@ -231,7 +291,11 @@ def soak(steps: int) -> None:
     while done < steps:
         run_state_machine_as_test(Federation, settings=settings(SETTINGS, max_examples=50, stateful_step_count=200))
         done = COUNTS["checks"]
-        print(f"{done:,} steps, " + ", ".join(f"{COUNTS[name]:,} {name}" for name in ("histories", "events", "commands", "rejections")), flush=True)
+        print(
+            f"{done:,} steps, "
+            + ", ".join(f"{COUNTS[name]:,} {name}" for name in ("histories", "events", "commands", "rejections")),
+            flush=True,
+        )
 
 
 if __name__ == "__main__":

@@ -60,7 +60,9 @@ def test_a_removed_capability_is_neither_possessed_nor_advertised() -> None:
     assert advertisement(state.registry, "robot/B1", "door.open.secure") is None
 
 
-QUEUED = ExecutionQueued("t", "t/1", "robot/A1", "robot/B1", None, "robot/B1", "robot/A1", "door.open.secure", 1, 1, True, True, True)
+QUEUED = ExecutionQueued(
+    "t", "t/1", "robot/A1", "robot/B1", None, "robot/B1", "robot/A1", "door.open.secure", 1, 1, True, True, True
+)
 
 
 @pytest.mark.parametrize(
@@ -88,7 +90,9 @@ QUEUED = ExecutionQueued("t", "t/1", "robot/A1", "robot/B1", None, "robot/B1", "
         ((QUEUED,), RemoveCapability("robot/B1", "door.open.secure"), "in use by t/1"),
     ],
 )
-def test_what_is_unknown_doubled_or_impossible_is_rejected(events: tuple[Event, ...], command: Command, reason: str) -> None:
+def test_what_is_unknown_doubled_or_impossible_is_rejected(
+    events: tuple[Event, ...], command: Command, reason: str
+) -> None:
     [rejection] = DECIDES[type(command)](given("fsar", *events), command)
     assert types((rejection,)) == ["CommandRejected"]
     assert reason in rejection.reason  # type: ignore[attr-defined]
@@ -128,7 +132,9 @@ def test_a_failure_of_the_actuator_is_reported_and_an_obstruction_is_not() -> No
     state = given("fsar", ActuatorDegraded("robot/B1"), QUEUED, STARTED, WEAK)
     [word] = REPORTS[ExecutionFailed](state, WEAK, 5)
     assert word.command == ReportActuator("robot/B1", True)
-    assert report_actuator(state, ReportActuator("robot/B1", True)) == (AvailabilityChanged("robot/B1", None, "degraded", "actuator"),)
+    assert report_actuator(state, ReportActuator("robot/B1", True)) == (
+        AvailabilityChanged("robot/B1", None, "degraded", "actuator"),
+    )
     assert REPORTS[ExecutionFailed](state, FAILED, 5) == ()
 
 
@@ -141,7 +147,9 @@ def test_what_was_reported_is_not_reported_again_and_a_serviced_robot_is_ready()
     serviced = ActuatorServiced("robot/B1")
     apply(state, serviced)
     [word] = REPORTS[ActuatorServiced](state, serviced, 5)
-    assert FSAR.decides[ReportActuator](state, word.command) == (AvailabilityChanged("robot/B1", None, "ready", "actuator"),)
+    assert FSAR.decides[ReportActuator](state, word.command) == (
+        AvailabilityChanged("robot/B1", None, "ready", "actuator"),
+    )
 
 
 def test_word_of_the_actuator_lifts_no_restriction() -> None:

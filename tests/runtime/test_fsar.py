@@ -10,9 +10,21 @@ from fsar_ledger.events.recovery import AssistanceEnded, FailureResolved
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, RequestDenied, RequestIssued, RequestUnanswered
 from fsar_ledger.events.task import StepBegan
-from fsar_ledger.events.world import ObstructionAppeared, ObstructionCleared, OutsiderRequestInjected, SupervisorLeft, TaskArrived
+from fsar_ledger.events.world import (
+    ObstructionAppeared,
+    ObstructionCleared,
+    OutsiderRequestInjected,
+    SupervisorLeft,
+    TaskArrived,
+)
 from fsar_ledger.projections.fold import apply, fold
-from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider, Revoke, answer_outsider, close_execution, revoke
+from fsar_ledger.runtime.architectures.fsar.authority import (
+    AnswerOutsider,
+    Revoke,
+    answer_outsider,
+    close_execution,
+    revoke,
+)
 from fsar_ledger.runtime.architectures.fsar.discovery import DetectGap, QueryRegistry, detect_gap, query_registry
 from fsar_ledger.runtime.architectures.fsar.execution import DecideOwnStep, decide_own_step, decide_routine, start
 from fsar_ledger.runtime.architectures.fsar.recovery import (
@@ -24,14 +36,31 @@ from fsar_ledger.runtime.architectures.fsar.recovery import (
     end_attempt,
     start_recovery,
 )
-from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, IssueRequest, evaluate_request, issue_request, take_turn
-from fsar_ledger.runtime.handlers.commands import CloseExecution, DecideRoutine, DetectObstruction, EndAttempt, StartAction, TakeTurn
+from fsar_ledger.runtime.architectures.fsar.request import (
+    EvaluateRequest,
+    IssueRequest,
+    evaluate_request,
+    issue_request,
+    take_turn,
+)
+from fsar_ledger.runtime.handlers.commands import (
+    CloseExecution,
+    DecideRoutine,
+    DetectObstruction,
+    EndAttempt,
+    StartAction,
+    TakeTurn,
+)
 from fsar_ledger.runtime.handlers.execution import _on_running, detect_obstruction, start_after_approach
 from fsar_ledger.runtime.simulation import RunSpec, run_started
 from fsar_ledger.runtime.world.scenarios import founding
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
 
-REQUESTED = (ARRIVED, DELEGATED_STEP, RegistryQueried("A1-1", "A1-1/2.1", "robot/A1", "robot/B1", None, "door.open.secure", ("robot/B1",)))
+REQUESTED = (
+    ARRIVED,
+    DELEGATED_STEP,
+    RegistryQueried("A1-1", "A1-1/2.1", "robot/A1", "robot/B1", None, "door.open.secure", ("robot/B1",)),
+)
 
 
 def executing(*before, own: bool = False):  # type: ignore[no-untyped-def]
@@ -95,7 +124,10 @@ def test_the_request_carries_the_requesters_policy() -> None:
 
 
 def test_an_admissible_request_is_admitted_and_queued() -> None:
-    assert types(evaluate_request(given("fsar", *REQUESTED), EvaluateRequest("A1-1/2.1"))) == ["RequestAdmitted", "ExecutionQueued"]
+    assert types(evaluate_request(given("fsar", *REQUESTED), EvaluateRequest("A1-1/2.1"))) == [
+        "RequestAdmitted",
+        "ExecutionQueued",
+    ]
 
 
 def test_the_executors_own_denial_rejects_the_request() -> None:
@@ -112,7 +144,9 @@ def test_the_fleet_rule_counts_as_it_was_heard() -> None:
 
 
 def test_without_policy_composition_only_the_executors_policy_counts() -> None:
-    state = given("fsar", *REQUESTED, FleetRuleLearned("robot/B1", "deny", 1), configuration="without-policy-composition")
+    state = given(
+        "fsar", *REQUESTED, FleetRuleLearned("robot/B1", "deny", 1), configuration="without-policy-composition"
+    )
     assert isinstance(evaluate_request(state, EvaluateRequest("A1-1/2.1"))[0], RequestAdmitted)
 
 
@@ -129,14 +163,23 @@ def test_without_policy_composition_a_robots_own_steps_and_routine_keep_the_flee
 
 
 def test_a_review_goes_to_the_fleet_supervisor() -> None:
-    assert types(evaluate_request(given("fsar", *REQUESTED, window("robot/B1", "review")), EvaluateRequest("A1-1/2.1"))) == ["SupervisorCalled"]
+    assert types(
+        evaluate_request(given("fsar", *REQUESTED, window("robot/B1", "review")), EvaluateRequest("A1-1/2.1"))
+    ) == ["SupervisorCalled"]
 
 
 def test_a_busy_executor_defers() -> None:
     state, _ = executing()
-    for event in (*SECOND, RegistryQueried("A1-2", "A1-2/2.1", "robot/A1", "robot/B1", None, "door.open.secure", ("robot/B1",))):
+    for event in (
+        *SECOND,
+        RegistryQueried("A1-2", "A1-2/2.1", "robot/A1", "robot/B1", None, "door.open.secure", ("robot/B1",)),
+    ):
         apply(state, event)
-    assert types(evaluate_request(state, EvaluateRequest("A1-2/2.1"))) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
+    assert types(evaluate_request(state, EvaluateRequest("A1-2/2.1"))) == [
+        "RequestAdmitted",
+        "RequestDeferred",
+        "ExecutionQueued",
+    ]
 
 
 def test_acceptance_claims_execution_and_override_for_the_executor() -> None:
@@ -160,7 +203,11 @@ def test_a_revocation_claims_override_once_until_the_boundary() -> None:
     assert claim == AuthorityClaimed("A1-1", action_id, "override", "robot/A1", "revocation")
     apply(state, claim)
     assert revoke(state, Revoke("robot/A1")) == ()
-    assert {event.claimant for event in close_execution(state, CloseExecution(action_id)) if isinstance(event, AuthorityReleased)} == {"robot/A1", "robot/B1"}
+    assert {
+        event.claimant
+        for event in close_execution(state, CloseExecution(action_id))
+        if isinstance(event, AuthorityReleased)
+    } == {"robot/A1", "robot/B1"}
 
 
 def test_an_own_step_is_the_robots_own_decision() -> None:
@@ -247,7 +294,13 @@ def test_a_failed_carry_is_reassigned_to_a_trusted_substitute() -> None:
         apply(state, event)
     state.recovery = {"A1-1/1.1": msgspec.structs.replace(state.recovery["A1-1/1.1"], level="fleet")}
     reassigned = consider_reassignment(state, ConsiderReassignment("A1-1/1.1"))
-    assert types(reassigned) == ["ReassignmentDecided", "FailureResolved", "ExecutionWithdrawn", "TaskStateTransferred", "ExecutionQueued"]
+    assert types(reassigned) == [
+        "ReassignmentDecided",
+        "FailureResolved",
+        "ExecutionWithdrawn",
+        "TaskStateTransferred",
+        "ExecutionQueued",
+    ]
     assert reassigned[0].helper == "robot/D1"  # type: ignore[attr-defined]
 
 
@@ -261,19 +314,30 @@ def test_an_outsider_finds_nothing_and_is_denied_by_the_federation() -> None:
     injected = OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.private_zone")
     query, denied = answer_outsider(given("fsar", injected), AnswerOutsider("injected-1-1"))
     assert isinstance(query, RegistryQueried)
-    assert (query.candidates, query.executed_by, query.rejected, query.rejected_by) == ((), "robot/C1", ("robot/C1",), ("visibility",))
+    assert (query.candidates, query.executed_by, query.rejected, query.rejected_by) == (
+        (),
+        "robot/C1",
+        ("robot/C1",),
+        ("visibility",),
+    )
     assert denied.decided_by == "service/registry"  # type: ignore[attr-defined]
 
 
 def test_without_trust_evaluation_the_outsider_runs_under_contested_audit() -> None:
     injected = OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.private_zone")
-    events = answer_outsider(given("fsar", injected, configuration="without-trust-evaluation"), AnswerOutsider("injected-1-1"))
-    assert {event.claimant for event in events if isinstance(event, AuthorityClaimed) and event.dimension == "audit"} == {"robot/D1", "supervisor/fleet"}
+    events = answer_outsider(
+        given("fsar", injected, configuration="without-trust-evaluation"), AnswerOutsider("injected-1-1")
+    )
+    assert {
+        event.claimant for event in events if isinstance(event, AuthorityClaimed) and event.dimension == "audit"
+    } == {"robot/D1", "supervisor/fleet"}
 
 
 def test_an_execution_that_starts_in_the_way_of_something_finishes_if_that_goes_at_once() -> None:
     state, action_id = executing(ObstructionAppeared("robot/B1", "o"))
-    started = ExecutionStarted("A1-1", action_id, None, None, None, "robot/B1", "robot/A1", "door.open.secure", 11_000_000)
+    started = ExecutionStarted(
+        "A1-1", action_id, None, None, None, "robot/B1", "robot/A1", "door.open.secure", 11_000_000
+    )
     scheduled = [type(one.command).__name__ for one in _on_running(state, started, 9_000_000)]
     assert scheduled == ["DetectObstruction", "FinishAttempt"]
     apply(state, ObstructionCleared("robot/B1", "o"))

@@ -31,7 +31,9 @@ from fsar_ledger.runtime.world.schedule import schedule
 WORLD = WorldConstants()
 
 
-def facts(fleet_size: int, load: Load | None = None, world: WorldConstants = WORLD, run: int = 0) -> list[tuple[int, Event]]:
+def facts(
+    fleet_size: int, load: Load | None = None, world: WorldConstants = WORLD, run: int = 0
+) -> list[tuple[int, Event]]:
     return list(schedule(world, 5, "fleet-contention", run, fleet_size, load=load))
 
 
@@ -39,12 +41,23 @@ def of(kind: type[Event], found: list[tuple[int, Event]]) -> list[Any]:
     return [event for _, event in found if isinstance(event, kind)]
 
 
-def made(architecture: Architecture, scenario: Scenario, fleet_size: int, load: Load | None = None, configuration: Any = "full") -> RunRecord:
+def made(
+    architecture: Architecture,
+    scenario: Scenario,
+    fleet_size: int,
+    load: Load | None = None,
+    configuration: Any = "full",
+) -> RunRecord:
     return simulate_run(RunSpec(42, architecture, configuration, scenario, fleet_size, 0), Constants(load=load))
 
 
 def list_values(record: RunRecord) -> int:
-    return sum(len(value) for event in record.events for name in event.__struct_fields__ if isinstance(value := getattr(event, name), tuple))
+    return sum(
+        len(value)
+        for event in record.events
+        for name in event.__struct_fields__
+        if isinstance(value := getattr(event, name), tuple)
+    )
 
 
 # --- places ---
@@ -52,20 +65,31 @@ def list_values(record: RunRecord) -> int:
 
 def test_the_fleet_of_four_has_one_place_and_nobody_in_its_way_beyond_its_own() -> None:
     assert {event.place for event in founding(4) if isinstance(event, RobotJoined)} == {None}
-    assert not any(event.obstruction.startswith("crowding/") for run in range(20) for event in of(ObstructionAppeared, facts(4, run=run)))
+    assert not any(
+        event.obstruction.startswith("crowding/")
+        for run in range(20)
+        for event in of(ObstructionAppeared, facts(4, run=run))
+    )
 
 
 def test_a_larger_fleet_spreads_over_floors_and_robots_meet_where_they_are() -> None:
     places = {event.robot: event.place for event in founding(40) if isinstance(event, RobotJoined)}
     assert Counter(places.values()) == {"floor/1": 16, "floor/2": 16, "floor/3": 8}
     meetings = of(PeersMet, facts(40))
-    assert {(places[event.robot], places[event.peer]) for event in meetings} == {(floor, floor) for floor in set(places.values())}
+    assert {(places[event.robot], places[event.peer]) for event in meetings} == {
+        (floor, floor) for floor in set(places.values())
+    }
     assert 2 * 120 + 28 > len({(event.robot, event.peer) for event in meetings}) > 200, "of 780 pairs those of a floor"
 
 
 def test_robots_of_other_teams_on_the_floor_are_in_the_way_as_often_as_there_are_more_of_them() -> None:
     def crowding(fleet_size: int) -> float:
-        found = [event for run in range(20) for event in of(ObstructionAppeared, facts(fleet_size, run=run)) if event.obstruction.startswith("crowding/")]
+        found = [
+            event
+            for run in range(20)
+            for event in of(ObstructionAppeared, facts(fleet_size, run=run))
+            if event.obstruction.startswith("crowding/")
+        ]
         return len(found) / 20 / fleet_size / WORLD.horizon_s
 
     assert crowding(8) == pytest.approx(4 * WORLD.crowding_rate_per_s, rel=0.15)
@@ -78,7 +102,9 @@ def test_candidates_are_of_the_own_team_then_of_the_floor_then_of_other_floors()
     doors = [f"robot/B{team}" for team in range(1, 9)]
     order = [int(name[7:]) for name in nearest_first(state, doors, "robot/A3")]
     assert order == [3, 4, 1, 2, 5, 6, 7, 8]
-    assert [int(name[7:]) for name in nearest_first(fold(founding(16)), doors[:4], "robot/A3")] == [3, 4, 1, 2], "one floor: cyclic"
+    assert [int(name[7:]) for name in nearest_first(fold(founding(16)), doors[:4], "robot/A3")] == [3, 4, 1, 2], (
+        "one floor: cyclic"
+    )
 
 
 # --- load ---
@@ -90,7 +116,9 @@ def test_only_teams_that_work_have_tasks_and_routine_and_all_else_stays_as_it_is
     assert {event.robot[7:] for event in of(RoutineDue, two)} == {"1", "2"}
     of_a_robot = [event for event in two if not isinstance(event[1], RoutineDue | TaskArrived)]
     assert {repr(event) for _, event in two} < {repr(event) for _, event in every}
-    assert {getattr(event, "robot", "") for _, event in of_a_robot} >= {event.robot for event in founding(16) if isinstance(event, RobotJoined)}
+    assert {getattr(event, "robot", "") for _, event in of_a_robot} >= {
+        event.robot for event in founding(16) if isinstance(event, RobotJoined)
+    }
 
 
 def test_more_sets_of_tasks_come_after_the_first_and_leave_it_alone() -> None:
@@ -120,7 +148,9 @@ def test_another_load_is_another_run_of_the_same_world() -> None:
         (8, Constants(WorldConstants(floor_teams=0)), "teams of a floor: found 0, expected at least 1"),
     ],
 )
-def test_an_impossible_load_or_floor_is_refused_with_what_was_found(fleet_size: int, constants: Constants, message: str) -> None:
+def test_an_impossible_load_or_floor_is_refused_with_what_was_found(
+    fleet_size: int, constants: Constants, message: str
+) -> None:
     with pytest.raises(InvalidExperiment, match=message):
         Experiment(ARCHITECTURES, SCENARIOS, 1, fleet_size=fleet_size, constants=constants)
 
@@ -161,14 +191,18 @@ def test_a_fleet_of_256_with_all_its_tasks_comes_to_an_end(architecture: Archite
 @pytest.mark.slow
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_a_fleet_of_a_thousand_robots_is_simulated_and_stored(tmp_path: Path, architecture: Architecture) -> None:
-    experiment = Experiment((architecture,), ("fleet-contention",), 1, fleet_size=1024, constants=Constants(load=Load(4)))
+    experiment = Experiment(
+        (architecture,), ("fleet-contention",), 1, fleet_size=1024, constants=Constants(load=Load(4))
+    )
     assert simulate(tmp_path / "ledger", experiment, workers=1).size > 50_000
 
 
 @pytest.mark.parametrize("fleet_size", [4, 16, 32])
 @pytest.mark.parametrize("scenario", ["door-relay", "mixed-trust-inspection"])
 def test_a_run_makes_no_more_than_is_expected_of_it(fleet_size: int, scenario: Scenario) -> None:
-    cells = [(architecture, "full") for architecture in ARCHITECTURES] + [("fsar", configuration) for configuration in CONFIGURATIONS[1:]]
+    cells = [(architecture, "full") for architecture in ARCHITECTURES] + [
+        ("fsar", configuration) for configuration in CONFIGURATIONS[1:]
+    ]
     for architecture, configuration in cells:
         record = made(architecture, scenario, fleet_size, None, configuration)
         most = expected((scenario, architecture, configuration), fleet_size, Constants())
@@ -176,14 +210,17 @@ def test_a_run_makes_no_more_than_is_expected_of_it(fleet_size: int, scenario: S
         assert list_values(record) < most.list_values, (architecture, configuration)
 
 
-def test_a_fleet_that_no_commit_can_hold_is_refused_before_work_begins_with_the_largest_that_fits(tmp_path: Path) -> None:
+def test_a_fleet_that_no_commit_can_hold_is_refused_before_work_begins_with_the_largest_that_fits(
+    tmp_path: Path,
+) -> None:
     def asked(fleet_size: int, runs: int = 20) -> Experiment:
         return Experiment(ARCHITECTURES, SCENARIOS, runs, fleet_size=fleet_size)
 
     with pytest.raises(InvalidExperiment, match="fleet size: found 256"):
         asked(256).require_fits()
     with pytest.raises(
-        InvalidExperiment, match=f"fleet size: found 256, expected at most [0-9]+: a commit holds 25 runs at once and {MAX_ROWS:,} events"
+        InvalidExperiment,
+        match=f"fleet size: found 256, expected at most [0-9]+: a commit holds 25 runs at once and {MAX_ROWS:,} events",
     ) as refused:
         simulate(tmp_path / "ledger", asked(256), workers=1)
     assert not (tmp_path / "ledger").exists()
@@ -193,7 +230,9 @@ def test_a_fleet_that_no_commit_can_hold_is_refused_before_work_begins_with_the_
         asked(largest + 4).require_fits()
     few = Experiment(ARCHITECTURES, SCENARIOS[:1], 1, fleet_size=512, constants=Constants(load=Load(4)))
     few.require_fits()
-    with pytest.raises(InvalidExperiment, match=f"found 1000000000, expected at most {largest}: a commit holds 25 runs"):
+    with pytest.raises(
+        InvalidExperiment, match=f"found 1000000000, expected at most {largest}: a commit holds 25 runs"
+    ):
         asked(10**9)
     with pytest.raises(InvalidExperiment, match="a commit holds one run"):
         Experiment(("dhma",), SCENARIOS[:1], 1, fleet_size=1024)
@@ -207,13 +246,23 @@ def test_the_runs_that_enlarge_a_ledger_are_as_many_a_commit_as_it_holds() -> No
     missing = whole.batches(lambda spec: spec.architecture != "dhma")
     most = expected(("fleet-contention", "dhma", "full"), 120, Constants())
     assert most.events * 25 > MAX_ROWS
-    assert all(len(batch) * most.events <= MAX_ROWS and len(batch) * most.list_values <= MAX_LIST_VALUES for batch in missing)
-    assert [spec for batch in missing for spec in batch] == [spec for spec in whole.specs() if spec.architecture == "dhma"]
+    assert all(
+        len(batch) * most.events <= MAX_ROWS and len(batch) * most.list_values <= MAX_LIST_VALUES for batch in missing
+    )
+    assert [spec for batch in missing for spec in batch] == [
+        spec for spec in whole.specs() if spec.architecture == "dhma"
+    ]
     there = {*missing[0]}
-    assert whole.batches(lambda spec: spec.architecture != "dhma" or spec in there) == missing[1:]  # interrupted after the first
+    assert (
+        whole.batches(lambda spec: spec.architecture != "dhma" or spec in there) == missing[1:]
+    )  # interrupted after the first
 
 
-def test_what_was_not_expected_is_refused_as_plainly_when_it_is_staged(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_was_not_expected_is_refused_as_plainly_when_it_is_staged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(append, "MAX_ROWS", 500)
-    with pytest.raises(InvalidExperiment, match=r"fleet size 4: found [0-9]+ events in 3 runs, expected at most 500 in one commit"):
+    with pytest.raises(
+        InvalidExperiment, match=r"fleet size 4: found [0-9]+ events in 3 runs, expected at most 500 in one commit"
+    ):
         simulate(tmp_path / "ledger", Experiment(ARCHITECTURES, ("door-relay",), 1), workers=1)

@@ -38,7 +38,9 @@ PHASES = {
     "result": talk.RESULT,
     "own result": talk.OWN_RESULT,
 }  # by the names of the hops
-SPECS = [RunSpec(seed, "dhma", "full", scenario, 4, run) for scenario in SCENARIOS for seed in (3, 4) for run in range(3)]
+SPECS = [
+    RunSpec(seed, "dhma", "full", scenario, 4, run) for scenario in SCENARIOS for seed in (3, 4) for run in range(3)
+]
 
 
 class Heard(Draws):
@@ -84,7 +86,13 @@ def drawn(events: list[Event], hops: set[str]) -> Iterator[tuple[str, str, str]]
         match = HOP.match(key)
         assert match is not None
         served, name, ordinal = match.groups()
-        phase = f"own {name}" if name == "result" and served in own else "own replan" if name == "own" and "/replan" in served else name
+        phase = (
+            f"own {name}"
+            if name == "result" and served in own
+            else "own replan"
+            if name == "own" and "/replan" in served
+            else name
+        )
         place = 0 if len(PHASES[phase]) == 2 else int(ordinal)
         yield phase, PHASES[phase][place], PHASES[phase][place + 1]
 
@@ -104,7 +112,9 @@ def test_a_handoff_names_no_origin_and_stays_in_one_robot() -> None:
         for event in handoffs(played(spec)[0].events):
             assert event.requested_by is None
             assert event.executed_by is not None
-            assert {name.rpartition("/")[0] for name in (event.sender, event.receiver)} == {event.executed_by.replace("robot/", "agent/")}
+            assert {name.rpartition("/")[0] for name in (event.sender, event.receiver)} == {
+                event.executed_by.replace("robot/", "agent/")
+            }
 
 
 def test_every_agent_on_a_path_but_the_last_has_handed_the_work_on() -> None:
@@ -112,12 +122,19 @@ def test_every_agent_on_a_path_but_the_last_has_handed_the_work_on() -> None:
     seen = 0
     for spec in SPECS:
         one, _ = played(spec)
-        hops = Counter((event.sender, event.receiver, time) for time, event in zip(one.times_us, one.events, strict=True) if isinstance(event, InternalHandoff))
+        hops = Counter(
+            (event.sender, event.receiver, time)
+            for time, event in zip(one.times_us, one.events, strict=True)
+            if isinstance(event, InternalHandoff)
+        )
         for time, event in zip(one.times_us, one.events, strict=True):
             path = getattr(event, "path", ())
             for sender, receiver in pairwise(path):
                 seen += 1
-                assert any(hops[sender, receiver, time + later] for later in range(2)) or _injected(event), (type(event).__name__, path)
+                assert any(hops[sender, receiver, time + later] for later in range(2)) or _injected(event), (
+                    type(event).__name__,
+                    path,
+                )
     assert seen > 500
 
 

@@ -15,7 +15,12 @@ from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 from tests.recycled import from_table
 
 BROKEN_WITHOUT: dict[Configuration, set[str]] = {
-    "without-trust-evaluation": {"i3", "i5", "a3", "a5"},  # what an outsider asks for runs unchecked, with no supervisor on record
+    "without-trust-evaluation": {
+        "i3",
+        "i5",
+        "a3",
+        "a5",
+    },  # what an outsider asks for runs unchecked, with no supervisor on record
     "without-policy-composition": {"i3", "a3"},  # nobody composes the requester's policy and the fleet's rule
     "without-layered-recovery": {"i4"},  # every failure skips to a human
     "without-shared-registry": {"i5"},  # requests that find nobody name no executor
@@ -39,14 +44,26 @@ def broken(specs: Iterable[RunSpec], constants: Constants = DEFAULTS) -> set[tup
 
 @pytest.mark.parametrize("fleet_size", [4, pytest.param(8, marks=pytest.mark.slow)])
 def test_all_ten_hold_on_fsar_in_every_scenario(fleet_size: int) -> None:
-    assert broken(RunSpec(42, "fsar", "full", scenario, fleet_size, run) for scenario in SCENARIOS for run in range(12)) == set()
+    assert (
+        broken(RunSpec(42, "fsar", "full", scenario, fleet_size, run) for scenario in SCENARIOS for run in range(12))
+        == set()
+    )
 
 
 def test_nine_hold_where_robots_and_links_fail_and_i5_names_the_requests_that_found_nobody() -> None:
     """Reading R41: where the only robot that could serve is known to be silent, a request has no executor to name."""
     failing = Constants(outages=Outages(0.02, 8.0, 0.03, 6.0, 0.002))
-    runs = [simulate_run(RunSpec(42, "fsar", "full", scenario, 4, run), failing) for scenario in SCENARIOS for run in range(8)]
-    unanswered = {event.action_id for run in runs for event in run.events if isinstance(event, RequestUnanswered) and event.executed_by is None}
+    runs = [
+        simulate_run(RunSpec(42, "fsar", "full", scenario, 4, run), failing)
+        for scenario in SCENARIOS
+        for run in range(8)
+    ]
+    unanswered = {
+        event.action_id
+        for run in runs
+        for event in run.events
+        if isinstance(event, RequestUnanswered) and event.executed_by is None
+    }
     with from_table(encode(runs)) as database:
         assert {row.invariant.partition("_")[0] for row in audit_rows(database, chosen(())) if row.events} == {"i5"}
         lacking = {row["action_id"] for row in database.query("invariants/i5_audit_attributability").to_pylist()}
@@ -59,7 +76,10 @@ def test_all_ten_hold_on_runs_that_once_broke_one() -> None:
 
 @pytest.mark.parametrize("seed", [42, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))])
 def test_all_ten_hold_on_every_workflow(seed: int) -> None:
-    assert broken(RunSpec(seed, "fsar", "full", workflow, 4, run) for workflow in get_args(Workflow) for run in range(4)) == set()
+    assert (
+        broken(RunSpec(seed, "fsar", "full", workflow, 4, run) for workflow in get_args(Workflow) for run in range(4))
+        == set()
+    )
 
 
 @pytest.mark.parametrize("configuration", sorted(BROKEN_WITHOUT))
@@ -69,5 +89,7 @@ def test_each_ablation_breaks_what_it_takes_away(configuration: Configuration) -
 
 
 def test_without_any_mechanism_all_breaks_that_one_of_them_keeps() -> None:
-    found = broken(RunSpec(42, "fsar", without(MECHANISMS), scenario, 4, run) for scenario in SCENARIOS for run in range(6))
+    found = broken(
+        RunSpec(42, "fsar", without(MECHANISMS), scenario, 4, run) for scenario in SCENARIOS for run in range(6)
+    )
     assert {name for name, _ in found} == set().union(*BROKEN_WITHOUT.values())

@@ -79,7 +79,9 @@ def first_other(spec: RunSpec, record: RunRecord) -> int:
     """The first seq at which the record is not the honest one."""
     own = honest(spec)
     pairs = [list(zip(one.times_us, one.caused_by, one.events, strict=True)) for one in (own, record)]
-    return next((seq for seq, (left, right) in enumerate(zip(*pairs, strict=False)) if left != right), min(map(len, pairs)))
+    return next(
+        (seq for seq, (left, right) in enumerate(zip(*pairs, strict=False)) if left != right), min(map(len, pairs))
+    )
 
 
 def without(*kinds: type[Event]) -> Invent:
@@ -96,20 +98,34 @@ def moved(facts: Sequence[Fact]) -> Sequence[Fact]:
 def eased(facts: Sequence[Fact]) -> Sequence[Fact]:
     """Every window asks for a review that denied, and the other way round."""
     other: Any = {"deny": "review", "review": "deny"}
-    return [(at, msgspec.structs.replace(one, outcome=other[one.outcome]) if isinstance(one, PolicyWindowOpened) else one) for at, one in facts]
+    return [
+        (at, msgspec.structs.replace(one, outcome=other[one.outcome]) if isinstance(one, PolicyWindowOpened) else one)
+        for at, one in facts
+    ]
 
 
 def patient(facts: Sequence[Fact]) -> Sequence[Fact]:
     """Every task has twice the time."""
     return [
-        (at, msgspec.structs.replace(one, budget_us=2 * one.budget_us, due_us=at + 2 * one.budget_us) if isinstance(one, TaskArrived) else one)
+        (
+            at,
+            msgspec.structs.replace(one, budget_us=2 * one.budget_us, due_us=at + 2 * one.budget_us)
+            if isinstance(one, TaskArrived)
+            else one,
+        )
         for at, one in facts
     ]
 
 
 INVENTED: dict[str, Invent] = {
     "nothing goes wrong": without(
-        ObstructionAppeared, ObstructionCleared, PolicyWindowOpened, PolicyWindowClosed, ActuatorDegraded, ContextChanged, SupervisorLeft
+        ObstructionAppeared,
+        ObstructionCleared,
+        PolicyWindowOpened,
+        PolicyWindowClosed,
+        ActuatorDegraded,
+        ContextChanged,
+        SupervisorLeft,
     ),
     "nothing is in the way": without(ObstructionAppeared, ObstructionCleared),
     "no policy ever denies": without(PolicyWindowOpened, PolicyWindowClosed),
@@ -118,10 +134,18 @@ INVENTED: dict[str, Invent] = {
     "an obstruction comes later": moved,
     "denials are reviews": eased,
     "tasks have more time": patient,
-    "an obstruction more": lambda facts: [*facts, (facts[-1][0] + 1, ObstructionAppeared("robot/A1", "obstruction/A1/99"))],
+    "an obstruction more": lambda facts: [
+        *facts,
+        (facts[-1][0] + 1, ObstructionAppeared("robot/A1", "obstruction/A1/99")),
+    ],
     "the last fact is missing": lambda facts: facts[:-1],
     "the last fact comes later": lambda facts: [*facts[:-1], (facts[-1][0] + 1, facts[-1][1])],
-    "two facts change places": lambda facts: [*facts[:40], (facts[40][0], facts[41][1]), (facts[41][0], facts[40][1]), *facts[42:]],
+    "two facts change places": lambda facts: [
+        *facts[:40],
+        (facts[40][0], facts[41][1]),
+        (facts[41][0], facts[40][1]),
+        *facts[42:],
+    ],
     "no world at all": lambda _: (),
 }
 
@@ -160,10 +184,15 @@ def test_a_difference_says_which_fact_was_found_and_which_was_expected() -> None
     difference = replay_run(simulated_in([*facts[:at], invented, *facts[at + 1 :]], spec))
     assert difference is not None
     assert isinstance(missing[1], ObstructionAppeared)
-    assert difference.expected == f"ObstructionAppeared.v1 at {missing[0]} microseconds (robot {missing[1].robot!r}, obstruction {missing[1].obstruction!r})"
+    assert (
+        difference.expected
+        == f"ObstructionAppeared.v1 at {missing[0]} microseconds (robot {missing[1].robot!r}, obstruction {missing[1].obstruction!r})"
+    )
     found = f"ObstructionCleared.v1 at {missing[0]} microseconds (robot 'robot/A1', obstruction 'obstruction/A1/0'), which the world of this run does not have"
     assert difference.actual == found
-    assert str(difference).endswith(f"seq {difference.seq}, field type: found {found}, expected {difference.expected} from world.schedule.schedule")
+    assert str(difference).endswith(
+        f"seq {difference.seq}, field type: found {found}, expected {difference.expected} from world.schedule.schedule"
+    )
 
 
 OTHERS: dict[type, Any] = {str: "another", int: 7_777_777, bool: True, tuple: ("another",), type(None): "another"}
@@ -202,13 +231,22 @@ def test_every_fact_that_is_left_out_of_a_random_world_in_which_the_run_is_made_
     draw = random.Random(18)
     made = 0
     for _ in range(60):
-        spec = RunSpec(draw.randrange(2**53), draw.choice(ARCHITECTURES), "full", draw.choice(SCENARIOS), draw.choice((4, 8)), draw.randrange(20))
+        spec = RunSpec(
+            draw.randrange(2**53),
+            draw.choice(ARCHITECTURES),
+            "full",
+            draw.choice(SCENARIOS),
+            draw.choice((4, 8)),
+            draw.randrange(20),
+        )
         facts = world_of(spec)
         for at in draw.sample(range(len(facts)), 12):
             with suppress(RuntimeError):  # such a run has no end
                 difference = replay_run(simulated_in([*facts[:at], *facts[at + 1 :]], spec))
                 assert difference is not None
-                assert difference.expected.startswith(f"{facts[at][1].__struct_config__.tag} at {facts[at][0]} microseconds")
+                assert difference.expected.startswith(
+                    f"{facts[at][1].__struct_config__.tag} at {facts[at][0]} microseconds"
+                )
                 made += 1
     assert made > 600
 
@@ -259,7 +297,9 @@ def test_another_load_is_said_as_such_and_pairs_under_a_common_one_are_pairs() -
     said = "another load: 2 of 4 runs (1 of fsar, 1 of cfc) had other work than by default: load.task_sets=2 (here 1)"
     assert remarks_on(played([run_started(spec, constants) for spec in (one, other) for constants in both])) == (said,)
     assert len(remarks_on(played([run_started(one, constants) for constants in both]))) == 1
-    assert remarks_on(played([run_started(one, both[0]), run_started(other, both[1])]))[-1].startswith("no pairs: under 1 of 1")
+    assert remarks_on(played([run_started(one, both[0]), run_started(other, both[1])]))[-1].startswith(
+        "no pairs: under 1 of 1"
+    )
 
 
 def test_one_length_among_many_is_named_alone_and_a_group_that_may_be_absent_by_its_defaults() -> None:
@@ -278,7 +318,10 @@ def test_every_group_that_may_be_absent_has_defaults() -> None:
 
 
 def test_remarks_are_few_and_short_whatever_the_constants() -> None:
-    odd = [WorldConstants(obstruction_rate_per_s=rate, durations=(("\x1b[2J" * 1000, CONSTANTS.world.message),)) for rate in range(1, 50)]
+    odd = [
+        WorldConstants(obstruction_rate_per_s=rate, durations=(("\x1b[2J" * 1000, CONSTANTS.world.message),))
+        for rate in range(1, 50)
+    ]
     sides = cycle([RunSpec(9, architecture, "full", "door-relay", 4, 1) for architecture in ("fsar", "cfc")])
     remarks = remarks_on(played([started_with(world, spec) for world, spec in zip(odd, sides, strict=False)]))
     assert len(remarks) == 7
@@ -293,13 +336,24 @@ ENDLESS = {
     "robots meet all the time": WorldConstants(encounter_mean_s=1e-9),
     "robots meet before they met": WorldConstants(encounter_mean_s=-90.0),
 }
-EMPTY = {"a rate of nothing": WorldConstants(fleet_rule_rate_per_s=0.0), "hardly ever": WorldConstants(routine_rate_per_s=5e-324)}
+EMPTY = {
+    "a rate of nothing": WorldConstants(fleet_rule_rate_per_s=0.0),
+    "hardly ever": WorldConstants(routine_rate_per_s=5e-324),
+}
 
 
 @pytest.mark.parametrize("name", list(ENDLESS))
 def test_a_world_that_nobody_can_make_is_a_finding_at_once(name: str) -> None:
     record = honest(SPECS[0])
-    difference = replay_run(renamed(changed(record, 0, msgspec.structs.replace(record.events[0], parameters=write_constants(Constants(ENDLESS[name]))))))
+    difference = replay_run(
+        renamed(
+            changed(
+                record,
+                0,
+                msgspec.structs.replace(record.events[0], parameters=write_constants(Constants(ENDLESS[name]))),
+            )
+        )
+    )
     assert difference is not None
     assert (difference.seq, difference.field) == (0, "parameters")
 
@@ -307,7 +361,13 @@ def test_a_world_that_nobody_can_make_is_a_finding_at_once(name: str) -> None:
 @pytest.mark.parametrize("name", list(EMPTY))
 def test_a_world_in_which_something_never_happens_is_made_and_differs_where_it_did(name: str) -> None:
     record = honest(SPECS[0])
-    difference = replay_run(renamed(changed(record, 0, msgspec.structs.replace(record.events[0], parameters=write_constants(Constants(EMPTY[name]))))))
+    difference = replay_run(
+        renamed(
+            changed(
+                record, 0, msgspec.structs.replace(record.events[0], parameters=write_constants(Constants(EMPTY[name])))
+            )
+        )
+    )
     assert difference is not None
     assert (difference.seq or 0) > 0
     assert difference.actual.endswith("which the world of this run does not have")
@@ -316,7 +376,11 @@ def test_a_world_in_which_something_never_happens_is_made_and_differs_where_it_d
 @pytest.mark.parametrize("fleet_size", [4, 64])
 def test_the_rates_lead_one_to_expect_what_comes(fleet_size: int) -> None:
     runs = [schedule(CONSTANTS.world, 3, "door-relay", run, fleet_size) for run in range(8)]
-    counted = sum(isinstance(event, ContextChanged | ObstructionAppeared | RoutineDue) or "Met" in type(event).__name__ for run in runs for _, event in run)
+    counted = sum(
+        isinstance(event, ContextChanged | ObstructionAppeared | RoutineDue) or "Met" in type(event).__name__
+        for run in runs
+        for _, event in run
+    )
     counted += sum(isinstance(event, PolicyWindowOpened) and event.scope == "fleet" for run in runs for _, event in run)
     assert counted / len(runs) == pytest.approx(arrivals_expected(CONSTANTS.world, fleet_size), rel=0.1)
 

@@ -18,7 +18,11 @@ def test_version_ranges_obey_their_laws(version: str, wanted: str, other: str) -
     assert is_in_range(version, version)
     assert is_in_range(version, "^" + version)
     assert is_in_range(version, ">=" + version)
-    is_exact, is_compatible, is_at_least = is_in_range(version, wanted), is_in_range(version, "^" + wanted), is_in_range(version, ">=" + wanted)
+    is_exact, is_compatible, is_at_least = (
+        is_in_range(version, wanted),
+        is_in_range(version, "^" + wanted),
+        is_in_range(version, ">=" + wanted),
+    )
     assert not is_exact or is_compatible
     assert not is_compatible or is_at_least
     found, lowest = version_of(version), version_of(wanted)
@@ -65,7 +69,18 @@ def test_any_text_is_a_range_or_not_and_never_an_error(text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "names", [("not not lit",), (" lit",), ("not ",), ("not",), ("lit", "not lit"), ("not lit", "lit"), ("lit", "lit"), ("not lit", "not lit"), ("",)]
+    "names",
+    [
+        ("not not lit",),
+        (" lit",),
+        ("not ",),
+        ("not",),
+        ("lit", "not lit"),
+        ("not lit", "lit"),
+        ("lit", "lit"),
+        ("not lit", "not lit"),
+        ("",),
+    ],
 )
 def test_names_that_contradict_each_other_or_name_nothing_are_found(names: tuple[str, ...]) -> None:
     assert contradiction(Contract(preconditions=names)) is not None
@@ -83,7 +98,11 @@ CONTRACTS = st.builds(Contract, NAMES, NAMES, NAMES)
 
 @forall(CONTRACTS, CONTRACTS, NAMES, NAMES, NAMES)
 def test_who_is_served_by_a_weaker_contract_is_served_by_the_installed_one(
-    offered: Contract, installed: Contract, needs: tuple[str, ...], provides: tuple[str, ...], resources: tuple[str, ...]
+    offered: Contract,
+    installed: Contract,
+    needs: tuple[str, ...],
+    provides: tuple[str, ...],
+    resources: tuple[str, ...],
 ) -> None:
     """Substitution: what an advertisement that `weaker` lets through promises, the module keeps."""
     assert weaker(installed, installed) is None

@@ -40,7 +40,10 @@ def test_a_result_that_is_none_is_rejected() -> None:
     state = after(ASK, EvaluateRequest("q1"), TakeTurn("q1"))
     apply(state, ExecutionStarted("visit", "q1", "robot/A1", "robot/B1", None, "robot/B1", "robot/A1", DOOR, 9_000_000))
     wrong: Any = "weird"
-    assert refusal(state, ReportResult("robot/B1", "q1", wrong)) == "unknown result weird, expected one of success, partial, failure"
+    assert (
+        refusal(state, ReportResult("robot/B1", "q1", wrong))
+        == "unknown result weird, expected one of success, partial, failure"
+    )
 
 
 def test_a_task_does_not_take_the_name_of_a_request() -> None:

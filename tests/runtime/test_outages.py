@@ -85,7 +85,9 @@ def test_a_wiring_that_lacks_what_it_names_is_refused() -> None:
 
 def ran(architecture: Architecture, facts: Sequence[Fact]) -> Kernel:
     """The run of these facts and no others."""
-    one = Kernel(wiring(architecture), facts, Draws(run_key(1, "door-relay", 0), WorldConstants()), started(architecture))
+    one = Kernel(
+        wiring(architecture), facts, Draws(run_key(1, "door-relay", 0), WorldConstants()), started(architecture)
+    )
     one.run()
     return one
 
@@ -93,7 +95,11 @@ def ran(architecture: Architecture, facts: Sequence[Fact]) -> Kernel:
 def when(run: Kernel, kind: type[Event], **fields: object) -> list[int]:
     """The times of the events of this kind with these fields."""
     pairs = zip(run.times_us, run.events, strict=True)
-    return [time_us for time_us, event in pairs if isinstance(event, kind) and all(getattr(event, name) == value for name, value in fields.items())]
+    return [
+        time_us
+        for time_us, event in pairs
+        if isinstance(event, kind) and all(getattr(event, name) == value for name, value in fields.items())
+    ]
 
 
 @EVERY
@@ -120,7 +126,11 @@ def test_an_execution_goes_on_after_a_moment_without_its_robot(architecture: Arc
 
 
 def test_an_actuator_gets_better_by_service_only() -> None:
-    worse: list[tuple[Grade, Grade, Grade]] = [("lost", "unreliable", "lost"), ("slipping", "unreliable", "slipping"), ("unreliable", "lost", "lost")]
+    worse: list[tuple[Grade, Grade, Grade]] = [
+        ("lost", "unreliable", "lost"),
+        ("slipping", "unreliable", "slipping"),
+        ("unreliable", "lost", "lost"),
+    ]
     for first, second, then in worse:
         world = evolve(evolve(World(), ActuatorDegraded(A, first)), ActuatorDegraded(A, second))
         assert world.degraded == {A: then}
@@ -183,7 +193,11 @@ def test_the_coordinator_sees_a_silent_robot_as_it_was() -> None:
     window = PolicyWindowOpened(A, "local", "local/A1/0", "deny")
     for outage, end in ((LinkWentDown(A), LinkCameUp(A)), (RobotWentOff(A), RobotCameBack(A))):
         run = ran("cfc", [(1, SyncPhaseSet(500_000)), (2, outage), (3, window), (12 * S, end)])
-        copies = [(time_us, event.local_deny) for time_us, event in zip(run.times_us, run.events, strict=True) if isinstance(event, CopySynced)]
+        copies = [
+            (time_us, event.local_deny)
+            for time_us, event in zip(run.times_us, run.events, strict=True)
+            if isinstance(event, CopySynced)
+        ]
         assert {denied for time_us, denied in copies if time_us < 12 * S} == {()}
         assert {denied for time_us, denied in copies if time_us > 12 * S} == {(A,)}
 
@@ -191,15 +205,23 @@ def test_the_coordinator_sees_a_silent_robot_as_it_was() -> None:
 @pytest.mark.parametrize("configuration", CONFIGURATIONS)
 def test_a_run_with_outages_is_replayed(configuration: Configuration) -> None:
     for architecture in ARCHITECTURES if configuration == "full" else ("fsar",):
-        record = simulate_run(RunSpec(7, architecture, configuration, "fleet-contention", 4, 1), Constants(outages=MIXED))
+        record = simulate_run(
+            RunSpec(7, architecture, configuration, "fleet-contention", 4, 1), Constants(outages=MIXED)
+        )
         assert replay_run(record) is None
         [back] = decode(encode([record]))
         assert list(back.events) == record.events
 
 
 def test_every_architecture_meets_the_same_outages_and_they_move_nothing_else() -> None:
-    runs = [simulate_run(RunSpec(7, architecture, "full", "fleet-contention", 4, 1), Constants(outages=MIXED)) for architecture in ARCHITECTURES]
-    worlds = [[(at, one) for at, one in zip(run.times_us, run.events, strict=True) if isinstance(one, get_args(WorldEvent))] for run in runs]
+    runs = [
+        simulate_run(RunSpec(7, architecture, "full", "fleet-contention", 4, 1), Constants(outages=MIXED))
+        for architecture in ARCHITECTURES
+    ]
+    worlds = [
+        [(at, one) for at, one in zip(run.times_us, run.events, strict=True) if isinstance(one, get_args(WorldEvent))]
+        for run in runs
+    ]
     assert worlds[0] == worlds[1] == worlds[2]
     ours = schedule(WorldConstants(), 7, "fleet-contention", 1, 4)
     away = (RobotWentOff, RobotCameBack, LinkWentDown, LinkCameUp)
@@ -227,7 +249,10 @@ def extremes(name: str, value: object) -> list[object]:
     if isinstance(value, Range):
         return [Range(0.0, 0.0), Range(HUGE, HUGE)]
     if name == "durations":
-        return [tuple((capability, Range(length, length)) for capability, _ in WorldConstants().durations) for length in (0.0, HUGE)]
+        return [
+            tuple((capability, Range(length, length)) for capability, _ in WorldConstants().durations)
+            for length in (0.0, HUGE)
+        ]
     if name in ("horizon_s", "routine_until_s"):  # until then the world makes facts
         return [0.0]
     if isinstance(value, int):  # a count
@@ -251,7 +276,12 @@ def test_extreme_constants_make_runs_that_end_and_can_be_stored_and_replayed(nam
 
 def test_a_length_longer_than_any_run_is_a_time_that_can_be_stored() -> None:
     law = Range(HUGE, HUGE)
-    assert Draws(run_key(1, "door-relay", 0), msgspec.structs.replace(WorldConstants(), response=law)).value("response", "call") < 2**53
+    assert (
+        Draws(run_key(1, "door-relay", 0), msgspec.structs.replace(WorldConstants(), response=law)).value(
+            "response", "call"
+        )
+        < 2**53
+    )
     stream = Stream(run_key(1, "door-relay", 0), "long")
     assert max(stream.within_us(law), stream.exponential_us(HUGE)) < 2**53
 
@@ -261,7 +291,9 @@ def test_a_length_without_end_is_refused_by_name() -> None:
         write_constants(Constants(world=msgspec.structs.replace(WorldConstants(), window_mean_s=inf)))
 
 
-@pytest.mark.parametrize("outages", [Outages(1e9, 0.0), Outages(0.0, HUGE, 1e9, HUGE), Outages(1e9, HUGE, 0.0, 0.0, 0.0, 20.0)], ids=str)
+@pytest.mark.parametrize(
+    "outages", [Outages(1e9, 0.0), Outages(0.0, HUGE, 1e9, HUGE), Outages(1e9, HUGE, 0.0, 0.0, 0.0, 20.0)], ids=str
+)
 @EVERY
 def test_extreme_outages_make_runs_that_end(architecture: Architecture, outages: Outages) -> None:
     if outages.off_mean_s == 0.0:

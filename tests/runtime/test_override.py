@@ -78,7 +78,11 @@ def play(state: State, *commands: Any) -> tuple[Any, ...]:
 
 @pytest.mark.parametrize("level", ["none", "soft-priority"])
 def test_a_weak_request_never_interrupts(level: OverrideLevel) -> None:
-    assert types(play(busy(), urgent(level), EvaluateRequest("q2", now_us=1_500_000))) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
+    assert types(play(busy(), urgent(level), EvaluateRequest("q2", now_us=1_500_000))) == [
+        "RequestAdmitted",
+        "RequestDeferred",
+        "ExecutionQueued",
+    ]
 
 
 def test_soft_priority_goes_ahead_of_what_waits_without_it() -> None:
@@ -98,7 +102,10 @@ def test_hard_preempt_takes_the_robot_and_the_preempted_action_keeps_its_rest_it
     assert (state.execution.current["robot/B1"], state.execution.queues["robot/B1"]) == ("q2", ("q1", "q0"))
     kept = state.authority.claims["q1"]
     claimed = [event for event in play(state, TakeTurn("q2")) if isinstance(event, AuthorityClaimed)]
-    assert [(claim.dimension, claim.claimant) for claim in claimed] == [("execution", "robot/B1"), ("override", "robot/B1")]
+    assert [(claim.dimension, claim.claimant) for claim in claimed] == [
+        ("execution", "robot/B1"),
+        ("override", "robot/B1"),
+    ]
     assert state.authority.claims["q1"] == kept != ()
     assert play(state, ResumeAction("q1")) == (), "not before the robot is free"
     apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
@@ -123,7 +130,12 @@ def test_what_was_preempted_before_its_turn_is_accepted_at_its_turn() -> None:
     play(state, urgent("hard-preempt"), EvaluateRequest("q2"))
     assert play(state, TakeTurn("q1")) == ()
     apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
-    assert types(play(state, TakeTurn("q1"))) == ["RequestAccepted", "AuthorityClaimed", "AuthorityClaimed", "ApproachStarted"]
+    assert types(play(state, TakeTurn("q1"))) == [
+        "RequestAccepted",
+        "AuthorityClaimed",
+        "AuthorityClaimed",
+        "ApproachStarted",
+    ]
 
 
 def test_equals_do_not_interrupt_each_other_and_emergency_interrupts_all() -> None:
@@ -143,7 +155,9 @@ def test_emergency_without_a_supervisors_grant_is_no_override_at_all() -> None:
 
 
 def test_a_robot_that_helps_another_is_not_interrupted() -> None:
-    help_given = AssistanceAdmitted("t", "t/1", "robot/B1", "robot/A1", "robot/A1", None, ("robot/B1",), "robot/A1", "robot/B1", 1, "peer")
+    help_given = AssistanceAdmitted(
+        "t", "t/1", "robot/B1", "robot/A1", "robot/A1", None, ("robot/B1",), "robot/A1", "robot/B1", 1, "peer"
+    )
     state = given("fsar", OPEN, help_given)
     events = play(state, urgent("hard-preempt"), EvaluateRequest("q2"))
     assert types(events) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
@@ -164,7 +178,11 @@ def test_a_failure_is_first_handled_by_the_executors_own_recovery() -> None:
     state = busy()
     apply(state, ObstructionAppeared("robot/B1", "o"))
     assert types(play(state, DetectObstruction("q1", now_us=1_500_000))) == ["ExecutionFailed"]
-    assert types(play(state, urgent("hard-preempt"), EvaluateRequest("q2"))) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
+    assert types(play(state, urgent("hard-preempt"), EvaluateRequest("q2"))) == [
+        "RequestAdmitted",
+        "RequestDeferred",
+        "ExecutionQueued",
+    ]
 
 
 def test_an_own_step_that_was_preempted_while_policy_held_it_does_not_start_behind_the_other() -> None:
@@ -181,7 +199,9 @@ def test_an_own_step_that_was_preempted_while_policy_held_it_does_not_start_behi
 
 
 def entry(name: str, level: OverrideLevel) -> ExecutionQueued:
-    return ExecutionQueued("t", name, "robot/A1", "robot/B1", None, "robot/B1", "robot/A1", DOOR, 1, 1, True, True, True, level)
+    return ExecutionQueued(
+        "t", name, "robot/A1", "robot/B1", None, "robot/B1", "robot/A1", DOOR, 1, 1, True, True, True, level
+    )
 
 
 class Model:
@@ -217,7 +237,9 @@ class Model:
 
 @any_of(st.lists(st.tuples(st.integers(0, 5), st.sampled_from(LEVELS)), max_size=40))
 @settings(max_examples=200, deadline=None)
-def test_the_queue_is_that_of_a_plain_model_and_nothing_is_lost_or_doubled(moves: list[tuple[int, OverrideLevel]]) -> None:
+def test_the_queue_is_that_of_a_plain_model_and_nothing_is_lost_or_doubled(
+    moves: list[tuple[int, OverrideLevel]],
+) -> None:
     state, model = execution.INITIAL, Model()
     alive: set[str] = set()
     for ordinal, (move, level) in enumerate(moves):
@@ -304,7 +326,10 @@ def test_an_action_that_policy_holds_and_is_preempted_is_held_again_when_it_is_b
 @settings(max_examples=60, deadline=None)
 def test_in_any_run_every_request_is_executed_once_one_at_a_time(wanted: list[tuple[int, OverrideLevel, bool]]) -> None:
     commands = [
-        (1_000_000 + time_us, RequestCapability("robot/C1" if of_c else "robot/A1", "robot/B1", DOOR, "visit", f"q{number}", level))
+        (
+            1_000_000 + time_us,
+            RequestCapability("robot/C1" if of_c else "robot/A1", "robot/B1", DOOR, "visit", f"q{number}", level),
+        )
         for number, (time_us, level, of_c) in enumerate(wanted)
     ]
     run = played(commands, OPEN, GRANT)
@@ -312,7 +337,9 @@ def test_in_any_run_every_request_is_executed_once_one_at_a_time(wanted: list[tu
     for _, command in commands:
         planned, executed = lifetimes(history, command.action_id)
         assert [executed] == planned
-    assert sorted(event.action_id for _, event in of(run, RequestClosed)) == sorted(command.action_id for _, command in commands)  # type: ignore[attr-defined]
+    assert sorted(event.action_id for _, event in of(run, RequestClosed)) == sorted(  # type: ignore[attr-defined]
+        command.action_id for _, command in commands
+    )
     running: str | None = None
     for _, event in history:
         if isinstance(event, ExecutionStarted | ExecutionResumed):
@@ -328,7 +355,12 @@ OFFERS = [
     msgspec.structs.replace(CapabilityAdvertised(robot, capability), override_allowed="emergency-only")
     for robot, capability in (("robot/A1", "carry.package"), ("robot/B1", DOOR), ("robot/D1", "carry.heavy"))
 ]
-PAIRS = (("robot/C1", "robot/B1", DOOR), ("robot/A1", "robot/B1", DOOR), ("robot/D1", "robot/A1", "carry.package"), ("robot/A1", "robot/D1", "carry.heavy"))
+PAIRS = (
+    ("robot/C1", "robot/B1", DOOR),
+    ("robot/A1", "robot/B1", DOOR),
+    ("robot/D1", "robot/A1", "carry.package"),
+    ("robot/A1", "robot/D1", "carry.heavy"),
+)
 
 
 def amid(seed: int) -> Kernel:
@@ -337,7 +369,12 @@ def amid(seed: int) -> Kernel:
     for number in range(24):
         requester, executor, capability = PAIRS[(number + seed) % len(PAIRS)]
         level = LEVELS[(number * 7 + seed) % len(LEVELS)]
-        commands.append((4_000_000 + number * 4_700_000 + seed * 137_000, RequestCapability(requester, executor, capability, "visit", f"q{number}", level)))
+        commands.append(
+            (
+                4_000_000 + number * 4_700_000 + seed * 137_000,
+                RequestCapability(requester, executor, capability, "visit", f"q{number}", level),
+            )
+        )
     return played(commands, *OFFERS, GRANT, facts=schedule(Constants().world, seed, "fleet-contention", 0, 4))
 
 
@@ -358,15 +395,36 @@ def test_amid_tasks_failures_and_changing_policy_nothing_is_lost_or_doubled(seed
     admitted = [event.action_id for _, event in of(run, RequestAdmitted)]  # type: ignore[attr-defined]
     finished = [event.action_id for _, event in of(run, ExecutionFinished)]  # type: ignore[attr-defined]
     assert len(finished) == len(set(finished))
-    withdrawn = {event.action_id for _, event in of(run, ExecutionWithdrawn) if run.state.execution.actions[event.action_id].stage == "withdrawn"}  # type: ignore[attr-defined]
+    withdrawn = {
+        event.action_id  # type: ignore[attr-defined]
+        for _, event in of(run, ExecutionWithdrawn)
+        if run.state.execution.actions[event.action_id].stage == "withdrawn"  # type: ignore[attr-defined]
+    }
     assert set(admitted) | set(preempted) <= set(finished) | withdrawn
     given_up = {event.task_id for _, event in of(run, TaskAbandoned)}  # type: ignore[attr-defined]
     assert {run.state.execution.actions[name].task_id for name in withdrawn} <= given_up
-    assert {f"q{number}" for number in range(24)} <= {event.action_id for _, event in of(run, RequestClosed, RequestDenied)}  # type: ignore[attr-defined]
-    assert (run.state.execution.current, set(run.state.execution.actions), run.state.authority.claims, run.state.task) == ({}, withdrawn, {}, {})
+    assert {f"q{number}" for number in range(24)} <= {
+        event.action_id  # type: ignore[attr-defined]
+        for _, event in of(run, RequestClosed, RequestDenied)
+    }
+    assert (
+        run.state.execution.current,
+        set(run.state.execution.actions),
+        run.state.authority.claims,
+        run.state.task,
+    ) == ({}, withdrawn, {}, {})
     assert run.state == fold(run.events)
     moving: dict[str, str] = {}
-    for _, event in of(run, ExecutionStarted, ExecutionResumed, ExecutionPaused, ExecutionFailed, ExecutionPreempted, ExecutionFinished, ExecutionWithdrawn):
+    for _, event in of(
+        run,
+        ExecutionStarted,
+        ExecutionResumed,
+        ExecutionPaused,
+        ExecutionFailed,
+        ExecutionPreempted,
+        ExecutionFinished,
+        ExecutionWithdrawn,
+    ):
         robot, action_id = event.robot, event.action_id  # type: ignore[attr-defined]
         if isinstance(event, ExecutionStarted | ExecutionResumed):
             assert robot not in moving, f"{robot} executes {moving.get(robot)} and {action_id}"

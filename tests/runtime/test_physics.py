@@ -33,17 +33,48 @@ from fsar_ledger.events.recovery import (
 from fsar_ledger.events.request import AwardMade, CommandIssued, RequestAccepted, RequestAdmitted
 from fsar_ledger.events.supervision import ActuatorServiced, SupervisorCalled
 from fsar_ledger.events.task import StepBegan, TaskAbandoned, TaskCompleted
-from fsar_ledger.events.world import ActuatorDegraded, LinkWentDown, PolicyWindowOpened, RobotCameBack, RobotWentOff, TaskArrived
+from fsar_ledger.events.world import (
+    ActuatorDegraded,
+    LinkWentDown,
+    PolicyWindowOpened,
+    RobotCameBack,
+    RobotWentOff,
+    TaskArrived,
+)
 from fsar_ledger.projections.execution import HELPING
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.world import is_linked
-from tests.runtime.physics import ALWAYS, BLOCKED, EVERY, FOREVER, LATE_HANDS, LAWLESS, MIXED, OURS, QUIET, deeds, failing, in_world, of, played, robot_of
+from tests.runtime.physics import (
+    ALWAYS,
+    BLOCKED,
+    EVERY,
+    FOREVER,
+    LATE_HANDS,
+    LAWLESS,
+    MIXED,
+    OURS,
+    QUIET,
+    deeds,
+    failing,
+    in_world,
+    of,
+    played,
+    robot_of,
+)
 
 
 @EVERY
 def test_our_world_has_what_the_statements_take_away(architecture: Architecture) -> None:
     ours = played(architecture)
-    for kind in (PolicyWindowOpened, ExecutionFailed, ActuatorDegraded, ExecutionPaused, RoutinePerformed, RoutineWithheld, SupervisorCalled):
+    for kind in (
+        PolicyWindowOpened,
+        ExecutionFailed,
+        ActuatorDegraded,
+        ExecutionPaused,
+        RoutinePerformed,
+        RoutineWithheld,
+        SupervisorCalled,
+    ):
         assert of(ours.events, kind), kind.__name__
     assert ours.metrics["coordination_success"] != 0
     assert ours.metrics["policy_violations"] != 0
@@ -85,7 +116,9 @@ def test_robots_without_routine_do_none(architecture: Architecture) -> None:
 
 @EVERY
 @pytest.mark.parametrize(("share", "operation"), [(0.0, "sensing"), (1.0, "motion")])
-def test_routine_is_all_of_one_kind_at_either_end_of_its_share(architecture: Architecture, share: float, operation: str) -> None:
+def test_routine_is_all_of_one_kind_at_either_end_of_its_share(
+    architecture: Architecture, share: float, operation: str
+) -> None:
     done = of(played(architecture, motion_share=share).events, RoutinePerformed, RoutineWithheld)
     assert {event.operation for event in done if isinstance(event, RoutinePerformed | RoutineWithheld)} == {operation}
 
@@ -108,15 +141,22 @@ def test_a_task_without_time_never_succeeds(architecture: Architecture) -> None:
 
 @EVERY
 def test_messages_ten_times_slower_never_raise_success(architecture: Architecture) -> None:
-    ours, slow = (played(architecture, message=Range(low, high)).metrics["coordination_success"] for low, high in ((0.05, 0.5), (0.5, 5.0)))
+    ours, slow = (
+        played(architecture, message=Range(low, high)).metrics["coordination_success"]
+        for low, high in ((0.05, 0.5), (0.5, 5.0))
+    )
     assert ours is not None
     assert slow is not None
     assert slow <= ours
 
 
 @EVERY
-def test_with_an_actuator_that_never_holds_no_attempt_of_the_degraded_robot_succeeds_by_itself(architecture: Architecture) -> None:
-    for run in played(architecture, degradation_probability=1.0, degraded_reliability=0.0, obstruction_rate_per_s=0.0).events:
+def test_with_an_actuator_that_never_holds_no_attempt_of_the_degraded_robot_succeeds_by_itself(
+    architecture: Architecture,
+) -> None:
+    for run in played(
+        architecture, degradation_probability=1.0, degraded_reliability=0.0, obstruction_rate_per_s=0.0
+    ).events:
         degraded: set[str] = set()
         for event in run:
             match event:
@@ -173,7 +213,9 @@ def test_what_a_robot_was_at_goes_on_after_it_is_back_and_takes_no_less_time(arc
             match event:
                 case ExecutionStarted() | ExecutionResumed():
                     since[event.action_id] = time_us
-                    left[event.action_id] = event.ends_us - time_us if isinstance(event, ExecutionStarted) else left[event.action_id]
+                    left[event.action_id] = (
+                        event.ends_us - time_us if isinstance(event, ExecutionStarted) else left[event.action_id]
+                    )
                 case ExecutionHalted() | ExecutionPaused() | ExecutionFinished() if event.action_id in left:
                     left[event.action_id] -= time_us - since.pop(event.action_id)
                     halted += isinstance(event, ExecutionHalted)
@@ -189,12 +231,18 @@ def test_short_absences_are_survived(architecture: Architecture) -> None:
 
 
 @EVERY
-def test_over_links_that_are_down_nobody_is_asked_and_own_steps_go_on_where_robots_decide(architecture: Architecture) -> None:
+def test_over_links_that_are_down_nobody_is_asked_and_own_steps_go_on_where_robots_decide(
+    architecture: Architecture,
+) -> None:
     runs = failing(architecture, Outages(link_rate_per_s=ALWAYS, link_mean_s=FOREVER))
     assert of(runs.events, LinkWentDown)
     assert of(runs.events, RequestAdmitted, RequestAccepted, AssistanceAdmitted) == []
     finished = [event for event in of(runs.events, ExecutionFinished) if isinstance(event, ExecutionFinished)]
-    steps = {(queued.robot, queued.on_behalf_of) for queued in of(runs.events, ExecutionQueued) if isinstance(queued, ExecutionQueued)}
+    steps = {
+        (queued.robot, queued.on_behalf_of)
+        for queued in of(runs.events, ExecutionQueued)
+        if isinstance(queued, ExecutionQueued)
+    }
     assert all(robot == on_behalf_of for robot, on_behalf_of in steps)
     assert bool(finished) == (architecture != "cfc")  # under the coordinator no robot moves without its word
     assert of(runs.events, RoutinePerformed)
@@ -205,8 +253,16 @@ def test_no_message_reaches_or_leaves_a_robot_whose_link_is_down(architecture: A
     """Who admits, accepts or helps has heard from another; so has the coordinator that a step was finished."""
     heard = 0
     for state, _, event in failing(architecture, MIXED).told():
-        if isinstance(event, RequestAdmitted | AssistanceAdmitted | ExecutionQueued) and getattr(event, "is_delegated", True):
-            robot = robot_of(event.decided_by) if isinstance(event, RequestAdmitted) else event.helper if isinstance(event, AssistanceAdmitted) else event.robot
+        if isinstance(event, RequestAdmitted | AssistanceAdmitted | ExecutionQueued) and getattr(
+            event, "is_delegated", True
+        ):
+            robot = (
+                robot_of(event.decided_by)
+                if isinstance(event, RequestAdmitted)
+                else event.helper
+                if isinstance(event, AssistanceAdmitted)
+                else event.robot
+            )
             heard += 1
             assert robot is None or is_linked(state.world, robot), event
     assert heard
@@ -228,12 +284,20 @@ def test_every_task_comes_to_an_end_whatever_happens(architecture: Architecture)
         played(architecture, **BLOCKED, **LATE_HANDS),
     )
     for runs in worlds:
-        ends = [event.task_id for event in of(runs.events, TaskCompleted, TaskAbandoned) if isinstance(event, TaskCompleted | TaskAbandoned)]
-        assert sorted(ends) == sorted(event.task_id for event in of(runs.events, TaskArrived) if isinstance(event, TaskArrived))
+        ends = [
+            event.task_id
+            for event in of(runs.events, TaskCompleted, TaskAbandoned)
+            if isinstance(event, TaskCompleted | TaskAbandoned)
+        ]
+        assert sorted(ends) == sorted(
+            event.task_id for event in of(runs.events, TaskArrived) if isinstance(event, TaskArrived)
+        )
 
 
 @EVERY
-def test_nothing_of_a_task_begins_where_it_is_known_to_be_given_up_and_nobody_claims_what_nobody_does(architecture: Architecture) -> None:
+def test_nothing_of_a_task_begins_where_it_is_known_to_be_given_up_and_nobody_claims_what_nobody_does(
+    architecture: Architecture,
+) -> None:
     """Known is it where it was decided, and at another robot when a message has been under way for its time and both can be reached."""
     begins = (ExecutionQueued, RequestAdmitted, CommandIssued, AwardMade, OwnStepDecided, StepBegan)
     goes_on = (ApproachStarted, ExecutionStarted, RequestAccepted)
@@ -251,7 +315,11 @@ def test_nothing_of_a_task_begins_where_it_is_known_to_be_given_up_and_nobody_cl
         for time_us, event in zip(record.times_us, record.events, strict=True):
             if isinstance(event, TaskAbandoned):
                 over.add(event.task_id)
-                told_us |= {name: time_us + message_us for name, action in state.execution.actions.items() if action.task_id == event.task_id}
+                told_us |= {
+                    name: time_us + message_us
+                    for name, action in state.execution.actions.items()
+                    if action.task_id == event.task_id
+                }
             for name in told_us:
                 if not _is_reached(state, name):
                     told_us[name] = time_us + message_us
@@ -262,8 +330,12 @@ def test_nothing_of_a_task_begins_where_it_is_known_to_be_given_up_and_nobody_cl
                 assert action.robot != action.requested_by, event
                 assert time_us <= told_us[action.action_id], event
             apply(state, event)
-        for name in (claim.action_id for claims in state.authority.claims.values() for claim in claims if claim.task_id in over):
-            assert state.execution.actions[name].stage in ("running", "paused", "halted", "failed") or not _is_reached(state, name), name
+        for name in (
+            claim.action_id for claims in state.authority.claims.values() for claim in claims if claim.task_id in over
+        ):
+            assert state.execution.actions[name].stage in ("running", "paused", "halted", "failed") or not _is_reached(
+                state, name
+            ), name
     assert withdrawn
 
 
@@ -285,7 +357,9 @@ def test_nothing_that_needs_a_lost_actuator_succeeds_before_it_is_serviced(archi
     for state, _, event in runs.told():
         if isinstance(event, ExecutionFinished | FailureResolved) and state.world.degraded.get(event.robot) == "lost":
             action = state.execution.actions[event.action_id]
-            assert action.capability == "navigate.indoor" or (isinstance(event, FailureResolved) and event.level == "fleet"), event
+            assert action.capability == "navigate.indoor" or (
+                isinstance(event, FailureResolved) and event.level == "fleet"
+            ), event
         tried += isinstance(event, ExecutionFailed)
     assert tried
 
@@ -303,9 +377,13 @@ def test_with_every_way_blocked_nothing_that_needs_the_way_succeeds(architecture
 
 
 @EVERY
-def test_hands_clear_what_is_in_the_way_and_nothing_succeeds_where_more_comes_at_once(architecture: Architecture) -> None:
+def test_hands_clear_what_is_in_the_way_and_nothing_succeeds_where_more_comes_at_once(
+    architecture: Architecture,
+) -> None:
     runs = failing(architecture, Outages(), obstruction_rate_per_s=3.0, obstruction_mean_s=1e5)
-    assert any(isinstance(event, FailureResolved) and event.level == "human" for event in of(runs.events, FailureResolved))
+    assert any(
+        isinstance(event, FailureResolved) and event.level == "human" for event in of(runs.events, FailureResolved)
+    )
     assert runs.metrics["coordination_success"] == 0
     assert runs.metrics["recovery_containment"] == 0
 
@@ -314,7 +392,11 @@ def test_hands_clear_what_is_in_the_way_and_nothing_succeeds_where_more_comes_at
 def test_nothing_is_executed_through_an_obstruction(architecture: Architecture) -> None:
     """What finishes had a clear way to its end, in our world and in a worse one."""
     for runs in (played(architecture), failing(architecture, Outages(), obstruction_rate_per_s=0.2)):
-        finished = [state.world.obstructions.get(event.robot) for state, _, event in runs.told() if isinstance(event, ExecutionFinished)]
+        finished = [
+            state.world.obstructions.get(event.robot)
+            for state, _, event in runs.told()
+            if isinstance(event, ExecutionFinished)
+        ]
         assert finished
         assert not any(finished)
 
@@ -358,14 +440,18 @@ def test_a_helper_that_could_not_help_is_free_and_recovery_goes_on_elsewhere(arc
 def test_nobody_helps_with_a_lost_actuator_and_nobody_helps_while_off(architecture: Architecture) -> None:
     lost = failing(architecture, Outages(loss_rate_per_s=1.0), obstruction_rate_per_s=0.0, **LATE_HANDS)
     assert of(lost.events, AssistanceEnded) == []
-    for state, _, event in failing(architecture, Outages(off_rate_per_s=0.05, off_mean_s=5.0), obstruction_rate_per_s=0.1).told():
+    for state, _, event in failing(
+        architecture, Outages(off_rate_per_s=0.05, off_mean_s=5.0), obstruction_rate_per_s=0.1
+    ).told():
         if isinstance(event, AssistanceAdmitted | AssistanceEnded | AssistanceFailed):
             assert event.helper not in state.world.off, event
 
 
 @EVERY
 def test_help_takes_its_time_not_counting_that_in_which_the_helper_is_off(architecture: Architecture) -> None:
-    for record in failing(architecture, Outages(off_rate_per_s=0.1, off_mean_s=2.0), obstruction_rate_per_s=0.05).records:
+    for record in failing(
+        architecture, Outages(off_rate_per_s=0.1, off_mean_s=2.0), obstruction_rate_per_s=0.05
+    ).records:
         state, spent, on_since = State(), dict[str, int](), dict[str, int]()
         for time_us, event in zip(record.times_us, record.events, strict=True):
             match event:

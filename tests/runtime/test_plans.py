@@ -98,7 +98,9 @@ def test_who_goes_on_adds_no_second_plan(tmp_path: Path) -> None:
     assert (made.asked, made.made, made.held, plans(tmp_path / "ledger")) == (4, 0, 4, [2])
 
 
-def test_an_enlarged_ledger_has_the_runs_and_metrics_of_a_fresh_one_and_another_root(fresh: Path, enlarged: tuple[Path, Head]) -> None:
+def test_an_enlarged_ledger_has_the_runs_and_metrics_of_a_fresh_one_and_another_root(
+    fresh: Path, enlarged: tuple[Path, Head]
+) -> None:
     path, head = enlarged
     assert runs(path) == runs(fresh)
     assert len(runs(path)) == 10
@@ -109,8 +111,13 @@ def test_an_enlarged_ledger_has_the_runs_and_metrics_of_a_fresh_one_and_another_
     assert replay(path).ok
 
 
-@pytest.mark.parametrize(("of_small", "of_large"), [(1, 1), *(pytest.param(*at, marks=pytest.mark.slow) for at in ((0, 0), (0, 2), (2, 0), (2, 1)))])
-def test_wherever_an_enlargement_is_interrupted_its_plans_decide_the_bytes(tmp_path: Path, of_small: int, of_large: int) -> None:
+@pytest.mark.parametrize(
+    ("of_small", "of_large"),
+    [(1, 1), *(pytest.param(*at, marks=pytest.mark.slow) for at in ((0, 0), (0, 2), (2, 0), (2, 1)))],
+)
+def test_wherever_an_enlargement_is_interrupted_its_plans_decide_the_bytes(
+    tmp_path: Path, of_small: int, of_large: int
+) -> None:
     """The small experiment has two batches; the batches of the large one follow from what was there when it was planned."""
     if of_small < 2:
         interrupted(tmp_path / "stopped", ONE, of_small)
@@ -141,7 +148,9 @@ def test_the_number_of_workers_changes_no_byte_of_an_enlargement(tmp_path: Path,
         (PAIR, msgspec.structs.replace(PAIR, constants=Constants(world=WorldConstants(window_mean_s=12.0))), 2),
     ],
 )
-def test_what_is_there_is_not_made_again_whatever_else_is_asked_for(tmp_path: Path, first: Experiment, then: Experiment, made: int) -> None:
+def test_what_is_there_is_not_made_again_whatever_else_is_asked_for(
+    tmp_path: Path, first: Experiment, then: Experiment, made: int
+) -> None:
     before = carry_out(tmp_path / "ledger", first, 1).head
     after = carry_out(tmp_path / "ledger", then, 1)
     assert (after.asked, after.made) == (then.size, made)
@@ -169,7 +178,11 @@ def test_a_small_plan_that_a_larger_one_overtook_is_not_made_again(tmp_path: Pat
 
 @pytest.mark.parametrize(
     ("changes", "field"),
-    [({"run_id": "plan.n4.s3.x0002-000000000000"}, "run_id"), ({"times_us": (5,)}, "time_us"), ({"events": (LARGE.plan(),)}, "run_id")],
+    [
+        ({"run_id": "plan.n4.s3.x0002-000000000000"}, "run_id"),
+        ({"times_us": (5,)}, "time_us"),
+        ({"events": (LARGE.plan(),)}, "run_id"),
+    ],
 )
 def test_replay_finds_a_plan_that_is_not_what_its_name_says(changes: dict[str, object], field: str) -> None:
     plan = plan_record(SMALL.plan())
@@ -181,6 +194,11 @@ def test_replay_finds_a_plan_that_is_not_what_its_name_says(changes: dict[str, o
 
 def test_a_forged_plan_is_a_doubt_of_a_replayed_ledger(tmp_path: Path) -> None:
     with Writer(tmp_path / "ledger", ORIGIN) as writer:
-        writer.append(stage(tmp_path / "ledger", [msgspec.structs.replace(plan_record(LARGE.plan()), run_id=plan_record(SMALL.plan()).run_id)]))
+        writer.append(
+            stage(
+                tmp_path / "ledger",
+                [msgspec.structs.replace(plan_record(LARGE.plan()), run_id=plan_record(SMALL.plan()).run_id)],
+            )
+        )
     report = replay(tmp_path / "ledger")
     assert (report.ok, report.runs, [one.field for one in report.differences]) == (False, 0, ["run_id"])

@@ -51,7 +51,9 @@ RULE = st.builds(
 )
 
 
-def rule(outcome: str, robot: str | None = B, capability: str | None = None, context: str | None = None, scope: str = "local") -> PolicyRuleSet:
+def rule(
+    outcome: str, robot: str | None = B, capability: str | None = None, context: str | None = None, scope: str = "local"
+) -> PolicyRuleSet:
     return PolicyRuleSet(scope, robot, capability, context, outcome, H_F)  # type: ignore[arg-type]
 
 
@@ -98,10 +100,20 @@ def test_the_fleet_supervisor_rules_by_role_and_a_robot_stays_an_exception() -> 
     assert event == RolePolicyRuleSet("fleet", "B", "deny", "", DOOR, None, H_F)
     apply(state, event)
     apply(state, RobotJoined("robot/B7", "B", 7, None, "hall"))
-    assert [fleet_policy(state, robot, DOOR, None) for robot in (B, "robot/B7", "robot/B8", A)] == ["allow", "deny", "deny", "allow"]
+    assert [fleet_policy(state, robot, DOOR, None) for robot in (B, "robot/B7", "robot/B8", A)] == [
+        "allow",
+        "deny",
+        "deny",
+        "allow",
+    ]
     [event] = set_role_policy_rule(state, SetRolePolicyRule(H_F, "B", "review", "yard", DOOR))
     apply(state, event)
-    assert [fleet_policy(state, robot, DOOR, None) for robot in (B, "robot/B7", "robot/B8", "robot/B9")] == ["allow", "deny", "review", "review"]
+    assert [fleet_policy(state, robot, DOOR, None) for robot in (B, "robot/B7", "robot/B8", "robot/B9")] == [
+        "allow",
+        "deny",
+        "review",
+        "review",
+    ]
     assert compose(state, "allow", "robot/B9", DOOR, None) == "review"
 
 
@@ -121,21 +133,34 @@ def test_a_rule_of_a_role_that_cannot_be_set_is_rejected(command: SetRolePolicyR
     assert refusal(set_role_policy_rule(given("fsar", ARRIVED, TaskCompleted("A1-1")), command)).startswith(reason)
 
 
-@for_all(st.lists(RULE, max_size=8), st.sampled_from([A, B, C]), st.sampled_from([DOOR, "carry.package"]), st.sampled_from(["A1-1", "A1-2"]))
+@for_all(
+    st.lists(RULE, max_size=8),
+    st.sampled_from([A, B, C]),
+    st.sampled_from([DOOR, "carry.package"]),
+    st.sampled_from(["A1-1", "A1-2"]),
+)
 @settings(max_examples=80)
-def test_the_strictest_rule_that_applies_holds_and_of_one_rule_the_last_word(rules: list[PolicyRuleSet], robot: str, capability: str, context: str) -> None:
+def test_the_strictest_rule_that_applies_holds_and_of_one_rule_the_last_word(
+    rules: list[PolicyRuleSet], robot: str, capability: str, context: str
+) -> None:
     state = INITIAL
     for one in rules:
         state = evolve(state, one)
     last = {(one.robot, one.capability, one.context): one.outcome for one in rules if one.scope == "local"}
-    applying = [outcome for (of, what, where), outcome in last.items() if of in (None, robot) and what in (None, capability) and where in (None, context)]
+    applying = [
+        outcome
+        for (of, what, where), outcome in last.items()
+        if of in (None, robot) and what in (None, capability) and where in (None, context)
+    ]
     expected = None if not applying else "deny" if "deny" in applying else "review" if "review" in applying else "allow"
     assert ruled(state, "local", robot, capability, context) == expected
 
 
 @for_all(OUTCOME, OUTCOME, OUTCOME, OUTCOME)
 @settings(max_examples=81)
-def test_composition_is_the_strictest_of_all_parts_so_that_allow_loosens_nothing(carried: str, local: str, fleet: str, opened: str) -> None:
+def test_composition_is_the_strictest_of_all_parts_so_that_allow_loosens_nothing(
+    carried: str, local: str, fleet: str, opened: str
+) -> None:
     happened = [rule(local), rule(fleet, scope="fleet")] + ([] if opened == "allow" else [window(B, opened)])
     composed = compose(given("fsar", *happened), carried, B, DOOR, "A1-1")  # type: ignore[arg-type]
     parts = [carried, local, fleet, opened]
@@ -146,7 +171,9 @@ def test_composition_is_the_strictest_of_all_parts_so_that_allow_loosens_nothing
 
 def test_a_rule_about_a_capability_or_a_task_leaves_others_alone() -> None:
     state = given("fsar", rule("deny", capability=DOOR, context="A1-1"))
-    assert [own_policy(state, B, *about) for about in ((DOOR, "A1-1"), (DOOR, "A1-2"), ("door.open.basic", "A1-1"))] == ["deny", "allow", "allow"]
+    assert [
+        own_policy(state, B, *about) for about in ((DOOR, "A1-1"), (DOOR, "A1-2"), ("door.open.basic", "A1-1"))
+    ] == ["deny", "allow", "allow"]
 
 
 def test_a_mandate_against_the_executors_own_denial_is_denied_and_escalated() -> None:
@@ -175,7 +202,10 @@ def test_a_mandate_against_a_denial_that_holds_the_start_is_escalated_at_every_h
     assert held.outcome == "deny"
     for event in (escalated, held):
         apply(state, event)
-    assert types(start(state, StartAction("A1-1/2.1", now_us=9, drawn=7))) == ["PolicyConflictEscalated", "ExecutionHeld"]
+    assert types(start(state, StartAction("A1-1/2.1", now_us=9, drawn=7))) == [
+        "PolicyConflictEscalated",
+        "ExecutionHeld",
+    ]
     apply(state, rule("review"))
     assert types(start(state, StartAction("A1-1/2.1", now_us=9, drawn=7))) == ["ExecutionHeld"]
 
@@ -191,7 +221,15 @@ def test_a_mandate_against_a_denial_that_holds_the_start_is_escalated_at_every_h
         (rule("deny"), rule("allow", robot=A, scope="fleet")),
         (rule("allow", scope="fleet"),),
     ],
-    ids=["no mandate", "own review", "fleet reviews", "fleet also denies", "zone denies", "mandate for another", "no denial"],
+    ids=[
+        "no mandate",
+        "own review",
+        "fleet reviews",
+        "fleet also denies",
+        "zone denies",
+        "mandate for another",
+        "no denial",
+    ],
 )
 def test_without_a_mandate_or_without_a_denial_there_is_no_conflict(happened: tuple[Event, ...]) -> None:
     assert conflict(given("fsar", *happened), "A1-1", "A1-1/2.1", A, B, DOOR) == ()
@@ -200,7 +238,9 @@ def test_without_a_mandate_or_without_a_denial_there_is_no_conflict(happened: tu
 def test_without_policy_composition_a_requester_does_not_see_the_mandate() -> None:
     state = given("fsar", rule("deny"), rule("allow", scope="fleet"), configuration="without-policy-composition")
     assert conflict(state, "A1-1", "A1-1/2.1", A, B, DOOR) == ()
-    assert types(conflict(state, "A1-1", "A1-1/2.1", B, B, DOOR)) == ["PolicyConflictEscalated"], "its own step is not composed between robots"
+    assert types(conflict(state, "A1-1", "A1-1/2.1", B, B, DOOR)) == ["PolicyConflictEscalated"], (
+        "its own step is not composed between robots"
+    )
 
 
 def test_a_start_that_a_rule_held_goes_on_when_the_rule_is_replaced() -> None:
@@ -232,28 +272,51 @@ def test_what_a_rule_of_the_role_held_goes_on_when_that_or_the_robots_exception_
         assert isinstance(held, ExecutionHeld)
         apply(state, held)
         apply(state, lifted)
-        assert [one.command for react in FSAR.reacts[type(lifted)] for one in react(state, lifted, 6)] == [StartAction("A1-1/1.1")]
+        assert [one.command for react in FSAR.reacts[type(lifted)] for one in react(state, lifted, 6)] == [
+            StartAction("A1-1/1.1")
+        ]
         assert types(start(state, StartAction("A1-1/1.1", now_us=9, drawn=7))) == ["ExecutionStarted"]
 
 
 def test_a_rule_of_the_role_is_a_mandate_for_each_of_its_robots_without_an_exception() -> None:
     mandate = RolePolicyRuleSet("fleet", "B", "allow", "", DOOR)
-    assert types(conflict(given("fsar", rule("deny"), mandate), "A1-1", "A1-1/2.1", A, B, DOOR)) == ["PolicyConflictEscalated"]
-    assert conflict(given("fsar", rule("deny"), mandate, rule("deny", capability=DOOR, scope="fleet")), "A1-1", "A1-1/2.1", A, B, DOOR) == ()
-    assert conflict(given("fsar", rule("deny"), RolePolicyRuleSet("fleet", "A", "allow")), "A1-1", "A1-1/2.1", A, B, DOOR) == ()
+    assert types(conflict(given("fsar", rule("deny"), mandate), "A1-1", "A1-1/2.1", A, B, DOOR)) == [
+        "PolicyConflictEscalated"
+    ]
+    assert (
+        conflict(
+            given("fsar", rule("deny"), mandate, rule("deny", capability=DOOR, scope="fleet")),
+            "A1-1",
+            "A1-1/2.1",
+            A,
+            B,
+            DOOR,
+        )
+        == ()
+    )
+    assert (
+        conflict(given("fsar", rule("deny"), RolePolicyRuleSet("fleet", "A", "allow")), "A1-1", "A1-1/2.1", A, B, DOOR)
+        == ()
+    )
 
 
 def test_in_a_run_nothing_starts_under_a_rule_that_denies_and_it_all_goes_on_when_the_rule_is_lifted() -> None:
     denied, lifted = (1_500_000, rule("deny", capability=DOOR)), (60_000_000, rule("allow", capability=DOOR))
     one = governed("door-relay", denied, lifted)
-    starts = [time for time, event in zip(one.times_us, one.events, strict=True) if isinstance(event, ExecutionStarted) and event.capability == DOOR]
+    starts = [
+        time
+        for time, event in zip(one.times_us, one.events, strict=True)
+        if isinstance(event, ExecutionStarted) and event.capability == DOOR
+    ]
     assert starts
     assert min(starts) > 60_000_000
     assert fold(one.events) == one.state
 
 
 def test_in_a_run_a_mandate_is_escalated_with_denials_and_nothing_is_overridden() -> None:
-    one = governed("door-relay", (1_500_000, rule("deny", capability=DOOR)), (1_600_000, rule("allow", robot=None, scope="fleet")))
+    one = governed(
+        "door-relay", (1_500_000, rule("deny", capability=DOOR)), (1_600_000, rule("allow", robot=None, scope="fleet"))
+    )
     denied = {event.action_id for event in one.events if isinstance(event, RequestDenied) and event.reason == "policy"}
     escalated = {event.action_id for event in one.events if isinstance(event, PolicyConflictEscalated)}
     assert escalated

@@ -18,7 +18,13 @@ from fsar_ledger.events.recovery import (
     RecoveryEscalated,
     TaskStateTransferred,
 )
-from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityInstalled, CapabilityWithdrawn, RegistryQueried
+from fsar_ledger.events.registry import (
+    AvailabilityChanged,
+    CapabilityAdvertised,
+    CapabilityInstalled,
+    CapabilityWithdrawn,
+    RegistryQueried,
+)
 from fsar_ledger.events.supervision import ActuatorServiced, SupervisorCalled
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import ActuatorDegraded, Grade, ObstructionAppeared, SupervisorLeft, SupervisorReturned
@@ -63,14 +69,32 @@ def test_local_recovery_is_left_when_its_attempts_are_spent() -> None:
     [first] = taken(state, start_recovery(state, StartRecovery(ACTION, now_us=2_000_001)))
     assert isinstance(first, RecoveryAttempted)
     assert (first.number, first.deadline_us) == (1, 32_000_000)
-    assert types(taken(state, end_attempt(state, EndAttempt(ACTION, 1, now_us=4_000_000)))) == ["RecoveryAttemptFailed", "RecoveryAttempted"]
-    assert escalation(end_attempt(state, EndAttempt(ACTION, 2, now_us=6_000_000))) == ("local", "peer", "budget exhausted")
+    assert types(taken(state, end_attempt(state, EndAttempt(ACTION, 1, now_us=4_000_000)))) == [
+        "RecoveryAttemptFailed",
+        "RecoveryAttempted",
+    ]
+    assert escalation(end_attempt(state, EndAttempt(ACTION, 2, now_us=6_000_000))) == (
+        "local",
+        "peer",
+        "budget exhausted",
+    )
 
 
 def test_a_robots_own_budget_replaces_the_fleets() -> None:
-    state = failed(executing(A, "carry.package", ObstructionAppeared(A, "o"), RecoveryBudgetSet(A, "local", 30_000_000, 1, "supervisor/A1")))
+    state = failed(
+        executing(
+            A,
+            "carry.package",
+            ObstructionAppeared(A, "o"),
+            RecoveryBudgetSet(A, "local", 30_000_000, 1, "supervisor/A1"),
+        )
+    )
     taken(state, start_recovery(state, StartRecovery(ACTION, now_us=2_000_001)))
-    assert escalation(end_attempt(state, EndAttempt(ACTION, 1, now_us=4_000_000))) == ("local", "peer", "budget exhausted")
+    assert escalation(end_attempt(state, EndAttempt(ACTION, 1, now_us=4_000_000))) == (
+        "local",
+        "peer",
+        "budget exhausted",
+    )
     assert budget(state, A, "local").n_max == 1
     assert budget(state, B, "local").n_max == Constants().structure.local_attempts
 
@@ -108,12 +132,19 @@ def test_a_peer_with_a_task_scope_clears_the_way() -> None:
     ("robot", "capability", "before", "reason"),
     [
         (D, "carry.heavy", (), "no trusted peer"),  # capability scope does not cover assistance
-        (B, "door.open.basic", (AuthorityRevoked(B, None, None, None, "human override", "supervisor/B1"),), "authority"),
+        (
+            B,
+            "door.open.basic",
+            (AuthorityRevoked(B, None, None, None, "human override", "supervisor/B1"),),
+            "authority",
+        ),
         (B, "door.open.basic", (window(A),), "policy"),
         (B, "door.open.basic", (window(B),), "policy"),
     ],
 )
-def test_a_peer_level_that_has_nothing_to_try_says_why(robot: str, capability: str, before: tuple[Event, ...], reason: str) -> None:
+def test_a_peer_level_that_has_nothing_to_try_says_why(
+    robot: str, capability: str, before: tuple[Event, ...], reason: str
+) -> None:
     assert escalation(asked(failed(executing(robot, capability, *before), "peer"))) == ("peer", "fleet", reason)
 
 
@@ -148,7 +179,10 @@ def test_a_robot_that_is_offline_neither_helps_nor_takes_over() -> None:
     assert isinstance(query, RegistryQueried)
     assert (query.rejected, query.rejected_by) == ((D,), ("availability",))
     assert escalation((outward,)) == ("peer", "fleet", "no capable peer")
-    assert escalation(considered(failed(executing(A, "carry.package", offline), "fleet")))[2] == "no feasible reassignment: no capable robot"
+    assert (
+        escalation(considered(failed(executing(A, "carry.package", offline), "fleet")))[2]
+        == "no feasible reassignment: no capable robot"
+    )
 
 
 def test_a_substitute_stands_in_for_a_degraded_robot() -> None:
@@ -169,9 +203,17 @@ def test_the_query_of_a_recovery_starts_no_request() -> None:
 
 
 def test_a_spent_peer_budget_ends_the_peer_level() -> None:
-    assert escalation(asked(failed(executing(B, "door.open.basic"), "peer"), now_us=40_000_000)) == ("peer", "fleet", "budget exhausted")
+    assert escalation(asked(failed(executing(B, "door.open.basic"), "peer"), now_us=40_000_000)) == (
+        "peer",
+        "fleet",
+        "budget exhausted",
+    )
     closed = RecoveryBudgetSet(B, "peer", 30_000_000, 0, "supervisor/B1")
-    assert escalation(asked(failed(executing(B, "door.open.basic", closed), "peer"))) == ("peer", "fleet", "budget exhausted")
+    assert escalation(asked(failed(executing(B, "door.open.basic", closed), "peer"))) == (
+        "peer",
+        "fleet",
+        "budget exhausted",
+    )
 
 
 def test_without_a_registry_no_peer_can_be_found() -> None:
@@ -190,7 +232,13 @@ def considered(state: State, now_us: int = 3_000_000) -> tuple[Event, ...]:
 
 def test_a_step_is_handed_over_at_its_checkpoint_with_the_state_of_the_task() -> None:
     events = considered(failed(executing(checkpoints=("2",)), "fleet"))
-    assert types(events) == ["ReassignmentDecided", "FailureResolved", "ExecutionWithdrawn", "TaskStateTransferred", "ExecutionQueued"]
+    assert types(events) == [
+        "ReassignmentDecided",
+        "FailureResolved",
+        "ExecutionWithdrawn",
+        "TaskStateTransferred",
+        "ExecutionQueued",
+    ]
     decided, _, _, transferred, queued = events
     assert isinstance(decided, ReassignmentDecided)
     assert (decided.helper, decided.checkpoint, decided.reason) == (D, "A1-1/2", None)
@@ -213,13 +261,20 @@ def test_without_a_declared_checkpoint_nobody_takes_over() -> None:
         (A, "navigate.indoor", (), "the robot's own way"),
         (A, "carry.package", (TrustSet(D, A, "none"),), "no trusted robot"),
         (A, "carry.package", (AuthorityRevoked(A, D, None, None, "human override", "supervisor/fleet"),), "authority"),
-        (A, "carry.package", (AuthorityRevoked(D, A, None, None, "human override", "supervisor/fleet"),), ""),  # the other way round
+        (
+            A,
+            "carry.package",
+            (AuthorityRevoked(D, A, None, None, "human override", "supervisor/fleet"),),
+            "",
+        ),  # the other way round
         (A, "carry.package", (window(D),), "policy"),
         (A, "carry.package", (window(A, "review"),), "policy"),
         (A, "carry.package", (window(D, "deny", "fleet"),), ""),  # D has not heard of it
     ],
 )
-def test_a_robot_takes_over_nothing_that_it_may_not_do(robot: str, capability: str, before: tuple[Event, ...], reason: str) -> None:
+def test_a_robot_takes_over_nothing_that_it_may_not_do(
+    robot: str, capability: str, before: tuple[Event, ...], reason: str
+) -> None:
     decided, *_ = considered(failed(executing(robot, capability, *before), "fleet"))
     assert isinstance(decided, ReassignmentDecided)
     assert (decided.reason or "", decided.helper is None) == (reason, bool(reason))
@@ -260,7 +315,9 @@ HEAVY = (D, "carry.heavy")
         (AuthorityRevoked(A, D, "carry.heavy", None, "human override", "supervisor/fleet"), "authority", None),
     ],
 )
-def test_a_substitute_is_asked_for_its_own_capability_on_its_own_terms(before: Event, reason: str, left_out_by: str | None) -> None:
+def test_a_substitute_is_asked_for_its_own_capability_on_its_own_terms(
+    before: Event, reason: str, left_out_by: str | None
+) -> None:
     query, *helped = asked(failed(executing(A, "carry.package", before), "peer", "degradation"))
     assert isinstance(query, RegistryQueried)
     assert dict(zip(query.rejected, query.rejected_by, strict=True)).get(D) == left_out_by
@@ -278,12 +335,19 @@ def test_a_robot_with_the_same_capability_is_asked_on_the_terms_of_its_advertise
         ({"visible_to": ("Z",)}, "no capable peer"),
         ({"policy_required": ("other",)}, "policy"),
     ):
-        owned = (CapabilityInstalled(B, "carry.heavy", "1.0.0"), CapabilityAdvertised(B, "carry.heavy", **terms), TrustSet(B, D, "session"))
+        owned = (
+            CapabilityInstalled(B, "carry.heavy", "1.0.0"),
+            CapabilityAdvertised(B, "carry.heavy", **terms),
+            TrustSet(B, D, "session"),
+        )
         assert escalation(asked(failed(executing(D, "carry.heavy", *owned), "peer", "degradation")))[2] == reason
 
 
 def test_where_one_capability_does_not_suit_another_of_the_same_robot_may() -> None:
-    owned = (CapabilityInstalled(D, "carry.package", "1.0.0"), CapabilityAdvertised(D, "carry.package", trust_required="persistent"))
+    owned = (
+        CapabilityInstalled(D, "carry.package", "1.0.0"),
+        CapabilityAdvertised(D, "carry.package", trust_required="persistent"),
+    )
     query, *helped = asked(failed(executing(A, "carry.package", *owned), "peer", "degradation"))
     assert isinstance(query, RegistryQueried)
     assert (query.candidates, query.rejected) == ((D,), ())
@@ -312,8 +376,14 @@ def test_a_supervisor_who_is_off_shift_is_not_called() -> None:
 def test_a_supervisor_who_does_not_answer_in_time_is_followed_by_the_fleets_once() -> None:
     state = failed(executing(D, "grasp.robust", owner=D), "human")
     apply(state, SupervisorCalled("A1-1", ACTION, "supervisor/D1", "recovery"))
-    late = [one for react in wiring("fsar").reacts[SupervisorCalled] for one in react(state, SupervisorCalled("A1-1", ACTION, "", "recovery"), 0)]
-    assert [(one.command, one.after_us) for one in late if isinstance(one.command, CallNext)] == [(CallNext(ACTION, 1, 1), 120_000_000)]
+    late = [
+        one
+        for react in wiring("fsar").reacts[SupervisorCalled]
+        for one in react(state, SupervisorCalled("A1-1", ACTION, "", "recovery"), 0)
+    ]
+    assert [(one.command, one.after_us) for one in late if isinstance(one.command, CallNext)] == [
+        (CallNext(ACTION, 1, 1), 120_000_000)
+    ]
     assert called(taken(state, call_next(state, CallNext(ACTION, 1, 1)))) == "supervisor/fleet"
     assert call_next(state, CallNext(ACTION, 1, 1)) == ()
     assert call_next(state, CallNext(ACTION, 1, 2)) == ()
@@ -322,7 +392,11 @@ def test_a_supervisor_who_does_not_answer_in_time_is_followed_by_the_fleets_once
 
 
 def test_a_failure_creates_no_authority() -> None:
-    state = failed(executing(D, "carry.heavy", CapabilityInstalled(C, "carry.heavy", "1.0.0"), CapabilityAdvertised(C, "carry.heavy")))
+    state = failed(
+        executing(
+            D, "carry.heavy", CapabilityInstalled(C, "carry.heavy", "1.0.0"), CapabilityAdvertised(C, "carry.heavy")
+        )
+    )
     trust, rights = state.trust, state.authority
     commands: tuple[Command, ...] = (
         StartRecovery(ACTION, now_us=2_000_001),
@@ -343,11 +417,14 @@ def test_a_failure_creates_no_authority() -> None:
 
 
 @pytest.mark.parametrize(
-    ("grade", "drawn", "holds"), [(None, 0, True), ("unreliable", 1, True), ("unreliable", 0, False), ("slipping", 1, False), ("lost", 1, False)]
+    ("grade", "drawn", "holds"),
+    [(None, 0, True), ("unreliable", 1, True), ("unreliable", 0, False), ("slipping", 1, False), ("lost", 1, False)],
 )
 def test_an_actuator_holds_as_far_as_it_is_sound(grade: Grade | None, drawn: int, holds: bool) -> None:
     worn = () if grade is None else (ActuatorDegraded(D, grade),)
-    [ended] = finish_attempt(executing(D, "grasp.robust", *worn), FinishAttempt(ACTION, 3_000_000, now_us=3_000_000, drawn=drawn))
+    [ended] = finish_attempt(
+        executing(D, "grasp.robust", *worn), FinishAttempt(ACTION, 3_000_000, now_us=3_000_000, drawn=drawn)
+    )
     assert isinstance(ended, ExecutionFailed) is not holds
 
 

@@ -14,7 +14,9 @@ from tests.runtime.histories import given
 
 @pytest.mark.parametrize("issued_by", ["supervisor/A1", "supervisor/fleet"])
 def test_a_supervisor_in_charge_sets_a_recovery_budget(issued_by: str) -> None:
-    assert set_recovery_budget(given("fsar"), SetRecoveryBudget(issued_by, A, "peer", 5_000_000, 0)) == (RecoveryBudgetSet(A, "peer", 5_000_000, 0, issued_by),)
+    assert set_recovery_budget(given("fsar"), SetRecoveryBudget(issued_by, A, "peer", 5_000_000, 0)) == (
+        RecoveryBudgetSet(A, "peer", 5_000_000, 0, issued_by),
+    )
 
 
 @pytest.mark.parametrize(
@@ -42,7 +44,9 @@ def test_a_reported_failure_is_recovered_like_any_other() -> None:
     state = executing(B, "door.open.basic")
     [event] = taken(state, report_failure(state, ReportFailure(B, ACTION, "obstruction", now_us=2_000_000)))
     assert event == ExecutionFailed("A1-1", ACTION, B, 1, "obstruction", 1_000_000, 2_000_000)
-    [scheduled] = [one.command for react in wiring("fsar").reacts[ExecutionFailed] for one in react(state, event, 2_000_000)]
+    [scheduled] = [
+        one.command for react in wiring("fsar").reacts[ExecutionFailed] for one in react(state, event, 2_000_000)
+    ]
     assert scheduled == StartRecovery(ACTION)
 
 

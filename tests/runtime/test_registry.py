@@ -23,7 +23,16 @@ from fsar_ledger.events.registry import (
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.projections.registry import advertisement
-from fsar_ledger.runtime.handlers.registry import FILTERS, CacheRegistry, ConsultRegistry, Query, cache_registry, candidates, consult_registry, rejecting_filter
+from fsar_ledger.runtime.handlers.registry import (
+    FILTERS,
+    CacheRegistry,
+    ConsultRegistry,
+    Query,
+    cache_registry,
+    candidates,
+    consult_registry,
+    rejecting_filter,
+)
 from tests.runtime.histories import given, started, types, window
 
 ASKING = Query("robot/A1", "door.open.secure", "A1-1")
@@ -44,7 +53,13 @@ def why_not(*events: Event, **fields: Any) -> tuple[str, ...]:
 
 def test_the_candidate_is_who_offers_it_and_trusts_the_requester() -> None:
     answer = candidates(given("fsar"), ASKING)
-    assert (answer.candidates, answer.capabilities, answer.rejected, answer.domain, answer.as_of_us) == (("robot/B1",), ("door.open.secure",), (), "", None)
+    assert (answer.candidates, answer.capabilities, answer.rejected, answer.domain, answer.as_of_us) == (
+        ("robot/B1",),
+        ("door.open.secure",),
+        (),
+        "",
+        None,
+    )
 
 
 def test_the_requester_itself_is_neither_candidate_nor_rejected() -> None:
@@ -110,7 +125,9 @@ def test_of_several_filters_the_first_in_their_order_is_named() -> None:
 
 def test_without_trust_evaluation_nobody_hides_and_nobody_distrusts() -> None:
     events = (offered(visible_to=("C",)), TrustSet("robot/B1", "robot/A1", "none"))
-    assert candidates(given("fsar", *events, configuration="without-trust-evaluation"), ASKING).candidates == ("robot/B1",)
+    assert candidates(given("fsar", *events, configuration="without-trust-evaluation"), ASKING).candidates == (
+        "robot/B1",
+    )
 
 
 def second(robot: str = "robot/E1", version: str = "1.0.0", domain: str = "", **fields: Any) -> tuple[Event, ...]:
@@ -131,7 +148,9 @@ def test_ready_robots_come_before_busy_ones_before_degraded_ones() -> None:
     both = second()
     assert candidates(given("fsar", *both), ASKING).candidates == ("robot/B1", "robot/E1")
     assert candidates(given("fsar", *both, busy("robot/B1")), ASKING).candidates == ("robot/E1", "robot/B1")
-    assert candidates(given("fsar", *both, AvailabilityChanged("robot/B1", None, "busy", "charging")), ASKING).candidates == ("robot/E1", "robot/B1")
+    assert candidates(
+        given("fsar", *both, AvailabilityChanged("robot/B1", None, "busy", "charging")), ASKING
+    ).candidates == ("robot/E1", "robot/B1")
     degraded = AvailabilityChanged("robot/E1", None, "degraded", "actuator")
     assert candidates(given("fsar", *both, busy("robot/B1"), degraded), ASKING).candidates == ("robot/B1", "robot/E1")
 
@@ -155,12 +174,17 @@ def test_a_group_of_capabilities_matches_each_name_in_it_once_per_robot() -> Non
 
 
 def test_a_robot_that_matches_twice_is_rejected_by_the_filter_that_its_best_record_came_to() -> None:
-    answer = candidates(given("fsar", offered(capability="door.open.basic", visible_to=("C",)), offered(availability="offline")), Query("robot/A1", "door.*"))
+    answer = candidates(
+        given("fsar", offered(capability="door.open.basic", visible_to=("C",)), offered(availability="offline")),
+        Query("robot/A1", "door.*"),
+    )
     assert (answer.candidates, answer.rejected, answer.rejected_by) == ((), ("robot/B1",), ("availability",))
 
 
 def test_a_robot_that_one_filter_leaves_out_for_one_capability_may_be_a_candidate_for_another() -> None:
-    answer = candidates(given("fsar", offered(capability="door.open.basic", visible_to=("C",))), Query("robot/A1", "door.*"))
+    answer = candidates(
+        given("fsar", offered(capability="door.open.basic", visible_to=("C",))), Query("robot/A1", "door.*")
+    )
     assert (answer.candidates, answer.capabilities, answer.rejected) == (("robot/B1",), ("door.open.secure",), ())
 
 
@@ -177,7 +201,11 @@ def test_a_limited_search_goes_on_past_what_is_deprecated() -> None:
     assert (answer.candidates, answer.rejected_by) == (("robot/E1",), ("version",))
 
 
-HALL = (*second("robot/E1", domain="hall/north"), *second("robot/F1", domain="hall/north/cell"), *second("robot/G1", domain="hall/south"))
+HALL = (
+    *second("robot/E1", domain="hall/north"),
+    *second("robot/F1", domain="hall/north/cell"),
+    *second("robot/G1", domain="hall/south"),
+)
 
 
 MEMBER = RobotJoined("robot/A1", "A", 1, "supervisor/A1")
@@ -186,7 +214,9 @@ MEMBER = RobotJoined("robot/A1", "A", 1, "supervisor/A1")
 def from_domain(domain: str, *events: Event) -> State:
     """The fleet of four and the hall, where A1 is in this domain."""
     founding = started("fsar")
-    moved = [RobotJoined("robot/A1", "A", 1, "supervisor/A1", domain) if event == MEMBER else event for event in founding]
+    moved = [
+        RobotJoined("robot/A1", "A", 1, "supervisor/A1", domain) if event == MEMBER else event for event in founding
+    ]
     assert moved.count(MEMBER) == (not domain)
     return fold((*moved, *HALL, *events))
 
@@ -202,7 +232,9 @@ def from_domain(domain: str, *events: Event) -> State:
         ("", "", ("robot/B1", "robot/E1", "robot/F1", "robot/G1")),
     ],
 )
-def test_the_nearest_registry_around_the_requester_that_has_a_candidate_answers(domain: str, answering: str, found: tuple[str, ...]) -> None:
+def test_the_nearest_registry_around_the_requester_that_has_a_candidate_answers(
+    domain: str, answering: str, found: tuple[str, ...]
+) -> None:
     answer = candidates(from_domain(domain), ASKING)
     assert (answer.domain, answer.candidates) == (answering, found)
 
@@ -210,12 +242,23 @@ def test_the_nearest_registry_around_the_requester_that_has_a_candidate_answers(
 def test_a_registry_without_a_candidate_hands_the_query_on_with_its_rejections() -> None:
     distrust = TrustSet("robot/F1", "robot/A1", "none")
     answer = candidates(from_domain("hall/north/cell", distrust), ASKING)
-    assert (answer.domain, answer.candidates, answer.rejected, answer.rejected_by) == ("hall/north", ("robot/E1",), ("robot/F1",), ("trust",))
+    assert (answer.domain, answer.candidates, answer.rejected, answer.rejected_by) == (
+        "hall/north",
+        ("robot/E1",),
+        ("robot/F1",),
+        ("trust",),
+    )
 
 
 def test_what_is_scoped_to_a_domain_is_visible_there_and_below_only() -> None:
     scoped = offered("robot/E1", visibility="domain")
-    for domain, is_seen in (("hall/north", True), ("hall/north/cell", True), ("hall", False), ("hall/northern", False), ("", False)):
+    for domain, is_seen in (
+        ("hall/north", True),
+        ("hall/north/cell", True),
+        ("hall", False),
+        ("hall/northern", False),
+        ("", False),
+    ):
         state = from_domain(domain, scoped)
         record = advertisement(state.registry, "robot/E1", "door.open.secure")
         assert record is not None
@@ -238,7 +281,9 @@ def test_a_limited_search_ends_at_so_many_that_are_ready() -> None:
 
 
 def test_a_copy_answers_with_the_offers_of_its_time_and_says_how_old_it_is() -> None:
-    state = given("fsar", RegistryCached("robot/A1", 5_000_000), CapabilityWithdrawn("robot/B1", "door.open.secure", "jammed"))
+    state = given(
+        "fsar", RegistryCached("robot/A1", 5_000_000), CapabilityWithdrawn("robot/B1", "door.open.secure", "jammed")
+    )
     assert candidates(state, ASKING).candidates == ()
     copied = candidates(state, ASKING, "robot/A1")
     assert (copied.candidates, copied.as_of_us) == (("robot/B1",), 5_000_000)
@@ -255,7 +300,9 @@ def test_that_a_robot_executes_just_now_is_in_no_copy() -> None:
 def test_a_query_from_outside_is_answered_and_recorded_with_its_rejections() -> None:
     state = given("fsar", *second(trust_required="persistent"))
     [answer] = consult_registry(state, ConsultRegistry(ASKING))
-    assert answer == RegistryConsulted("robot/A1", "door.open.secure", ("robot/B1",), ("robot/E1",), ("trust",), "", None)
+    assert answer == RegistryConsulted(
+        "robot/A1", "door.open.secure", ("robot/B1",), ("robot/E1",), ("trust",), "", None
+    )
 
 
 def test_that_nobody_offers_it_is_an_answer() -> None:
@@ -313,8 +360,12 @@ RECORDS = st.builds(
 )
 CHANGES = st.one_of(
     RECORDS,
-    st.builds(TrustSet, st.sampled_from(ROBOTS), st.just("robot/A1"), st.sampled_from(("none", "capability", "persistent"))),
-    st.builds(CapabilityDeprecated, st.sampled_from(ROBOTS), st.just("door.open.secure"), st.sampled_from(("1.0.0", "1.4.0"))),
+    st.builds(
+        TrustSet, st.sampled_from(ROBOTS), st.just("robot/A1"), st.sampled_from(("none", "capability", "persistent"))
+    ),
+    st.builds(
+        CapabilityDeprecated, st.sampled_from(ROBOTS), st.just("door.open.secure"), st.sampled_from(("1.0.0", "1.4.0"))
+    ),
     st.builds(CapabilityWithdrawn, st.sampled_from(ROBOTS), st.just("door.open.secure"), st.just("jammed")),
     st.sampled_from(ROBOTS).map(busy),
 )
@@ -333,8 +384,14 @@ DOMAINS = st.dictionaries(st.sampled_from(ROBOTS), st.sampled_from(("", "hall", 
 
 def populated(changes: list[Event], domains: dict[str, str]) -> State:
     """A1 and ten more robots, each in its domain, after these changes."""
-    joined = [RobotJoined(robot, robot[6], int(robot[7]), None, domains.get(robot, "")) for robot in ("robot/A1", *ROBOTS)]
-    modules = [CapabilityInstalled(robot, name, "1.0.0") for robot in ROBOTS for name in ("door.open.secure", "door.open.wide", "lift")]
+    joined = [
+        RobotJoined(robot, robot[6], int(robot[7]), None, domains.get(robot, "")) for robot in ("robot/A1", *ROBOTS)
+    ]
+    modules = [
+        CapabilityInstalled(robot, name, "1.0.0")
+        for robot in ROBOTS
+        for name in ("door.open.secure", "door.open.wide", "lift")
+    ]
     trusted = [TrustSet(robot, "robot/A1", "task") for robot in ROBOTS]
     return fold((started("fsar")[0], *joined, *modules, *trusted, *changes))
 
@@ -347,8 +404,14 @@ def test_every_match_is_candidate_or_rejected_once_and_no_candidate_fails_a_filt
     state = populated(changes, {**domains, "robot/A1": at})
     answer = candidates(state, query)
     named = ("door.open.secure", "door.open.wide") if query.capability.endswith("*") else (query.capability,)
-    within = [robot for robot in ROBOTS if f"{domains.get(robot, '')}/".startswith(f"{answer.domain}/" if answer.domain else "")]
-    records = {robot: [record for name in named if (record := advertisement(state.registry, robot, name))] for robot in within}
+    within = [
+        robot
+        for robot in ROBOTS
+        if f"{domains.get(robot, '')}/".startswith(f"{answer.domain}/" if answer.domain else "")
+    ]
+    records = {
+        robot: [record for name in named if (record := advertisement(state.registry, robot, name))] for robot in within
+    }
     assert sorted((*answer.candidates, *answer.rejected)) == sorted(robot for robot, found in records.items() if found)
     for robot, capability in zip(answer.candidates, answer.capabilities, strict=True):
         record = advertisement(state.registry, robot, capability)
@@ -357,15 +420,21 @@ def test_every_match_is_candidate_or_rejected_once_and_no_candidate_fails_a_filt
     for robot, by in zip(answer.rejected, answer.rejected_by, strict=True):
         filters = [rejecting_filter(state, query, record) for record in records[robot]]
         is_superseded = by == "version" and any(record.is_deprecated for record in records[robot])
-        assert is_superseded or (None not in filters and by == max((name for name in filters if name), key=FILTERS.index))
-    limited = candidates(state, Query(**{**{name: getattr(query, name) for name in query.__struct_fields__}, "limit": 1}))
+        assert is_superseded or (
+            None not in filters and by == max((name for name in filters if name), key=FILTERS.index)
+        )
+    limited = candidates(
+        state, Query(**{**{name: getattr(query, name) for name in query.__struct_fields__}, "limit": 1})
+    )
     assert len(limited.candidates) == min(1, len(answer.candidates))
     assert limited.domain == answer.domain
 
 
 @forall(st.lists(CHANGES, max_size=30), QUERIES)
 @settings(max_examples=100, deadline=None)
-def test_in_a_flat_fleet_the_registry_of_any_domain_answers_as_the_fleets_own(changes: list[Event], query: Query) -> None:
+def test_in_a_flat_fleet_the_registry_of_any_domain_answers_as_the_fleets_own(
+    changes: list[Event], query: Query
+) -> None:
     """Where every robot is in one domain, its depth changes nothing but the name of the registry that answers."""
     changes = [event for event in changes if getattr(event, "visibility", "") != "domain"]
     flat = candidates(populated(changes, {}), query)

@@ -60,7 +60,11 @@ EXPERIMENTS = {
     "the workflows": workflow_experiment(seed=13, runs=2),
     "a larger fleet": Experiment(ARCHITECTURES, ("fleet-contention",), runs=1, seed=14, fleet_size=8),
     "another world": Experiment(
-        ARCHITECTURES, ("door-relay",), 1, 15, constants=Constants(WorldConstants(message=Range(0.1, 0.2)), Structure(local_attempts=3))
+        ARCHITECTURES,
+        ("door-relay",),
+        1,
+        15,
+        constants=Constants(WorldConstants(message=Range(0.1, 0.2)), Structure(local_attempts=3)),
     ),
 }
 
@@ -76,7 +80,10 @@ def test_an_honest_ledger_is_as_the_handlers_decide(tmp_path: Path, name: str) -
 
 
 def test_workers_find_the_same_in_the_same_order_and_progress_is_told(tmp_path: Path) -> None:
-    forged = [renamed(dropped(simulate_run(RunSpec(5, "cfc", "full", "door-relay", 4, run), CONSTANTS), 100 + run)) for run in range(3)]
+    forged = [
+        renamed(dropped(simulate_run(RunSpec(5, "cfc", "full", "door-relay", 4, run), CONSTANTS), 100 + run))
+        for run in range(3)
+    ]
     with Writer(tmp_path / "ledger", ORIGIN) as writer:
         for run in (HONEST, *forged):
             writer.append(stage(tmp_path / "ledger", [run]))
@@ -140,7 +147,11 @@ def test_a_fact_of_the_world_that_is_left_out_with_all_that_follows_from_it_is_m
     assert isinstance(HONEST.events[-1], ContextChanged)
     difference = replay_run(dropped(HONEST, len(HONEST.events) - 1))
     assert difference is not None
-    assert (difference.seq, difference.field, difference.actual) == (len(HONEST.events) - 1, "type", "the end of the run")
+    assert (difference.seq, difference.field, difference.actual) == (
+        len(HONEST.events) - 1,
+        "type",
+        "the end of the run",
+    )
     assert difference.expected.startswith(f"ContextChanged.v1 at {HONEST.times_us[-1]} microseconds")
 
 
@@ -175,7 +186,9 @@ def name_of(structure: Wiring, command: type[Command]) -> str:
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
-def test_whichever_handler_is_silenced_replay_names_that_handler(monkeypatch: pytest.MonkeyPatch, architecture: Architecture) -> None:
+def test_whichever_handler_is_silenced_replay_names_that_handler(
+    monkeypatch: pytest.MonkeyPatch, architecture: Architecture
+) -> None:
     decides: dict[Any, Any] = wiring(architecture).decides
     silenced = set()
     for scenario in ("failure-recovery-chain", "mixed-trust-inspection"):
@@ -192,13 +205,17 @@ def test_whichever_handler_is_silenced_replay_names_that_handler(monkeypatch: py
 
 def without_saying_so(switch: Switch) -> Iterator[str | None]:
     """The handler of the first difference of each run that lacks the mechanism and claims to be in full."""
-    for spec in (RunSpec(5, switch.architecture, "full", scenario, 4, run) for scenario in SCENARIOS for run in range(3)):
+    for spec in (
+        RunSpec(5, switch.architecture, "full", scenario, 4, run) for scenario in SCENARIOS for run in range(3)
+    ):
         difference = replay_run(simulate_run(spec, CONSTANTS, switch.structure()))
         if difference is not None:
             yield difference.handler
 
 
-@pytest.mark.parametrize("switch", [switch for switch in SWITCHES if switch.decides and not switch.rewire], ids=lambda switch: switch.name)
+@pytest.mark.parametrize(
+    "switch", [switch for switch in SWITCHES if switch.decides and not switch.rewire], ids=lambda switch: switch.name
+)
 def test_a_fleet_without_one_mechanism_is_not_taken_for_a_whole_one(switch: Switch) -> None:
     handlers = set(without_saying_so(switch))
     assert handlers
@@ -222,14 +239,21 @@ def test_a_handler_that_was_changed_since_decides_otherwise(monkeypatch: pytest.
     monkeypatch.setitem(decides, EvaluateRequest, nothing)
     difference = replay_run(HONEST)
     assert difference is not None
-    assert (difference.seq, difference.handler) == (FORGERIES["an execution without admission"].seq, "tests.runtime.test_replay.nothing")
+    assert (difference.seq, difference.handler) == (
+        FORGERIES["an execution without admission"].seq,
+        "tests.runtime.test_replay.nothing",
+    )
 
 
 def test_a_decision_from_outside_is_not_a_fact_of_the_world() -> None:
     one = governed.governed("door-relay", (30_000_000, TrustSet("robot/A1", "robot/C1", "task")))
     difference = replay_run(governed.record(one))
     assert difference is not None
-    assert (difference.seq, difference.field, difference.actual) == (seq_of(TrustSet, 50, governed.record(one)), "type", "TrustSet.v1 at 30000000 microseconds")
+    assert (difference.seq, difference.field, difference.actual) == (
+        seq_of(TrustSet, 50, governed.record(one)),
+        "type",
+        "TrustSet.v1 at 30000000 microseconds",
+    )
 
 
 # --- runs that cannot be checked, and content that nobody thought of ---
@@ -247,12 +271,24 @@ def parameters(constants: Constants) -> str:
 UNCHECKED = {
     "a live run": (restarted(kind="live", scenario=None), "kind", "commands are not stored"),
     "a simulated run of no scenario": (restarted(scenario=None), None, "Expected `str`, got `null` - at `$.scenario`"),
-    "a scenario of somebody else's": (restarted(scenario="my-hall"), None, "Invalid enum value 'my-hall' - at `$.scenario`"),
+    "a scenario of somebody else's": (
+        restarted(scenario="my-hall"),
+        None,
+        "Invalid enum value 'my-hall' - at `$.scenario`",
+    ),
     "a run without a seed": (restarted(seed=None), None, "got `null` - at `$.seed`"),
-    "another observation": (restarted(observes=tuple(one for one in CONCERNS if one != "command")), "observes", "'world'), so the run cannot be replayed"),
+    "another observation": (
+        restarted(observes=tuple(one for one in CONCERNS if one != "command")),
+        "observes",
+        "'world'), so the run cannot be replayed",
+    ),
     "another model": (restarted(model_version="0"), "model_version", "'0', so the run cannot be replayed"),
     "an impossible fleet": (restarted(fleet_size=10**12), None, "fleet size: found 1000000000000"),
-    "a baseline without a mechanism": (restarted(architecture="cfc", configuration="without-trust-evaluation"), None, "cfc"),
+    "a baseline without a mechanism": (
+        restarted(architecture="cfc", configuration="without-trust-evaluation"),
+        None,
+        "cfc",
+    ),
     "no constants": (restarted(parameters="no JSON"), "parameters", "malformed"),
     "not all constants": (restarted(parameters="{}"), "parameters", "'{}'"),
     "constants in nests": (restarted(parameters="[" * 100_000), "parameters", "Expected `object`"),
@@ -309,7 +345,9 @@ def test_odd_constants_end_in_a_finding_and_not_in_a_hang(architecture: Architec
 
 def test_a_segment_that_cannot_be_read_is_a_finding(tmp_path: Path) -> None:
     report = replay_commit(str(committed(tmp_path / "ledger", HONEST)), 0, "segments/000000000001.parquet")
-    assert [(one.commit, one.segment, one.run) for one in report.differences] == [(0, "segments/000000000001.parquet", None)]
+    assert [(one.commit, one.segment, one.run) for one in report.differences] == [
+        (0, "segments/000000000001.parquet", None)
+    ]
     assert not report.ok
 
 
@@ -320,7 +358,9 @@ def test_verify_with_replay_says_what_was_replayed(call: Call, tmp_path: Path) -
     path = committed(tmp_path / "ledger", HONEST)
     called = call("verify", path, "--replay")
     assert called.code == 0
-    assert called.out.endswith(f"replayed: all {len(HONEST.events)} events of 1 run are as the world and the handlers make them\n")
+    assert called.out.endswith(
+        f"replayed: all {len(HONEST.events)} events of 1 run are as the world and the handlers make them\n"
+    )
     answer = json.loads(call("verify", path, "--replay", "--json").out)
     assert (answer["ok"], answer["replay"]["ok"], answer["replay"]["events"]) == (True, True, len(HONEST.events))
     assert "replay" not in json.loads(call("verify", path, "--json").out)
@@ -332,7 +372,15 @@ def test_a_forged_decision_ends_the_command_with_3(call: Call, tmp_path: Path) -
     assert call("verify", path).code == 0
     called = call("verify", path, "--replay")
     assert (called.code, called.out) == (3, "")
-    for part in ("segments/000000000000.parquet", "commit 0", HONEST.run_id, f"seq {forgery.seq}", "field supervised_by", "found None", "fsar.execution.start"):
+    for part in (
+        "segments/000000000000.parquet",
+        "commit 0",
+        HONEST.run_id,
+        f"seq {forgery.seq}",
+        "field supervised_by",
+        "found None",
+        "fsar.execution.start",
+    ):
         assert part in called.err
     assert "Traceback" not in called.err
     called = call("verify", path, "--replay", "--json")

@@ -24,7 +24,9 @@ def command(out: Path, *options: str) -> list[str]:
 
 
 def simulate(out: Path, *options: str, **environment: str) -> None:
-    subprocess.run(command(out, *options), check=True, env={**os.environ, **environment}, capture_output=True, timeout=120)
+    subprocess.run(
+        command(out, *options), check=True, env={**os.environ, **environment}, capture_output=True, timeout=120
+    )
 
 
 def fingerprint(ledger: Path) -> dict[str, str]:
@@ -62,7 +64,11 @@ def test_the_bytes_do_not_depend_on_hash_seed_time_zone_locale_or_workers(
 
 
 def test_another_seed_gives_another_ledger(tmp_path: Path, expected: dict[str, str]) -> None:
-    subprocess.run([sys.executable, "-m", "fsar_ledger", "simulate", str(tmp_path / "ledger"), "--runs", "5", "--seed", "10"], check=True, capture_output=True)
+    subprocess.run(
+        [sys.executable, "-m", "fsar_ledger", "simulate", str(tmp_path / "ledger"), "--runs", "5", "--seed", "10"],
+        check=True,
+        capture_output=True,
+    )
     assert fingerprint(tmp_path / "ledger") != expected
 
 
@@ -71,7 +77,12 @@ def test_a_killed_simulation_resumes_to_the_same_bytes(tmp_path: Path, expected:
     out = tmp_path / "ledger"
     kills = 0
     for commits in (2, 3):  # the first is the plan
-        process = subprocess.Popen(command(out, "--workers", workers), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+        process = subprocess.Popen(
+            command(out, "--workers", workers),
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+            start_new_session=True,
+        )
         deadline = time.monotonic() + 60
         while process.poll() is None and time.monotonic() < deadline:
             if len(list((out / "commits").glob("0*.json")) if (out / "commits").is_dir() else []) >= commits:
@@ -95,7 +106,9 @@ def test_a_killed_enlargement_resumes_to_the_bytes_of_one_that_nobody_killed(tmp
     kills = 0
     for commits in range(4, 8):  # two plans and two batches are there; each call is killed after one commit more
         arguments = [*command(tmp_path / "killed", "--workers", workers), *options, "130"]
-        process = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+        process = subprocess.Popen(
+            arguments, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True
+        )
         while process.poll() is None and len(list((tmp_path / "killed" / "commits").glob("0*.json"))) < commits:
             time.sleep(0.001)
         kills += process.poll() is None
@@ -118,6 +131,9 @@ def test_simulating_again_adds_nothing(tmp_path: Path, made: Path, expected: dic
 @pytest.mark.slow
 def test_the_default_experiment_has_the_root_that_is_pinned(tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-m", "fsar_ledger", "simulate", str(tmp_path / "ledger"), "--runs", "20", "--seed", "42"], check=True, capture_output=True, text=True
+        [sys.executable, "-m", "fsar_ledger", "simulate", str(tmp_path / "ledger"), "--runs", "20", "--seed", "42"],
+        check=True,
+        capture_output=True,
+        text=True,
     )
     assert done.stdout.splitlines()[1] == f"root {PINNED}"

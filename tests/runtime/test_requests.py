@@ -14,13 +14,31 @@ from fsar_ledger.events.execution import (
     ExecutionQueued,
     ExecutionStarted,
 )
-from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityRemoved, CapabilityWithdrawn, RegistryQueried
-from fsar_ledger.events.request import OfferAnswered, RequestAdmitted, RequestClosed, RequestCountered, RequestDenied, RequestIssued
+from fsar_ledger.events.registry import (
+    AvailabilityChanged,
+    CapabilityAdvertised,
+    CapabilityRemoved,
+    CapabilityWithdrawn,
+    RegistryQueried,
+)
+from fsar_ledger.events.request import (
+    OfferAnswered,
+    RequestAdmitted,
+    RequestClosed,
+    RequestCountered,
+    RequestDenied,
+    RequestIssued,
+)
 from fsar_ledger.events.supervision import SupervisorResponded
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskCompleted
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.projections.fold import State, apply, fold
-from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest, RelayRequest, evaluate_request, relay_request
+from fsar_ledger.runtime.architectures.fsar.request import (
+    EvaluateRequest,
+    RelayRequest,
+    evaluate_request,
+    relay_request,
+)
 from fsar_ledger.runtime.handlers.admissibility import evaluate
 from fsar_ledger.runtime.handlers.commands import Command, TakeTurn
 from fsar_ledger.runtime.handlers.request import AnswerOffer, ReportResult, RequestCapability
@@ -37,7 +55,9 @@ def offered(level: OverrideLevel, **changes: Any) -> CapabilityAdvertised:
     return msgspec.structs.replace(CapabilityAdvertised("robot/B1", DOOR), override_allowed=level, **changes)
 
 
-def asked(*before: Event, command: RequestCapability = ASK, configuration: Any = "full", after: tuple[Event, ...] = ()) -> State:
+def asked(
+    *before: Event, command: RequestCapability = ASK, configuration: Any = "full", after: tuple[Event, ...] = ()
+) -> State:
     """The state in which the request has just been issued, and then this has happened."""
     state = given("fsar", *before, configuration=configuration)
     for event in (*decided(state, command), *after):
@@ -75,7 +95,13 @@ def test_a_request_says_who_asks_whom_for_what_in_which_context() -> None:
 def test_an_admissible_request_is_accepted_with_its_trust_and_its_authority() -> None:
     admitted, _ = evaluate_request(asked(), EvaluateRequest("q1"))
     assert isinstance(admitted, RequestAdmitted)
-    assert (admitted.trust, admitted.may_request, admitted.may_execute, admitted.override, admitted.is_audited) == ("task", True, True, "none", True)
+    assert (admitted.trust, admitted.may_request, admitted.may_execute, admitted.override, admitted.is_audited) == (
+        "task",
+        True,
+        True,
+        "none",
+        True,
+    )
 
 
 BUSY = (ARRIVED, OWN_STEP)
@@ -105,7 +131,9 @@ DISTRUST = TrustSet("robot/B1", "robot/A1", "none")
         ((EXPIRED,), {"directives": ("plan",)}, "local-execution"),
     ],
 )
-def test_the_first_conjunct_that_fails_is_the_reason(after: tuple[Event, ...], changes: dict[str, Any], conjunct: str) -> None:
+def test_the_first_conjunct_that_fails_is_the_reason(
+    after: tuple[Event, ...], changes: dict[str, Any], conjunct: str
+) -> None:
     state = asked(command=RequestCapability(**{**msgspec.structs.asdict(ASK), **changes}), after=after)
     assert verdict(state) == ("reject", conjunct)
     [denied] = evaluate_request(state, EvaluateRequest("q1"))
@@ -144,7 +172,12 @@ def test_what_was_approved_is_still_denied_when_trust_is_gone_by_then() -> None:
     state = asked(after=(window("robot/B1", "review"),))
     for event in evaluate_request(state, EvaluateRequest("q1")):
         apply(state, event)
-    apply(state, SupervisorResponded("visit", "q1", FLEET_SUPERVISOR, "robot/A1", "robot/B1", FLEET_SUPERVISOR, (FLEET_SUPERVISOR,), "review"))
+    apply(
+        state,
+        SupervisorResponded(
+            "visit", "q1", FLEET_SUPERVISOR, "robot/A1", "robot/B1", FLEET_SUPERVISOR, (FLEET_SUPERVISOR,), "review"
+        ),
+    )
     request = state.request["q1"]
     assert evaluate(state, request, "robot/B1", is_reviewed=True).verdict == "accept"
     apply(state, DISTRUST)
@@ -156,7 +189,11 @@ def test_a_busy_executor_defers_and_the_request_is_served_in_its_turn() -> None:
     second = msgspec.structs.replace(ASK, action_id="q2")
     for event in decided(state, second):
         apply(state, event)
-    assert types(evaluate_request(state, EvaluateRequest("q2"))) == ["RequestAdmitted", "RequestDeferred", "ExecutionQueued"]
+    assert types(evaluate_request(state, EvaluateRequest("q2"))) == [
+        "RequestAdmitted",
+        "RequestDeferred",
+        "ExecutionQueued",
+    ]
 
 
 RELAYED = RegistryQueried("A1-1", "A1-1/2.1", "robot/D1", "robot/B1", None, DOOR, ("robot/B1",), "robot/A1")
@@ -166,7 +203,17 @@ D_STEP = StepBegan("A1-1", "A1-1/2.1", "robot/D1", 2, 1, DOOR, "B")
 def relayed(*after: Event) -> State:
     """D1's request to B1 has been issued and stands before its relay A1."""
     issued = RequestIssued(
-        "A1-1", "A1-1/2.1", "A1-1/2.1", "robot/D1", "robot/D1", "robot/B1", None, ("robot/D1",), DOOR, carried_policy="allow", relay="robot/A1"
+        "A1-1",
+        "A1-1/2.1",
+        "A1-1/2.1",
+        "robot/D1",
+        "robot/D1",
+        "robot/B1",
+        None,
+        ("robot/D1",),
+        DOOR,
+        carried_policy="allow",
+        relay="robot/A1",
     )
     return given("fsar", ARRIVED, D_STEP, RELAYED, issued, *after)
 
@@ -221,7 +268,9 @@ def test_rights_along_a_chain_never_add_up_to_a_right_of_its_first_at_its_last()
         ({"override": "absolute"}, "unknown override level absolute"),
     ],
 )
-def test_a_request_that_names_something_unknown_over_or_impossible_is_rejected_and_changes_nothing(changes: dict[str, Any], found: str) -> None:
+def test_a_request_that_names_something_unknown_over_or_impossible_is_rejected_and_changes_nothing(
+    changes: dict[str, Any], found: str
+) -> None:
     finished = RequestDenied("visit", "old", "old", "robot/B1", "robot/A1", "robot/B1", None, ("robot/B1",), "policy")
     first = msgspec.structs.replace(ASK, action_id="old")
     state = asked(ARRIVED, DELEGATED_STEP, TaskCompleted("A1-9"), command=first, after=(finished,))
@@ -284,12 +333,20 @@ def test_a_requester_that_lets_go_ends_its_request() -> None:
     assert evaluate_request(state, EvaluateRequest("q1")) == ()
 
 
-@pytest.mark.parametrize(("answers", "ends"), [([True], "closed"), ([None, True], "closed"), ([False], "let go"), ([None, None, None], "denied")])
+@pytest.mark.parametrize(
+    ("answers", "ends"),
+    [([True], "closed"), ([None, True], "closed"), ([False], "let go"), ([None, None, None], "denied")],
+)
 def test_in_a_whole_run_a_negotiation_comes_to_its_end(answers: list[bool | None], ends: str) -> None:
     """True takes the offer, None asks for the same again, False lets go."""
     commands: list[tuple[int, Command]] = [(1_000_000, msgspec.structs.replace(ASK, override="hard-preempt"))]
     for number, answer in enumerate(answers, 1):
-        commands.append((1_000_000 + number * 2_000_000, AnswerOffer("robot/A1", "q1", answer is True, "hard-preempt" if answer is None else None)))
+        commands.append(
+            (
+                1_000_000 + number * 2_000_000,
+                AnswerOffer("robot/A1", "q1", answer is True, "hard-preempt" if answer is None else None),
+            )
+        )
     run = played(commands, offered("soft-priority"))
     assert len(of(run, RequestCountered)) == len(of(run, OfferAnswered)) == len(answers)
     assert bool(of(run, RequestClosed)) == (ends == "closed")
@@ -324,7 +381,9 @@ def executing(result_of: str = "q1") -> State:
 
 
 @pytest.mark.parametrize(("result", "achieved"), [("success", ()), ("partial", ("door.opened",)), ("failure", ())])
-def test_a_reported_result_ends_the_execution_and_the_closing_carries_it_on(result: Any, achieved: tuple[str, ...]) -> None:
+def test_a_reported_result_ends_the_execution_and_the_closing_carries_it_on(
+    result: Any, achieved: tuple[str, ...]
+) -> None:
     [finished] = decided(executing(), ReportResult("robot/B1", "q1", result, achieved))
     assert isinstance(finished, ExecutionFinished)
     assert (finished.result, finished.achieved, finished.executed_by) == (result, achieved, "robot/B1")
@@ -369,10 +428,13 @@ def test_a_result_achieves_nothing_that_the_contract_does_not_promise() -> None:
     state = executing()
     module = msgspec.structs.replace(
         state.registry.modules["robot/B1"][DOOR],
-        contract=msgspec.structs.replace(state.registry.modules["robot/B1"][DOOR].contract, postconditions=("door.open", "door.unlocked")),
+        contract=msgspec.structs.replace(
+            state.registry.modules["robot/B1"][DOOR].contract, postconditions=("door.open", "door.unlocked")
+        ),
     )
     state.registry = msgspec.structs.replace(
-        state.registry, modules={**state.registry.modules, "robot/B1": {**state.registry.modules["robot/B1"], DOOR: module}}
+        state.registry,
+        modules={**state.registry.modules, "robot/B1": {**state.registry.modules["robot/B1"], DOOR: module}},
     )
     assert types(decided(state, ReportResult("robot/B1", "q1", "partial", ("door.unlocked",)))) == ["ExecutionFinished"]
     assert types(decided(state, ReportResult("robot/B1", "q1", "partial", ("window.open",)))) == ["CommandRejected"]
@@ -380,11 +442,18 @@ def test_a_result_achieves_nothing_that_the_contract_does_not_promise() -> None:
 
 def test_a_step_whose_result_is_no_success_is_asked_for_again() -> None:
     begun = (ARRIVED,)
-    started = next(time for time, event in of(played([], *begun), ExecutionStarted) if isinstance(event, ExecutionStarted) and event.robot == "robot/B1")
+    started = next(
+        time
+        for time, event in of(played([], *begun), ExecutionStarted)
+        if isinstance(event, ExecutionStarted) and event.robot == "robot/B1"
+    )
     run = played([(started + 1_000, ReportResult("robot/B1", "A1-1/2.1", "failure"))], *begun)
     attempts = [event.attempt for _, event in of(run, StepBegan) if isinstance(event, StepBegan) and event.step == 2]
     assert attempts == [1, 2]
-    assert [event.action_id for _, event in of(run, StepCompleted) if isinstance(event, StepCompleted)] == ["A1-1/1.1", "A1-1/2.2"]
+    assert [event.action_id for _, event in of(run, StepCompleted) if isinstance(event, StepCompleted)] == [
+        "A1-1/1.1",
+        "A1-1/2.2",
+    ]
     assert len(of(run, TaskCompleted)) == 1
 
 
@@ -392,7 +461,15 @@ def test_a_request_by_itself_in_the_context_of_a_task_leaves_the_task_alone() ->
     ask = msgspec.structs.replace(ASK, context="A1-1", action_id="q1")
     denied = msgspec.structs.replace(ASK, context="A1-1", action_id="q2", directives=("plan",))
     run = played([(1_000, ask), (1_001, denied)], ARRIVED)
-    assert [event.action_id for _, event in of(run, StepCompleted) if isinstance(event, StepCompleted)] == ["A1-1/1.1", "A1-1/2.1"]
-    assert {event.action_id for _, event in of(run, RequestClosed) if isinstance(event, RequestClosed)} == {"q1", "A1-1/2.1"}
-    assert [event.action_id for _, event in of(run, RegistryQueried) if isinstance(event, RegistryQueried)] == ["A1-1/2.1"]
+    assert [event.action_id for _, event in of(run, StepCompleted) if isinstance(event, StepCompleted)] == [
+        "A1-1/1.1",
+        "A1-1/2.1",
+    ]
+    assert {event.action_id for _, event in of(run, RequestClosed) if isinstance(event, RequestClosed)} == {
+        "q1",
+        "A1-1/2.1",
+    }
+    assert [event.action_id for _, event in of(run, RegistryQueried) if isinstance(event, RegistryQueried)] == [
+        "A1-1/2.1"
+    ]
     assert run.state == fold(run.events)

@@ -35,7 +35,9 @@ def stored(record: RunRecord) -> RunRecord:
     return back
 
 
-def resumed(spec: RunSpec, record: RunRecord, position: int, constants: Constants) -> tuple[list[int], list[int | None], list[object]]:
+def resumed(
+    spec: RunSpec, record: RunRecord, position: int, constants: Constants
+) -> tuple[list[int], list[int | None], list[object]]:
     one = kernel(spec, constants)
     one.restore(record.times_us[:position], record.caused_by[:position], record.events[:position])
     one.run()
@@ -54,7 +56,9 @@ def assert_resumes(spec: RunSpec, places: int, constants: Constants = CONSTANTS)
     founding = sum(time == 0 for time in record.times_us)
     for position in positions(len(record.events), founding, places):
         times, causes, events = resumed(spec, record, position, constants)
-        assert (times, causes, events) == (list(record.times_us), list(record.caused_by), list(record.events)), f"stopped at {position}"
+        assert (times, causes, events) == (list(record.times_us), list(record.caused_by), list(record.events)), (
+            f"stopped at {position}"
+        )
 
 
 @pytest.mark.parametrize("architecture", get_args(Architecture))
@@ -112,7 +116,11 @@ def with_memory() -> Wiring:
 def test_an_architecture_with_a_memory_of_its_own_does_not_resume() -> None:
     spec = RunSpec(5, "fsar", "full", "door-relay", 4, 0)
     record = simulate_run(spec, CONSTANTS, with_memory())
-    half = next(seq for seq in range(len(record.events) // 2, len(record.events)) if type(record.events[seq]).__name__ == "RoutineDue")
+    half = next(
+        seq
+        for seq in range(len(record.events) // 2, len(record.events))
+        if type(record.events[seq]).__name__ == "RoutineDue"
+    )
 
     def rest(structure: Wiring) -> list[Event]:
         one = kernel(spec, CONSTANTS, structure)

@@ -37,7 +37,9 @@ GOVERNANCES: tuple[tuple[Architecture, Configuration], ...] = (
 
 
 def facts_of(run: Kernel) -> list[Fact]:
-    return [(time, event) for time, event in zip(run.times_us, run.events, strict=True) if isinstance(event, WORLD_TYPES)]
+    return [
+        (time, event) for time, event in zip(run.times_us, run.events, strict=True) if isinstance(event, WORLD_TYPES)
+    ]
 
 
 def worlds_are_the_same(runs: Sequence[Kernel]) -> bool:
@@ -46,7 +48,9 @@ def worlds_are_the_same(runs: Sequence[Kernel]) -> bool:
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_every_governance_meets_the_same_world(scenario: Scenario) -> None:
-    runs = [finished(RunSpec(3, architecture, configuration, scenario, 4, 1)) for architecture, configuration in GOVERNANCES]
+    runs = [
+        finished(RunSpec(3, architecture, configuration, scenario, 4, 1)) for architecture, configuration in GOVERNANCES
+    ]
     assert len(facts_of(runs[0])) > 100
     assert worlds_are_the_same(runs)
 
@@ -116,7 +120,11 @@ def names_are_blind(names: Sequence[str]) -> bool:
 
 
 def test_no_stream_name_contains_an_architecture_or_a_configuration() -> None:
-    names = [f"{stream}/{key}" for architecture in get_args(Architecture) for stream, key in asked_by(architecture, RecordingDraws)]
+    names = [
+        f"{stream}/{key}"
+        for architecture in get_args(Architecture)
+        for stream, key in asked_by(architecture, RecordingDraws)
+    ]
     assert names_are_blind(names)
     assert not names_are_blind([*names, "message/cfc/A1-1"])
 
@@ -149,9 +157,17 @@ def test_more_draws_in_one_stream_move_no_other() -> None:
 
 def test_a_robot_of_a_larger_fleet_meets_the_same_world() -> None:
     def of_robot(fleet_size: int) -> list[Event]:
-        return [event for _, event in schedule(WorldConstants(), 5, "door-relay", 2, fleet_size) if getattr(event, "robot", "") == "robot/B1"]
+        return [
+            event
+            for _, event in schedule(WorldConstants(), 5, "door-relay", 2, fleet_size)
+            if getattr(event, "robot", "") == "robot/B1"
+        ]
 
-    alone = [event for event in of_robot(8) if type(event).__name__ != "PeersMet" and not getattr(event, "obstruction", "").startswith("crowding/")]
+    alone = [
+        event
+        for event in of_robot(8)
+        if type(event).__name__ != "PeersMet" and not getattr(event, "obstruction", "").startswith("crowding/")
+    ]
     assert alone == [event for event in of_robot(4) if type(event).__name__ != "PeersMet"]
 
 
@@ -162,14 +178,20 @@ def completed(structure: Wiring | None) -> int:
 
 def test_when_all_robots_are_offline_no_task_succeeds() -> None:
     whole = wiring("fsar")
-    offline = Wiring({**whole.decides, TakeTurn: lambda _state, _command: (), StartAction: lambda _state, _command: ()}, whole.reacts)
+    offline = Wiring(
+        {**whole.decides, TakeTurn: lambda _state, _command: (), StartAction: lambda _state, _command: ()}, whole.reacts
+    )
     assert completed(offline) == 0
     assert completed(None) > 0
 
 
 def metric(name: str, architecture: Architecture, structure: Structure, runs: int = 25) -> float:
     constants = Constants(structure=structure)
-    records: list[RunRecord] = [simulate_run(RunSpec(11, architecture, "full", scenario, 4, run), constants) for scenario in SCENARIOS for run in range(runs)]
+    records: list[RunRecord] = [
+        simulate_run(RunSpec(11, architecture, "full", scenario, 4, run), constants)
+        for scenario in SCENARIOS
+        for run in range(runs)
+    ]
     with from_table(encode(records), threads=1) as database:
         found = next(row.mean for row in metric_rows(database) if row.metric == name)
     assert found is not None
@@ -183,8 +205,14 @@ def rises(values: Sequence[float]) -> bool:
 def test_more_local_attempts_contain_more_failures() -> None:
     def contained(attempts: int) -> int:
         constants = Constants(structure=Structure(local_attempts=attempts))
-        runs = [simulate_run(RunSpec(11, "fsar", "full", scenario, 4, run), constants) for scenario in SCENARIOS for run in range(25)]
-        return sum(isinstance(event, FailureResolved) and event.level == "local" for run in runs for event in run.events)
+        runs = [
+            simulate_run(RunSpec(11, "fsar", "full", scenario, 4, run), constants)
+            for scenario in SCENARIOS
+            for run in range(25)
+        ]
+        return sum(
+            isinstance(event, FailureResolved) and event.level == "local" for run in runs for event in run.events
+        )
 
     counts = [contained(attempts) for attempts in (1, 2, 5)]
     assert rises(counts)
@@ -192,7 +220,10 @@ def test_more_local_attempts_contain_more_failures() -> None:
 
 
 def test_shorter_sync_gives_fewer_violations_under_cfc() -> None:
-    violations = [metric("policy_violations", "cfc", Structure(sync_period_us=period)) for period in (1_000_000, 6_500_000, 25_000_000)]
+    violations = [
+        metric("policy_violations", "cfc", Structure(sync_period_us=period))
+        for period in (1_000_000, 6_500_000, 25_000_000)
+    ]
     assert rises(violations)
     assert not rises(violations[::-1])
 

@@ -52,7 +52,12 @@ def test_a_group_that_is_there_makes_another_run_and_is_recorded() -> None:
 
 
 def test_equal_constants_are_one_text() -> None:
-    ours, given = Constants(), Constants(world=msgspec.structs.replace(WorldConstants(), horizon_s=240), load=Load(task_sets=2, interval_s=30))
+    ours, given = (
+        Constants(),
+        Constants(
+            world=msgspec.structs.replace(WorldConstants(), horizon_s=240), load=Load(task_sets=2, interval_s=30)
+        ),
+    )
     assert ours.world == given.world
     assert write_constants(given) == write_constants(Constants(load=Load(task_sets=2, interval_s=30.0)))
     assert write_constants(given).startswith(write_constants(ours)[:-1])
@@ -60,7 +65,10 @@ def test_equal_constants_are_one_text() -> None:
 
 def test_zero_is_one_text_whatever_its_sign() -> None:
     durations = (("-0.0", Range(-0.0, 1.0)),)
-    one, other = (Constants(WorldConstants(obstruction_rate_per_s=zero, durations=(("-0.0", Range(zero, 1.0)),))) for zero in (0.0, -0.0))
+    one, other = (
+        Constants(WorldConstants(obstruction_rate_per_s=zero, durations=(("-0.0", Range(zero, 1.0)),)))
+        for zero in (0.0, -0.0)
+    )
     assert one == other
     assert write_constants(one) == write_constants(other)
     assert read_constants(write_constants(other)).world.durations == durations
@@ -78,14 +86,29 @@ def test_runs_of_earlier_releases_observe_all_that_there_was(version: str) -> No
 
 
 def test_a_retired_start_keeps_all_that_it_said() -> None:
-    values = {"kind": "live", "seed": 7, "architecture": "cfc", "configuration": "full", "scenario": "live", "fleet_size": 8, "run": 3, "model_version": "1"}
+    values = {
+        "kind": "live",
+        "seed": 7,
+        "architecture": "cfc",
+        "configuration": "full",
+        "scenario": "live",
+        "fleet_size": 8,
+        "run": 3,
+        "model_version": "1",
+    }
     event = RunStartedV1(**values, parameters="{}")  # type: ignore[arg-type]
     [change] = UPCASTS[RunStartedV1]
     assert change(event) == RunStarted(**values, parameters="{}", observes=CONCERNS)  # type: ignore[arg-type]
 
 
 def test_a_run_from_outside_is_stored_with_what_it_has(tmp_path: Path) -> None:
-    started = RunStarted("foreign", ("fleet", "execution"), architecture="open-rmf", scenario="Ward 3, night", source="traffic log of a hospital")
+    started = RunStarted(
+        "foreign",
+        ("fleet", "execution"),
+        architecture="open-rmf",
+        scenario="Ward 3, night",
+        source="traffic log of a hospital",
+    )
     append_all(tmp_path / "ledger", [[RunRecord("night", [0], [None], [started])]])
     assert verify(tmp_path / "ledger").ok
     [record] = open_ledger(tmp_path / "ledger").runs()
@@ -95,7 +118,11 @@ def test_a_run_from_outside_is_stored_with_what_it_has(tmp_path: Path) -> None:
         [row] = database.query("staging/runs").to_pylist()
     missing = {"seed", "configuration", "fleet_size", "run", "model_version", "parameters_sha256"}
     assert {name for name, value in row.items() if value is None} == missing
-    assert (row["kind"], row["observes"], row["source"]) == ("foreign", ["fleet", "execution"], "traffic log of a hospital")
+    assert (row["kind"], row["observes"], row["source"]) == (
+        "foreign",
+        ["fleet", "execution"],
+        "traffic log of a hospital",
+    )
 
 
 def test_names_of_what_a_run_plays_are_open_text_and_its_kind_is_not() -> None:

@@ -16,7 +16,15 @@ from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.request import AwardMade, CommandIssued, RequestIssued, RequestUnanswered
 from fsar_ledger.events.supervision import ActuatorServiced
 from fsar_ledger.events.task import StepCompleted, TaskAbandoned, TaskCompleted
-from fsar_ledger.events.world import ActuatorDegraded, LinkCameUp, LinkWentDown, ObstructionAppeared, RobotCameBack, RobotWentOff, TaskArrived
+from fsar_ledger.events.world import (
+    ActuatorDegraded,
+    LinkCameUp,
+    LinkWentDown,
+    ObstructionAppeared,
+    RobotCameBack,
+    RobotWentOff,
+    TaskArrived,
+)
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, founding_of, wiring
 from fsar_ledger.runtime.world.draws import Draws, run_key
@@ -25,7 +33,9 @@ from tests.runtime.physics import EVERY, LAWLESS, OURS, QUIET
 
 S = 1_000_000
 ANSWER_US = round(Outages().answer_s * S)
-CALM = msgspec.structs.replace(OURS, **QUIET, **LAWLESS, context_rate_per_s=0.0, routine_rate_per_s=0.0, encounter_mean_s=5.0)
+CALM = msgspec.structs.replace(
+    OURS, **QUIET, **LAWLESS, context_rate_per_s=0.0, routine_rate_per_s=0.0, encounter_mean_s=5.0
+)
 A, B, B2, DOOR = "robot/A1", "robot/B1", "robot/B2", "door.open.secure"
 TASK = TaskArrived("A1-1", A, 1, (f"A {DOOR} B",), 90 * S, 91 * S)
 
@@ -50,12 +60,16 @@ def without(architecture: Architecture, scenario: str, robot: str, ends: type[Ev
 
 def of(run: Kernel, *kinds: type[Event]) -> list[tuple[int, Event]]:
     """The events of these kinds with their times."""
-    return [(time_us, event) for time_us, event in zip(run.times_us, run.events, strict=True) if isinstance(event, kinds)]
+    return [
+        (time_us, event) for time_us, event in zip(run.times_us, run.events, strict=True) if isinstance(event, kinds)
+    ]
 
 
 @EVERY
 @pytest.mark.parametrize("ends", [RobotWentOff, LinkWentDown])
-def test_where_another_robot_could_serve_nobody_waits_for_ever_for_one_that_is_silent(architecture: Architecture, ends: type[Event]) -> None:
+def test_where_another_robot_could_serve_nobody_waits_for_ever_for_one_that_is_silent(
+    architecture: Architecture, ends: type[Event]
+) -> None:
     """Each robot in its turn; a task in which the silent one acts itself can only be given up."""
     tasks = 0
     for scenario in SCENARIOS:
@@ -80,7 +94,11 @@ def helped(architecture: Architecture) -> Kernel:
 def test_that_a_helper_is_silent_is_known_when_the_time_for_its_answer_is_over(architecture: Architecture) -> None:
     """Under DHMA robots do not help each other."""
     run = helped(architecture)
-    turned = [time_us for time_us, event in of(run, RecoveryEscalated, AssistanceRequested) if getattr(event, "to_level", "peer") == "peer"]
+    turned = [
+        time_us
+        for time_us, event in of(run, RecoveryEscalated, AssistanceRequested)
+        if getattr(event, "to_level", "peer") == "peer"
+    ]
     helping = of(run, AssistanceAdmitted)
     assert len(helping) == 1
     admitted_us, admitted = helping[0]
@@ -88,7 +106,9 @@ def test_that_a_helper_is_silent_is_known_when_the_time_for_its_answer_is_over(a
     assert admitted.helper != B
     assert ANSWER_US <= admitted_us - turned[0] <= ANSWER_US + 2 * S
     asked = [event.helper for _, event in of(run, AssistanceRequested) if isinstance(event, AssistanceRequested)]
-    assert asked == ([admitted.helper] if architecture == "fsar" else [B, admitted.helper])  # the coordinator orders one by one
+    assert asked == (
+        [admitted.helper] if architecture == "fsar" else [B, admitted.helper]
+    )  # the coordinator orders one by one
     assert of(run, TaskCompleted)
 
 
@@ -97,10 +117,17 @@ def test_the_registry_has_a_silent_robot_offline_until_it_has_reported_back() ->
     last = msgspec.structs.replace(TASK, task_id="A1-3")
     for ends, begins in ((RobotWentOff, RobotCameBack), (LinkWentDown, LinkCameUp)):
         run = ran("fsar", [(1, ends(B)), (S, TASK), (30 * S, later), (60 * S, begins(B)), (61 * S, last)])
-        asked = [(event.action_id, event.executed_by) for _, event in of(run, RequestIssued) if isinstance(event, RequestIssued)]
+        asked = [
+            (event.action_id, event.executed_by)
+            for _, event in of(run, RequestIssued)
+            if isinstance(event, RequestIssued)
+        ]
         assert asked == [("A1-1/1.1", B), ("A1-1/1.2", B2), ("A1-2/1.1", B2), ("A1-3/1.1", B)]
         (gone_us, gone), (back_us, back) = of(run, AvailabilityChanged)
-        assert (gone, back) == (AvailabilityChanged(B, None, "offline", "no answer"), AvailabilityChanged(B, None, "ready", "answers again"))
+        assert (gone, back) == (
+            AvailabilityChanged(B, None, "offline", "no answer"),
+            AvailabilityChanged(B, None, "ready", "answers again"),
+        )
         assert gone_us - of(run, RequestIssued)[0][0] == ANSWER_US
         assert 60 * S < back_us < 61 * S
 
@@ -108,7 +135,11 @@ def test_the_registry_has_a_silent_robot_offline_until_it_has_reported_back() ->
 def test_what_a_robot_has_said_of_itself_since_stands_when_it_reports_back() -> None:
     before = AvailabilityChanged(B, "door.open.basic", "restricted", "inspection")
     run = ran("fsar", [(1, before), (2, RobotWentOff(B)), (S, TASK), (60 * S, RobotCameBack(B))])
-    back = {event.capability: event.availability for _, event in of(run, AvailabilityChanged)[2:] if isinstance(event, AvailabilityChanged)}
+    back = {
+        event.capability: event.availability
+        for _, event in of(run, AvailabilityChanged)[2:]
+        if isinstance(event, AvailabilityChanged)
+    }
     assert back["door.open.basic"] == "restricted"
     assert back[DOOR] == "ready"
     assert run.state.registry.silent == {}
@@ -128,7 +159,11 @@ def test_a_command_that_nobody_confirmed_is_taken_back_and_not_carried_out_later
     assert isinstance(late, RequestUnanswered)
     assert (late.decided_by, late.executed_by, late.requested_by) == ("coordinator", B, None)
     assert late_us - of(run, CommandIssued)[0][0] == ANSWER_US
-    assert [event.dimension for time_us, event in of(run, AuthorityReleased) if isinstance(event, AuthorityReleased) and time_us == late_us] == [
+    assert [
+        event.dimension
+        for time_us, event in of(run, AuthorityReleased)
+        if isinstance(event, AuthorityReleased) and time_us == late_us
+    ] == [
         "execution",
         "override",
     ]
@@ -153,8 +188,13 @@ def test_a_contract_whose_award_is_not_accepted_is_awarded_anew() -> None:
     [(late_us, late)] = of(run, RequestUnanswered)
     assert isinstance(late, RequestUnanswered)
     assert (late_us, late.executed_by) == (awarded_us + ANSWER_US, first.robot)
-    assert [event.robot for _, event in of(run, AwardMade) if isinstance(event, AwardMade)] == [first.robot, ({B, B2} - {first.robot}).pop()]
-    assert [event.robot for _, event in of(run, ExecutionQueued) if isinstance(event, ExecutionQueued)] == [({B, B2} - {first.robot}).pop()]
+    assert [event.robot for _, event in of(run, AwardMade) if isinstance(event, AwardMade)] == [
+        first.robot,
+        ({B, B2} - {first.robot}).pop(),
+    ]
+    assert [event.robot for _, event in of(run, ExecutionQueued) if isinstance(event, ExecutionQueued)] == [
+        ({B, B2} - {first.robot}).pop()
+    ]
 
 
 @EVERY
@@ -166,13 +206,17 @@ def test_where_nobody_else_could_serve_the_robot_is_asked_until_it_is_back(archi
 
 
 @EVERY
-def test_where_nobody_is_off_nobody_is_found_silent_as_long_as_each_message_is_delivered_in_time(architecture: Architecture) -> None:
+def test_where_nobody_is_off_nobody_is_found_silent_as_long_as_each_message_is_delivered_in_time(
+    architecture: Architecture,
+) -> None:
     """Bids and relayed requests take several messages of up to 4.9 s; the time for an answer is for the delivery of one."""
     slow = msgspec.structs.replace(CALM, message=Range(0.49, 4.9))
     for run in range(3):
         spec, constants = RunSpec(5, architecture, "full", "door-relay", 4, run), Constants(world=slow)
         facts = schedule(slow, 5, spec.scenario, run, 4)
-        one = Kernel(wiring(architecture), facts, Draws(run_key(5, spec.scenario, run), slow), *founding_of(spec, constants))
+        one = Kernel(
+            wiring(architecture), facts, Draws(run_key(5, spec.scenario, run), slow), *founding_of(spec, constants)
+        )
         one.run()
         assert of(one, RequestIssued, CommandIssued, AwardMade)
         assert of(one, RequestUnanswered, AvailabilityChanged) == []
@@ -218,7 +262,9 @@ def test_a_robot_that_nobody_can_reach_does_not_know_that_a_task_was_given_up(ar
 
 
 @pytest.mark.parametrize(("ends", "begins"), [(LinkWentDown, LinkCameUp), (RobotWentOff, RobotCameBack)])
-def test_a_robot_that_reports_back_says_what_has_become_of_its_actuator_since(ends: type[Event], begins: type[Event]) -> None:
+def test_a_robot_that_reports_back_says_what_has_become_of_its_actuator_since(
+    ends: type[Event], begins: type[Event]
+) -> None:
     """Whichever of its two words, that it is back and that it was serviced, comes in first."""
     worn = ActuatorDegraded(B)
     said = AvailabilityChanged(B, None, "degraded", "actuator")
@@ -236,7 +282,11 @@ def test_a_robot_that_reports_back_says_what_has_become_of_its_actuator_since(en
     for start, since, after in cases:
         facts: list[Fact] = [*start, (3, ends(B)), (S, TASK), *since, (60 * S, begins(B))]
         run = ran("fsar", facts, size=4)
-        words = [event for time_us, event in of(run, AvailabilityChanged) if isinstance(event, AvailabilityChanged) and 60 * S < time_us < 61 * S]
+        words = [
+            event
+            for time_us, event in of(run, AvailabilityChanged)
+            if isinstance(event, AvailabilityChanged) and 60 * S < time_us < 61 * S
+        ]
         first.add(tuple(word.reason for word in words))
         assert words[-1] == AvailabilityChanged(B, None, after, words[-1].reason), (start, since, words)
         assert run.state.registry.silent == {}
@@ -260,7 +310,9 @@ def relayed(low_s: float, high_s: float, *facts: Fact) -> Kernel:
     slow = msgspec.structs.replace(CALM, message=Range(low_s, high_s))
     spec, constants = RunSpec(5, "fsar", "full", "door-relay", 4, 0), Constants(world=slow)
     task = TaskArrived("D1-1", "robot/D1", 1, (f"D {DOOR} B",), 90 * S, 91 * S)
-    run = Kernel(wiring("fsar"), [*facts, (S, task)], Draws(run_key(5, "door-relay", 0), slow), *founding_of(spec, constants))
+    run = Kernel(
+        wiring("fsar"), [*facts, (S, task)], Draws(run_key(5, "door-relay", 0), slow), *founding_of(spec, constants)
+    )
     run.run()
     return run
 
@@ -273,7 +325,11 @@ def test_where_the_relay_is_silent_the_relay_is_named_and_heard_when_its_word_co
         assert isinstance(late, RequestUnanswered)
         assert (asked.relay, asked.executed_by, late.executed_by) == (A, B, A)
         assert late_us - asked_us == ANSWER_US
-    words = [(event.robot, event.availability) for _, event in of(relayed(5.5, 6.0), AvailabilityChanged) if isinstance(event, AvailabilityChanged)]
+    words = [
+        (event.robot, event.availability)
+        for _, event in of(relayed(5.5, 6.0), AvailabilityChanged)
+        if isinstance(event, AvailabilityChanged)
+    ]
     assert words[:2] == [(A, "offline"), (A, "ready")]
 
 
@@ -282,7 +338,9 @@ def test_an_acceptance_that_was_given_before_the_link_went_down_counts(architect
     calm = ran(architecture, [(S, TASK)])
     [(queued_us, queued)] = of(calm, ExecutionQueued)
     assert isinstance(queued, ExecutionQueued)
-    run = ran(architecture, [(S, TASK), (queued_us + 1, LinkWentDown(queued.robot)), (40 * S, LinkCameUp(queued.robot))])
+    run = ran(
+        architecture, [(S, TASK), (queued_us + 1, LinkWentDown(queued.robot)), (40 * S, LinkCameUp(queued.robot))]
+    )
     assert of(run, RequestUnanswered, AvailabilityChanged) == []
     assert of(run, ExecutionQueued) == [(queued_us, queued)]
     [(done_us, _)] = of(run, TaskCompleted)

@@ -12,12 +12,22 @@ from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestAdmitted, RequestDenied
-from fsar_ledger.events.supervision import ActuatorServiced, SupervisionDensitySet, SupervisorCalled, SupervisorResponded
+from fsar_ledger.events.supervision import (
+    ActuatorServiced,
+    SupervisionDensitySet,
+    SupervisorCalled,
+    SupervisorResponded,
+)
 from fsar_ledger.events.world import ActuatorDegraded, SupervisorLeft, SupervisorReturned
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.runtime.architectures.cfc import CFC
 from fsar_ledger.runtime.architectures.fsar import FSAR
-from fsar_ledger.runtime.architectures.fsar.request import AdmitReviewed, EvaluateRequest, admit_reviewed, evaluate_request
+from fsar_ledger.runtime.architectures.fsar.request import (
+    AdmitReviewed,
+    EvaluateRequest,
+    admit_reviewed,
+    evaluate_request,
+)
 from fsar_ledger.runtime.handlers.commands import Respond
 from fsar_ledger.runtime.handlers.supervision import (
     RespondToCall,
@@ -55,7 +65,9 @@ def failing(*before: Event) -> State:
     """A state in which B's execution for A has failed."""
     queued = ExecutionQueued("A1-1", ACTION, A, B, H_B, B, A, "door.open.secure", 2, 1, True, True, True)
     started = ExecutionStarted("A1-1", ACTION, A, B, H_B, B, A, "door.open.secure", 9)
-    return given("fsar", *REQUESTED, queued, started, ExecutionFailed("A1-1", ACTION, B, 1, "degradation", 1, 8), *before)
+    return given(
+        "fsar", *REQUESTED, queued, started, ExecutionFailed("A1-1", ACTION, B, 1, "degradation", 1, 8), *before
+    )
 
 
 def test_what_concerns_one_robot_goes_to_its_own_supervisor_and_the_rest_to_the_fleets() -> None:
@@ -79,7 +91,9 @@ def test_the_supervisor_who_was_called_approves_a_review_or_not(approves: bool) 
     apply(state, response)
     assert (ACTION in state.supervision.approved, state.supervision.calls) == (approves, {})
     [scheduled] = [one for react in FSAR.reacts[SupervisorResponded] for one in react(state, response, 0)]
-    assert types(admit_reviewed(state, scheduled.command)) == (["RequestAdmitted", "ExecutionQueued"] if approves else ["RequestDenied"])  # type: ignore[arg-type]
+    assert types(admit_reviewed(state, scheduled.command)) == (  # type: ignore[arg-type]
+        ["RequestAdmitted", "ExecutionQueued"] if approves else ["RequestDenied"]
+    )
 
 
 def test_a_disapproved_request_is_denied_by_the_executor_for_the_review() -> None:
@@ -98,7 +112,9 @@ def test_a_coordinator_too_does_not_command_what_was_disapproved() -> None:
 
 
 def test_the_order_of_two_commands_names_the_one_that_goes_first() -> None:
-    [response] = respond_to_call(given("fsar", *REQUESTED, ORDERING), RespondToCall(H_F, ACTION, True, preferred="A1-2/2.1"))
+    [response] = respond_to_call(
+        given("fsar", *REQUESTED, ORDERING), RespondToCall(H_F, ACTION, True, preferred="A1-2/2.1")
+    )
     assert response.preferred == "A1-2/2.1"  # type: ignore[attr-defined]
 
 
@@ -107,7 +123,9 @@ def test_a_robots_own_supervisor_resolves_its_failure_and_has_it_serviced(is_deg
     state = failing(LOCAL, *([ActuatorDegraded(B)] if is_degraded else []))
     for events in (respond_to_call(state, RespondToCall(H_B, ACTION, True)), respond(state, Respond(1))):
         assert events[0] == SupervisorResponded("A1-1", ACTION, H_B, A, B, H_B, (H_B,), "recovery")
-        assert events[1:] == ((ActuatorServiced(B),) if is_degraded else ()) + (FailureResolved("A1-1", ACTION, B, 1, "human"),)
+        assert events[1:] == ((ActuatorServiced(B),) if is_degraded else ()) + (
+            FailureResolved("A1-1", ACTION, B, 1, "human"),
+        )
 
 
 @pytest.mark.parametrize(
@@ -195,13 +213,19 @@ def test_density_that_cannot_be_set_is_rejected(command: SetSupervisionDensity, 
 def test_nobody_speaks_for_a_robot_without_a_supervisor_but_the_fleets() -> None:
     state = given("fsar", RobotJoined("robot/X1", "A", 1, None))
     nobody: str = None  # type: ignore[assignment]
-    assert refusal(set_supervision_density(state, SetSupervisionDensity(nobody, "robot/X1", 3, ""))).startswith("unknown supervisor")
-    assert types(set_supervision_density(state, SetSupervisionDensity(H_F, "robot/X1", 3, ""))) == ["SupervisionDensitySet"]
+    assert refusal(set_supervision_density(state, SetSupervisionDensity(nobody, "robot/X1", 3, ""))).startswith(
+        "unknown supervisor"
+    )
+    assert types(set_supervision_density(state, SetSupervisionDensity(H_F, "robot/X1", 3, ""))) == [
+        "SupervisionDensitySet"
+    ]
 
 
 @for_all(st.integers(0, 5), st.integers(0, 5), st.integers(0, 14))
 @settings(max_examples=60)
-def test_exactly_every_nth_admission_is_due_and_a_robots_own_density_comes_before_every_robots(own: int, every: int, count: int) -> None:
+def test_exactly_every_nth_admission_is_due_and_a_robots_own_density_comes_before_every_robots(
+    own: int, every: int, count: int
+) -> None:
     state = given("fsar", SupervisionDensitySet(None, every, H_F, ""), SupervisionDensitySet(B, own, H_F, ""))
     due = {A: [], B: []}  # type: dict[str, list[int]]
     for ordinal in range(1, count + 1):
@@ -209,22 +233,42 @@ def test_exactly_every_nth_admission_is_due_and_a_robots_own_density_comes_befor
             if is_due_for_review(state, robot):
                 due[robot].append(ordinal)
             apply(state, admitted(robot, ordinal))
-    assert due == {robot: [ordinal for ordinal in range(1, count + 1) if n and ordinal % n == 0] for robot, n in ((A, every), (B, own))}
+    assert due == {
+        robot: [ordinal for ordinal in range(1, count + 1) if n and ordinal % n == 0]
+        for robot, n in ((A, every), (B, own))
+    }
 
 
 def test_an_admission_that_is_due_goes_to_review_and_a_denial_stays_a_denial() -> None:
     dense = SupervisionDensitySet(B, 2, H_B, "")
-    assert types(evaluate_request(given("fsar", *REQUESTED, dense, admitted(B)), EvaluateRequest(ACTION))) == ["SupervisorCalled"]
-    assert types(evaluate_request(given("fsar", *REQUESTED, dense), EvaluateRequest(ACTION))) == ["RequestAdmitted", "ExecutionQueued"]
-    assert types(evaluate_request(given("fsar", *REQUESTED, dense, admitted(B), window(B)), EvaluateRequest(ACTION))) == ["RequestDenied"]
+    assert types(evaluate_request(given("fsar", *REQUESTED, dense, admitted(B)), EvaluateRequest(ACTION))) == [
+        "SupervisorCalled"
+    ]
+    assert types(evaluate_request(given("fsar", *REQUESTED, dense), EvaluateRequest(ACTION))) == [
+        "RequestAdmitted",
+        "ExecutionQueued",
+    ]
+    assert types(
+        evaluate_request(given("fsar", *REQUESTED, dense, admitted(B), window(B)), EvaluateRequest(ACTION))
+    ) == ["RequestDenied"]
 
 
 def test_density_changes_while_a_run_goes_on() -> None:
-    one = governed("door-relay", (2, SupervisionDensitySet(None, 1, H_F, "start-up")), (60_000_000, SupervisionDensitySet(None, 0, H_F, "settled")))
+    one = governed(
+        "door-relay",
+        (2, SupervisionDensitySet(None, 1, H_F, "start-up")),
+        (60_000_000, SupervisionDensitySet(None, 0, H_F, "settled")),
+    )
     timed = list(zip(one.times_us, one.events, strict=True))
-    reviewed = {event.action_id for event in one.events if isinstance(event, SupervisorCalled) and event.purpose == "review"}
-    early = {event.action_id for _, event in timed if isinstance(event, RequestAdmitted) and event.action_id in reviewed}
-    unreviewed = [time for time, event in timed if isinstance(event, RequestAdmitted) and event.action_id not in reviewed]
+    reviewed = {
+        event.action_id for event in one.events if isinstance(event, SupervisorCalled) and event.purpose == "review"
+    }
+    early = {
+        event.action_id for _, event in timed if isinstance(event, RequestAdmitted) and event.action_id in reviewed
+    }
+    unreviewed = [
+        time for time, event in timed if isinstance(event, RequestAdmitted) and event.action_id not in reviewed
+    ]
     assert early
     assert unreviewed
     assert min(unreviewed) > 60_000_000

@@ -15,7 +15,13 @@ from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from fsar_ledger.runtime.switches import _decided_by
 
 
-def played(architecture: Architecture, configuration: Configuration, scenario: Scenario, run: int, constants: Constants = Constants()) -> RunRecord:  # noqa: B008
+def played(
+    architecture: Architecture,
+    configuration: Configuration,
+    scenario: Scenario,
+    run: int,
+    constants: Constants = Constants(),  # noqa: B008
+) -> RunRecord:
     return simulate_run(RunSpec(5, architecture, configuration, scenario, 4, run), constants)
 
 
@@ -28,10 +34,14 @@ def played(architecture: Architecture, configuration: Configuration, scenario: S
         ("without-start-recheck+own-work-check", set()),
     ],
 )
-def test_the_check_again_of_delegated_work_and_the_one_check_of_own_work_are_two_mechanisms(configuration: str, expected: set[str]) -> None:
+def test_the_check_again_of_delegated_work_and_the_one_check_of_own_work_are_two_mechanisms(
+    configuration: str, expected: set[str]
+) -> None:
     events = played("fsar", configuration, "door-relay", 3).events
     is_delegated = {event.action_id: event.is_delegated for event in events if isinstance(event, ExecutionQueued)}
-    held = {"delegated" if is_delegated[event.action_id] else "own" for event in events if isinstance(event, ExecutionHeld)}
+    held = {
+        "delegated" if is_delegated[event.action_id] else "own" for event in events if isinstance(event, ExecutionHeld)
+    }
     assert held | {"motion" for event in events if isinstance(event, RoutineWithheld)} == expected
 
 
@@ -39,10 +49,20 @@ def of_recovery(attempts: int, budget_us: int) -> tuple[list[tuple[int, str | No
     """The attempts with who decided them, those that failed, and what of recovery the coordinator was given."""
     given = Constants()
     structure = msgspec.structs.replace(given.structure, local_attempts=attempts, local_budget_us=budget_us)
-    events = played("cfc", "without-central-recovery", "failure-recovery-chain", 2, msgspec.structs.replace(given, structure=structure)).events
+    events = played(
+        "cfc",
+        "without-central-recovery",
+        "failure-recovery-chain",
+        2,
+        msgspec.structs.replace(given, structure=structure),
+    ).events
     tried = [(event.number, event.decided_by) for event in events if isinstance(event, RecoveryAttempted)]
     failed = [event.number for event in events if isinstance(event, RecoveryAttemptFailed)]
-    return tried, failed, {event.item for event in events if isinstance(event, WorkQueued)} & {"failure", "retry-failed"}
+    return (
+        tried,
+        failed,
+        {event.item for event in events if isinstance(event, WorkQueued)} & {"failure", "retry-failed"},
+    )
 
 
 def test_a_robot_that_recovers_alone_records_each_failed_attempt_and_keeps_to_its_budget() -> None:
@@ -54,20 +74,27 @@ def test_a_robot_that_recovers_alone_records_each_failed_attempt_and_keeps_to_it
     assert {number for number, _ in tried} == {1}, "the time is over when the first attempt ends"
     assert (set(failed), given) == ({1}, {"retry-failed"})
     tried, _, given = of_recovery(0, 30_000_000)
-    assert {decided_by for _, decided_by in tried} <= {"coordinator"}, "a robot that may not try leaves it to the coordinator"
+    assert {decided_by for _, decided_by in tried} <= {"coordinator"}, (
+        "a robot that may not try leaves it to the coordinator"
+    )
     assert "failure" in given
 
 
 def test_without_the_queue_nothing_waits_for_the_coordinator_not_even_what_no_helper_answered() -> None:
     outages = msgspec.structs.replace(Constants(), outages=Outages(off_rate_per_s=0.01, link_rate_per_s=0.02))
     made = played("cfc", "without-coordinator-queue", "fleet-contention", 0, outages)
-    queued = [(time, event) for time, event in zip(made.times_us, made.events, strict=True) if isinstance(event, WorkQueued)]
+    queued = [
+        (time, event) for time, event in zip(made.times_us, made.events, strict=True) if isinstance(event, WorkQueued)
+    ]
     assert "no answer" in {event.item for _, event in queued}
     assert [event for time, event in queued if event.ready_us > time] == []
 
 
 def test_who_is_not_known_is_on_record_as_nobody_and_not_as_an_empty_name() -> None:
     closed = RequestClosed("task", "action", "action", "coordination", None, None, None, ("coordination",))
-    [(unknown, no_path), (known, path)] = [(one.decided_by, one.path) for one in (_decided_by(closed, name) for name in (None, "robot/a"))]  # type: ignore[attr-defined]
+    [(unknown, no_path), (known, path)] = [
+        (one.decided_by, one.path)  # type: ignore[attr-defined]
+        for one in (_decided_by(closed, name) for name in (None, "robot/a"))
+    ]
     assert (unknown, no_path) == (None, ())
     assert (known, path) == ("robot/a", ("robot/a",))

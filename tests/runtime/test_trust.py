@@ -68,7 +68,11 @@ def test_the_robots_own_supervisor_and_the_fleets_may_set_its_trust(supervisor: 
     [event] = set_trust(state, SetTrust(supervisor, B, D, "task", DOOR, "A1-1"))
     assert event == TrustSet(B, D, "task", DOOR, "A1-1", supervisor, "operator")
     apply(state, event)
-    assert (trusts(state, B, D, DOOR, "A1-1"), trusts(state, B, D, DOOR, "A1-2"), trusts(state, D, B, DOOR, "A1-1")) == (True, False, False)
+    assert (
+        trusts(state, B, D, DOOR, "A1-1"),
+        trusts(state, B, D, DOOR, "A1-2"),
+        trusts(state, D, B, DOOR, "A1-1"),
+    ) == (True, False, False)
 
 
 @pytest.mark.parametrize(
@@ -90,11 +94,20 @@ def test_trust_that_cannot_be_set_is_rejected(command: SetTrust, reason: str) ->
 
 
 def test_the_fleet_supervisor_sets_trust_by_role_and_a_pair_stays_an_exception() -> None:
-    state = given("fsar", TrustSet(B, D, "none"), RobotJoined("robot/B9", "B", 9, None, "yard"), RobotJoined("robot/D9", "D", 9, None, "yard/gate"))
+    state = given(
+        "fsar",
+        TrustSet(B, D, "none"),
+        RobotJoined("robot/B9", "B", 9, None, "yard"),
+        RobotJoined("robot/D9", "D", 9, None, "yard/gate"),
+    )
     [event] = set_role_trust(state, SetRoleTrust(H_F, "B", "D", "task", capability=DOOR))
     assert event == RoleTrustSet("B", "D", "task", "", DOOR, None, H_F, "operator")
     apply(state, event)
-    assert (trusts(state, B, D, DOOR), trusts(state, B, "robot/D9", DOOR), trusts(state, "robot/B9", D, DOOR)) == (False, True, True)
+    assert (trusts(state, B, D, DOOR), trusts(state, B, "robot/D9", DOOR), trusts(state, "robot/B9", D, DOOR)) == (
+        False,
+        True,
+        True,
+    )
     [event] = set_role_trust(state, SetRoleTrust(H_F, "B", "D", "none", "yard"))
     apply(state, event)
     assert (trusts(state, "robot/B9", "robot/D9", DOOR), trusts(state, "robot/B9", D, DOOR)) == (False, True)
@@ -128,7 +141,9 @@ def test_the_record_moves_the_pair_and_not_its_roles() -> None:
 def test_trust_by_role_in_a_context_ends_with_it_and_begins_the_rows_again() -> None:
     state = given("fsar", RoleTrustSet("B", "D", "task", "", DOOR, "A1-1"))
     assert "A1-1" in state.trust.contexts
-    assert expire_trust(state, ExpireTrust("A1-1")) == (RoleTrustSet("B", "D", "none", "", DOOR, "A1-1", TRUST, "context expired"),)
+    assert expire_trust(state, ExpireTrust("A1-1")) == (
+        RoleTrustSet("B", "D", "none", "", DOOR, "A1-1", TRUST, "context expired"),
+    )
     rows = results("success", promote=2)
     assert (B, A, DOOR, None) in rows.trust.records
     apply(rows, RoleTrustSet("B", "A", "session", "hall"))
@@ -140,8 +155,12 @@ def test_trust_by_role_in_a_context_ends_with_it_and_begins_the_rows_again() -> 
 def test_only_the_fleet_supervisor_has_trust_follow_the_record() -> None:
     state = given("fsar")
     assert set_trust_thresholds(state, SetTrustThresholds(H_F, 3, 1)) == (TrustThresholdsSet(3, 1, H_F),)
-    assert refusal(set_trust_thresholds(state, SetTrustThresholds(H_B, 3, 1))).startswith("supervisor/B1 supervises one robot")
-    assert refusal(set_trust_thresholds(state, SetTrustThresholds("supervisor/X9", 3, 1))).startswith("unknown supervisor")
+    assert refusal(set_trust_thresholds(state, SetTrustThresholds(H_B, 3, 1))).startswith(
+        "supervisor/B1 supervises one robot"
+    )
+    assert refusal(set_trust_thresholds(state, SetTrustThresholds("supervisor/X9", 3, 1))).startswith(
+        "unknown supervisor"
+    )
     assert refusal(set_trust_thresholds(state, SetTrustThresholds(H_F, -1, 1))).startswith("thresholds -1 and 1")
 
 
@@ -191,14 +210,19 @@ def test_the_record_makes_no_trust_where_there_is_none() -> None:
 def test_what_happens_in_a_context_moves_the_trust_that_was_set_for_it() -> None:
     """Trust in all else stays, be it broader or none."""
     for general in ("none", "session"):
-        state = given("fsar", TrustThresholdsSet(2, 1, H_F), TrustSet(B, A, general), TrustSet(B, A, "task", DOOR, "t1"))
+        state = given(
+            "fsar", TrustThresholdsSet(2, 1, H_F), TrustSet(B, A, general), TrustSet(B, A, "task", DOOR, "t1")
+        )
         apply(state, RequestIssued("t1", "t1/1", "t1/1", A, A, B, None, (A,), DOOR, "allow"))
         commands = scheduled(state, RequestDenied("t1", "t1/1", "t1/1", B, A, B, None, (B,), "authority"))
         [command] = [one for one in commands if isinstance(one, AssessTrust)]
         [moved] = assess_trust(state, command)
         assert moved == TrustSet(B, A, "capability", DOOR, "t1", TRUST, "record")
         apply(state, moved)
-        assert (scope_of(state.trust, B, A, DOOR, "t1"), scope_of(state.trust, B, A, DOOR, "t2")) == ("capability", general)
+        assert (scope_of(state.trust, B, A, DOOR, "t1"), scope_of(state.trust, B, A, DOOR, "t2")) == (
+            "capability",
+            general,
+        )
 
 
 def test_an_assessment_without_a_record_is_stale() -> None:
@@ -229,7 +253,11 @@ def test_trust_is_assessed_in_both_directions_after_a_success_and_only_while_thr
 
 
 def test_task_trust_in_the_context_of_a_task_ends_with_the_task() -> None:
-    entries = (TrustSet(B, D, "task", None, "A1-1"), TrustSet(C, D, "session", None, "A1-1"), TrustSet(C, D, "task", None, "A1-2"))
+    entries = (
+        TrustSet(B, D, "task", None, "A1-1"),
+        TrustSet(C, D, "session", None, "A1-1"),
+        TrustSet(C, D, "task", None, "A1-2"),
+    )
     state = given("fsar", ARRIVED, *entries)
     commands = scheduled(state, TaskCompleted("A1-1"))
     [command] = [one for one in commands if isinstance(one, ExpireTrust)]

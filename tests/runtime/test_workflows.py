@@ -9,9 +9,23 @@ from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Workflow
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted
-from fsar_ledger.events.recovery import FailureResolved, ReassignmentDecided, RecoveryAttempted, RecoveryAttemptFailed, RecoveryEscalated
+from fsar_ledger.events.recovery import (
+    FailureResolved,
+    ReassignmentDecided,
+    RecoveryAttempted,
+    RecoveryAttemptFailed,
+    RecoveryEscalated,
+)
 from fsar_ledger.events.registry import RegistryQueried
-from fsar_ledger.events.request import GapDetected, RequestAccepted, RequestAdmitted, RequestClosed, RequestDeferred, RequestDenied, RequestIssued
+from fsar_ledger.events.request import (
+    GapDetected,
+    RequestAccepted,
+    RequestAdmitted,
+    RequestClosed,
+    RequestDeferred,
+    RequestDenied,
+    RequestIssued,
+)
 from fsar_ledger.events.supervision import SupervisorCalled, SupervisorResponded
 from fsar_ledger.events.task import StepBegan, TaskCompleted
 from fsar_ledger.events.world import ActuatorDegraded, TaskArrived
@@ -45,7 +59,9 @@ def every(events: tuple[Event, ...], kind: type[E]) -> list[E]:
 @pytest.mark.parametrize("seed", SEEDS)
 def test_the_door_is_opened_for_a_by_b_under_its_own_runtime(seed: int) -> None:
     events = played("workflow-door-relay", seed)
-    [gap], [answer], [issued], [admitted] = (every(events, kind) for kind in (GapDetected, RegistryQueried, RequestIssued, RequestAdmitted))
+    [gap], [answer], [issued], [admitted] = (
+        every(events, kind) for kind in (GapDetected, RegistryQueried, RequestIssued, RequestAdmitted)
+    )
     assert isinstance(gap, GapDetected)
     assert isinstance(answer, RegistryQueried)
     assert isinstance(issued, RequestIssued)
@@ -74,7 +90,12 @@ def test_the_door_relay_rests_on_a_task_scope(seed: int) -> None:
 def test_the_admission_names_its_trust_and_the_authority_that_it_gives(seed: int) -> None:
     [admitted] = every(played("workflow-door-relay", seed), RequestAdmitted)
     assert admitted.trust == "task"
-    assert (admitted.may_request, admitted.may_execute, admitted.override, admitted.is_audited) == (True, True, "none", True)
+    assert (admitted.may_request, admitted.may_execute, admitted.override, admitted.is_audited) == (
+        True,
+        True,
+        "none",
+        True,
+    )
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -88,7 +109,10 @@ def test_recovery_of_the_slipping_grip_goes_through_all_four_levels(seed: int) -
         (2, failure.detected_us + budget.local_budget_us),
     ]
     assert (budget.local_budget_us, budget.local_attempts) == (30_000_000, 2)
-    assert [(event.result, event.achieved) for event in every(events, RecoveryAttemptFailed)] == [("partial", ("load.gripped",)), ("failure", ())]
+    assert [(event.result, event.achieved) for event in every(events, RecoveryAttemptFailed)] == [
+        ("partial", ("load.gripped",)),
+        ("failure", ()),
+    ]
     assert [(event.level, event.to_level, event.reason) for event in every(events, RecoveryEscalated)] == [
         ("local", "peer", "budget exhausted"),
         ("peer", "fleet", "no capable peer"),
@@ -98,7 +122,11 @@ def test_recovery_of_the_slipping_grip_goes_through_all_four_levels(seed: int) -
     assert (query.requested_by, query.capability, query.candidates) == (D, "grasp.*", ())
     [reassignment] = every(events, ReassignmentDecided)
     assert (reassignment.helper, reassignment.reason) == (None, "no capable robot")
-    [call], [answer], [resolved] = every(events, SupervisorCalled), every(events, SupervisorResponded), every(events, FailureResolved)
+    [call], [answer], [resolved] = (
+        every(events, SupervisorCalled),
+        every(events, SupervisorResponded),
+        every(events, FailureResolved),
+    )
     assert (call.supervisor, answer.decided_by, resolved.level) == ("supervisor/fleet", "supervisor/fleet", "human")
     assert every(events, TaskCompleted)
     assert not every(events, RequestIssued)
@@ -163,7 +191,9 @@ STEP = ("B carry.package A",)
 def competing(is_critical: tuple[bool, bool] = (True, False), *before: Event) -> State:
     """B and D have both asked A for carry.package, and neither request has been evaluated."""
     tasks = (("B1-1", B, is_critical[0]), ("D1-2", D, is_critical[1]))
-    arrived = [TaskArrived(task, robot, 1, STEP, 60_000_000, 65_000_000, None, critical) for task, robot, critical in tasks]
+    arrived = [
+        TaskArrived(task, robot, 1, STEP, 60_000_000, 65_000_000, None, critical) for task, robot, critical in tasks
+    ]
     began = [StepBegan(task, f"{task}/1.1", robot, 1, 1, "carry.package", "A") for task, robot, _ in tasks]
     shown = [RegistryQueried(task, f"{task}/1.1", robot, A, None, "carry.package", (A,)) for task, robot, _ in tasks]
     return given("fsar", *before, *arrived, *began, *shown)
@@ -179,11 +209,19 @@ def evaluated(state: State, action_id: str) -> tuple[Event, ...]:
 
 def answered(state: State, action_id: str) -> list[str]:
     """The requests that are evaluated again after H_F's answer, in this order."""
-    [number] = [number for number, call in state.supervision.calls.items() if (call.action_id, call.purpose) == (action_id, "ordering")]
+    [number] = [
+        number
+        for number, call in state.supervision.calls.items()
+        if (call.action_id, call.purpose) == (action_id, "ordering")
+    ]
     [answer] = respond(state, Respond(number))
     apply(state, answer)
     again = [one for react in wiring("fsar").reacts[SupervisorResponded] for one in react(state, answer, 0)]
-    return [one.command.action_id for one in sorted(again, key=lambda one: one.after_us) if isinstance(one.command, EvaluateRequest)]
+    return [
+        one.command.action_id
+        for one in sorted(again, key=lambda one: one.after_us)
+        if isinstance(one.command, EvaluateRequest)
+    ]
 
 
 @pytest.mark.parametrize("first", ["B1-1/1.1", "D1-2/1.1"])
@@ -233,7 +271,10 @@ def test_an_order_does_not_lift_a_denial_that_came_meanwhile() -> None:
     evaluated(state, "B1-1/1.1")
     evaluated(state, "D1-2/1.1")
     apply(state, window(A))
-    assert [types(evaluated(state, name)) for name in answered(state, "B1-1/1.1")] == [["RequestDenied"], ["RequestDenied"]]
+    assert [types(evaluated(state, name)) for name in answered(state, "B1-1/1.1")] == [
+        ["RequestDenied"],
+        ["RequestDenied"],
+    ]
 
 
 def test_both_askers_are_trusted() -> None:
@@ -245,9 +286,9 @@ def test_both_askers_are_trusted() -> None:
 
 
 def test_the_workflows_are_one_run_each_unless_more_are_asked_for() -> None:
-    assert [(spec.scenario, spec.run, spec.architecture, spec.fleet_size) for spec in workflow_experiment().specs()] == [
-        (name, 0, "fsar", 4) for name in WORKFLOWS
-    ]
+    assert [
+        (spec.scenario, spec.run, spec.architecture, spec.fleet_size) for spec in workflow_experiment().specs()
+    ] == [(name, 0, "fsar", 4) for name in WORKFLOWS]
     assert len(list(workflow_experiment(seed=7, runs=3, workflows=WORKFLOWS[:1]).specs())) == 3
 
 

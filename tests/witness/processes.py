@@ -37,7 +37,9 @@ class Running(NamedTuple):
 @contextmanager
 def running(*command: object) -> Iterator[Running]:
     """The process of this module or program serves until the end."""
-    process = subprocess.Popen([sys.executable, "-m", *map(str, command)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    process = subprocess.Popen(
+        [sys.executable, "-m", *map(str, command)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
     try:
         assert process.stdout is not None
         key, url = (process.stdout.readline().strip() for _ in range(2))
@@ -50,7 +52,9 @@ def running(*command: object) -> Iterator[Running]:
 @contextmanager
 def honest(state: Path, logs: Sequence[object], *options: object) -> Iterator[Running]:
     """The witness in this folder."""
-    with running("fsar_ledger", "witness", "serve", state, *(part for log in logs for part in ("--log", log)), *options) as found:
+    with running(
+        "fsar_ledger", "witness", "serve", state, *(part for log in logs for part in ("--log", log)), *options
+    ) as found:
         yield found
 
 
@@ -68,7 +72,9 @@ class _Liar(BaseHTTPRequestHandler):
         if not self.shown:
             self.send_error(404)
             return
-        self._say("nonsense" if lie == "garbage" else str(self._cosigned(lie, self.shown[0 if lie == "stale" else -1])), lie)
+        self._say(
+            "nonsense" if lie == "garbage" else str(self._cosigned(lie, self.shown[0 if lie == "stale" else -1])), lie
+        )
 
     def _cosigned(self, lie: str, note: Note) -> Note:
         now_s = int(time.time()) + {"future": 3600, "stale": -3600}.get(lie, 0)

@@ -6,7 +6,16 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey,
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.note import Checkpoint, Note, Signature, VerifierKey
-from fsar_ledger.witness.cosignature import MAX_TIME_S, Cosigner, WitnessKey, parse_cosigned, parse_secret, parse_vkey, read_log_key, secret_text
+from fsar_ledger.witness.cosignature import (
+    MAX_TIME_S,
+    Cosigner,
+    WitnessKey,
+    parse_cosigned,
+    parse_secret,
+    parse_vkey,
+    read_log_key,
+    secret_text,
+)
 from tests.ledger.weak_keys import WEAK
 from tests.witness.conftest import LOG, NOW_S, ORIGIN, Log
 
@@ -21,10 +30,16 @@ EXAMPLE = (  # of C2SP tlog-cosignature
 def test_a_cosignature_is_what_the_text_of_c2sp_says_byte_for_byte() -> None:
     secret = Ed25519PrivateKey.from_private_bytes(bytes(32))
     public = secret.public_key().public_bytes_raw()
-    checkpoint = Checkpoint("example.com/behind-the-sofa", 20852163, base64.b64decode("CsUYapGGPo4dkMgIAUqom/Xajj7h2fB2MPA3j2jxq2I="))
+    checkpoint = Checkpoint(
+        "example.com/behind-the-sofa", 20852163, base64.b64decode("CsUYapGGPo4dkMgIAUqom/Xajj7h2fB2MPA3j2jxq2I=")
+    )
     text = b"cosignature/v1\ntime 1679315147\nexample.com/behind-the-sofa\n20852163\nCsUYapGGPo4dkMgIAUqom/Xajj7h2fB2MPA3j2jxq2I=\n"
     key_id = hashlib.sha256(b"example.org/w1\n\x04" + public).digest()[:4]
-    line = "— example.org/w1 " + base64.b64encode(key_id + (1679315147).to_bytes(8, "big") + secret.sign(text)).decode() + "\n"
+    line = (
+        "— example.org/w1 "
+        + base64.b64encode(key_id + (1679315147).to_bytes(8, "big") + secret.sign(text)).decode()
+        + "\n"
+    )
     assert COSIGNER.cosign(checkpoint, 1679315147).line() == line
     assert str(COSIGNER.key) == f"example.org/w1+{key_id.hex()}+" + base64.b64encode(b"\x04" + public).decode()
 
@@ -33,7 +48,12 @@ def test_the_example_of_c2sp_is_read_and_written_again() -> None:
     note = parse_cosigned("example", EXAMPLE)
     assert str(note).encode() == EXAMPLE
     own = note.signatures[1]
-    assert (own.name, own.key_id.hex(), int.from_bytes(own.data[:8], "big"), len(own.data)) == ("witness.example.com/w1", "8d66cf3f", 1679315147, 72)
+    assert (own.name, own.key_id.hex(), int.from_bytes(own.data[:8], "big"), len(own.data)) == (
+        "witness.example.com/w1",
+        "8d66cf3f",
+        1679315147,
+        72,
+    )
 
 
 def test_the_time_of_a_cosignature_is_the_newest_that_the_key_made() -> None:
@@ -41,7 +61,11 @@ def test_the_time_of_a_cosignature_is_the_newest_that_the_key_made() -> None:
     older, newer = COSIGNER.cosign(checkpoint, NOW_S - 60), COSIGNER.cosign(checkpoint, NOW_S)
     assert COSIGNER.key.time_of(Note(checkpoint)) is None
     assert COSIGNER.key.time_of(Note(checkpoint, (newer, older))) == NOW_S
-    for other in (Log(3).checkpoint(2), Checkpoint("example.org/other", 3, checkpoint.root), Checkpoint(ORIGIN, 3, bytes(32))):
+    for other in (
+        Log(3).checkpoint(2),
+        Checkpoint("example.org/other", 3, checkpoint.root),
+        Checkpoint(ORIGIN, 3, bytes(32)),
+    ):
         assert COSIGNER.key.time_of(Note(other, (newer,))) is None
 
 
@@ -87,7 +111,15 @@ def test_keys_are_read_as_they_are_written() -> None:
     read = parse_secret(text)
     assert read is not None
     assert read.key == COSIGNER.key
-    for wrong in ("", text[:-1], text + "\n", text.replace("PRIVATE", "PUBLIC"), text.replace("w1", "w2"), str(COSIGNER.key), "PRIVATE+KEY+a+b+c\n"):
+    for wrong in (
+        "",
+        text[:-1],
+        text + "\n",
+        text.replace("PRIVATE", "PUBLIC"),
+        text.replace("w1", "w2"),
+        str(COSIGNER.key),
+        "PRIVATE+KEY+a+b+c\n",
+    ):
         assert parse_secret(wrong) is None, wrong
 
 
@@ -97,7 +129,19 @@ def test_one_key_for_signing_and_for_cosigning_has_two_ids() -> None:
     assert {type(parse_vkey(str(key))) for key in both} == {VerifierKey, WitnessKey}
 
 
-@pytest.mark.parametrize("text", ["", "zq", "zq+b", "zq+00000000+", "zq+00000000+!", "zq+00000000+BA==", " +00000000+" + "A" * 44, "PRIVATE+KEY+zq+b+c"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "zq",
+        "zq+b",
+        "zq+00000000+",
+        "zq+00000000+!",
+        "zq+00000000+BA==",
+        " +00000000+" + "A" * 44,
+        "PRIVATE+KEY+zq+b+c",
+    ],
+)
 def test_what_is_no_key_is_not_repeated(text: str) -> None:
     with pytest.raises(ValueError, match=r"^found") as error:
         parse_vkey(text)
@@ -134,7 +178,16 @@ def test_a_note_may_carry_64_cosignatures_and_no_more() -> None:
 
 
 @pytest.mark.parametrize(
-    "data", [b"", b"\xff", EXAMPLE[:-1], EXAMPLE + b"\n", EXAMPLE.replace(b"\n\n", b"\n"), EXAMPLE.replace(b"20852163", b"020852163"), EXAMPLE + b"x\n"]
+    "data",
+    [
+        b"",
+        b"\xff",
+        EXAMPLE[:-1],
+        EXAMPLE + b"\n",
+        EXAMPLE.replace(b"\n\n", b"\n"),
+        EXAMPLE.replace(b"20852163", b"020852163"),
+        EXAMPLE + b"x\n",
+    ],
 )
 def test_what_is_no_cosigned_note_is_refused(data: bytes) -> None:
     with pytest.raises(LedgerCorrupted, match=r"^note: found"):

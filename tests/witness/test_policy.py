@@ -46,14 +46,25 @@ def test_every_k_of_n_needs_k() -> None:
 
 def test_a_quorum_may_be_one_witness_and_others_do_not_count() -> None:
     found = policy(*W[:2], "quorum W0\n")
-    assert (found.is_met({"W0"}), found.is_met({"W1"}), found.is_met({"W7", "none"}), found.is_met(set())) == (True, False, False, False)
+    assert (found.is_met({"W0"}), found.is_met({"W1"}), found.is_met({"W7", "none"}), found.is_met(set())) == (
+        True,
+        False,
+        False,
+        False,
+    )
     assert found.rule() == "that of W0"
 
 
 def test_white_space_comments_and_names_are_as_c2sp_says() -> None:
     text = (
         b"# a comment\n\n \t \n  # another\n\tlog\t" + str(LOG.verifier).encode() + b"  http://127.0.0.1/ \n"
-        b"witness \xe2\x84\xaa " + str(KEYS[0]).encode() + b"\nwitness K " + str(KEYS[1]).encode() + b"\nwitness \xff " + str(KEYS[2]).encode() + b"\n"
+        b"witness \xe2\x84\xaa "
+        + str(KEYS[0]).encode()
+        + b"\nwitness K "
+        + str(KEYS[1]).encode()
+        + b"\nwitness \xff "
+        + str(KEYS[2]).encode()
+        + b"\n"
         b"group all all \xe2\x84\xaa \xff\nquorum all\n"
     )
     found = parse_policy("policy", text)
@@ -70,7 +81,11 @@ def test_a_quorum_of_none_is_read_as_such() -> None:
 def test_thirty_two_logs_witnesses_and_groups_are_not_too_many() -> None:
     keys = [Cosigner(f"w{number}", bytes([number, 1] * 16)).key for number in range(32)]
     lines = [f"witness w{number} {key}\n" for number, key in enumerate(keys)]
-    chain = ["group g0 any w0\n", *(f"group g{number} all g{number - 1} w{number}\n" for number in range(1, 32)), "quorum g31\n"]
+    chain = [
+        "group g0 any w0\n",
+        *(f"group g{number} all g{number - 1} w{number}\n" for number in range(1, 32)),
+        "quorum g31\n",
+    ]
     found = policy(*lines, *chain)
     everybody = {witness.name for witness in found.witnesses}
     assert found.is_met(everybody)

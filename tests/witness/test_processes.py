@@ -134,11 +134,19 @@ def test_one_that_lies_and_one_that_is_behind_do_not_hide_what_the_third_saw(pla
         assert "witnessed: 300 of 597 events, by ahead (20" in called.out
         assert "fewer saw the newest 297" in called.out
         assert ("witness liar: its word does not count: " in called.out) == (lie != "/forgets")
-        called = place.verify(place.ledger(2), lies, "--quick")  # dropped tails: the one who saw more is enough, for the log signed it
+        called = place.verify(
+            place.ledger(2), lies, "--quick"
+        )  # dropped tails: the one who saw more is enough, for the log signed it
         assert called.code == 3
         assert "at least 597, as witness ahead (http://127.0.0.1:" in called.err
     lies = place.policy(2, lines[0], place.liar.line("liar", "/other-key"))
-    one_message(place.verify(place.ledger(4), lies), 3, "liar: witness liar (", "a cosignature that its key did not make", "expected 2 of")
+    one_message(
+        place.verify(place.ledger(4), lies),
+        3,
+        "liar: witness liar (",
+        "a cosignature that its key did not make",
+        "expected 2 of",
+    )
     document = place.verify(place.ledger(4), lies, "--json")
     answer = json.loads(document.out)
     assert (document.code, answer["ok"], answer["problems"], answer["witnessed"]["ok"]) == (3, False, [], False)
@@ -156,7 +164,9 @@ def test_a_liar_that_forgets_cosigns_the_rewritten_ledger_and_the_honest_one_fin
     assert called.code == 3
     assert "as witness w1 (" in called.err
     assert "history was rewritten" in called.err
-    called = place.verify(place.ledger(4), place.policy("any", *lines))  # and the true ledger: the log signed another tree as well
+    called = place.verify(
+        place.ledger(4), place.policy("any", *lines)
+    )  # and the true ledger: the log signed another tree as well
     assert called.code == 3
     assert "as witness liar (" in called.err
 
@@ -168,7 +178,9 @@ def test_the_same_witness_twice_counts_once(place: Place) -> None:
     cosigner = parse_secret((place.folder / "w1" / "witness.key").read_text())
     assert cosigner is not None
     note = parse_cosigned("note", out.read_bytes())
-    out.write_text(f"{note}{cosigner.cosign(note.checkpoint, 1_795_000_000).line()}")  # one note with two cosignatures of one witness
+    out.write_text(
+        f"{note}{cosigner.cosign(note.checkpoint, 1_795_000_000).line()}"
+    )  # one note with two cosignatures of one witness
     called = place.verify(place.ledger(4), place.policy(2, first, second), "--cosigned", out, "--cosigned", out)
     one_message(called, 3, "found w1 (20", f"w2: {out}: no cosignature of it", "expected 2 of w1, w2")
     assert place.verify(place.ledger(4), place.policy(1, first, second), "--cosigned", out).code == 0
@@ -248,10 +260,16 @@ def test_a_wrong_call_of_a_witness_is_explained(ledgers: Path, tmp_path: Path, c
     assert witness.code == 0
     one_message(call("witness", "serve", tmp_path / "w"), 2, "--log")
     one_message(call("witness", "serve", tmp_path / "none", "--log", key), 2, "found no witness there")
-    one_message(call("witness", "serve", tmp_path / "w", "--log", tmp_path / "w" / "witness.key.pub"), 2, "the key of a witness")
-    one_message(call("witness", "serve", tmp_path / "w", "--log", tmp_path / "none.pub"), 2, "none.pub", "cannot be read")
+    one_message(
+        call("witness", "serve", tmp_path / "w", "--log", tmp_path / "w" / "witness.key.pub"), 2, "the key of a witness"
+    )
+    one_message(
+        call("witness", "serve", tmp_path / "w", "--log", tmp_path / "none.pub"), 2, "none.pub", "cannot be read"
+    )
     one_message(call("witness", "serve", tmp_path / "w", "--log", key, "--port", "70000"), 2, "--port")
-    one_message(call("witness", "serve", tmp_path / "w", "--log", key, "--host", "192.0.2.7"), 2, "no way to listen there")
+    one_message(
+        call("witness", "serve", tmp_path / "w", "--log", key, "--host", "192.0.2.7"), 2, "no way to listen there"
+    )
     one_message(call("verify", ledgers / "1", "--cosigned", tmp_path / "x"), 2, "found no --witness-policy")
     one_message(call("verify", ledgers / "1", "--witness-policy", policy), 2, "expected a C2SP tlog-policy")
     line, log = f"witness w {witness.out.strip()}", f"log {SIGNER.verifier}\n"
@@ -264,16 +282,37 @@ def test_a_wrong_call_of_a_witness_is_explained(ledgers: Path, tmp_path: Path, c
         policy.write_text(text)
         trusted = ("--trusted-key", key) if "--trusted-key" in parts else ()
         one_message(call("verify", ledgers / "1", "--witness-policy", policy, *trusted), 2, parts)
-    one_message(call("verify", ledgers / "1", "--witness-policy", policy), 3, f"found a ledger of {ORIGIN}, expected one of a log that")
+    one_message(
+        call("verify", ledgers / "1", "--witness-policy", policy),
+        3,
+        f"found a ledger of {ORIGIN}, expected one of a log that",
+    )
     policy.write_text(f"{log}{line} ftp://127.0.0.1\nquorum w\n")
     one_message(call("verify", ledgers / "1", "--witness-policy", policy), 3, "no URL of a witness")
-    one_message(call("witness", "ask", ledgers / "1", "--policy", policy), 1, "no URL of a witness", "nothing was written")
-    one_message(call("witness", "ask", ledgers / "1", "--policy", policy, "--out", ledgers / "1" / "x"), 2, "inside the ledger")
+    one_message(
+        call("witness", "ask", ledgers / "1", "--policy", policy), 1, "no URL of a witness", "nothing was written"
+    )
+    one_message(
+        call("witness", "ask", ledgers / "1", "--policy", policy, "--out", ledgers / "1" / "x"), 2, "inside the ledger"
+    )
     (tmp_path / "x").write_text("nonsense")
-    one_message(call("verify", ledgers / "1", "--witness-policy", policy, "--cosigned", tmp_path / "x"), 2, "--cosigned", "expected a C2SP checkpoint")
-    one_message(call("verify", ledgers / "1", "--witness-policy", policy, "--cosigned", tmp_path / "none"), 2, "it cannot be read")
+    one_message(
+        call("verify", ledgers / "1", "--witness-policy", policy, "--cosigned", tmp_path / "x"),
+        2,
+        "--cosigned",
+        "expected a C2SP checkpoint",
+    )
+    one_message(
+        call("verify", ledgers / "1", "--witness-policy", policy, "--cosigned", tmp_path / "none"),
+        2,
+        "it cannot be read",
+    )
     shutil.copy(ledgers / "1" / "checkpoint", tmp_path / "x")
-    one_message(call("verify", ledgers / "1", "--witness-policy", policy, "--cosigned", tmp_path / "x"), 3, "no cosignature of it")
+    one_message(
+        call("verify", ledgers / "1", "--witness-policy", policy, "--cosigned", tmp_path / "x"),
+        3,
+        "no cosignature of it",
+    )
     unsigned = tmp_path / "unsigned"
     with Writer(unsigned, ORIGIN) as writer:
         writer.append(stage(unsigned, [made_up_run("run", 9, seed=1)]))

@@ -26,12 +26,19 @@ def body_of(old: int = 3, new: int = 8) -> bytes:
 
 def test_the_example_of_c2sp_is_read_and_written_again() -> None:
     request = parse_request(EXAMPLE)
-    assert (request.old, len(request.proof), request.note.checkpoint.size, len(request.note.signatures)) == (20852014, 4, 20852163, 2)
+    assert (request.old, len(request.proof), request.note.checkpoint.size, len(request.note.signatures)) == (
+        20852014,
+        4,
+        20852163,
+        2,
+    )
     assert str(request).encode() == EXAMPLE
 
 
 def test_a_log_is_published_under_the_hash_of_its_origin() -> None:
-    assert path_of("abc") == "/ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad/checkpoint"  # FIPS 180-4, example B.1
+    assert (
+        path_of("abc") == "/ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad/checkpoint"
+    )  # FIPS 180-4, example B.1
 
 
 def test_every_growth_of_a_log_is_followed() -> None:
@@ -48,7 +55,11 @@ def test_a_log_that_was_rewritten_anywhere_is_never_followed() -> None:
         for twist in range(old):
             other = Log(20, twist)
             for new in range(old, 14):
-                assert status_of(other.request(old, new), GROWING.checkpoint(old)) == (409 if new == old else 422), (old, twist, new)
+                assert status_of(other.request(old, new), GROWING.checkpoint(old)) == (409 if new == old else 422), (
+                    old,
+                    twist,
+                    new,
+                )
 
 
 @pytest.mark.parametrize("known", [0, 2, 4, 7, 8, 9])
@@ -76,7 +87,12 @@ def test_another_root_of_the_same_size_is_a_conflict_that_is_no_size() -> None:
         (lambda request: Request(3, request.proof, GROWING.note(8, STRANGER)), 403),
         (lambda request: Request(3, request.proof, Note(request.note.checkpoint)), 403),
         (lambda request: Request(3, request.proof, Note(GROWING.checkpoint(9), request.note.signatures)), 403),
-        (lambda request: Request(3, request.proof, Note(Checkpoint("example.org/x", 8, bytes(32)), request.note.signatures)), 404),
+        (
+            lambda request: Request(
+                3, request.proof, Note(Checkpoint("example.org/x", 8, bytes(32)), request.note.signatures)
+            ),
+            404,
+        ),
     ],
 )
 def test_each_fault_has_the_status_that_c2sp_gives_it(change: Callable[[Request], Request], status: int) -> None:
@@ -89,7 +105,13 @@ def test_faults_are_looked_for_in_the_order_of_c2sp() -> None:
     too_old = Request(99, (), GROWING.note(8))
     stale = Request(4, (), GROWING.note(8))
     unproven = Request(3, (), GROWING.note(8))
-    assert [status_of(request, GROWING.checkpoint(3)) for request in (unknown, unsigned, too_old, stale, unproven)] == [404, 403, 400, 409, 422]
+    assert [status_of(request, GROWING.checkpoint(3)) for request in (unknown, unsigned, too_old, stale, unproven)] == [
+        404,
+        403,
+        400,
+        409,
+        422,
+    ]
 
 
 def test_the_empty_tree_has_one_root_and_every_log_begins_with_it() -> None:

@@ -36,7 +36,14 @@ def raw(server: WitnessServer, data: bytes) -> bytes:
 
 
 def post(body: bytes = BODY, path: str = "/add-checkpoint", length: object = None, *headers: str) -> bytes:
-    lines = [f"POST {path} HTTP/1.1", "Host: w", f"Content-Length: {len(body) if length is None else length}", *headers, "", ""]
+    lines = [
+        f"POST {path} HTTP/1.1",
+        "Host: w",
+        f"Content-Length: {len(body) if length is None else length}",
+        *headers,
+        "",
+        "",
+    ]
     return "\r\n".join(lines).encode() + body
 
 
@@ -46,7 +53,11 @@ def test_a_connection_may_ask_many_things_one_after_the_other(server: WitnessSer
         connection.request("POST", "/add-checkpoint", str(GROWING.request(old, new)).encode())
         response = connection.getresponse()
         line = response.read().decode()
-        assert (response.status, response.headers["Content-Type"], response.version) == (200, "text/plain; charset=utf-8", 11)
+        assert (response.status, response.headers["Content-Type"], response.version) == (
+            200,
+            "text/plain; charset=utf-8",
+            11,
+        )
         assert line.startswith("— example.org/w1 ")
     connection.request("GET", path_of(ORIGIN))
     response = connection.getresponse()
@@ -94,7 +105,9 @@ def test_a_connection_may_ask_many_things_one_after_the_other(server: WitnessSer
         (b"GET / HTTP/1.1\r\na: " + b"b" * 70_000 + b"\r\n\r\n", 431),
     ],
 )
-def test_each_request_has_its_status_and_a_short_clean_answer(server: WitnessServer, request_: bytes, status: int) -> None:
+def test_each_request_has_its_status_and_a_short_clean_answer(
+    server: WitnessServer, request_: bytes, status: int
+) -> None:
     answer = raw(server, request_)
     head, _, body = answer.partition(b"\r\n\r\n")
     assert head.split(b" ")[:2] == [b"HTTP/1.1", str(status).encode()]
@@ -109,7 +122,9 @@ def test_each_request_has_its_status_and_a_short_clean_answer(server: WitnessSer
 def test_an_answer_that_could_be_taken_for_a_second_request_ends_the_connection(server: WitnessServer) -> None:
     smuggled = b"GET " + path_of(ORIGIN).encode() + b" HTTP/1.1\r\nContent-Length: 50\r\n\r\n" + post()
     assert raw(server, smuggled).count(b"HTTP/1.1 ") == 1
-    assert raw(server, post(b"", "/add-checkpoint", None, "Transfer-Encoding: chunked") + post()).count(b"HTTP/1.1 ") == 1
+    assert (
+        raw(server, post(b"", "/add-checkpoint", None, "Transfer-Encoding: chunked") + post()).count(b"HTTP/1.1 ") == 1
+    )
 
 
 def test_a_body_that_ends_early_is_no_request(server: WitnessServer, witness: Open) -> None:
@@ -123,7 +138,9 @@ def test_a_client_that_waits_for_leave_gets_it(server: WitnessServer) -> None:
     assert raw(server, post(b"", "/add-checkpoint", 10**6, "Expect: 100-continue")).startswith(b"HTTP/1.1 413")
 
 
-def test_a_slow_client_is_given_up_however_steadily_it_drips(server: WitnessServer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slow_client_is_given_up_however_steadily_it_drips(
+    server: WitnessServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(module, "REQUEST_S", 0.4)
     for beginning in (b"", post()[:20], post()[:-5]):
         began = time.monotonic()
@@ -143,7 +160,9 @@ def test_a_slow_client_is_given_up_however_steadily_it_drips(server: WitnessServ
         assert time.monotonic() - began < 3
 
 
-def test_too_many_connections_are_told_so_and_those_before_are_served(server: WitnessServer, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_too_many_connections_are_told_so_and_those_before_are_served(
+    server: WitnessServer, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(module, "REQUEST_S", 2.0)
     held = [connected(server) for _ in range(module.MAX_CONNECTIONS)]
     try:
@@ -190,11 +209,16 @@ def test_500_malformed_requests_leave_the_witness_as_it_was(server: WitnessServe
     assert all(answer.startswith((b"HTTP/1.1 ", b"reset")) or not answer for answer in answers)
     now = witness.state.newest(ORIGIN)
     assert now is not None
-    assert now.checkpoint in (GROWING.checkpoint(5), GROWING.checkpoint(9))  # a changed header may leave a good request behind
+    assert now.checkpoint in (
+        GROWING.checkpoint(5),
+        GROWING.checkpoint(9),
+    )  # a changed header may leave a good request behind
     assert not [line for line in witness.told[len(told) :] if "not answered" in line]
 
 
-def test_a_fault_of_the_witness_itself_is_told_to_its_operator_alone(server: WitnessServer, witness: Open, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_fault_of_the_witness_itself_is_told_to_its_operator_alone(
+    server: WitnessServer, witness: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def fail(body: bytes) -> None:
         raise RuntimeError("secret")
 

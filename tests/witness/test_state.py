@@ -106,7 +106,13 @@ def test_a_memory_that_was_damaged_is_never_gone_on_with(tmp_path: Path) -> None
         except LedgerCorrupted:
             refused += 1
     assert refused > len(data) // 2
-    for damage in (b"", data[:-1], str(GROWING.note(5)).encode(), data.replace(ORIGIN.encode(), b"example.org/lig"), b"\xff"):
+    for damage in (
+        b"",
+        data[:-1],
+        str(GROWING.note(5)).encode(),
+        data.replace(ORIGIN.encode(), b"example.org/lig"),
+        b"\xff",
+    ):
         file.write_bytes(damage)
         with pytest.raises(LedgerCorrupted, match=r"retire this witness|expected a C2SP"), opened(tmp_path / "w"):
             pass
@@ -176,7 +182,9 @@ def test_the_newest_checkpoint_is_cosigned_anew_when_it_is_asked_for(tmp_path: P
         answer = witness.service.newest(name_of(ORIGIN))
         kept = witness.state.newest(ORIGIN)
         assert kept is not None
-        assert answer.text == str(Note(kept.checkpoint, (kept.signatures[0], witness.state.cosigner.cosign(kept.checkpoint, NOW_S + 86_400))))
+        assert answer.text == str(
+            Note(kept.checkpoint, (kept.signatures[0], witness.state.cosigner.cosign(kept.checkpoint, NOW_S + 86_400)))
+        )
         assert witness.service.newest(name_of("example.org/other")).status == 404
 
 
@@ -185,4 +193,7 @@ def test_the_operator_is_told_what_the_log_did_and_nothing_of_strangers(witness:
     send(witness, 5, 5, Log(5, 2))
     witness.service.add_checkpoint(str(GROWING.request(5, 9)).encode().replace(b"\n9\n", b"\n8\n"))
     witness.service.add_checkpoint(b"nonsense")
-    assert witness.told == [f"{ORIGIN}: 5 events: cosigned", f"{ORIGIN}: 5 events: refused (another root of the same size was cosigned before)"]
+    assert witness.told == [
+        f"{ORIGIN}: 5 events: cosigned",
+        f"{ORIGIN}: 5 events: refused (another root of the same size was cosigned before)",
+    ]

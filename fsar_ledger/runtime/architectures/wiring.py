@@ -38,7 +38,11 @@ def wire(*handlers: ModuleType, own: Decides | None = None, instead: dict[React,
     shared = {react for module in handlers for react in module.REACTS.values()}
     missing = [react.__name__ for react in instead or {} if react not in shared]
     missing += [f"{command.__name__} by no module" for command in own or {} if command not in decides]
-    missing += [f"{command.__name__} by nobody" for command in decides if not issubclass(command, PublicCommand) and command not in actors]
+    missing += [
+        f"{command.__name__} by nobody"
+        for command in decides
+        if not issubclass(command, PublicCommand) and command not in actors
+    ]
     if missing:
         raise ValueError(f"a wiring lacks what it names: {', '.join(missing)}")
     return Wiring(decides | (own or {}), reacts, actors)

@@ -24,7 +24,14 @@ from .registry import hides
 
 Conjunct = Literal["possession", "advertisement", "trust", "policy", "local-execution", "authority"]
 Verdict = Literal["accept", "defer", "negotiate", "review", "reject"]
-PREEMPTIBLE = ("queued", "approaching", "held", "polling", "running", "paused")  # recovery and assistance are not interrupted
+PREEMPTIBLE = (
+    "queued",
+    "approaching",
+    "held",
+    "polling",
+    "running",
+    "paused",
+)  # recovery and assistance are not interrupted
 
 
 class Evaluation(msgspec.Struct, frozen=True, gc=False):
@@ -76,12 +83,18 @@ def asker(request: Request) -> str:
     return request.relay or request.requester
 
 
-def failing(state: State, request: Request, executor: str, trust: TrustScope | None, outcome: PolicyOutcome) -> Conjunct | None:
+def failing(
+    state: State, request: Request, executor: str, trust: TrustScope | None, outcome: PolicyOutcome
+) -> Conjunct | None:
     """The first conjunct that fails, or None; `trust` is the executor's in who asks, `outcome` the composed policy. Paper: eq:admissible."""
     if not possesses(state.registry, executor, request.capability):
         return "possession"
     record = advertisement(state.registry, executor, request.capability)
-    if record is None or hides(state, record, request.requester, asker(request), request.task_id) or request.version not in (None, record.version):
+    if (
+        record is None
+        or hides(state, record, request.requester, asker(request), request.task_id)
+        or request.version not in (None, record.version)
+    ):
         return "advertisement"
     if trust is not None and not covers(trust, record.trust_required):
         return "trust"
@@ -99,7 +112,10 @@ def is_revoked(state: State, request: Request, executor: str) -> bool:
     if not state.authority.rights:
         return False
     about = (executor, request.capability, request.task_id)
-    return any(isinstance(right_of(state.authority, robot, *about), AuthorityRevoked) for robot in {request.requester, asker(request)})
+    return any(
+        isinstance(right_of(state.authority, robot, *about), AuthorityRevoked)
+        for robot in {request.requester, asker(request)}
+    )
 
 
 def override_asked(state: State, request: Request, executor: str) -> OverrideLevel:
@@ -121,7 +137,12 @@ def override_allowed(state: State, request: Request, executor: str) -> OverrideL
 def preemptible(state: State, robot: str, override: OverrideLevel) -> Action | None:
     """The action that a request of this level takes the robot from, or None. Paper: eq:override."""
     action = state.execution.actions.get(state.execution.current.get(robot, ""))
-    if action is None or action.stage not in PREEMPTIBLE or rank(override) < INTERRUPTING or rank(action.override) >= rank(override):
+    if (
+        action is None
+        or action.stage not in PREEMPTIBLE
+        or rank(override) < INTERRUPTING
+        or rank(action.override) >= rank(override)
+    ):
         return None
     return action
 
@@ -147,4 +168,6 @@ def _came_later(state: State, action: Action, later: Later) -> tuple[PolicyOutco
     for window, outcome in state.world.local.get(action.robot, ()):
         if window in later.windows:
             own = stricter(own, outcome)
-    return own, stricter(later.heard.get(action.robot, "allow"), ruled(state.policy, "fleet", *about, among=later.rules) or "allow")
+    return own, stricter(
+        later.heard.get(action.robot, "allow"), ruled(state.policy, "fleet", *about, among=later.rules) or "allow"
+    )

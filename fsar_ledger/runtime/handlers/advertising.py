@@ -8,7 +8,13 @@ from typing import get_args
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Availability, OverrideLevel, TrustScope, Visibility
-from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityDeprecated, CapabilityInstalled, CapabilityWithdrawn
+from fsar_ledger.events.registry import (
+    AvailabilityChanged,
+    CapabilityAdvertised,
+    CapabilityDeprecated,
+    CapabilityInstalled,
+    CapabilityWithdrawn,
+)
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import NO_ANSWER, Advertisement, Contract, Module, advertisement, surface
 
@@ -166,13 +172,17 @@ def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event,
     if wrong is None:
         module = state.registry.modules[robot][capability]
         contract = _contract(command, module)
-        wrong = _not_newer(command.version, module.version) or contradiction(contract) or in_use(state, robot, capability)
+        wrong = (
+            _not_newer(command.version, module.version) or contradiction(contract) or in_use(state, robot, capability)
+        )
     record = advertisement(state.registry, robot, capability)
     if wrong is None and record is not None and record.availability in ("restricted", "offline"):
         wrong = f"{capability} is {record.availability} at {robot}, expected it to be in reach and in no other roll-out"
     if wrong is not None:
         return rejected(command, capability, wrong, command.issued_by)
-    installed = CapabilityInstalled(robot, capability, command.version, contract.preconditions, contract.postconditions, contract.resources)
+    installed = CapabilityInstalled(
+        robot, capability, command.version, contract.preconditions, contract.postconditions, contract.resources
+    )
     if record is None:
         return (installed,)
     return (installed, AvailabilityChanged(robot, capability, "restricted", f"roll-out of {command.version}"))
@@ -208,7 +218,10 @@ def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
 
 def _rolling_out(state: State, robot: str, capability: str) -> Advertisement | None:
     """The record of another version than the installed one, if there is one."""
-    module, record = state.registry.modules.get(robot, {}).get(capability), advertisement(state.registry, robot, capability)
+    module, record = (
+        state.registry.modules.get(robot, {}).get(capability),
+        advertisement(state.registry, robot, capability),
+    )
     return None if module is None or record is None or record.version == module.version else record
 
 
@@ -240,7 +253,11 @@ def _unknown(name: str, value: str, known: Iterable[str]) -> str | None:
 
 
 def _not_advertised(state: State, robot: str, capability: str) -> str | None:
-    return None if advertisement(state.registry, robot, capability) is not None else f"{robot} does not advertise {capability}"
+    return (
+        None
+        if advertisement(state.registry, robot, capability) is not None
+        else f"{robot} does not advertise {capability}"
+    )
 
 
 def _not_newer(version: str, known: str) -> str | None:

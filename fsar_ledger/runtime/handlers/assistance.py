@@ -22,7 +22,10 @@ def end_assistance(state: State, command: EndAssistance, level: RecoveryLevel) -
             if cause is not None:
                 return (_failed(action, recovery, command.helper, cause),)
             about = (action.task_id, action.action_id, action.robot)
-            return (AssistanceEnded(*about, command.helper, recovery.failure), FailureResolved(*about, recovery.failure, level))
+            return (
+                AssistanceEnded(*about, command.helper, recovery.failure),
+                FailureResolved(*about, recovery.failure, level),
+            )
         case _:
             return ()
 
@@ -61,12 +64,18 @@ def _failed(action: Action, recovery: Recovery, who: str, cause: FailureCause) -
 
 
 def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(StopAssistance(event.action_id, event.helper)),) if state.world.obstructions.get(event.helper) else ()
+    return (
+        (Scheduled(StopAssistance(event.action_id, event.helper)),)
+        if state.world.obstructions.get(event.helper)
+        else ()
+    )
 
 
 def _on_obstruction(state: State, event: ObstructionAppeared, _now_us: int) -> tuple[Scheduled, ...]:
     holding = state.execution.current.get(event.robot, "")
-    return (Scheduled(StopAssistance(holding.removeprefix(HELPING), event.robot)),) if holding.startswith(HELPING) else ()
+    return (
+        (Scheduled(StopAssistance(holding.removeprefix(HELPING), event.robot)),) if holding.startswith(HELPING) else ()
+    )
 
 
 def _on_end(state: State, event: AssistanceEnded | AssistanceFailed, _now_us: int) -> tuple[Scheduled, ...]:

@@ -8,7 +8,10 @@ from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import offers, surface
 
 BODIES = ("A", "B", "D")  # roles whose bodies can clear an obstruction
-SUBSTITUTES = {"carry.package": "carry.heavy", "handover.dropoff": "carry.heavy"}  # capability -> one that can take its place
+SUBSTITUTES = {
+    "carry.package": "carry.heavy",
+    "handover.dropoff": "carry.heavy",
+}  # capability -> one that can take its place
 
 
 def on_shift(state: State, robot: str) -> str | None:
@@ -28,7 +31,11 @@ def supervisor_of(state: State, action: Action) -> str | None:
 
 def principals(state: State, action: Action) -> dict[str, Any]:
     """The keywords with which a record names the principals of an execution."""
-    return {"requested_by": action.requested_by, "executed_by": action.executed_by, "supervised_by": supervisor_of(state, action)}
+    return {
+        "requested_by": action.requested_by,
+        "executed_by": action.executed_by,
+        "supervised_by": supervisor_of(state, action),
+    }
 
 
 def is_injected(action: Action) -> bool:
@@ -55,7 +62,11 @@ def nearest_first(state: State, robots: list[str], near: str) -> tuple[str, ...]
 
 def capable(state: State, capability: str, requester: str) -> tuple[str, ...]:
     """Every other robot that has the capability, nearest team first. Paper: eq:possess."""
-    return nearest_first(state, [offer.robot for offer in offers(state.registry.offers, capability) if offer.robot != requester], requester)
+    return nearest_first(
+        state,
+        [offer.robot for offer in offers(state.registry.offers, capability) if offer.robot != requester],
+        requester,
+    )
 
 
 def helpers(state: State, action: Action, cause: str) -> tuple[str, ...]:
@@ -68,7 +79,9 @@ def helpers(state: State, action: Action, cause: str) -> tuple[str, ...]:
 
 def stand_ins(state: State, action: Action) -> tuple[str, ...]:
     """Every other robot that offers the capability or a substitute for it, nearest team first."""
-    able = {offer.robot for capability in means(action.capability) for offer in offers(state.registry.offers, capability)}
+    able = {
+        offer.robot for capability in means(action.capability) for offer in offers(state.registry.offers, capability)
+    }
     return nearest_first(state, [name for name in able if name != action.robot], action.robot)
 
 
@@ -86,7 +99,15 @@ def kin(state: State, robot: str, capability: str) -> tuple[str, ...]:
     """Every other robot that advertises something of the capability's family, nearest team first."""
     stem = family(capability)[:-1]
     others = [name for name in state.fleet.robots if name != robot]
-    return nearest_first(state, [name for name in others if any(record.capability.startswith(stem) for record in surface(state.registry, name))], robot)
+    return nearest_first(
+        state,
+        [
+            name
+            for name in others
+            if any(record.capability.startswith(stem) for record in surface(state.registry, name))
+        ],
+        robot,
+    )
 
 
 def is_reachable(state: State, robot: str) -> bool:

@@ -8,7 +8,13 @@ from collections.abc import Iterable
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted, AuthorityReleased, AuthorityRevoked, RevocationReason
+from fsar_ledger.events.authority import (
+    AuthorityClaimed,
+    AuthorityGranted,
+    AuthorityReleased,
+    AuthorityRevoked,
+    RevocationReason,
+)
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST, Dimension, OverrideLevel
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.trust import RoleTrustSet, TrustSet
@@ -68,16 +74,25 @@ class RevokeDistrusted(Command):
 
 def released(claims: Iterable[AuthorityClaimed]) -> tuple[AuthorityReleased, ...]:
     """Each of these claims ends."""
-    return tuple(AuthorityReleased(claim.task_id, claim.action_id, claim.dimension, claim.claimant, claim.reason) for claim in claims)
+    return tuple(
+        AuthorityReleased(claim.task_id, claim.action_id, claim.dimension, claim.claimant, claim.reason)
+        for claim in claims
+    )
 
 
 def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
     """The requester may ask up to this level: by word of the executor's own supervisor, or of H_F. Paper: eq:auth, eq:override."""
     reason = _unknown(state, command)
     robot = state.fleet.robots.get(command.executor or "")
-    if reason is None and command.supervisor != FLEET_SUPERVISOR and (robot is None or robot.supervisor != command.supervisor):
+    if (
+        reason is None
+        and command.supervisor != FLEET_SUPERVISOR
+        and (robot is None or robot.supervisor != command.supervisor)
+    ):
         reason = f"{command.supervisor} does not supervise {command.executor or 'every robot'}, expected {FLEET_SUPERVISOR} or the executor's own"
-    reason = reason or unknown_word("override level", command.override, LEVELS) or expired_context(state, command.context)
+    reason = (
+        reason or unknown_word("override level", command.override, LEVELS) or expired_context(state, command.context)
+    )
     if reason is None and command.supervisor != FLEET_SUPERVISOR and _is_revoked_by_fleet(state, command):
         reason = f"{FLEET_SUPERVISOR} has revoked it, expected {FLEET_SUPERVISOR} to lift that"
     if reason is not None:
@@ -105,7 +120,9 @@ def revoke_authority(state: State, command: RevokeAuthority) -> tuple[Event, ...
 def release_authority(state: State, command: ReleaseAuthority) -> tuple[Event, ...]:
     """The claimant holds this dimension no longer; the authority to execute ends with the execution only."""
     claims = state.authority.claims.get(command.action_id, ())
-    held = tuple(claim for claim in claims if (claim.claimant, claim.dimension) == (command.claimant, command.dimension))
+    held = tuple(
+        claim for claim in claims if (claim.claimant, claim.dimension) == (command.claimant, command.dimension)
+    )
     if not held:
         found = f"{command.claimant} holds no {command.dimension} authority over it, expected an open claim"
         return rejected(command, command.action_id, found, command.claimant)
@@ -119,7 +136,9 @@ def release_authority(state: State, command: ReleaseAuthority) -> tuple[Event, .
 def expire_context(state: State, command: ExpireContext) -> tuple[AuthorityRevoked, ...]:
     """Rights that were granted for the context are over with it. Paper: sec:model:authority (context expiration)."""
     return tuple(
-        AuthorityRevoked(right.requested_by, right.executed_by, right.capability, right.context, "context expired", TRUST)
+        AuthorityRevoked(
+            right.requested_by, right.executed_by, right.capability, right.context, "context expired", TRUST
+        )
         for right in _in_context(state, command.context)
     )
 
@@ -127,7 +146,10 @@ def expire_context(state: State, command: ExpireContext) -> tuple[AuthorityRevok
 def revoke_distrusted(state: State, command: RevokeDistrusted) -> tuple[AuthorityRevoked, ...]:
     """The peer may not ask again what it is no longer trusted with; what was admitted goes on. Paper: sec:model:authority (trust downgrade)."""
     about = {(action.capability, action.task_id): None for action in _distrusted(state, command.robot, command.peer)}
-    revoked = (AuthorityRevoked(command.peer, command.robot, capability, context, "trust downgrade", TRUST) for capability, context in about)
+    revoked = (
+        AuthorityRevoked(command.peer, command.robot, capability, context, "trust downgrade", TRUST)
+        for capability, context in about
+    )
     return tuple(right for right in revoked if not isinstance(_latest(state, right), AuthorityRevoked))
 
 
@@ -149,13 +171,21 @@ def _subject(right: Right) -> tuple[str, str | None, str | None, str | None]:
 
 def _covers(right: Right, command: GrantAuthority | RevokeAuthority) -> bool:
     """True when the right is about all that the command is about."""
-    pairs = ((right.executed_by, command.executor), (right.capability, command.capability), (right.context, command.context))
+    pairs = (
+        (right.executed_by, command.executor),
+        (right.capability, command.capability),
+        (right.context, command.context),
+    )
     return right.requested_by == command.requester and all(one in (None, other) for one, other in pairs)
 
 
 def _overlaps(right: Right, command: GrantAuthority) -> bool:
     """True when some request is subject to both."""
-    pairs = ((right.executed_by, command.executor), (right.capability, command.capability), (right.context, command.context))
+    pairs = (
+        (right.executed_by, command.executor),
+        (right.capability, command.capability),
+        (right.context, command.context),
+    )
     return right.requested_by == command.requester and all(None in pair or pair[0] == pair[1] for pair in pairs)
 
 
@@ -188,7 +218,12 @@ def _distrusted(state: State, robot: str, peer: str) -> list[Action]:
     found = []
     for action in state.execution.actions.values():
         request = state.request.get(action.action_id)
-        if request is None or not action.is_delegated or action.robot != robot or peer != (request.relay or request.requester):
+        if (
+            request is None
+            or not action.is_delegated
+            or action.robot != robot
+            or peer != (request.relay or request.requester)
+        ):
             continue
         if not trusts(state, robot, peer, action.capability, action.task_id):
             found.append(action)
@@ -196,7 +231,11 @@ def _distrusted(state: State, robot: str, peer: str) -> list[Action]:
 
 
 def _on_end(state: State, event: TaskCompleted | TaskAbandoned, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(ExpireContext(event.task_id)),) if state.authority.rights and _in_context(state, event.task_id) else ()
+    return (
+        (Scheduled(ExpireContext(event.task_id)),)
+        if state.authority.rights and _in_context(state, event.task_id)
+        else ()
+    )
 
 
 def _on_trust(state: State, event: TrustSet, _now_us: int) -> tuple[Scheduled, ...]:
@@ -216,10 +255,18 @@ DECIDES: Decides = {
 
 def _on_role_trust(state: State, event: RoleTrustSet, _now_us: int) -> tuple[Scheduled, ...]:
     """As `_on_trust`, for each pair of the roles in which something is in hand."""
-    asking = [(action, state.request.get(action.action_id)) for action in state.execution.actions.values() if action.is_delegated]
-    pairs = {(action.robot, request.relay or request.requester): None for action, request in asking if request is not None}
+    asking = [
+        (action, state.request.get(action.action_id))
+        for action in state.execution.actions.values()
+        if action.is_delegated
+    ]
+    pairs = {
+        (action.robot, request.relay or request.requester): None for action, request in asking if request is not None
+    }
     return tuple(
-        Scheduled(RevokeDistrusted(robot, peer)) for robot, peer in pairs if is_about(state.trust, event, robot, peer) and _distrusted(state, robot, peer)
+        Scheduled(RevokeDistrusted(robot, peer))
+        for robot, peer in pairs
+        if is_about(state.trust, event, robot, peer) and _distrusted(state, robot, peer)
     )
 
 

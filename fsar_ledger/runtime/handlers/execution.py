@@ -113,7 +113,11 @@ def halt_action(state: State, command: HaltAction) -> tuple[Event, ...]:
 def resume_action(state: State, command: ResumeAction) -> tuple[Event, ...]:
     """The rest of the execution runs; without a rest it has finished."""
     action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage not in ("paused", "halted", "failed", "preempted") or command.action_id in state.recovery:
+    if (
+        action is None
+        or action.stage not in ("paused", "halted", "failed", "preempted")
+        or command.action_id in state.recovery
+    ):
         return ()
     if action.stage == "preempted" and not (action.has_begun and holds_robot(state, action)):
         return ()
@@ -124,7 +128,9 @@ def resume_action(state: State, command: ResumeAction) -> tuple[Event, ...]:
 
 def _failed(action: Action, cause: Any, now_us: int) -> ExecutionFailed:
     remaining_us = max(0, action.ends_us - now_us)
-    return ExecutionFailed(action.task_id, action.action_id, action.robot, action.failures + 1, cause, remaining_us, now_us)
+    return ExecutionFailed(
+        action.task_id, action.action_id, action.robot, action.failures + 1, cause, remaining_us, now_us
+    )
 
 
 def _finished(state: State, action: Action) -> ExecutionFinished:
@@ -148,7 +154,9 @@ def next_turn(state: State, robot: str) -> tuple[Scheduled, ...]:
     return (start_action(action.action_id, action.capability),)
 
 
-def _on_queue(state: State, event: ExecutionQueued | ExecutionFinished | ExecutionWithdrawn, _now_us: int) -> tuple[Scheduled, ...]:
+def _on_queue(
+    state: State, event: ExecutionQueued | ExecutionFinished | ExecutionWithdrawn, _now_us: int
+) -> tuple[Scheduled, ...]:
     if isinstance(event, ExecutionQueued) and state.execution.current.get(event.robot) != event.action_id:
         return ()
     return next_turn(state, event.robot)

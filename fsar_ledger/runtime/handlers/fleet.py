@@ -70,7 +70,9 @@ def execution_state(state: State, robot: str) -> ExecutionState:
 
 def is_degraded(state: State, robot: str) -> bool:
     """True when the robot's actuator is degraded, or it says so of something that it advertises."""
-    return robot in state.world.degraded or any(record.availability == "degraded" for record in surface(state.registry, robot))
+    return robot in state.world.degraded or any(
+        record.availability == "degraded" for record in surface(state.registry, robot)
+    )
 
 
 def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
@@ -113,7 +115,11 @@ def install_capability(state: State, command: InstallCapability) -> tuple[Event,
     wrong = wrong or contradiction(contract)
     if wrong is not None:
         return rejected(command, capability, wrong, command.issued_by)
-    return (CapabilityInstalled(robot, capability, command.version, contract.preconditions, contract.postconditions, contract.resources),)
+    return (
+        CapabilityInstalled(
+            robot, capability, command.version, contract.preconditions, contract.postconditions, contract.resources
+        ),
+    )
 
 
 def remove_capability(state: State, command: RemoveCapability) -> tuple[Event, ...]:

@@ -53,7 +53,9 @@ def _breaking(version: Version, given: int) -> Version:
     return 0, 0, patch + 1
 
 
-def is_suitable(contract: Contract, needs: Iterable[str], provides: Iterable[str] | None, resources: Iterable[str] | None) -> bool:
+def is_suitable(
+    contract: Contract, needs: Iterable[str], provides: Iterable[str] | None, resources: Iterable[str] | None
+) -> bool:
     """True when the contract gives what is needed and asks for no more than is provided; None states nothing. Paper: sec:architecture:registry."""
     return (
         set(needs) <= set(contract.postconditions)
@@ -68,7 +70,11 @@ def contradiction(contract: Contract) -> str | None:
     What must hold before and what holds after may differ, even be opposites: that is what execution is for. But
     neither may ask for a name and its `not` together, name anything twice, or name nothing. Paper: eq:adv.
     """
-    for part, names in (("precondition", contract.preconditions), ("postcondition", contract.postconditions), ("resource", contract.resources)):
+    for part, names in (
+        ("precondition", contract.preconditions),
+        ("postcondition", contract.postconditions),
+        ("resource", contract.resources),
+    ):
         for name in names:
             bare = name.removeprefix(NOT)
             if not bare or bare != bare.strip() or bare == "not" or bare.startswith(NOT):

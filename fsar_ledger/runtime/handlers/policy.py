@@ -40,13 +40,21 @@ class SetRolePolicyRule(PublicCommand):
 def own_policy(state: State, robot: str, capability: str | None, context: str | None) -> PolicyOutcome:
     """P_i(e, sigma): the strictest of the robot's open windows and of its rules. Paper: app:foundations."""
     window = in_force(state.world.local, robot)
-    return window if state.policy.is_empty else stricter(window, ruled(state.policy, "local", robot, capability, context) or "allow")
+    return (
+        window
+        if state.policy.is_empty
+        else stricter(window, ruled(state.policy, "local", robot, capability, context) or "allow")
+    )
 
 
 def fleet_policy(state: State, robot: str, capability: str | None, context: str | None) -> PolicyOutcome:
     """The fleet's rules for the robot, and that for its zone as it last heard it."""
     heard = state.knowledge.fleet_rule.get(robot, "allow")
-    return heard if state.policy.is_empty else stricter(heard, ruled(state.policy, "fleet", robot, capability, context) or "allow")
+    return (
+        heard
+        if state.policy.is_empty
+        else stricter(heard, ruled(state.policy, "fleet", robot, capability, context) or "allow")
+    )
 
 
 def compose(state: State, carried: PolicyOutcome, executor: str, capability: str, context: str | None) -> PolicyOutcome:
@@ -80,16 +88,28 @@ def conflict(
     if (own, fleet) != ("deny", "allow"):
         return ()
     supervisor = supervisor_for(state, executor, is_cross_robot=requester != executor)
-    return (PolicyConflictEscalated(task_id, action_id, POLICY, requester, executor, supervisor, (POLICY,), capability, own, fleet),)
+    return (
+        PolicyConflictEscalated(
+            task_id, action_id, POLICY, requester, executor, supervisor, (POLICY,), capability, own, fleet
+        ),
+    )
 
 
 def set_policy_rule(state: State, command: SetPolicyRule) -> tuple[Event, ...]:
     """The rule holds from now on: a robot's own by its own supervisor alone, the fleet's by H_F alone. Paper: app:foundations."""
-    refused = unknown_robot(state, command.robot) or unknown_capability(state, command.capability) or expired_context(state, command.context)
+    refused = (
+        unknown_robot(state, command.robot)
+        or unknown_capability(state, command.capability)
+        or expired_context(state, command.context)
+    )
     refused = refused or _unfit(state, command)
     if refused is not None:
         return rejected(command, command.robot or "fleet", refused, command.issued_by)
-    return (PolicyRuleSet(command.scope, command.robot, command.capability, command.context, command.outcome, command.issued_by),)
+    return (
+        PolicyRuleSet(
+            command.scope, command.robot, command.capability, command.context, command.outcome, command.issued_by
+        ),
+    )
 
 
 def set_role_policy_rule(state: State, command: SetRolePolicyRule) -> tuple[Event, ...]:

@@ -54,7 +54,11 @@ def budget(state: State, robot: str, level: RecoveryLevel) -> Budget:
 
 def set_recovery_budget(state: State, command: SetRecoveryBudget) -> tuple[Event, ...]:
     """The level has this budget from now on; it is for the robot's own supervisor or H_F to say. Paper: app:foundations."""
-    refused = unknown_robot(state, command.robot) or not_in_charge(state, command.issued_by, command.robot) or _impossible(command)
+    refused = (
+        unknown_robot(state, command.robot)
+        or not_in_charge(state, command.issued_by, command.robot)
+        or _impossible(command)
+    )
     if refused is not None:
         return rejected(command, command.robot, refused, command.issued_by)
     level = next(level for level in LEVELS if level == command.level)
@@ -86,7 +90,11 @@ def report_failure(state: State, command: ReportFailure) -> tuple[Event, ...]:
     if refused is not None or action is None or cause is None:
         return rejected(command, command.action_id, refused or "", command.robot)
     remaining_us = max(0, action.ends_us - command.now_us)
-    return (ExecutionFailed(action.task_id, action.action_id, action.robot, action.failures + 1, cause, remaining_us, command.now_us),)
+    return (
+        ExecutionFailed(
+            action.task_id, action.action_id, action.robot, action.failures + 1, cause, remaining_us, command.now_us
+        ),
+    )
 
 
 def open_failure(state: State, action_id: str) -> tuple[Action, Recovery] | None:

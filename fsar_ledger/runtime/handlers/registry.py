@@ -83,7 +83,11 @@ def candidates(state: State, query: Query, cache_holder: str | None = None) -> A
             break
     ranked = _nearest(state, found, query)
     if len(ranked) > 1:
-        ranked = tuple(sorted(ranked, key=lambda robot: (_rank(state, found[robot], cache is None), found[robot].is_deprecated))[: query.limit])
+        ranked = tuple(
+            sorted(ranked, key=lambda robot: (_rank(state, found[robot], cache is None), found[robot].is_deprecated))[
+                : query.limit
+            ]
+        )
     others = _nearest(state, left_out, query)
     return Answer(
         ranked,
@@ -100,7 +104,15 @@ def _nearest(state: State, robots: Iterable[str], query: Query) -> tuple[str, ..
     return nearest_first(state, found, query.requester) if len(found) > 1 else tuple(found)
 
 
-def _search(state: State, query: Query, level: Offers, but: str | None, is_present: bool, found: dict[str, Advertisement], left_out: dict[str, Filter]) -> None:
+def _search(
+    state: State,
+    query: Query,
+    level: Offers,
+    but: str | None,
+    is_present: bool,
+    found: dict[str, Advertisement],
+    left_out: dict[str, Filter],
+) -> None:
     """Every match of one registry is found or left out, until there are enough that are ready."""
     ready = 0
     for record in _matches(level, query.capability, but):
@@ -128,7 +140,9 @@ def _matches(level: Offers, wanted: str, but: str | None) -> Iterator[Advertisem
     """Match(e, e*): the records of the name or, for a group, of each name in it."""
     names = [wanted]
     if wanted.endswith(".*"):
-        names = sorted({name for names in (level.records, level.ways) for name in names if name.startswith(wanted[:-1])})
+        names = sorted(
+            {name for names in (level.records, level.ways) for name in names if name.startswith(wanted[:-1])}
+        )
     for name in names:
         yield from offers(level, name, but)
 
@@ -160,14 +174,19 @@ def hides(state: State, record: Advertisement, requester: str, asker: str, conte
     if record.visibility == "domain":
         asking = state.registry.domains[requester]
         return record.domain != "" and asking != record.domain and not asking.startswith(record.domain + "/")
-    return record.visibility == "trust-gated" and scope_of(state.trust, record.robot, asker, record.capability, context) == "none"
+    return (
+        record.visibility == "trust-gated"
+        and scope_of(state.trust, record.robot, asker, record.capability, context) == "none"
+    )
 
 
 def _distrusts(state: State, query: Query, record: Advertisement) -> bool:
     """Not TrustOK by the record that is read (see `trust.trusts` for the present one). Paper: eq:delegable."""
     if "trust-evaluation" in state.fleet.without:
         return False
-    return not covers(scope_of(state.trust, record.robot, query.requester, record.capability, query.context), record.trust_required)
+    return not covers(
+        scope_of(state.trust, record.robot, query.requester, record.capability, query.context), record.trust_required
+    )
 
 
 def _forbids(state: State, query: Query, record: Advertisement) -> bool:
@@ -184,16 +203,24 @@ def _forbids(state: State, query: Query, record: Advertisement) -> bool:
 _REJECTS: tuple[tuple[Filter, Callable[[State, Query, Advertisement], bool]], ...] = (
     ("visibility", lambda state, query, record: hides(state, record, query.requester, query.requester, query.context)),
     ("version", lambda _state, query, record: not is_in_range(record.version, query.version)),
-    ("contract", lambda _state, query, record: not is_suitable(record.contract, query.needs, query.provides, query.resources)),
+    (
+        "contract",
+        lambda _state, query, record: not is_suitable(record.contract, query.needs, query.provides, query.resources),
+    ),
     ("trust", _distrusts),
     ("policy", _forbids),
-    ("authority", lambda _state, query, record: query.override == "emergency-only" and record.override_allowed == "none"),
+    (
+        "authority",
+        lambda _state, query, record: query.override == "emergency-only" and record.override_allowed == "none",
+    ),
     ("availability", lambda _state, _query, record: record.availability in ("offline", "restricted")),
     ("embodiment", lambda _state, query, record: not set(query.embodiment) <= set(record.embodiment)),
 )
 
 
-def queried(state: State, query: Query, answer: Answer, task_id: str | None, action_id: str | None, relay: str | None = None) -> RegistryQueried:
+def queried(
+    state: State, query: Query, answer: Answer, task_id: str | None, action_id: str | None, relay: str | None = None
+) -> RegistryQueried:
     """The record that the registry has answered; the executor is the robot that the answer leads to, if it leads to one."""
     return RegistryQueried(
         task_id,
@@ -233,13 +260,25 @@ def consult_registry(state: State, command: ConsultRegistry) -> tuple[Event, ...
     if wrong is not None:
         return rejected(command, query.capability, wrong, query.requester)
     found = candidates(state, query, command.cache_holder)
-    return (RegistryConsulted(query.requester, query.capability, found.candidates, found.rejected, found.rejected_by, found.domain, found.as_of_us),)
+    return (
+        RegistryConsulted(
+            query.requester,
+            query.capability,
+            found.candidates,
+            found.rejected,
+            found.rejected_by,
+            found.domain,
+            found.as_of_us,
+        ),
+    )
 
 
 def _malformed(query: Query) -> str | None:
     name = query.capability.removesuffix(".*")
     if not name or "*" in name:
-        return f"capability {query.capability!r} is no name, expected one such as grasp.robust or a group such as grasp.*"
+        return (
+            f"capability {query.capability!r} is no name, expected one such as grasp.robust or a group such as grasp.*"
+        )
     if not is_range(query.version):
         return f"version {query.version!r} is no range, expected nothing, 1.2.0, ^1.2 or >=1.2"
     if query.override not in get_args(OverrideLevel):

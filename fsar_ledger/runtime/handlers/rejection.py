@@ -24,7 +24,9 @@ def unknown_robot(state: State, *robots: str | None) -> str | None:
 
 def unknown_supervisor(state: State, supervisor: str | None) -> str | None:
     """The reason to reject a command in the name of somebody who supervises nothing here, or None."""
-    if supervisor == FLEET_SUPERVISOR or (supervisor is not None and any(supervisor == robot.supervisor for robot in state.fleet.robots.values())):
+    if supervisor == FLEET_SUPERVISOR or (
+        supervisor is not None and any(supervisor == robot.supervisor for robot in state.fleet.robots.values())
+    ):
         return None
     return f"unknown supervisor {supervisor}, expected {FLEET_SUPERVISOR} or a robot's own"
 

@@ -158,12 +158,23 @@ def report_result(state: State, command: ReportResult) -> tuple[Event, ...]:
     """The execution is over with this result. Paper: sec:model:request, phase 5."""
     action = state.execution.actions.get(command.action_id)
     if action is None:
-        return rejected(command, command.action_id, _not_executed(state.request.get(command.action_id)), command.executor)
+        return rejected(
+            command, command.action_id, _not_executed(state.request.get(command.action_id)), command.executor
+        )
     reason = _not_reportable(state, action, command)
     if reason is not None:
         return rejected(command, command.action_id, reason, command.executor)
     about = principals(state, action)
-    return (ExecutionFinished(action.task_id, action.action_id, **about, robot=action.robot, result=command.result, achieved=command.achieved),)
+    return (
+        ExecutionFinished(
+            action.task_id,
+            action.action_id,
+            **about,
+            robot=action.robot,
+            result=command.result,
+            achieved=command.achieved,
+        ),
+    )
 
 
 def _not_executed(request: Request | None) -> str:
@@ -188,7 +199,9 @@ def _not_reportable(state: State, action: Action, command: ReportResult) -> str 
     module = state.registry.modules.get(action.robot, {}).get(action.capability)
     promised = () if module is None else module.contract.postconditions
     unknown = [name for name in command.achieved if promised and name not in promised]
-    return f"{unknown[0]} is no postcondition of {action.capability}, expected {', '.join(promised)}" if unknown else None
+    return (
+        f"{unknown[0]} is no postcondition of {action.capability}, expected {', '.join(promised)}" if unknown else None
+    )
 
 
 DECIDES: Decides = {RequestCapability: request_capability, AnswerOffer: answer_offer, ReportResult: report_result}

@@ -5,7 +5,12 @@ from collections.abc import Callable
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import FLEET_SUPERVISOR
 from fsar_ledger.events.recovery import FailureResolved
-from fsar_ledger.events.supervision import ActuatorServiced, SupervisionDensitySet, SupervisorCalled, SupervisorResponded
+from fsar_ledger.events.supervision import (
+    ActuatorServiced,
+    SupervisionDensitySet,
+    SupervisorCalled,
+    SupervisorResponded,
+)
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.request import Request
 from fsar_ledger.projections.supervision import density
@@ -65,7 +70,9 @@ def respond(state: State, command: Respond, name_requester: NameRequester = requ
     return _responded(state, call, True, first_in_order(state, call), name_requester)
 
 
-def respond_to_call(state: State, command: RespondToCall, name_requester: NameRequester = requester_of) -> tuple[Event, ...]:
+def respond_to_call(
+    state: State, command: RespondToCall, name_requester: NameRequester = requester_of
+) -> tuple[Event, ...]:
     """The open call is answered by the supervisor it went to."""
     unknown = not_in_charge(state, command.supervisor, None)
     if unknown is not None:
@@ -74,7 +81,9 @@ def respond_to_call(state: State, command: RespondToCall, name_requester: NameRe
     call = next((call for call in calls if call.supervisor == command.supervisor), None)
     if call is None:
         found = f"the call went to {calls[0].supervisor}" if calls else "no open call"
-        return rejected(command, command.action_id, f"{found}, expected one to {command.supervisor}", command.supervisor)
+        return rejected(
+            command, command.action_id, f"{found}, expected one to {command.supervisor}", command.supervisor
+        )
     refused = _unfit(call, command)
     if refused is not None:
         return rejected(command, command.action_id, refused, command.supervisor)
@@ -91,7 +100,9 @@ def _unfit(call: SupervisorCalled, command: RespondToCall) -> str | None:
     return None
 
 
-def _responded(state: State, call: SupervisorCalled, approves: bool, preferred: str | None, name_requester: NameRequester) -> tuple[Event, ...]:
+def _responded(
+    state: State, call: SupervisorCalled, approves: bool, preferred: str | None, name_requester: NameRequester
+) -> tuple[Event, ...]:
     """The answer is on record; a failure that was put before the supervisor is over, a degraded robot serviced."""
     action, request = state.execution.actions.get(call.action_id), state.request.get(call.action_id)
     requested_by = executed_by = None
@@ -100,7 +111,9 @@ def _responded(state: State, call: SupervisorCalled, approves: bool, preferred: 
     elif request is not None:
         requested_by, executed_by = name_requester(request), request.target
     by = call.supervisor
-    responded = SupervisorResponded(call.task_id, call.action_id, by, requested_by, executed_by, by, (by,), call.purpose, approves, preferred)
+    responded = SupervisorResponded(
+        call.task_id, call.action_id, by, requested_by, executed_by, by, (by,), call.purpose, approves, preferred
+    )
     recovery = state.recovery.get(call.action_id)
     if call.purpose != "recovery" or recovery is None:
         return (responded,)
@@ -113,7 +126,9 @@ def _responded(state: State, call: SupervisorCalled, approves: bool, preferred: 
 def set_supervision_density(state: State, command: SetSupervisionDensity) -> tuple[Event, ...]:
     """The density holds from now on: of a robot by its own supervisor or H_F, of every robot by H_F. Paper: sec:model:supervision."""
     subject = command.robot or "every robot"
-    refused = unknown_robot(state, command.robot) or not_in_charge(state, command.issued_by, command.robot, is_fleet_matter=command.robot is None)
+    refused = unknown_robot(state, command.robot) or not_in_charge(
+        state, command.issued_by, command.robot, is_fleet_matter=command.robot is None
+    )
     if refused is None and command.review_every < 0:
         refused = f"density {command.review_every}, expected 0 (none) or one in so many"
     if refused is not None:

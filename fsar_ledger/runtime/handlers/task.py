@@ -41,7 +41,9 @@ def _impossible(state: State, command: SubmitTask) -> str | None:
     if command.task_id in state.task or command.task_id in state.context or _is_named(state, command.task_id):
         return f"the name {command.task_id} is taken, expected a new one"
     if command.budget_us <= 0 or not command.steps:
-        return f"{len(command.steps)} steps in {command.budget_us} microseconds, expected at least one step and some time"
+        return (
+            f"{len(command.steps)} steps in {command.budget_us} microseconds, expected at least one step and some time"
+        )
     places = [str(number) for number in range(1, len(command.steps) + 1)]
     unknown = [place for place in command.checkpoints or () if place not in places]
     if unknown:
@@ -97,7 +99,11 @@ def expire_task(state: State, command: ExpireTask) -> tuple[Event, ...]:
 def complete_step(state: State, command: CompleteStep) -> tuple[Event, ...]:
     """The step is done, unless it was already or its task was given up."""
     request = state.request.get(command.action_id)
-    return () if request is None or request.task_id not in state.task else (StepCompleted(request.task_id, request.action_id),)
+    return (
+        ()
+        if request is None or request.task_id not in state.task
+        else (StepCompleted(request.task_id, request.action_id),)
+    )
 
 
 def is_critical(state: State, task_id: str) -> bool:
@@ -130,6 +136,11 @@ def _on_arrival(state: State, event: TaskArrived, now_us: int) -> tuple[Schedule
     return (Scheduled(BeginStep(event.task_id)), Scheduled(ExpireTask(event.task_id), left_us + 1))
 
 
-DECIDES: Decides = {SubmitTask: submit_task, BeginStep: begin_step, CompleteStep: complete_step, ExpireTask: expire_task}
+DECIDES: Decides = {
+    SubmitTask: submit_task,
+    BeginStep: begin_step,
+    CompleteStep: complete_step,
+    ExpireTask: expire_task,
+}
 ACTORS: Actors = {BeginStep: next_in_task, CompleteStep: requester, ExpireTask: nobody}
 REACTS: Reacts = {TaskArrived: _on_arrival, StepCompleted: _begin}

@@ -77,14 +77,26 @@ def trusts(state: State, executor: str, requester: str, capability: str, context
 
 def set_trust(state: State, command: SetTrust) -> tuple[Event, ...]:
     """The robot trusts the peer so far from now on, by word of its own supervisor or of H_F. Paper: eq:trust."""
-    refused = unknown_robot(state, command.robot, command.peer) or not_in_charge(state, command.issued_by, command.robot)
+    refused = unknown_robot(state, command.robot, command.peer) or not_in_charge(
+        state, command.issued_by, command.robot
+    )
     refused = refused or unknown_capability(state, command.capability) or expired_context(state, command.context)
     refused = refused or unknown_word("scope", command.scope, SCOPES)
     if refused is None and command.robot == command.peer:
         refused = f"{command.robot} needs no trust in itself, expected another robot"
     if refused is not None:
         return rejected(command, command.robot, refused, command.issued_by)
-    return (TrustSet(command.robot, command.peer, command.scope, command.capability, command.context, command.issued_by, command.reason),)
+    return (
+        TrustSet(
+            command.robot,
+            command.peer,
+            command.scope,
+            command.capability,
+            command.context,
+            command.issued_by,
+            command.reason,
+        ),
+    )
 
 
 def set_role_trust(state: State, command: SetRoleTrust) -> tuple[Event, ...]:
@@ -147,7 +159,9 @@ def expire_trust(state: State, command: ExpireTrust) -> tuple[Event, ...]:
     return (*of_pairs, *of_roles)
 
 
-def _on_result(state: State, _event: RequestClosed | RequestDenied | ExecutionFailed | AuthorityRevoked, _now_us: int) -> tuple[Scheduled, ...]:
+def _on_result(
+    state: State, _event: RequestClosed | RequestDenied | ExecutionFailed | AuthorityRevoked, _now_us: int
+) -> tuple[Scheduled, ...]:
     """Trust is assessed after each coordination event that changed a record. Paper: sec:evaluation:simulator."""
     if not follows_record(state.trust):
         return ()

@@ -38,22 +38,37 @@ def withdraw_task(state: State, command: WithdrawTask) -> tuple[Event, ...]:
     waiting = [action for action in _waiting(state, command.task_id) if action.robot == command.robot]
     withdrawn = sorted(waiting, key=lambda action: holds_robot(state, action))
     ended = _claims(state, command.task_id, {action.action_id for action in withdrawn})
-    return (*released(ended), *(ExecutionWithdrawn(action.task_id, action.action_id, action.robot) for action in withdrawn))
+    return (
+        *released(ended),
+        *(ExecutionWithdrawn(action.task_id, action.action_id, action.robot) for action in withdrawn),
+    )
 
 
 def end_claims(state: State, command: EndClaims) -> tuple[Event, ...]:
     """Nobody claims what nobody does."""
-    never = {name for name in state.authority.claims if name not in state.execution.actions and name not in state.request}
+    never = {
+        name for name in state.authority.claims if name not in state.execution.actions and name not in state.request
+    }
     return released(_claims(state, command.task_id, never))
 
 
 def _waiting(state: State, task_id: str) -> list[Action]:
     """What robots have of the task and have not begun."""
-    return [action for action in state.execution.actions.values() if action.task_id == task_id and _has_not_begun(action) and _is_step(state, action)]
+    return [
+        action
+        for action in state.execution.actions.values()
+        if action.task_id == task_id and _has_not_begun(action) and _is_step(state, action)
+    ]
 
 
 def _claims(state: State, task_id: str, actions: set[str]) -> list[AuthorityClaimed]:
-    return [claim for name, claims in state.authority.claims.items() if name in actions for claim in claims if claim.task_id == task_id]
+    return [
+        claim
+        for name, claims in state.authority.claims.items()
+        if name in actions
+        for claim in claims
+        if claim.task_id == task_id
+    ]
 
 
 def _has_not_begun(action: Action) -> bool:

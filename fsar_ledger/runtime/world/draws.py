@@ -10,7 +10,9 @@ from math import log
 
 from fsar_ledger.constants import Range, WorldConstants
 
-FOREVER_US = 10**15  # some 30 years; a longer length of time is this long, so that every time is an integer that is stored as it is
+FOREVER_US = (
+    10**15
+)  # some 30 years; a longer length of time is this long, so that every time is an integer that is stored as it is
 _SHARE = 2.0**-53
 _BLOCK = struct.Struct("<8Q")
 _ONE = struct.Struct("<Q")
@@ -56,8 +58,16 @@ class Draws:
     def __init__(self, key: bytes, world: WorldConstants) -> None:
         self._hash = blake2b(digest_size=8, key=key)
         self._reliability = world.degraded_reliability
-        laws = {"message": world.message, "approach": world.approach, "retry": world.retry, "response": world.response, **dict(world.durations)}
-        self._laws = {stream: (law.low_s * 1e6, (law.high_s - law.low_s) * 1e6 * _SHARE) for stream, law in laws.items()}
+        laws = {
+            "message": world.message,
+            "approach": world.approach,
+            "retry": world.retry,
+            "response": world.response,
+            **dict(world.durations),
+        }
+        self._laws = {
+            stream: (law.low_s * 1e6, (law.high_s - law.low_s) * 1e6 * _SHARE) for stream, law in laws.items()
+        }
 
     def value(self, stream: str, key: str, share_ppm: int = 1_000_000) -> int:
         """The draw: a length of time in microseconds, or for `reliability` 1 when a degraded actuator holds, else 0."""

@@ -75,16 +75,39 @@ TASKS: dict[Scenario, tuple[TaskScript, ...]] = {
         TaskScript(
             "A",
             0,
-            ("A carry.heavy D", "A grasp.robust D", "D door.open.secure B", "D navigate.indoor", "A carry.heavy D", "A handover.dropoff"),
+            (
+                "A carry.heavy D",
+                "A grasp.robust D",
+                "D door.open.secure B",
+                "D navigate.indoor",
+                "A carry.heavy D",
+                "A handover.dropoff",
+            ),
         ),
         TaskScript("D", 45, ("D carry.heavy", "D carry.package A", "D navigate.indoor", "D grasp.robust")),
     ),
     "mixed-trust-inspection": (
-        TaskScript("B", 0, ("B navigate.indoor", "B inspect.private_zone C", "C door.open.secure B", "C inspect.visual", "B inspect.private_zone C")),
+        TaskScript(
+            "B",
+            0,
+            (
+                "B navigate.indoor",
+                "B inspect.private_zone C",
+                "C door.open.secure B",
+                "C inspect.visual",
+                "B inspect.private_zone C",
+            ),
+        ),
         TaskScript(
             "A",
             40,
-            ("A navigate.indoor", "A door.open.secure B", "B inspect.visual C", "B inspect.private_zone C", "A handover.dropoff"),
+            (
+                "A navigate.indoor",
+                "A door.open.secure B",
+                "B inspect.visual C",
+                "B inspect.private_zone C",
+                "A handover.dropoff",
+            ),
         ),
     ),
     "fleet-contention": (
@@ -94,8 +117,13 @@ TASKS: dict[Scenario, tuple[TaskScript, ...]] = {
         TaskScript("D", 55, ("D navigate.indoor", "D carry.package A", "D grasp.robust")),
     ),
 }
-INJECTIONS: dict[Scenario, tuple[Injection, ...]] = {"mixed-trust-inspection": (Injection("D", "C", "inspect.private_zone", 2),)}
-DEGRADABLE: dict[Scenario, tuple[str, ...]] = {"failure-recovery-chain": ("D",), "fleet-contention": ("A", "B", "C", "D")}
+INJECTIONS: dict[Scenario, tuple[Injection, ...]] = {
+    "mixed-trust-inspection": (Injection("D", "C", "inspect.private_zone", 2),)
+}
+DEGRADABLE: dict[Scenario, tuple[str, ...]] = {
+    "failure-recovery-chain": ("D",),
+    "fleet-contention": ("A", "B", "C", "D"),
+}
 
 
 def robots(fleet_size: int) -> tuple[tuple[str, str, int], ...]:
@@ -116,13 +144,24 @@ def founding(fleet_size: int, floor_teams: int = FLOOR_TEAMS) -> tuple[Event, ..
     members = robots(fleet_size)
     has_floors = fleet_size > 4 * floor_teams
     joined: list[Event] = [
-        RobotJoined(name, role, team, local_supervisor(name), place=f"floor/{floor_of(team, floor_teams)}" if has_floors else None)
+        RobotJoined(
+            name,
+            role,
+            team,
+            local_supervisor(name),
+            place=f"floor/{floor_of(team, floor_teams)}" if has_floors else None,
+        )
         for name, role, team in members
     ]
     possessed = [(name, capability) for name, role, _ in members for capability in CAPABILITIES[role]]
-    joined += [CapabilityInstalled(name, capability, "1.0.0", (), POSTCONDITIONS.get(capability, ())) for name, capability in possessed]
     joined += [
-        CapabilityAdvertised(name, capability, VISIBLE_TO.get(capability, ()), postconditions=POSTCONDITIONS.get(capability, ()))
+        CapabilityInstalled(name, capability, "1.0.0", (), POSTCONDITIONS.get(capability, ()))
+        for name, capability in possessed
+    ]
+    joined += [
+        CapabilityAdvertised(
+            name, capability, VISIBLE_TO.get(capability, ()), postconditions=POSTCONDITIONS.get(capability, ())
+        )
         for name, capability in possessed
     ]
     for one, other, scope in TRUST:

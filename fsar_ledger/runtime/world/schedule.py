@@ -41,7 +41,13 @@ Fact = tuple[int, Event]  # run time in microseconds, what happens
 
 @lru_cache(maxsize=4)
 def schedule(
-    world: WorldConstants, seed: int, scenario: Scenario | Workflow, run: int, fleet_size: int, outages: Outages | None = None, load: Load | None = None
+    world: WorldConstants,
+    seed: int,
+    scenario: Scenario | Workflow,
+    run: int,
+    fleet_size: int,
+    outages: Outages | None = None,
+    load: Load | None = None,
 ) -> tuple[Fact, ...]:
     """All facts of the run in order of time; no two at the same microsecond. A workflow has only those of its script."""
     key = run_key(seed, scenario, run)
@@ -52,7 +58,9 @@ def schedule(
             return _disturbed(world, key, scenario, fleet_size, outages, load or Load())
 
 
-def arrivals_expected(world: WorldConstants, fleet_size: int, outages: Outages | None = None, load: Load | None = None) -> float:
+def arrivals_expected(
+    world: WorldConstants, fleet_size: int, outages: Outages | None = None, load: Load | None = None
+) -> float:
     """How many arrivals one may expect in a run with such rates: nearly all of its facts, but for some of each robot, task and window."""
     rates: tuple[float, ...] = (world.context_rate_per_s, world.fleet_rule_rate_per_s, world.obstruction_rate_per_s)
     if outages is not None:
@@ -61,7 +69,11 @@ def arrivals_expected(world: WorldConstants, fleet_size: int, outages: Outages |
     pairs = crowd = 0.0
     for floors, robots_there in floor_sizes(world, fleet_size):
         pairs += floors * robots_there * (robots_there - 1) / 2
-        crowd += floors * robots_there * _expected(_mean_s(world.crowding_rate_per_s * max(0, robots_there - 4)), world.horizon_s)
+        crowd += (
+            floors
+            * robots_there
+            * _expected(_mean_s(world.crowding_rate_per_s * max(0, robots_there - 4)), world.horizon_s)
+        )
     routine = 4 * teams_working(fleet_size, load) * _expected(_mean_s(world.routine_rate_per_s), world.routine_until_s)
     return fleet_size * one_robot + routine + crowd + pairs * _expected(world.encounter_mean_s, world.horizon_s)
 
@@ -84,7 +96,9 @@ def _expected(mean_s: float, until_s: float) -> float:
     return max(0.0, until_s * 1e6) / max(1.0, mean_s * 1e6)
 
 
-def _disturbed(world: WorldConstants, key: bytes, scenario: Scenario, fleet_size: int, outages: Outages | None, load: Load) -> tuple[Fact, ...]:
+def _disturbed(
+    world: WorldConstants, key: bytes, scenario: Scenario, fleet_size: int, outages: Outages | None, load: Load
+) -> tuple[Fact, ...]:
     """The tasks of the scenario, in a world that disturbs them."""
     members = robots(fleet_size)
     facts: list[Fact] = [(1, SyncPhaseSet(round(Stream(key, "sync-phase").uniform() * 1e6)))]
@@ -138,10 +152,15 @@ def _arrivals(stream: Stream, mean_s: float, until_s: float) -> list[int]:
     return instants
 
 
-def _window(world: WorldConstants, stream: Stream, robot: str, scope: PolicyScope, name: str, opened_us: int) -> list[Fact]:
+def _window(
+    world: WorldConstants, stream: Stream, robot: str, scope: PolicyScope, name: str, opened_us: int
+) -> list[Fact]:
     outcome: PolicyOutcome = "review" if stream.uniform() < world.review_share else "deny"
     closed_us = opened_us + stream.exponential_us(world.window_mean_s)
-    return [(opened_us, PolicyWindowOpened(robot, scope, name, outcome)), (closed_us, PolicyWindowClosed(robot, scope, name))]
+    return [
+        (opened_us, PolicyWindowOpened(robot, scope, name, outcome)),
+        (closed_us, PolicyWindowClosed(robot, scope, name)),
+    ]
 
 
 def _contexts(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
@@ -160,7 +179,9 @@ def _contexts(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
 
 def _fleet_rules(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
     facts: list[Fact] = []
-    for ordinal, time_us in enumerate(_arrivals(Stream(key, f"fleet-rule/{robot}"), _mean_s(world.fleet_rule_rate_per_s), world.horizon_s)):
+    for ordinal, time_us in enumerate(
+        _arrivals(Stream(key, f"fleet-rule/{robot}"), _mean_s(world.fleet_rule_rate_per_s), world.horizon_s)
+    ):
         name = f"fleet/{robot[6:]}/{ordinal}"
         facts += _window(world, Stream(key, f"window/{name}"), robot, "fleet", name, time_us)
     return facts
@@ -188,11 +209,16 @@ def _in_the_way(world: WorldConstants, key: bytes, robot: str, what: str, rate_p
 def _routine(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
     marks = Stream(key, f"routine-operation/{robot}")
     instants = _arrivals(Stream(key, f"routine/{robot}"), _mean_s(world.routine_rate_per_s), world.routine_until_s)
-    return [(time_us, RoutineDue(robot, "motion" if marks.uniform() < world.motion_share else "sensing")) for time_us in instants]
+    return [
+        (time_us, RoutineDue(robot, "motion" if marks.uniform() < world.motion_share else "sensing"))
+        for time_us in instants
+    ]
 
 
 def _absence(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
-    start_s = world.absence_from_s + (world.absence_to_s - world.absence_from_s) * Stream(key, f"absence/{robot}").uniform()
+    start_s = (
+        world.absence_from_s + (world.absence_to_s - world.absence_from_s) * Stream(key, f"absence/{robot}").uniform()
+    )
     left_us, returned_us = round(start_s * 1e6), round((start_s + world.absence_s) * 1e6)
     if returned_us <= 0:
         return []
@@ -203,15 +229,42 @@ def _absence(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
 def _outages(outages: Outages, key: bytes, robot: str, until_s: float) -> list[Fact]:
     off, back = (Stream(key, f"{name}/{robot}") for name in ("off", "off-length"))
     down, up = (Stream(key, f"{name}/{robot}") for name in ("link", "link-length"))
-    from_us, lost = round(outages.from_s * 1e6), _arrivals(Stream(key, f"loss/{robot}"), _mean_s(outages.loss_rate_per_s), until_s - outages.from_s)
+    from_us, lost = (
+        round(outages.from_s * 1e6),
+        _arrivals(Stream(key, f"loss/{robot}"), _mean_s(outages.loss_rate_per_s), until_s - outages.from_s),
+    )
     return [
-        *_spells(off, back, _mean_s(outages.off_rate_per_s), outages.off_mean_s, from_us, until_s, (RobotWentOff(robot), RobotCameBack(robot))),
-        *_spells(down, up, _mean_s(outages.link_rate_per_s), outages.link_mean_s, from_us, until_s, (LinkWentDown(robot), LinkCameUp(robot))),
+        *_spells(
+            off,
+            back,
+            _mean_s(outages.off_rate_per_s),
+            outages.off_mean_s,
+            from_us,
+            until_s,
+            (RobotWentOff(robot), RobotCameBack(robot)),
+        ),
+        *_spells(
+            down,
+            up,
+            _mean_s(outages.link_rate_per_s),
+            outages.link_mean_s,
+            from_us,
+            until_s,
+            (LinkWentDown(robot), LinkCameUp(robot)),
+        ),
         *((from_us + after_us, ActuatorDegraded(robot, "lost")) for after_us in lost),
     ]
 
 
-def _spells(before: Stream, lengths: Stream, before_s: float, length_s: float, from_us: int, until_s: float, edges: tuple[Event, Event]) -> list[Fact]:
+def _spells(
+    before: Stream,
+    lengths: Stream,
+    before_s: float,
+    length_s: float,
+    from_us: int,
+    until_s: float,
+    edges: tuple[Event, Event],
+) -> list[Fact]:
     """Spells of something that is there or not, exponential as are the times between them: both edges of each that begins in time."""
     facts: list[Fact] = []
     begins_us, until_us = from_us + before.exponential_us(before_s), round(until_s * 1e6)
@@ -230,14 +283,29 @@ def _encounters(world: WorldConstants, key: bytes, one: str, other: str) -> list
 def _tasks(world: WorldConstants, key: bytes, scenario: Scenario, team: int, load: Load) -> list[Fact]:
     facts: list[Fact] = []
     start_us = Stream(key, f"start/{team}").within_us(world.start)
-    sets = [(script, round((script.offset_s + load.interval_s * number) * 1e6)) for number in range(load.task_sets) for script in TASKS[scenario]]
+    sets = [
+        (script, round((script.offset_s + load.interval_s * number) * 1e6))
+        for number in range(load.task_sets)
+        for script in TASKS[scenario]
+    ]
     for ordinal, (script, offset_us) in enumerate(sets, start=1):
         task_id = f"{script.owner}{team}-{ordinal}"
         arrival_us = start_us + offset_us + Stream(key, f"jitter/{task_id}").within_us(world.jitter)
         delegated = sum(step.count(" ") == 2 for step in script.steps)
-        budget_s = world.budget_base_s + world.budget_delegated_s * delegated + world.budget_own_s * (len(script.steps) - delegated)
+        budget_s = (
+            world.budget_base_s
+            + world.budget_delegated_s * delegated
+            + world.budget_own_s * (len(script.steps) - delegated)
+        )
         budget_us = round(min(budget_s * 1e6, FOREVER_US))
-        facts.append((arrival_us, TaskArrived(task_id, f"robot/{script.owner}{team}", team, script.steps, budget_us, arrival_us + budget_us)))
+        facts.append(
+            (
+                arrival_us,
+                TaskArrived(
+                    task_id, f"robot/{script.owner}{team}", team, script.steps, budget_us, arrival_us + budget_us
+                ),
+            )
+        )
     for injection in INJECTIONS.get(scenario, ()):
         for ordinal in range(1, injection.times + 1):
             name = f"injected-{team}-{ordinal}"

@@ -43,10 +43,13 @@ class Script(NamedTuple):
 
 SCRIPTS: dict[Workflow, Script] = {
     # A lacks door.open.secure on its way; B opens under its own runtime.
-    "workflow-door-relay": Script((TaskPlan("A", ("A navigate.indoor", "A door.open.secure B", "A navigate.indoor", "A handover.dropoff")),)),
+    "workflow-door-relay": Script(
+        (TaskPlan("A", ("A navigate.indoor", "A door.open.secure B", "A navigate.indoor", "A handover.dropoff")),)
+    ),
     # A's heavy transport, in which D's steps are D's own; D's gripper slips when it grips the load.
     "workflow-layered-recovery": Script(
-        (TaskPlan("A", ("D navigate.indoor", "D grasp.robust", "D carry.heavy", "A handover.dropoff")),), (Wear("D", "slipping"),)
+        (TaskPlan("A", ("D navigate.indoor", "D grasp.robust", "D carry.heavy", "A handover.dropoff")),),
+        (Wear("D", "slipping"),),
     ),
     # B and D need A's carry.package at once; B's delivery is time-critical.
     "workflow-human-supervision": Script(
@@ -65,9 +68,15 @@ def workflow_facts(world: WorldConstants, key: bytes, workflow: Workflow) -> lis
     facts: list[tuple[int, Event]] = []
     for ordinal, plan in enumerate(script.tasks, start=1):
         delegated = sum(step.count(" ") == 2 for step in plan.steps)
-        budget_s = world.budget_base_s + world.budget_delegated_s * delegated + world.budget_own_s * (len(plan.steps) - delegated)
+        budget_s = (
+            world.budget_base_s
+            + world.budget_delegated_s * delegated
+            + world.budget_own_s * (len(plan.steps) - delegated)
+        )
         budget_us = round(budget_s * 1e6)
         about = (f"{plan.owner}1-{ordinal}", f"robot/{plan.owner}1", 1, plan.steps, budget_us, arrival_us + budget_us)
         facts.append((arrival_us, TaskArrived(*about, plan.checkpoints, plan.is_time_critical)))
-    facts += [(arrival_us + WEAR_AFTER_US, ActuatorDegraded(f"robot/{wear.robot}1", wear.grade)) for wear in script.wear]
+    facts += [
+        (arrival_us + WEAR_AFTER_US, ActuatorDegraded(f"robot/{wear.robot}1", wear.grade)) for wear in script.wear
+    ]
     return facts

@@ -6,4 +6,16 @@ from fsar_ledger.runtime.handlers import execution as bodies
 
 from . import answers, coordinator, execution, recovery, request
 
-CFC: Wiring = wire(task, bodies, assistance, supervision, withdrawal, coordinator, request, execution, recovery, own=answers.OWN, instead=answers.INSTEAD)
+CFC: Wiring = wire(
+    task,
+    bodies,
+    assistance,
+    supervision,
+    withdrawal,
+    coordinator,
+    request,
+    execution,
+    recovery,
+    own=answers.OWN,
+    instead=answers.INSTEAD,
+)

@@ -82,7 +82,9 @@ def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
     fleet = {robot: in_force(state.world.fleet, robot) for robot in state.world.fleet}
 
     def shown(before: tuple[str, ...], now: list[str]) -> tuple[str, ...]:
-        return tuple(robot for robot in robots if robot in (before if robot in silent else now)) if silent else tuple(now)
+        return (
+            tuple(robot for robot in robots if robot in (before if robot in silent else now)) if silent else tuple(now)
+        )
 
     return (
         CopySynced(
@@ -96,7 +98,9 @@ def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
     )
 
 
-def reach_coordinator(state: State, command: ReachCoordinator) -> tuple[GapDetected | WorkQueued | RequestDenied | TaskAbandoned, ...]:
+def reach_coordinator(
+    state: State, command: ReachCoordinator
+) -> tuple[GapDetected | WorkQueued | RequestDenied | TaskAbandoned, ...]:
     """The item waits for the coordinator; a gap is on record without who has it.
 
     The coordinator knows its own queue: a step that it would come to only after the task is given up is given up at once, so that a queue
@@ -114,8 +118,12 @@ def reach_coordinator(state: State, command: ReachCoordinator) -> tuple[GapDetec
     service_us += service_us * candidates * structure.candidate_cost_ppm // 1_000_000
     ready_us = max(state.knowledge.ready_us, command.now_us) + service_us
     task = state.task.get(task_id)
-    is_hopeless = is_matching and task is not None and ready_us > given_up_us(task, state.fleet.structure.expiry_budgets)
-    queued: tuple[WorkQueued | RequestDenied | TaskAbandoned, ...] = (WorkQueued(task_id, command.action_id, command.item, ready_us),)
+    is_hopeless = (
+        is_matching and task is not None and ready_us > given_up_us(task, state.fleet.structure.expiry_budgets)
+    )
+    queued: tuple[WorkQueued | RequestDenied | TaskAbandoned, ...] = (
+        WorkQueued(task_id, command.action_id, command.item, ready_us),
+    )
     if is_hopeless:
         denied = RequestDenied(task_id, None, None, **by_coordinator(), executed_by=None, reason=NO_TIME)
         queued = (denied, TaskAbandoned(task_id))

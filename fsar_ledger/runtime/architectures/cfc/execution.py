@@ -81,7 +81,9 @@ def _held(state: State, robot: str) -> list[str]:
 
 def end_watch(state: State, command: EndWatch) -> tuple[Event, ...]:
     """The local supervisor no longer claims what it watched over in this window."""
-    return released(claim for claims in state.authority.claims.values() for claim in claims if claim.reason == command.window)
+    return released(
+        claim for claims in state.authority.claims.values() for claim in claims if claim.reason == command.window
+    )
 
 
 def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
@@ -106,7 +108,11 @@ def _on_window_closed(state: State, event: PolicyWindowClosed, _now_us: int) -> 
 
 def _on_pause(state: State, event: ExecutionPaused, now_us: int) -> tuple[Scheduled, ...]:
     """The coordinator learns of it with the next sync."""
-    return (Scheduled(ReachCoordinator(event.action_id, "replan"), until_next_sync_us(state, now_us), (at_once(event.robot),)),)
+    return (
+        Scheduled(
+            ReachCoordinator(event.action_id, "replan"), until_next_sync_us(state, now_us), (at_once(event.robot),)
+        ),
+    )
 
 
 def _on_replan(state: State, event: ReplanOrdered, _now_us: int) -> tuple[Scheduled, ...]:

@@ -23,7 +23,17 @@ from fsar_ledger.projections.registry import NO_ANSWER
 from fsar_ledger.runtime.handlers import assistance
 from fsar_ledger.runtime.handlers.actors import body, helping, nobody
 from fsar_ledger.runtime.handlers.attribution import helpers, is_idle
-from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, message
+from fsar_ledger.runtime.handlers.commands import (
+    Actors,
+    Command,
+    Decides,
+    Draw,
+    EndAssistance,
+    EndAttempt,
+    Reacts,
+    Scheduled,
+    message,
+)
 from fsar_ledger.runtime.handlers.recovery import attempt_succeeds, open_failure
 
 from .coordinator import ProcessWork, ReachCoordinator, by_coordinator, copied_policy, reach_coordinator, to_coordinator
@@ -50,14 +60,22 @@ def process(state: State, command: ProcessWork) -> tuple[Event, ...]:
     if action is None:
         return ()
     if command.item == "replan":
-        return (ReplanOrdered(action.task_id, **by_coordinator(), executed_by=action.robot),) if action.stage == "paused" else ()
+        return (
+            (ReplanOrdered(action.task_id, **by_coordinator(), executed_by=action.robot),)
+            if action.stage == "paused"
+            else ()
+        )
     recovery = state.recovery.get(command.action_id)
     if recovery is None:
         return ()
     if command.item == NO_ANSWER and recovery.awaited is None:  # it has answered at last
         return ()
     copy = state.knowledge.copy
-    if command.item == "failure" and action.robot not in copy.degraded and copied_policy(state, action.robot) == "allow":
+    if (
+        command.item == "failure"
+        and action.robot not in copy.degraded
+        and copied_policy(state, action.robot) == "allow"
+    ):
         return (
             RecoveryAttempted(
                 **_about(action),
@@ -155,17 +173,28 @@ def _on_attempt(_state: State, event: RecoveryAttempted, _now_us: int) -> tuple[
 
 
 def _on_attempt_failed(_state: State, event: RecoveryAttemptFailed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (to_coordinator(event.action_id, "retry-failed", message(event.robot, f"{event.action_id}/{event.failure}", "retry-report")),)
+    return (
+        to_coordinator(
+            event.action_id, "retry-failed", message(event.robot, f"{event.action_id}/{event.failure}", "retry-report")
+        ),
+    )
 
 
 def _on_order(state: State, event: AssistanceRequested, _now_us: int) -> tuple[Scheduled, ...]:
     order = message(COORDINATOR, _key(event, event.failed_action), f"order/{event.helper}")
     late = GoOnWithoutHelp(event.failed_action, event.helper, event.failure)
-    return (Scheduled(ReachHelper(event.failed_action, event.helper), 0, (order,)), Scheduled(late, state.fleet.answer_us))
+    return (
+        Scheduled(ReachHelper(event.failed_action, event.helper), 0, (order,)),
+        Scheduled(late, state.fleet.answer_us),
+    )
 
 
 def _on_decline(_state: State, event: AssistanceDeclined, _now_us: int) -> tuple[Scheduled, ...]:
-    return (to_coordinator(event.action_id, "declined", message(event.helper, _key(event, event.action_id), f"decline/{event.helper}")),)
+    return (
+        to_coordinator(
+            event.action_id, "declined", message(event.helper, _key(event, event.action_id), f"decline/{event.helper}")
+        ),
+    )
 
 
 def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
@@ -173,10 +202,19 @@ def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tup
 
 
 def _on_no_help(_state: State, event: AssistanceFailed, _now_us: int) -> tuple[Scheduled, ...]:
-    return (to_coordinator(event.action_id, "no help", message(event.helper, _key(event, event.action_id), f"no help/{event.helper}")),)
+    return (
+        to_coordinator(
+            event.action_id, "no help", message(event.helper, _key(event, event.action_id), f"no help/{event.helper}")
+        ),
+    )
 
 
-DECIDES: Decides = {EndAttempt: end_attempt, ReachHelper: reach_helper, GoOnWithoutHelp: go_on_without_help, EndAssistance: end_assistance}
+DECIDES: Decides = {
+    EndAttempt: end_attempt,
+    ReachHelper: reach_helper,
+    GoOnWithoutHelp: go_on_without_help,
+    EndAssistance: end_assistance,
+}
 ACTORS: Actors = {
     EndAttempt: body,
     ReachHelper: helping,

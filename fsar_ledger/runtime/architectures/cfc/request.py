@@ -24,10 +24,29 @@ from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.handlers.actors import named, nobody, target
 from fsar_ledger.runtime.handlers.attribution import pending_of_other_task
 from fsar_ledger.runtime.handlers.authority import released
-from fsar_ledger.runtime.handlers.commands import Actors, CloseExecution, Command, CompleteStep, Decides, Reacts, Scheduled, at_once, message
+from fsar_ledger.runtime.handlers.commands import (
+    Actors,
+    CloseExecution,
+    Command,
+    CompleteStep,
+    Decides,
+    Reacts,
+    Scheduled,
+    at_once,
+    message,
+)
 
 from . import recovery
-from .coordinator import NO_TIME, ProcessWork, ReachCoordinator, by_coordinator, candidates_of, copied_policy, to_coordinator, until_next_sync_us
+from .coordinator import (
+    NO_TIME,
+    ProcessWork,
+    ReachCoordinator,
+    by_coordinator,
+    candidates_of,
+    copied_policy,
+    to_coordinator,
+    until_next_sync_us,
+)
 
 AGAIN = "assigned again: "
 
@@ -86,11 +105,21 @@ def _match(state: State, command: ProcessWork) -> tuple[Event, ...]:
     robot = idle[0] if idle else candidates[0]
     records: list[Event] = []
     if request.is_delegated and command.item == "step":
-        records.append(RequestIssued(request.task_id, None, None, **by_coordinator(), executed_by=robot, capability=request.capability))
-        records += [CandidateMatched(request.task_id, **by_coordinator(), executed_by=None, capability=request.capability) for _ in asked]
+        records.append(
+            RequestIssued(
+                request.task_id, None, None, **by_coordinator(), executed_by=robot, capability=request.capability
+            )
+        )
+        records += [
+            CandidateMatched(request.task_id, **by_coordinator(), executed_by=None, capability=request.capability)
+            for _ in asked
+        ]
     outcome = stricter(copied_policy(state, robot), in_force(state.world.fleet, robot))
     if outcome == "deny":
-        return (*records, RequestDenied(request.task_id, None, None, **by_coordinator(), executed_by=robot, reason="policy"))
+        return (
+            *records,
+            RequestDenied(request.task_id, None, None, **by_coordinator(), executed_by=robot, reason="policy"),
+        )
     if outcome == "review" and command.action_id not in state.supervision.approved:
         return (*records, SupervisorCalled(request.task_id, command.action_id, FLEET_SUPERVISOR, "review", robot))
     return (*records, *_commanded(request, robot, not idle))
@@ -125,7 +154,9 @@ def receive_command(state: State, command: ReceiveCommand) -> tuple[Event, ...]:
     """The command waits in the robot's queue; a second delegation to a robot not seen to be taken is first put in order by H_F."""
     request = state.request.get(command.action_id)
     robot = command.robot
-    if request is None or request.is_received or robot != (request.target or request.requester):  # taken back, or a second one
+    if (
+        request is None or request.is_received or robot != (request.target or request.requester)
+    ):  # taken back, or a second one
         return ()
     is_second = request.is_delegated and not request.seen_busy
     running = pending_of_other_task(state, robot, request.task_id) if is_second else None
@@ -153,7 +184,12 @@ def queue_ordered(state: State, command: QueueOrdered) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None:
         return ()
-    ended = released(claim for claims in state.authority.claims.values() for claim in claims if claim.reason == AGAIN + request.action_id)
+    ended = released(
+        claim
+        for claims in state.authority.claims.values()
+        for claim in claims
+        if claim.reason == AGAIN + request.action_id
+    )
     if request.task_id not in state.task:  # given up meanwhile
         return (*ended, *released(state.authority.claims.get(request.action_id, ())))
     return (*ended, _queued(request, request.target or request.requester))
@@ -219,7 +255,11 @@ def _on_denial(state: State, event: RequestDenied | RequestUnanswered, now_us: i
 def _on_response(_state: State, event: SupervisorResponded, _now_us: int) -> tuple[Scheduled, ...]:
     if event.purpose == "review":
         return (Scheduled(CommandReviewed(event.action_id)),)
-    return (Scheduled(QueueOrdered(event.action_id), 1, (at_once(event.decided_by),)),) if event.purpose == "ordering" else ()
+    return (
+        (Scheduled(QueueOrdered(event.action_id), 1, (at_once(event.decided_by),)),)
+        if event.purpose == "ordering"
+        else ()
+    )
 
 
 def _on_command(state: State, event: CommandIssued, _now_us: int) -> tuple[Scheduled, ...]:
@@ -232,7 +272,11 @@ def _on_own_step(state: State, event: OwnStepDecided, _now_us: int) -> tuple[Sch
     if task is None:  # given up meanwhile
         return ()
     action_id = task.action_id
-    return (Scheduled(ReceiveCommand(action_id, state.request[action_id].requester), 0, (message(COORDINATOR, action_id, 1),)),)
+    return (
+        Scheduled(
+            ReceiveCommand(action_id, state.request[action_id].requester), 0, (message(COORDINATOR, action_id, 1),)
+        ),
+    )
 
 
 def _on_finish(_state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:

@@ -53,10 +53,18 @@ def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
     for action in state.execution.actions.values():
         if is_injected(action) or action.stage == "withdrawn" or robot not in (action.robot, action.on_behalf_of):
             continue
-        claimants = (planner(robot), agent(robot, "execution")) if robot == action.robot else (planner(robot), planner(action.robot))
+        claimants = (
+            (planner(robot), agent(robot, "execution"))
+            if robot == action.robot
+            else (planner(robot), planner(action.robot))
+        )
         made += claims(state, action, "override", claimants, "context change")
     for request in state.request.values():
-        if request.target is not None and robot in (request.requester, request.target) and not _has_started(state, request):
+        if (
+            request.target is not None
+            and robot in (request.requester, request.target)
+            and not _has_started(state, request)
+        ):
             made.append(ContractQuestioned(request.task_id, request.action_id, robot))
     return tuple(made)
 
@@ -71,17 +79,25 @@ def _has_started(state: State, request: Request) -> bool:
     return action.stage not in ("queued", "approaching")
 
 
-def claims(state: State, action: Action, dimension: Any, claimants: tuple[str, ...], reason: str) -> list[AuthorityClaimed]:
+def claims(
+    state: State, action: Action, dimension: Any, claimants: tuple[str, ...], reason: str
+) -> list[AuthorityClaimed]:
     """The claims that these agents make and do not hold already."""
-    known = {(claim.dimension, claim.claimant, claim.reason) for claim in state.authority.claims.get(action.action_id, ())}
+    known = {
+        (claim.dimension, claim.claimant, claim.reason) for claim in state.authority.claims.get(action.action_id, ())
+    }
     return [
-        AuthorityClaimed(action.task_id, action.action_id, dimension, claimant, reason) for claimant in claimants if (dimension, claimant, reason) not in known
+        AuthorityClaimed(action.task_id, action.action_id, dimension, claimant, reason)
+        for claimant in claimants
+        if (dimension, claimant, reason) not in known
     ]
 
 
 def released(state: State, action_id: str, reason: str | None = None) -> tuple[AuthorityReleased, ...]:
     """The open claims on the action end, or those made for this reason."""
-    return end_claims(claim for claim in state.authority.claims.get(action_id, ()) if reason is None or claim.reason == reason)
+    return end_claims(
+        claim for claim in state.authority.claims.get(action_id, ()) if reason is None or claim.reason == reason
+    )
 
 
 def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
@@ -90,7 +106,11 @@ def close_execution(state: State, command: CloseExecution) -> tuple[Event, ...]:
 
 
 def _first_snapshot(state: State, event: SnapshotPhaseSet, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(TakeSnapshot(event.robot), max(1, event.phase_ppm * state.fleet.structure.snapshot_period_us // 1_000_000)),)
+    return (
+        Scheduled(
+            TakeSnapshot(event.robot), max(1, event.phase_ppm * state.fleet.structure.snapshot_period_us // 1_000_000)
+        ),
+    )
 
 
 def _next_snapshot(state: State, event: SnapshotTaken, now_us: int) -> tuple[Scheduled, ...]:

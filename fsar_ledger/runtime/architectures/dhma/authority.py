@@ -91,7 +91,9 @@ def run_outsider(state: State, command: RunOutsider) -> tuple[Event, ...]:
     return (
         RequestIssued(task_id, task_id, task_id, **path(robot, CALL), **unnamed, capability=request.capability),
         RequestAdmitted(task_id, task_id, task_id, **path(peer, ("communication",)), **unnamed, outcome="allow"),
-        ExecutionQueued(task_id, task_id, robot, None, None, peer, robot, request.capability, 0, 1, False, False, False),
+        ExecutionQueued(
+            task_id, task_id, robot, None, None, peer, robot, request.capability, 0, 1, False, False, False
+        ),
     )
 
 
@@ -105,14 +107,28 @@ def _on_acceptance(state: State, event: AuthorityClaimed, _now_us: int) -> tuple
     match event.reason:
         case "double booking" if event.claimant == agent(robot, "execution"):
             said, record = talk(state, robot, SETTLEMENT, key, "settle")
-            return (Scheduled(SettleBooking(event.action_id), 0, (*said, message(robot, key, "settle"), message(request.requester, key, "settled"))), record)
+            return (
+                Scheduled(
+                    SettleBooking(event.action_id),
+                    0,
+                    (*said, message(robot, key, "settle"), message(request.requester, key, "settled")),
+                ),
+                record,
+            )
         case "acceptance":
             return _heard(talk(state, robot, TO_PLANNING, key, "planning"), PassExecution(*contract, *TO_PLANNING))
         case "planning":
-            acknowledged = _heard(talk(state, robot, FROM_PLANNING, key, "acknowledged"), AcknowledgeExecution(*contract, "communication"))
-            return (*acknowledged, *_heard(talk(state, robot, TO_EXECUTION, key, "execution"), PassExecution(*contract, *TO_EXECUTION)))
+            acknowledged = _heard(
+                talk(state, robot, FROM_PLANNING, key, "acknowledged"), AcknowledgeExecution(*contract, "communication")
+            )
+            return (
+                *acknowledged,
+                *_heard(talk(state, robot, TO_EXECUTION, key, "execution"), PassExecution(*contract, *TO_EXECUTION)),
+            )
         case "execution":
-            return _heard(talk(state, robot, FROM_EXECUTION, key, "confirmed"), AcknowledgeExecution(*contract, "planning"))
+            return _heard(
+                talk(state, robot, FROM_EXECUTION, key, "confirmed"), AcknowledgeExecution(*contract, "planning")
+            )
         case _:
             return ()
 

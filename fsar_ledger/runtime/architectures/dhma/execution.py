@@ -136,8 +136,19 @@ def _on_pause(state: State, event: ExecutionPaused, _now_us: int) -> tuple[Sched
     said, record = talk(state, action.robot, REPLANNING, key, "own")
     if not action.is_delegated:
         return (Scheduled(ResumeAction(event.action_id), structure.replan_us, said), record)
-    agreed, other = talk(state, action.on_behalf_of, RENEGOTIATION, key, "other", (*said, message(event.robot, key, 0), message(action.on_behalf_of, key, 1)))
-    return (Scheduled(ResumeAction(event.action_id), structure.replan_us + structure.renegotiation_us, agreed), record, other)
+    agreed, other = talk(
+        state,
+        action.on_behalf_of,
+        RENEGOTIATION,
+        key,
+        "other",
+        (*said, message(event.robot, key, 0), message(action.on_behalf_of, key, 1)),
+    )
+    return (
+        Scheduled(ResumeAction(event.action_id), structure.replan_us + structure.renegotiation_us, agreed),
+        record,
+        other,
+    )
 
 
 DECIDES: Decides = {

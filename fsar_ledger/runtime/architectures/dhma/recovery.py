@@ -41,7 +41,12 @@ class Escalate(Command):
 
 
 def _context(state: State, action: Action, heard: Talk = RECOVERY) -> dict[str, Any]:
-    return {"task_id": action.task_id, "action_id": action.action_id, **path(action.robot, heard), **principals(state, action)}
+    return {
+        "task_id": action.task_id,
+        "action_id": action.action_id,
+        **path(action.robot, heard),
+        **principals(state, action),
+    }
 
 
 def _is_disputed(state: State, action_id: str) -> bool:

@@ -162,14 +162,23 @@ def evaluate_bid(state: State, command: EvaluateBid) -> tuple[Event, ...]:
 def receive_bid(state: State, command: ReceiveBid) -> tuple[Event, ...]:
     """The planner knows the bid."""
     request = state.request.get(command.action_id)
-    return () if request is None or request.is_unanswered else (BidReceived(request.task_id, request.action_id, command.robot, command.outcome),)
+    return (
+        ()
+        if request is None or request.is_unanswered
+        else (BidReceived(request.task_id, request.action_id, command.robot, command.outcome),)
+    )
 
 
 def award(state: State, command: Award) -> tuple[Event, ...]:
     """The contract is awarded, or the best bid is put before H_F."""
     request = state.request.get(command.action_id)
     best = best_bid(request) if request is not None else None
-    if request is None or best is None or request.target is not None or is_asked(state.supervision, command.action_id, "review"):
+    if (
+        request is None
+        or best is None
+        or request.target is not None
+        or is_asked(state.supervision, command.action_id, "review")
+    ):
         return ()
     if best[1] == "review" and command.action_id not in state.supervision.approved:
         return (SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "review"),)
@@ -182,12 +191,19 @@ def close_bidding(state: State, command: CloseBidding) -> tuple[Event, ...]:
     A bid that is on its way is waited for, and so is a robot that the call has reached but whose agents still judge it.
     """
     request = state.request.get(command.action_id)
-    if request is None or request.is_unanswered or request.round != command.round or len(request.bids) == len(request.candidates):
+    if (
+        request is None
+        or request.is_unanswered
+        or request.round != command.round
+        or len(request.bids) == len(request.candidates)
+    ):
         return ()
     received = {robot for robot, _ in request.bids}
     if any(robot not in received for robot in request.bidders):
         return ()
-    if not command.is_last and any(is_linked(state.world, robot) for robot in request.candidates if robot not in received):
+    if not command.is_last and any(
+        is_linked(state.world, robot) for robot in request.candidates if robot not in received
+    ):
         return ()
     if best_bid(request) is not None:
         return award(state, Award(command.action_id, now_us=command.now_us))
@@ -222,9 +238,13 @@ def accept_award(state: State, command: AcceptAward) -> tuple[Event, ...]:
         made.append(RequestDeferred(**context, **by))
     made.append(_claim(request, "execution", agent(robot, "communication"), "acceptance"))
     if pending_of_other_task(state, robot, request.task_id) is not None:
-        made += [_claim(request, "override", agent(robot, kind), "double booking") for kind in ("communication", "execution")]
+        made += [
+            _claim(request, "override", agent(robot, kind), "double booking") for kind in ("communication", "execution")
+        ]
     queued = (robot, request.requester, request.capability, request.step, request.attempt, True, True, True)
-    made.append(ExecutionQueued(request.task_id, request.action_id, request.requester, robot, on_shift(state, robot), *queued))
+    made.append(
+        ExecutionQueued(request.task_id, request.action_id, request.requester, robot, on_shift(state, robot), *queued)
+    )
     return tuple(made)
 
 
@@ -280,7 +300,10 @@ def _closing(state: State, request: Request, draws: tuple[Draw, ...]) -> tuple[S
     """The bidding closes when the calls should have been delivered, or later by as long as a call that was delivered takes to be judged at the most."""
     answer_us = state.fleet.answer_us
     last = CloseBidding(request.action_id, request.round, is_last=True)
-    return (Scheduled(CloseBidding(request.action_id, request.round), answer_us, draws), Scheduled(last, LONGEST * answer_us, draws))
+    return (
+        Scheduled(CloseBidding(request.action_id, request.round), answer_us, draws),
+        Scheduled(last, LONGEST * answer_us, draws),
+    )
 
 
 def _on_bid(state: State, event: BidSubmitted, _now_us: int) -> tuple[Scheduled, ...]:
@@ -314,8 +337,13 @@ def _on_award(state: State, event: AwardMade, _now_us: int) -> tuple[Scheduled, 
     if task is None:  # given up meanwhile
         return ()
     request = state.request[task.action_id]
-    told = Scheduled(AcceptAward(request.action_id), 0, (message(request.requester, request.action_id, f"award/{request.round}"),))
-    return (told, Scheduled(GoOnWithout(request.action_id, request.round), state.fleet.answer_us, (at_once(request.requester),)))
+    told = Scheduled(
+        AcceptAward(request.action_id), 0, (message(request.requester, request.action_id, f"award/{request.round}"),)
+    )
+    return (
+        told,
+        Scheduled(GoOnWithout(request.action_id, request.round), state.fleet.answer_us, (at_once(request.requester),)),
+    )
 
 
 def _on_unanswered(state: State, event: RequestUnanswered, _now_us: int) -> tuple[Scheduled, ...]:
@@ -340,7 +368,11 @@ def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Sc
     said, record = talk(state, event.robot, RESULT if request.is_delegated else OWN_RESULT, event.action_id, "result")
     if not request.is_delegated:
         return (close, Scheduled(CompleteStep(event.action_id), 0, said), record)
-    return (close, Scheduled(CloseRequest(event.action_id), 0, (*said, message(event.robot, event.action_id, 4))), record)
+    return (
+        close,
+        Scheduled(CloseRequest(event.action_id), 0, (*said, message(event.robot, event.action_id, 4))),
+        record,
+    )
 
 
 def _on_close(_state: State, event: RequestClosed, _now_us: int) -> tuple[Scheduled, ...]:

@@ -17,7 +17,11 @@ Talk = tuple[str, ...]
 Said = tuple[tuple[Draw, ...], Scheduled]
 
 CALL: Talk = ("planning", "communication")  # the planner wants another robot asked
-EVALUATION: Talk = ("communication", "planning", "execution")  # a call comes in, is judged, and the means for it are confirmed
+EVALUATION: Talk = (
+    "communication",
+    "planning",
+    "execution",
+)  # a call comes in, is judged, and the means for it are confirmed
 RELAY: Talk = ("communication", "planning")  # word from another robot reaches the planner
 TO_PLANNING: Talk = ("communication", "planning")  # an award goes from agent to agent ...
 TO_EXECUTION: Talk = ("planning", "execution")
@@ -28,9 +32,20 @@ VOIDING: Talk = ("execution", "communication", "planning", "communication")  # a
 OWN_STEP: Talk = ("planning", "execution")
 OWN_RESULT: Talk = ("execution", "planning")
 RESULT: Talk = ("execution", "communication")
-RECOVERY: Talk = ("execution", "recovery", "planning", "recovery")  # a failure, or how an attempt ended: recovery hears of it and asks the planner
+RECOVERY: Talk = (
+    "execution",
+    "recovery",
+    "planning",
+    "recovery",
+)  # a failure, or how an attempt ended: recovery hears of it and asks the planner
 REPLANNING: Talk = ("execution", "planning", "execution", "planning")  # the change, the new plan, its confirmation
-RENEGOTIATION: Talk = ("communication", "planning", "communication", "planning", "communication")  # the other robot agrees to it
+RENEGOTIATION: Talk = (
+    "communication",
+    "planning",
+    "communication",
+    "planning",
+    "communication",
+)  # the other robot agrees to it
 
 
 class HandOver(Command):
@@ -44,10 +59,15 @@ def hand_over(state: State, command: HandOver) -> tuple[InternalHandoff, ...]:
     """Each hop is on record; no message says for whom the work is."""
     names = [agent(command.robot, kind) for kind in command.agents]  # type: ignore[arg-type]
     supervisor = on_shift(state, command.robot)
-    return tuple(InternalHandoff(None, command.robot, supervisor, names[place], names[place + 1]) for place in range(len(names) - 1))
+    return tuple(
+        InternalHandoff(None, command.robot, supervisor, names[place], names[place + 1])
+        for place in range(len(names) - 1)
+    )
 
 
-def talk(state: State, robot: str, agents: Talk, key: str, name: int | str, before: tuple[Draw, ...] = (), after_us: int = 0) -> Said:
+def talk(
+    state: State, robot: str, agents: Talk, key: str, name: int | str, before: tuple[Draw, ...] = (), after_us: int = 0
+) -> Said:
     """How long it takes until these agents of the robot have talked, after what comes `before` (and `after_us`), and that it is put on record then."""
     said = (hop(state, key, name),) if len(agents) == 2 else hops(state, key, str(name), len(agents) - 1)
     lengths = (*before, *said)

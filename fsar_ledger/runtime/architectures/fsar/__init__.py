@@ -1,7 +1,17 @@
 """Federated single-agent robotics: every robot stays one accountable principal; the federation only coordinates. Paper: eq:federation, eq:fleet-model."""
 
 from fsar_ledger.runtime.architectures.wiring import Wiring, wire
-from fsar_ledger.runtime.handlers import advertising, assistance, fleet, policy, registry, supervision, task, trust, withdrawal
+from fsar_ledger.runtime.handlers import (
+    advertising,
+    assistance,
+    fleet,
+    policy,
+    registry,
+    supervision,
+    task,
+    trust,
+    withdrawal,
+)
 from fsar_ledger.runtime.handlers import authority as rights
 from fsar_ledger.runtime.handlers import execution as bodies
 from fsar_ledger.runtime.handlers import request as requests
@@ -10,4 +20,17 @@ from . import authority, availability, discovery, execution, recovery, request
 
 _PUBLIC = (fleet, registry, advertising, requests, rights, trust, policy)
 
-FSAR: Wiring = wire(task, bodies, assistance, supervision, withdrawal, discovery, request, execution, authority, recovery, availability, *_PUBLIC)
+FSAR: Wiring = wire(
+    task,
+    bodies,
+    assistance,
+    supervision,
+    withdrawal,
+    discovery,
+    request,
+    execution,
+    authority,
+    recovery,
+    availability,
+    *_PUBLIC,
+)

@@ -74,7 +74,13 @@ def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
             RequestDenied(task_id, task_id, task_id, REGISTRY, robot, None, supervisor, (REGISTRY,), "advertisement"),
         )
     ids = (task_id, task_id, task_id)
-    requester: dict[str, Any] = {"decided_by": robot, "requested_by": robot, "executed_by": peer, "supervised_by": None, "path": (robot,)}
+    requester: dict[str, Any] = {
+        "decided_by": robot,
+        "requested_by": robot,
+        "executed_by": peer,
+        "supervised_by": None,
+        "path": (robot,),
+    }
     executor = {**requester, "decided_by": peer, "path": (peer,)}
     return (
         GapDetected(task_id, task_id, robot, peer, None, request.capability),
@@ -93,13 +99,26 @@ def _refused(state: State, task_id: str, robot: str, peer: str, capability: str)
     """The registry's answer to an outsider: not the robot that was asked for, by the filter that leaves it out (shown to nobody: visibility)."""
     record = advertisement(state.registry, peer, capability)
     by = None if record is None else rejecting_filter(state, Query(robot, capability, task_id), record)
-    return RegistryQueried(task_id, task_id, robot, peer, on_shift(state, robot), capability, (), rejected=(peer,), rejected_by=(by or "visibility",))
+    return RegistryQueried(
+        task_id,
+        task_id,
+        robot,
+        peer,
+        on_shift(state, robot),
+        capability,
+        (),
+        rejected=(peer,),
+        rejected_by=(by or "visibility",),
+    )
 
 
 def remember_peer(state: State, command: RememberPeer) -> tuple[Event, ...]:
     """Both robots know each other for a while."""
     until_us = command.now_us + state.fleet.structure.encounter_memory_us
-    return (PeerRemembered(command.robot, command.peer, until_us), PeerRemembered(command.peer, command.robot, until_us))
+    return (
+        PeerRemembered(command.robot, command.peer, until_us),
+        PeerRemembered(command.peer, command.robot, until_us),
+    )
 
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
@@ -119,12 +138,19 @@ def _on_outsider(_state: State, event: OutsiderRequestInjected, _now_us: int) ->
 
 def _on_meeting(state: State, event: PeersMet, _now_us: int) -> tuple[Scheduled, ...]:
     """Robots that cannot hear each other pass each other by."""
-    if "shared-registry" not in state.fleet.without or not all(is_linked(state.world, one) for one in (event.robot, event.peer)):
+    if "shared-registry" not in state.fleet.without or not all(
+        is_linked(state.world, one) for one in (event.robot, event.peer)
+    ):
         return ()
     return (Scheduled(RememberPeer(event.robot, event.peer)),)
 
 
-DECIDES: Decides = {CloseExecution: close_execution, Revoke: revoke, AnswerOutsider: answer_outsider, RememberPeer: remember_peer}
+DECIDES: Decides = {
+    CloseExecution: close_execution,
+    Revoke: revoke,
+    AnswerOutsider: answer_outsider,
+    RememberPeer: remember_peer,
+}
 ACTORS: Actors = {
     CloseExecution: nobody,
     Revoke: named,

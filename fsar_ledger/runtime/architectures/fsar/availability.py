@@ -35,7 +35,11 @@ def found_silent(state: State, robots: Iterable[str]) -> tuple[AvailabilityChang
     """The registry has those offline who did not answer; without one nobody is told."""
     if "shared-registry" in state.fleet.without:
         return ()
-    news = [robot for robot in dict.fromkeys(robots) if robot not in state.registry.silent and any(surface(state.registry, robot))]
+    news = [
+        robot
+        for robot in dict.fromkeys(robots)
+        if robot not in state.registry.silent and any(surface(state.registry, robot))
+    ]
     return tuple(AvailabilityChanged(robot, None, "offline", NO_ANSWER) for robot in news)
 
 
@@ -45,12 +49,17 @@ def report_back(state: State, command: ReportBack) -> tuple[AvailabilityChanged,
 
 
 def _present(state: State, robot: str, is_serviced: bool = False) -> tuple[AvailabilityChanged, ...]:
-    worn: dict[Availability, Availability] = {"ready": "degraded", "busy": "degraded"} if robot in state.world.degraded else {}
+    worn: dict[Availability, Availability] = (
+        {"ready": "degraded", "busy": "degraded"} if robot in state.world.degraded else {}
+    )
     since: dict[Availability, Availability] = {"degraded": "ready"} if is_serviced else worn
     now = {capability: since.get(before, before) for capability, before in state.registry.silent.get(robot, {}).items()}
     if len(set(now.values())) == 1 and len(now) == len(tuple(surface(state.registry, robot))):
         return (AvailabilityChanged(robot, None, next(iter(now.values())), "answers again"),)
-    return tuple(AvailabilityChanged(robot, capability, availability, "answers again") for capability, availability in now.items())
+    return tuple(
+        AvailabilityChanged(robot, capability, availability, "answers again")
+        for capability, availability in now.items()
+    )
 
 
 def report_actuator(state: State, command: ReportActuator) -> tuple[Event, ...]:
@@ -74,13 +83,23 @@ def report_actuator(state: State, command: ReportActuator) -> tuple[Event, ...]:
 def _on_failure(state: State, event: ExecutionFailed, _now_us: int) -> tuple[Scheduled, ...]:
     if event.cause != "degradation" or "shared-registry" in state.fleet.without:
         return ()
-    return (Scheduled(ReportActuator(event.robot, True), 0, (message(event.robot, f"{event.action_id}/{event.failure}", "degraded"),)),)
+    return (
+        Scheduled(
+            ReportActuator(event.robot, True),
+            0,
+            (message(event.robot, f"{event.action_id}/{event.failure}", "degraded"),),
+        ),
+    )
 
 
 def _on_service(state: State, event: ActuatorServiced, now_us: int) -> tuple[Scheduled, ...]:
     if "shared-registry" in state.fleet.without:
         return ()
-    return (Scheduled(ReportActuator(event.robot, False), 0, (message(event.robot, f"{event.robot}/{now_us}", "serviced"),)),)
+    return (
+        Scheduled(
+            ReportActuator(event.robot, False), 0, (message(event.robot, f"{event.robot}/{now_us}", "serviced"),)
+        ),
+    )
 
 
 def _on_back(state: State, event: RobotCameBack | LinkCameUp, now_us: int) -> tuple[Scheduled, ...]:
@@ -94,4 +113,9 @@ ACTORS: Actors = {
     ReportActuator: nobody,
     ReportBack: nobody,
 }
-REACTS: Reacts = {ExecutionFailed: _on_failure, ActuatorServiced: _on_service, RobotCameBack: _on_back, LinkCameUp: _on_back}
+REACTS: Reacts = {
+    ExecutionFailed: _on_failure,
+    ActuatorServiced: _on_service,
+    RobotCameBack: _on_back,
+    LinkCameUp: _on_back,
+}

@@ -25,10 +25,20 @@ def put_in_order(state: State, request: Request, executor: str, context: Context
     rivals = _rivals(state, request, executor)
     if not rivals:
         return ()
-    orders = [(order, rival) for rival in rivals if (order := _order(state, request.action_id, rival.action_id)) is not None]
+    orders = [
+        (order, rival) for rival in rivals if (order := _order(state, request.action_id, rival.action_id)) is not None
+    ]
     if any(not order.is_answered or _goes_first(state, order, rival) for order, rival in orders):
         return (RequestDeferred(*context),)
-    return () if orders else (SupervisorCalled(request.task_id, request.action_id, FLEET_SUPERVISOR, "ordering", executor, rivals[0].action_id),)
+    return (
+        ()
+        if orders
+        else (
+            SupervisorCalled(
+                request.task_id, request.action_id, FLEET_SUPERVISOR, "ordering", executor, rivals[0].action_id
+            ),
+        )
+    )
 
 
 def in_order(state: State, action_id: str, preferred: str | None) -> tuple[str, ...]:
@@ -58,10 +68,22 @@ def _rivals(state: State, request: Request, executor: str) -> list[Request]:
         return []
     found = []
     for other in state.request.values():
-        is_settled = other.is_accepted or other.is_over or other.action_id in state.execution.actions or other.action_id in state.contention.refused
+        is_settled = (
+            other.is_accepted
+            or other.is_over
+            or other.action_id in state.execution.actions
+            or other.action_id in state.contention.refused
+        )
         is_same_robot = other.candidates[0] == executor if other.candidates else other.capability == request.capability
         is_urgent = is_critical(state, request.task_id) or is_critical(state, other.task_id)
-        if other.task_id != request.task_id and other.task_id in state.task and other.is_delegated and not is_settled and is_same_robot and is_urgent:
+        if (
+            other.task_id != request.task_id
+            and other.task_id in state.task
+            and other.is_delegated
+            and not is_settled
+            and is_same_robot
+            and is_urgent
+        ):
             found.append(other)
     return found
 

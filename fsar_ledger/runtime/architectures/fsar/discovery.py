@@ -40,7 +40,10 @@ def discover(state: State, request: Request) -> tuple[Answer, str | None]:
     for name in sorted(_untrusting(state, query, answer), key=lambda name: not is_idle(state, name)):
         for peer in _relays(state, request, name):
             others = [place for place, robot in enumerate(answer.rejected) if robot != name]
-            rejected, rejected_by = tuple(answer.rejected[place] for place in others), tuple(answer.rejected_by[place] for place in others)
+            rejected, rejected_by = (
+                tuple(answer.rejected[place] for place in others),
+                tuple(answer.rejected_by[place] for place in others),
+            )
             return Answer((name,), (request.capability,), rejected, rejected_by, answer.domain, answer.as_of_us), peer
     return answer, None
 
@@ -60,15 +63,25 @@ def _visible(state: State, request: Request) -> list[str]:
     role = state.fleet.robots[request.requester].role
     roles = {offer.robot: offer.visible_to for offer in offers(state.registry.offers, request.capability)}
     is_open = "trust-evaluation" in state.fleet.without
-    return [name for name in capable(state, request.capability, request.requester) if is_open or not roles[name] or role in roles[name]]
+    return [
+        name
+        for name in capable(state, request.capability, request.requester)
+        if is_open or not roles[name] or role in roles[name]
+    ]
 
 
 def _relays(state: State, request: Request, name: str) -> list[str]:
     """Peers that both the requester and the executor trust, so that each link is admissible by itself, nearest team first."""
-    others = [peer for peer in state.fleet.robots if peer not in (name, request.requester) and peer not in state.registry.silent]
+    others = [
+        peer
+        for peer in state.fleet.robots
+        if peer not in (name, request.requester) and peer not in state.registry.silent
+    ]
     about = (request.capability, request.task_id)
     near = nearest_first(state, others, request.requester)
-    return [peer for peer in near if trusts(state, peer, request.requester, *about) and trusts(state, name, peer, *about)]
+    return [
+        peer for peer in near if trusts(state, peer, request.requester, *about) and trusts(state, name, peer, *about)
+    ]
 
 
 def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
@@ -85,7 +98,14 @@ def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
             return (unanswered(state, request),)
         found = (_met(state, request, peers, relay),)
     return (
-        GapDetected(request.task_id, request.action_id, request.requester, None, on_shift(state, request.requester), request.capability),
+        GapDetected(
+            request.task_id,
+            request.action_id,
+            request.requester,
+            None,
+            on_shift(state, request.requester),
+            request.capability,
+        ),
         *found,
     )
 
@@ -98,7 +118,12 @@ def _among_met(state: State, request: Request, now_us: int) -> Found:
         return met.get((robot, peer), -1) >= now_us
 
     visible = _visible(state, request)
-    direct = tuple(name for name in visible if trusts(state, name, request.requester, request.capability, request.task_id) and knows(request.requester, name))
+    direct = tuple(
+        name
+        for name in visible
+        if trusts(state, name, request.requester, request.capability, request.task_id)
+        and knows(request.requester, name)
+    )
     if direct:
         return direct, None
     for name in visible:
@@ -114,7 +139,9 @@ def unanswered(state: State, request: Request, executor: str | None = None) -> R
     """The requester knows of nobody to ask, or has waited for the word of this executor in vain."""
     robot = request.requester
     supervisor = on_shift(state, robot)
-    return RequestUnanswered(request.task_id, request.action_id, robot, robot, executor, supervisor, (robot,), request.capability)
+    return RequestUnanswered(
+        request.task_id, request.action_id, robot, robot, executor, supervisor, (robot,), request.capability
+    )
 
 
 def _met(state: State, request: Request, found: tuple[str, ...], relay: str | None) -> RegistryQueried:
@@ -139,7 +166,11 @@ def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, 
 
 
 def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
-    if "shared-registry" in state.fleet.without or event.task_id not in state.task or event.action_id not in state.request:
+    if (
+        "shared-registry" in state.fleet.without
+        or event.task_id not in state.task
+        or event.action_id not in state.request
+    ):
         return ()  # a request that is no step names whom it asks
     assert event.action_id is not None
     return (Scheduled(QueryRegistry(event.action_id), 0, (message(event.requested_by, event.action_id, 0),)),)

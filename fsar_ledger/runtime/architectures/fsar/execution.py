@@ -2,7 +2,14 @@
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import POLICY
-from fsar_ledger.events.execution import ExecutionHeld, ExecutionPaused, ExecutionQueued, OwnStepDecided, RoutinePerformed, RoutineWithheld
+from fsar_ledger.events.execution import (
+    ExecutionHeld,
+    ExecutionPaused,
+    ExecutionQueued,
+    OwnStepDecided,
+    RoutinePerformed,
+    RoutineWithheld,
+)
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.task import StepBegan
@@ -13,7 +20,17 @@ from fsar_ledger.projections.world import in_force
 from fsar_ledger.runtime.handlers.actors import named, requester
 from fsar_ledger.runtime.handlers.admissibility import holding
 from fsar_ledger.runtime.handlers.attribution import on_shift, principals
-from fsar_ledger.runtime.handlers.commands import Actors, Command, DecideRoutine, Decides, Reacts, ResumeAction, Scheduled, StartAction, message
+from fsar_ledger.runtime.handlers.commands import (
+    Actors,
+    Command,
+    DecideRoutine,
+    Decides,
+    Reacts,
+    ResumeAction,
+    Scheduled,
+    StartAction,
+    message,
+)
 from fsar_ledger.runtime.handlers.execution import holds_robot, pause_running, start_action, started
 from fsar_ledger.runtime.handlers.policy import conflict, fleet_policy, own_policy
 
@@ -53,7 +70,11 @@ def start(state: State, command: StartAction) -> tuple[Event, ...]:
     Paper: sec:architecture:fleet (never a silent override).
     """
     action = state.execution.actions.get(command.action_id)
-    if action is None or action.stage not in ("queued", "approaching", "held", "polling", "preempted") or not holds_robot(state, action):
+    if (
+        action is None
+        or action.stage not in ("queued", "approaching", "held", "polling", "preempted")
+        or not holds_robot(state, action)
+    ):
         return ()
     if action.stage == "preempted" and action.has_approach:  # it has to come back first
         return ()
@@ -85,7 +106,9 @@ def decide_routine(state: State, command: DecideRoutine) -> tuple[Event, ...]:
     """The robot has done its routine operation; a motion only if its own policy and the fleet's rule are clear."""
     robot = command.robot
     context = (robot, robot, robot, on_shift(state, robot), (robot,), robot, command.operation)
-    if command.operation == "motion" and (own_policy(state, robot, None, None) != "allow" or fleet_policy(state, robot, None, None) != "allow"):
+    if command.operation == "motion" and (
+        own_policy(state, robot, None, None) != "allow" or fleet_policy(state, robot, None, None) != "allow"
+    ):
         return (RoutineWithheld(*context),)  # type: ignore[arg-type]
     return (RoutinePerformed(*context),)  # type: ignore[arg-type]
 
@@ -116,7 +139,11 @@ def _on_rule(state: State, event: PolicyRuleSet | RolePolicyRuleSet, _now_us: in
     """What waits for a robot's own policy tries again when that may have changed; what polls the fleet's does so by itself."""
     if event.scope == "fleet":
         return ()
-    robots = (event.robot,) if isinstance(event, PolicyRuleSet) and event.robot is not None else tuple(state.execution.current)
+    robots = (
+        (event.robot,)
+        if isinstance(event, PolicyRuleSet) and event.robot is not None
+        else tuple(state.execution.current)
+    )
     return tuple(start for robot in robots for start in _let_go(state, robot))
 
 

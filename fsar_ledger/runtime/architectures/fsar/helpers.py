@@ -22,7 +22,16 @@ from fsar_ledger.projections.recovery import Recovery
 from fsar_ledger.projections.registry import NO_ANSWER, Advertisement, advertisement
 from fsar_ledger.projections.trust import covers, scope_of
 from fsar_ledger.projections.world import is_linked, stricter
-from fsar_ledger.runtime.handlers.attribution import family, helpers, is_idle, is_reachable, kin, means, on_shift, stand_ins
+from fsar_ledger.runtime.handlers.attribution import (
+    family,
+    helpers,
+    is_idle,
+    is_reachable,
+    kin,
+    means,
+    on_shift,
+    stand_ins,
+)
 from fsar_ledger.runtime.handlers.execution import NAVIGATION
 from fsar_ledger.runtime.handlers.policy import compose, own_policy
 from fsar_ledger.runtime.handlers.registry import Filter, Query, rejecting_filter
@@ -63,7 +72,9 @@ def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event,
         return ()
     found = _stand_ins(state, action, action.robot)
     fit = tuple(dict.fromkeys(one.robot for one in found if one.left_out_by is None))
-    left_out: dict[str, Filter] = {name: "contract" for name in kin(state, action.robot, action.capability) if name not in stand_ins(state, action)}
+    left_out: dict[str, Filter] = {
+        name: "contract" for name in kin(state, action.robot, action.capability) if name not in stand_ins(state, action)
+    }
     for one in found:
         if one.left_out_by is not None and one.robot not in fit:
             left_out.setdefault(one.robot, one.left_out_by)
@@ -97,7 +108,13 @@ def _bodies(state: State, action: Action) -> list[Candidate]:
     found: list[Candidate] = []
     for name in helpers(state, action, "obstruction"):
         is_trusted = scope_of(state.trust, name, action.robot, *about) in ASSISTING_SCOPES
-        found.append(Candidate(name, action.capability, "availability" if not is_reachable(state, name) else None if is_trusted else "trust"))
+        found.append(
+            Candidate(
+                name,
+                action.capability,
+                "availability" if not is_reachable(state, name) else None if is_trusted else "trust",
+            )
+        )
     return found
 
 
@@ -119,11 +136,16 @@ def _left_out_by(state: State, action: Action, asking: str, record: Advertisemen
         return by
     if record.availability in ("offline", "restricted"):
         return "availability"
-    scopes = (scope_of(state.trust, record.robot, asking, capability, action.task_id) for capability in (record.capability, action.capability))
+    scopes = (
+        scope_of(state.trust, record.robot, asking, capability, action.task_id)
+        for capability in (record.capability, action.capability)
+    )
     return by if all(covers(scope, record.trust_required) for scope in scopes) else "trust"
 
 
-def _first(state: State, action: Action, asking: str, found: list[Candidate], kind: str, carried: PolicyOutcome | None = None) -> Found:
+def _first(
+    state: State, action: Action, asking: str, found: list[Candidate], kind: str, carried: PolicyOutcome | None = None
+) -> Found:
     """The nearest idle candidate that passes every check, or the check after which nobody remained."""
     able = [one for one in found if one.left_out_by not in ("visibility", "availability")]
     if not able:
@@ -134,7 +156,9 @@ def _first(state: State, action: Action, asking: str, found: list[Candidate], ki
     return chosen._replace(silent=tuple(robot for robot in before if not is_linked(state.world, robot)))
 
 
-def _chosen(state: State, action: Action, asking: str, able: list[Candidate], kind: str, carried: PolicyOutcome | None) -> Found:
+def _chosen(
+    state: State, action: Action, asking: str, able: list[Candidate], kind: str, carried: PolicyOutcome | None
+) -> Found:
     """Who is chosen of those that answer."""
     if not able:
         return Found(None, NO_ANSWER)
@@ -144,7 +168,9 @@ def _chosen(state: State, action: Action, asking: str, able: list[Candidate], ki
     entitled = [one for one in trusted if _may_ask(state, asking, one, action)]
     if not entitled:
         return Found(None, "authority")
-    willing = [one.robot for one in entitled if one.left_out_by is None and _is_allowed(state, asking, one, action, carried)]
+    willing = [
+        one.robot for one in entitled if one.left_out_by is None and _is_allowed(state, asking, one, action, carried)
+    ]
     return Found(*_first_idle(state, willing, "policy", f"{kind} busy"))
 
 
@@ -153,7 +179,11 @@ def _is_allowed(state: State, asking: str, one: Candidate, action: Action, carri
     for capability in {one.capability, action.capability}:
         about = (capability, action.task_id)
         own = own_policy(state, asking, *about)
-        outcome = compose(state, own, one.robot, *about) if carried is None else stricter(own, compose(state, carried, one.robot, *about))
+        outcome = (
+            compose(state, own, one.robot, *about)
+            if carried is None
+            else stricter(own, compose(state, carried, one.robot, *about))
+        )
         if outcome != "allow":
             return False
     return True
@@ -161,7 +191,10 @@ def _is_allowed(state: State, asking: str, one: Candidate, action: Action, carri
 
 def _may_ask(state: State, asking: str, one: Candidate, action: Action) -> bool:
     """A revoked right stays revoked when something fails. Paper: sec:model:recovery."""
-    rights = (right_of(state.authority, asking, one.robot, capability, action.task_id) for capability in {one.capability, action.capability})
+    rights = (
+        right_of(state.authority, asking, one.robot, capability, action.task_id)
+        for capability in {one.capability, action.capability}
+    )
     return not any(isinstance(right, AuthorityRevoked) for right in rights)
 
 

@@ -28,7 +28,18 @@ from fsar_ledger.runtime.handlers import assistance
 from fsar_ledger.runtime.handlers import recovery as shared
 from fsar_ledger.runtime.handlers.actors import body, nobody
 from fsar_ledger.runtime.handlers.attribution import is_cross_robot, on_shift, principals
-from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Draw, EndAssistance, EndAttempt, Reacts, Scheduled, at_once, message
+from fsar_ledger.runtime.handlers.commands import (
+    Actors,
+    Command,
+    Decides,
+    Draw,
+    EndAssistance,
+    EndAttempt,
+    Reacts,
+    Scheduled,
+    at_once,
+    message,
+)
 from fsar_ledger.runtime.handlers.recovery import attempt_result, attempt_succeeds, budget, open_failure
 from fsar_ledger.runtime.handlers.supervision import supervisor_for
 
@@ -80,11 +91,23 @@ class CallNext(Command):
 
 def _context(state: State, action: Action, decided_by: str, is_decision: bool = True) -> dict[str, Any]:
     path = (decided_by,) if is_decision else ()
-    return {"task_id": action.task_id, "action_id": action.action_id, "decided_by": decided_by, **principals(state, action), "path": path}
+    return {
+        "task_id": action.task_id,
+        "action_id": action.action_id,
+        "decided_by": decided_by,
+        **principals(state, action),
+        "path": path,
+    }
 
 
 def _escalated(
-    state: State, action: Action, recovery: Recovery, to_level: RecoveryLevel, decided_by: str, reason: str, is_decision: bool = True
+    state: State,
+    action: Action,
+    recovery: Recovery,
+    to_level: RecoveryLevel,
+    decided_by: str,
+    reason: str,
+    is_decision: bool = True,
 ) -> RecoveryEscalated:
     return RecoveryEscalated(
         **_context(state, action, decided_by, is_decision),
@@ -158,12 +181,22 @@ def ask_peers(state: State, command: AskPeers) -> tuple[Event, ...]:
                 return ()
             query = peer_query(state, action, recovery)
             if helper is None:
-                return (*query, _escalated(state, action, recovery, "fleet", RECOVERY, reason), *found_silent(state, silent))
+                return (
+                    *query,
+                    _escalated(state, action, recovery, "fleet", RECOVERY, reason),
+                    *found_silent(state, silent),
+                )
             about: dict[str, Any] = {"robot": action.robot, "helper": helper, "failure": recovery.failure}
             admitting = {**_context(state, action, helper), "supervised_by": on_shift(state, helper)}
             return (
                 *query,
-                AssistanceRequested(**_context(state, action, action.robot), **about, level="peer", failed_action=action.action_id, since_us=command.since_us),
+                AssistanceRequested(
+                    **_context(state, action, action.robot),
+                    **about,
+                    level="peer",
+                    failed_action=action.action_id,
+                    since_us=command.since_us,
+                ),
                 AssistanceAdmitted(**admitting, **about, level="peer"),
                 *found_silent(state, silent),
             )
@@ -179,11 +212,15 @@ def end_assistance(state: State, command: EndAssistance) -> tuple[Event, ...]:
 def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[Event, ...]:
     """Another robot takes the step over from a declared checkpoint, or a supervisor is called. Paper: sec:model:recovery, level 3."""
     match open_failure(state, command.action_id):
-        case action, recovery if recovery.level == "fleet" and not (command.is_last and command.failure != recovery.failure):
+        case action, recovery if recovery.level == "fleet" and not (
+            command.is_last and command.failure != recovery.failure
+        ):
             if _is_exhausted(state, action, "fleet", command.now_us - command.since_us, 0):
                 return _to_human(state, action, recovery, EXHAUSTED)
             resume_at = checkpoint(state.task, action.task_id, action.step)
-            helper, reason, silent = reassignee(state, action) if resume_at is not None else Found(None, "no checkpoint")
+            helper, reason, silent = (
+                reassignee(state, action) if resume_at is not None else Found(None, "no checkpoint")
+            )
             if silent and not command.is_last:
                 return ()
             decided = ReassignmentDecided(
@@ -195,7 +232,11 @@ def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[
                 reason=None if helper is not None else reason,
             )
             if helper is None or resume_at is None:
-                return (decided, *_to_human(state, action, recovery, f"no feasible reassignment: {reason}"), *found_silent(state, silent))
+                return (
+                    decided,
+                    *_to_human(state, action, recovery, f"no feasible reassignment: {reason}"),
+                    *found_silent(state, silent),
+                )
             return (decided, *_handed_over(state, action, recovery, helper, resume_at), *found_silent(state, silent))
         case _:
             return ()
@@ -205,7 +246,16 @@ def _handed_over(state: State, action: Action, recovery: Recovery, helper: str, 
     """The helper holds the state of the task, and the step waits at it; the robot that failed is free."""
     about = (action.task_id, action.action_id, action.robot)
     done = state.task[action.task_id].steps[: action.step - 1]
-    queued = (action.on_behalf_of, helper, on_shift(state, helper), helper, action.on_behalf_of, action.capability, action.step, action.attempt)
+    queued = (
+        action.on_behalf_of,
+        helper,
+        on_shift(state, helper),
+        helper,
+        action.on_behalf_of,
+        action.capability,
+        action.step,
+        action.attempt,
+    )
     return (
         FailureResolved(*about, recovery.failure, "fleet"),
         *released(state, action.action_id),
@@ -240,7 +290,11 @@ def _on_failure(_state: State, event: ExecutionFailed, _now_us: int) -> tuple[Sc
 def _on_attempt(state: State, event: RecoveryAttempted, _now_us: int) -> tuple[Scheduled, ...]:
     key = f"{event.failed_action}/{event.failure}/{event.number}"
     end = EndAttempt(event.failed_action, event.number)
-    return (Scheduled(end, state.fleet.structure.retry_preparation_us, (Draw("retry", key),), Draw("reliability", "retry/" + key)),)
+    return (
+        Scheduled(
+            end, state.fleet.structure.retry_preparation_us, (Draw("retry", key),), Draw("reliability", "retry/" + key)
+        ),
+    )
 
 
 def _on_escalation(state: State, event: RecoveryEscalated, now_us: int) -> tuple[Scheduled, ...]:
@@ -249,7 +303,9 @@ def _on_escalation(state: State, event: RecoveryEscalated, now_us: int) -> tuple
         return _asking(state, event.failed_action, now_us, (message(event.robot, key, "peer"),))
     if event.to_level == "fleet":  # the peers' refusals come back before the orchestrator is asked
         told = (message(event.robot, key, "answer"), message(event.robot, key, "fleet"))
-        last = Scheduled(ConsiderReassignment(event.failed_action, now_us, event.failure, is_last=True), state.fleet.answer_us, told)
+        last = Scheduled(
+            ConsiderReassignment(event.failed_action, now_us, event.failure, is_last=True), state.fleet.answer_us, told
+        )
         return (Scheduled(ConsiderReassignment(event.failed_action, now_us), 0, told), last)
     return ()
 
@@ -270,7 +326,10 @@ def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tup
 def _on_no_help(state: State, event: AssistanceFailed, _now_us: int) -> tuple[Scheduled, ...]:
     """The robot is told, and turns to the next peer as long as the budget of the level lasts."""
     recovery, key = state.recovery[event.action_id], f"{event.action_id}/{event.failure}"
-    told = (message(event.helper, key, f"no help/{event.helper}"), message(event.robot, key, f"peer/{len(recovery.tried)}"))
+    told = (
+        message(event.helper, key, f"no help/{event.helper}"),
+        message(event.robot, key, f"peer/{len(recovery.tried)}"),
+    )
     return _asking(state, event.action_id, recovery.since_us, told)
 
 

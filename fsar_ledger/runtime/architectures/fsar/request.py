@@ -26,7 +26,19 @@ from fsar_ledger.projections.world import stricter
 from fsar_ledger.runtime.handlers.actors import asked, nobody, relay, requester
 from fsar_ledger.runtime.handlers.admissibility import Evaluation, evaluate, is_revoked, preemptible
 from fsar_ledger.runtime.handlers.attribution import on_shift
-from fsar_ledger.runtime.handlers.commands import Actors, BeginStep, CloseRequest, Command, CompleteStep, Decides, Reacts, Scheduled, TakeTurn, at_once, message
+from fsar_ledger.runtime.handlers.commands import (
+    Actors,
+    BeginStep,
+    CloseRequest,
+    Command,
+    CompleteStep,
+    Decides,
+    Reacts,
+    Scheduled,
+    TakeTurn,
+    at_once,
+    message,
+)
 from fsar_ledger.runtime.handlers.execution import holds_robot
 from fsar_ledger.runtime.handlers.policy import conflict, own_policy
 from fsar_ledger.runtime.handlers.supervision import is_due_for_review
@@ -104,7 +116,15 @@ def relay_request(state: State, command: RelayRequest) -> tuple[Event, ...]:
         return report_back(state, ReportBack(request.silent[0]))
     relay, about = request.relay, (request.capability, request.task_id)
     supervisor = on_shift(state, relay)
-    ids = (request.task_id, request.action_id, request.action_id, relay, request.requester, request.candidates[0], supervisor)
+    ids = (
+        request.task_id,
+        request.action_id,
+        request.action_id,
+        relay,
+        request.requester,
+        request.candidates[0],
+        supervisor,
+    )
     if not trusts(state, relay, request.requester, *about):
         return (RequestDenied(*ids, (request.requester, relay), reason="trust"),)
     if is_revoked(state, request, relay):
@@ -131,7 +151,9 @@ def admit_reviewed(state: State, command: AdmitReviewed) -> tuple[Event, ...]:
     executor = request.candidates[0]
     if not command.approves:
         return (RequestDenied(*_context(state, request, executor), reason="review"),)
-    return _judged(state, request, evaluate(state, request, executor, is_reviewed=True), command.now_us, is_reviewed=True)
+    return _judged(
+        state, request, evaluate(state, request, executor, is_reviewed=True), command.now_us, is_reviewed=True
+    )
 
 
 def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
@@ -139,7 +161,13 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
     request = state.request.get(command.action_id)
     if request is None or request.is_relayed != command.is_relayed:
         return ()
-    if not request.candidates or request.is_heard or request.is_received or request.offers or not _is_open(state, request):
+    if (
+        not request.candidates
+        or request.is_heard
+        or request.is_received
+        or request.offers
+        or not _is_open(state, request)
+    ):
         return ()
     executor = request.candidates[0]
     silent = executor if request.relay is None or request.is_relayed else request.relay
@@ -154,11 +182,17 @@ def _is_open(state: State, request: Request) -> bool:
     return not has_word and request.action_id not in state.execution.actions
 
 
-def _judged(state: State, request: Request, found: Evaluation, now_us: int, is_reviewed: bool = False) -> tuple[Event, ...]:
+def _judged(
+    state: State, request: Request, found: Evaluation, now_us: int, is_reviewed: bool = False
+) -> tuple[Event, ...]:
     executor = request.candidates[0]
     context = _context(state, request, executor)
     if found.verdict == "reject":
-        clash = conflict(state, request.task_id, request.action_id, request.requester, executor, request.capability) if found.conjunct == "policy" else ()
+        clash = (
+            conflict(state, request.task_id, request.action_id, request.requester, executor, request.capability)
+            if found.conjunct == "policy"
+            else ()
+        )
         return (*clash, RequestDenied(*context, reason=found.conjunct or ""))
     if found.verdict == "negotiate":
         if request.offers >= state.fleet.structure.negotiation_rounds:
@@ -169,17 +203,30 @@ def _judged(state: State, request: Request, found: Evaluation, now_us: int, is_r
     return put_in_order(state, request, executor, context) or _admitted(state, request, found, now_us)
 
 
-def _context(state: State, request: Request, executor: str) -> tuple[str, str, str, str, str, str, str | None, tuple[str, ...]]:
+def _context(
+    state: State, request: Request, executor: str
+) -> tuple[str, str, str, str, str, str, str | None, tuple[str, ...]]:
     """The envelope of what the executor decides about the request."""
     supervisor = on_shift(state, executor)
-    return request.task_id, request.action_id, request.action_id, executor, request.requester, executor, supervisor, (executor,)
+    return (
+        request.task_id,
+        request.action_id,
+        request.action_id,
+        executor,
+        request.requester,
+        executor,
+        supervisor,
+        (executor,),
+    )
 
 
 def _admitted(state: State, request: Request, found: Evaluation, now_us: int) -> tuple[Event, ...]:
     """The request is admitted with its authority, and waits for the robot or takes it. Paper: eq:auth, eq:override."""
     executor = request.candidates[0]
     context = _context(state, request, executor)
-    admitted = RequestAdmitted(*context, "allow", found.trust, found.may_request, found.may_execute, found.override, found.is_audited)
+    admitted = RequestAdmitted(
+        *context, "allow", found.trust, found.may_request, found.may_execute, found.override, found.is_audited
+    )
     queued = ExecutionQueued(
         request.task_id,
         request.action_id,
@@ -201,8 +248,12 @@ def _admitted(state: State, request: Request, found: Evaluation, now_us: int) ->
     interrupted = preemptible(state, executor, found.override)
     if interrupted is None:
         return (admitted, queued)
-    remaining_us = {"running": max(0, interrupted.ends_us - now_us), "paused": interrupted.remaining_us}.get(interrupted.stage)
-    preempted = ExecutionPreempted(interrupted.task_id, interrupted.action_id, executor, request.action_id, remaining_us)
+    remaining_us = {"running": max(0, interrupted.ends_us - now_us), "paused": interrupted.remaining_us}.get(
+        interrupted.stage
+    )
+    preempted = ExecutionPreempted(
+        interrupted.task_id, interrupted.action_id, executor, request.action_id, remaining_us
+    )
     return (admitted, preempted, queued)
 
 
@@ -213,9 +264,21 @@ def take_turn(state: State, command: TakeTurn) -> tuple[Event, ...]:
         return ()
     robot = action.robot
     approach = ApproachStarted(action.task_id, action.action_id, robot)
-    if any(claim.claimant == robot and claim.dimension == "execution" for claim in state.authority.claims.get(action.action_id, ())):
+    if any(
+        claim.claimant == robot and claim.dimension == "execution"
+        for claim in state.authority.claims.get(action.action_id, ())
+    ):
         return (approach,)
-    context = (action.task_id, action.action_id, action.action_id, robot, action.requested_by, robot, on_shift(state, robot), (robot,))
+    context = (
+        action.task_id,
+        action.action_id,
+        action.action_id,
+        robot,
+        action.requested_by,
+        robot,
+        on_shift(state, robot),
+        (robot,),
+    )
     return (
         RequestAccepted(*context),
         AuthorityClaimed(action.task_id, action.action_id, "execution", robot, "acceptance"),
@@ -230,7 +293,15 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     if request is None:
         return ()
     supervisor = on_shift(state, request.requester)
-    context = (request.task_id, request.action_id, request.action_id, COORDINATION, request.requester, request.target, supervisor)
+    context = (
+        request.task_id,
+        request.action_id,
+        request.action_id,
+        COORDINATION,
+        request.requester,
+        request.target,
+        supervisor,
+    )
     return (RequestClosed(*context, (COORDINATION,), request.result or "success"),)
 
 
@@ -240,7 +311,9 @@ def _is_step(state: State, request: Request | None) -> bool:
 
 
 def _on_answer(state: State, event: RegistryQueried, _now_us: int) -> tuple[Scheduled, ...]:
-    if event.task_id not in state.task or event.action_id in state.recovery:  # an outsider's request is nobody's step; recovery asks for itself
+    if (
+        event.task_id not in state.task or event.action_id in state.recovery
+    ):  # an outsider's request is nobody's step; recovery asks for itself
         return ()
     assert event.action_id is not None
     if "shared-registry" in state.fleet.without:
@@ -268,11 +341,15 @@ def _on_denial(state: State, event: RequestDenied, now_us: int) -> tuple[Schedul
     return (*_again(state, event.action_id), *_let_pass(state, event, now_us))
 
 
-def _let_pass(state: State, event: RequestAdmitted | RequestCountered | RequestDenied, _now_us: int) -> tuple[Scheduled, ...]:
+def _let_pass(
+    state: State, event: RequestAdmitted | RequestCountered | RequestDenied, _now_us: int
+) -> tuple[Scheduled, ...]:
     """Whom H_F has let go first is admitted, or waits for the executor no more: those that waited for it are judged again."""
     if not state.contention.orders:
         return ()
-    return tuple(Scheduled(EvaluateRequest(name), place) for place, name in enumerate(held_up(state, event.action_id), start=1))
+    return tuple(
+        Scheduled(EvaluateRequest(name), place) for place, name in enumerate(held_up(state, event.action_id), start=1)
+    )
 
 
 def _on_offer(state: State, event: OfferAnswered, _now_us: int) -> tuple[Scheduled, ...]:
@@ -280,7 +357,11 @@ def _on_offer(state: State, event: OfferAnswered, _now_us: int) -> tuple[Schedul
     assert event.action_id is not None
     if event.override is None:
         return _again(state, event.action_id)
-    return (Scheduled(EvaluateRequest(event.action_id), 0, (message(event.requested_by, event.action_id, f"offer{event.round}"),)),)
+    return (
+        Scheduled(
+            EvaluateRequest(event.action_id), 0, (message(event.requested_by, event.action_id, f"offer{event.round}"),)
+        ),
+    )
 
 
 def _again(state: State, action_id: str | None) -> tuple[Scheduled, ...]:
@@ -298,7 +379,11 @@ def _on_response(state: State, event: SupervisorResponded, _now_us: int) -> tupl
     if event.purpose == "ordering":
         waiting = in_order(state, event.action_id, event.preferred)
         return tuple(Scheduled(EvaluateRequest(name), place) for place, name in enumerate(waiting, start=1))
-    return (Scheduled(AdmitReviewed(event.action_id, event.approves), 1, (at_once(event.decided_by),)),) if event.purpose == "review" else ()
+    return (
+        (Scheduled(AdmitReviewed(event.action_id, event.approves), 1, (at_once(event.decided_by),)),)
+        if event.purpose == "review"
+        else ()
+    )
 
 
 def _on_finish(state: State, event: ExecutionFinished, _now_us: int) -> tuple[Scheduled, ...]:
