@@ -28,6 +28,7 @@ from .commands.options import (
     CsvOption,
     FailureOption,
     FileOption,
+    FleetOption,
     FleetSizeOption,
     InvariantOption,
     JsonOption,
@@ -48,6 +49,7 @@ from .commands.options import (
     RunsOption,
     ScenarioOption,
     SecondsOption,
+    SetOption,
     SvgOption,
     TaskSetsOption,
     TeamsWorkingOption,
@@ -106,6 +108,7 @@ def _version(version: Annotated[bool, typer.Option("--version", help="Show the v
         "fsar-ledger simulate out/signed --scenario door-relay --runs 1 --key out/fleet.key",
         "fsar-ledger simulate out/named --scenario door-relay --runs 1 --origin example.org/fleet",
         "fsar-ledger simulate out/large --architecture cfc --scenario fleet-contention --fleet-size 16 --teams-working 2 --runs 2",
+        "fsar-ledger simulate out/reviewed --scenario door-relay --set world.review_share=0.5 --runs 2",
     )
 )
 def simulate(
@@ -115,7 +118,9 @@ def simulate(
     workflow: WorkflowOption = None,
     runs: RunsOption = None,
     seed: Annotated[int, typer.Option(metavar="N", help="Decides every draw of the world.")] = 42,
-    fleet_size: FleetSizeOption = 4,
+    fleet: FleetOption = None,
+    settings: SetOption = None,
+    fleet_size: FleetSizeOption = None,
     teams_working: TeamsWorkingOption = None,
     task_sets: TaskSetsOption = 1,
     without: WithoutOption = None,
@@ -133,7 +138,7 @@ def simulate(
     from .runtime.experiment import carry_out
 
     experiment = experiment_of(
-        architecture, scenario, runs, seed, fleet_size, without, workflow, (teams_working, task_sets)
+        architecture, scenario, runs, seed, fleet_size, without, workflow, (teams_working, task_sets), fleet, settings
     )
     signer = trust.signer_of(key, adopts=adopt)
     processes = workers_of(workers, experiment.size * experiment.fleet_size // WORTH_ROBOTS)

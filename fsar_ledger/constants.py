@@ -13,6 +13,7 @@ from typing import Annotated, Any, TypeVar
 
 import msgspec
 
+from fsar_ledger.designs import Fleet, Scenario
 from fsar_ledger.parameters import decoded
 
 _T = TypeVar("_T")
@@ -161,12 +162,16 @@ class Constants(msgspec.Struct, frozen=True):
 
     Groups that a later release adds are optional: `GROUP: Group | None = None`. An absent group is left out of the parameters,
     so runs without it keep their parameters, their ids and their roots.
+
+    `scenario` and `fleet` are a designer's own: what they hold is in no file of the package, so the run itself says it.
     """
 
     world: WorldConstants = WorldConstants()
     structure: Structure = Structure()
     outages: Outages | None = None
     load: Load | None = None
+    scenario: Scenario | None = None
+    fleet: Fleet | None = None
 
 
 def write_constants(constants: Constants) -> str:

@@ -2,10 +2,9 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, get_args
+from typing import TYPE_CHECKING
 
 from fsar_ledger import printable
-from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.metrics.invariants import audit_rows, chosen
 from fsar_ledger.metrics.models import models
 from fsar_ledger.printable import Shown
@@ -30,6 +29,8 @@ def audit(
         UsageError: the ledger has no run of these architectures.
         NotALedger, FormatVersionMismatch, LedgerCorrupted: as `answering`.
     """
+    from fsar_ledger.runtime.architectures import REGISTERED
+
     queries = chosen(invariants)
     with answering(ledger, verified=verified) as database:
         there = [
@@ -38,7 +39,7 @@ def audit(
                 "SELECT DISTINCT architecture FROM runs WHERE architecture IS NOT NULL ORDER BY ALL"
             )
         ]
-        wanted = known("architecture", architectures, tuple(dict.fromkeys([*get_args(Architecture), *there])))
+        wanted = known("architecture", architectures, tuple(dict.fromkeys([*REGISTERED, *there])))
         unreadable = sum(one.runs for one in models(database) if one.parameters is None)
         rows = audit_rows(database, queries, wanted)
         holds = False if any(row.holds is False for row in rows) else _all_shown(rows) or None

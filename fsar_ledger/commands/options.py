@@ -112,7 +112,7 @@ ArchitectureOption = Annotated[
         "--architecture",
         metavar="NAME",
         help="fsar, cfc or dhma; may be repeated.",
-        show_default="all; with --without, whose that is",
+        show_default="all three; with --without, whose that is",
     ),
 ]
 AuditedOption = Annotated[
@@ -138,8 +138,22 @@ ScenarioOption = Annotated[
     typer.Option(
         "--scenario",
         metavar="NAME",
-        help="door-relay, collaborative-delivery, failure-recovery-chain, mixed-trust-inspection or fleet-contention; may be repeated.",
-        show_default="all",
+        help="door-relay, collaborative-delivery, failure-recovery-chain, mixed-trust-inspection or fleet-contention; may be repeated. "
+        "Or one of your own: a .toml file (docs/own-fleet.md).",
+        show_default="the paper's five",
+    ),
+]
+FleetOption = Annotated[
+    str | None,
+    typer.Option("--fleet", metavar="FILE", help="A fleet of your own: a .toml file.", show_default="the paper's"),
+]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="NAME=VALUE",
+        help="Another value of a constant, as world.review_share=0.5; may be repeated.",
+        show_default=False,
     ),
 ]
 WithoutOption = Annotated[
@@ -163,7 +177,13 @@ WorkflowOption = Annotated[
     ),
 ]
 FleetSizeOption = Annotated[
-    int, typer.Option("--fleet-size", metavar="N", help="Robots; a multiple of 4, teams of four roles.")
+    int | None,
+    typer.Option(
+        "--fleet-size",
+        metavar="N",
+        help="Robots; a multiple of 4, teams of four roles, or of the team of your --fleet.",
+        show_default="one team",
+    ),
 ]
 TeamsWorkingOption = Annotated[
     int | None,
@@ -337,18 +357,20 @@ def experiment_of(
     scenarios: list[str] | None,
     runs: int | None,
     seed: int,
-    fleet_size: int,
+    fleet_size: int | None,
     without: list[str] | None,
     workflows: list[str] | None = None,
     load: tuple[int | None, int] = (None, 1),
+    fleet: str | None = None,
+    settings: list[str] | None = None,
 ) -> "Experiment":
     """The experiment that the options of `simulate` name; a mechanism is of one architecture, so with one the default is that architecture alone.
 
-    `load` is how many teams work (None: all), and how many sets of tasks each of them gets.
+    `load` is how many teams work (None: all), and how many sets of tasks each of them gets; `fleet` and `settings` are as in `with_own`.
 
     Raises:
         InvalidExperiment: a name is unknown, or a number impossible.
-        UsageError: a workflow was asked for together with what it does not have.
+        UsageError: a workflow was asked for together with what it does not have, or a file or setting is wrong.
     """
     if workflows:
         others = {
@@ -356,31 +378,43 @@ def experiment_of(
             "--without": without,
             "--teams-working": load[0],
             "--task-sets": load[1] if load[1] != 1 else None,
+            "--fleet": fleet,
+            "--set": settings,
         }
         return _workflows_of(workflows, runs, seed, others, architectures, fleet_size)
-    from typing import get_args
+    import msgspec
 
     from fsar_ledger.constants import Constants, Load
+    from fsar_ledger.designs import registered
     from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, MECHANISMS_OF, lacks
     from fsar_ledger.events.configuration import without as ablation
-    from fsar_ledger.events.envelope import Architecture, Scenario
+    from fsar_ledger.runtime.architectures import REGISTERED
     from fsar_ledger.runtime.experiment import Experiment
+    from fsar_ledger.runtime.own import is_file, with_own
+    from fsar_ledger.runtime.simulation import ARCHITECTURES
+    from fsar_ledger.runtime.world.founding import team_size
 
-    every_architecture, every_scenario = get_args(Architecture), get_args(Scenario)
     configurations = tuple(
         dict.fromkeys(ablation(known("mechanism", _joined(name), EVERY_MECHANISM)) for name in without or ())
     )
     whose = tuple(
-        name for name in every_architecture if any(lacks(one) & set(MECHANISMS_OF[name]) for one in configurations)
+        name for name in MECHANISMS_OF if any(lacks(one) & set(MECHANISMS_OF[name]) for one in configurations)
     )
+    known("scenario", [name for name in scenarios or () if not is_file(name)], registered.scenarios())
+    constants, chosen = with_own(Constants(), tuple(dict.fromkeys(scenarios or ())), fleet, settings or ())
+    size = team_size(constants.fleet) if fleet_size is None else fleet_size
+    if load not in ((None, 1), (size // team_size(constants.fleet), 1)):
+        if constants.load is not None:
+            raise UsageError("--set load and --teams-working or --task-sets: expected one or the other")
+        constants = msgspec.structs.replace(constants, load=Load(*load))
     return Experiment(
-        architectures=known("architecture", architectures, every_architecture) or whose or every_architecture,
-        scenarios=known("scenario", scenarios, every_scenario) or every_scenario,
+        architectures=known("architecture", architectures, REGISTERED) or whose or ARCHITECTURES,
+        scenarios=chosen or registered.PAPER_SCENARIOS,
         configurations=configurations or (FULL,),
         runs=RUNS if runs is None else runs,
         seed=seed,
-        fleet_size=fleet_size,
-        constants=Constants() if load in ((None, 1), (fleet_size // 4, 1)) else Constants(load=Load(*load)),
+        fleet_size=size,
+        constants=constants,
     )
 
 
@@ -400,12 +434,10 @@ def _workflows_of(
     seed: int,
     others: dict[str, Any],
     architectures: list[str] | None,
-    fleet_size: int,
+    fleet_size: int | None,
 ) -> "Experiment":
     """The workflows that were asked for: FSAR's, with one robot of each role, and nothing beside them."""
-    from typing import get_args
-
-    from fsar_ledger.events.envelope import Workflow
+    from fsar_ledger.designs.registered import workflows
     from fsar_ledger.runtime.experiment import workflow_experiment
 
     for option, found in others.items():
@@ -415,9 +447,9 @@ def _workflows_of(
     for name in architectures or ():
         if name != "fsar":
             raise UsageError(f"--workflow and --architecture {name}: expected fsar; the workflows are FSAR's")
-    if fleet_size != 4:
+    if fleet_size not in (None, 4):
         raise UsageError(f"--workflow and --fleet-size {fleet_size}: expected 4, one robot of each role")
-    names = {name.removeprefix("workflow-"): name for name in get_args(Workflow)}
+    names = {name.removeprefix("workflow-"): name for name in workflows()}
     chosen = tuple(names[name] for name in known("workflow", asked, tuple(names)))
     return workflow_experiment(seed, 1 if runs is None else runs, chosen)
 

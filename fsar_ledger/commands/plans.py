@@ -2,11 +2,10 @@
 
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from fsar_ledger import printable
 from fsar_ledger.errors import InvalidExperiment, UsageError
-from fsar_ledger.events.envelope import Architecture, Scenario, Workflow
 from fsar_ledger.ledger.read import LedgerView
 from fsar_ledger.metrics.plans import EXPERIMENTS
 
@@ -104,7 +103,9 @@ def continues_with(plan: Mapping[str, Any], parameters: str, ledger: Shown) -> s
 def _asked(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
     """What `experiment_of` has to be given for such a plan, None where the default serves; None where its constants are not as they are written."""
     from fsar_ledger.constants import Load, read_constants
+    from fsar_ledger.designs.registered import PAPER_SCENARIOS, workflows
     from fsar_ledger.parameters import BadParameters
+    from fsar_ledger.runtime.simulation import ARCHITECTURES
 
     try:
         load = read_constants(parameters).load or Load()
@@ -113,12 +114,11 @@ def _asked(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
     scenarios, architectures, configurations = (
         set(plan[name]) for name in ("scenarios", "architectures", "configurations")
     )
-    is_workflow, is_ablated = scenarios <= set(get_args(Workflow)), configurations != {"full"}
-    every_architecture, every_scenario = set(get_args(Architecture)), set(get_args(Scenario))
-    default = {"fsar"} if is_workflow or is_ablated else every_architecture
+    is_workflow, is_ablated = scenarios <= set(workflows()), configurations != {"full"}
+    default = {"fsar"} if is_workflow or is_ablated else set(ARCHITECTURES)
     return {
         "architectures": None if architectures == default else sorted(architectures),
-        "scenarios": None if is_workflow or scenarios == every_scenario else sorted(scenarios),
+        "scenarios": None if is_workflow or scenarios == set(PAPER_SCENARIOS) else sorted(scenarios),
         "workflows": sorted(name.removeprefix("workflow-") for name in scenarios) if is_workflow else None,
         "without": sorted(name.removeprefix("without-") for name in configurations) if is_ablated else None,
         "runs": None if plan["run_count"] == (1 if is_workflow else RUNS) else plan["run_count"],

@@ -11,7 +11,7 @@ A principal is None when the record does not name one; it is never defaulted. Ti
 microseconds of run time, shares are parts per million; no event holds a float.
 """
 
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import msgspec
 
@@ -46,12 +46,10 @@ def agent(robot: str, kind: Literal["planning", "execution", "communication", "r
     return f"agent/{robot[6:]}/{kind}"
 
 
-# What can be simulated; an event holds any text there (`RunStarted`), and the experiment checks it.
-Architecture = Literal["fsar", "cfc", "dhma"]
-Scenario = Literal[
-    "door-relay", "collaborative-delivery", "failure-recovery-chain", "mixed-trust-inspection", "fleet-contention"
-]
-Workflow = Literal["workflow-door-relay", "workflow-layered-recovery", "workflow-human-supervision"]
+# Open text, in an event (`RunStarted`) and everywhere: the experiment checks it against what is registered.
+Architecture: TypeAlias = str
+Scenario: TypeAlias = str
+Workflow: TypeAlias = str
 
 PolicyOutcome = Literal["allow", "deny", "review"]
 PolicyScope = Literal["local", "fleet"]

@@ -85,17 +85,29 @@ def unlike_ours(parameters: str) -> list[str]:
 
 
 @cache
+def names_of_constants() -> tuple[str, ...]:
+    """Return the name of every constant of this version that can be set, in order: also of groups that are absent by default."""
+    return tuple(sorted(_own()))
+
+
+@cache
 def _own() -> dict[str, str]:
     return _whole(Constants())
 
 
 def _whole(constants: Constants) -> dict[str, str]:
-    """Every constant by name, also those of groups that may be absent: they are then as by default."""
-    groups = msgspec.structs.replace(constants, outages=constants.outages or Outages(), load=constants.load or Load())
+    """Every constant by name, also those of groups that may be absent: they are then as by default. A designer's own is its name alone."""
+    absent = {"outages": constants.outages or Outages(), "load": constants.load or Load()}
+    groups = msgspec.structs.replace(constants, scenario=None, fleet=None, **absent)
+    designs = {name: getattr(constants, name) for name in ("scenario", "fleet")}
+    own = {name: _json(one.name) for name, one in designs.items() if one is not None}
     unset = {
         f"{group}.{name}": DEFAULT
         for group in groups.__struct_fields__
+        if group not in designs
         for name in getattr(groups, group).__struct_fields__
     }
     found = {one["name"]: one["value"] for one in constants_of(write_constants(groups)) or ()}
-    return {name: value for name, value in unset.items() if not any(one.startswith(name) for one in found)} | found
+    return (
+        {name: value for name, value in unset.items() if not any(one.startswith(name) for one in found)} | found | own
+    )

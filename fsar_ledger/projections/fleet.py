@@ -6,6 +6,7 @@ from typing import assert_never
 import msgspec
 
 from fsar_ledger.constants import Constants, Outages, Structure, read_constants
+from fsar_ledger.designs import registered
 from fsar_ledger.events.configuration import lacks
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 
@@ -26,7 +27,8 @@ class Robot(msgspec.Struct, frozen=True, gc=False):
 class Fleet(msgspec.Struct, frozen=True, gc=False):
     """The run's structure, the mechanisms that its configuration is without, and its robots by name, in order of joining.
 
-    `teams` is the highest number of a team. Units: `answer_us` microseconds for which who asked another waits for the answer.
+    `teams` is the highest number of a team; `bodies` are the roles whose robots can clear an obstruction, `substitutes` the capability that
+    can take the place of another, by that. Units: `answer_us` microseconds for which who asked another waits for the answer.
     """
 
     without: frozenset[str] = frozenset()
@@ -35,18 +37,17 @@ class Fleet(msgspec.Struct, frozen=True, gc=False):
     robots: dict[str, Robot] = {}
     teams: int = 1
     answer_us: int = round(Outages().answer_s * 1e6)
-
-
-INITIAL = Fleet()
+    bodies: tuple[str, ...] = ()
+    substitutes: dict[str, str] = {}
 
 
 def evolve(state: Fleet, event: HANDLES) -> Fleet:
     """The fleet after the event."""
     match event:
         case RunStarted():
-            structure, answer_us = _structure(event.parameters)
-            return Fleet(
-                lacks(event.configuration or ""), event.fleet_size or 0, structure, state.robots, answer_us=answer_us
+            made = _made(event.parameters)
+            return msgspec.structs.replace(
+                made, without=lacks(event.configuration or ""), size=event.fleet_size or 0, robots=state.robots
             )
         case RobotJoined():
             robot = Robot(event.robot, event.role, event.team, event.supervisor, event.domain, event.place)
@@ -58,7 +59,16 @@ def evolve(state: Fleet, event: HANDLES) -> Fleet:
 
 
 @lru_cache(maxsize=4)
-def _structure(parameters: str | None) -> tuple[Structure, int]:
-    """The structural constants of a run, ours if it records none, and the time for an answer; all runs of an experiment have the same."""
+def _made(parameters: str | None) -> Fleet:
+    """Return a fleet without robots that is made as a run records it, as ours where it records nothing; all runs of an experiment are made alike."""
     constants = Constants() if parameters is None else read_constants(parameters)
-    return constants.structure, round((constants.outages or Outages()).answer_s * 1e6)
+    design = constants.fleet or registered.fleet()
+    return Fleet(
+        structure=constants.structure,
+        answer_us=round((constants.outages or Outages()).answer_s * 1e6),
+        bodies=design.bodies,
+        substitutes={one.of: one.by for one in design.substitutes},
+    )
+
+
+INITIAL = _made(None)

@@ -5,46 +5,25 @@ them with runs. They only decide what is refused before work begins: what is too
 """
 
 from collections.abc import Iterable
+from functools import lru_cache
+from importlib import import_module
+from math import ceil
 from typing import NamedTuple
 
 from fsar_ledger.constants import Constants
+from fsar_ledger.designs import Fleet, Workflow
+from fsar_ledger.designs.registered import fleet as registered_fleet
 from fsar_ledger.events.configuration import Configuration, lacks
-from fsar_ledger.events.envelope import Architecture, Scenario, Workflow
 from fsar_ledger.ledger.bounds import MAX_LIST_VALUES, MAX_ROWS
 
-from .world.scenarios import TASKS
-from .world.schedule import arrivals_expected, teams_working
-from .world.workflows import WORKFLOWS
+from .architectures.wiring import Growth
+from .world.founding import team_size
+from .world.schedule import arrivals_expected, happening, teams_working
 
-Cell = tuple[Scenario | Workflow, Architecture, Configuration]
+Cell = tuple[str, str, Configuration]  # scenario (or workflow), architecture, configuration
 
 FACTS_PER_ARRIVAL = 1.45  # windows and obstructions end, too
-FOUNDING_PER_ROBOT = 7  # one joins, with three capabilities that are installed and advertised
-
-
-class Growth(NamedTuple):
-    """What an architecture adds to the world's facts, in events and in elements of their lists.
-
-    For each robot; for each set of tasks of a team; and for each delegated step in these and each team whose robot may be a candidate for it.
-    """
-
-    of_robot: float
-    of_team: float
-    of_candidate: float
-    list_of_robot: float
-    list_of_team: float
-    list_of_candidate: float
-
-
-GROWTH: dict[Architecture, Growth] = {
-    "fsar": Growth(5, 350, 0, 3, 180, 2.0),  # the registry names every candidate in its answer
-    "cfc": Growth(
-        6, 350, 0, 12, 190, 0
-    ),  # every candidate is matched, but the more there are, the fewer steps the coordinator comes to
-    "dhma": Growth(
-        17, 670, 10.2, 3, 450, 5.2
-    ),  # every candidate bids, which takes three agents and a record of each word between them
-}
+USUAL_STEPS = 8  # of one set of tasks: the growth of a team is that of as many, at least
 POLLING_PER_ROBOT = 45  # without a registry each meeting is remembered
 
 
@@ -56,24 +35,38 @@ class Expected(NamedTuple):
 
 
 def expected(cell: Cell, fleet_size: int, constants: Constants) -> Expected:
-    """What one run of the cell makes with such a fleet. A workflow is of four robots, and small."""
-    scenario, architecture, configuration = cell
-    if scenario in WORKFLOWS:
+    """Return what one run of the cell makes with such a fleet. A workflow is of four robots, and small."""
+    name, architecture, configuration = cell
+    scenario = happening(constants, name)
+    if isinstance(scenario, Workflow):
         return Expected(1_000, 10_000)
-    growth, teams = GROWTH[architecture], fleet_size // 4
+    growth, of_team = growth_of(architecture), team_size(constants.fleet)
     load = constants.load
-    sets = teams_working(fleet_size, load) * (1 if load is None else load.task_sets)
-    delegated = sum(step.count(" ") == 2 for script in TASKS[scenario] for step in script.steps)  # type: ignore[index]
-    asked = sets * delegated * teams
+    sets = teams_working(constants, fleet_size) * (1 if load is None else load.task_sets)
+    if constants.scenario is not None:  # the numbers of growth are those of the paper's
+        sets *= max(1, ceil(sum(len(task.steps) + task.delegated for task in scenario.tasks) / USUAL_STEPS))
+    asked = sets * sum(task.delegated for task in scenario.tasks) * (fleet_size // of_team)
     polling = POLLING_PER_ROBOT if "shared-registry" in lacks(configuration) else 0
-    facts = FACTS_PER_ARRIVAL * arrivals_expected(constants.world, fleet_size, constants.outages, load)
+    facts = FACTS_PER_ARRIVAL * arrivals_expected(constants, fleet_size)
     return Expected(
         facts
-        + (FOUNDING_PER_ROBOT + growth.of_robot + polling) * fleet_size
+        + (_founding_of_robot(constants.fleet) + growth.of_robot + polling) * fleet_size
         + growth.of_team * sets
         + growth.of_candidate * asked,
         growth.list_of_robot * fleet_size + growth.list_of_team * sets + growth.list_of_candidate * asked,
     )
+
+
+@lru_cache(maxsize=4)
+def _founding_of_robot(fleet: Fleet | None) -> int:
+    """Return how many events found a robot, at most: it joins, and each capability is installed and advertised."""
+    return 1 + 2 * max(len(robot.capabilities) for robot in (fleet or registered_fleet()).robots)
+
+
+def growth_of(architecture: str) -> Growth:
+    """Return what a registered architecture adds to the world's facts."""
+    found: Growth = import_module(f".architectures.{architecture}", __package__).GROWTH
+    return found
 
 
 def fits(scenarios: Iterable[tuple[Cell, ...]], runs_at_once: int, fleet_size: int, constants: Constants) -> bool:
@@ -93,11 +86,12 @@ def fits(scenarios: Iterable[tuple[Cell, ...]], runs_at_once: int, fleet_size: i
 def largest_fleet(scenarios: Iterable[tuple[Cell, ...]], runs_at_once: int, constants: Constants) -> int:
     """The largest fleet of which a commit holds so many runs in a row; 0 if there is none."""
     cells = tuple(scenarios)
-    low, high = 0, MAX_ROWS // FOUNDING_PER_ROBOT // 4 + 1  # teams
+    of_team = team_size(constants.fleet)
+    low, high = 0, MAX_ROWS // of_team + 1  # teams
     while high - low > 1:
         middle = (low + high) // 2
-        if fits(cells, runs_at_once, 4 * middle, constants):
+        if fits(cells, runs_at_once, of_team * middle, constants):
             low = middle
         else:
             high = middle
-    return 4 * low
+    return of_team * low

@@ -4,17 +4,19 @@ import gc
 from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future
+from difflib import get_close_matches
 from itertools import filterfalse
 from math import ceil
 from pathlib import Path
-from typing import ParamSpec, TypeAlias, get_args
+from typing import ParamSpec, TypeAlias
 
 import msgspec
 
+from fsar_ledger import printable
 from fsar_ledger.constants import Constants, negatives, write_constants
+from fsar_ledger.designs import Fleet, Scenario, Workflow, registered
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, MECHANISMS_OF, Configuration, is_known, lacks, rank
-from fsar_ledger.events.envelope import Architecture, Scenario, Workflow
 from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.ledger.append import Staged, Writer, stage
 from fsar_ledger.ledger.bounds import MAX_LIST_VALUES, MAX_ROWS
@@ -25,14 +27,19 @@ from fsar_ledger.runtime.plan import plan_record
 from fsar_ledger.runtime.simulation import MODEL_VERSION, RunSpec, run_id, run_started, simulate_run
 from fsar_ledger.workers import WorkerPool
 
+from .architectures import REGISTERED
 from .capacity import Cell, Expected, expected, fits, largest_fleet
-from .world.workflows import FLEET_SIZE, WORKFLOWS
+from .world.checks import problems_of_fleet, problems_of_scenario
+from .world.founding import team_size
+from .world.schedule import happening
 
 ORIGIN = "fsar-ledger/simulated"
 WORKFLOWS_ORIGIN = (
     "fsar-ledger/workflows"  # of the second ledger of `reproduce`: no key signs two trees under one origin
 )
 BATCH_RUNS = 25  # runs in a commit, if it holds so many, whatever the number of workers
+MAX_OWN = 60_000
+"""Characters of parameters with a fleet or a scenario in them: every reader takes them constant by constant. Those of the model have 2,000."""
 IN_FLIGHT = 2  # batches per worker that may be under way, so that memory stays flat
 
 _P = ParamSpec("_P")
@@ -43,12 +50,15 @@ Batch: TypeAlias = tuple[RunSpec, ...]
 class Experiment(msgspec.Struct, frozen=True):
     """Which runs to make: `runs` per scenario (or workflow), architecture and configuration, whose names are put in canonical order.
 
+    Names are of what is registered, or of the scenario that the constants hold.
+
     Raises:
-        InvalidExperiment: a name is unknown, a number impossible, or a workflow meant for anything but FSAR and its fleet of four.
+        InvalidExperiment: a name is unknown, a number impossible, a scenario none that can happen to the fleet, or a workflow meant for
+            anything but FSAR and its fleet of four.
     """
 
-    architectures: tuple[Architecture, ...]
-    scenarios: tuple[Scenario | Workflow, ...]
+    architectures: tuple[str, ...]
+    scenarios: tuple[str, ...]
     runs: int
     seed: int = 42
     fleet_size: int = 4
@@ -56,16 +66,19 @@ class Experiment(msgspec.Struct, frozen=True):
     constants: Constants = Constants()
 
     def __post_init__(self) -> None:
-        _require_known("architecture", self.architectures, get_args(Architecture))
-        _require_known("scenario", self.scenarios, get_args(Scenario) + get_args(Workflow))
+        _require_known("architecture", self.architectures, REGISTERED)
+        _require_known("scenario", self.scenarios, self._known_scenarios())
         _require_configurations(self.configurations)
+        self._require_designs()
         if not 1 <= self.runs <= 9999:
             raise InvalidExperiment(f"runs: found {self.runs}, expected 1 to 9999")
         if not 0 <= self.seed < 2**53:
             raise InvalidExperiment(f"seed: found {self.seed}, expected 0 to {2**53 - 1}")
-        if self.fleet_size < 4 or self.fleet_size % 4:
+        of_team = team_size(self.constants.fleet)
+        if self.fleet_size < of_team or self.fleet_size % of_team:
+            team = "teams of four roles" if self.constants.fleet is None else f"teams of {self.constants.fleet.name}"
             raise InvalidExperiment(
-                f"fleet size: found {self.fleet_size}, expected a multiple of 4 (teams of four roles) from 4"
+                f"fleet size: found {self.fleet_size}, expected a multiple of {of_team} ({team}) from {of_team}"
             )
         self._require_mechanisms()
         if wrong := negatives(self.constants):
@@ -96,10 +109,32 @@ class Experiment(msgspec.Struct, frozen=True):
             f"fleet are more; take a smaller fleet, {'' if at_once == 1 else 'fewer runs or architectures, '}or fewer --teams-working"
         )
 
+    def _known_scenarios(self) -> tuple[str, ...]:
+        """The designer's own alone, where there is one, else all that are registered."""
+        own = self.constants.scenario
+        return (*registered.scenarios(), *registered.workflows()) if own is None else (own.name,)
+
+    def _require_designs(self) -> None:
+        """What is a designer's own is well made, and every scenario can happen to the fleet."""
+        own, fleet = self.constants.scenario, self.constants.fleet
+        if own is None and fleet is None:
+            return
+        require_designs(own, fleet)
+        for name in self.scenarios:
+            scenario = happening(self.constants, name)
+            if isinstance(scenario, Workflow):
+                raise InvalidExperiment(f"workflow {name}: found an own fleet, expected the paper's")
+            for problem in problems_of_scenario(scenario, fleet or registered.fleet()):
+                raise InvalidExperiment(f"scenario {printable.value(scenario.name)}: {problem}")
+        if (found := len(write_constants(self.constants))) > MAX_OWN:
+            raise InvalidExperiment(f"fleet and scenario: found {found:,} characters, expected at most {MAX_OWN:,}")
+
     def _require_mechanisms(self) -> None:
         """Every architecture has what is taken out of it."""
         for architecture in self.architectures:
-            for name in sorted(frozenset().union(*map(lacks, self.configurations)) - set(MECHANISMS_OF[architecture])):
+            for name in sorted(
+                frozenset().union(*map(lacks, self.configurations)) - set(MECHANISMS_OF.get(architecture, ()))
+            ):
                 [whose] = [one for one, names in MECHANISMS_OF.items() if name in names]
                 raise InvalidExperiment(
                     f"without {name}: found architecture {architecture}, expected {whose} alone, whose mechanism it is; one experiment is of one architecture's"
@@ -112,7 +147,7 @@ class Experiment(msgspec.Struct, frozen=True):
             raise InvalidExperiment(f"teams of a floor: found {world.floor_teams}, expected at least 1")
         if load is None:
             return
-        teams, working = self.fleet_size // 4, load.teams_working
+        teams, working = self.fleet_size // team_size(self.constants.fleet), load.teams_working
         if working is not None and not 1 <= working <= teams:
             raise InvalidExperiment(
                 f"teams working: found {working}, expected 1 to {teams}, the teams of a fleet of {self.fleet_size}"
@@ -124,14 +159,14 @@ class Experiment(msgspec.Struct, frozen=True):
             raise InvalidExperiment(
                 f"task sets: found {load.task_sets}, expected 1 to {most}, one each {load.interval_s:g} s in half the world's {world.horizon_s:g} s"
             )
-        if any(name in WORKFLOWS for name in self.scenarios):
+        if any(name in registered.workflows() for name in self.scenarios):
             raise InvalidExperiment(
                 f"workflow {self.scenarios[0]}: found another load, expected the tasks of its script alone"
             )
 
     def _require_workflows_as_written(self) -> None:
         """The workflows are those of the paper: FSAR's, in full, with one robot of each role."""
-        workflows = [name for name in self.scenarios if name in WORKFLOWS]
+        workflows = [name for name in self.scenarios if name in registered.workflows()]
         if not workflows:
             return
         about = f"workflow {workflows[0]}"
@@ -141,16 +176,16 @@ class Experiment(msgspec.Struct, frozen=True):
             raise InvalidExperiment(
                 f"{about}: found {', '.join(self.architectures)} ({', '.join(self.configurations)}), expected fsar (full)"
             )
-        if self.fleet_size != FLEET_SIZE:
-            raise InvalidExperiment(f"{about}: found fleet size {self.fleet_size}, expected {FLEET_SIZE}")
+        if self.fleet_size != team_size(None):
+            raise InvalidExperiment(f"{about}: found fleet size {self.fleet_size}, expected {team_size(None)}")
         if self.constants.outages is not None:
             raise InvalidExperiment(f"{about}: found outages, expected none: the world of a workflow is its script")
 
     def _put_in_order(self) -> None:
         """The names stand in one order, whatever the order in which they were asked for: the same question is the same plan."""
         in_order = msgspec.structs.force_setattr
-        in_order(self, "architectures", tuple(sorted(self.architectures, key=get_args(Architecture).index)))
-        in_order(self, "scenarios", tuple(sorted(self.scenarios, key=(get_args(Scenario) + get_args(Workflow)).index)))
+        in_order(self, "architectures", tuple(sorted(self.architectures, key=REGISTERED.index)))
+        in_order(self, "scenarios", tuple(sorted(self.scenarios, key=self._known_scenarios().index)))
         in_order(self, "configurations", tuple(sorted(self.configurations, key=rank)))
 
     def specs(self) -> Iterator[RunSpec]:
@@ -204,8 +239,10 @@ class Experiment(msgspec.Struct, frozen=True):
 def _require_known(what: str, found: tuple[str, ...], expected: tuple[str, ...]) -> None:
     unknown = [name for name in found if name not in expected]
     if unknown or not found or len(set(found)) != len(found):
+        near = get_close_matches(unknown[0], expected, 1, 0.4) if unknown else []
+        hint = f"; did you mean {near[0]}?" if near else ""
         raise InvalidExperiment(
-            f"{what}: found {', '.join(found) or 'none'}, expected some of {', '.join(expected)}, each once"
+            f"{what}: found {', '.join(found) or 'none'}, expected some of {', '.join(expected)}, each once{hint}"
         )
 
 
@@ -215,9 +252,28 @@ def _require_configurations(found: tuple[Configuration, ...]) -> None:
         raise InvalidExperiment(f"configuration: found {', '.join(found) or 'none'}, expected {expected}")
 
 
-def workflow_experiment(seed: int = 42, runs: int = 1, workflows: tuple[Workflow, ...] = WORKFLOWS) -> Experiment:
-    """The runs of the paper's workflows, all three unless some are named. Paper: sec:prototype:workflows."""
-    return Experiment(("fsar",), workflows, runs, seed, FLEET_SIZE)
+def require_designs(own: Scenario | None, fleet: Fleet | None) -> None:
+    """Raise InvalidExperiment if an own fleet is none, or an own scenario or fleet has the name of one that is registered."""
+    if fleet is not None:
+        for problem in problems_of_fleet(fleet):
+            raise InvalidExperiment(f"fleet {printable.value(fleet.name)}: {problem}")
+        if fleet.name == registered.PAPER_FLEET or (
+            fleet.name in registered.fleets() and fleet != registered.fleet(fleet.name)
+        ):
+            raise InvalidExperiment(
+                f"fleet: found an own one of the name {fleet.name}, expected a name that is not registered"
+            )
+    if own is not None and own.name in registered.scenarios():
+        raise InvalidExperiment(
+            f"scenario: found an own one of the name {own.name}, expected a name that is not registered"
+        )
+
+
+def workflow_experiment(
+    seed: int = 42, runs: int = 1, workflows: tuple[str, ...] = registered.PAPER_WORKFLOWS
+) -> Experiment:
+    """Return the runs of the paper's workflows, all three unless some are named. Paper: sec:prototype:workflows."""
+    return Experiment(("fsar",), workflows, runs, seed)
 
 
 class Made(msgspec.Struct, frozen=True):

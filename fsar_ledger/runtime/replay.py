@@ -46,9 +46,8 @@ from .experiment import Experiment
 from .handlers.commands import Command, Decide
 from .kernel import Kernel
 from .plan import misnamed
-from .simulation import MODEL_VERSION, RunSpec, founding_of, run_id, run_started, wiring
-from .world.draws import Draws, run_key
-from .world.scenarios import founding
+from .simulation import MODEL_VERSION, RunSpec, draws_of, founding_of, run_id, run_started, wiring
+from .world.founding import founding
 from .world.schedule import arrivals_expected, schedule
 from .worlds import Played, played, remarks_on
 
@@ -228,13 +227,11 @@ class _Replay(Kernel):
         events, founded = founding_of(spec, constants)
         self._stored, self._count = record, len(record.events)
         self._deciding: Callable[..., object] = founding
-        self._facts = schedule(
-            constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size, constants.outages, constants.load
-        )
+        self._facts = schedule(constants, spec.seed, spec.scenario, spec.run, spec.fleet_size)
         self._silent: list[tuple[int, Decide]] = []  # when, and who had a turn since the last event and made nothing
         for seq, event in enumerate(events):
             self._require(seq, event, 0, None if seq == 0 else 0)
-        draws = Draws(run_key(spec.seed, spec.scenario, spec.run), constants.world)
+        draws = draws_of(spec, constants)
         super().__init__(wiring(spec.architecture, spec.configuration), self._facts, draws, events, founded)
         self._decides = {command: self._noted(decide) for command, decide in self._decides.items()}
 
@@ -351,7 +348,7 @@ def _parameters(run: str, started: RunStarted, event_count: int) -> tuple[RunSpe
         spec = msgspec.convert({name: getattr(started, name) for name in RunSpec.__struct_fields__}, RunSpec)
         constants = _constants(started.parameters or "")
         most = FACTS_PER_ROBOT * spec.fleet_size + event_count
-        if not arrivals_expected(constants.world, spec.fleet_size, constants.outages, constants.load) <= most:
+        if not arrivals_expected(constants, spec.fleet_size) <= most:
             raise refused(
                 "parameters", f"rates of the world that make at most {most} facts", "more than that to be expected"
             )

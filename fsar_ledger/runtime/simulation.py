@@ -3,15 +3,15 @@
 from functools import lru_cache
 from hashlib import sha256
 from importlib import import_module
-from typing import get_args
 
 import msgspec
 
-from fsar_ledger.constants import Constants, write_constants
+from fsar_ledger.constants import Constants, Range, WorldConstants, write_constants
+from fsar_ledger.designs import Fleet
+from fsar_ledger.designs.registered import PAPER_SCENARIOS
 from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, lacks
-from fsar_ledger.events.envelope import Architecture, Scenario, Workflow
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.projections.fold import State, fold
@@ -19,22 +19,23 @@ from fsar_ledger.projections.fold import State, fold
 from .architectures.wiring import Wiring
 from .kernel import Kernel
 from .world.draws import Draws, run_key
-from .world.scenarios import founding
+from .world.founding import founding
 from .world.schedule import schedule
 
 MODEL_VERSION = "2"
 
-ARCHITECTURES: tuple[Architecture, ...] = get_args(Architecture)
-SCENARIOS: tuple[Scenario, ...] = get_args(Scenario)
+ARCHITECTURES = ("fsar", "cfc", "dhma")
+"""The three that the paper compares, which stay three however many are registered."""
+SCENARIOS = PAPER_SCENARIOS
 
 
 class RunSpec(msgspec.Struct, frozen=True):
     """What makes a run the run it is; another value anywhere is another run."""
 
     seed: int
-    architecture: Architecture
+    architecture: str
     configuration: Configuration
-    scenario: Scenario | Workflow
+    scenario: str
     fleet_size: int
     run: int
 
@@ -42,7 +43,7 @@ class RunSpec(msgspec.Struct, frozen=True):
 _parameters = lru_cache(maxsize=8)(write_constants)
 
 
-def wiring(architecture: Architecture, configuration: Configuration = FULL) -> Wiring:
+def wiring(architecture: str, configuration: Configuration = FULL) -> Wiring:
     """The architecture's handlers and reactions, without what the configuration lacks; the paper's ablations are known to the handlers themselves."""
     module = import_module(f".architectures.{architecture}", __package__)
     whole: Wiring = getattr(module, architecture.upper())
@@ -50,7 +51,7 @@ def wiring(architecture: Architecture, configuration: Configuration = FULL) -> W
 
 
 @lru_cache(maxsize=32)
-def _switched(architecture: Architecture, configuration: Configuration) -> Wiring:
+def _switched(architecture: str, configuration: Configuration) -> Wiring:
     """One object for all runs, so that the clock plans it once."""
     from .switches import switched
 
@@ -82,18 +83,27 @@ def run_id(started: RunStarted) -> str:
 
 def kernel(spec: RunSpec, constants: Constants, structure: Wiring | None = None) -> Kernel:
     """The run at its founding, before the world has done anything; `structure` replaces the architecture's own wiring."""
-    facts = schedule(
-        constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size, constants.outages, constants.load
-    )
-    draws = Draws(run_key(spec.seed, spec.scenario, spec.run), constants.world)
+    facts = schedule(constants, spec.seed, spec.scenario, spec.run, spec.fleet_size)
+    draws = draws_of(spec, constants)
     return Kernel(
         structure or wiring(spec.architecture, spec.configuration), facts, draws, *founding_of(spec, constants)
     )
 
 
+def draws_of(spec: RunSpec, constants: Constants) -> Draws:
+    """Return the draws that the run meets on its way; how long capabilities of an own fleet take is among them."""
+    return Draws(run_key(spec.seed, spec.scenario, spec.run), _world(constants.world, constants.fleet))
+
+
+@lru_cache(maxsize=8)
+def _world(world: WorldConstants, fleet: Fleet | None) -> WorldConstants:
+    own = tuple((one.name, Range(*one.lasts_s)) for one in fleet.capabilities if one.lasts_s) if fleet else ()
+    return msgspec.structs.replace(world, durations=world.durations + own)
+
+
 def founding_of(spec: RunSpec, constants: Constants) -> tuple[tuple[Event, ...], State]:
     """The events that the run begins with, and the state that all of them but the first make."""
-    fleet = (spec.fleet_size, constants.world.floor_teams)
+    fleet = (spec.fleet_size, constants.world.floor_teams, constants.fleet)
     return (run_started(spec, constants), *_founding(*fleet)), _founded(*fleet)
 
 
@@ -101,9 +111,9 @@ _founding = lru_cache(maxsize=4)(founding)
 
 
 @lru_cache(maxsize=4)
-def _founded(fleet_size: int, floor_teams: int) -> State:
+def _founded(fleet_size: int, floor_teams: int, fleet: Fleet | None) -> State:
     """The state of a fleet of which only the run is not known yet."""
-    return fold(_founding(fleet_size, floor_teams))
+    return fold(_founding(fleet_size, floor_teams, fleet))
 
 
 def simulate_run(spec: RunSpec, constants: Constants, structure: Wiring | None = None) -> RunRecord:

@@ -1,6 +1,7 @@
 """An architecture is a wiring: which handler decides a command, which reactions follow an event. It holds no state."""
 
 from types import ModuleType
+from typing import NamedTuple
 
 import msgspec
 
@@ -14,6 +15,20 @@ class Wiring(msgspec.Struct, frozen=True, eq=False):
     decides: dict[type[Command], Decide]
     reacts: dict[type[Event], tuple[React, ...]]
     actors: dict[type[Command], Actor] = {}
+
+
+class Growth(NamedTuple):
+    """What an architecture adds to the world's facts, in events and in elements of their lists: upper bounds of what runs were seen to make.
+
+    For each robot; for each set of tasks of a team; and for each delegated step in these and each team whose robot may be a candidate for it.
+    """
+
+    of_robot: float
+    of_team: float
+    of_candidate: float
+    list_of_robot: float
+    list_of_team: float
+    list_of_candidate: float
 
 
 def wire(*handlers: ModuleType, own: Decides | None = None, instead: dict[React, React] | None = None) -> Wiring:

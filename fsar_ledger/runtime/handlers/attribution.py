@@ -7,12 +7,6 @@ from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import offers, surface
 
-BODIES = ("A", "B", "D")  # roles whose bodies can clear an obstruction
-SUBSTITUTES = {
-    "carry.package": "carry.heavy",
-    "handover.dropoff": "carry.heavy",
-}  # capability -> one that can take its place
-
 
 def on_shift(state: State, robot: str) -> str | None:
     """The robot's own supervisor H_i, or None while off shift; H_F for a robot that has none of its own. Paper: eq:supervision."""
@@ -72,7 +66,11 @@ def capable(state: State, capability: str, requester: str) -> tuple[str, ...]:
 def helpers(state: State, action: Action, cause: str) -> tuple[str, ...]:
     """Every robot whose body could help with the failure, nearest team first. Paper: sec:model:recovery, level 2."""
     if cause == "obstruction":
-        able = [name for name, robot in state.fleet.robots.items() if robot.role in BODIES and name != action.robot]
+        able = [
+            name
+            for name, robot in state.fleet.robots.items()
+            if robot.role in state.fleet.bodies and name != action.robot
+        ]
         return nearest_first(state, able, action.robot)
     return stand_ins(state, action)
 
@@ -80,14 +78,17 @@ def helpers(state: State, action: Action, cause: str) -> tuple[str, ...]:
 def stand_ins(state: State, action: Action) -> tuple[str, ...]:
     """Every other robot that offers the capability or a substitute for it, nearest team first."""
     able = {
-        offer.robot for capability in means(action.capability) for offer in offers(state.registry.offers, capability)
+        offer.robot
+        for capability in means(state, action.capability)
+        for offer in offers(state.registry.offers, capability)
     }
     return nearest_first(state, [name for name in able if name != action.robot], action.robot)
 
 
-def means(capability: str) -> tuple[str, ...]:
-    """With which capabilities the step can be done: itself, and its substitute if there is one."""
-    return (capability, SUBSTITUTES[capability]) if capability in SUBSTITUTES else (capability,)
+def means(state: State, capability: str) -> tuple[str, ...]:
+    """Return the capabilities with which the step can be done: itself, and its substitute if the fleet has one."""
+    substitute = state.fleet.substitutes.get(capability)
+    return (capability,) if substitute is None else (capability, substitute)
 
 
 def family(capability: str) -> str:

@@ -1,16 +1,17 @@
 """The schedule: everything the world does by itself, generated before the run, whatever happens in it.
 
-It is a function of constants, seed, scenario, run and fleet size. Each robot's streams are its own, so
-another draw in one stream moves no other.
+It is a function of constants, seed, scenario, run and fleet size; a designer's own scenario and fleet are among the
+constants. Each robot's streams are its own, so another draw in one stream moves no other.
 """
 
 from functools import lru_cache
 from itertools import combinations, groupby
 from math import inf
 
-from fsar_ledger.constants import END_US, Load, Outages, WorldConstants
+from fsar_ledger.constants import END_US, Constants, Load, Outages, WorldConstants
+from fsar_ledger.designs import Scenario, Workflow, registered
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Scenario, Workflow, local_supervisor
+from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope
 from fsar_ledger.events.world import (
     ActuatorDegraded,
     ContextChanged,
@@ -29,65 +30,62 @@ from fsar_ledger.events.world import (
     SupervisorLeft,
     SupervisorReturned,
     SyncPhaseSet,
-    TaskArrived,
 )
 
-from .draws import FOREVER_US, Stream, run_key
-from .scenarios import DEGRADABLE, INJECTIONS, TASKS, floor_of, robots
-from .workflows import workflow_facts
+from .draws import Stream, run_key
+from .founding import Member, floor_of, members, team_size
+from .scripted import arrived, workflow_facts
 
 Fact = tuple[int, Event]  # run time in microseconds, what happens
 
 
+def happening(constants: Constants, name: str) -> Scenario | Workflow:
+    """Return what the name stands for: the designer's own scenario, or one that is registered."""
+    if constants.scenario is not None:
+        return constants.scenario
+    return registered.workflow(name) if name in registered.workflows() else registered.scenario(name)
+
+
 @lru_cache(maxsize=4)
-def schedule(
-    world: WorldConstants,
-    seed: int,
-    scenario: Scenario | Workflow,
-    run: int,
-    fleet_size: int,
-    outages: Outages | None = None,
-    load: Load | None = None,
-) -> tuple[Fact, ...]:
-    """All facts of the run in order of time; no two at the same microsecond. A workflow has only those of its script."""
-    key = run_key(seed, scenario, run)
-    match scenario:
-        case "workflow-door-relay" | "workflow-layered-recovery" | "workflow-human-supervision":
-            return _apart(workflow_facts(world, key, scenario))
-        case _:
-            return _disturbed(world, key, scenario, fleet_size, outages, load or Load())
+def schedule(constants: Constants, seed: int, scenario: str, run: int, fleet_size: int) -> tuple[Fact, ...]:
+    """Return all facts of the run in order of time; no two at the same microsecond. A workflow has only those of its script."""
+    key, what = run_key(seed, scenario, run), happening(constants, scenario)
+    if isinstance(what, Workflow):
+        return _apart(workflow_facts(constants.world, key, what))
+    return _disturbed(constants, key, what, fleet_size)
 
 
-def arrivals_expected(
-    world: WorldConstants, fleet_size: int, outages: Outages | None = None, load: Load | None = None
-) -> float:
-    """How many arrivals one may expect in a run with such rates: nearly all of its facts, but for some of each robot, task and window."""
+def arrivals_expected(constants: Constants, fleet_size: int) -> float:
+    """Return how many arrivals to expect in a run with such rates: nearly all of its facts, but for some of each robot, task and window."""
+    world, outages = constants.world, constants.outages
     rates: tuple[float, ...] = (world.context_rate_per_s, world.fleet_rule_rate_per_s, world.obstruction_rate_per_s)
     if outages is not None:
         rates = (*rates, outages.off_rate_per_s, outages.link_rate_per_s, outages.loss_rate_per_s)
     one_robot = sum(_expected(_mean_s(rate), world.horizon_s) for rate in rates)
     pairs = crowd = 0.0
-    for floors, robots_there in floor_sizes(world, fleet_size):
+    of_team = team_size(constants.fleet)
+    for floors, robots_there in floor_sizes(world, fleet_size, of_team):
         pairs += floors * robots_there * (robots_there - 1) / 2
         crowd += (
             floors
             * robots_there
-            * _expected(_mean_s(world.crowding_rate_per_s * max(0, robots_there - 4)), world.horizon_s)
+            * _expected(_mean_s(world.crowding_rate_per_s * max(0, robots_there - of_team)), world.horizon_s)
         )
-    routine = 4 * teams_working(fleet_size, load) * _expected(_mean_s(world.routine_rate_per_s), world.routine_until_s)
+    busy = of_team * teams_working(constants, fleet_size)
+    routine = busy * _expected(_mean_s(world.routine_rate_per_s), world.routine_until_s)
     return fleet_size * one_robot + routine + crowd + pairs * _expected(world.encounter_mean_s, world.horizon_s)
 
 
-def floor_sizes(world: WorldConstants, fleet_size: int) -> tuple[tuple[int, int], ...]:
-    """How many floors there are with how many robots."""
-    most = 4 * max(1, world.floor_teams)
+def floor_sizes(world: WorldConstants, fleet_size: int, of_team: int) -> tuple[tuple[int, int], ...]:
+    """Return how many floors there are with how many robots."""
+    most = of_team * max(1, world.floor_teams)
     full, left = divmod(fleet_size, most)
     return (full, most), (1, left)
 
 
-def teams_working(fleet_size: int, load: Load | None) -> int:
-    """How many teams have tasks, and routine."""
-    teams = fleet_size // 4
+def teams_working(constants: Constants, fleet_size: int) -> int:
+    """Return how many teams have tasks, and routine."""
+    teams, load = fleet_size // team_size(constants.fleet), constants.load
     return teams if load is None or load.teams_working is None else min(teams, load.teams_working)
 
 
@@ -96,30 +94,30 @@ def _expected(mean_s: float, until_s: float) -> float:
     return max(0.0, until_s * 1e6) / max(1.0, mean_s * 1e6)
 
 
-def _disturbed(
-    world: WorldConstants, key: bytes, scenario: Scenario, fleet_size: int, outages: Outages | None, load: Load
-) -> tuple[Fact, ...]:
+def _disturbed(constants: Constants, key: bytes, scenario: Scenario, fleet_size: int) -> tuple[Fact, ...]:
     """The tasks of the scenario, in a world that disturbs them."""
-    members = robots(fleet_size)
+    world, outages = constants.world, constants.outages
+    everyone = members(fleet_size, constants.fleet)
     facts: list[Fact] = [(1, SyncPhaseSet(round(Stream(key, "sync-phase").uniform() * 1e6)))]
-    working = teams_working(fleet_size, load)
-    for _, floor in groupby(members, lambda member: floor_of(member[2], world.floor_teams)):
-        there = [(name, team) for name, _, team in floor]
-        for name, team in there:
+    working = teams_working(constants, fleet_size)
+    for _, floor in groupby(everyone, lambda member: floor_of(member.team, world.floor_teams)):
+        there = list(floor)
+        for member in there:
+            name, team, _ = member
             facts.append((1, SnapshotPhaseSet(name, round(Stream(key, f"snapshot-phase/{name}").uniform() * 1e6))))
             facts += _contexts(world, key, name)
             facts += _fleet_rules(world, key, name)
             facts += _obstructions(world, key, name)
-            facts += _crowding(world, key, name, sum(other != team for _, other in there))
+            facts += _crowding(world, key, name, sum(other.team != team for other in there))
             if team <= working:
                 facts += _routine(world, key, name)
-            facts += _absence(world, key, name)
+            facts += _absences(constants, key, member)
             if outages is not None:
                 facts += _outages(outages, key, name, world.horizon_s)
-        for (one, _), (other, _) in combinations(there, 2):
-            facts += _encounters(world, key, one, other)
+        for one, other in combinations(there, 2):
+            facts += _encounters(world, key, one.name, other.name)
     for team in range(1, working + 1):
-        facts += _tasks(world, key, scenario, team, load)
+        facts += _tasks(world, key, scenario, team, constants.load or Load())
     facts.sort(key=lambda fact: fact[0])
     return _apart(facts)
 
@@ -215,15 +213,39 @@ def _routine(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
     ]
 
 
-def _absence(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
+def _absences(constants: Constants, key: bytes, member: Member) -> list[Fact]:
+    """The spells in which the robot's own supervisor is not there: the one absence, and those of a fleet's shifts; no two overlap."""
+    supervisor, fleet = member.supervisor, constants.fleet
+    if supervisor is None:
+        return []
+    world = constants.world
     start_s = (
-        world.absence_from_s + (world.absence_to_s - world.absence_from_s) * Stream(key, f"absence/{robot}").uniform()
+        world.absence_from_s
+        + (world.absence_to_s - world.absence_from_s) * Stream(key, f"absence/{member.name}").uniform()
     )
     left_us, returned_us = round(start_s * 1e6), round((start_s + world.absence_s) * 1e6)
-    if returned_us <= 0:
-        return []
-    supervisor = local_supervisor(robot)
-    return [(max(1, left_us), SupervisorLeft(supervisor)), (returned_us, SupervisorReturned(supervisor))]
+    spells = [] if returned_us <= 0 else [(max(1, left_us), returned_us)]
+    if fleet is not None:
+        spells += [
+            (max(1, round(one.from_s * 1e6)), END_US + 1 if one.to_s is None else round(one.to_s * 1e6))
+            for one in fleet.off_shift
+            if fleet.is_off_shift(one, member.design)
+        ]
+    facts: list[Fact] = []
+    for left_us, returned_us in _merged(spells):
+        facts += [(left_us, SupervisorLeft(supervisor)), (returned_us, SupervisorReturned(supervisor))]
+    return facts
+
+
+def _merged(spells: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """The spells in order, as one where they overlap or touch."""
+    found: list[tuple[int, int]] = []
+    for begin, end in sorted(spells):
+        if found and begin <= found[-1][1]:
+            found[-1] = (found[-1][0], max(found[-1][1], end))
+        else:
+            found.append((begin, end))
+    return found
 
 
 def _outages(outages: Outages, key: bytes, robot: str, until_s: float) -> list[Fact]:
@@ -284,39 +306,24 @@ def _tasks(world: WorldConstants, key: bytes, scenario: Scenario, team: int, loa
     facts: list[Fact] = []
     start_us = Stream(key, f"start/{team}").within_us(world.start)
     sets = [
-        (script, round((script.offset_s + load.interval_s * number) * 1e6))
+        (task, round((task.offset_s + load.interval_s * number) * 1e6))
         for number in range(load.task_sets)
-        for script in TASKS[scenario]
+        for task in scenario.tasks
     ]
-    for ordinal, (script, offset_us) in enumerate(sets, start=1):
-        task_id = f"{script.owner}{team}-{ordinal}"
-        arrival_us = start_us + offset_us + Stream(key, f"jitter/{task_id}").within_us(world.jitter)
-        delegated = sum(step.count(" ") == 2 for step in script.steps)
-        budget_s = (
-            world.budget_base_s
-            + world.budget_delegated_s * delegated
-            + world.budget_own_s * (len(script.steps) - delegated)
-        )
-        budget_us = round(min(budget_s * 1e6, FOREVER_US))
-        facts.append(
-            (
-                arrival_us,
-                TaskArrived(
-                    task_id, f"robot/{script.owner}{team}", team, script.steps, budget_us, arrival_us + budget_us
-                ),
-            )
-        )
-    for injection in INJECTIONS.get(scenario, ()):
+    for ordinal, (task, offset_us) in enumerate(sets, start=1):
+        jitter_us = Stream(key, f"jitter/{task.owner}{team}-{ordinal}").within_us(world.jitter)
+        arrival_us = start_us + offset_us + jitter_us
+        facts.append((arrival_us, arrived(world, task, team, ordinal, arrival_us)))
+    for injection in scenario.injections:
         for ordinal in range(1, injection.times + 1):
             name = f"injected-{team}-{ordinal}"
             time_us = Stream(key, f"injection/{name}").within_us(world.injection)
             requester, target = f"robot/{injection.requester}{team}", f"robot/{injection.target}{team}"
             facts.append((time_us, OutsiderRequestInjected(name, requester, target, injection.capability)))
-    roles = DEGRADABLE.get(scenario, ())
-    if roles:
+    if scenario.degradable:
         stream = Stream(key, f"degradation/{team}")
         happens, which, onset = stream.uniform() < world.degradation_probability, stream.uniform(), stream.uniform()
         if happens:
-            robot = f"robot/{roles[int(which * len(roles))]}{team}"
+            robot = f"robot/{scenario.degradable[int(which * len(scenario.degradable))]}{team}"
             facts.append((max(1, round(onset * world.degradation_onset_s * 1e6)), ActuatorDegraded(robot)))
     return facts

@@ -1,82 +1,38 @@
-"""The paper's three workflows as worlds: the fleet of four, these tasks and this wear, and no other disturbance. Paper: sec:prototype:workflows.
+"""The paper's workflows as worlds: their tasks and their wear, and no other disturbance. Paper: sec:prototype:workflows.
 
 What is scripted are facts of the world alone; what follows from them is FSAR's to decide. How long things take
 is drawn by the seed, as everywhere.
 """
 
-from typing import NamedTuple, get_args
-
 from fsar_ledger.constants import WorldConstants
+from fsar_ledger.designs import Task, Workflow
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Workflow
-from fsar_ledger.events.world import ActuatorDegraded, Grade, TaskArrived
+from fsar_ledger.events.world import ActuatorDegraded, TaskArrived
 
-from .draws import Stream
+from .draws import FOREVER_US, Stream
 
-FLEET_SIZE = 4
-WORKFLOWS: tuple[Workflow, ...] = get_args(Workflow)
-WEAR_AFTER_US = 1_000_000  # how long after the tasks' arrival an actuator degrades: while its robot is still on its first way, 2 s at least
-
-
-class TaskPlan(NamedTuple):
-    """A task that arrives: its owner, its steps as in `TaskArrived`, and what its owner declares about it."""
-
-    owner: str
-    steps: tuple[str, ...]
-    is_time_critical: bool = False
-    checkpoints: tuple[str, ...] | None = None
-
-
-class Wear(NamedTuple):
-    """An actuator that degrades soon after the tasks have arrived."""
-
-    robot: str
-    grade: Grade
-
-
-class Script(NamedTuple):
-    """One workflow: its tasks, all of the same arrival, and the wear in it."""
-
-    tasks: tuple[TaskPlan, ...]
-    wear: tuple[Wear, ...] = ()
-
-
-SCRIPTS: dict[Workflow, Script] = {
-    # A lacks door.open.secure on its way; B opens under its own runtime.
-    "workflow-door-relay": Script(
-        (TaskPlan("A", ("A navigate.indoor", "A door.open.secure B", "A navigate.indoor", "A handover.dropoff")),)
-    ),
-    # A's heavy transport, in which D's steps are D's own; D's gripper slips when it grips the load.
-    "workflow-layered-recovery": Script(
-        (TaskPlan("A", ("D navigate.indoor", "D grasp.robust", "D carry.heavy", "A handover.dropoff")),),
-        (Wear("D", "slipping"),),
-    ),
-    # B and D need A's carry.package at once; B's delivery is time-critical.
-    "workflow-human-supervision": Script(
-        (
-            TaskPlan("B", ("B carry.package A", "B door.open.basic"), is_time_critical=True),
-            TaskPlan("D", ("D carry.package A", "D navigate.indoor")),
-        )
-    ),
-}
+WEAR_AFTER_US = 1_000_000
+"""How long after the tasks' arrival an actuator degrades: while its robot is still on its first way, 2 s at least."""
 
 
 def workflow_facts(world: WorldConstants, key: bytes, workflow: Workflow) -> list[tuple[int, Event]]:
-    """What the world does in the workflow, in order of time. Units: microseconds of run time."""
-    script = SCRIPTS[workflow]
+    """Return what the world does in the workflow, in order of time. Units: microseconds of run time."""
     arrival_us = Stream(key, "start/1").within_us(world.start)
-    facts: list[tuple[int, Event]] = []
-    for ordinal, plan in enumerate(script.tasks, start=1):
-        delegated = sum(step.count(" ") == 2 for step in plan.steps)
-        budget_s = (
-            world.budget_base_s
-            + world.budget_delegated_s * delegated
-            + world.budget_own_s * (len(plan.steps) - delegated)
-        )
-        budget_us = round(budget_s * 1e6)
-        about = (f"{plan.owner}1-{ordinal}", f"robot/{plan.owner}1", 1, plan.steps, budget_us, arrival_us + budget_us)
-        facts.append((arrival_us, TaskArrived(*about, plan.checkpoints, plan.is_time_critical)))
+    facts: list[tuple[int, Event]] = [
+        (arrival_us, arrived(world, task, 1, ordinal, arrival_us))
+        for ordinal, task in enumerate(workflow.tasks, start=1)
+    ]
     facts += [
-        (arrival_us + WEAR_AFTER_US, ActuatorDegraded(f"robot/{wear.robot}1", wear.grade)) for wear in script.wear
+        (arrival_us + WEAR_AFTER_US, ActuatorDegraded(f"robot/{wear.robot}1", wear.grade)) for wear in workflow.wear
     ]
     return facts
+
+
+def arrived(world: WorldConstants, task: Task, team: int, ordinal: int, arrival_us: int) -> TaskArrived:
+    """Return the arrival of a team's task, with a budget for its steps."""
+    own = len(task.steps) - task.delegated
+    budget_s = world.budget_base_s + world.budget_delegated_s * task.delegated + world.budget_own_s * own
+    budget_us = round(min(budget_s * 1e6, FOREVER_US))
+    name, robot = f"{task.owner}{team}-{ordinal}", f"robot/{task.owner}{team}"
+    about = (name, robot, team, task.steps, budget_us, arrival_us + budget_us)
+    return TaskArrived(*about, task.checkpoints, task.is_time_critical)

@@ -1,6 +1,6 @@
 """Centralized fleet controller: one coordinator decides everything on synced copies; robots only execute."""
 
-from fsar_ledger.runtime.architectures.wiring import Wiring, wire
+from fsar_ledger.runtime.architectures.wiring import Growth, Wiring, wire
 from fsar_ledger.runtime.handlers import assistance, supervision, task, withdrawal
 from fsar_ledger.runtime.handlers import execution as bodies
 
@@ -19,3 +19,6 @@ CFC: Wiring = wire(
     own=answers.OWN,
     instead=answers.INSTEAD,
 )
+
+GROWTH = Growth(6, 350, 0, 12, 190, 0)
+"""Every candidate is matched, but the more there are, the fewer steps the coordinator comes to."""

@@ -1,6 +1,6 @@
 """Federated single-agent robotics: every robot stays one accountable principal; the federation only coordinates. Paper: eq:federation, eq:fleet-model."""
 
-from fsar_ledger.runtime.architectures.wiring import Wiring, wire
+from fsar_ledger.runtime.architectures.wiring import Growth, Wiring, wire
 from fsar_ledger.runtime.handlers import (
     advertising,
     assistance,
@@ -34,3 +34,6 @@ FSAR: Wiring = wire(
     availability,
     *_PUBLIC,
 )
+
+GROWTH = Growth(5, 350, 0, 3, 180, 2.0)
+"""The registry names every candidate in its answer."""

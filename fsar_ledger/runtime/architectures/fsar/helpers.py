@@ -122,7 +122,7 @@ def _stand_ins(state: State, action: Action, asking: str) -> list[Candidate]:
     """Every other robot with each capability that it could do the step with, as the registry would answer the robot that asks."""
     found: list[Candidate] = []
     for name in stand_ins(state, action):
-        for capability in means(action.capability):
+        for capability in means(state, action.capability):
             record = advertisement(state.registry, name, capability)
             if record is not None:
                 found.append(Candidate(name, capability, _left_out_by(state, action, asking, record)))

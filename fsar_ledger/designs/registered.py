@@ -1,0 +1,74 @@
+"""The fleets, scenarios and workflows that come with the package, one file each: a file more is one more, without a change anywhere else.
+
+They are read when they are first asked for, and once.
+"""
+
+from functools import cache
+from pathlib import Path
+from typing import TypeVar
+
+from . import Fleet, Scenario, Workflow
+from .files import decoded
+
+_T = TypeVar("_T")
+
+PAPER_FLEET = "paper"
+PAPER_SCENARIOS = (
+    "door-relay",
+    "collaborative-delivery",
+    "failure-recovery-chain",
+    "mixed-trust-inspection",
+    "fleet-contention",
+)
+"""The five of the paper, in its order; what else is registered comes after them. Paper: sec:evaluation:scenarios."""
+PAPER_WORKFLOWS = ("workflow-door-relay", "workflow-layered-recovery", "workflow-human-supervision")
+
+
+@cache
+def fleets() -> tuple[str, ...]:
+    """Return the names of the registered fleets, the paper's first."""
+    return _names("fleets", (PAPER_FLEET,))
+
+
+@cache
+def scenarios() -> tuple[str, ...]:
+    """Return the names of the registered scenarios, the paper's first."""
+    return _names("scenarios", PAPER_SCENARIOS)
+
+
+@cache
+def workflows() -> tuple[str, ...]:
+    """Return the names of the registered workflows, the paper's first."""
+    return _names("workflows", PAPER_WORKFLOWS)
+
+
+@cache
+def fleet(name: str = PAPER_FLEET) -> Fleet:
+    """Return the registered fleet of this name."""
+    return _read("fleets", name, Fleet)
+
+
+@cache
+def scenario(name: str) -> Scenario:
+    """Return the registered scenario of this name."""
+    return _read("scenarios", name, Scenario)
+
+
+@cache
+def workflow(name: str) -> Workflow:
+    """Return the registered workflow of this name."""
+    return _read("workflows", name, Workflow)
+
+
+def _names(folder: str, first: tuple[str, ...]) -> tuple[str, ...]:
+    there = {file.stem for file in _folder(folder).glob("*.toml")}
+    return (*first, *sorted(there.difference(first)))
+
+
+def _read(folder: str, name: str, kind: type[_T]) -> _T:
+    file = _folder(folder) / f"{name}.toml"
+    return decoded(file.read_text("utf-8"), kind, str(file))
+
+
+def _folder(name: str) -> Path:
+    return Path(__file__).parents[1] / "runtime" / "world" / name

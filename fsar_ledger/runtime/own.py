@@ -1,0 +1,173 @@
+"""A designer's own: a scenario, a fleet and constants from outside the package, checked, and put among the constants of a run.
+
+So they are in event 0 of every run that they make, and such a run replays anywhere, without the files.
+"""
+
+import re
+from collections.abc import Iterator, Sequence
+from difflib import get_close_matches
+from math import isfinite
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+
+from fsar_ledger import printable
+from fsar_ledger.constants import SIGNED, Constants, Load, Outages
+from fsar_ledger.designs import Fleet, Scenario, registered
+from fsar_ledger.designs.files import at_line, read_design
+from fsar_ledger.errors import InvalidExperiment, UsageError
+from fsar_ledger.metrics.naming import names_of_constants
+
+from .world.checks import Problem, problems_of_fleet, problems_of_scenario
+
+_T = TypeVar("_T", Fleet, Scenario)
+
+_PART = re.compile(r'\.?([A-Za-z_]\w*)|\["([^"]+)"\]')
+_SHARES = ("_share", "_probability", "_reliability")
+
+
+def with_own(
+    constants: Constants, scenarios: Sequence[str], fleet: str | None = None, settings: Sequence[str] = ()
+) -> tuple[Constants, tuple[str, ...]]:
+    """Return the constants with what is a designer's own, and the names of the scenarios.
+
+    A scenario that ends in `.toml` is a file; so is a fleet, which else is the name of a registered one. `settings` are `NAME=VALUE`.
+
+    Raises:
+        UsageError: a file cannot be read, or what is in it cannot be, with line and field; a name is unknown, or a value impossible.
+    """
+    own_fleet = _fleet(fleet)
+    own: Scenario | None = None
+    for name in scenarios:
+        if not is_file(name):
+            continue
+        if len(scenarios) > 1:
+            raise UsageError(
+                f"--scenario {name}: found {len(scenarios)} scenarios, expected a file alone; run the others by themselves"
+            )
+        path = Path(name)
+        own, text = read_design(path, Scenario)
+        against = own_fleet or registered.fleet()
+        _require(path, text, problems_of_scenario(own, against))
+        if own.name in registered.scenarios():
+            _require(path, text, [_taken(own.name, registered.scenarios())])
+    found = msgspec.structs.replace(with_settings(constants, settings), scenario=own, fleet=own_fleet)
+    return found, tuple(scenarios) if own is None else (own.name,)
+
+
+def is_file(name: str) -> bool:
+    """Tell whether what stands where a name may stand is a file."""
+    return name.endswith(".toml")
+
+
+def _fleet(asked: str | None) -> Fleet | None:
+    """Return the fleet that goes on record; None is the paper's."""
+    if asked is None or asked == registered.PAPER_FLEET:
+        return None
+    if is_file(asked):
+        fleet, text = read_design(Path(asked), Fleet)
+        _require(Path(asked), text, problems_of_fleet(fleet))
+        if fleet.name in registered.fleets():
+            _require(Path(asked), text, [_taken(fleet.name, registered.fleets())])
+        return fleet
+    if asked not in registered.fleets():
+        names = ", ".join(registered.fleets())
+        hint = _nearest(asked, registered.fleets())
+        raise InvalidExperiment(
+            f"unknown fleet {printable.value(asked)}{hint}; expected a .toml file, or one of {names}"
+        )
+    return registered.fleet(asked)
+
+
+def _require(path: Path, text: str, problems: Iterator[Problem] | list[Problem]) -> None:
+    for problem in problems:
+        raise UsageError(
+            f"{at_line(str(path), text, problem.field)}: found {problem.found}, expected {problem.expected}"
+        )
+
+
+def _taken(name: str, names: Sequence[str]) -> Problem:
+    return Problem(("name",), name, f"another name than those that are registered: {', '.join(names)}")
+
+
+def with_settings(constants: Constants, settings: Sequence[str]) -> Constants:
+    """Return the constants with each `NAME=VALUE`, by dotted name as `info --json` shows them. Raises: UsageError."""
+    if not settings:
+        return constants
+    tree = msgspec.to_builtins(constants)
+    given: dict[str, str] = {}
+    for setting in settings:
+        name, equals, value = setting.partition("=")
+        if not equals or not name:
+            raise UsageError(f"--set {setting}: expected NAME=VALUE, as in --set world.review_share=0.5")
+        if name in given:
+            raise UsageError(
+                f"--set {setting}: {name} already has the value {given[name]}, expected one value for each name"
+            )
+        if name not in names_of_constants():
+            hint = _nearest(name, names_of_constants())
+            raise UsageError(
+                f"--set {setting}: unknown constant {printable.value(name)}{hint}; `info --json` shows all names of a ledger's"
+            )
+        given[name] = value
+        _put(tree, name, _number(setting, name, value))
+        try:
+            constants = msgspec.convert(tree, Constants)
+        except msgspec.ValidationError as error:
+            whole = " whole" if "`int" in str(error) else ""
+            raise UsageError(f"--set {setting}: found {printable.value(value)}, expected a{whole} number") from error
+    for name, low_s, high_s in _ranges("", msgspec.to_builtins(constants)):
+        if low_s > high_s and any(one.startswith(name) for one in given):
+            raise UsageError(
+                f"--set: found {name} from {low_s:g} to {high_s:g} s, expected the shorter first; set both"
+            )
+    return constants
+
+
+def _nearest(name: str, names: Sequence[str]) -> str:
+    near = get_close_matches(name, names, 1, 0.4)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+def _number(setting: str, name: str, value: str) -> float | int:
+    """Return the value of a setting. Raises: UsageError if it is none that the constant can have."""
+    try:
+        found = msgspec.json.decode(value)
+    except msgspec.DecodeError:
+        found = None
+    if isinstance(found, bool) or not isinstance(found, int | float) or not isfinite(found) or abs(found) >= 2**53:
+        raise UsageError(f"--set {setting}: found {printable.value(value)}, expected a number")
+    if found < 0 and name not in SIGNED:
+        raise UsageError(f"--set {setting}: found {value}, expected 0 or more")
+    if found > 1 and name.endswith(_SHARES):
+        raise UsageError(f"--set {setting}: found {value}, expected a share, 0 to 1")
+    return found
+
+
+def _put(tree: dict[str, Any], name: str, value: float | int) -> None:
+    """Put the value where the name says: in the group, which is made if it is absent, or in a list of names and values."""
+    parts = [one or other for one, other in _PART.findall(name)]
+    where: Any = tree
+    for at, part in enumerate(parts[:-1]):
+        if isinstance(where, dict):
+            if where.get(part) is None:
+                assert at == 0
+                where[part] = msgspec.to_builtins({"outages": Outages(), "load": Load()}[part])
+            where = where[part]
+        else:
+            where = next(law for key, law in where if key == part)
+    where[parts[-1]] = value
+
+
+def _ranges(name: str, value: Any) -> Iterator[tuple[str, float, float]]:
+    """Yield each uniform law with its name and ends."""
+    if isinstance(value, dict):
+        if value.keys() == {"low_s", "high_s"}:
+            yield name, value["low_s"], value["high_s"]
+        for key, one in value.items():
+            yield from _ranges(f"{name}.{key}" if name else key, one)
+    elif isinstance(value, list | tuple):
+        for one in value:
+            if isinstance(one, list | tuple) and len(one) == 2 and isinstance(one[0], str):
+                yield from _ranges(f'{name}["{one[0]}"]', one[1])

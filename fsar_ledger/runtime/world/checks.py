@@ -1,0 +1,202 @@
+"""Whether a fleet is one, and whether a scenario can happen to it: what types cannot say about a design."""
+
+import re
+from collections.abc import Collection, Iterator, Sequence
+from difflib import get_close_matches
+from math import isfinite
+from typing import NamedTuple
+
+from fsar_ledger import printable
+from fsar_ledger.constants import DURATIONS, END_US
+from fsar_ledger.designs import Fleet, Robot, Scenario
+from fsar_ledger.designs.files import Path_, field_name
+
+_NAME = re.compile(r"[a-z][a-z0-9-]{0,38}[a-z0-9]")
+_ROBOT = re.compile(r"[A-Za-z](?:[A-Za-z0-9_-]{0,38}[A-Za-z])?")
+_ROLE = re.compile(r"[A-Za-z](?:[A-Za-z0-9_-]{0,38}[A-Za-z0-9])?")
+_CAPABILITY = re.compile(r"[a-z][a-z0-9_-]*(?:\.[a-z0-9_-]+)+")
+_CONDITION = re.compile(r"[a-z][a-z0-9_-]*(?:\.[a-z0-9_-]+)*")
+MOST_TIMES = 1_000
+
+
+class Problem(NamedTuple):
+    """What is wrong with a design, and where in it."""
+
+    field: Path_
+    found: str
+    expected: str
+
+    def __str__(self) -> str:
+        return f"{field_name(self.field)}: found {self.found}, expected {self.expected}"
+
+
+def problems_of_fleet(fleet: Fleet) -> Iterator[Problem]:
+    """Yield what is wrong with the fleet by itself, in the order of its fields."""
+    yield from _named(("name",), fleet.name, _NAME, "a name of small letters, digits and -, as ward-night")
+    robots, capabilities = [one.name for one in fleet.robots], [one.name for one in fleet.capabilities]
+    if not robots:
+        yield Problem(("robots",), "none", "at least one robot")
+    for at, robot in enumerate(fleet.robots):
+        about: Path_ = ("robots", at)
+        yield from _named((*about, "name"), robot.name, _ROBOT, "letters, digits, - and _, with a letter at both ends")
+        yield from _first((*about, "name"), robot.name, robots[:at], "another robot of this name")
+        if robot.role is not None:
+            yield from _named((*about, "role"), robot.role, _ROLE, "letters, digits, - and _, a letter first")
+        yield from _each((*about, "capabilities"), robot.capabilities, capabilities, "the capabilities of the fleet")
+    yield from _problems_of_capabilities(fleet, capabilities)
+    yield from _each(("bodies",), fleet.bodies, fleet.roles, "the roles of the fleet")
+    for at, substitute in enumerate(fleet.substitutes):
+        yield from _known(("substitutes", at, "of"), substitute.of, capabilities, "the capabilities of the fleet")
+        yield from _known(("substitutes", at, "by"), substitute.by, capabilities, "the capabilities of the fleet")
+        before = [one.of for one in fleet.substitutes[:at]]
+        yield from _first(("substitutes", at, "of"), substitute.of, before, "another substitute of it")
+    yield from _problems_of_trust(fleet)
+    for at, policy in enumerate(fleet.policies):
+        yield from _known(("policies", at, "role"), policy.role, fleet.roles, "the roles of the fleet")
+        if policy.capability is not None:
+            where: Path_ = ("policies", at, "capability")
+            yield from _known(where, policy.capability, capabilities, "the capabilities of the fleet")
+    yield from _problems_of_shifts(fleet)
+
+
+def _problems_of_capabilities(fleet: Fleet, names: Sequence[str]) -> Iterator[Problem]:
+    lengths = dict(DURATIONS)
+    for at, capability in enumerate(fleet.capabilities):
+        about: Path_ = ("capabilities", at)
+        yield from _named((*about, "name"), capability.name, _CAPABILITY, "a name with a dot in it, as door.open")
+        yield from _first((*about, "name"), capability.name, names[:at], "another capability of this name")
+        for number, condition in enumerate(capability.postconditions):
+            field = (*about, "postconditions", number)
+            yield from _named(field, condition, _CONDITION, "a condition of small letters, as load.held")
+            yield from _first(field, condition, capability.postconditions[:number], "the same condition before")
+        yield from _each((*about, "visible_to"), capability.visible_to, fleet.roles, "the roles of the fleet")
+        if capability.lasts_s is None:
+            if capability.name not in lengths:
+                yield Problem((*about, "lasts_s"), "nothing", "how long it takes, as lasts_s = [2.0, 6.0]")
+        elif not 0 <= capability.lasts_s[0] <= capability.lasts_s[1] <= END_US / 1e6:
+            found = f"{capability.lasts_s[0]:g} to {capability.lasts_s[1]:g}"
+            yield Problem((*about, "lasts_s"), found, f"two lengths, the shorter first, of 0 to {END_US / 1e6:g} s")
+
+
+def _problems_of_trust(fleet: Fleet) -> Iterator[Problem]:
+    given: set[tuple[str, str]] = set()
+    for at, trust in enumerate(fleet.trust):
+        about: Path_ = ("trust", at)
+        yield from _known((*about, "role"), trust.role, fleet.roles, "the roles of the fleet")
+        yield from _known((*about, "peer_role"), trust.peer_role, fleet.roles, "the roles of the fleet")
+        pairs = {(trust.role, trust.peer_role), *([(trust.peer_role, trust.role)] if trust.is_mutual else [])}
+        if pairs & given:
+            role, peer_role = min(pairs & given)
+            yield Problem((*about, "role"), f"trust of {role} in {peer_role} once more", "one entry for each pair")
+        given |= pairs
+
+
+def _problems_of_shifts(fleet: Fleet) -> Iterator[Problem]:
+    for at, spell in enumerate(fleet.off_shift):
+        about: Path_ = ("off_shift", at)
+        end_s = END_US / 1e6
+        if not 0 <= spell.from_s < end_s:
+            yield Problem((*about, "from_s"), f"{spell.from_s:g}", f"seconds from 0, below {end_s:g}")
+        if spell.to_s is not None and not spell.from_s < spell.to_s <= end_s:
+            yield Problem(
+                (*about, "to_s"), f"{spell.to_s:g}", f"more than from_s, at most {end_s:g}, or none: to the end"
+            )
+        supervised = [one.name for one in fleet.robots if one.has_supervisor]
+        yield from _each((*about, "robots"), spell.robots, supervised, "the robots that have a supervisor of their own")
+        if not spell.robots and not supervised:
+            yield Problem(about, "a spell of nobody", "robots that have a supervisor of their own")
+
+
+def problems_of_scenario(scenario: Scenario, fleet: Fleet) -> Iterator[Problem]:
+    """Yield why the scenario cannot happen to the fleet, or is none, in the order of its fields."""
+    yield from _named(("name",), scenario.name, _NAME, "a name of small letters, digits and -, as night-shift")
+    if scenario.name.startswith("workflow-"):
+        yield Problem(("name",), printable.value(scenario.name), "a name that does not begin as those of workflows do")
+    robots = {robot.name: robot for robot in fleet.robots}
+    if not scenario.tasks:
+        yield Problem(("tasks",), "none", "at least one task")
+    for at, task in enumerate(scenario.tasks):
+        about: Path_ = ("tasks", at)
+        yield from _known((*about, "owner"), task.owner, robots, f"the robots of fleet {fleet.name}")
+        if not (isfinite(task.offset_s) and 0 <= task.offset_s <= END_US / 1e6):
+            yield Problem((*about, "offset_s"), f"{task.offset_s:g}", f"seconds from 0 to {END_US / 1e6:g}")
+        if not task.steps:
+            yield Problem((*about, "steps"), "none", "at least one step")
+        for number, step in enumerate(task.steps):
+            yield from _problems_of_step((*about, "steps", number), step, robots, fleet)
+        numbers = [str(number) for number in range(1, len(task.steps) + 1)]
+        yield from _each((*about, "checkpoints"), task.checkpoints or (), numbers, "the numbers of its steps")
+    for at, injection in enumerate(scenario.injections):
+        about = ("injections", at)
+        yield from _known((*about, "requester"), injection.requester, robots, f"the robots of fleet {fleet.name}")
+        yield from _known((*about, "target"), injection.target, robots, f"the robots of fleet {fleet.name}")
+        if injection.requester in robots and injection.target in robots:
+            asked, target = robots[injection.requester], robots[injection.target]
+            has = f"the capabilities of {target.name}"
+            yield from _known((*about, "capability"), injection.capability, target.capabilities, has)
+            if asked is target or _trusts(fleet, target.kind, asked.kind):
+                expected = "two robots of which the target's role does not trust the requester's"
+                yield Problem((*about, "requester"), f"{asked.name}, whom {target.name} trusts", expected)
+        if not 1 <= injection.times <= MOST_TIMES:
+            yield Problem((*about, "times"), str(injection.times), f"1 to {MOST_TIMES:,}")
+    if (asked_times := sum(one.times for one in scenario.injections)) > MOST_TIMES:
+        yield Problem(("injections",), f"{asked_times:,} requests of a team", f"at most {MOST_TIMES:,}")
+    yield from _each(("degradable",), scenario.degradable, robots, f"the robots of fleet {fleet.name}")
+
+
+def _problems_of_step(field: Path_, step: str, robots: dict[str, Robot], fleet: Fleet) -> Iterator[Problem]:
+    words = step.split(" ")
+    if not 2 <= len(words) <= 3 or not all(words):
+        yield Problem(
+            field, printable.value(step), "ROBOT CAPABILITY, or ROBOT CAPABILITY TARGET for one that it delegates"
+        )
+        return
+    actor, capability, *target = words
+    yield from _known(field, actor, robots, f"the robots of fleet {fleet.name}")
+    names = [one.name for one in fleet.capabilities]
+    yield from _known(field, capability, names, "the capabilities of the fleet")
+    for doer in target or [actor]:
+        if doer not in robots:
+            if target:
+                yield from _known(field, doer, robots, f"the robots of fleet {fleet.name}")
+        elif capability in names and capability not in robots[doer].capabilities:
+            able = [name for name, robot in robots.items() if capability in robot.capabilities and name != actor]
+            to = f", or {actor} {capability} {able[0]} to delegate it" if able and not target else ""
+            has = f"{doer}'s own: {', '.join(robots[doer].capabilities) or 'none'}"
+            yield Problem(field, f"{capability}, which {doer} cannot do", f"a capability of {has}{to}")
+    if target and target[0] == actor:
+        yield Problem(field, f"{actor} as its own target", f"{actor} {capability} for its own step, or another robot")
+
+
+def _trusts(fleet: Fleet, role: str, peer_role: str) -> bool:
+    return any(
+        one.scope != "none"
+        and (
+            (one.role, one.peer_role) == (role, peer_role)
+            or (one.is_mutual and (one.peer_role, one.role) == (role, peer_role))
+        )
+        for one in fleet.trust
+    )
+
+
+def _named(field: Path_, name: str, pattern: re.Pattern[str], expected: str) -> Iterator[Problem]:
+    if not pattern.fullmatch(name):
+        yield Problem(field, printable.value(name), expected)
+
+
+def _first(field: Path_, name: str, before: Sequence[str], found: str) -> Iterator[Problem]:
+    if name in before:
+        yield Problem(field, f"{found}: {printable.value(name)}", "each once")
+
+
+def _each(field: Path_, names: Sequence[str], known: Collection[str], what: str) -> Iterator[Problem]:
+    for at, name in enumerate(names):
+        yield from _known((*field, at), name, known, what)
+        yield from _first((*field, at), name, names[:at], "it twice")
+
+
+def _known(field: Path_, name: str, known: Collection[str], what: str) -> Iterator[Problem]:
+    if name not in known:
+        near = get_close_matches(name, known, 1, 0.4)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        yield Problem(field, printable.value(name), f"one of {what} ({', '.join(known) or 'none'}){hint}")
