@@ -17,7 +17,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 from fsar_ledger.constants import Constants, Load
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
-from fsar_ledger.runtime.world.scenarios import founding
+from fsar_ledger.runtime.world.founding import founding
 
 SIZES = (4, 16, 64, 256, 1024)
 SHELVES = 32

@@ -13,18 +13,16 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import get_args
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.polars_metrics import GROUP, EventClasses, eight_metrics
 from fsar_ledger.constants import Constants
-from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.experiment import Experiment, simulate
-from fsar_ledger.runtime.simulation import run_id, run_started
+from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, run_id, run_started
 
 TOLERANCE = 1e-9
 Numbers = dict[tuple[str | None, str | None, int | None, str], float]
@@ -44,8 +42,8 @@ def ledger_of(events: int, cache: Path, workers: int) -> Path:
 
 def experiment(runs: int) -> Experiment:
     return Experiment(
-        architectures=get_args(Architecture),
-        scenarios=get_args(Scenario),
+        architectures=ARCHITECTURES,
+        scenarios=SCENARIOS,
         runs=runs,
         seed=42,
         fleet_size=4,

@@ -18,6 +18,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from fsar_ledger.constants import Constants
+from fsar_ledger.designs.registered import fleet
 from fsar_ledger.events import Event
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityInstalled
@@ -28,7 +29,6 @@ from fsar_ledger.projections.registry import Advertisement
 from fsar_ledger.runtime.handlers.attribution import nearest_first
 from fsar_ledger.runtime.handlers.registry import Query, candidates, rejecting_filter
 from fsar_ledger.runtime.simulation import RunSpec, run_started
-from fsar_ledger.runtime.world.scenarios import CAPABILITIES
 
 SIZES = (4, 16, 64, 256, 1024, 4096)
 NEAR, FAR = "door.open.secure", "calibrate.sensor"
@@ -48,10 +48,10 @@ def founding(size: int) -> Iterator[Event]:
     cells = size // 4
     last = f"robot/D{cells}"
     for team in range(1, cells + 1):
-        for role, capabilities in CAPABILITIES.items():
-            robot = f"robot/{role}{team}"
+        for one in fleet().robots:
+            role, robot = one.kind, f"robot/{one.name}{team}"
             yield RobotJoined(robot, role, team, None, cell(team - 1, cells))
-            for capability in (*capabilities, *((FAR,) if robot == last else ())):
+            for capability in (*one.capabilities, *((FAR,) if robot == last else ())):
                 yield CapabilityInstalled(robot, capability, "1.0.0")
                 yield CapabilityAdvertised(robot, capability)
         yield TrustSet(f"robot/B{team}", f"robot/A{team}", "task")

@@ -17,13 +17,13 @@ import time
 import uuid
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, NamedTuple, get_args
+from typing import Any, NamedTuple
 
 from fsar_ledger.events import EVENT_TYPES
-from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.runtime.experiment import Experiment, simulate
+from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS
 
 EVENTS_PER_SAVE = 150
 BYTES_PER_MIB = 1024
@@ -45,8 +45,8 @@ class Measurement(NamedTuple):
 def simulate_and_append(folder: Path, runs: int, workers: int) -> Measurement:
     """World to committed ledger; imports and the start of worker processes count."""
     experiment = Experiment(
-        architectures=get_args(Architecture),
-        scenarios=get_args(Scenario),
+        architectures=ARCHITECTURES,
+        scenarios=SCENARIOS,
         runs=runs,
         seed=42,
         fleet_size=4,

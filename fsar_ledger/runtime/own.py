@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from difflib import get_close_matches
 from math import isfinite
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 
@@ -20,8 +20,6 @@ from fsar_ledger.errors import InvalidExperiment, UsageError
 from fsar_ledger.metrics.naming import names_of_constants
 
 from .world.checks import Problem, problems_of_fleet, problems_of_scenario
-
-_T = TypeVar("_T", Fleet, Scenario)
 
 _PART = re.compile(r'\.?([A-Za-z_]\w*)|\["([^"]+)"\]')
 _SHARES = ("_share", "_probability", "_reliability")
@@ -47,11 +45,12 @@ def with_own(
                 f"--scenario {name}: found {len(scenarios)} scenarios, expected a file alone; run the others by themselves"
             )
         path = Path(name)
-        own, text = read_design(path, Scenario)
+        design, text = read_design(path, Scenario)
         against = own_fleet or registered.fleet()
-        _require(path, text, problems_of_scenario(own, against))
-        if own.name in registered.scenarios():
-            _require(path, text, [_taken(own.name, registered.scenarios())])
+        _require(path, text, problems_of_scenario(design, against))
+        if design.name in registered.scenarios():
+            _require(path, text, [_taken(design.name, registered.scenarios())])
+        own = design
     found = msgspec.structs.replace(with_settings(constants, settings), scenario=own, fleet=own_fleet)
     return found, tuple(scenarios) if own is None else (own.name,)
 

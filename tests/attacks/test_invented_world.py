@@ -97,7 +97,7 @@ def ledger_of(place: Path, invent: Invent) -> Invented:
     places: list[tuple[str, int, str]] = []
     for spec in EXPERIMENT.specs():
         honest = record = simulate_run(spec, CONSTANTS)
-        facts = schedule(CONSTANTS.world, spec.seed, spec.scenario, spec.run, spec.fleet_size)
+        facts = schedule(CONSTANTS, spec.seed, spec.scenario, spec.run, spec.fleet_size)
         left = invent(spec, facts)
         if spec.architecture == FAVOURED and len(left) < len(facts):
             record = in_its_own_world(spec, left)

@@ -27,7 +27,7 @@ def unlike(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("unlike") / "ledger"
     records = [simulate_run(spec, CONSTANTS) for spec in EXPERIMENT.specs()]
     spec: RunSpec = next(EXPERIMENT.specs())
-    facts = schedule(CONSTANTS.world, spec.seed, spec.scenario, spec.run, spec.fleet_size)
+    facts = schedule(CONSTANTS, spec.seed, spec.scenario, spec.run, spec.fleet_size)
     one = Kernel(
         wiring(spec.architecture),
         facts[:-1],

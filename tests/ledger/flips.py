@@ -5,13 +5,13 @@ import random
 from collections.abc import Iterable, Iterator
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
-from typing import NamedTuple, get_args
+from typing import NamedTuple
 
 from fsar_ledger import cli
 from fsar_ledger.constants import Constants
-from fsar_ledger.events.envelope import Architecture, Scenario
+from fsar_ledger.events.envelope import Scenario
 from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import ARCHITECTURES, RunSpec, simulate_run
 from tests.ledger.damage import files_of, kind_of
 
 VERBS: dict[str, tuple[str, ...]] = {
@@ -57,7 +57,7 @@ class Answer(NamedTuple):
 def write_runs(path: Path) -> None:
     """There is a ledger of three runs of each architecture, those of one in a commit: segments of which most is data, as in a large ledger."""
     with Writer(path, "example.org/flips") as writer:
-        for architecture in get_args(Architecture):
+        for architecture in ARCHITECTURES:
             specs = [RunSpec(7, architecture, "full", scenario, 4, 0) for scenario in SCENARIOS]
             writer.append(stage(path, [simulate_run(spec, Constants()) for spec in specs]))
 

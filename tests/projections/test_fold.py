@@ -1,23 +1,21 @@
 """State is the fold of events; every event type has a projection or is listed as a mere record."""
 
-from typing import get_args
-
 import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.constants import Constants, Outages
+from fsar_ledger.designs.registered import PAPER_WORKFLOWS
 from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.events.configuration import CONFIGURATIONS
-from fsar_ledger.events.envelope import Architecture, Workflow
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionWithdrawn
 from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections import execution, world
 from fsar_ledger.projections.fold import ROUTES, STATELESS, State, apply, fold
 from fsar_ledger.projections.world import in_force, stricter
 from fsar_ledger.runtime.experiment import Experiment
-from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run
 from tests.runtime.commanded import commanded
 
 RECORDS_ONLY = {
@@ -54,7 +52,7 @@ def test_every_event_type_has_a_projection_or_is_listed_as_a_record() -> None:
 def emitted() -> set[type[Event]]:
     specs = [
         RunSpec(8, architecture, "full", scenario, 4, run)
-        for architecture in get_args(Architecture)
+        for architecture in ARCHITECTURES
         for scenario in SCENARIOS
         for run in range(12)
     ]
@@ -63,7 +61,7 @@ def emitted() -> set[type[Event]]:
         for configuration in CONFIGURATIONS[1:]
         for scenario in SCENARIOS
     ]
-    specs += [RunSpec(8, "fsar", "full", workflow, 4, 0) for workflow in get_args(Workflow)]
+    specs += [RunSpec(8, "fsar", "full", workflow, 4, 0) for workflow in PAPER_WORKFLOWS]
     specs.append(RunSpec(42, "fsar", "full", "fleet-contention", 4, 57))  # one of the few in which a task changes hands
     specs.append(RunSpec(8, "cfc", "full", "fleet-contention", 4, 20))  # and in which a helper is busy
     away = simulate_run(

@@ -441,7 +441,7 @@ def variants() -> Iterator[pa.Table]:
     """One run of each scenario and baseline, and once for each concern as a source would record it that does not observe it."""
     concern_of = dict(answer("facts/event_concerns"))
     for architecture, scenario in [(one, other) for one in ("cfc", "dhma") for other in SCENARIOS.values()]:
-        rows = encode([simulate_run(RunSpec(42, architecture, "full", scenario, 4, 3), Constants())])  # type: ignore[arg-type]
+        rows = encode([simulate_run(RunSpec(42, architecture, "full", scenario, 4, 3), Constants())])
         for missing in ("nothing", *CONCERNS):
             types = pa.array([tag for tag, concern in concern_of.items() if concern == missing], pa.string())
             left = rows.filter(pc.invert(pc.is_in(rows["type"], types)))
@@ -508,7 +508,7 @@ def test_the_events_behind_a_number_are_listed_with_the_action_to_explain() -> N
 
 def test_the_evidence_of_each_claim_adds_up_to_its_number_and_names_events_of_the_run() -> None:
     specs = [
-        RunSpec(42, architecture, "full", scenario, 4, 3)  # type: ignore[arg-type]
+        RunSpec(42, architecture, "full", scenario, 4, 3)
         for architecture in ARCHITECTURES
         for scenario in SCENARIOS.values()
     ]

@@ -12,7 +12,7 @@ from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.trust import RoleTrustSet, TrustSet
 from fsar_ledger.projections import trust
 from fsar_ledger.projections.fold import fold
-from fsar_ledger.runtime.world.scenarios import founding
+from fsar_ledger.runtime.world.founding import founding
 from tests.queries.histories import Row, answer, event, run
 from tests.recycled import from_rows
 

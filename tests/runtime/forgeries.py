@@ -154,10 +154,10 @@ FORGERIES = {
         restated(ADMITTED, trust="persistent"), ADMITTED, "trust", "fsar.request.evaluate_request"
     ),
     "the fleet is founded with more trust": Forgery(
-        restated(TRUST, scope="persistent"), TRUST, "scope", "world.scenarios.founding"
+        restated(TRUST, scope="persistent"), TRUST, "scope", "world.founding.founding"
     ),
     "a robot trusts one robot more at the founding": Forgery(
-        added(HONEST, TRUST, TrustSet("robot/A1", "robot/C1", "task"), 0, 0), TRUST, "type", "world.scenarios.founding"
+        added(HONEST, TRUST, TrustSet("robot/A1", "robot/C1", "task"), 0, 0), TRUST, "type", "world.founding.founding"
     ),
     "an execution starts early": Forgery(
         changed(HONEST, STARTED, time_us=HONEST.times_us[STARTED] - 1), STARTED, "time_us", "fsar.execution.start"

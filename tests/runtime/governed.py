@@ -9,7 +9,7 @@ from fsar_ledger.runtime.architectures.wiring import Wiring
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import RunSpec, run_id, run_started
 from fsar_ledger.runtime.world.draws import Draws, run_key
-from fsar_ledger.runtime.world.scenarios import founding
+from fsar_ledger.runtime.world.founding import founding
 from fsar_ledger.runtime.world.schedule import schedule
 
 H_F = "supervisor/fleet"
@@ -18,7 +18,7 @@ H_F = "supervisor/fleet"
 def governed(scenario: Scenario, *interventions: tuple[int, Event], run: int = 0, structure: Wiring = FSAR) -> Kernel:
     """The finished run of four robots, with these events at these times (microseconds)."""
     constants, spec = Constants(), RunSpec(42, "fsar", "full", scenario, 4, run)
-    facts = sorted([*schedule(constants.world, 42, scenario, run, 4), *interventions], key=lambda fact: fact[0])
+    facts = sorted([*schedule(constants, 42, scenario, run, 4), *interventions], key=lambda fact: fact[0])
     one = Kernel(
         structure,
         facts,

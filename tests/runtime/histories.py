@@ -11,7 +11,7 @@ from fsar_ledger.events.world import PolicyWindowOpened, TaskArrived
 from fsar_ledger.projections.fold import State, fold
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import RunSpec, kernel, run_started
-from fsar_ledger.runtime.world.scenarios import founding
+from fsar_ledger.runtime.world.founding import founding
 
 STEPS = ("A navigate.indoor", "A door.open.secure B")
 ARRIVED = TaskArrived("A1-1", "robot/A1", 1, STEPS, 60_000_000, 65_000_000)

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from functools import cache
-from typing import get_args
 
 import msgspec
 import pytest
@@ -22,10 +21,10 @@ from fsar_ledger.events.recovery import AssistanceEnded
 from fsar_ledger.ledger.codec import RunRecord, encode
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.projections.fold import State, apply
-from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
+from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run
 from tests.recycled import from_table
 
-EVERY = pytest.mark.parametrize("architecture", get_args(Architecture))
+EVERY = pytest.mark.parametrize("architecture", ARCHITECTURES)
 RUNS = 3
 QUIET = {"obstruction_rate_per_s": 0.0, "degradation_probability": 0.0}
 LAWLESS = {"context_window_share": 0.0, "fleet_rule_rate_per_s": 0.0}
@@ -73,9 +72,9 @@ def in_world(architecture: Architecture, constants: Constants, runs: int) -> Pla
 @cache
 def _measured(constants: Constants, runs: int) -> dict[str, dict[str, float | None]]:
     """Of every architecture, since opening a database costs more than judging three times as many runs."""
-    found: dict[str, dict[str, float | None]] = {architecture: {} for architecture in get_args(Architecture)}
+    found: dict[str, dict[str, float | None]] = {architecture: {} for architecture in ARCHITECTURES}
     with from_table(
-        encode([record for one in get_args(Architecture) for record in in_world(one, constants, runs).records]),
+        encode([record for one in ARCHITECTURES for record in in_world(one, constants, runs).records]),
         threads=1,
     ) as database:
         for row in metric_rows(database):

@@ -23,7 +23,7 @@ from fsar_ledger.runtime.architectures.fsar.authority import AnswerOutsider, ans
 from fsar_ledger.runtime.architectures.fsar.discovery import QueryRegistry, query_registry
 from fsar_ledger.runtime.handlers.registry import Query, candidates
 from fsar_ledger.runtime.simulation import RunSpec, run_started
-from fsar_ledger.runtime.world.scenarios import founding
+from fsar_ledger.runtime.world.founding import founding
 from tests.runtime.histories import given
 
 

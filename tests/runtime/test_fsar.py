@@ -53,7 +53,7 @@ from fsar_ledger.runtime.handlers.commands import (
 )
 from fsar_ledger.runtime.handlers.execution import _on_running, detect_obstruction, start_after_approach
 from fsar_ledger.runtime.simulation import RunSpec, run_started
-from fsar_ledger.runtime.world.scenarios import founding
+from fsar_ledger.runtime.world.founding import founding
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
 
 REQUESTED = (

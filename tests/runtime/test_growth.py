@@ -25,7 +25,7 @@ from fsar_ledger.runtime.capacity import expected
 from fsar_ledger.runtime.experiment import Experiment, simulate
 from fsar_ledger.runtime.handlers.attribution import nearest_first
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, run_id, run_started, simulate_run
-from fsar_ledger.runtime.world.scenarios import founding
+from fsar_ledger.runtime.world.founding import founding
 from fsar_ledger.runtime.world.schedule import schedule
 
 WORLD = WorldConstants()
@@ -34,7 +34,7 @@ WORLD = WorldConstants()
 def facts(
     fleet_size: int, load: Load | None = None, world: WorldConstants = WORLD, run: int = 0
 ) -> list[tuple[int, Event]]:
-    return list(schedule(world, 5, "fleet-contention", run, fleet_size, load=load))
+    return list(schedule(Constants(world, load=load), 5, "fleet-contention", run, fleet_size))
 
 
 def of(kind: type[Event], found: list[tuple[int, Event]]) -> list[Any]:

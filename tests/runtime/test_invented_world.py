@@ -34,14 +34,22 @@ from fsar_ledger.metrics.naming import default_of, unlike_ours
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.replay import replay_run
-from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, founding_of, run_id, run_started, simulate_run, wiring
+from fsar_ledger.runtime.simulation import (
+    ARCHITECTURES,
+    SCENARIOS,
+    RunSpec,
+    founding_of,
+    run_id,
+    run_started,
+    simulate_run,
+    wiring,
+)
 from fsar_ledger.runtime.world.draws import Draws, run_key
 from fsar_ledger.runtime.world.schedule import Fact, arrivals_expected, schedule
 from fsar_ledger.runtime.worlds import played, remarks_on
 from tests.runtime.forgeries import changed, dropped, renamed
 
 CONSTANTS = Constants()
-ARCHITECTURES: tuple[Architecture, ...] = get_args(Architecture)
 FACTS: tuple[type[Event], ...] = get_args(WorldEvent)
 AWAY = RunSpec(9, "fsar", "full", "fleet-contention", 4, 7)
 SPECS = [
@@ -61,7 +69,7 @@ def constants_of(spec: RunSpec) -> Constants:
 
 def world_of(spec: RunSpec) -> tuple[Fact, ...]:
     constants = constants_of(spec)
-    return schedule(constants.world, spec.seed, spec.scenario, spec.run, spec.fleet_size, constants.outages)
+    return schedule(constants, spec.seed, spec.scenario, spec.run, spec.fleet_size)
 
 
 def simulated_in(facts: Sequence[Fact], spec: RunSpec) -> RunRecord:
@@ -314,7 +322,8 @@ def test_one_length_among_many_is_named_alone_and_a_group_that_may_be_absent_by_
 
 
 def test_every_group_that_may_be_absent_has_defaults() -> None:
-    assert [name for name in Constants.__struct_fields__ if default_of(f"{name}.{first_constant(name)}") is None] == []
+    groups = [name for name in Constants.__struct_fields__ if name not in ("scenario", "fleet")]  # those are designs
+    assert [name for name in groups if default_of(f"{name}.{first_constant(name)}") is None] == []
 
 
 def test_remarks_are_few_and_short_whatever_the_constants() -> None:
@@ -375,16 +384,16 @@ def test_a_world_in_which_something_never_happens_is_made_and_differs_where_it_d
 
 @pytest.mark.parametrize("fleet_size", [4, 64])
 def test_the_rates_lead_one_to_expect_what_comes(fleet_size: int) -> None:
-    runs = [schedule(CONSTANTS.world, 3, "door-relay", run, fleet_size) for run in range(8)]
+    runs = [schedule(CONSTANTS, 3, "door-relay", run, fleet_size) for run in range(8)]
     counted = sum(
         isinstance(event, ContextChanged | ObstructionAppeared | RoutineDue) or "Met" in type(event).__name__
         for run in runs
         for _, event in run
     )
     counted += sum(isinstance(event, PolicyWindowOpened) and event.scope == "fleet" for run in runs for _, event in run)
-    assert counted / len(runs) == pytest.approx(arrivals_expected(CONSTANTS.world, fleet_size), rel=0.1)
+    assert counted / len(runs) == pytest.approx(arrivals_expected(CONSTANTS, fleet_size), rel=0.1)
 
 
 def test_the_largest_fleet_is_within_the_bounds() -> None:
     assert Experiment(("fsar",), ("door-relay",), 1, fleet_size=256).fleet_size == 256
-    assert arrivals_expected(CONSTANTS.world, 256) < 1_000 * 256 / 2
+    assert arrivals_expected(CONSTANTS, 256) < 1_000 * 256 / 2

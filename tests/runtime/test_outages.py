@@ -39,12 +39,11 @@ from fsar_ledger.runtime.handlers import task
 from fsar_ledger.runtime.handlers.commands import Command, PublicCommand, Scheduled, StartAction
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.replay import replay_run
-from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run, wiring
+from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, simulate_run, wiring
 from fsar_ledger.runtime.world.draws import Draws, Stream, run_key
 from fsar_ledger.runtime.world.schedule import Fact, schedule
 from tests.runtime.histories import started
 
-ARCHITECTURES: tuple[Architecture, ...] = get_args(Architecture)
 EVERY = pytest.mark.parametrize("architecture", ARCHITECTURES)
 A, B, DOOR, S = "robot/A1", "robot/B1", "door.open.secure", 1_000_000
 MIXED = Outages(0.02, 8.0, 0.03, 6.0, 0.002)
@@ -223,7 +222,7 @@ def test_every_architecture_meets_the_same_outages_and_they_move_nothing_else() 
         for run in runs
     ]
     assert worlds[0] == worlds[1] == worlds[2]
-    ours = schedule(WorldConstants(), 7, "fleet-contention", 1, 4)
+    ours = schedule(Constants(), 7, "fleet-contention", 1, 4)
     away = (RobotWentOff, RobotCameBack, LinkWentDown, LinkCameUp)
     rest = [fact for fact in worlds[0] if not isinstance(fact[1], away) and getattr(fact[1], "grade", "") != "lost"]
     assert rest == list(ours)

@@ -375,7 +375,7 @@ def amid(seed: int) -> Kernel:
                 RequestCapability(requester, executor, capability, "visit", f"q{number}", level),
             )
         )
-    return played(commands, *OFFERS, GRANT, facts=schedule(Constants().world, seed, "fleet-contention", 0, 4))
+    return played(commands, *OFFERS, GRANT, facts=schedule(Constants(), seed, "fleet-contention", 0, 4))
 
 
 def test_the_ten_invariants_hold_amid_urgent_requests() -> None:

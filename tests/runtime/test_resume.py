@@ -6,7 +6,6 @@ Architectures and handlers keep nothing of their own, so state and pending comma
 import io
 from collections.abc import Iterator
 from itertools import count
-from typing import get_args
 
 import pyarrow.parquet as pq
 import pytest
@@ -21,7 +20,7 @@ from fsar_ledger.projections.fold import State, fold
 from fsar_ledger.runtime.architectures.fsar.execution import decide_routine
 from fsar_ledger.runtime.architectures.wiring import Wiring
 from fsar_ledger.runtime.handlers.commands import DecideRoutine
-from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, kernel, simulate_run, wiring
+from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, kernel, simulate_run, wiring
 
 CONSTANTS = Constants()
 OUTAGES = Constants(outages=Outages(0.02, 8.0, 0.03, 6.0, 0.002))
@@ -61,7 +60,7 @@ def assert_resumes(spec: RunSpec, places: int, constants: Constants = CONSTANTS)
         )
 
 
-@pytest.mark.parametrize("architecture", get_args(Architecture))
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
 @pytest.mark.parametrize("scenario", SCENARIOS)
 def test_a_run_resumes_anywhere(scenario: Scenario, architecture: Architecture) -> None:
     for run in range(2):
@@ -74,12 +73,12 @@ def test_an_ablated_run_resumes_anywhere(configuration: Configuration) -> None:
         assert_resumes(RunSpec(5, "fsar", configuration, scenario, 4, 0), 8)
 
 
-@pytest.mark.parametrize("architecture", get_args(Architecture))
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
 def test_a_run_resumes_at_every_single_position(architecture: Architecture) -> None:
     assert_resumes(RunSpec(6, architecture, "full", "failure-recovery-chain", 4, 3), 10_000)
 
 
-@pytest.mark.parametrize("architecture", get_args(Architecture))
+@pytest.mark.parametrize("architecture", ARCHITECTURES)
 @pytest.mark.parametrize("run", range(2))
 def test_a_run_with_outages_resumes_anywhere(architecture: Architecture, run: int) -> None:
     """What is kept for a robot that is off, or for a link that is down, follows from the events as well."""
@@ -90,12 +89,12 @@ def test_a_run_with_outages_resumes_anywhere(architecture: Architecture, run: in
 
 
 def test_a_larger_fleet_resumes_anywhere() -> None:
-    for architecture in get_args(Architecture):
+    for architecture in ARCHITECTURES:
         assert_resumes(RunSpec(5, architecture, "full", "fleet-contention", 8, 0), 6)
 
 
 def test_the_live_state_is_the_fold_of_the_stored_events() -> None:
-    for architecture in get_args(Architecture):
+    for architecture in ARCHITECTURES:
         spec = RunSpec(7, architecture, "full", "fleet-contention", 4, 0)
         one = kernel(spec, CONSTANTS)
         one.run()

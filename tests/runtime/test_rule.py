@@ -18,6 +18,7 @@ from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.codec import RunRecord, encode
 from fsar_ledger.metrics.results import metric_rows
+from fsar_ledger.runtime.architectures import REGISTERED
 from fsar_ledger.runtime.architectures.wiring import Wiring
 from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn
 from fsar_ledger.runtime.kernel import Kernel
@@ -58,7 +59,7 @@ def test_every_governance_meets_the_same_world(scenario: Scenario) -> None:
 def test_a_world_that_knows_its_governor_is_found_out() -> None:
     def leaking(architecture: Architecture) -> Kernel:
         spec = RunSpec(3, architecture, "full", "door-relay", 4, 1)
-        facts = schedule(WorldConstants(), 3 + len(architecture), "door-relay", 1, 4)
+        facts = schedule(Constants(), 3 + len(architecture), "door-relay", 1, 4)
         one = kernel(spec, Constants())
         one._facts = facts
         one.run()
@@ -116,15 +117,11 @@ def test_draws_that_count_do_not_agree() -> None:
 
 
 def names_are_blind(names: Sequence[str]) -> bool:
-    return not any(word in name for name in names for word in (*get_args(Architecture), *CONFIGURATIONS))
+    return not any(word in name for name in names for word in (*REGISTERED, *CONFIGURATIONS))
 
 
 def test_no_stream_name_contains_an_architecture_or_a_configuration() -> None:
-    names = [
-        f"{stream}/{key}"
-        for architecture in get_args(Architecture)
-        for stream, key in asked_by(architecture, RecordingDraws)
-    ]
+    names = [f"{stream}/{key}" for architecture in REGISTERED for stream, key in asked_by(architecture, RecordingDraws)]
     assert names_are_blind(names)
     assert not names_are_blind([*names, "message/cfc/A1-1"])
 
@@ -159,7 +156,7 @@ def test_a_robot_of_a_larger_fleet_meets_the_same_world() -> None:
     def of_robot(fleet_size: int) -> list[Event]:
         return [
             event
-            for _, event in schedule(WorldConstants(), 5, "door-relay", 2, fleet_size)
+            for _, event in schedule(Constants(), 5, "door-relay", 2, fleet_size)
             if getattr(event, "robot", "") == "robot/B1"
         ]
 
@@ -229,7 +226,7 @@ def test_shorter_sync_gives_fewer_violations_under_cfc() -> None:
 
 
 def test_every_command_is_decided_once_and_every_reaction_is_to_an_event() -> None:
-    for architecture in get_args(Architecture):
+    for architecture in REGISTERED:
         found = wiring(architecture)
         assert all(issubclass(event, Event) for event in found.reacts)
         assert TakeTurn in found.decides

@@ -51,8 +51,8 @@ def ran(architecture: Architecture, facts: list[Fact], size: int = 8) -> Kernel:
 @cache
 def without(architecture: Architecture, scenario: str, robot: str, ends: type[Event]) -> Kernel:
     """The run of a scenario for two teams in a calm world, one robot off or without a link from the beginning."""
-    spec, constants = RunSpec(5, architecture, "full", scenario, 8, 0), Constants(world=CALM)  # type: ignore[arg-type]
-    facts = ((1, ends(robot)), *schedule(CALM, 5, spec.scenario, 0, 8))
+    spec, constants = RunSpec(5, architecture, "full", scenario, 8, 0), Constants(world=CALM)
+    facts = ((1, ends(robot)), *schedule(constants, 5, spec.scenario, 0, 8))
     one = Kernel(wiring(architecture), facts, Draws(run_key(5, spec.scenario, 0), CALM), *founding_of(spec, constants))
     one.run()
     return one
@@ -213,7 +213,7 @@ def test_where_nobody_is_off_nobody_is_found_silent_as_long_as_each_message_is_d
     slow = msgspec.structs.replace(CALM, message=Range(0.49, 4.9))
     for run in range(3):
         spec, constants = RunSpec(5, architecture, "full", "door-relay", 4, run), Constants(world=slow)
-        facts = schedule(slow, 5, spec.scenario, run, 4)
+        facts = schedule(constants, 5, spec.scenario, run, 4)
         one = Kernel(
             wiring(architecture), facts, Draws(run_key(5, spec.scenario, run), slow), *founding_of(spec, constants)
         )

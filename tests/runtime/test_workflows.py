@@ -5,6 +5,7 @@ from typing import TypeVar
 import pytest
 
 from fsar_ledger.constants import Constants, Outages
+from fsar_ledger.designs.registered import PAPER_WORKFLOWS as WORKFLOWS
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Workflow
@@ -37,7 +38,6 @@ from fsar_ledger.runtime.handlers.commands import Respond
 from fsar_ledger.runtime.handlers.supervision import respond
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run, wiring
 from fsar_ledger.runtime.world.schedule import schedule
-from fsar_ledger.runtime.world.workflows import WORKFLOWS
 from tests.runtime.histories import given, types, window
 from tests.runtime.test_resume import assert_resumes
 
@@ -164,7 +164,7 @@ def test_b_and_d_ask_at_once_and_the_time_critical_delivery_goes_first(seed: int
 
 @pytest.mark.parametrize("workflow", WORKFLOWS)
 def test_nothing_happens_in_a_workflow_that_its_script_does_not_say(workflow: Workflow) -> None:
-    facts = [event for _, event in schedule(Constants().world, 7, workflow, 0, 4)]
+    facts = [event for _, event in schedule(Constants(), 7, workflow, 0, 4)]
     assert {type(fact) for fact in facts} <= {TaskArrived, ActuatorDegraded}
 
 
