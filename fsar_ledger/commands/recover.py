@@ -57,7 +57,7 @@ def recover(
     not touched; it is said up to which commit it can be trusted, and --into copies that much. Exit code 3 if LEDGER is damaged and nothing was
     copied.
     """
-    from fsar_ledger.ledger.note import read_verifier
+    from fsar_ledger.ledger.keys import read_verifier
     from fsar_ledger.ledger.recover import recover as mend
     from fsar_ledger.ledger.verify import Asked
     from fsar_ledger.ledger.verify_notes import read_anchor

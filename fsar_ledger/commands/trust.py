@@ -71,7 +71,7 @@ def key_new(
 
     FILE is for the one who signs and nobody else: who has it can rewrite every ledger that it signed. The public half is for all who verify.
     """
-    from fsar_ledger.ledger.note import new_key
+    from fsar_ledger.ledger.keys import new_key
     from fsar_ledger.ledger.place import require_outside
     from fsar_ledger.runtime.experiment import ORIGIN
 
@@ -89,7 +89,8 @@ def key_public(
     ],
 ) -> None:
     """Print a public key under another name, for `verify --trusted-key`: `reproduce` signs each ledger with one secret under a name of its own."""
-    from fsar_ledger.ledger.note import VerifierKey, read_verifier
+    from fsar_ledger.ledger.keys import read_verifier
+    from fsar_ledger.ledger.note import VerifierKey
 
     if (origin := origin_of(name, "--name")) is None:
         raise UsageError("--name: expected the origin of a ledger")
@@ -102,7 +103,7 @@ def signer_of(key: Path | None, *, adopts: bool = False) -> "Signer | None":
         if adopts:
             raise UsageError("--adopt: found no --key, expected the key that signs on from here")
         return None
-    from fsar_ledger.ledger.note import read_signer
+    from fsar_ledger.ledger.keys import read_signer
 
     return read_signer(key)
 
@@ -127,8 +128,8 @@ def short(option: str, name: str) -> str:
 
 def signed_lines(ledger: Path, signer: "Signer | None") -> list[str]:
     """A line that says whether the newest commit of the ledger carries a signature of this key; nothing without a key."""
+    from fsar_ledger.ledger.note import signers_of
     from fsar_ledger.ledger.read import open_ledger
-    from fsar_ledger.ledger.verify_notes import signers_of
 
     if signer is None:
         return []
@@ -170,7 +171,7 @@ def verify(
     or with witnesses, who keep one.
     A look at all rows that finds nothing is remembered in the user's cache, never in the ledger; answers from this head are then `rows_verified`.
     """
-    from fsar_ledger.ledger.note import read_verifier
+    from fsar_ledger.ledger.keys import read_verifier
     from fsar_ledger.ledger.verify import Asked
     from fsar_ledger.ledger.verify_notes import read_anchor
     from fsar_ledger.metrics.verified import whole_look
@@ -248,7 +249,7 @@ def verify_proof(
     Exit code 3 if it proves nothing, or if the trusted key did not sign it. Without a trusted key it shows only that the event is in the
     tree whose root the proof itself names: compare that root, or give the key.
     """
-    from fsar_ledger.ledger.note import read_verifier
+    from fsar_ledger.ledger.keys import read_verifier
     from fsar_ledger.ledger.proof import check_proof, read_proof
 
     from .output import json_text

@@ -29,7 +29,7 @@ from fsar_ledger.ledger.derived import catch_up, check_folders, write_derived
 from fsar_ledger.ledger.held import Held, HeldRuns, runs_of
 from fsar_ledger.ledger.layout import read_file, read_layout
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
-from fsar_ledger.ledger.note import Note, Signer, VerifierKey, checkpoint_of, is_name
+from fsar_ledger.ledger.note import Note, Signer, VerifierKey, checkpoint_of, doubt, is_name
 from fsar_ledger.ledger.place import is_unfinished, require_outside
 from fsar_ledger.ledger.read import Head, LedgerView, commit_names, open_ledger, read_manifest
 from fsar_ledger.ledger.record import (
@@ -51,7 +51,6 @@ from fsar_ledger.ledger.releases import RELEASE
 from fsar_ledger.ledger.runs import Flaw, refusal, unreadable
 from fsar_ledger.ledger.schema import FINGERPRINT
 from fsar_ledger.ledger.tiles import Tile
-from fsar_ledger.ledger.verify_notes import doubt
 
 
 class Staged(msgspec.Struct, frozen=True):

@@ -9,9 +9,9 @@ from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger import disk
+from fsar_ledger.ledger.derived import check_checkpoint
 from fsar_ledger.ledger.read import LedgerView, open_ledger
 from fsar_ledger.ledger.record import COMMITS
-from fsar_ledger.ledger.verify_derived import check_checkpoint
 
 
 def open_for_answers(path: Path) -> LedgerView:

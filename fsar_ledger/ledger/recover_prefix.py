@@ -16,7 +16,7 @@ from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
 from fsar_ledger.ledger import canonical, disk, merkle
 from fsar_ledger.ledger.derived import CHECKPOINT
 from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
-from fsar_ledger.ledger.note import VerifierKey
+from fsar_ledger.ledger.note import VerifierKey, names
 from fsar_ledger.ledger.problem import Problem, refusal, unexpected
 from fsar_ledger.ledger.read import EMPTY_HEAD, Head
 from fsar_ledger.ledger.record import (
@@ -39,7 +39,7 @@ from fsar_ledger.ledger.recover_derived import Redo, TilePlan, begins_with, chec
 from fsar_ledger.ledger.tiles import TILE, Edge
 from fsar_ledger.ledger.verify import Asked, Progress
 from fsar_ledger.ledger.verify_commits import check_record
-from fsar_ledger.ledger.verify_notes import Anchor, check_anchor, names
+from fsar_ledger.ledger.verify_notes import Anchor, check_anchor
 from fsar_ledger.ledger.verify_segment import SegmentFacts, examine, examine_file
 from fsar_ledger.workers import WorkerPool
 

@@ -16,7 +16,7 @@ from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.ledger.note import read_signer
+from fsar_ledger.ledger.keys import read_signer
 from fsar_ledger.ledger.read import EMPTY_HEAD, open_ledger
 from fsar_ledger.runtime import experiment as module
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, Made, simulate

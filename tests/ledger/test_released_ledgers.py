@@ -15,7 +15,7 @@ from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.events import ALONE, EVENT_TYPES
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.ledger.codec import RunRecord, encode, encode_hashed
-from fsar_ledger.ledger.note import read_verifier
+from fsar_ledger.ledger.keys import read_verifier
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.ledger.releases import RELEASE, parse_columns
 from fsar_ledger.ledger.schema import LAYOUTS, RETIRED, SCHEMA, described

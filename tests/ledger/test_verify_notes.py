@@ -8,10 +8,11 @@ import pytest
 from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.append import Writer, stage
 from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.derived import tile_reader
 from fsar_ledger.ledger.merkle import EMPTY_ROOT, tree_root
 from fsar_ledger.ledger.note import Checkpoint, Note, Signature, Signer
 from fsar_ledger.ledger.record import segment_path
-from fsar_ledger.ledger.tiles import node_of, tile_reader
+from fsar_ledger.ledger.tiles import node_of
 from fsar_ledger.ledger.verify import Asked, VerifyReport, verify
 from fsar_ledger.ledger.verify_derived import BEHIND
 from fsar_ledger.ledger.verify_notes import Anchor, read_anchor

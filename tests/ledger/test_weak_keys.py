@@ -7,8 +7,9 @@ import pytest
 
 from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.ed25519 import flaw_of
+from fsar_ledger.ledger.keys import read_signer, read_verifier
 from fsar_ledger.ledger.merkle import Frontier
-from fsar_ledger.ledger.note import Signer, VerifierKey, checkpoint_of, read_signer, read_verifier
+from fsar_ledger.ledger.note import Signer, VerifierKey, checkpoint_of
 from tests import independent_ed25519
 from tests.ledger.agreement import independent
 from tests.ledger.samples import ORIGIN
