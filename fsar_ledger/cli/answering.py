@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.metrics.verified import is_remembered, required_look
 
 from .memory import readers_of

@@ -10,7 +10,7 @@ from typing import Any
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.place import require_outside
+from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import Database, plain_rows
 from fsar_ledger.printable import Shown
 

@@ -72,7 +72,7 @@ def multiverse(
     under how many FSAR is the best one, and the smallest combinations under which it is not so. Nothing is simulated again. --json has the mean
     under each combination, too.
     """
-    from fsar_ledger.ledger.place import require_outside
+    from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.metrics.multiverse import Cell
     from fsar_ledger.metrics.multiverse import multiverse as read
 

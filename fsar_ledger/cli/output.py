@@ -21,7 +21,7 @@ from fsar_ledger.errors import UsageError
 from fsar_ledger.printable import Shown, counted
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.verify import VerifyReport
+    from fsar_ledger.ledger.verify.verify import VerifyReport
 
 Row = Mapping[str, object]
 

@@ -5,11 +5,11 @@ from pathlib import Path
 
 from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted, UsageError
-from fsar_ledger.ledger.canonical import document
-from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.place import require_outside
-from fsar_ledger.ledger.proof import Proof, Proven, blocks, check_proof, prove
-from fsar_ledger.ledger.read import LedgerView
+from fsar_ledger.ledger.rows.canonical import document
+from fsar_ledger.ledger.store.opening import open_for_answers
+from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.ledger.store.proof import Proof, Proven, blocks, check_proof, prove
+from fsar_ledger.ledger.store.read import LedgerView
 from fsar_ledger.metrics.verified import is_verified
 from fsar_ledger.printable import Shown
 

@@ -16,9 +16,9 @@ from .progress import Progress
 from .terminal import show
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.recover import Recovery, Step
-    from fsar_ledger.ledger.recover_prefix import Later
-    from fsar_ledger.ledger.verify import Asked
+    from fsar_ledger.ledger.verify.recover import Recovery, Step
+    from fsar_ledger.ledger.verify.trusted_prefix import Later
+    from fsar_ledger.ledger.verify.verify import Asked
 
 DAMAGED = 3
 SHOWN = 10
@@ -57,10 +57,10 @@ def recover(
     not touched; it is said up to which commit it can be trusted, and --into copies that much. Exit code 3 if LEDGER is damaged and nothing was
     copied.
     """
-    from fsar_ledger.ledger.note import read_verifier
-    from fsar_ledger.ledger.recover import recover as mend
-    from fsar_ledger.ledger.verify import Asked
-    from fsar_ledger.ledger.verify_notes import read_anchor
+    from fsar_ledger.ledger.store.keys import read_verifier
+    from fsar_ledger.ledger.verify.notes import read_anchor
+    from fsar_ledger.ledger.verify.recover import recover as mend
+    from fsar_ledger.ledger.verify.verify import Asked
 
     asked = Asked(
         trusted=None if trusted_key is None else read_verifier(trusted_key),
@@ -161,7 +161,7 @@ def _later(later: "Sequence[Later]") -> Iterator[str]:
 
 def _next(ledger: Path, found: "Recovery", into: Path | None) -> Iterator[str]:
     """How to go on."""
-    from fsar_ledger.ledger.record import segment_path
+    from fsar_ledger.ledger.store.record import segment_path
 
     if into is not None:
         yield f"  {into} holds what can be trusted, byte for byte, and verifies; {ledger} remains damaged, keep it as evidence"

@@ -11,7 +11,7 @@ from .progress import Progress
 from .simulated import runs
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.verify import VerifyReport
+    from fsar_ledger.ledger.verify.verify import VerifyReport
     from fsar_ledger.runtime.replay import ReplayReport
 
 

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from fsar_ledger.ledger.note import Signer
-from fsar_ledger.ledger.place import require_outside
-from fsar_ledger.ledger.read import Head
+from fsar_ledger.ledger.log.note import Signer
+from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.ledger.store.read import Head
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
 from fsar_ledger.printable import Shown, joined, lines

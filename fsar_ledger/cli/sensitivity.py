@@ -46,7 +46,7 @@ def sensitivity(
     Every constant of the world and of the structure, the load and the size of the fleet are varied (Morris screening); of the dozen that move a
     number furthest also what part of its variance is theirs (Sobol indices). Interrupted, it goes on where it stopped.
     """
-    from fsar_ledger.ledger.place import require_outside
+    from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.report.sensitivity import heat_map
     from fsar_ledger.report.typeset import publish
     from fsar_ledger.sensitivity.study import Size

@@ -25,7 +25,7 @@ from .progress import Progress
 from .terminal import show
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.note import Signer
+    from fsar_ledger.ledger.log.note import Signer
 
 VERIFY = examples(
     "fsar-ledger verify out/ledger",
@@ -71,8 +71,8 @@ def key_new(
 
     FILE is for the one who signs and nobody else: who has it can rewrite every ledger that it signed. The public half is for all who verify.
     """
-    from fsar_ledger.ledger.note import new_key
-    from fsar_ledger.ledger.place import require_outside
+    from fsar_ledger.ledger.store.keys import new_key
+    from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.runtime.experiment import ORIGIN
 
     require_outside(file, f"FILE {file}")
@@ -89,7 +89,8 @@ def key_public(
     ],
 ) -> None:
     """Print a public key under another name, for `verify --trusted-key`: `reproduce` signs each ledger with one secret under a name of its own."""
-    from fsar_ledger.ledger.note import VerifierKey, read_verifier
+    from fsar_ledger.ledger.log.note import VerifierKey
+    from fsar_ledger.ledger.store.keys import read_verifier
 
     if (origin := origin_of(name, "--name")) is None:
         raise UsageError("--name: expected the origin of a ledger")
@@ -102,14 +103,14 @@ def signer_of(key: Path | None, *, adopts: bool = False) -> "Signer | None":
         if adopts:
             raise UsageError("--adopt: found no --key, expected the key that signs on from here")
         return None
-    from fsar_ledger.ledger.note import read_signer
+    from fsar_ledger.ledger.store.keys import read_signer
 
     return read_signer(key)
 
 
 def origin_of(name: str | None, option: str = "--origin") -> str | None:
     """The origin that was asked for, if any. Raises: UsageError if no ledger can have it."""
-    from fsar_ledger.ledger.note import is_name
+    from fsar_ledger.ledger.log.note import is_name
 
     if name is not None and not is_name(name):
         raise UsageError(f"{option} {name!r}: expected a printable name without spaces and plus signs")
@@ -127,8 +128,8 @@ def short(option: str, name: str) -> str:
 
 def signed_lines(ledger: Path, signer: "Signer | None") -> list[str]:
     """A line that says whether the newest commit of the ledger carries a signature of this key; nothing without a key."""
-    from fsar_ledger.ledger.read import open_ledger
-    from fsar_ledger.ledger.verify_notes import signers_of
+    from fsar_ledger.ledger.log.note import signers_of
+    from fsar_ledger.ledger.store.read import open_ledger
 
     if signer is None:
         return []
@@ -170,9 +171,9 @@ def verify(
     or with witnesses, who keep one.
     A look at all rows that finds nothing is remembered in the user's cache, never in the ledger; answers from this head are then `rows_verified`.
     """
-    from fsar_ledger.ledger.note import read_verifier
-    from fsar_ledger.ledger.verify import Asked
-    from fsar_ledger.ledger.verify_notes import read_anchor
+    from fsar_ledger.ledger.store.keys import read_verifier
+    from fsar_ledger.ledger.verify.notes import read_anchor
+    from fsar_ledger.ledger.verify.verify import Asked
     from fsar_ledger.metrics.verified import whole_look
 
     from .replay import replayed, verdict_json, verdict_lines
@@ -248,8 +249,8 @@ def verify_proof(
     Exit code 3 if it proves nothing, or if the trusted key did not sign it. Without a trusted key it shows only that the event is in the
     tree whose root the proof itself names: compare that root, or give the key.
     """
-    from fsar_ledger.ledger.note import read_verifier
-    from fsar_ledger.ledger.proof import check_proof, read_proof
+    from fsar_ledger.ledger.store.keys import read_verifier
+    from fsar_ledger.ledger.store.proof import check_proof, read_proof
 
     from .output import json_text
     from .proofs import proven_json, proven_text

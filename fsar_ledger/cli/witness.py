@@ -18,7 +18,7 @@ from .options import LedgerArgument, examples
 from .terminal import say, show
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.note import VerifierKey
+    from fsar_ledger.ledger.log.note import VerifierKey
     from fsar_ledger.witness.evidence import Evidence
     from fsar_ledger.witness.policy import Policy
     from fsar_ledger.witness.server import WitnessServer
@@ -47,7 +47,7 @@ def witness_new(
     STATE holds its secret key and, later, what it has seen. A witness that forgets is worth nothing: never copy STATE, never restore it
     from a backup; make a new witness instead.
     """
-    from fsar_ledger.ledger.place import require_outside
+    from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.witness.state import new_state
 
     from .trust import short
@@ -149,7 +149,7 @@ def witness_ask(
     Each witness in FILE that has a URL is sent the checkpoint and a proof that the ledger only grew; no event leaves. Exit code 1, and
     nothing written, if fewer cosigned than FILE demands.
     """
-    from fsar_ledger.ledger.place import require_outside
+    from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.witness.cosign import cosign
     from fsar_ledger.witness.policy import read_policy
 
@@ -243,8 +243,8 @@ def seen_of(
         if cosigned:
             raise UsageError("--cosigned: found no --witness-policy, expected the policy that names the witnesses")
         return None
-    from fsar_ledger.ledger.read import read_manifest
-    from fsar_ledger.ledger.record import MANIFEST, parse_manifest
+    from fsar_ledger.ledger.store.read import read_manifest
+    from fsar_ledger.ledger.store.record import MANIFEST, parse_manifest
     from fsar_ledger.witness.evidence import ask_witnesses, read_cosigned
     from fsar_ledger.witness.policy import read_policy
 

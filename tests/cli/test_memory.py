@@ -19,7 +19,7 @@ from fsar_ledger.cli.memory import (
 )
 from fsar_ledger.cli.options import workers_of
 from fsar_ledger.errors import LimitReached, UsageError
-from fsar_ledger.ledger.problem import unexpected
+from fsar_ledger.ledger.store.problem import unexpected
 from fsar_ledger.metrics.database import from_rows
 from tests.ledger.bomb_trial import cost_of
 
