@@ -20,8 +20,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from fsar_ledger.events import EVENT_TYPES
-from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.ledger.read import open_ledger
+from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.runtime.experiment import Experiment, simulate
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS
 

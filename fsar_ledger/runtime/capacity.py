@@ -14,7 +14,7 @@ from fsar_ledger.constants import Constants
 from fsar_ledger.designs import Fleet, Workflow
 from fsar_ledger.designs.registered import fleet as registered_fleet
 from fsar_ledger.events.configuration import Configuration, lacks
-from fsar_ledger.ledger.bounds import MAX_LIST_VALUES, MAX_ROWS
+from fsar_ledger.ledger.rows.bounds import MAX_LIST_VALUES, MAX_ROWS
 
 from .architectures.wiring import Growth
 from .world.founding import team_size
