@@ -1,7 +1,7 @@
-"""What a designer writes: fleets, scenarios and workflows, as they stand in TOML files and, where they are nobody's but theirs, in event 0 of a run.
+"""What a designer writes: fleets, scenarios and workflows, in TOML files.
 
-Everything here is immutable to the leaves. The structure is checked when a file or an event is read; whether a scenario can
-happen to a fleet is checked by `runtime.world.checks`.
+Those that are nobody's but the designer's are in event 0 of a run, too. Everything here is immutable to the leaves. The
+structure is checked when a file or an event is read; `runtime.world.checks` checks the rest.
 """
 
 import msgspec
@@ -15,7 +15,7 @@ class Design(msgspec.Struct, frozen=True, forbid_unknown_fields=True, omit_defau
 
 
 class Robot(Design, frozen=True):
-    """One robot of each team: `east-door` of team 2 is `robot/east-door2`. Its role is its name unless it says otherwise."""
+    """One robot of each team: `east-door` of team 2 is `robot/east-door2`. Without a role its name is its role."""
 
     name: str
     capabilities: tuple[str, ...]
@@ -29,9 +29,10 @@ class Robot(Design, frozen=True):
 
 
 class Capability(Design, frozen=True):
-    """Something that robots of the fleet can do. Units: `lasts_s` seconds, from and to; None: as `world.durations` has it.
+    """Something that robots of the fleet can do.
 
-    `postconditions` hold after it, in the order in which they come about; it is discoverable by the roles in `visible_to` (none: by all).
+    `postconditions` hold after it, in the order in which they come about; the roles in `visible_to` can discover it (none
+    named: all). Units: `lasts_s` seconds, from and to; None: as `world.durations` has it.
     """
 
     name: str
@@ -66,7 +67,10 @@ class Policy(Design, frozen=True):
 
 
 class OffShift(Design, frozen=True):
-    """The supervisors of these robots (none named: of all that have one) are off shift. Units: seconds of run time; None: to the end."""
+    """A spell in which the supervisors of these robots (none named: of all that have one) are off shift.
+
+    Units: seconds of run time; `to_s` None: to the end.
+    """
 
     from_s: float = 0.0
     to_s: float | None = None
@@ -74,9 +78,9 @@ class OffShift(Design, frozen=True):
 
 
 class Fleet(Design, frozen=True):
-    """Who is in a team, what they can do, whom they trust, and when nobody supervises. A fleet is one or more such teams.
+    """Who is in a team, what they can do, whom they trust, and when nobody supervises.
 
-    `bodies` are the roles whose robots can clear an obstruction.
+    A fleet is one or more such teams. `bodies` are the roles whose robots can clear an obstruction.
     """
 
     name: str
@@ -101,7 +105,8 @@ class Fleet(Design, frozen=True):
 class Task(Design, frozen=True):
     """A task of a team. Units: `offset_s` seconds after the scenario's start.
 
-    Steps are as in `TaskArrived`: `ACTOR capability` is done by the actor, `ACTOR capability TARGET` delegated by it; both are robots of the team.
+    Steps are as in `TaskArrived`: `ACTOR capability` is done by the actor, `ACTOR capability TARGET` delegated by it; both
+    are robots of the team.
     """
 
     owner: str
@@ -142,7 +147,10 @@ class Wear(Design, frozen=True):
 
 
 class Workflow(Design, frozen=True):
-    """The tasks of one team, all of the same arrival, with this wear and no other disturbance. Paper: sec:prototype:workflows."""
+    """The tasks of one team, all of the same arrival, with this wear and no other disturbance.
+
+    Paper: sec:prototype:workflows.
+    """
 
     name: str
     tasks: tuple[Task, ...]

@@ -70,9 +70,9 @@ def field_name(field: Path_) -> str:
 
 
 def line_of(text: str, field: Path_) -> int:
-    """Return the line, from 1, on which the field stands: the nearest that is written of it, its table if it is missing.
+    """Return the line, from 1, on which the field stands, or its table where the field is missing.
 
-    The text is TOML that `tomllib` has read. A text in three quotes that itself looks like TOML may lead to a line in it.
+    The text is TOML that `tomllib` has read. A text in three quotes that looks like TOML may lead to a line in it.
     """
     counts: dict[tuple[str, ...], int] = {}
     table: Path_ = ()
@@ -172,7 +172,8 @@ _TYPES = {
 
 
 def _type(expected: str) -> str:
-    return " or ".join(_TYPES.get(one.strip(), one.strip()) for one in expected.split("|") if one.strip() != "null")
+    kinds = [one.strip() for one in expected.split("|") if one.strip() != "null"]
+    return " or ".join(_TYPES.get(one, one.replace("array", "a list")) for one in kinds)
 
 
 def _inside(kind: Any, field: Path_) -> Any:

@@ -1,6 +1,6 @@
-"""The fleets, scenarios and workflows that come with the package, one file each: a file more is one more, without a change anywhere else.
+"""The fleets, scenarios and workflows that come with the package, one file each.
 
-They are read when they are first asked for, and once.
+One file more is one more of them, without a change anywhere else. They are read when they are first asked for, and once.
 """
 
 from functools import cache

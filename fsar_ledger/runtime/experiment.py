@@ -124,6 +124,11 @@ class Experiment(msgspec.Struct, frozen=True):
             scenario = happening(self.constants, name)
             if isinstance(scenario, Workflow):
                 raise InvalidExperiment(f"workflow {name}: found an own fleet, expected the paper's")
+            if fleet is not None and name in registered.PAPER_SCENARIOS:
+                raise InvalidExperiment(
+                    f"scenario {name}: found fleet {printable.value(fleet.name)}, expected the paper's, whose scenario "
+                    "it is; give your own --scenario to your own --fleet"
+                )
             for problem in problems_of_scenario(scenario, fleet or registered.fleet()):
                 raise InvalidExperiment(f"scenario {printable.value(scenario.name)}: {problem}")
         if (found := len(write_constants(self.constants))) > MAX_OWN:

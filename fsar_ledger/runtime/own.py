@@ -1,6 +1,6 @@
-"""A designer's own: a scenario, a fleet and constants from outside the package, checked, and put among the constants of a run.
+"""A designer's own: a scenario, a fleet and constants from outside the package, checked.
 
-So they are in event 0 of every run that they make, and such a run replays anywhere, without the files.
+They are put among the constants of a run, so they are in event 0 of every run that they make, and such a run replays anywhere, without the files.
 """
 
 import re
@@ -30,10 +30,12 @@ def with_own(
 ) -> tuple[Constants, tuple[str, ...]]:
     """Return the constants with what is a designer's own, and the names of the scenarios.
 
-    A scenario that ends in `.toml` is a file; so is a fleet, which else is the name of a registered one. `settings` are `NAME=VALUE`.
+    A scenario that ends in `.toml` is a file; so is a fleet, which else is the name of a registered one. `settings` are
+    `NAME=VALUE`.
 
     Raises:
-        UsageError: a file cannot be read, or what is in it cannot be, with line and field; a name is unknown, or a value impossible.
+        UsageError: a file cannot be read, or what is in it cannot be (with line and field); a name is unknown; a value is
+            impossible.
     """
     own_fleet = _fleet(fleet)
     own: Scenario | None = None
@@ -42,7 +44,7 @@ def with_own(
             continue
         if len(scenarios) > 1:
             raise UsageError(
-                f"--scenario {name}: found {len(scenarios)} scenarios, expected a file alone; run the others by themselves"
+                f"--scenario {name}: found {len(scenarios)} scenarios, expected a file alone; run the others apart"
             )
         path = Path(name)
         design, text = read_design(path, Scenario)
@@ -105,10 +107,8 @@ def with_settings(constants: Constants, settings: Sequence[str]) -> Constants:
                 f"--set {setting}: {name} already has the value {given[name]}, expected one value for each name"
             )
         if name not in names_of_constants():
-            hint = _nearest(name, names_of_constants())
-            raise UsageError(
-                f"--set {setting}: unknown constant {printable.value(name)}{hint}; `info --json` shows all names of a ledger's"
-            )
+            hint = _nearest(name, names_of_constants()) or "; `fsar-ledger info LEDGER --json` prints all names"
+            raise UsageError(f"--set {setting}: unknown constant {printable.value(name)}{hint}")
         given[name] = value
         _put(tree, name, _number(setting, name, value))
         try:
@@ -145,7 +145,7 @@ def _number(setting: str, name: str, value: str) -> float | int:
 
 
 def _put(tree: dict[str, Any], name: str, value: float | int) -> None:
-    """Put the value where the name says: in the group, which is made if it is absent, or in a list of names and values."""
+    """Put the value where the name says; a group that is absent is made."""
     parts = [one or other for one, other in _PART.findall(name)]
     where: Any = tree
     for at, part in enumerate(parts[:-1]):

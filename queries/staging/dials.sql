@@ -26,6 +26,7 @@ by_set AS (
         parameter_set,
         any_value(value) FILTER (WHERE name = 'world.encounter_mean_s') AS encounter_mean_s,
         any_value(value) FILTER (WHERE name = 'load.teams_working') AS teams_working,
+        count(*) FILTER (WHERE regexp_full_match(name, 'fleet\.robots\[\d+\]\.name')) AS robots_of_team,
         list(name || '=' || value ORDER BY name) FILTER (
             WHERE
             name NOT IN ('world.encounter_mean_s', 'load.teams_working')
@@ -46,7 +47,7 @@ SELECT
         try_cast(by_set.encounter_mean_s AS DOUBLE),
         if(settings.kind = 'simulated', try_cast(default_of('world.encounter_mean_s') AS DOUBLE), NULL)
     ) AS encounter_mean_s,
-    coalesce(try_cast(by_set.teams_working AS BIGINT), settings.fleet_size // 4) AS teams_working,
+    coalesce(try_cast(by_set.teams_working AS BIGINT), settings.fleet_size // coalesce(nullif(by_set.robots_of_team, 0), 4)) AS teams_working,
     sha256(to_json([settings.model, if(by_set.model IS NULL, settings.parameter_set, NULL), to_json(by_set.others)::VARCHAR])::VARCHAR) AS made_alike_but
 FROM settings
 LEFT JOIN by_set ON settings.model = by_set.model AND settings.parameter_set = by_set.parameter_set

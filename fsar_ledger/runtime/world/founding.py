@@ -48,7 +48,8 @@ def floor_of(team: int, floor_teams: int) -> int:
 def founding(fleet_size: int, floor_teams: int = FLOOR_TEAMS, fleet: Fleet | None = None) -> tuple[Event, ...]:
     """Return the events that found the fleet: members, capabilities, trust and policy. Paper: sec:prototype:design.
 
-    Trust and policy are given by role, so there are as many entries in any number of teams; a fleet that needs one floor names no place.
+    Trust and policy are given by role, so there are as many entries for any number of teams; a fleet that needs one floor
+    names no place.
     """
     design = fleet or registered_fleet()
     everyone = members(fleet_size, design)

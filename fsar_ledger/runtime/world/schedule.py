@@ -48,7 +48,7 @@ def happening(constants: Constants, name: str) -> Scenario | Workflow:
 
 @lru_cache(maxsize=4)
 def schedule(constants: Constants, seed: int, scenario: str, run: int, fleet_size: int) -> tuple[Fact, ...]:
-    """Return all facts of the run in order of time; no two at the same microsecond. A workflow has only those of its script."""
+    """Return all facts of the run in order of time, no two at the same microsecond."""
     key, what = run_key(seed, scenario, run), happening(constants, scenario)
     if isinstance(what, Workflow):
         return _apart(workflow_facts(constants.world, key, what))
@@ -56,7 +56,10 @@ def schedule(constants: Constants, seed: int, scenario: str, run: int, fleet_siz
 
 
 def arrivals_expected(constants: Constants, fleet_size: int) -> float:
-    """Return how many arrivals to expect in a run with such rates: nearly all of its facts, but for some of each robot, task and window."""
+    """Return how many arrivals to expect in a run with such rates.
+
+    They are nearly all of its facts, but for some of each robot, task and window.
+    """
     world, outages = constants.world, constants.outages
     rates: tuple[float, ...] = (world.context_rate_per_s, world.fleet_rule_rate_per_s, world.obstruction_rate_per_s)
     if outages is not None:
@@ -214,7 +217,7 @@ def _routine(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
 
 
 def _absences(constants: Constants, key: bytes, member: Member) -> list[Fact]:
-    """The spells in which the robot's own supervisor is not there: the one absence, and those of a fleet's shifts; no two overlap."""
+    """The spells without the robot's own supervisor: the one absence, and those of the fleet's shifts; no two overlap."""
     supervisor, fleet = member.supervisor, constants.fleet
     if supervisor is None:
         return []

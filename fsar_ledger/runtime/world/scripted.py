@@ -1,6 +1,6 @@
-"""The paper's workflows as worlds: their tasks and their wear, and no other disturbance. Paper: sec:prototype:workflows.
+"""The paper's workflows as worlds: their tasks and their wear, and no other disturbance.
 
-What is scripted are facts of the world alone; what follows from them is FSAR's to decide. How long things take
+Paper: sec:prototype:workflows. What is scripted are facts of the world alone; what follows from them is FSAR's to decide. How long things take
 is drawn by the seed, as everywhere.
 """
 
