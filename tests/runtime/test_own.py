@@ -25,6 +25,7 @@ from fsar_ledger.designs import (
     registered,
 )
 from fsar_ledger.errors import InvalidExperiment, UsageError
+from fsar_ledger.events.envelope import TrustScope
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.world import SupervisorLeft, SupervisorReturned
@@ -247,21 +248,27 @@ def test_a_file_stands_alone_and_a_fleet_has_a_name_or_is_a_file(tmp_path: Path)
         with_own(Constants(), ["door-relay"], "papr")
 
 
-def test_a_sixth_scenario_is_one_file_and_enlarges_no_experiment_of_the_paper(tmp_path: Path) -> None:
-    """The package is copied with one file more; nothing else of it changes."""
+def test_a_scenario_is_one_file_and_an_architecture_a_folder_and_a_line(tmp_path: Path) -> None:
+    """The package is copied with these, and nothing else of it changes; no experiment of the paper is enlarged by them."""
     shutil.copytree(ROOT / "fsar_ledger", tmp_path / "fsar_ledger", ignore=shutil.ignore_patterns("__pycache__"))
     scenario = 'name = "sixth"\n[[tasks]]\nowner = "A"\nsteps = ["A door.open.basic B"]\n'
     (tmp_path / "fsar_ledger/runtime/world/scenarios/sixth.toml").write_text(scenario)
+    architectures = tmp_path / "fsar_ledger/runtime/architectures"
+    shutil.copytree(architectures / "cfc", architectures / "mine")
+    wiring, register = architectures / "mine/__init__.py", architectures / "__init__.py"
+    wiring.write_text(wiring.read_text().replace("CFC: Wiring", "MINE: Wiring"))
+    register.write_text(register.read_text().replace('    "dhma",\n', '    "dhma",\n    "mine",\n'))
     program = (
         "from pathlib import Path\n"
         "from fsar_ledger.runtime.experiment import Experiment, simulate\n"
         "from fsar_ledger.runtime.experiments import NAMES, named\n"
         "from fsar_ledger.runtime.replay import replay\n"
         "import fsar_ledger; assert fsar_ledger.__file__.startswith(str(Path.cwd())), fsar_ledger.__file__\n"
-        "simulate(Path('ledger'), Experiment(('fsar',), ('sixth', 'door-relay'), 1), 1)\n"
-        "report = replay(Path('ledger')); assert report.ok and report.runs == 2, report\n"
-        "print({name for one in NAMES for part in named(one, 42).parts for name in part.scenarios} & {'sixth'})\n"
-        "print(Experiment(('fsar',), ('sixth', 'fleet-contention'), 1).scenarios)\n"
+        "simulate(Path('ledger'), Experiment(('mine', 'fsar'), ('sixth', 'door-relay'), 1), 1)\n"
+        "report = replay(Path('ledger')); assert report.ok and report.runs == 4, report\n"
+        "parts = [part for one in NAMES for part in named(one, 42).parts]\n"
+        "print({name for one in parts for name in one.scenarios + one.architectures} & {'sixth', 'mine'})\n"
+        "print(Experiment(('mine', 'fsar'), ('sixth', 'fleet-contention'), 1).scenarios)\n"
     )
     done = subprocess.run(
         [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, env={"PYTHONPATH": str(tmp_path)}
@@ -271,6 +278,9 @@ def test_a_sixth_scenario_is_one_file_and_enlarges_no_experiment_of_the_paper(tm
 
 NAMES = st.sampled_from(("porter", "lift", "door-a", "door_b", "Cart"))
 CAPABILITIES = ("navigate.indoor", "door.open.secure", "lift.ride", "carry.linen")
+
+
+SCOPES: tuple[TrustScope, ...] = ("none", "capability", "task", "session", "persistent")
 
 
 @st.composite
@@ -283,7 +293,7 @@ def designs(draw: st.DrawFn) -> Constants:
     )
     roles = st.sampled_from(tuple(dict.fromkeys(robot.kind for robot in robots)))
     pairs = draw(st.lists(st.tuples(roles, roles), max_size=3, unique=True))
-    scopes = st.sampled_from(("none", "capability", "task", "session", "persistent"))
+    scopes = st.sampled_from(SCOPES)
     spells = st.builds(OffShift, st.sampled_from((0.0, 20.0)), st.sampled_from((None, 40.0, 400.0)))
     fleet = Fleet(
         "any",
