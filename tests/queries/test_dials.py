@@ -32,6 +32,16 @@ def test_dials_are_those_that_runs_record() -> None:
     assert sorted(answer("staging/dials", *runs, columns=COLUMNS)) == sorted([(30.0, 1), (default, 2), (default, 4)])
 
 
+def test_the_teams_of_an_own_fleet_are_counted_by_its_own_robots() -> None:
+    robots = [{"name": name, "capabilities": ["navigate.indoor"]} for name in ("porter", "door", "lift")]
+    runs = [
+        made("a", fleet_size=12, fleet={"name": "ward", "robots": robots}),
+        made("b", fleet_size=12, fleet={"name": "ward", "robots": robots[:1]}),
+        made("c", fleet_size=12, fleet={"name": "ward", "robots": robots}, load={"teams_working": 2}),
+    ]
+    assert sorted(answer("staging/dials", *runs, columns=("teams_working",))) == [(2,), (4,), (12,)]
+
+
 def test_a_source_that_is_not_the_simulator_has_no_default_rate_of_encounters() -> None:
     assert answer("staging/dials", run(kind="live", parameters="{}"), columns=COLUMNS) == [(None, 1)]
 
