@@ -174,6 +174,10 @@ class Constants(msgspec.Struct, frozen=True):
     fleet: Fleet | None = None
 
 
+DESIGNS = ("scenario", "fleet")
+"""The groups that are a designer's own and hold no constants."""
+
+
 def write_constants(constants: Constants) -> str:
     """Return the constants as `RunStarted.parameters` holds them: JSON in the order of the fields, without absent groups.
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import msgspec
 
-from fsar_ledger.constants import Constants, Load, Outages, read_constants, write_constants
+from fsar_ledger.constants import DESIGNS, Constants, Load, Outages, read_constants, write_constants
 from fsar_ledger.parameters import BadParameters, read_parameters
 
 MAX_PARAMETERS = 65_536
@@ -99,7 +99,7 @@ def _whole(constants: Constants) -> dict[str, str]:
     """Every constant by name, also those of groups that may be absent: they are then as by default. A designer's own is its name alone."""
     absent = {"outages": constants.outages or Outages(), "load": constants.load or Load()}
     groups = msgspec.structs.replace(constants, scenario=None, fleet=None, **absent)
-    designs = {name: getattr(constants, name) for name in ("scenario", "fleet")}
+    designs = {name: getattr(constants, name) for name in DESIGNS}
     own = {name: _json(one.name) for name, one in designs.items() if one is not None}
     unset = {
         f"{group}.{name}": DEFAULT

@@ -22,7 +22,8 @@ GIVEN = "given"
 def origins() -> dict[str, str]:
     """The word for each constant by dotted name, in the order of the file; "" where its type says none, or more than one."""
     found: dict[str, str] = {}
-    for group, kind in _hints(constants.Constants).items():
+    groups = {name: kind for name, kind in _hints(constants.Constants).items() if name not in constants.DESIGNS}
+    for group, kind in groups.items():
         [inner] = [one for one in (kind, *get_args(kind)) if isinstance(one, type) and issubclass(one, msgspec.Struct)]
         for name, hint in _hints(inner).items():
             found |= _split(f"{group}.{name}", _word(hint))

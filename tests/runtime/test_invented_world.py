@@ -13,7 +13,17 @@ from typing import Any, get_args, get_type_hints
 import msgspec
 import pytest
 
-from fsar_ledger.constants import DURATIONS, Constants, Load, Outages, Range, Structure, WorldConstants, write_constants
+from fsar_ledger.constants import (
+    DESIGNS,
+    DURATIONS,
+    Constants,
+    Load,
+    Outages,
+    Range,
+    Structure,
+    WorldConstants,
+    write_constants,
+)
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.fleet import RunStarted
@@ -322,7 +332,7 @@ def test_one_length_among_many_is_named_alone_and_a_group_that_may_be_absent_by_
 
 
 def test_every_group_that_may_be_absent_has_defaults() -> None:
-    groups = [name for name in Constants.__struct_fields__ if name not in ("scenario", "fleet")]  # those are designs
+    groups = [name for name in Constants.__struct_fields__ if name not in DESIGNS]
     assert [name for name in groups if default_of(f"{name}.{first_constant(name)}") is None] == []
 
 
