@@ -1,7 +1,8 @@
-"""What witnesses saw of a ledger, for an auditor: each one's newest checkpoint, and whether enough of them saw what is in hand.
+"""What the witnesses of a policy saw of a ledger, weighed for an auditor.
 
-Two things are judged. Whatever the log's own key signed, and anybody shows, the ledger must begin with: no witness can make that up. And how many
-events enough honest witnesses vouch for: each vouches for the tree that it cosigned and for what that tree began with.
+Two things follow from it. The ledger must begin with every checkpoint that its own key signed, whoever shows it: no
+witness can forge one. And the number of events that enough witnesses vouch for: each vouches for the tree that it
+cosigned and for every prefix of that tree.
 """
 
 import os
@@ -21,11 +22,14 @@ from fsar_ledger.witness.policy import Policy, Witness
 from fsar_ledger.witness.protocol import path_of
 
 MAX_AGE_S = 300
-"""A witness that is asked cosigns anew; its time may differ from ours by so much, else it is an old answer, or a clock is wrong."""
+"""How far the time of a fresh cosignature may be from ours, in seconds: beyond it the answer is old or a clock wrong."""
 
 
 class Word(msgspec.Struct, frozen=True):
-    """What one witness says: it saw so many events at this time (seconds since 1970); or None, and why its word does not count."""
+    """The statement of one witness: it saw `size` events at `time_s` (seconds since 1970).
+
+    Both are None where the statement does not count, and `reason` says why.
+    """
 
     witness: str
     size: int | None = None
@@ -34,10 +38,10 @@ class Word(msgspec.Struct, frozen=True):
 
 
 class Evidence(msgspec.Struct, frozen=True):
-    """What all witnesses of a policy say.
+    """The statements of all witnesses of a policy.
 
-    `size` is the number of events that enough of them saw, 0 if there is none. `checkpoints` are all that the log's key signed,
-    which the ledger must begin with.
+    `size` is the number of events that enough of them saw, 0 if there is none. `checkpoints` are those that the log's
+    key signed: the ledger must begin with each.
     """
 
     size: int
@@ -46,11 +50,12 @@ class Evidence(msgspec.Struct, frozen=True):
 
 
 def ask_witnesses(policy: Policy, logs: Sequence[VerifierKey], origin: str, now_s: int) -> Evidence:
-    """What the witnesses of the policy say now. Raises: UsageError if none of them has a URL."""
+    """Ask the witnesses of the policy for their newest checkpoint. Raises: UsageError if none has a URL."""
     asked = [witness for witness in policy.witnesses if witness.url is not None]
     if not asked:
         raise UsageError(
-            f"{policy.file}: found no witness with a URL, expected one that can be asked; or give what they cosigned with --cosigned FILE"
+            f"{policy.file}: found no witness with a URL, expected one that can be asked; "
+            "or give what they cosigned with --cosigned FILE"
         )
     answers = dict(
         zip((witness.name for witness in asked), ask_all(lambda witness: _newest(witness, origin), asked), strict=True)
@@ -70,12 +75,17 @@ def ask_witnesses(policy: Policy, logs: Sequence[VerifierKey], origin: str, now_
 def read_cosigned(
     policy: Policy, logs: Sequence[VerifierKey], origin: str, now_s: int, files: Sequence[Path]
 ) -> Evidence:
-    """What these files show of what the witnesses of the policy said, whenever that was. Raises: UsageError if one cannot be read or is no note of the log."""
+    """Read the statements of the policy's witnesses from notes that were cosigned at any time.
+
+    Raises:
+        UsageError: A file cannot be read, or is no note of this log.
+    """
     notes = {file: _read(file) for file in files}
     for file, note in notes.items():
         if not _is_of(logs, note, origin):
             raise UsageError(
-                f"--cosigned {file}: found no checkpoint of {origin} with a signature of its key, expected a note of this ledger"
+                f"--cosigned {file}: found no checkpoint of {origin} with a signature of its key, "
+                "expected a note of this ledger"
             )
     words = []
     for witness in policy.witnesses:
@@ -85,7 +95,7 @@ def read_cosigned(
 
 
 def _newest(witness: Witness, origin: str) -> Note:
-    """The newest note that this witness cosigned. Raises: Silent."""
+    """Ask this witness for the newest note that it cosigned. Raises: Silent."""
     url = witness.url or ""
     answer = ask(url, path_of(origin))
     if answer.status != HTTPStatus.OK:
@@ -113,14 +123,14 @@ def _read(file: Path) -> Note:
 
 
 def _is_of(logs: Sequence[VerifierKey], note: Note, origin: str) -> bool:
-    """Whether a key of the log signed this note of it."""
+    """Return whether the note is about this log and signed by one of its keys."""
     return note.checkpoint.origin == origin and any(key.has_signed(note) for key in logs)
 
 
 def _word(
     witness: Witness, where: str, note: Note, logs: Sequence[VerifierKey], origin: str, now_s: int, *, is_asked: bool
 ) -> Word:
-    """What this note is worth as the word of this witness."""
+    """Judge what this note says as the statement of this witness."""
     time_s = witness.key.time_of(note)
     reason = None
     if not _is_of(logs, note, origin):
@@ -136,7 +146,7 @@ def _word(
 
 
 def _weighed(policy: Policy, words: Sequence[Word], checkpoints: Sequence[Anchor]) -> Evidence:
-    """The words, and the largest size that enough of them cover: who saw a larger tree saw the smaller one in it."""
+    """Find the largest size that enough witnesses cover; one that saw a larger tree saw the smaller one in it."""
     sizes = sorted({word.size for word in words if word.size}, reverse=True)
     enough = (
         size

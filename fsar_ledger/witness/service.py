@@ -1,4 +1,4 @@
-"""A witness at work: it judges, remembers and cosigns, one request of a log at a time."""
+"""The service of a witness: it judges, stores and cosigns checkpoints, one request of a log at a time."""
 
 from collections.abc import Callable, Sequence
 from http import HTTPStatus
@@ -10,16 +10,16 @@ from fsar_ledger.witness.protocol import Answer, judge, name_of, parse_request
 from fsar_ledger.witness.state import State
 
 Clock = Callable[[], int]
-"""The time in seconds since 1970."""
+"""Returns the time in seconds since 1970."""
 
 
 class Service:
-    """What a witness does with a request, whichever way it came.
+    """The answers of a witness to requests, independent of the transport.
 
     Args:
-        state: Its key and its memory.
+        state: Its key and the checkpoints that it cosigned.
         logs: The keys of the logs that it watches; the name of a key is the origin of its log.
-        clock: What time it is.
+        clock: Returns the present time.
         tell: Called with a line for the operator about each checkpoint of a watched log that was cosigned or refused.
     """
 
@@ -30,7 +30,7 @@ class Service:
         self._turns = {origin: Lock() for origin in self._origins.values()}
 
     def add_checkpoint(self, body: bytes) -> Answer:
-        """The cosignature of the checkpoint in this request, which is remembered before; else why there is none."""
+        """Cosign the checkpoint in this request, which is stored first, or say why not."""
         try:
             request = parse_request(body)
         except ValueError as error:
@@ -45,13 +45,12 @@ class Service:
             answer = judged if isinstance(judged, Answer) else self._cosign(judged)
         if answer.status != HTTPStatus.FORBIDDEN:  # anybody can send what the log did not sign
             size = request.note.checkpoint.size
-            self.tell(
-                f"{origin}: {size:,} events: {'cosigned' if answer.status == HTTPStatus.OK else f'refused ({answer.text.strip()})'}"
-            )
+            outcome = "cosigned" if answer.status == HTTPStatus.OK else f"refused ({answer.text.strip()})"
+            self.tell(f"{origin}: {size:,} events: {outcome}")
         return answer
 
     def newest(self, name: str) -> Answer:
-        """The newest checkpoint of the log of this name (see `name_of`), cosigned once more: as of now, no larger tree is known."""
+        """Return the newest checkpoint of the log of this name (see `name_of`), cosigned again as of now."""
         origin = self._origins.get(name)
         if origin is None:
             return Answer(HTTPStatus.NOT_FOUND, "unknown log\n")
