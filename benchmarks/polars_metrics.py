@@ -1,4 +1,4 @@
-"""The eight metrics written by hand in Polars, by the same judging rules as `queries/metrics`: what the SQL is measured against."""
+"""The eight metrics in Polars, by the judging rules of `queries/metrics`: what the SQL is measured against."""
 
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +12,7 @@ PRINCIPALS = ["requested_by", "executed_by", "supervised_by"]
 
 
 class EventClasses(NamedTuple):
-    """Which types are decisions and which are records: the judges' table, the same for both sides of the comparison."""
+    """Which event types are decisions and which are records, from the SQL's own table, so that both sides agree."""
 
     decisions: list[str]
     records: list[str]
@@ -42,7 +42,7 @@ def locality(events: pl.LazyFrame, types: list[str]) -> pl.LazyFrame:
 
 
 def failures(events: pl.LazyFrame) -> pl.LazyFrame:
-    """Per run: failures, contained ones, those with a latency, and the sum of latencies."""
+    """Count per run the failures, the contained ones and those with a latency, and sum the latencies."""
     resolved = (
         of(events, "FailureResolved")
         .group_by(FAILURE)
@@ -135,7 +135,7 @@ def attributability(events: pl.LazyFrame, types: list[str]) -> pl.LazyFrame:
 
 
 def eight_metrics(segments: list[Path], classes: EventClasses) -> pl.DataFrame:
-    """Mean of each metric by architecture, configuration and fleet size; containment and latency pooled over runs."""
+    """Average each metric by architecture, configuration and fleet size, with failures pooled over runs."""
     events = pl.scan_parquet(segments)
     runs = of(events, "RunStarted").select("run_id", *GROUP)
     parts = pl.collect_all(

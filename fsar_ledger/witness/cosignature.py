@@ -186,9 +186,8 @@ def _read(path: Path) -> str:
     try:
         return disk.read_document(Path(os.path.realpath(path))).decode().removesuffix("\n")
     except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(
-            f"the key cannot be read ({error.strerror if isinstance(error, OSError) else 'not text'}), expected a .pub file"
-        ) from error
+        reason = error.strerror if isinstance(error, OSError) else "not text"
+        raise ValueError(f"the key cannot be read ({reason}), expected a .pub file") from error
 
 
 def secret_text(key: WitnessKey, secret: bytes) -> str:

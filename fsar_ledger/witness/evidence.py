@@ -22,7 +22,7 @@ from fsar_ledger.witness.policy import Policy, Witness
 from fsar_ledger.witness.protocol import path_of
 
 MAX_AGE_S = 300
-"""How far the time of a fresh cosignature may be from ours, in seconds: beyond it the answer is old or a clock wrong."""
+"""How far the time of a fresh cosignature may be from ours, in seconds: beyond it, it is old or a clock is wrong."""
 
 
 class Word(msgspec.Struct, frozen=True):
