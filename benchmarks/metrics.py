@@ -64,9 +64,13 @@ def by_sql(ledger: Path) -> Numbers:
 
 def event_classes(ledger: Path) -> EventClasses:
     with connect(ledger) as database:
-        rows = database.rows("SELECT type, decision_kind, record_kind FROM event_classes")
+        rows = database.rows("SELECT type, decision_kind, record_kind, part FROM event_classes")
     return EventClasses(
-        [row["type"] for row in rows if row["decision_kind"]], [row["type"] for row in rows if row["record_kind"]]
+        judged=[row["type"] for row in rows],
+        decisions=[row["type"] for row in rows if row["decision_kind"]],
+        denials=[row["type"] for row in rows if row["decision_kind"] == "denial"],
+        records=[row["type"] for row in rows if row["record_kind"]],
+        of_requesters=[row["type"] for row in rows if row["part"] == "requester"],
     )
 
 
