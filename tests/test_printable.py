@@ -1,4 +1,4 @@
-"""What is shown of any text: itself, or an escape that nothing obeys and that is told from every other text."""
+"""Text as it is shown: itself or a harmless escape, and distinct from every other text."""
 
 import csv
 import io
@@ -23,7 +23,7 @@ ESCAPE = re.compile(r"\\(?:([\\ntr])|x(..)|u(.{4})|U(.{8}))")
 
 
 def read_back(shown: str) -> str:
-    """The text that is shown so: where there is an escape, every one is undone."""
+    """Undo every escape of a shown text."""
     return ESCAPE.sub(
         lambda found: (
             {"\\": "\\", "n": "\n", "t": "\t", "r": "\r"}[found[1]]

@@ -1,4 +1,4 @@
-"""Every constant is varied, known effects are found again, an interrupted study loses nothing, and nothing unknown is called zero."""
+"""Every constant is varied, known effects are found, an interrupted study continues, and unknown is never zero."""
 
 import json
 import math
@@ -53,7 +53,11 @@ def doublings(value: float, base: float) -> float:
 
 
 def linear(question: Question) -> Answer:
-    """A world in which two lengths move all cells, a rate adds what differs between seeds, task sets what one set more does, and the period nothing."""
+    """Return the numbers of a linear world.
+
+    Two lengths move all cells, a rate adds what differs between seeds, task sets add one set's share, and the period
+    adds nothing.
+    """
     world, load = question.setting.constants.world, question.setting.constants.load
     value = 3 * doublings(world.message.high_s, 0.5) - doublings(world.window_mean_s, Constants().world.window_mean_s)
     sets = 1 if load is None else load.task_sets
@@ -88,7 +92,7 @@ def test_every_number_of_the_world_and_the_structure_is_a_factor_and_load_and_si
     assert {factor.origin for factor in factors()} == {"paper", "fitted", "chosen after fits", "chosen"}
 
 
-def test_nothing_moved_is_the_package_s_own_world() -> None:
+def test_moving_no_factor_gives_the_package_s_own_world() -> None:
     assert setting(factors(), {}) == Setting(Constants(), 4)
 
 
@@ -127,7 +131,7 @@ def test_lengths_are_halved_to_doubled_shares_stay_shares_and_counts_whole() -> 
 
 
 def test_the_name_of_a_constant_says_whether_it_is_a_share_or_a_count() -> None:
-    """So that a new one is not scaled out of its range unseen."""
+    """Otherwise a new one would be scaled out of its range unnoticed."""
     for factor in factors():
         if factor.name.endswith(("_share", "_probability", "_reliability")):
             assert factor.kind == "share"
@@ -151,7 +155,7 @@ def test_runs_take_the_constants_at_the_ends_of_all_ranges(end: float) -> None:
 
 
 def test_effects_and_indices_are_those_of_salib() -> None:
-    """The numbers are of SALib 1.6.0; `what` in the file says how they were made."""
+    """The numbers are those of SALib 1.6.0; `what` in the file says how they were made."""
     points, outputs = np.array(SALIB["points"]) / 3, np.array(SALIB["outputs"])
     steps = points.shape[1] + 1
     moves = []
@@ -162,7 +166,7 @@ def test_effects_and_indices_are_those_of_salib() -> None:
     ours = [summary(np.array(moves)[:, factor]) for factor in range(6)]
     for name in ("mu", "mu_star", "sigma"):
         assert [getattr(one, name) for one in ours] == pytest.approx(SALIB[name], abs=1e-12)
-    assert [one.mu_star_conf for one in ours] == pytest.approx(SALIB["mu_star_conf"], rel=0.01)  # SALib draws it
+    assert [one.mu_star_conf for one in ours] == pytest.approx(SALIB["mu_star_conf"], rel=0.01)  # drawn by SALib
 
     subject = [Factor(name, "scaled", 1.0, "chosen") for name in "abcd"] + [
         SOME[-1],
@@ -313,7 +317,7 @@ def test_an_interrupted_study_goes_on_where_it_stopped_and_ends_in_the_same_byte
     partial = tmp_path / "effects.parquet.partial"
     partial.write_bytes(
         partial.read_bytes() + b'{"key":"cut of'
-    )  # as a process leaves it that is killed while it writes
+    )  # as a process that is killed while it writes leaves it
     told: list[tuple[int, int]] = []
     study(out, ask=goes_on, progress=lambda done, total: told.append((done, total)))
     assert out.read_bytes() == file.read_bytes()
@@ -333,7 +337,7 @@ def test_more_trajectories_begin_with_the_same_ones(tmp_path: Path) -> None:
     assert asked[4] < asked[5]
 
 
-def test_what_another_program_left_is_not_gone_on_with(tmp_path: Path) -> None:
+def test_a_file_that_another_program_left_is_not_continued(tmp_path: Path) -> None:
     partial = tmp_path / "effects.parquet.partial"
     other = json.dumps({"package": fsar_ledger.__version__, "model_version": MODEL_VERSION, "program": "0" * 32}) + "\n"
     for text in (other, "something else\n", '{"package"'):

@@ -1,4 +1,4 @@
-"""What the package is made of is said by a machine, and where it runs by itself."""
+"""The bill of materials says what the package is made of, and unsupported systems are refused with a message."""
 
 import importlib.util
 import json
@@ -18,7 +18,7 @@ SCRIPT = ROOT / ".ci" / "sbom.py"
 
 
 class Hash(msgspec.Struct, forbid_unknown_fields=True):
-    """As CycloneDX 1.6 says, of the parts that we write; `Bom` below too."""
+    """A hash as CycloneDX 1.6 has it; like `Bom` below, only the parts that we write."""
 
     alg: Literal["SHA-256"]
     content: str
@@ -167,11 +167,13 @@ def test_the_checks_of_a_change_make_it_after_the_tests() -> None:
     assert lines.index("make test") < lines.index("make sbom")
 
 
-def test_where_it_does_not_run_it_says_so() -> None:
-    code = "import os, sys; sys.argv = ['fsar-ledger', 'info', 'x']; from fsar_ledger.__main__ import main; os.name = 'nt'; main()"
+def test_an_unsupported_system_is_refused_with_a_message() -> None:
+    code = (
+        "import os, sys; sys.argv = ['fsar-ledger', 'info', 'x']; "
+        "from fsar_ledger.__main__ import main; os.name = 'nt'; main()"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
-    assert (
-        done.stderr
-        == "fsar-ledger: found an operating system that is not POSIX (nt), expected Linux or macOS; on Windows use WSL\n"
+    assert done.stderr == (
+        "fsar-ledger: found an operating system that is not POSIX (nt), expected Linux or macOS; on Windows use WSL\n"
     )

@@ -102,7 +102,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(self.server.service.add_checkpoint(body))
 
     def handle_expect_100(self) -> bool:
-        """Send no `100 Continue`: the length of the body is checked first."""
+        """Delay `100 Continue` until the length of the body has been checked."""
         return True
 
     def _refuse(self, status: HTTPStatus, text: str) -> None:

@@ -158,7 +158,7 @@ def test_two_keys_of_one_log_are_two_logs() -> None:
     assert [key.name for key in policy(LOGS, f"log {STRANGER.verifier}\n", "quorum none\n").logs] == [ORIGIN, ORIGIN]
 
 
-def test_a_policy_that_cannot_be_read_is_a_wrong_call(tmp_path: Path) -> None:
+def test_a_policy_that_cannot_be_read_is_a_usage_error(tmp_path: Path) -> None:
     for path in (tmp_path / "none", tmp_path):
         with pytest.raises(UsageError, match="expected a C2SP tlog-policy"):
             read_policy(path)

@@ -15,7 +15,7 @@ EXAMPLE = (Path(__file__).parent.parent / "vectors" / "c2sp" / "add-checkpoint.t
 
 
 def status_of(request: Request, known: Checkpoint | None, logs: list[Signer] | None = None) -> int:
-    """200 if it may be cosigned."""
+    """Return the status of the answer, 200 if the checkpoint may be cosigned."""
     found = judge(request, [log.verifier for log in logs] if logs is not None else LOGS, known)
     return found.status if isinstance(found, Answer) else 200
 

@@ -17,7 +17,7 @@ GROWING = Log(30)
 
 
 def send(witness: Open, old: int, new: int, log: Log = GROWING) -> tuple[int, str]:
-    """The status and text of the answer to what the log sends."""
+    """Send a request of the log and return the status and text of the answer."""
     answer = witness.service.add_checkpoint(str(log.request(old, new)).encode())
     return answer.status, answer.text
 
@@ -90,7 +90,7 @@ def test_what_a_killed_process_left_is_cleared_away(tmp_path: Path) -> None:
     assert os.listdir(tmp_path / "w" / "logs") == [name_of(ORIGIN)]
 
 
-def test_a_memory_that_was_damaged_is_never_gone_on_with(tmp_path: Path) -> None:
+def test_a_damaged_memory_is_never_used(tmp_path: Path) -> None:
     with at_work(tmp_path / "w") as witness:
         send(witness, 0, 5)
     file = tmp_path / "w" / "logs" / name_of(ORIGIN)
@@ -174,7 +174,7 @@ def test_of_requests_at_once_one_wins_and_the_log_never_shrinks(witness: Open) -
     assert {status for _, status in answers} <= {200, 409}
 
 
-def test_the_newest_checkpoint_is_cosigned_anew_when_it_is_asked_for(tmp_path: Path) -> None:
+def test_the_newest_checkpoint_is_cosigned_again_when_it_is_asked_for(tmp_path: Path) -> None:
     with at_work(tmp_path / "w") as witness:
         assert witness.service.newest(name_of(ORIGIN)).status == 404
         send(witness, 0, 5)
