@@ -7,7 +7,7 @@ import sys
 from types import TracebackType
 
 from . import __version__, printable
-from .commands.terminal import Enough, say, say_failure, show
+from .cli.terminal import Enough, say, say_failure, show
 from .errors import WriteFailed
 
 
@@ -29,7 +29,7 @@ def main() -> None:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # threads take time to start; no matrix here is worth one
     gc.set_threshold(50_000, 20, 100)  # imports make many objects and little garbage
     try:
-        from .cli import run
+        from .cli.app import run
     except KeyboardInterrupt:
         say("interrupted; nothing was changed")
         sys.exit(130)
