@@ -13,7 +13,7 @@ from .errors import WriteFailed
 
 def main() -> None:
     """Run the command and exit with its code; answer `--version` before anything slow is imported."""
-    sys.excepthook = _failed
+    sys.excepthook = _report_error
     if sys.argv[1:] == ["--version"]:
         try:
             show(printable.line(f"fsar-ledger {__version__}"))
@@ -38,7 +38,7 @@ def main() -> None:
     os._exit(code)  # everything is written and closed; unloading libraries would add a tenth to a short command
 
 
-def _failed(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+def _report_error(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
     """Report an error of ours as Python words it, escaped, since it may quote a ledger."""
     import traceback
 

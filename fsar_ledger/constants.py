@@ -14,7 +14,7 @@ from typing import Annotated, Any, TypeVar
 
 import msgspec
 
-from fsar_ledger.parameters import decoded
+from fsar_ledger.parameters import decode_parameters
 
 _T = TypeVar("_T")
 Paper = Annotated[_T, msgspec.Meta(extra={"from": "paper"})]
@@ -171,7 +171,7 @@ def write_constants(constants: Constants) -> str:
     Raises:
         BadParameters: A value cannot be written as JSON, such as infinity, or is too long.
     """
-    found = decoded(_written(constants), type(constants))
+    found = decode_parameters(_written(constants), type(constants))
     text = _written(found)
     return (
         _written(msgspec.convert(_unsigned_zeros(msgspec.to_builtins(found)), type(found))) if "-0.0" in text else text
@@ -207,4 +207,4 @@ def _negatives(name: str, value: Any) -> list[str]:
 
 def read_constants(parameters: str) -> Constants:
     """Parse the constants that a run of this model records. Raises: BadParameters."""
-    return decoded(parameters, Constants)
+    return decode_parameters(parameters, Constants)

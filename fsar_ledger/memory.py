@@ -32,7 +32,7 @@ def limit() -> int | None:
     return _limit
 
 
-def too_little() -> str:
+def exceeded_message() -> str:
     """Return the message that the limit is too low."""
     return (
         f"memory: this needs more than {(_limit or 0) >> 20:,} MiB, its limit; "
@@ -41,7 +41,7 @@ def too_little() -> str:
 
 
 @contextmanager
-def held(most: int, excess: Callable[[], None]) -> Iterator[None]:
+def limited(most: int, excess: Callable[[], None]) -> Iterator[None]:
     """Limit the memory that the process takes from here on to `most` bytes.
 
     Beyond it `excess` is called once, in a thread of its own, and must end the process. Where the operating system does
@@ -54,7 +54,7 @@ def held(most: int, excess: Callable[[], None]) -> Iterator[None]:
     net = min([most + NET_BYTES, *(one for one in (soft, hard) if one != resource.RLIM_INFINITY)])
     with suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_DATA, (net, hard))
-    threading.Thread(target=_watch, args=(used() + most, excess, stopped), name="memory", daemon=True).start()
+    threading.Thread(target=_watch, args=(bytes_held() + most, excess, stopped), name="memory", daemon=True).start()
     try:
         yield
     finally:
@@ -66,12 +66,12 @@ def held(most: int, excess: Callable[[], None]) -> Iterator[None]:
 
 def _watch(most: int, excess: Callable[[], None], stopped: threading.Event) -> None:
     while not stopped.wait(CHECK_S):
-        if used() > most:
+        if bytes_held() > most:
             excess()
             return
 
 
-def used() -> int:
+def bytes_held() -> int:
     """Return the bytes that this process and its children hold."""
     own = _held_by("self")
     if own is None:
@@ -98,6 +98,6 @@ def _held_by(process: str) -> int | None:
     return (resident - shared) * _PAGE_BYTES
 
 
-def installed() -> int:
+def bytes_installed() -> int:
     """Return the bytes of memory that the machine has."""
     return os.sysconf("SC_PHYS_PAGES") * _PAGE_BYTES

@@ -15,7 +15,7 @@ class BadParameters(ValueError):
 
 def read_parameters(parameters: str) -> dict[str, Any]:
     """Parse the parameters of a run of any model: names and values, in few levels. Raises: BadParameters."""
-    found: dict[str, Any] = decoded(parameters, dict[str, Any])
+    found: dict[str, Any] = decode_parameters(parameters, dict[str, Any])
     level: list[Any] = [found]
     for _ in range(MAX_LEVELS):
         values = [value for one in level for value in (one.values() if isinstance(one, dict) else one)]
@@ -27,7 +27,7 @@ def read_parameters(parameters: str) -> dict[str, Any]:
     raise _bad(parameters, f"more than {MAX_LEVELS} levels")
 
 
-def decoded(parameters: str, kind: type[_T]) -> _T:
+def decode_parameters(parameters: str, kind: type[_T]) -> _T:
     """Decode the parameters as a value of this type. Raises: BadParameters."""
     try:
         return msgspec.json.decode(parameters, type=kind)

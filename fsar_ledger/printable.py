@@ -73,7 +73,7 @@ def cell(text: str, most: int = MAX_VALUE) -> str:
 
 def field(text: str) -> str:
     """Return the whole value for a spreadsheet: escaped as in `value`, and not readable as a formula."""
-    return unformulated(value(text, len(text)))
+    return _without_formula(value(text, len(text)))
 
 
 def word(text: object) -> str:
@@ -81,7 +81,7 @@ def word(text: object) -> str:
     return shlex.quote(value(str(text), len(str(text))))
 
 
-def unformulated(text: str) -> str:
+def _without_formula(text: str) -> str:
     """Put an apostrophe before text that a spreadsheet would read as a formula, or that already has one."""
     return "'" + text if _FORMULA.match(text) else text
 
@@ -107,7 +107,7 @@ def ascii_json(text: str) -> Shown:
     return Shown(text if text.isascii() and "\x7f" not in text else _NOT_ASCII.sub(_in_json, text))
 
 
-def net(text: str) -> str:
+def sanitized(text: str) -> str:
     """Escape whatever is unsafe in these lines; nothing, if all of them are `Shown`."""
     return text if is_shown(text.replace("\n", "")) else "\n".join(map(escaped, text.split("\n")))
 

@@ -33,7 +33,7 @@ class _Worker:
         """Start the process. Raises: OSError if it cannot be started or dies at once."""
         self.pipe, theirs = _SPAWN.Pipe()
         self.process: BaseProcess = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
-        self.doing: Future[Any] | None = None
+        self.running: Future[Any] | None = None
         try:
             self.process.start()
         except OSError:
@@ -109,7 +109,7 @@ class WorkerPool(Executor):
         try:
             worker = _Worker()
         except OSError as error:  # no room for a process, or it was killed as it started
-            raise WorkerDied(_death_of(None, str(error))) from error
+            raise WorkerDied(_death_message(None, str(error))) from error
         with self._lock:
             self._workers.append(worker)
         if self._dispatcher.ident is None:
@@ -122,10 +122,10 @@ class WorkerPool(Executor):
                 begun = [
                     (worker, call)
                     for worker in self._workers
-                    if worker.doing is None and (call := self._next_for(worker)) is not None
+                    if worker.running is None and (call := self._take_call(worker)) is not None
                 ]
                 pipes = {worker.pipe: worker for worker in self._workers}
-                if self._is_closing and not any(worker.doing for worker in self._workers):
+                if self._is_closing and not any(worker.running for worker in self._workers):
                     return
             for worker, call in begun:
                 with suppress(OSError):  # it is dead; its pipe has ended, too, and says so below
@@ -133,26 +133,26 @@ class WorkerPool(Executor):
             for ready in connection.wait([*pipes, self._wakes]):
                 if ready is self._wakes:
                     self._wakes.recv_bytes()
-                elif not self._answered(pipes[ready]):  # type: ignore[index]
+                elif not self._receive_answer(pipes[ready]):  # type: ignore[index]
                     self._fail(pipes[ready])  # type: ignore[index]
                     return
 
-    def _next_for(self, worker: _Worker) -> bytes | None:
+    def _take_call(self, worker: _Worker) -> bytes | None:
         """Take the first queued call for this worker."""
         while self._waiting:
             future, call = self._waiting.popleft()
             if future.set_running_or_notify_cancel():
-                worker.doing = future
+                worker.running = future
                 return call
         return None
 
-    def _answered(self, worker: _Worker) -> bool:
+    def _receive_answer(self, worker: _Worker) -> bool:
         """Pass on the worker's answer; return whether there was one, so that it is not dead."""
         try:
             answer = worker.pipe.recv_bytes()
         except (EOFError, OSError):
             return False
-        future, worker.doing = worker.doing, None
+        future, worker.running = worker.running, None
         assert future is not None  # a worker sends nothing but answers
         is_result, value = pickle.loads(answer)
         (future.set_result if is_result else future.set_exception)(value)
@@ -163,18 +163,18 @@ class WorkerPool(Executor):
         worker.process.join(5)  # its pipe has ended, so it is ending
         code = worker.process.exitcode
         with self._lock:
-            self._death = _death_of(
+            self._death = _death_message(
                 worker.process.pid,
                 "it still runs" if code is None else f"ended by signal {-code}" if code < 0 else f"ended with {code}",
             )
-            open_calls = [one.doing for one in self._workers if one.doing is not None]
+            open_calls = [one.running for one in self._workers if one.running is not None]
             open_calls += [future for future, _ in self._waiting if future.set_running_or_notify_cancel()]
             self._waiting.clear()
         for future in open_calls:
             future.set_exception(WorkerDied(self._death))
 
 
-def _death_of(process: int | None, found: str) -> str:
+def _death_message(process: int | None, found: str) -> str:
     named = "a worker process" if process is None else f"worker process {process}"
     return (
         f"{named}: found {found}, expected it to finish its work; somebody or the system ended it, the system for want "

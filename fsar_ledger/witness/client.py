@@ -19,7 +19,7 @@ _One = TypeVar("_One")
 _Found = TypeVar("_Found")
 
 
-class Silent(Exception):
+class NoAnswer(Exception):
     """Raised when a witness gave no usable answer; the message says why."""
 
 
@@ -29,9 +29,9 @@ def ask(url: str, path: str, body: bytes | None = None) -> Answer:
     Redirects are not followed and proxies are not used.
 
     Raises:
-        Silent: The server cannot be reached, or its answer is not HTTP or is too long.
+        NoAnswer: The server cannot be reached, or its answer is not HTTP or is too long.
     """
-    place = _place(url)
+    place = _parse_url(url)
     try:
         connection = _connection(place)
         try:
@@ -41,28 +41,28 @@ def ask(url: str, path: str, body: bytes | None = None) -> Answer:
         finally:
             connection.close()
     except (OSError, http.client.HTTPException, ValueError) as error:
-        raise Silent(f"{url}: no answer ({_reason(error)})") from error
+        raise NoAnswer(f"{url}: no answer ({_reason(error)})") from error
     if len(data) > MAX_BODY_BYTES:
-        raise Silent(f"{url}: an answer of more than {MAX_BODY_BYTES} bytes")
+        raise NoAnswer(f"{url}: an answer of more than {MAX_BODY_BYTES} bytes")
     return Answer(response.status, data.decode("utf-8", "replace"), response.headers.get("Content-Type", ""))
 
 
-def ask_all(question: Callable[[_One], _Found], members: Sequence[_One]) -> list[_Found | Silent]:
+def ask_all(question: Callable[[_One], _Found], members: Sequence[_One]) -> list[_Found | NoAnswer]:
     """Ask all members at once and return each one's answer, in the order of the members.
 
     A member whose whole answer takes longer than `ANSWER_S` is silent, even if it sends a byte now and then.
     """
-    found: list[_Found | Silent] = [Silent(f"no answer within {ANSWER_S:.0f} s")] * len(members)
+    found: list[_Found | NoAnswer] = [NoAnswer(f"no answer within {ANSWER_S:.0f} s")] * len(members)
     finished = [Event() for _ in members]
     all_finished = Event()
 
     def put(at: int, member: _One) -> None:
         try:
             found[at] = question(member)
-        except Silent as error:
+        except NoAnswer as error:
             found[at] = error
         except Exception as error:  # an answer that breaks the parser in an unforeseen way is no answer either
-            found[at] = Silent(f"no answer that can be read ({type(error).__name__})")
+            found[at] = NoAnswer(f"no answer that can be read ({type(error).__name__})")
         finished[at].set()
         if all(one.is_set() for one in finished):
             all_finished.set()
@@ -73,8 +73,8 @@ def ask_all(question: Callable[[_One], _Found], members: Sequence[_One]) -> list
     return list(found)
 
 
-def _place(url: str) -> SplitResult:
-    """Parse the URL of a witness. Raises: Silent if it is not one that can be asked."""
+def _parse_url(url: str) -> SplitResult:
+    """Parse the URL of a witness. Raises: NoAnswer if it is not one that can be asked."""
     try:
         place = urlsplit(url)
         is_right = (
@@ -87,7 +87,7 @@ def _place(url: str) -> SplitResult:
     except ValueError:
         is_right = False
     if not is_right or place.query or place.fragment or place.username is not None:
-        raise Silent(f"{url}: no URL of a witness, expected http://HOST:PORT or https://HOST, with or without a path")
+        raise NoAnswer(f"{url}: no URL of a witness, expected http://HOST:PORT or https://HOST, with or without a path")
     return place
 
 

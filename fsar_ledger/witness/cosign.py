@@ -11,7 +11,7 @@ from fsar_ledger.ledger.log.note import Note, Signature
 from fsar_ledger.ledger.log.tiles import node_of
 from fsar_ledger.ledger.store.derived import read_checkpoint, tile_reader
 from fsar_ledger.ledger.store.read import LedgerView, open_ledger
-from fsar_ledger.witness.client import Silent, ask, ask_all
+from fsar_ledger.witness.client import NoAnswer, ask, ask_all
 from fsar_ledger.witness.cosignature import parse_cosigned
 from fsar_ledger.witness.policy import Policy, Witness
 from fsar_ledger.witness.protocol import ADD_CHECKPOINT, SIZE, Answer, Request
@@ -31,7 +31,7 @@ class Cosigned(msgspec.Struct, frozen=True):
     silent: dict[str, str]
 
 
-def published(view: LedgerView) -> Note:
+def published_note(view: LedgerView) -> Note:
     """Return the note of the newest commit, or of the one before it while the newest one's tiles are unwritten.
 
     Raises:
@@ -60,7 +60,7 @@ def cosign(ledger: Path, policy: Policy) -> Cosigned:
     asked = [witness for witness in policy.witnesses if witness.url is not None]
     if not asked:
         raise UsageError(f"{policy.file}: found no witness with a URL, expected one that can be asked")
-    note = published(open_ledger(ledger))
+    note = published_note(open_ledger(ledger))
     answers = ask_all(lambda witness: _obtain(ledger, note, witness), asked)
     silent = {
         witness.name: f"the policy has no URL of {witness.name}" for witness in policy.witnesses if witness.url is None
@@ -68,7 +68,7 @@ def cosign(ledger: Path, policy: Policy) -> Cosigned:
     cosignatures: list[Signature] = []
     times: dict[str, int] = {}
     for witness, answer in zip(asked, answers, strict=True):
-        if isinstance(answer, Silent):
+        if isinstance(answer, NoAnswer):
             silent[witness.name] = str(answer)
         else:
             times[witness.name], signature = answer
@@ -77,7 +77,7 @@ def cosign(ledger: Path, policy: Policy) -> Cosigned:
 
 
 def _obtain(ledger: Path, note: Note, witness: Witness) -> tuple[int, Signature]:
-    """Return the time at which this witness cosigned the note, and its cosignature. Raises: Silent."""
+    """Return the time at which this witness cosigned the note, and its cosignature. Raises: NoAnswer."""
     url, size = witness.url or "", note.checkpoint.size
     old = 0
     for _ in range(_TRIES):
@@ -90,14 +90,14 @@ def _obtain(ledger: Path, note: Note, witness: Witness) -> tuple[int, Signature]
             break
         old = int(known)
         if old > size:
-            raise Silent(
+            raise NoAnswer(
                 f"{url}: refused: it knows {old:,} events of this log, the ledger has {size:,}: "
                 "this is an older copy, or the newest were removed"
             )
     else:
-        raise Silent(f"{url}: refused {_TRIES} times: it says each time that it knows another size")
+        raise NoAnswer(f"{url}: refused {_TRIES} times: it says each time that it knows another size")
     meaning = _MEANINGS.get(answer.status, "")
-    raise Silent(f"{url}: refused with {answer.status}{meaning}")
+    raise NoAnswer(f"{url}: refused with {answer.status}{meaning}")
 
 
 _MEANINGS: dict[int, str] = {
@@ -111,21 +111,21 @@ _MEANINGS: dict[int, str] = {
 
 
 def _proof(ledger: Path, old: int, new: int) -> tuple[bytes, ...]:
-    """Compute the consistency proof from the ledger's tiles. Raises: Silent if a tile is missing."""
+    """Compute the consistency proof from the ledger's tiles. Raises: NoAnswer if a tile is missing."""
     try:
         return consistency_proof(node_of(tile_reader(ledger), new), old, new)
     except LedgerCorrupted as error:
-        raise Silent(str(error)) from error
+        raise NoAnswer(str(error)) from error
 
 
 def _cosignature(answer: Answer, note: Note, witness: Witness) -> tuple[int, Signature]:
-    """Return the newest cosignature of this witness in the answer, with its time. Raises: Silent if none is."""
+    """Return the newest cosignature of this witness in the answer, with its time. Raises: NoAnswer if none is."""
     try:
         found = parse_cosigned("answer", f"{note.checkpoint.text()}\n{answer.text}".encode())
     except LedgerCorrupted as error:
-        raise Silent(f"{witness.url}: an answer without cosignatures") from error
+        raise NoAnswer(f"{witness.url}: an answer without cosignatures") from error
     for signature in found.signatures:
         time = witness.key.time_of(Note(note.checkpoint, (signature,)))
         if time is not None and time == witness.key.time_of(found):
             return time, signature
-    raise Silent(f"{witness.url}: a cosignature that the key of {witness.name} did not make")
+    raise NoAnswer(f"{witness.url}: a cosignature that the key of {witness.name} did not make")

@@ -16,16 +16,16 @@ from fsar_ledger.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.log.note import Note, VerifierKey
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.verify.notes import Anchor
-from fsar_ledger.witness.client import Silent, ask, ask_all
+from fsar_ledger.witness.client import NoAnswer, ask, ask_all
 from fsar_ledger.witness.cosignature import parse_cosigned
 from fsar_ledger.witness.policy import Policy, Witness
-from fsar_ledger.witness.protocol import path_of
+from fsar_ledger.witness.protocol import checkpoint_path
 
 MAX_AGE_S = 300
 """How far the time of a fresh cosignature may be from ours, in seconds: beyond it, it is old or a clock is wrong."""
 
 
-class Word(msgspec.Struct, frozen=True):
+class Statement(msgspec.Struct, frozen=True):
     """The statement of one witness: it saw `size` events at `time_s` (seconds since 1970).
 
     Both are None where the statement does not count, and `reason` says why.
@@ -45,7 +45,7 @@ class Evidence(msgspec.Struct, frozen=True):
     """
 
     size: int
-    words: tuple[Word, ...]
+    statements: tuple[Statement, ...]
     checkpoints: tuple[Anchor, ...]
 
 
@@ -60,16 +60,16 @@ def ask_witnesses(policy: Policy, logs: Sequence[VerifierKey], origin: str, now_
     answers = dict(
         zip((witness.name for witness in asked), ask_all(lambda witness: _newest(witness, origin), asked), strict=True)
     )
-    words, checkpoints = [], []
+    statements, checkpoints = [], []
     for witness in policy.witnesses:
-        answer = answers.get(witness.name, Silent("the policy has no URL for it"))
-        if isinstance(answer, Silent):
-            words.append(Word(witness.name, reason=str(answer)))
+        answer = answers.get(witness.name, NoAnswer("the policy has no URL for it"))
+        if isinstance(answer, NoAnswer):
+            statements.append(Statement(witness.name, reason=str(answer)))
             continue
         where = f"witness {witness.name} ({witness.url})"
-        words.append(_word(witness, where, answer, logs, origin, now_s, is_asked=True))
+        statements.append(_statement(witness, where, answer, logs, origin, now_s, is_asked=True))
         checkpoints += [Anchor(where, answer)] if _is_of(logs, answer, origin) else []
-    return _weighed(policy, words, checkpoints)
+    return _weigh(policy, statements, checkpoints)
 
 
 def read_cosigned(
@@ -87,28 +87,30 @@ def read_cosigned(
                 f"--cosigned {file}: found no checkpoint of {origin} with a signature of its key, "
                 "expected a note of this ledger"
             )
-    words = []
+    statements = []
     for witness in policy.witnesses:
-        said = [_word(witness, str(file), note, logs, origin, now_s, is_asked=False) for file, note in notes.items()]
-        words.append(max(said, key=lambda word: (word.size is not None, word.size or 0, word.time_s or 0)))
-    return _weighed(policy, words, [Anchor(str(file), note) for file, note in notes.items()])
+        said = [
+            _statement(witness, str(file), note, logs, origin, now_s, is_asked=False) for file, note in notes.items()
+        ]
+        statements.append(max(said, key=lambda one: (one.size is not None, one.size or 0, one.time_s or 0)))
+    return _weigh(policy, statements, [Anchor(str(file), note) for file, note in notes.items()])
 
 
 def _newest(witness: Witness, origin: str) -> Note:
-    """Ask this witness for the newest note that it cosigned. Raises: Silent."""
+    """Ask this witness for the newest note that it cosigned. Raises: NoAnswer."""
     url = witness.url or ""
-    answer = ask(url, path_of(origin))
+    answer = ask(url, checkpoint_path(origin))
     if answer.status != HTTPStatus.OK:
         said = (
             "it has no checkpoint of this log"
             if answer.status == HTTPStatus.NOT_FOUND
             else f"an answer with status {answer.status}"
         )
-        raise Silent(f"{url}: {said}")
+        raise NoAnswer(f"{url}: {said}")
     try:
         return parse_cosigned(url, answer.text.encode())
     except LedgerCorrupted as error:
-        raise Silent(f"{url}: an answer that is no C2SP checkpoint") from error
+        raise NoAnswer(f"{url}: an answer that is no C2SP checkpoint") from error
 
 
 def _read(file: Path) -> Note:
@@ -127,9 +129,9 @@ def _is_of(logs: Sequence[VerifierKey], note: Note, origin: str) -> bool:
     return note.checkpoint.origin == origin and any(key.has_signed(note) for key in logs)
 
 
-def _word(
+def _statement(
     witness: Witness, where: str, note: Note, logs: Sequence[VerifierKey], origin: str, now_s: int, *, is_asked: bool
-) -> Word:
+) -> Statement:
     """Judge what this note says as the statement of this witness."""
     time_s = witness.key.time_of(note)
     reason = None
@@ -142,15 +144,19 @@ def _word(
         reason = f"{where}: a cosignature {time_s - now_s:,} s in the future"
     elif is_asked and time_s < now_s - MAX_AGE_S:
         reason = f"{where}: a cosignature {now_s - time_s:,} s old, where it was asked for a new one"
-    return Word(witness.name, note.checkpoint.size, time_s) if reason is None else Word(witness.name, reason=reason)
+    return (
+        Statement(witness.name, note.checkpoint.size, time_s)
+        if reason is None
+        else Statement(witness.name, reason=reason)
+    )
 
 
-def _weighed(policy: Policy, words: Sequence[Word], checkpoints: Sequence[Anchor]) -> Evidence:
+def _weigh(policy: Policy, statements: Sequence[Statement], checkpoints: Sequence[Anchor]) -> Evidence:
     """Find the largest size that enough witnesses cover; one that saw a larger tree saw the smaller one in it."""
-    sizes = sorted({word.size for word in words if word.size}, reverse=True)
+    sizes = sorted({one.size for one in statements if one.size}, reverse=True)
     enough = (
         size
         for size in sizes
-        if policy.is_met({word.witness for word in words if word.size is not None and word.size >= size})
+        if policy.is_met({one.witness for one in statements if one.size is not None and one.size >= size})
     )
-    return Evidence(next(enough, 0), tuple(words), tuple(checkpoints))
+    return Evidence(next(enough, 0), tuple(statements), tuple(checkpoints))

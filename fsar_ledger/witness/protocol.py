@@ -58,12 +58,12 @@ class Request(msgspec.Struct, frozen=True):
         )
 
 
-def path_of(origin: str) -> str:
+def checkpoint_path(origin: str) -> str:
     """Return the path of a log's newest checkpoint: by the SHA-256 of its origin in hex, as C2SP tlog-mirror does."""
-    return f"/{name_of(origin)}/checkpoint"
+    return f"/{origin_hash(origin)}/checkpoint"
 
 
-def name_of(origin: str) -> str:
+def origin_hash(origin: str) -> str:
     """Return the SHA-256 of the origin in hex, which names a log in paths."""
     return hashlib.sha256(origin.encode()).hexdigest()
 

@@ -25,7 +25,7 @@ _BUSY_S = 0.1
 _BUSY = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 
 
-class _Timed(io.RawIOBase):
+class _DeadlineReader(io.RawIOBase):
     """A reader of a socket with one deadline for the whole request, however slowly it comes."""
 
     def __init__(self, connection: socket.socket, monotonic: Callable[[], float]) -> None:
@@ -56,11 +56,11 @@ class _Handler(BaseHTTPRequestHandler):
     def setup(self) -> None:
         super().setup()
         self.rfile.close()
-        self._timed = _Timed(self.connection, self.server.monotonic)
-        self.rfile = io.BufferedReader(self._timed)
+        self._reader = _DeadlineReader(self.connection, self.server.monotonic)
+        self.rfile = io.BufferedReader(self._reader)
 
     def handle_one_request(self) -> None:
-        self._timed.begin()
+        self._reader.begin()
         self.close_connection = True  # if anything fails before the request is parsed
         try:
             super().handle_one_request()

@@ -6,7 +6,7 @@ from threading import Lock
 
 from fsar_ledger.errors import WriteFailed
 from fsar_ledger.ledger.log.note import Note, VerifierKey
-from fsar_ledger.witness.protocol import Answer, judge, name_of, parse_request
+from fsar_ledger.witness.protocol import Answer, judge, origin_hash, parse_request
 from fsar_ledger.witness.state import State
 
 Clock = Callable[[], int]
@@ -26,8 +26,8 @@ class Service:
     def __init__(self, state: State, logs: Sequence[VerifierKey], clock: Clock, tell: Callable[[str], None]) -> None:
         self.tell = tell
         self._state, self._logs, self._clock = state, tuple(logs), clock
-        self._origins = {name_of(key.name): key.name for key in logs}
-        self._turns = {origin: Lock() for origin in self._origins.values()}
+        self._origins = {origin_hash(key.name): key.name for key in logs}
+        self._locks = {origin: Lock() for origin in self._origins.values()}
 
     def add_checkpoint(self, body: bytes) -> Answer:
         """Cosign the checkpoint in this request, which is stored first, or say why not."""
@@ -36,7 +36,7 @@ class Service:
         except ValueError as error:
             return Answer(HTTPStatus.BAD_REQUEST, f"{error}\n")
         origin = request.note.checkpoint.origin
-        turn = self._turns.get(origin)
+        turn = self._locks.get(origin)
         if turn is None:
             return Answer(HTTPStatus.NOT_FOUND, "unknown log\n")
         with turn:
@@ -50,11 +50,11 @@ class Service:
         return answer
 
     def newest(self, name: str) -> Answer:
-        """Return the newest checkpoint of the log of this name (see `name_of`), cosigned again as of now."""
+        """Return the newest checkpoint of the log of this name (see `origin_hash`), cosigned again as of now."""
         origin = self._origins.get(name)
         if origin is None:
             return Answer(HTTPStatus.NOT_FOUND, "unknown log\n")
-        with self._turns[origin]:
+        with self._locks[origin]:
             note = self._state.newest(origin)
             if note is None:
                 return Answer(HTTPStatus.NOT_FOUND, "no checkpoint of this log was cosigned yet\n")

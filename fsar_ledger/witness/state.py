@@ -25,7 +25,7 @@ from fsar_ledger.ledger.log.ed25519 import KEY_BYTES
 from fsar_ledger.ledger.log.note import Note, is_name
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.witness.cosignature import Cosigner, WitnessKey, parse_cosigned, parse_secret, secret_text
-from fsar_ledger.witness.protocol import name_of
+from fsar_ledger.witness.protocol import origin_hash
 
 SECRET = "witness.key"
 PUBLIC = SECRET + ".pub"
@@ -48,7 +48,7 @@ class State:
         Raises:
             WriteFailed: The disk refused; the cosignature must not be sent.
         """
-        path = self.folder / LOGS / name_of(note.checkpoint.origin)
+        path = self.folder / LOGS / origin_hash(note.checkpoint.origin)
         with disk.refusals(path, "remembering a checkpoint"):
             disk.write_durably(path, str(note).encode())
         self._newest[note.checkpoint.origin] = note
@@ -81,7 +81,7 @@ def new_state(folder: Path, name: str) -> WitnessKey:
 
 
 @contextmanager
-def opened(folder: Path) -> Iterator[State]:
+def open_state(folder: Path) -> Iterator[State]:
     """Open the witness in this folder, for this process alone.
 
     Raises:
@@ -158,7 +158,7 @@ def _read_logs(folder: Path, key: WitnessKey) -> dict[str, Note]:
             note = parse_cosigned(str(path), disk.read_document(path))
         except OSError as error:
             raise LedgerCorrupted(f"{path}: it cannot be read ({error.strerror}), {_GONE}") from error
-        if name != name_of(note.checkpoint.origin) or key.time_of(note) is None:
+        if name != origin_hash(note.checkpoint.origin) or key.time_of(note) is None:
             raise LedgerCorrupted(
                 f"{path}: found a note that this witness did not cosign, or under another name, {_GONE}"
             )

@@ -14,7 +14,7 @@ from fsar_ledger.witness.cosignature import WitnessKey
 from fsar_ledger.witness.protocol import Request
 from fsar_ledger.witness.server import WitnessServer
 from fsar_ledger.witness.service import Service
-from fsar_ledger.witness.state import State, new_state, opened
+from fsar_ledger.witness.state import State, new_state, open_state
 from tests.cli.conftest import call as call  # re-exported as a fixture
 
 ORIGIN = "example.org/log"
@@ -68,7 +68,7 @@ def at_work(folder: Path, now_s: int = NOW_S) -> Iterator[Open]:
     if not folder.exists():
         new_state(folder, f"example.org/{folder.name}")
     told: list[str] = []
-    with opened(folder) as state:
+    with open_state(folder) as state:
         yield Open(state, Service(state, [LOG.verifier], lambda: now_s, told.append), told, state.cosigner.key)
 
 

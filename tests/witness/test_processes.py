@@ -16,7 +16,7 @@ import pytest
 from fsar_ledger.ledger.log.note import parse_note
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.witness.cosignature import parse_cosigned, parse_secret
-from fsar_ledger.witness.state import new_state, opened
+from fsar_ledger.witness.state import new_state, open_state
 from tests.cli.conftest import Call, Called, in_a_process, one_message
 from tests.ledger.damage import SIGNER, write_ledger
 from tests.ledger.samples import ORIGIN, made_up_run
@@ -215,7 +215,7 @@ def test_a_witness_that_is_killed_again_and_again_never_forgets_what_it_answered
             time.sleep(0.05)
             running.process.send_signal(signal.SIGKILL)
             sender.join()
-        with opened(tmp_path / "w") as state:
+        with open_state(tmp_path / "w") as state:
             note = state.newest(log_of.ORIGIN)
         assert note is not None
         assert note.checkpoint == log.checkpoint(note.checkpoint.size)

@@ -6,7 +6,7 @@ import pytest
 
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature, Signer
-from fsar_ledger.witness.protocol import MAX_BODY_BYTES, Answer, Request, judge, parse_request, path_of
+from fsar_ledger.witness.protocol import MAX_BODY_BYTES, Answer, Request, checkpoint_path, judge, parse_request
 from tests.witness.conftest import LOG, ORIGIN, STRANGER, Log
 
 GROWING = Log(20)
@@ -37,7 +37,7 @@ def test_the_example_of_c2sp_is_read_and_written_again() -> None:
 
 def test_a_log_is_published_under_the_hash_of_its_origin() -> None:
     assert (
-        path_of("abc") == "/ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad/checkpoint"
+        checkpoint_path("abc") == "/ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad/checkpoint"
     )  # FIPS 180-4, example B.1
 
 

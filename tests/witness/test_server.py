@@ -9,7 +9,7 @@ import pytest
 
 from fsar_ledger.errors import UsageError
 from fsar_ledger.witness import server as module
-from fsar_ledger.witness.protocol import MAX_BODY_BYTES, path_of
+from fsar_ledger.witness.protocol import MAX_BODY_BYTES, checkpoint_path
 from fsar_ledger.witness.server import WitnessServer
 from tests.witness.conftest import ORIGIN, Log, Open, serving
 
@@ -59,7 +59,7 @@ def test_a_connection_may_ask_many_things_one_after_the_other(server: WitnessSer
             11,
         )
         assert line.startswith("— example.org/w1 ")
-    connection.request("GET", path_of(ORIGIN))
+    connection.request("GET", checkpoint_path(ORIGIN))
     response = connection.getresponse()
     assert (response.status, response.read().decode().split("\n")[1]) == (200, "9")
     connection.request("POST", "/add-checkpoint", BODY)
@@ -93,7 +93,7 @@ def test_a_connection_may_ask_many_things_one_after_the_other(server: WitnessSer
         (b"GET /" + b"a" * 64 + b"/checkpoint HTTP/1.1\r\n\r\n", 404),
         (b"GET /../../etc/passwd HTTP/1.1\r\n\r\n", 404),
         (b"GET //checkpoint HTTP/1.1\r\n\r\n", 404),
-        (b"GET " + path_of(ORIGIN).upper().encode() + b" HTTP/1.1\r\n\r\n", 404),
+        (b"GET " + checkpoint_path(ORIGIN).upper().encode() + b" HTTP/1.1\r\n\r\n", 404),
         (b"HEAD / HTTP/1.1\r\n\r\n", 501),
         (b"PUT /add-checkpoint HTTP/1.1\r\n\r\n", 501),
         (b"\x1b[31m / HTTP/1.1\r\n\r\n", 501),
@@ -120,7 +120,7 @@ def test_each_request_has_its_status_and_a_short_clean_answer(
 
 
 def test_an_answer_that_could_be_taken_for_a_second_request_ends_the_connection(server: WitnessServer) -> None:
-    smuggled = b"GET " + path_of(ORIGIN).encode() + b" HTTP/1.1\r\nContent-Length: 50\r\n\r\n" + post()
+    smuggled = b"GET " + checkpoint_path(ORIGIN).encode() + b" HTTP/1.1\r\nContent-Length: 50\r\n\r\n" + post()
     assert raw(server, smuggled).count(b"HTTP/1.1 ") == 1
     assert (
         raw(server, post(b"", "/add-checkpoint", None, "Transfer-Encoding: chunked") + post()).count(b"HTTP/1.1 ") == 1
