@@ -252,11 +252,10 @@ def test_a_witness_has_one_process_and_ends_when_it_is_told_to(place: Place) -> 
 
 
 def test_a_wrong_call_of_a_witness_is_explained(ledgers: Path, tmp_path: Path, call: Call) -> None:
-    key, policy = ledgers / "log.pub", tmp_path / "policy"
+    key = ledgers / "log.pub"
     one_message(call("witness", "new", tmp_path / "w"), 2, "--name")
     one_message(call("witness", "new", ledgers / "1" / "w", "--name", "w"), 2, "inside the ledger")
-    witness = call("witness", "new", tmp_path / "w", "--name", "example.org/w")
-    assert witness.code == 0
+    assert call("witness", "new", tmp_path / "w", "--name", "example.org/w").code == 0
     one_message(call("witness", "serve", tmp_path / "w"), 2, "--log")
     one_message(call("witness", "serve", tmp_path / "none", "--log", key), 2, "found no witness there")
     one_message(
@@ -269,9 +268,13 @@ def test_a_wrong_call_of_a_witness_is_explained(ledgers: Path, tmp_path: Path, c
     one_message(
         call("witness", "serve", tmp_path / "w", "--log", key, "--host", "192.0.2.7"), 2, "no way to listen there"
     )
+
+
+def test_a_witness_policy_that_names_no_witness_to_ask_is_explained(ledgers: Path, tmp_path: Path, call: Call) -> None:
+    policy, log = tmp_path / "policy", f"log {SIGNER.verifier}\n"
+    line = f"witness w {new_state(tmp_path / 'w', 'example.org/w')}"
     one_message(call("verify", ledgers / "1", "--cosigned", tmp_path / "x"), 2, "found no --witness-policy")
     one_message(call("verify", ledgers / "1", "--witness-policy", policy), 2, "expected a C2SP tlog-policy")
-    line, log = f"witness w {witness.out.strip()}", f"log {SIGNER.verifier}\n"
     for text, parts in (
         ("quorum none\n", "without one nothing is shown"),
         (f"{line}\nquorum w\n", "found no log"),
@@ -279,14 +282,19 @@ def test_a_wrong_call_of_a_witness_is_explained(ledgers: Path, tmp_path: Path, c
         (f"log {log_of.LOG.verifier}\n{line}\nquorum w\n", "--trusted-key: found"),
     ):
         policy.write_text(text)
-        trusted = ("--trusted-key", key) if "--trusted-key" in parts else ()
+        trusted = ("--trusted-key", ledgers / "log.pub") if "--trusted-key" in parts else ()
         one_message(call("verify", ledgers / "1", "--witness-policy", policy, *trusted), 2, parts)
     one_message(
         call("verify", ledgers / "1", "--witness-policy", policy),
         3,
         f"found a ledger of {ORIGIN}, expected one of a log that",
     )
-    policy.write_text(f"{log}{line} ftp://127.0.0.1\nquorum w\n")
+
+
+def test_what_a_witness_cannot_answer_is_explained(ledgers: Path, tmp_path: Path, call: Call) -> None:
+    policy = tmp_path / "policy"
+    line = f"witness w {new_state(tmp_path / 'w', 'example.org/w')}"
+    policy.write_text(f"log {SIGNER.verifier}\n{line} ftp://127.0.0.1\nquorum w\n")
     one_message(call("verify", ledgers / "1", "--witness-policy", policy), 3, "no URL of a witness")
     one_message(
         call("witness", "ask", ledgers / "1", "--policy", policy), 1, "no URL of a witness", "nothing was written"
