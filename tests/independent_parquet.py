@@ -154,19 +154,9 @@ def read_layout(data: bytes, at: int, leaf: Leaf, column: dict[str, Any], rows: 
         dictionary, first = (at, first) if kind == DICTIONARY else (dictionary, at if first is None else first)
         page = data[at + reader.at : at + reader.at + stored]
         must(len(page) == stored and at + reader.at + stored <= end, True, "a page within its chunk:")
-        must(header["crc"] & 0xFFFFFFFF, zlib.crc32(page), "a checksum")
-        about = header[name]
-        key = kind, about["encoding"]
+        values += check_page(header, page)
+        key = kind, header[name]["encoding"]
         counts[key] = counts.get(key, 0) + 1
-        if kind == DATA:
-            must(
-                (about["definition_encoding"], about["repetition_encoding"], about["num_values"] >= 0),
-                (RLE, RLE, True),
-                "levels encoded, and values",
-            )
-            values += about["num_values"]
-        else:
-            must((about["encoding"], about["is_sorted"]), (PLAIN, False), "a dictionary in PLAIN, in an order")
         unpacked += reader.at + header["unpacked_bytes"]
         must(
             sum(counts.values()) - (dictionary is not None) <= MAX_PAGES and unpacked <= MAX_UNPACKED_BYTES,
@@ -189,6 +179,22 @@ def read_layout(data: bytes, at: int, leaf: Leaf, column: dict[str, Any], rows: 
         sorted(counts.items(), key=lambda item: (item[0][0] != DICTIONARY, item[0])),
         "pages by kind and encoding",
     )
+
+
+def check_page(header: dict[str, Any], page: bytes) -> int:
+    """Check a page against its header; return how many values it adds to its column, 0 for a dictionary."""
+    must(header["crc"] & 0xFFFFFFFF, zlib.crc32(page), "a checksum")
+    if header["type"] == DICTIONARY:
+        about = header["dictionary"]
+        must((about["encoding"], about["is_sorted"]), (PLAIN, False), "a dictionary in PLAIN, in an order")
+        return 0
+    about = header["data"]
+    must(
+        (about["definition_encoding"], about["repetition_encoding"], about["num_values"] >= 0),
+        (RLE, RLE, True),
+        "levels encoded, and values",
+    )
+    return int(about["num_values"])
 
 
 def read_column(leaf: Leaf, column: dict[str, Any], pages: list[Page], rows: int) -> Values:
