@@ -108,7 +108,7 @@ def ascii_json(text: str) -> Shown:
 
 
 def sanitized(text: str) -> str:
-    """Escape whatever is unsafe in these lines; nothing, if all of them are `Shown`."""
+    """Escape everything unsafe in these lines; nothing, if all of them are `Shown`."""
     return text if is_shown(text.replace("\n", "")) else "\n".join(map(escaped, text.split("\n")))
 
 

@@ -177,9 +177,9 @@ class WorkerPool(Executor):
 def _death_message(process: int | None, found: str) -> str:
     named = "a worker process" if process is None else f"worker process {process}"
     return (
-        f"{named}: found {found}, expected it to finish its work; somebody or the system ended it, the system for want "
-        "of memory perhaps; what is committed stays, and of what was not looked at nothing is said: "
-        "run the same command again, with fewer --workers where memory is short"
+        f"{named}: found {found}, expected it to finish its work; something outside the command ended it, perhaps the "
+        "system for lack of memory; what is committed stays, and nothing is said about what was not checked: "
+        "run the same command again, with fewer --workers if memory is short"
     )
 
 

@@ -1,9 +1,7 @@
 """Ed25519 public keys for the second verifier: encodings of points of the base point's subgroup (RFC 8032)."""
 
-P, L = (
-    2**255 - 19,
-    2**252 + 27742317777372353535851937790883648493,
-)  # section 5.1: the field, and the order of the base point
+# Section 5.1: the field, and the order of the base point.
+P, L = 2**255 - 19, 2**252 + 27742317777372353535851937790883648493
 Point = tuple[int, int]
 
 

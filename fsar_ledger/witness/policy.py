@@ -185,7 +185,7 @@ class _Reader:
 
     def _new(self, name: str) -> str:
         if name in self.names:
-            raise self.wrong(f"{name!a:.60} once more", "a name that stands for nothing yet")
+            raise self.wrong(f"a second {name!a:.60}", "a name that is not taken yet")
         self.names.add(name)
         return name
 

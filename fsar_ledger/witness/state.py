@@ -39,7 +39,7 @@ class State:
         self.folder, self.cosigner, self._newest = folder, cosigner, newest
 
     def newest(self, origin: str) -> Note | None:
-        """Return the newest cosigned note of this log, with the cosignature of then, or None."""
+        """Return the newest cosigned note of this log, with the cosignature that was stored with it, or None."""
         return self._newest.get(origin)
 
     def remember(self, note: Note) -> None:

@@ -99,9 +99,8 @@ def test_a_verification_before_the_bit_was_flipped_excuses_nothing(command: Atta
 @pytest.mark.slow
 def test_no_number_stands_under_a_root_that_is_not_that_of_its_rows(command: Attack, ledger: Path) -> None:
     rows = table_of(ledger, NUMBER)
-    forge_segment(
-        ledger, NUMBER, changed(rows, "architecture", 0, "dhma")
-    )  # the hashes match the new bytes, the root is the old one
+    # The hashes match the new bytes, the root is the old one.
+    forge_segment(ledger, NUMBER, changed(rows, "architecture", 0, "dhma"))
 
     answer = command("metrics", ledger, "--json")
     assert answer.code != 0 or json.loads(answer.out).get("rows_verified") is False

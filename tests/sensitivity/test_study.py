@@ -23,13 +23,11 @@ from tests.sensitivity.conftest import NAMES, linear, study
 
 def test_known_effects_are_found_again(found: Sensitivity) -> None:
     of = {effect.factor: effect for effect in found.effects if (effect.metric, effect.architecture) == CELLS[1]}
-    assert (of["world.message"].mu, of["world.message"].mu_star) == pytest.approx(
-        (6, 6), rel=1e-5
-    )  # two doublings of 3
+    two_doublings_of_3 = pytest.approx((6, 6), rel=1e-5)
+    assert (of["world.message"].mu, of["world.message"].mu_star) == two_doublings_of_3
     assert (of["world.window_mean_s"].mu, of["world.window_mean_s"].mu_star) == pytest.approx((-2, 2), rel=1e-5)
-    assert (of["load.task_sets"].mu, of["load.task_sets"].sigma) == pytest.approx(
-        (0.25, 0), abs=1e-5
-    )  # per set, not per whole range
+    per_set = pytest.approx((0.25, 0), abs=1e-5)  # not per whole range
+    assert (of["load.task_sets"].mu, of["load.task_sets"].sigma) == per_set
     assert (of["structure.sync_period_us"].mu_star, of["structure.sync_period_us"].sigma) == (0, 0)
     seeds = of["world.context_rate_per_s"]  # differs between trajectories, so it has a spread
     assert seeds.sigma is not None
@@ -40,9 +38,8 @@ def test_known_effects_are_found_again(found: Sensitivity) -> None:
 def test_the_parts_of_the_variance_are_those_of_the_law(found: Sensitivity) -> None:
     of = {effect.factor: effect for effect in found.effects if (effect.metric, effect.architecture) == CELLS[5]}
     assert of["world.message"].emulator_r2 == pytest.approx(1, abs=1e-6)
-    whole = (
-        9 / 3 + 1 / 3 + 0.25**2 / 4 + (0.125 * (EMULATOR_SEED % 3)) ** 2 / 3
-    )  # uniform over two doublings, and a switch
+    # Uniform over two doublings, and a switch.
+    whole = 9 / 3 + 1 / 3 + 0.25**2 / 4 + (0.125 * (EMULATOR_SEED % 3)) ** 2 / 3
     assert of["world.message"].sobol_first == pytest.approx(3 / whole, abs=1e-3)
     assert of["world.window_mean_s"].sobol_total == pytest.approx(1 / 3 / whole, abs=1e-3)
     assert of["structure.sync_period_us"].sobol_first is None  # it moves nothing, so it is none of the dozen
@@ -67,10 +64,8 @@ def test_no_metric_fills_the_list_of_those_that_matter(found: Sensitivity) -> No
         for one in effects
     ]
     about = Sensitivity(found.about, tuple(changed))
-    assert that_matter(about, 2) == (
-        "structure.sync_period_us",
-        "load.task_sets",
-    )  # the second moves containment furthest, and any cell least
+    # The second moves containment furthest, and any cell least.
+    assert that_matter(about, 2) == ("structure.sync_period_us", "load.task_sets")
     assert that_matter(about, 3) == ("structure.sync_period_us", "world.context_rate_per_s", "load.task_sets")
     assert that_matter(about, 12) == (
         "structure.sync_period_us",
@@ -119,9 +114,8 @@ def test_an_interrupted_study_goes_on_where_it_stopped_and_ends_in_the_same_byte
     with pytest.raises(KeyboardInterrupt):
         study(out, ask=breaks)
     partial = tmp_path / "effects.parquet.partial"
-    partial.write_bytes(
-        partial.read_bytes() + b'{"key":"cut of'
-    )  # as a process that is killed while it writes leaves it
+    # As a process that is killed while it writes leaves it.
+    partial.write_bytes(partial.read_bytes() + b'{"key":"cut of')
     told: list[tuple[int, int]] = []
     study(out, ask=goes_on, progress=lambda done, total: told.append((done, total)))
     assert out.read_bytes() == file.read_bytes()

@@ -209,10 +209,8 @@ def test_500_malformed_requests_leave_the_witness_as_it_was(server: WitnessServe
     assert all(answer.startswith((b"HTTP/1.1 ", b"reset")) or not answer for answer in answers)
     now = witness.state.newest(ORIGIN)
     assert now is not None
-    assert now.checkpoint in (
-        GROWING.checkpoint(5),
-        GROWING.checkpoint(9),
-    )  # a changed header may leave a good request behind
+    # A changed header may leave a good request behind.
+    assert now.checkpoint in (GROWING.checkpoint(5), GROWING.checkpoint(9))
     assert not [line for line in witness.told[len(told) :] if "not answered" in line]
 
 
