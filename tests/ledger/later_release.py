@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Self
 
 import fsar_ledger
-from fsar_ledger.ledger import releases
+from fsar_ledger.ledger.rows import releases
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -87,7 +87,7 @@ EDITS = (
     ("events/retired.py", "] = (RunStartedV1,", "] = (StepBeganV1, StepBeganV2, RunStartedV1,"),
     ("events/retired.py", "] = (adding(RunStartedV1", f"] = ({UPCASTERS}, adding(RunStartedV1"),
     ("events/fleet.py", '    domain: str = ""\n', '    domain: str = ""\n    depot: str | None = None\n'),
-    ("ledger/releases.py", f'RELEASE = "{releases.RELEASE}"', f'RELEASE = "{RELEASE}"'),
+    ("ledger/rows/releases.py", f'RELEASE = "{releases.RELEASE}"', f'RELEASE = "{RELEASE}"'),
     ("queries/facts/cross_robot_records.sql", "'StepBegan.v1'", "'StepBegan.v3'"),
 )
 
@@ -95,7 +95,7 @@ EDITS = (
 SERVE = """
 import io, json, sys, traceback
 from contextlib import redirect_stderr, redirect_stdout
-from fsar_ledger.cli import run
+from fsar_ledger.cli.app import run
 
 for line in sys.stdin:
     code, words = json.loads(line)
