@@ -287,8 +287,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-ELSEWHERE = ("fsar-ledger multiverse out/ledger", "fsar-ledger report out/ledger --out out/report.pdf")
-"""Examples that are part of others which run each time: of `docs/model.md`, and of the one with `--numbers`."""
+ELSEWHERE = (
+    "fsar-ledger multiverse out/ledger",
+    "fsar-ledger report out/ledger --out out/report.pdf",
+    *(example for name, example in examples() if name == "report" and "--with" in example),
+)
+"""Examples that `make test` leaves to `make test-all`: others that it runs, or `docs/model.md`, do most of what they do."""
 
 
 @pytest.mark.parametrize(
@@ -309,6 +313,7 @@ def test_every_quick_example_runs(
         assert Path(report).read_bytes().startswith(b"%PDF-")
 
 
+@pytest.mark.slow
 def test_the_output_in_the_pages_is_what_the_commands_print() -> None:
     done = subprocess.run(
         [sys.executable, str(ROOT / "docs" / "write.py"), "--check"], capture_output=True, text=True, check=False
