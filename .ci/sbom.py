@@ -1,9 +1,10 @@
 """Writes the software bill of materials of a checkout as CycloneDX 1.6 JSON: `python .ci/sbom.py [FILE]`.
 
-For each requirement of this interpreter it gives the version, the SHA-256 of every file that `requirements.txt`
-accepts, the licence in the metadata, and what the requirement needs itself. `required` is what the package needs when
-it runs, `excluded` what only its tests and checks need. The same checkout and installation give the same bytes: it
-holds no time, and its serial number is derived from its contents.
+Lists each requirement of this interpreter in `requirements.txt` and `requirements-test.txt` with its version, the
+SHA-256 of every file that may be installed for it, the licence in its metadata, and what it needs itself. `required` is
+what the package needs when it runs, `excluded` what only its tests and checks need. The same checkout and installation
+give the same bytes: it holds no time, and its serial number is derived from its contents. The extras of
+`requirements-all.txt`, which only execute pages of the documentation, are not in it.
 """
 
 import hashlib
@@ -21,11 +22,12 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parent.parent
-LONGEST_NAME = 80  # a longer licence field holds the text of the licence, not its name
+FILES = ("requirements.txt", "requirements-test.txt")
+LONGEST_NAME = 80  # what is longer is the text of a licence, not its name
 
 
 class Pinned(NamedTuple):
-    """An entry of `requirements.txt`: a version, and the SHA-256 of each file that may be installed for it."""
+    """One entry of a requirements file: a version, and the SHA-256 of each file that may be installed for it."""
 
     name: str
     version: str
@@ -33,16 +35,15 @@ class Pinned(NamedTuple):
 
 
 def pinned(text: str) -> Iterator[Pinned]:
-    """Yield the entries for this interpreter and platform. Raises: SystemExit for one without version or hashes."""
-    for entry in re.split(r"\n(?=\S)", re.sub(r"^\s*#.*\n?", "", text, flags=re.MULTILINE).strip()):
+    """The entries that hold for this interpreter and platform. Raises: SystemExit for one without a version or hashes."""
+    for entry in re.split(r"\n(?=\S)", re.sub(r"^(\s*#|-r ).*\n?", "", text, flags=re.MULTILINE).strip()):
         line, *rest = entry.replace("\\\n", "\n").splitlines()
         requirement = Requirement(line)
         hashes = tuple(re.findall(r"--hash=sha256:([0-9a-f]{64})(?!\S)", "\n".join(rest)))
         versions = [one.version for one in requirement.specifier if one.operator == "=="]
         if len(versions) != 1 or not hashes:
             raise SystemExit(
-                f"requirements.txt: found {line.strip()!r} with {len(hashes)} hashes, "
-                "expected NAME==VERSION and its hashes"
+                f"requirements: found {line.strip()!r} with {len(hashes)} hashes, expected NAME==VERSION and its hashes"
             )
         if requirement.marker is None or requirement.marker.evaluate():
             yield Pinned(canonicalize_name(requirement.name), versions[0], hashes)
@@ -53,9 +54,9 @@ def installed(one: Pinned) -> Distribution:
     try:
         found = distribution(one.name)
     except PackageNotFoundError:
-        raise SystemExit(f"{one.name}: found none installed, expected {one.version}; run make setup") from None
+        raise SystemExit(f"{one.name}: found none installed, expected {one.version}; run make test") from None
     if found.version != one.version:
-        raise SystemExit(f"{one.name}: found {found.version} installed, expected {one.version}; run make setup")
+        raise SystemExit(f"{one.name}: found {found.version} installed, expected {one.version}; run make test")
     return found
 
 
@@ -98,7 +99,8 @@ def document(root: Path) -> dict[str, object]:
     """Return the bill of materials."""
     project = tomllib.loads((root / "pyproject.toml").read_text("utf-8"))["project"]
     version = re.search(r'__version__ = "([^"]+)"', (root / "fsar_ledger" / "__init__.py").read_text("utf-8"))
-    entries = {one.name: one for one in pinned((root / "requirements.txt").read_text("utf-8"))}
+    text = "".join((root / name).read_text("utf-8") for name in FILES)
+    entries = {one.name: one for one in pinned(text)}
     metadata = {name: installed(one) for name, one in entries.items()}
     needed = {name: needs(found.requires or [], set(entries)) for name, found in metadata.items()}
     own = needs(project["dependencies"], set(entries))

@@ -4,10 +4,46 @@ import gc
 import os
 import shutil
 import tempfile
+from collections.abc import Generator
 from pathlib import Path
+
+import pytest
 
 CACHE = Path(tempfile.mkdtemp(prefix="fsar-ledger-tests-"))
 """The cache of commands under test, apart from the user's own and from that of earlier sessions."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add --no-skips, for where everything is set up."""
+    parser.addoption("--no-skips", action="store_true", help="a skipped test is a failure, except an expected one")
+
+
+def without_skip(report: pytest.TestReport | pytest.CollectReport) -> None:
+    """Turn a skip into a failure that says why the test did not run."""
+    if report.skipped and not hasattr(report, "wasxfail"):
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+        report.outcome = "failed"
+        report.longrepr = f"{report.nodeid}: {reason}; with --no-skips every test has to run"
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(item: pytest.Item) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Fail where a test is skipped, with --no-skips."""
+    report = yield
+    if item.config.getoption("--no-skips"):
+        without_skip(report)
+    return report
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_make_collect_report(
+    collector: pytest.Collector,
+) -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    """Fail where a whole module is skipped, with --no-skips."""
+    report = yield
+    if collector.config.getoption("--no-skips"):
+        without_skip(report)
+    return report
 
 
 def pytest_configure() -> None:
