@@ -11,7 +11,7 @@ from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
 
 _T = TypeVar("_T")
-Path_ = tuple[str | int, ...]
+Field = tuple[str | int, ...]
 """Where a value stands: keys, and numbers of elements from 0."""
 
 MAX_BYTES = 40_000
@@ -59,23 +59,23 @@ def decoded(text: str, kind: type[_T], where: str) -> _T:
         raise UsageError(_worded(str(error), text, kind, where, found)) from error
 
 
-def at_line(where: str, text: str, field: Path_) -> str:
+def at_line(where: str, text: str, field: Field) -> str:
     """Return `my.toml:12: tasks[2].steps[0]`, for the beginning of a message."""
     return f"{where}:{line_of(text, field)}: {field_name(field)}"
 
 
-def field_name(field: Path_) -> str:
+def field_name(field: Field) -> str:
     """Return the field as it is written in messages: `tasks[2].steps[0]`, elements from 0."""
     return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in field).removeprefix(".")
 
 
-def line_of(text: str, field: Path_) -> int:
+def line_of(text: str, field: Field) -> int:
     """Return the line, from 1, on which the field stands, or its table where the field is missing.
 
     The text is TOML that `tomllib` has read. A text in three quotes that looks like TOML may lead to a line in it.
     """
     counts: dict[tuple[str, ...], int] = {}
-    table: Path_ = ()
+    table: Field = ()
     best, line = 0, 1
     for number, written in enumerate(text.splitlines(), start=1):
         if header := _TABLE.match(written):
@@ -94,7 +94,7 @@ def line_of(text: str, field: Path_) -> int:
     return line + _lines_before(text.splitlines()[line - 1 :], rest[0]) if rest and isinstance(rest[0], int) else line
 
 
-def _numbered(keys: tuple[str, ...], counts: dict[tuple[str, ...], int]) -> Path_:
+def _numbered(keys: tuple[str, ...], counts: dict[tuple[str, ...], int]) -> Field:
     """Return the path of a table, with the number of the newest element after each key of an array of tables."""
     found: list[str | int] = []
     for end in range(1, len(keys) + 1):
@@ -141,7 +141,7 @@ def _worded(message: str, text: str, kind: type[Any], where: str, found: Any) ->
     parsed = _AT.match(message)
     assert parsed is not None
     what = parsed["what"]
-    field: Path_ = tuple(
+    field: Field = tuple(
         int(number) if number else key for number, key in re.findall(r"\[(\d+)\]|\.?([^.\[\]]+)", parsed["at"] or "")
     )
     if named := _NAMED.search(what):
@@ -176,7 +176,7 @@ def _type(expected: str) -> str:
     return " or ".join(_TYPES.get(one, one.replace("array", "a list")) for one in kinds)
 
 
-def _inside(kind: Any, field: Path_) -> Any:
+def _inside(kind: Any, field: Field) -> Any:
     """Return the type of what stands at the field."""
     for part in field:
         kind = _without_none(kind)
@@ -193,11 +193,11 @@ def _without_none(kind: Any) -> Any:
     return several[0] if type(None) in getattr(kind, "__args__", ()) else kind
 
 
-def _choices(kind: Any, field: Path_) -> tuple[str, ...]:
+def _choices(kind: Any, field: Field) -> tuple[str, ...]:
     return tuple(map(str, _inside(kind, field).__args__))
 
 
-def _fields(kind: Any, field: Path_) -> str:
+def _fields(kind: Any, field: Field) -> str:
     return ", ".join(_inside(kind, field[:-1]).__struct_fields__)
 
 

@@ -123,7 +123,7 @@ class Experiment(msgspec.Struct, frozen=True):
         for name in self.scenarios:
             scenario = happening(self.constants, name)
             if isinstance(scenario, Workflow):
-                raise InvalidExperiment(f"workflow {name}: found an own fleet, expected the paper's")
+                raise InvalidExperiment(f"workflow {name}: found a fleet of your own, expected the paper's")
             if fleet is not None and name in registered.PAPER_SCENARIOS:
                 raise InvalidExperiment(
                     f"scenario {name}: found fleet {printable.value(fleet.name)}, expected the paper's, whose scenario "
@@ -266,11 +266,11 @@ def require_designs(own: Scenario | None, fleet: Fleet | None) -> None:
             fleet.name in registered.fleets() and fleet != registered.fleet(fleet.name)
         ):
             raise InvalidExperiment(
-                f"fleet: found an own one of the name {fleet.name}, expected a name that is not registered"
+                f"fleet: found one of your own named {fleet.name}, expected a name that is not registered"
             )
     if own is not None and own.name in registered.scenarios():
         raise InvalidExperiment(
-            f"scenario: found an own one of the name {own.name}, expected a name that is not registered"
+            f"scenario: found one of your own named {own.name}, expected a name that is not registered"
         )
 
 

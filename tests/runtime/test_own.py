@@ -146,7 +146,7 @@ def test_a_run_that_records_another_fleet_than_it_was_made_with_is_found(tmp_pat
 def test_a_run_that_records_an_impossible_fleet_is_a_doubt_and_says_why(tmp_path: Path) -> None:
     for wrong, why in (
         (msgspec.structs.replace(FLEET, robots=()), "expected at least one robot"),
-        (msgspec.structs.replace(FLEET, name="paper"), "found an own one of the name paper"),
+        (msgspec.structs.replace(FLEET, name="paper"), "found one of your own named paper"),
     ):
         own = msgspec.structs.replace(OWN, fleet=wrong)
         forged = restarted(simulate_run(SPEC, OWN), parameters=write_constants(own))
@@ -161,15 +161,20 @@ def test_a_run_that_records_an_impossible_fleet_is_a_doubt_and_says_why(tmp_path
         (OWN, ("door-relay",), 3, "scenario: found door-relay, expected some of night, each once"),
         (OWN, ("night",), 4, "fleet size: found 4, expected a multiple of 3 (teams of ward) from 3"),
         (Constants(fleet=FLEET), ("door-relay",), 3, "scenario door-relay: found fleet ward, expected the paper's"),
-        (Constants(fleet=FLEET), ("workflow-door-relay",), 3, "workflow workflow-door-relay: found an own fleet"),
+        (
+            Constants(fleet=FLEET),
+            ("workflow-door-relay",),
+            3,
+            "workflow workflow-door-relay: found a fleet of your own",
+        ),
         (Constants(scenario=SCENARIO), ("night",), 4, "scenario night: tasks[0].owner: found porter, expected one of"),
         (
             Constants(scenario=registered.scenario("door-relay")),
             ("door-relay",),
             4,
-            "found an own one of the name door-relay",
+            "found one of your own named door-relay",
         ),
-        (Constants(fleet=registered.fleet()), ("door-relay",), 4, "found an own one of the name paper"),
+        (Constants(fleet=registered.fleet()), ("door-relay",), 4, "found one of your own named paper"),
         (Constants(fleet=msgspec.structs.replace(FLEET, robots=())), ("x",), 3, "scenario: found x"),
         (OWN, ("night",), 300_000, "expected at most"),
     ],

@@ -9,7 +9,7 @@ from typing import NamedTuple
 from fsar_ledger import printable
 from fsar_ledger.constants import DURATIONS, END_US
 from fsar_ledger.designs import Fleet, Robot, Scenario
-from fsar_ledger.designs.files import Path_, field_name
+from fsar_ledger.designs.files import Field, field_name
 
 _NAME = re.compile(r"[a-z][a-z0-9-]{0,38}[a-z0-9]")
 _ROBOT = re.compile(r"[A-Za-z](?:[A-Za-z0-9_-]{0,38}[A-Za-z])?")
@@ -22,7 +22,7 @@ MOST_TIMES = 1_000
 class Problem(NamedTuple):
     """What is wrong with a design, and where in it."""
 
-    field: Path_
+    field: Field
     found: str
     expected: str
 
@@ -37,7 +37,7 @@ def problems_of_fleet(fleet: Fleet) -> Iterator[Problem]:
     if not robots:
         yield Problem(("robots",), "none", "at least one robot")
     for at, robot in enumerate(fleet.robots):
-        about: Path_ = ("robots", at)
+        about: Field = ("robots", at)
         yield from _named((*about, "name"), robot.name, _ROBOT, "letters, digits, - and _, with a letter at both ends")
         yield from _first((*about, "name"), robot.name, robots[:at], "another robot of this name")
         if robot.role is not None:
@@ -54,7 +54,7 @@ def problems_of_fleet(fleet: Fleet) -> Iterator[Problem]:
     for at, policy in enumerate(fleet.policies):
         yield from _known(("policies", at, "role"), policy.role, fleet.roles, "the roles of the fleet")
         if policy.capability is not None:
-            where: Path_ = ("policies", at, "capability")
+            where: Field = ("policies", at, "capability")
             yield from _known(where, policy.capability, capabilities, "the capabilities of the fleet")
     yield from _problems_of_shifts(fleet)
 
@@ -62,7 +62,7 @@ def problems_of_fleet(fleet: Fleet) -> Iterator[Problem]:
 def _problems_of_capabilities(fleet: Fleet, names: Sequence[str]) -> Iterator[Problem]:
     lengths = dict(DURATIONS)
     for at, capability in enumerate(fleet.capabilities):
-        about: Path_ = ("capabilities", at)
+        about: Field = ("capabilities", at)
         yield from _named((*about, "name"), capability.name, _CAPABILITY, "a name with a dot in it, as door.open")
         yield from _first((*about, "name"), capability.name, names[:at], "another capability of this name")
         for number, condition in enumerate(capability.postconditions):
@@ -81,7 +81,7 @@ def _problems_of_capabilities(fleet: Fleet, names: Sequence[str]) -> Iterator[Pr
 def _problems_of_trust(fleet: Fleet) -> Iterator[Problem]:
     given: set[tuple[str, str]] = set()
     for at, trust in enumerate(fleet.trust):
-        about: Path_ = ("trust", at)
+        about: Field = ("trust", at)
         yield from _known((*about, "role"), trust.role, fleet.roles, "the roles of the fleet")
         yield from _known((*about, "peer_role"), trust.peer_role, fleet.roles, "the roles of the fleet")
         pairs = {(trust.role, trust.peer_role), *([(trust.peer_role, trust.role)] if trust.is_mutual else [])}
@@ -93,7 +93,7 @@ def _problems_of_trust(fleet: Fleet) -> Iterator[Problem]:
 
 def _problems_of_shifts(fleet: Fleet) -> Iterator[Problem]:
     for at, spell in enumerate(fleet.off_shift):
-        about: Path_ = ("off_shift", at)
+        about: Field = ("off_shift", at)
         end_s = END_US / 1e6
         if not 0 <= spell.from_s < end_s:
             yield Problem((*about, "from_s"), f"{spell.from_s:g}", f"seconds from 0, below {end_s:g}")
@@ -116,7 +116,7 @@ def problems_of_scenario(scenario: Scenario, fleet: Fleet) -> Iterator[Problem]:
     if not scenario.tasks:
         yield Problem(("tasks",), "none", "at least one task")
     for at, task in enumerate(scenario.tasks):
-        about: Path_ = ("tasks", at)
+        about: Field = ("tasks", at)
         yield from _known((*about, "owner"), task.owner, robots, f"the robots of fleet {fleet.name}")
         if not (isfinite(task.offset_s) and 0 <= task.offset_s <= END_US / 1e6):
             yield Problem((*about, "offset_s"), f"{task.offset_s:g}", f"seconds from 0 to {END_US / 1e6:g}")
@@ -144,7 +144,7 @@ def problems_of_scenario(scenario: Scenario, fleet: Fleet) -> Iterator[Problem]:
     yield from _each(("degradable",), scenario.degradable, robots, f"the robots of fleet {fleet.name}")
 
 
-def _problems_of_step(field: Path_, step: str, robots: dict[str, Robot], fleet: Fleet) -> Iterator[Problem]:
+def _problems_of_step(field: Field, step: str, robots: dict[str, Robot], fleet: Fleet) -> Iterator[Problem]:
     words = step.split(" ")
     if not 2 <= len(words) <= 3 or not all(words):
         yield Problem(
@@ -179,23 +179,23 @@ def _trusts(fleet: Fleet, role: str, peer_role: str) -> bool:
     )
 
 
-def _named(field: Path_, name: str, pattern: re.Pattern[str], expected: str) -> Iterator[Problem]:
+def _named(field: Field, name: str, pattern: re.Pattern[str], expected: str) -> Iterator[Problem]:
     if not pattern.fullmatch(name):
         yield Problem(field, printable.value(name), expected)
 
 
-def _first(field: Path_, name: str, before: Sequence[str], found: str) -> Iterator[Problem]:
+def _first(field: Field, name: str, before: Sequence[str], found: str) -> Iterator[Problem]:
     if name in before:
         yield Problem(field, f"{found}: {printable.value(name)}", "each once")
 
 
-def _each(field: Path_, names: Sequence[str], known: Collection[str], what: str) -> Iterator[Problem]:
+def _each(field: Field, names: Sequence[str], known: Collection[str], what: str) -> Iterator[Problem]:
     for at, name in enumerate(names):
         yield from _known((*field, at), name, known, what)
         yield from _first((*field, at), name, names[:at], "it twice")
 
 
-def _known(field: Path_, name: str, known: Collection[str], what: str) -> Iterator[Problem]:
+def _known(field: Field, name: str, known: Collection[str], what: str) -> Iterator[Problem]:
     if name not in known:
         near = get_close_matches(name, known, 1, 0.4)
         hint = f"; did you mean {near[0]}?" if near else ""
