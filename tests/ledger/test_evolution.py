@@ -159,7 +159,7 @@ def test_the_records_of_each_commit_name_its_release(later: LaterRelease, mixed:
 
 
 def test_a_ledger_of_a_later_release_is_refused_by_its_name(mixed: Path) -> None:
-    message = rf"000000000003\.json: field release: found 0\.4\.0, expected at most {RELEASE}; read it with fsar-ledger 0\.4\.0 or later"
+    message = rf"000000000003\.json: commit 3, field release: found '0\.4\.0', expected 'at most {RELEASE}; read it with fsar-ledger 0\.4\.0 or later'"
     with pytest.raises(FormatVersionMismatch, match=message):
         open_ledger(mixed)
     with pytest.raises(FormatVersionMismatch, match=message):

@@ -36,7 +36,7 @@ from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.derived import catch_up, check_folders, write_derived
 from fsar_ledger.ledger.store.held import Held, HeldRuns, runs_of
 from fsar_ledger.ledger.store.paths import is_unfinished, require_outside
-from fsar_ledger.ledger.store.read import Head, LedgerView, commit_names, open_ledger, read_manifest
+from fsar_ledger.ledger.store.read import Head, LedgerView, open_ledger, read_manifest
 from fsar_ledger.ledger.store.record import (
     COMMITS,
     FORMAT,
@@ -52,6 +52,7 @@ from fsar_ledger.ledger.store.record import (
     sha256_hex,
     staged_path,
 )
+from fsar_ledger.ledger.store.walk import commit_names
 
 
 class Staged(msgspec.Struct, frozen=True):
@@ -370,7 +371,7 @@ def _confirm(view: LedgerView) -> None:
 
 def _clean(view: LedgerView) -> None:
     """Staging holds only committed segments that are not yet in place. Only for a writer that is alone: others may be staging."""
-    places = [view.place(number) for number in range(len(view.records))]
+    places = [view.location(number) for number in range(len(view.records))]
     kept = {path.name for path in places if path.parent.name == STAGING}
     with disk.refusals(view.path / STAGING, "cleaning up"):
         disk.make_folder(view.path / STAGING)
@@ -386,7 +387,7 @@ def _clean(view: LedgerView) -> None:
 def _roll_forward(view: LedgerView) -> None:
     """Every committed segment is in place. Raises: LedgerCorrupted if one is missing, WriteFailed if the disk refuses."""
     for number in range(len(view.records)):
-        path, target = view.place(number), segment_path(view.path, number)
+        path, target = view.location(number), segment_path(view.path, number)
         if path != target:
             with disk.refusals(target, "moving a committed segment into place"):
                 disk.move(path, target)

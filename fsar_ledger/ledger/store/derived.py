@@ -13,9 +13,7 @@ from fsar_ledger.ledger.log.tiles import HEIGHT, TILE, WIDTH, Edge, Tile, partia
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.problem import Problem, refusal
 from fsar_ledger.ledger.store.read import LedgerView
-from fsar_ledger.ledger.store.record import COMMITS, STAGING, CommitRecord
-
-CHECKPOINT = "checkpoint"
+from fsar_ledger.ledger.store.record import CHECKPOINT, COMMITS, STAGING, CommitRecord
 
 
 def write_derived(ledger: Path, before: Edge, made: Mapping[Tile, bytes], record: CommitRecord) -> None:

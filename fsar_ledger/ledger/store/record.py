@@ -22,6 +22,7 @@ from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 FORMAT = "fsar-ledger"
 VERSION = 1
 MANIFEST = "ledger.json"
+CHECKPOINT = "checkpoint"
 COMMITS, SEGMENTS, STAGING = "commits", "segments", "staging"
 _SIGNATURE_BYTES = 64  # RFC 8032
 
