@@ -24,7 +24,7 @@ from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.cli import run
+from fsar_ledger.cli.app import run
 from fsar_ledger.constants import Constants, Load, Outages
 from fsar_ledger.events.configuration import MECHANISMS_OF
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted

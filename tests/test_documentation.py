@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 import typer
 
-from fsar_ledger.cli import app, run
+from fsar_ledger.cli.app import app, run
 from fsar_ledger.ledger.log.note import parse_note
 from fsar_ledger.ledger.store.keys import read_verifier
 from fsar_ledger.metrics.library import library

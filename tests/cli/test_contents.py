@@ -9,8 +9,8 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.commands.plans import MAX_COUNTS, MAX_RUNS, Shown, reproducing
-from fsar_ledger.commands.simulated import before, beyond
+from fsar_ledger.cli.plans import MAX_COUNTS, MAX_RUNS, Shown, reproducing
+from fsar_ledger.cli.simulated import before, beyond
 from fsar_ledger.constants import Constants, Load, WorldConstants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.fleet import RunStarted

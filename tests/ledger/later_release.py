@@ -84,7 +84,7 @@ EDITS = (
 SERVE = """
 import io, json, sys, traceback
 from contextlib import redirect_stderr, redirect_stdout
-from fsar_ledger.cli import run
+from fsar_ledger.cli.app import run
 
 for line in sys.stdin:
     code, words = json.loads(line)

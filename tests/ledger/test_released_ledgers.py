@@ -9,8 +9,8 @@ import msgspec
 import pytest
 
 import fsar_ledger
-from fsar_ledger.commands.audit import audit
-from fsar_ledger.commands.contents import contents
+from fsar_ledger.cli.audit import audit
+from fsar_ledger.cli.contents import contents
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.events import ALONE, EVENT_TYPES
 from fsar_ledger.events.fleet import RunStarted

@@ -279,7 +279,7 @@ def _logs_of(policy: "Policy", trusted: "VerifierKey | None") -> tuple["Verifier
 
 
 def _clock(context: typer.Context) -> Callable[[], int]:
-    """The clock that `cli.py` gave."""
+    """The clock that `app.py` gave."""
     clock: Callable[[], int] = context.obj
     return clock
 

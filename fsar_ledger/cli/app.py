@@ -1,10 +1,9 @@
-"""The command line: with its other commands in `commands/` the only place that prints (`commands/terminal.py`) or exits.
+"""The command line: its commands, and `run`, which turns a call into an exit code.
 
-With `commands/progress.py` it is the only one that reads a clock.
-
-Every command body imports what it needs, so that `--help` stays quick. A command that fails raises one of
-the errors of `errors.py`; `run` turns it into one message on stderr and its exit code:
-0 fine, 1 a write failed, a worker was killed or an audit found something, 2 the call was wrong, 3 the ledger is damaged, 130 interrupted.
+Only `terminal.py` prints, and only this module, `progress.py` and the witness's server read a clock. Every command body
+imports what it needs, so that `--help` stays quick. A command that fails raises one of the errors of `errors.py`;
+`run` turns it into one message on stderr and its exit code: 0 fine, 1 a write failed, a worker was killed or an audit
+found something, 2 the call was wrong, 3 the ledger is damaged, 130 interrupted.
 """
 
 import errno
@@ -17,10 +16,12 @@ from typing import Annotated
 
 import typer
 
-from . import printable
-from .commands import fitting, judging, multiverse, recover, reporting, sensitivity, sides, trust, witness
-from .commands.memory import bounded, reading
-from .commands.options import (
+from fsar_ledger import printable
+from fsar_ledger.errors import FsarLedgerError
+
+from . import fitting, judging, multiverse, recover, reporting, sensitivity, sides, trust, witness
+from .memory import bounded, reading
+from .options import (
     WORTH_ROBOTS,
     AdoptOption,
     ArchitectureOption,
@@ -61,11 +62,10 @@ from .commands.options import (
     require_text,
     workers_of,
 )
-from .commands.progress import Progress
-from .commands.terminal import Enough
-from .commands.terminal import say as _say
-from .commands.terminal import show as _show
-from .errors import FsarLedgerError
+from .progress import Progress
+from .terminal import Enough
+from .terminal import say as _say
+from .terminal import show as _show
 
 INTERRUPTED = 130
 CONTINUES = "what is committed stays, and the same command continues there"
@@ -90,7 +90,7 @@ app = typer.Typer(
 @app.callback(invoke_without_command=True)
 def _version(version: Annotated[bool, typer.Option("--version", help="Show the version and exit.")] = False) -> None:
     if version:
-        from . import __version__
+        from fsar_ledger import __version__
 
         _show(printable.line(f"fsar-ledger {__version__}"))
         raise typer.Exit(0)
@@ -129,8 +129,9 @@ def simulate(
 
     An interrupted simulation continues where it stopped when it is called again; with more --runs, or other scenarios, it enlarges what is there.
     """
-    from .commands.simulated import simulated_text
-    from .runtime.experiment import carry_out
+    from fsar_ledger.runtime.experiment import carry_out
+
+    from .simulated import simulated_text
 
     experiment = experiment_of(
         architecture, scenario, runs, seed, fleet_size, without, workflow, (teams_working, task_sets)
@@ -150,8 +151,8 @@ def info(ledger: LedgerArgument, verified: VerifiedOption = False, as_json: Json
     Its head, what was planned and what of it is there, its runs by model, seed, fleet size, architecture and configuration, and (with --json) the
     parameters of its worlds. Without a plan on record nothing says what is missing.
     """
-    from .commands.contents import contents
-    from .commands.output import json_text, table_text
+    from .contents import contents
+    from .output import json_text, table_text
 
     head, found = contents(ledger, verified=verified)
     if as_json:
@@ -207,8 +208,8 @@ def query(
     The questions are the SQL files that come with the package; each says in its header what its rows and its NULLs mean. A file of
     your own is answered as `sql` answers, locked down; a name is not, and takes as long as it takes, within --memory.
     """
-    from .commands.output import queries_text
-    from .commands.questions import answer_query
+    from .output import queries_text
+    from .questions import answer_query
 
     if list_all:
         _show(queries_text(as_json=as_json, as_csv=as_csv, raw=raw), raw=raw)
@@ -252,7 +253,7 @@ def sql(
     It can read `events`, one view for each event type, and the views of `query --list`; it runs in a locked-down process that can read
     this ledger and nothing else.
     """
-    from .commands.questions import answer_select, limits_of
+    from .questions import answer_select, limits_of
 
     limits = limits_of({"--seconds": seconds, "--memory": memory})
     for piece in answer_select(
@@ -289,7 +290,7 @@ def export(
     The format, CSV or Parquet, follows from the name of the file; lists are JSON text in CSV. Text in CSV is made harmless for spreadsheets and
     terminals unless --raw is given; Parquet always holds the values themselves.
     """
-    from .commands.files import export_events, export_query
+    from .files import export_events, export_query
 
     given = {"raw": raw, "verified": verified}
     rows = (
@@ -318,7 +319,7 @@ def audit(
 
     Counts the events that offend each, by architecture and configuration, and names the first. Exit code 0 if all hold on all runs, else 1.
     """
-    from .commands.audit import audit as check
+    from .audit import audit as check
 
     text, holds = check(ledger, invariant or (), architecture or (), as_json=as_json, verified=verified)
     _show(text)
@@ -358,7 +359,7 @@ def explain(
     For a request that failed also what recovery tried at each level, for how long, and why it went on. Without --request or --failure: the
     requests of the run.
     """
-    from .commands.explain import explain as tell
+    from .explain import explain as tell
 
     _show(tell(ledger, run, request, failure, {"svg": svg, "pdf": pdf}, as_json=as_json, verified=verified))
 
@@ -391,7 +392,7 @@ def reproduce(
     scaling/ and workflows/.
     The key signs results/ under its name NAME, and the others under NAME/ablation, NAME/scaling and NAME/workflows: no two trees have one origin.
     """
-    from .commands.reproduce import reproduce as do
+    from .reproduce import reproduce as do
 
     began = time.monotonic()
     text, head = do(out, workers_of(workers), trust.signer_of(key, adopts=adopt), adopts=adopt, only=only, runs=runs)
