@@ -229,7 +229,10 @@ def check_names(names: Sequence[str]) -> Iterator[Problem]:
 
 def names_in(folder: Path) -> list[str]:
     """List a folder, sorted; nothing if it is none, or a link. Raises: OSError if it cannot be read or holds too much."""
-    return [entry.name for entry in disk.entries(folder)] if folder.is_dir() and not folder.is_symlink() else []
+    try:
+        return [entry.name for entry in disk.entries(folder)] if stat.S_ISDIR(os.lstat(folder).st_mode) else []
+    except FileNotFoundError:
+        return []
 
 
 def numbers_of(names: Sequence[str], suffix: str) -> set[int]:
@@ -240,10 +243,14 @@ def numbers_of(names: Sequence[str], suffix: str) -> set[int]:
 def check_folders(ledger: Path) -> Iterator[Problem]:
     """Yield each folder of the ledger that is missing, or is none."""
     for name in sorted(FOLDERS):
-        if os.path.islink(ledger / name) or (os.path.lexists(ledger / name) and not os.path.isdir(ledger / name)):
+        try:
+            is_folder = stat.S_ISDIR(os.lstat(f"{ledger}/{name}").st_mode)
+        except FileNotFoundError:
+            if name not in _MAY_BE_MISSING:
+                yield Problem(name, MISSING, "a folder of the ledger")
+            continue
+        if not is_folder:
             yield Problem(name, "a link or something else than a folder", "a folder of the ledger")
-        elif name not in _MAY_BE_MISSING and not os.path.isdir(ledger / name):
-            yield Problem(name, MISSING, "a folder of the ledger")
 
 
 def check_manifest(ledger: Path) -> tuple[str | None, bytes | None, Problem | None]:
@@ -262,16 +269,15 @@ def check_manifest(ledger: Path) -> tuple[str | None, bytes | None, Problem | No
         return None, data, unexpected(MANIFEST, None, error)
 
 
-def strays(ledger: Path, kept: Container[str], commits: Sequence[str] | None = None) -> Iterator[str]:
+def strays(ledger: Path, kept: Container[str], folders: Sequence[str] = (COMMITS, SEGMENTS, STAGING)) -> Iterator[str]:
     """Name every file that is none of the ledger's but for those below `tile/`, and every folder of it that is none.
 
     Args:
         ledger: Its folder.
         kept: The names within it that are the ledger's: its files, those of its commits, and what of staging is a committed segment.
-        commits: The names in the folder of the commit records, where they were listed before.
+        folders: Those that are looked into.
     """
     wrong = {problem.where for problem in check_folders(ledger) if problem.found != MISSING}
     yield from (name for name in names_in(ledger) if name in wrong or (name not in FOLDERS and name not in kept))
-    for folder in (COMMITS, SEGMENTS, STAGING):
-        names = commits if commits is not None and folder == COMMITS else names_in(ledger / folder)
-        yield from (f"{folder}/{name}" for name in names if f"{folder}/{name}" not in kept)
+    for folder in folders:
+        yield from (f"{folder}/{name}" for name in names_in(ledger / folder) if f"{folder}/{name}" not in kept)

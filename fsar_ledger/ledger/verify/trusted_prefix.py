@@ -182,7 +182,7 @@ class _Search:
             )
         partial = self.plan.partial()
         self.plan.compare(partial)
-        strays = (*_strays(self.path, self.names, found), *tile_strays(self.path, found.head, partial))
+        strays = (*_strays(self.path, found), *tile_strays(self.path, found.head, partial))
         return msgspec.structs.replace(found, redo=self.plan.redo(), strays=strays, anchored=self._anchored(found.head))
 
     def _signed(self, kept: int) -> tuple[int, Problem | None]:
@@ -291,8 +291,8 @@ def _signed_checkpoint(path: Path, trusted: VerifierKey | None) -> list[Anchor]:
     return [Anchor(CHECKPOINT, note)] if note is not None and trusted is not None and trusted.has_signed(note) else []
 
 
-def _strays(path: Path, names: list[str], found: TrustedPrefix) -> Iterator[str]:
+def _strays(path: Path, found: TrustedPrefix) -> Iterator[str]:
     """Name every file that is not the ledger's, but for those below `tile/`."""
     numbers = range(len(found.records))
     own = {MANIFEST, *((CHECKPOINT,) if found.records else ()), *found.files}
-    return strays(path, own.union(map(commit_file, numbers), map(segment_file, numbers)), names)
+    return strays(path, own.union(map(commit_file, numbers), map(segment_file, numbers)))

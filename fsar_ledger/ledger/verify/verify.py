@@ -162,7 +162,7 @@ class _Verification:
             self._add(standing)
             if progress is not None:
                 progress(standing.commit.number + 1, len(commits))
-        self.problems += _check_strays(self.path, names, len(commits))
+        self.problems += _check_strays(self.path, len(commits))
         newest = commits[-1].sha256 if commits else manifest_sha256
         return self._report(origin, [commit.record for commit in commits if commit.record is not None], newest)
 
@@ -248,13 +248,11 @@ def _not_compared(anchored: int | None, proved: int, size: int) -> str:
     )
 
 
-def _check_strays(path: Path, names: list[str], count: int) -> Iterator[Problem]:
+def _check_strays(path: Path, count: int) -> Iterator[Problem]:
     """Yield every file that the ledger should not hold; what is in staging is harmless, and `check_names` looks at the records."""
-    kept = {*FILES, *(segment_file(number) for number in range(count)), *(f"{COMMITS}/{name}" for name in names)}
-    for name in strays(path, kept, names):
-        folder, _, file = name.partition("/")
-        if folder == SEGMENTS and file:
+    for name in strays(path, FILES.union(map(segment_file, range(count))), [SEGMENTS]):
+        if name.startswith(f"{SEGMENTS}/"):
             expected = f"segments of {count} commits; restore the record or take it away"
             yield Problem(name, "a file of no commit", expected)
-        elif name not in FOLDERS and folder != STAGING:
+        elif name not in FOLDERS:
             yield Problem(name, "an unknown file", f"only {', '.join(sorted(FOLDERS | FILES))}; take it away")
