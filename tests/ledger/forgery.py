@@ -12,7 +12,8 @@ import pyarrow as pa
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.record import CommitRecord, commit_path, segment_path, sha256_hex
+from fsar_ledger.ledger.store.paths import commit_path, segment_path
+from fsar_ledger.ledger.store.record import CommitRecord, sha256_hex
 from fsar_ledger.ledger.store.walk import find_segment
 from fsar_ledger.ledger.verify import walk
 from fsar_ledger.ledger.verify.segment import SecondReader, SegmentFacts, examine

@@ -12,8 +12,8 @@ from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import segment
 from fsar_ledger.ledger.store import walk
 from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.paths import commit_path, segment_path, staged_path
 from fsar_ledger.ledger.store.read import open_ledger
-from fsar_ledger.ledger.store.record import commit_path, segment_path, staged_path
 from fsar_ledger.ledger.verify import segment as verify_segment
 from fsar_ledger.ledger.verify import walk as row_walk
 from fsar_ledger.ledger.verify.derived import BEHIND

@@ -9,8 +9,8 @@ import pytest
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.opening import open_for_answers
+from fsar_ledger.ledger.store.paths import segment_path, staged_path
 from fsar_ledger.ledger.store.read import open_ledger
-from fsar_ledger.ledger.store.record import segment_path, staged_path
 from tests.ledger.samples import ORIGIN, made_up_run
 
 

@@ -17,8 +17,8 @@ from fsar_ledger.ledger.rows import layout, releases, segment
 from fsar_ledger.ledger.rows.grammar import Footer
 from fsar_ledger.ledger.rows.schema import SCHEMA, fingerprint
 from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.paths import segment_path, staged_path
 from fsar_ledger.ledger.store.read import open_ledger
-from fsar_ledger.ledger.store.record import segment_path, staged_path
 from fsar_ledger.ledger.verify import verify as verification
 from fsar_ledger.ledger.verify.derived import BEHIND
 from fsar_ledger.ledger.verify.notes import read_anchor

@@ -35,23 +35,19 @@ from fsar_ledger.ledger.rows.schema import FINGERPRINT
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.derived import catch_up, check_folders, write_derived
 from fsar_ledger.ledger.store.held import Held, HeldRuns, runs_of
-from fsar_ledger.ledger.store.paths import is_unfinished, require_outside
-from fsar_ledger.ledger.store.read import Head, LedgerView, open_ledger, read_manifest
-from fsar_ledger.ledger.store.record import (
+from fsar_ledger.ledger.store.paths import (
     COMMITS,
-    FORMAT,
     MANIFEST,
     SEGMENTS,
     STAGING,
-    VERSION,
-    CommitRecord,
-    Manifest,
     commit_path,
-    parse_manifest,
+    is_unfinished,
+    require_outside,
     segment_path,
-    sha256_hex,
     staged_path,
 )
+from fsar_ledger.ledger.store.read import Head, LedgerView, open_ledger, read_manifest
+from fsar_ledger.ledger.store.record import FORMAT, VERSION, CommitRecord, Manifest, parse_manifest, sha256_hex
 from fsar_ledger.ledger.store.walk import commit_names
 
 

@@ -11,9 +11,10 @@ from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.log.tiles import HEIGHT, TILE, WIDTH, Edge, Tile, partial_tiles
 from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.paths import CHECKPOINT, STAGING, commit_file
 from fsar_ledger.ledger.store.problem import Problem, refusal
 from fsar_ledger.ledger.store.read import LedgerView
-from fsar_ledger.ledger.store.record import CHECKPOINT, COMMITS, STAGING, CommitRecord
+from fsar_ledger.ledger.store.record import CommitRecord
 
 
 def write_derived(ledger: Path, before: Edge, made: Mapping[Tile, bytes], record: CommitRecord) -> None:
@@ -104,9 +105,7 @@ def check_checkpoint(ledger: Path, records: Sequence[CommitRecord]) -> tuple[lis
         return [], True
     newest = records[-1].number if records else None
     expected = (
-        "no note, as there is no commit"
-        if newest is None
-        else f"the note in {COMMITS}/{newest:012d}.json, the newest record"
+        "no note, as there is no commit" if newest is None else f"the note in {commit_file(newest)}, the newest record"
     )
     return [Problem(CHECKPOINT, "no file" if found is None else f"{found!r:.400}", expected, commit=newest)], False
 

@@ -14,15 +14,8 @@ from fsar_ledger.ledger.rows import canonical, codec, segment
 from fsar_ledger.ledger.rows.layout import check_layout
 from fsar_ledger.ledger.rows.releases import is_later
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.paths import require_created
-from fsar_ledger.ledger.store.record import (
-    COMMITS,
-    MANIFEST,
-    CommitRecord,
-    Manifest,
-    parse_manifest,
-    sha256_hex,
-)
+from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST, require_created
+from fsar_ledger.ledger.store.record import CommitRecord, Manifest, parse_manifest, sha256_hex
 from fsar_ledger.ledger.store.walk import (
     Commit,
     check_folders,

@@ -35,20 +35,19 @@ from fsar_ledger.errors import FsarLedgerError
 from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.tiles import TILE
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.problem import Problem, refusal, unexpected
-from fsar_ledger.ledger.store.record import (
+from fsar_ledger.ledger.store.paths import (
     CHECKPOINT,
     COMMITS,
     MANIFEST,
     SEGMENTS,
     STAGING,
-    CommitRecord,
+    commit_file,
     commit_name,
-    contradictions,
-    parse_manifest,
-    parse_record,
-    sha256_hex,
+    segment_file,
+    staged_file,
 )
+from fsar_ledger.ledger.store.problem import Problem, refusal, unexpected
+from fsar_ledger.ledger.store.record import CommitRecord, contradictions, parse_manifest, parse_record, sha256_hex
 
 FOLDERS = frozenset({COMMITS, SEGMENTS, STAGING, TILE})
 FILES = frozenset({MANIFEST, CHECKPOINT})
@@ -136,7 +135,7 @@ def _doubts(
 
 def find_segment(ledger: Path, number: int, record: CommitRecord) -> FoundSegment:
     """Find the segment of this commit without a look at its bytes. Never raises."""
-    place, staged = segment_file(number), f"{STAGING}/{record.segment_sha256}.parquet"
+    place, staged = segment_file(number), staged_file(record.segment_sha256)
     for file in (place, staged, place):  # a writer may move it in between
         try:
             status = os.lstat(f"{ledger}/{file}")
@@ -191,16 +190,6 @@ def read_segment(
 
 
 # --- names ---
-
-
-def commit_file(number: int) -> str:
-    """Name the record of this commit within the ledger."""
-    return f"{COMMITS}/{commit_name(number)}"
-
-
-def segment_file(number: int) -> str:
-    """Name the segment of this commit within the ledger, once it is in place."""
-    return f"{SEGMENTS}/{number:012d}.parquet"
 
 
 def commit_names(ledger: Path) -> list[str]:

@@ -15,9 +15,9 @@ from fsar_ledger.ledger.log.note import Checkpoint, Note, parse_note
 from fsar_ledger.ledger.log.tiles import HEIGHT, TILE, WIDTH, Edge, Tile, node_of
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.derived import read_checkpoint, tile_reader
+from fsar_ledger.ledger.store.paths import CHECKPOINT, STAGING
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import Head, LedgerView
-from fsar_ledger.ledger.store.record import CHECKPOINT, STAGING
 
 SetAside = Callable[[str], None]
 """Takes the file of this name within the ledger out of it, to where nothing is lost."""

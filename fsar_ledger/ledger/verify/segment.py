@@ -18,9 +18,10 @@ from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_layout
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS
 from fsar_ledger.ledger.rows.schema import SCHEMA, fingerprint
 from fsar_ledger.ledger.rows.segment import read_coded, to_parquet
+from fsar_ledger.ledger.store.paths import commit_file, segment_file
 from fsar_ledger.ledger.store.problem import Problem, refusal, unexpected
 from fsar_ledger.ledger.store.record import CommitRecord
-from fsar_ledger.ledger.store.walk import commit_file, find_segment, read_segment, segment_file
+from fsar_ledger.ledger.store.walk import find_segment, read_segment
 
 
 class SegmentFacts(msgspec.Struct, frozen=True):

@@ -13,31 +13,19 @@ import msgspec
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.log.note import VerifierKey, names
 from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.store.paths import CHECKPOINT, COMMITS, MANIFEST, SEGMENTS, commit_file, segment_file
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import EMPTY_HEAD, Head
-from fsar_ledger.ledger.store.record import (
-    CHECKPOINT,
-    COMMITS,
-    FORMAT,
-    MANIFEST,
-    SEGMENTS,
-    VERSION,
-    CommitRecord,
-    Manifest,
-    parse_manifest,
-    sha256_hex,
-)
+from fsar_ledger.ledger.store.record import FORMAT, VERSION, CommitRecord, Manifest, parse_manifest, sha256_hex
 from fsar_ledger.ledger.store.walk import (
     MISSING,
     Commit,
     check_folders,
     check_manifest,
-    commit_file,
     commit_names,
     names_in,
     numbers_of,
     read_commit,
-    segment_file,
     strays,
     walk,
 )
@@ -200,7 +188,7 @@ class _Search:
             return kept, None
         expected = f"a note signed by {self.trusted.key}, the trusted key"
         return signed, Problem(
-            f"{COMMITS}/{signed:012d}.json", found if kept else "no commit", expected, commit=signed, field="note"
+            commit_file(signed), found if kept else "no commit", expected, commit=signed, field="note"
         )
 
     def _ask(self, anchor: Anchor, *, is_whole: bool) -> tuple[list[Problem], bool]:

@@ -16,9 +16,9 @@ from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.log.note import Signed, VerifierKey
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.derived import check_checkpoint, read_checkpoint
-from fsar_ledger.ledger.store.paths import require_created
+from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST, SEGMENTS, STAGING, require_created, segment_file
 from fsar_ledger.ledger.store.problem import Problem, unexpected
-from fsar_ledger.ledger.store.record import COMMITS, MANIFEST, SEGMENTS, STAGING, CommitRecord, sha256_hex
+from fsar_ledger.ledger.store.record import CommitRecord, sha256_hex
 from fsar_ledger.ledger.store.walk import (
     FILES,
     FOLDERS,
@@ -27,7 +27,6 @@ from fsar_ledger.ledger.store.walk import (
     check_names,
     commit_names,
     numbers_of,
-    segment_file,
     strays,
     walk,
 )

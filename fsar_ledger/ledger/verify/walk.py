@@ -14,9 +14,10 @@ import msgspec
 from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.log.tiles import Edge, Tile
+from fsar_ledger.ledger.store.paths import commit_file
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.record import CommitRecord
-from fsar_ledger.ledger.store.walk import Commit, commit_file
+from fsar_ledger.ledger.store.walk import Commit
 from fsar_ledger.ledger.verify.segment import SecondReader, SegmentFacts, examine, examine_file
 from fsar_ledger.workers import WorkerPool
 
