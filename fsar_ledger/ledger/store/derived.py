@@ -4,7 +4,9 @@ They are written after the commit, tiles first, so a crash leaves them one commi
 Partial tiles stay until the full tile is there, as C2SP tlog-tiles asks, so each published tree size keeps its own.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted
@@ -156,3 +158,27 @@ def edge_at(ledger: Path, frontier: Frontier) -> Edge:
             "run fsar-ledger verify, and fsar-ledger recover if only they are damaged"
         )
     return edge
+
+
+def tile_files(ledger: Path) -> Iterator[str]:
+    """Name every file under `tile/`, links and other things among them; none if that is a link.
+
+    Raises:
+        OSError: A folder cannot be read, or they are too many.
+    """
+    seen = 0
+    folders = [TILE] if (ledger / TILE).is_dir() and not (ledger / TILE).is_symlink() else []
+    while folders:
+        found: list[os.DirEntry[str]] = []
+        folder = folders.pop()
+        with suppress(FileNotFoundError):  # a writer has removed outgrown tiles in between
+            found = disk.entries(ledger / folder)
+        seen += len(found)
+        if seen > disk.MAX_NAMES:
+            raise OSError(0, f"it holds more than {disk.MAX_NAMES} names", TILE)
+        for entry in found:
+            name = f"{folder}/{entry.name}"
+            if entry.is_dir(follow_symlinks=False):
+                folders.append(name)
+            else:
+                yield name
