@@ -133,7 +133,7 @@ def test_half_a_footer_is_said_to_be_half_of_one(path: Path) -> None:
         footer = data[-8 - length : -8][:left]
         (path / NEWEST).write_bytes(data[: -8 - length] + footer + len(footer).to_bytes(4, "little") + b"PAR1")
         with pytest.raises(LedgerCorrupted, match="the segment cannot be read: found the footer: ") as refused:
-            layout.check_bounds(path / NEWEST)
+            layout.check_layout(path / NEWEST, layout.read_file(path / NEWEST))
         said.append("the footer: half of it, expected all" in str(refused.value))
     assert any(said)
 
