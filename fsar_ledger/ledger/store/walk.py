@@ -130,7 +130,8 @@ def _doubts(
             because = f", the SHA-256 of {commit_file(number - 1) if number else MANIFEST}"
         elif name == "note":
             because = f", with the origin of {MANIFEST}"
-        yield Problem(commit_file(number), f"{found!r}", f"{expected!r}{because}", commit=number, field=name)
+        wanted = f"{expected}" if name == "release" else f"{expected!r}{because}"  # which releases is said in words
+        yield Problem(commit_file(number), f"{found!r}", wanted, commit=number, field=name)
 
 
 def find_segment(ledger: Path, number: int, record: CommitRecord) -> FoundSegment:
