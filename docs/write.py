@@ -41,8 +41,8 @@ from fsar_ledger.ledger.rows.releases import FINGERPRINTS
 from fsar_ledger.ledger.rows.schema import CONCERNED, SCHEMA, STANDS_ALONE, STORED
 from fsar_ledger.ledger.store.append import Writer, stage_rows
 from fsar_ledger.ledger.store.derived import tile_reader
+from fsar_ledger.ledger.store.paths import commit_path
 from fsar_ledger.ledger.store.read import open_ledger
-from fsar_ledger.ledger.store.record import commit_path
 from fsar_ledger.metrics.library import Query, library
 from fsar_ledger.metrics.multiverse import readings
 from fsar_ledger.report.printing import flat

@@ -161,7 +161,7 @@ def _later(later: "Sequence[Later]") -> Iterator[str]:
 
 def _next(ledger: Path, found: "Recovery", into: Path | None) -> Iterator[str]:
     """How to go on."""
-    from fsar_ledger.ledger.store.record import segment_path
+    from fsar_ledger.ledger.store.paths import segment_path
 
     if into is not None:
         yield f"  {into} holds what can be trusted, byte for byte, and verifies; {ledger} remains damaged, keep it as evidence"

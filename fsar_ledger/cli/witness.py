@@ -245,8 +245,9 @@ def seen_of(
         if cosigned:
             raise UsageError("--cosigned: found no --witness-policy, expected the policy that names the witnesses")
         return None
+    from fsar_ledger.ledger.store.paths import MANIFEST
     from fsar_ledger.ledger.store.read import read_manifest
-    from fsar_ledger.ledger.store.record import MANIFEST, parse_manifest
+    from fsar_ledger.ledger.store.record import parse_manifest
     from fsar_ledger.witness.evidence import ask_witnesses, read_cosigned
     from fsar_ledger.witness.policy import read_policy
 

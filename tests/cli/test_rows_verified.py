@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.ledger.store.append import Writer, stage
-from fsar_ledger.ledger.store.record import segment_path
+from fsar_ledger.ledger.store.paths import segment_path
 from tests.ledger.damage import flips
 from tests.ledger.forgery import changed, forge_segment, table_of
 from tests.metrics.conftest import record

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.ledger.store.keys import read_verifier
+from fsar_ledger.ledger.store.paths import segment_path
 from fsar_ledger.ledger.store.read import open_ledger
-from fsar_ledger.ledger.store.record import segment_path
 from tests.cli.conftest import SMALL, Call, Called, in_a_process, one_message
 
 RUN = "fsar.full.door-relay.n4.s7.r0000"

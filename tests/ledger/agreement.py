@@ -24,8 +24,9 @@ from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.ledger.rows.schema import SCHEMA, Field
 from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.paths import commit_path, segment_path
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.store.record import CommitRecord, commit_path, segment_path, sha256_hex
+from fsar_ledger.ledger.store.record import CommitRecord, sha256_hex
 from fsar_ledger.ledger.verify.notes import read_anchor
 from fsar_ledger.ledger.verify.verify import Asked, verify
 from tests.ledger.hostile import stage_anything

@@ -18,7 +18,8 @@ from fsar_ledger.ledger.log.tiles import WIDTH, partial_tiles
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, LAYOUTS, SCHEMA
 from fsar_ledger.ledger.rows.segment import to_parquet
 from fsar_ledger.ledger.store.derived import tile_reader
-from fsar_ledger.ledger.store.record import commit_path, segment_path, sha256_hex
+from fsar_ledger.ledger.store.paths import commit_path, segment_path
+from fsar_ledger.ledger.store.record import sha256_hex
 from tests.ledger.agreement import (
     KEY,
     OTHER_VERSION,

@@ -15,7 +15,7 @@ from fsar_ledger.ledger.log.tiles import partial_tiles
 from fsar_ledger.ledger.rows.grammar import path_of
 from fsar_ledger.ledger.rows.schema import COLUMNS
 from fsar_ledger.ledger.store.derived import tile_reader
-from fsar_ledger.ledger.store.record import segment_path, staged_path
+from fsar_ledger.ledger.store.paths import segment_path, staged_path
 from tests.ledger.agreement import (
     KEY,
     OTHER_VERSION,

@@ -16,7 +16,8 @@ from fsar_ledger.ledger.log.merkle import Frontier
 from fsar_ledger.ledger.log.note import Note, checkpoint_of
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, MAX_INTEGER
-from fsar_ledger.ledger.store.record import commit_path, segment_path, sha256_hex
+from fsar_ledger.ledger.store.paths import commit_path, segment_path
+from fsar_ledger.ledger.store.record import sha256_hex
 from tests.ledger.forgery import record_of
 from tests.ledger.hostile import documents, written
 from tests.ledger.samples import ORIGIN, append_all

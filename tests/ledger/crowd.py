@@ -9,8 +9,8 @@ from fsar_ledger.errors import FsarLedgerError, NotALedger, SequenceConflict
 from fsar_ledger.ledger.rows import codec
 from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.paths import MANIFEST
 from fsar_ledger.ledger.store.read import LedgerView, open_ledger
-from fsar_ledger.ledger.store.record import MANIFEST
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.samples import ORIGIN, made_up_run
 

@@ -43,8 +43,8 @@ NEED_ROOM = ("write", "link", "rename", "replace", "mkdir", "fsync")
 """What a full disk refuses, beside creating a file."""
 
 ONLY_READS = (
-    "fsar_ledger.ledger.store.read",
-    *(f"fsar_ledger.ledger.verify.{name}" for name in ("verify", "commits", "derived", "notes", "segment")),
+    "fsar_ledger.ledger.store.walk",
+    *(f"fsar_ledger.ledger.verify.{name}" for name in ("verify", "walk", "derived", "notes", "segment")),
 )
 
 REFUSED = {"no-space": errno.ENOSPC, "io-error": errno.EIO, "quota": errno.EDQUOT}

@@ -12,9 +12,10 @@ import pyarrow as pa
 from fsar_ledger.ledger.rows import canonical, segment
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.record import CommitRecord, commit_path, segment_path, sha256_hex
-from fsar_ledger.ledger.verify import trusted_prefix as recover_prefix
-from fsar_ledger.ledger.verify import verify as verification
+from fsar_ledger.ledger.store.paths import commit_path, segment_path
+from fsar_ledger.ledger.store.record import CommitRecord, sha256_hex
+from fsar_ledger.ledger.store.walk import find_segment
+from fsar_ledger.ledger.verify import walk
 from fsar_ledger.ledger.verify.segment import SecondReader, SegmentFacts, examine
 
 
@@ -74,17 +75,16 @@ class Examined:
         self._fields: set[str] = set()
         self._known: dict[tuple[object, ...], SegmentFacts] = {}
         for number in range(len(list((path / "commits").iterdir()))):
-            file, record = str(segment_path(path, number).relative_to(path)), record_of(path, number)
-            facts = examine(file, str(path), number, _Watched(record, self._fields))  # type: ignore[arg-type]
+            file, record = segment_path(path, number), record_of(path, number)
+            facts = examine(str(path), number, _Watched(record, self._fields))  # type: ignore[arg-type]
             assert not facts.problems
-            self._known[self._key((path / file).read_bytes(), number, record)] = facts
+            self._known[self._key(file.read_bytes(), number, record)] = facts
 
     def _key(self, data: bytes, number: int, record: CommitRecord) -> tuple[object, ...]:
         return sha256_hex(data), number, *(getattr(record, name) for name in sorted(self._fields))
 
     def __call__(
         self,
-        file: str,
         ledger: str,
         number: int,
         record: CommitRecord | None,
@@ -92,12 +92,11 @@ class Examined:
     ) -> SegmentFacts:
         """As `examine`."""
         try:
+            file = find_segment(Path(ledger), number, record).file if record is not None else ""
             known = record and self._known.get(self._key(disk.read_document(Path(ledger, file)), number, record))
         except OSError:
             known = None
-        return (
-            msgspec.structs.replace(known, file=file) if known else examine(file, ledger, number, record, second_reader)
-        )
+        return msgspec.structs.replace(known, file=file) if known else examine(ledger, number, record, second_reader)
 
 
 _examined: dict[tuple[tuple[str, str], ...], Examined] = {}
@@ -117,5 +116,5 @@ def examined_once(ledger: Path | Examined) -> Iterator[None]:
         if held not in _examined:
             _examined[held] = Examined(ledger)
         examined = _examined[held]
-    with patch.object(verification, "examine", examined), patch.object(recover_prefix, "examine", examined):
+    with patch.object(walk, "examine", examined):
         yield

@@ -12,7 +12,8 @@ PACKAGE = Path(fsar_ledger.__file__).parent
 
 CHECKED: dict[str, tuple[str, ...] | None] = {
     "verify/verify.py": None,
-    "verify/commits.py": None,
+    "verify/walk.py": None,
+    "store/walk.py": None,
     "verify/segment.py": None,
     "verify/derived.py": None,
     "verify/notes.py": None,
@@ -26,7 +27,7 @@ CHECKED: dict[str, tuple[str, ...] | None] = {
     "log/note.py": ("__post_init__", "is_name", "has_signed", "parse_note", "_parse_signature", "doubt", "names"),
     "store/derived.py": ("check_checkpoint",),
     "store/proof.py": ("parse_proof", "check_proof", "_event"),
-    "store/read.py": ("open_ledger", "_count", "segment", "_require_folders"),
+    "store/read.py": ("open_ledger", "_count", "segment"),
 }
 """The files that make checks, and in them the functions; None: all."""
 

@@ -12,7 +12,7 @@ from fsar_ledger.ledger.rows import bounds, segment
 from fsar_ledger.ledger.rows.bounds import text_bytes
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.grammar import path_of
-from fsar_ledger.ledger.rows.layout import check_bounds
+from fsar_ledger.ledger.rows.layout import check_layout, read_file
 from fsar_ledger.ledger.rows.schema import COLUMNS
 from tests.ledger.hostile import lying_pages, written
 from tests.ledger.parts import Parts
@@ -37,13 +37,13 @@ def file(tmp_path: Path) -> Path:
 def refusal(file: Path, data: bytes | pa.Table, **options: object) -> str:
     file.write_bytes(data if isinstance(data, bytes) else written(data, **{**AS_OURS, **options}))
     with pytest.raises(LedgerCorrupted) as caught:
-        check_bounds(file)
+        check_layout(file, read_file(file))
     assert str(caught.value).startswith(f"{file}: ")
     return str(caught.value).removeprefix(f"{file}: ")
 
 
 def test_a_segment_as_it_is_written_is_within_bounds(file: Path) -> None:
-    assert check_bounds(file).rows == 300
+    assert check_layout(file, read_file(file)).rows == 300
     assert segment.read_table(file).equals(TABLE)
 
 
@@ -94,7 +94,7 @@ def test_a_footer_longer_than_any_is_refused_unread(file: Path) -> None:
 
 def test_a_file_larger_than_any_is_refused_unread(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bounds, "MAX_SEGMENT_BYTES", file.stat().st_size)
-    assert check_bounds(file).rows == 300
+    assert check_layout(file, read_file(file)).rows == 300
     assert "found more than" in refusal(file, b"\0" + file.read_bytes())
 
 
@@ -144,7 +144,7 @@ def test_no_byte_of_the_headers_of_pages_makes_the_check_fail_otherwise(file: Pa
         for value in (0, 0x19, 0xFF):
             file.write_bytes(good[:at] + bytes([value]) + good[at + 1 :])
             try:
-                check_bounds(file)
+                check_layout(file, read_file(file))
             except LedgerCorrupted:
                 refused += 1
     assert refused > 30

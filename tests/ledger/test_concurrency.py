@@ -13,8 +13,8 @@ from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.store import append, disk, paths
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.read import LedgerView, open_ledger
+from fsar_ledger.ledger.store.walk import commit_names
 from fsar_ledger.ledger.verify import verify
-from fsar_ledger.ledger.verify.commits import read_commits
 from tests.ledger.crash_writer import Nursery, Order
 from tests.ledger.crowd import NAMES, batch_of, judge
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
@@ -101,7 +101,10 @@ def test_a_listing_that_lacks_a_commit_made_meanwhile_is_made_again(
     assert open_ledger(path).head.commits == 4
     assert not late
     (path / "commits" / "000000000002.json").rename(tmp_path / "gone")
-    with pytest.raises(LedgerCorrupted, match=r"found '000000000003\.json', expected 000000000002\.json"):
+    with pytest.raises(
+        LedgerCorrupted,
+        match=r"000000000003\.json: commit 3: found number 3, expected numbers below 3, without gaps: commits/000000000002.json is missing",
+    ):
         open_ledger(path)
 
 
@@ -112,12 +115,12 @@ def test_verify_looks_again_where_a_writer_has_changed_the_ledger_meanwhile(
     append_all(path, BATCHES[:2])
 
     def then_another_is_made(*arguments: Any) -> object:
-        found = read_commits(*arguments)
+        found = commit_names(*arguments)
         monkeypatch.undo()
         append_all(path, BATCHES[2:3])
         return found
 
-    monkeypatch.setattr(verify, "read_commits", then_another_is_made)
+    monkeypatch.setattr(verify, "commit_names", then_another_is_made)
     report = verify.verify(path)
     assert (report.problems, report.commits) == ((), 3)
 

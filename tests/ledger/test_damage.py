@@ -5,7 +5,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from fsar_ledger.ledger.store.record import segment_path
+from fsar_ledger.ledger.store.paths import segment_path
 from fsar_ledger.ledger.verify.derived import BEHIND, LEFT_OVER
 from fsar_ledger.ledger.verify.notes import read_anchor
 from fsar_ledger.ledger.verify.verify import Asked, verify

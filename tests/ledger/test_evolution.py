@@ -161,7 +161,7 @@ def test_the_records_of_each_commit_name_its_release(later: LaterRelease, mixed:
 
 def test_a_ledger_of_a_later_release_is_refused_by_its_name(mixed: Path) -> None:
     found = re.escape(later_release.RELEASE)
-    message = rf"000000000003\.json: field release: found {found}, expected at most {RELEASE}; read it with fsar-ledger {found} or later"
+    message = rf"000000000003\.json: commit 3, field release: found '{found}', expected at most {RELEASE}; read it with fsar-ledger {found} or later"
     with pytest.raises(FormatVersionMismatch, match=message):
         open_ledger(mixed)
     with pytest.raises(FormatVersionMismatch, match=message):

@@ -13,7 +13,7 @@ import pytest
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import grammar, layout, segment
 from fsar_ledger.ledger.rows.codec import encode
-from fsar_ledger.ledger.rows.layout import check_bounds, check_layout, read_layout
+from fsar_ledger.ledger.rows.layout import check_layout, read_file, read_layout
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from tests.ledger.keep_release import LEDGERS
 from tests.ledger.parts import Page, Parts, two_faced
@@ -99,14 +99,14 @@ def test_a_layout_tells_rows_columns_writer_and_statistics(tmp_path: Path) -> No
         ("seq", bytes(8), (59).to_bytes(8, "little")),
     ]
     (tmp_path / "file").write_bytes(DATA)
-    assert check_bounds(tmp_path / "file") == found
+    assert check_layout(tmp_path / "file", read_file(tmp_path / "file")) == found
 
 
 def test_segments_of_every_kept_release_lie_as_they_should() -> None:
     files = sorted(LEDGERS.glob("*/ledger/segments/*.parquet"))
     assert len(files) >= 3
     for file in files:
-        assert check_bounds(file).rows > 0
+        assert check_layout(file, read_file(file)).rows > 0
 
 
 def test_pages_without_a_dictionary_once_it_is_full_are_read() -> None:

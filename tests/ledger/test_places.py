@@ -1,5 +1,6 @@
 import os
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import cast
 
@@ -7,17 +8,22 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import segment
-from fsar_ledger.ledger.store.record import commit_path, segment_path, staged_path
-from fsar_ledger.ledger.verify import commits as verify_commits
+from fsar_ledger.ledger.store import walk
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.paths import commit_path, segment_path, staged_path
+from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.ledger.verify import segment as verify_segment
-from fsar_ledger.ledger.verify import verify as verification
+from fsar_ledger.ledger.verify import walk as row_walk
 from fsar_ledger.ledger.verify.derived import BEHIND
+from fsar_ledger.ledger.verify.recover import recover
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger import thrift
 from tests.ledger.damage import only_problem
 from tests.ledger.forgery import forge, forge_segment, record_of, table_of
 from tests.ledger.parts import Parts
+from tests.ledger.samples import ORIGIN
 
 SIZES = (130, 130, 20)
 LAST = "000000000002"
@@ -29,7 +35,10 @@ LAST = "000000000002"
 def test_a_segment_that_is_no_file_is_said_to_be_none(path: Path) -> None:
     segment_path(path, 2).unlink()
     os.mkfifo(segment_path(path, 2))
-    assert (only_problem(path).where, only_problem(path).found) == (f"segments/{LAST}.parquet", "no regular file")
+    assert (only_problem(path).where, only_problem(path).found) == (
+        f"segments/{LAST}.parquet",
+        "a link or something else than a file",
+    )
 
 
 def test_a_staged_segment_that_is_a_link_is_a_missing_segment(path: Path, tmp_path: Path) -> None:
@@ -39,6 +48,66 @@ def test_a_staged_segment_that_is_a_link_is_a_missing_segment(path: Path, tmp_pa
     staged.rename(tmp_path / "aside")
     staged.symlink_to(tmp_path / "aside")
     assert (only_problem(path).where, only_problem(path).commit) == (f"segments/{LAST}.parquet", 2)
+
+
+def as_a_link_in_staging(path: Path, aside: Path) -> None:
+    shutil.move(segment_path(path, 2), aside)
+    staged_path(path, record_of(path, 2).segment_sha256).symlink_to(aside)
+
+
+def as_a_link_in_its_place(path: Path, aside: Path) -> None:
+    shutil.move(segment_path(path, 2), aside)
+    segment_path(path, 2).symlink_to(aside)
+
+
+def as_nothing(path: Path, aside: Path) -> None:
+    shutil.move(segment_path(path, 2), aside)
+
+
+def as_half_of_it(path: Path, aside: Path) -> None:
+    shutil.copyfile(segment_path(path, 2), aside)
+    segment_path(path, 2).write_bytes(aside.read_bytes()[:-9])
+
+
+def with_a_record_of_something_else(path: Path, aside: Path) -> None:
+    shutil.copyfile(commit_path(path, 2), aside)
+    commit_path(path, 2).write_bytes(b"{}")
+
+
+def with_a_record_that_is_a_link(path: Path, aside: Path) -> None:
+    shutil.move(commit_path(path, 2), aside)
+    commit_path(path, 2).symlink_to(aside)
+
+
+def with_a_folder_that_is_a_link(path: Path, aside: Path) -> None:
+    shutil.move(path / "segments", aside)
+    (path / "segments").symlink_to(aside)
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        as_a_link_in_staging,
+        as_a_link_in_its_place,
+        as_nothing,
+        as_half_of_it,
+        with_a_record_of_something_else,
+        with_a_record_that_is_a_link,
+        with_a_folder_that_is_a_link,
+    ],
+)
+def test_verify_recover_readers_and_writers_say_the_same_of_the_same_damage(
+    path: Path, tmp_path: Path, damage: Callable[[Path, Path], None]
+) -> None:
+    damage(path, tmp_path / "aside")
+    said = str(verify(path).problems[0])
+    assert [str(problem) for problem in recover(path).problems] == [said]
+    with pytest.raises(LedgerCorrupted) as reader:
+        open_ledger(path).segments()
+    with pytest.raises(LedgerCorrupted) as writer:
+        Writer(path, ORIGIN)
+    assert str(reader.value) == str(writer.value)
+    assert str(reader.value).startswith(f"{path}/{said}; restore ")
 
 
 def test_a_missing_segment_of_an_unreadable_record_is_the_records_problem(path: Path) -> None:
@@ -115,14 +184,14 @@ def test_a_check_that_fails_in_a_way_nobody_thought_of_is_a_finding_in_its_place
         raise ZeroDivisionError("nobody thought of this")
 
     for module, name, place in (
-        (verify_commits, "parse_manifest", "ledger.json"),
-        (verify_commits, "parse_record", f"commits/{LAST}.json"),
+        (walk, "parse_manifest", "ledger.json"),
+        (walk, "parse_record", f"commits/{LAST}.json"),
         (verify_segment, "first_flaw", f"segments/{LAST}.parquet"),
         (verify_segment, "check_layout", f"segments/{LAST}.parquet"),
     ):
         with monkeypatch.context() as patch:
             patch.setattr(module, name, fail)
-            patch.setattr(verification, "examine", verify_segment.examine)  # each segment is decoded
+            patch.setattr(row_walk, "examine", verify_segment.examine)  # each segment is decoded
             assert place in {problem.where for problem in verify(path).problems if "ZeroDivisionError" in problem.found}
 
 

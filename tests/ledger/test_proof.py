@@ -10,6 +10,7 @@ from fsar_ledger.errors import LedgerCorrupted, UsageError
 from fsar_ledger.ledger.log.merkle import leaf_hash
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signer
 from fsar_ledger.ledger.rows import canonical, codec
+from fsar_ledger.ledger.store.paths import segment_path
 from fsar_ledger.ledger.store.proof import (
     Proof,
     Value,
@@ -21,7 +22,7 @@ from fsar_ledger.ledger.store.proof import (
     read_proof,
 )
 from fsar_ledger.ledger.store.read import open_ledger
-from fsar_ledger.ledger.store.record import segment_path, sha256_hex
+from fsar_ledger.ledger.store.record import sha256_hex
 from tests.ledger.forgery import changed, forge_segment, table_of
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 

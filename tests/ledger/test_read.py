@@ -9,8 +9,8 @@ import pytest
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.opening import open_for_answers
+from fsar_ledger.ledger.store.paths import segment_path, staged_path
 from fsar_ledger.ledger.store.read import open_ledger
-from fsar_ledger.ledger.store.record import segment_path, staged_path
 from tests.ledger.samples import ORIGIN, made_up_run
 
 
@@ -37,7 +37,7 @@ def test_the_first_segment_that_is_not_as_committed_is_named(path: Path) -> None
         flip(segment_path(path, number))
     with pytest.raises(
         LedgerCorrupted,
-        match=r"segments/000000000001\.parquet: commit 1: found SHA-256 [0-9a-f]{64}, expected [0-9a-f]{64} as committed",
+        match=r"segments/000000000001\.parquet: commit 1, field segment_sha256: found SHA-256 [0-9a-f]{64}, expected [0-9a-f]{64}, as commits/",
     ):
         open_ledger(path).segments()
 
@@ -71,7 +71,7 @@ def test_a_segment_that_changes_after_it_was_found_right_is_read_again(path: Pat
     view.segments()
     flip(segment_path(path, 1))
     assert view.segment(0) == segment_path(path, 0)
-    with pytest.raises(LedgerCorrupted, match="commit 1: found SHA-256"):
+    with pytest.raises(LedgerCorrupted, match="commit 1, field segment_sha256: found SHA-256"):
         view.segment(1)
 
 
@@ -91,13 +91,13 @@ def test_a_segment_in_staging_is_compared_there_and_again_where_it_is_moved_to(p
     assert view.segment(2) == segment_path(path, 2)
     segment_path(path, 2).rename(staged)
     flip(staged)
-    with pytest.raises(LedgerCorrupted, match=f"staging/{staged.name}: commit 2: found SHA-256"):
+    with pytest.raises(LedgerCorrupted, match=f"staging/{staged.name}: commit 2, field segment_sha256: found SHA-256"):
         view.segment(2)
 
 
 def test_who_only_moves_segments_does_not_read_them(path: Path) -> None:
     flip(segment_path(path, 0))
-    assert open_ledger(path).place(0) == segment_path(path, 0)
+    assert open_ledger(path).location(0) == segment_path(path, 0)
     with Writer(
         path, ORIGIN
     ) as writer:  # an append costs the same however much is there; `verify` and every reader find the bit

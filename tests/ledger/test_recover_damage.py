@@ -13,8 +13,9 @@ from fsar_ledger.ledger.log.note import Signer
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.paths import commit_path, segment_path
 from fsar_ledger.ledger.store.read import EMPTY_HEAD, open_ledger
-from fsar_ledger.ledger.store.record import CommitRecord, commit_path, segment_path, sha256_hex
+from fsar_ledger.ledger.store.record import CommitRecord, sha256_hex
 from fsar_ledger.ledger.verify.notes import read_anchor
 from fsar_ledger.ledger.verify.recover import Recovery, recover
 from fsar_ledger.ledger.verify.trusted_prefix import FITS, NO_RECORD, NO_SEGMENT

@@ -22,8 +22,8 @@ from fsar_ledger.ledger.rows.codec import RunRecord, encode
 from fsar_ledger.ledger.rows.schema import CONCERNED, LAYOUTS, OPENINGS, STANDS_ALONE, STORED, Layout
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.paths import segment_path, staged_path
 from fsar_ledger.ledger.store.read import open_ledger
-from fsar_ledger.ledger.store.record import segment_path, staged_path
 from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged
 from tests.ledger.forgery import changed

@@ -15,9 +15,10 @@ from fsar_ledger.errors import NotALedger
 from fsar_ledger.ledger.log import merkle
 from fsar_ledger.ledger.log.note import Note, checkpoint_of
 from fsar_ledger.ledger.rows import canonical, codec
+from fsar_ledger.ledger.store.paths import commit_path, segment_path
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import open_ledger
-from fsar_ledger.ledger.store.record import CommitRecord, Manifest, commit_path, segment_path
+from fsar_ledger.ledger.store.record import CommitRecord, Manifest
 from fsar_ledger.ledger.verify.verify import MAX_PROBLEMS, verify
 from tests.ledger.forgery import changed, examined_once, forge, forge_segment, record_of, table_of
 from tests.ledger.hostile import append_again

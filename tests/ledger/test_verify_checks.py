@@ -17,8 +17,8 @@ from fsar_ledger.ledger.rows import layout, releases, segment
 from fsar_ledger.ledger.rows.grammar import Footer
 from fsar_ledger.ledger.rows.schema import SCHEMA, fingerprint
 from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.paths import segment_path, staged_path
 from fsar_ledger.ledger.store.read import open_ledger
-from fsar_ledger.ledger.store.record import segment_path, staged_path
 from fsar_ledger.ledger.verify import verify as verification
 from fsar_ledger.ledger.verify.derived import BEHIND
 from fsar_ledger.ledger.verify.notes import read_anchor
@@ -72,7 +72,7 @@ def test_a_file_that_is_missing_is_named_with_the_words_of_the_system(path: Path
 def test_a_segment_that_is_missing_is_named_with_the_words_of_the_system(path: Path) -> None:
     (path / NEWEST).unlink()
     problem = only_problem(path)
-    assert (problem.where, problem.found, problem.field) == (NEWEST, "No such file or directory", "segment_sha256")
+    assert (problem.where, problem.found, problem.field) == (NEWEST, "no segment", "segment_sha256")
 
 
 @pytest.mark.parametrize("name", ["commits", "segments", "staging", "tile"])
@@ -111,15 +111,15 @@ def test_readers_follow_no_link_to_a_segment(path: Path, tmp_path: Path) -> None
 def test_readers_find_a_segment_that_a_writer_moves_into_its_place_meanwhile(
     path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    place, staged, lstat = path / NEWEST, staged_path(path, record_of(path, 1).segment_sha256), Path.lstat
+    place, staged, lstat = path / NEWEST, staged_path(path, record_of(path, 1).segment_sha256), os.lstat
     place.rename(staged)
 
-    def moved_just_before(looked_at: Path) -> os.stat_result:
-        if looked_at == staged and staged.exists():
+    def moved_just_before(looked_at: str) -> os.stat_result:
+        if looked_at == str(staged) and staged.exists():
             staged.rename(place)
         return lstat(looked_at)
 
-    monkeypatch.setattr(Path, "lstat", moved_just_before)
+    monkeypatch.setattr(os, "lstat", moved_just_before)
     assert open_ledger(path).segment(1) == place
 
 
@@ -133,7 +133,7 @@ def test_half_a_footer_is_said_to_be_half_of_one(path: Path) -> None:
         footer = data[-8 - length : -8][:left]
         (path / NEWEST).write_bytes(data[: -8 - length] + footer + len(footer).to_bytes(4, "little") + b"PAR1")
         with pytest.raises(LedgerCorrupted, match="the segment cannot be read: found the footer: ") as refused:
-            layout.check_bounds(path / NEWEST)
+            layout.check_layout(path / NEWEST, layout.read_file(path / NEWEST))
         said.append("the footer: half of it, expected all" in str(refused.value))
     assert any(said)
 

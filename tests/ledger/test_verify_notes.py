@@ -12,7 +12,7 @@ from fsar_ledger.ledger.log.tiles import node_of
 from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.derived import tile_reader
-from fsar_ledger.ledger.store.record import segment_path
+from fsar_ledger.ledger.store.paths import segment_path
 from fsar_ledger.ledger.verify.derived import BEHIND
 from fsar_ledger.ledger.verify.notes import Anchor, read_anchor
 from fsar_ledger.ledger.verify.verify import Asked, VerifyReport, verify

@@ -10,7 +10,7 @@ from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_file, read_layout
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.rows.segment import read_coded
-from fsar_ledger.ledger.store.record import segment_path
+from fsar_ledger.ledger.store.paths import segment_path
 from fsar_ledger.ledger.verify import segment as verify_segment
 from fsar_ledger.ledger.verify.verify import Asked, verify
 from fsar_ledger.metrics.second_reader import read_again

@@ -33,6 +33,20 @@ class Tile(msgspec.Struct, frozen=True, order=True):
         return f"{TILE}/{self.level}/{number}" + ("" if self.width == WIDTH else f".p/{self.width}")
 
 
+def tile_named(name: str) -> Tile | None:
+    """Return the tile whose file has this name within the ledger; None if no tile has."""
+    _, level, *groups = name.split("/")
+    width = str(WIDTH)
+    if len(groups) > 1 and groups[-2].endswith(".p"):
+        width = groups.pop()
+        groups[-1] = groups[-1].removesuffix(".p")
+    digits = "".join(group.removeprefix("x") for group in groups)
+    if not all(part.isascii() and part.isdecimal() and len(part) <= 18 for part in (level, digits, width)):
+        return None
+    tile = Tile(int(level), int(digits), int(width))
+    return tile if tile.name == name and 0 < tile.width <= WIDTH and tile.level <= 64 // HEIGHT else None
+
+
 def partial_tiles(size: int) -> tuple[Tile, ...]:
     """The partial tiles of a tree of this size, one a level at most."""
     widths = ((level, size >> HEIGHT * level) for level in range((size.bit_length() + HEIGHT - 1) // HEIGHT))

@@ -102,11 +102,6 @@ def _footers() -> tuple[Footer, ...]:
     return tuple(found)
 
 
-def check_bounds(path: Path) -> Layout:
-    """What the segment in this file says of itself. Raises: LedgerCorrupted as `check_layout`; OSError if it cannot be read."""
-    return check_layout(path, read_file(path))
-
-
 def read_file(path: Path) -> bytes:
     """The bytes of a segment, in one read: what is hashed, checked and decoded should be the same.
 

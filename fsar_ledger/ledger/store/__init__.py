@@ -2,8 +2,9 @@
 
 ```
 disk      durable files: all or nothing
-paths     where a ledger is, and what nobody else may write there
-record    ledger.json and commits/*.json
+paths     where the files are, and what nobody else may write there
+record    what ledger.json and commits/*.json hold
+walk      what stands at each commit: the walk that everybody folds
 append    stage (worker side), Writer (parent side)
 read      Head, LedgerView: what is committed
 opening   a ledger that is opened for an answer

@@ -35,23 +35,20 @@ from fsar_ledger.ledger.rows.schema import FINGERPRINT
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.derived import catch_up, check_folders, write_derived
 from fsar_ledger.ledger.store.held import Held, HeldRuns, runs_of
-from fsar_ledger.ledger.store.paths import is_unfinished, require_outside
-from fsar_ledger.ledger.store.read import Head, LedgerView, commit_names, open_ledger, read_manifest
-from fsar_ledger.ledger.store.record import (
+from fsar_ledger.ledger.store.paths import (
     COMMITS,
-    FORMAT,
     MANIFEST,
     SEGMENTS,
     STAGING,
-    VERSION,
-    CommitRecord,
-    Manifest,
     commit_path,
-    parse_manifest,
+    is_unfinished,
+    require_outside,
     segment_path,
-    sha256_hex,
     staged_path,
 )
+from fsar_ledger.ledger.store.read import Head, LedgerView, open_ledger, read_manifest
+from fsar_ledger.ledger.store.record import FORMAT, VERSION, CommitRecord, Manifest, parse_manifest, sha256_hex
+from fsar_ledger.ledger.store.walk import commit_names
 
 
 class Staged(msgspec.Struct, frozen=True):
@@ -370,7 +367,7 @@ def _confirm(view: LedgerView) -> None:
 
 def _clean(view: LedgerView) -> None:
     """Staging holds only committed segments that are not yet in place. Only for a writer that is alone: others may be staging."""
-    places = [view.place(number) for number in range(len(view.records))]
+    places = [view.location(number) for number in range(len(view.records))]
     kept = {path.name for path in places if path.parent.name == STAGING}
     with disk.refusals(view.path / STAGING, "cleaning up"):
         disk.make_folder(view.path / STAGING)
@@ -386,7 +383,7 @@ def _clean(view: LedgerView) -> None:
 def _roll_forward(view: LedgerView) -> None:
     """Every committed segment is in place. Raises: LedgerCorrupted if one is missing, WriteFailed if the disk refuses."""
     for number in range(len(view.records)):
-        path, target = view.place(number), segment_path(view.path, number)
+        path, target = view.location(number), segment_path(view.path, number)
         if path != target:
             with disk.refusals(target, "moving a committed segment into place"):
                 disk.move(path, target)

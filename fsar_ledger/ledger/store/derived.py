@@ -4,18 +4,19 @@ They are written after the commit, tiles first, so a crash leaves them one commi
 Partial tiles stay until the full tile is there, as C2SP tlog-tiles asks, so each published tree size keeps its own.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.log.tiles import HEIGHT, TILE, WIDTH, Edge, Tile, partial_tiles
 from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.paths import CHECKPOINT, STAGING, commit_file
 from fsar_ledger.ledger.store.problem import Problem, refusal
 from fsar_ledger.ledger.store.read import LedgerView
-from fsar_ledger.ledger.store.record import COMMITS, STAGING, CommitRecord
-
-CHECKPOINT = "checkpoint"
+from fsar_ledger.ledger.store.record import CommitRecord
 
 
 def write_derived(ledger: Path, before: Edge, made: Mapping[Tile, bytes], record: CommitRecord) -> None:
@@ -106,9 +107,7 @@ def check_checkpoint(ledger: Path, records: Sequence[CommitRecord]) -> tuple[lis
         return [], True
     newest = records[-1].number if records else None
     expected = (
-        "no note, as there is no commit"
-        if newest is None
-        else f"the note in {COMMITS}/{newest:012d}.json, the newest record"
+        "no note, as there is no commit" if newest is None else f"the note in {commit_file(newest)}, the newest record"
     )
     return [Problem(CHECKPOINT, "no file" if found is None else f"{found!r:.400}", expected, commit=newest)], False
 
@@ -159,3 +158,27 @@ def edge_at(ledger: Path, frontier: Frontier) -> Edge:
             "run fsar-ledger verify, and fsar-ledger recover if only they are damaged"
         )
     return edge
+
+
+def tile_files(ledger: Path) -> Iterator[str]:
+    """Name every file under `tile/`, links and other things among them; none if that is a link.
+
+    Raises:
+        OSError: A folder cannot be read, or they are too many.
+    """
+    seen = 0
+    folders = [TILE] if (ledger / TILE).is_dir() and not (ledger / TILE).is_symlink() else []
+    while folders:
+        found: list[os.DirEntry[str]] = []
+        folder = folders.pop()
+        with suppress(FileNotFoundError):  # a writer has removed outgrown tiles in between
+            found = disk.entries(ledger / folder)
+        seen += len(found)
+        if seen > disk.MAX_NAMES:
+            raise OSError(0, f"it holds more than {disk.MAX_NAMES} names", TILE)
+        for entry in found:
+            name = f"{folder}/{entry.name}"
+            if entry.is_dir(follow_symlinks=False):
+                folders.append(name)
+            else:
+                yield name

@@ -39,7 +39,7 @@ class HeldRuns:
         self._plans: set[str] = set()
         tables = view.tables(["run_id", "type"]) if by_row else repeat(None)
         for record, table in zip(view.records, tables, strict=False):
-            path = view.place(record.number)
+            path = view.location(record.number)
             if table is None:
                 self.add(record.number, path, record.rows)
                 continue

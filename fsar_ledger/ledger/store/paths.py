@@ -1,4 +1,4 @@
-"""Where a ledger is: what tells a folder that holds one, and what nobody else may write there."""
+"""Where the files of a ledger are, what tells a folder that holds one, and what nobody else may write there."""
 
 import os
 from contextlib import suppress
@@ -6,7 +6,45 @@ from pathlib import Path
 
 from fsar_ledger.errors import NotALedger, UsageError
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.record import COMMITS, MANIFEST, SEGMENTS, STAGING
+
+MANIFEST = "ledger.json"
+CHECKPOINT = "checkpoint"
+COMMITS, SEGMENTS, STAGING = "commits", "segments", "staging"
+
+
+def commit_name(number: int) -> str:
+    """Name the record of this commit within its folder."""
+    return f"{number:012d}.json"
+
+
+def commit_file(number: int) -> str:
+    """Name the record of this commit within the ledger."""
+    return f"{COMMITS}/{commit_name(number)}"
+
+
+def segment_file(number: int) -> str:
+    """Name the segment of this commit within the ledger, once it is in place."""
+    return f"{SEGMENTS}/{number:012d}.parquet"
+
+
+def staged_file(sha256: str) -> str:
+    """Name the segment with this SHA-256 within the ledger, while it waits to be committed and moved."""
+    return f"{STAGING}/{sha256}.parquet"
+
+
+def commit_path(ledger: Path, number: int) -> Path:
+    """Return the path of the record of this commit."""
+    return ledger / commit_file(number)
+
+
+def segment_path(ledger: Path, number: int) -> Path:
+    """Return the path of the segment of this commit, once it is in place."""
+    return ledger / segment_file(number)
+
+
+def staged_path(ledger: Path, sha256: str) -> Path:
+    """Return the path of the segment with this SHA-256, while it waits to be committed and moved."""
+    return ledger / staged_file(sha256)
 
 
 def require_created(ledger: Path) -> None:

@@ -1,7 +1,5 @@
 """What is committed, as a reader sees it. Readers never write, never see half a commit, and never get a segment that is not the one committed."""
 
-import os
-import stat
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -12,28 +10,20 @@ import pyarrow as pa
 
 from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger
 from fsar_ledger.ledger.log import merkle
-from fsar_ledger.ledger.log.merkle import Frontier
-from fsar_ledger.ledger.log.tiles import TILE
 from fsar_ledger.ledger.rows import canonical, codec, segment
 from fsar_ledger.ledger.rows.layout import check_layout
 from fsar_ledger.ledger.rows.releases import is_later
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.paths import require_created
-from fsar_ledger.ledger.store.record import (
-    COMMITS,
-    MANIFEST,
-    SEGMENTS,
-    STAGING,
-    CommitRecord,
-    Manifest,
-    commit_name,
-    commit_path,
-    contradictions,
-    parse_manifest,
-    parse_record,
-    segment_path,
-    sha256_hex,
-    staged_path,
+from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST, require_created
+from fsar_ledger.ledger.store.record import CommitRecord, Manifest, parse_manifest, sha256_hex
+from fsar_ledger.ledger.store.walk import (
+    Commit,
+    check_folders,
+    check_names,
+    commit_names,
+    find_segment,
+    read_segment,
+    walk,
 )
 
 _THREADS = 4
@@ -85,8 +75,8 @@ class LedgerView(msgspec.Struct, frozen=True):
         last = self.records[-1]
         return Head(len(self.records), last.tree_size, last.tree_root, last.last_run)
 
-    def place(self, number: int) -> Path:
-        """Where the rows of this commit are: in place, or in staging where the writer was interrupted. The bytes are not looked at: for who only moves them.
+    def location(self, number: int) -> Path:
+        """Find the segment of this commit: in place, or in staging where the writer was interrupted. Its bytes are not looked at: for who only moves it.
 
         Raises:
             LedgerCorrupted: The segment is in neither place, is no regular file, or has another size than committed.
@@ -99,7 +89,7 @@ class LedgerView(msgspec.Struct, frozen=True):
         They are read once for each view; a file that changed since is read again.
 
         Raises:
-            LedgerCorrupted: As `place`; or its SHA-256 is another, or it asks for more than the bounds.
+            LedgerCorrupted: As `location`; or its SHA-256 is another, or it asks for more than the bounds.
         """
         found = self._found(number)
         if self.checked.get(number) != found:
@@ -120,49 +110,21 @@ class LedgerView(msgspec.Struct, frozen=True):
             return list(pool.map(self.segment, numbers))
 
     def _found(self, number: int) -> Checked:
-        """The segment where it is, not yet checked. Raises: as `place`."""
-        record = self.records[number]
-        for path in (
-            segment_path(self.path, number),
-            staged_path(self.path, record.segment_sha256),
-            segment_path(self.path, number),
-        ):
-            try:
-                status = path.lstat()
-            except FileNotFoundError:
-                continue
-            except OSError as error:
-                raise _unreadable(path, number, error) from error
-            if not stat.S_ISREG(status.st_mode):
-                raise LedgerCorrupted(
-                    f"{path}: commit {number}: found a link or something else than a file, expected a segment; restore the file"
-                )
-            if status.st_size != record.segment_bytes:
-                raise LedgerCorrupted(
-                    f"{path}: commit {number}: found {status.st_size} bytes, expected {record.segment_bytes}; restore the file"
-                )
-            return Checked(path, status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
-        raise LedgerCorrupted(
-            f"{segment_path(self.path, number)}: commit {number}: found no segment, expected {record.rows} events; restore the file"
-        )
+        """Find the segment, whose bytes are not looked at. Raises: as `location`."""
+        found = find_segment(self.path, number, self.records[number])
+        if found.problem is not None or found.status is None:
+            raise LedgerCorrupted(f"{self.path}/{found.problem}; restore the file")
+        status = found.status
+        path = self.path / found.file
+        return Checked(path, status.st_dev, status.st_ino, status.st_size, status.st_mtime_ns, status.st_ctime_ns)
 
     def _require_committed(self, number: int, path: Path) -> None:
         """Raises: LedgerCorrupted if the file is not the one that the record names, or goes beyond the bounds; FileNotFoundError if it is gone."""
-        expected = self.records[number].segment_sha256
-        try:
-            with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as opened:
-                if not stat.S_ISREG(os.fstat(opened.fileno()).st_mode):
-                    raise OSError(0, "it is not a regular file")
-                data = opened.read(self.records[number].segment_bytes + 1)
-            if (found := sha256_hex(data)) != expected:
-                raise LedgerCorrupted(
-                    f"{path}: commit {number}: found SHA-256 {found}, expected {expected} as committed; restore the file"
-                )
-            check_layout(path, data)
-        except FileNotFoundError:
-            raise
-        except OSError as error:
-            raise _unreadable(path, number, error) from error
+        file = str(path.relative_to(self.path))
+        data, problem = read_segment(self.path, file, number, self.records[number])
+        if problem is not None:
+            raise LedgerCorrupted(f"{self.path}/{problem}; restore the file")
+        check_layout(path, data)
 
     def tables(self, columns: list[str] | None = None) -> Iterator[pa.Table]:
         """The rows of each commit as they are stored, in order, with these columns (all: None). Raises: LedgerCorrupted for a segment that cannot be read."""
@@ -212,24 +174,24 @@ def open_ledger(path: Path) -> LedgerView:
     """
     data = read_manifest(path)
     manifest = parse_manifest(path / MANIFEST, data)
-    _require_folders(path)
+    for problem in check_folders(path):
+        raise LedgerCorrupted(f"{path}/{problem}; restore it")
     records: list[CommitRecord] = []
-    previous = manifest_sha256 = sha256_hex(data)
-    tree = Frontier()
-    for number in range(_count(path)):
-        file = commit_path(path, number)
-        data = _read(file)
-        record = parse_record(file, data)
-        for name, found, expected in contradictions(record, number, previous, manifest.origin, tree):
-            if is_later(record.release):
-                raise FormatVersionMismatch(f"{file}: field {name}: found {found!s:.80}, expected {expected!s:.300}")
-            raise LedgerCorrupted(
-                f"{file}: field {name}: found {found!r:.300}, expected {expected!r:.300}; restore the file, or run fsar-ledger verify"
-            )
-        tree = record.tree()
-        previous = sha256_hex(data)
-        records.append(record)
-    return LedgerView(path, manifest, manifest_sha256, previous, tuple(records))
+    sha256 = manifest_sha256 = sha256_hex(data)
+    for commit in walk(path, manifest.origin, manifest_sha256, _count(path)):
+        if commit.problems or commit.record is None or commit.sha256 is None:
+            raise _refused(path, commit)
+        records.append(commit.record)
+        sha256 = commit.sha256
+    return LedgerView(path, manifest, manifest_sha256, sha256, tuple(records))
+
+
+def _refused(path: Path, commit: Commit) -> LedgerCorrupted | FormatVersionMismatch:
+    """Say why a reader does not take this commit, nor any after it."""
+    found = f"{path}/{commit.problems[0]}"
+    if commit.record is not None and is_later(commit.record.release):
+        return FormatVersionMismatch(found)
+    return LedgerCorrupted(f"{found}; restore the file, or run fsar-ledger verify")
 
 
 def read_manifest(path: Path) -> bytes:
@@ -248,51 +210,14 @@ def read_manifest(path: Path) -> bytes:
         ) from error
 
 
-def _require_folders(path: Path) -> None:
-    """Raises: LedgerCorrupted if a folder of the ledger is a link: what it leads to is not the ledger's, to be read or cleaned up."""
-    for folder in (path / COMMITS, path / SEGMENTS, path / STAGING, path / TILE):
-        if folder.is_symlink() or (folder.exists() and not folder.is_dir()):
-            raise LedgerCorrupted(
-                f"{folder}: found a link or something else than a folder, expected a folder of the ledger; restore it"
-            )
-
-
-def _unreadable(path: Path, number: int, error: OSError) -> LedgerCorrupted:
-    return LedgerCorrupted(
-        f"{path}: commit {number}: the segment cannot be read ({error.strerror}); permit reading or restore it"
-    )
-
-
-def _read(file: Path) -> bytes:
-    try:
-        return disk.read_document(file)
-    except OSError as error:
-        raise LedgerCorrupted(f"{file}: the commit record cannot be read ({error.strerror}); restore it") from error
-
-
 def _count(path: Path) -> int:
-    """How many commits there are. Raises: LedgerCorrupted if their numbers have gaps or other files are among them."""
+    """Count the commit records. Raises: LedgerCorrupted if they cannot be listed, or other files are among them."""
     try:
         names = commit_names(path)
     except OSError as error:
         raise LedgerCorrupted(
             f"{path / COMMITS}: the folder cannot be read ({error.strerror}), expected one record a commit; restore it"
         ) from error
-    for number, name in enumerate(names):
-        if name != commit_name(number):
-            raise LedgerCorrupted(
-                f"{path / COMMITS}: found {name!r:.80}, expected {commit_name(number)}; restore the missing record or take the stray file away"
-            )
+    for problem in check_names(names):
+        raise LedgerCorrupted(f"{path}/{problem}; restore the missing record or take the stray file away")
     return len(names)
-
-
-def commit_names(path: Path) -> list[str]:
-    """What is in the folder of the commit records, sorted. Raises: OSError if it cannot be listed.
-
-    A listing may lack a commit that is made meanwhile, and yet hold a later one: then the folder is listed again.
-    """
-    while True:
-        names = [entry.name for entry in disk.entries(path / COMMITS)]
-        lacking = set(map(commit_name, range(len(names)))).difference(names)
-        if not any(os.path.lexists(path / COMMITS / name) for name in lacking):
-            return names

@@ -21,8 +21,6 @@ from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 
 FORMAT = "fsar-ledger"
 VERSION = 1
-MANIFEST = "ledger.json"
-COMMITS, SEGMENTS, STAGING = "commits", "segments", "staging"
 _SIGNATURE_BYTES = 64  # RFC 8032
 
 Count = Annotated[int, msgspec.Meta(ge=0, le=MAX_INTEGER)]
@@ -66,26 +64,6 @@ class CommitRecord(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def signed_note(self, where: str = "note") -> Note:
         """The note in parts. Raises: LedgerCorrupted where it is not written as C2SP says."""
         return parse_note(where, self.note)
-
-
-def commit_name(number: int) -> str:
-    """The name of the record of this commit within its folder."""
-    return f"{number:012d}.json"
-
-
-def commit_path(ledger: Path, number: int) -> Path:
-    """Where the record of this commit is."""
-    return ledger / COMMITS / commit_name(number)
-
-
-def segment_path(ledger: Path, number: int) -> Path:
-    """Where the segment of this commit ends up."""
-    return ledger / SEGMENTS / f"{number:012d}.parquet"
-
-
-def staged_path(ledger: Path, sha256: str) -> Path:
-    """Where the segment with this SHA-256 waits until it is committed and moved."""
-    return ledger / STAGING / f"{sha256}.parquet"
 
 
 def sha256_hex(data: bytes) -> str:

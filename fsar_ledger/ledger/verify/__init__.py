@@ -2,7 +2,7 @@
 
 ```
 verify           the whole ledger
-commits          its files and its chain of records
+walk             the walk of store/walk.py with the rows
 segment          one segment: what a worker does
 derived          tiles and checkpoint against the rows
 notes            who signed, and whether the ledger only grew

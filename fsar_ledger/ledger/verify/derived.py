@@ -1,13 +1,12 @@
 """The tiles and the checkpoint, compared with those that the rows give: a part of `verify`."""
 
-import os
-from collections.abc import Iterator, Mapping
-from contextlib import suppress
+from collections.abc import Mapping
 from pathlib import Path
 
 from fsar_ledger.ledger.log.merkle import HASH_BYTES
-from fsar_ledger.ledger.log.tiles import HEIGHT, TILE, WIDTH, Tile
+from fsar_ledger.ledger.log.tiles import HEIGHT, WIDTH, Tile, tile_named
 from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.derived import tile_files
 from fsar_ledger.ledger.store.problem import Problem
 
 BEHIND = "the tiles and the checkpoint are one commit behind, as a crash leaves them; the next writer, or fsar-ledger recover, goes on from there"
@@ -46,7 +45,7 @@ class TileCheck:
         """What does not agree, and what may be there or missing only because a crash came in between."""
         for tile, data in self._partial.items():
             self._compare(tile, data, None)
-        found = set(self._files())
+        found = set(tile_files(self._ledger))
         excused = set(self._newest) if is_behind else set()
         self._problems += [
             Problem(tile.name, "no file", f"{tile.width} hashes; fsar-ledger recover derives them again")
@@ -99,26 +98,5 @@ class TileCheck:
 
     def _is_full(self, name: str) -> bool:
         """Whether this is the name of a full tile of the tree."""
-        _, level, *groups = name.split("/")
-        digits = "".join(groups).replace("x", "")
-        if not level.isdecimal() or not digits.isdecimal():
-            return False
-        tile = Tile(int(level), int(digits))
-        return tile.name == name and tile.number < self._full.get(tile.level, 0)
-
-    def _files(self) -> Iterator[str]:
-        """Every file under `tile/`, links and other things among them. Raises: OSError if a folder cannot be read, or they are too many."""
-        folders = [self._ledger / TILE] if (self._ledger / TILE).is_dir() else []
-        seen = 0
-        while folders:
-            found: list[os.DirEntry[str]] = []
-            with suppress(FileNotFoundError):  # a writer has removed outgrown tiles in between
-                found = disk.entries(folders.pop())
-            seen += len(found)
-            if seen > disk.MAX_NAMES:
-                raise OSError(0, f"it holds more than {disk.MAX_NAMES} names", TILE)
-            for entry in found:
-                if entry.is_dir(follow_symlinks=False):
-                    folders.append(Path(entry.path))
-                else:
-                    yield str(Path(entry.path).relative_to(self._ledger))
+        tile = tile_named(name)
+        return tile is not None and tile.width == WIDTH and tile.number < self._full.get(tile.level, 0)

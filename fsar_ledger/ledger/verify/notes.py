@@ -12,8 +12,9 @@ from fsar_ledger.ledger.log.note import Checkpoint, Note, Signed, VerifierKey, d
 from fsar_ledger.ledger.log.tiles import TILE, node_of
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.derived import tile_reader
+from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST, commit_file
 from fsar_ledger.ledger.store.problem import Problem
-from fsar_ledger.ledger.store.record import COMMITS, MANIFEST, CommitRecord
+from fsar_ledger.ledger.store.record import CommitRecord
 
 
 class Signatures(msgspec.Struct, frozen=True):
@@ -56,7 +57,7 @@ def check_signatures(records: list[CommitRecord], trusted: VerifierKey | None) -
         return [Problem(MANIFEST, "no commit, so no note", f"one signed by {trusted.key}")], Signatures("unsigned")
     problems = [
         Problem(
-            f"{COMMITS}/{record.number:012d}.json",
+            commit_file(record.number),
             found,
             f"one of {trusted.key}, the trusted key",
             commit=record.number,

@@ -20,12 +20,13 @@ import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted, NotALedger, UsageError, WriteFailed
 from fsar_ledger.ledger.log.tiles import TILE
+from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST, SEGMENTS, STAGING, commit_path, segment_path
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import Head, open_ledger
-from fsar_ledger.ledger.store.record import COMMITS, MANIFEST, SEGMENTS, STAGING, commit_path, segment_path
 from fsar_ledger.ledger.verify.rederive import Redo, derive, is_tile, put
-from fsar_ledger.ledger.verify.trusted_prefix import Later, Prefix, find_prefix
+from fsar_ledger.ledger.verify.trusted_prefix import Later, TrustedPrefix, find_prefix
 from fsar_ledger.ledger.verify.verify import Asked, Progress, VerifyReport, verify
 
 Outcome = Literal["whole", "mended", "damaged", "continued"]
@@ -150,7 +151,7 @@ def _lock(path: Path, handle: int) -> None:
 # --- a ledger that can be trusted as a whole ---
 
 
-def _mend(path: Path, prefix: Prefix, workers: int, progress: Progress | None, asked: Asked) -> Recovery:
+def _mend(path: Path, prefix: TrustedPrefix, workers: int, progress: Progress | None, asked: Asked) -> Recovery:
     """The ledger verifies again."""
     mending = _Mending(path)
     with disk.refusals(path, "mending"):
@@ -174,7 +175,7 @@ class _Mending:
         self.steps: list[Step] = []
         self._aside: Path | None = None
 
-    def make_room(self, prefix: Prefix) -> None:
+    def make_room(self, prefix: TrustedPrefix) -> None:
         """Nothing stands in the place of a file of the ledger, and there are folders for all of them."""
         for name in prefix.strays:
             if not is_tile(name):
@@ -184,19 +185,19 @@ class _Mending:
             if not (self.path / name).is_dir():
                 disk.make_folder(self.path / name)
 
-    def set_strays_aside(self, prefix: Prefix) -> None:
+    def set_strays_aside(self, prefix: TrustedPrefix) -> None:
         """There is nothing but the ledger's own files. Tiles of an earlier tree go last: until the later ones are there, the next writer needs them."""
         for name in prefix.strays:
             if is_tile(name):
                 self._set_aside(name)
         self._remove_empty_folders(prefix)
 
-    def _remove_empty_folders(self, prefix: Prefix) -> None:
+    def _remove_empty_folders(self, prefix: TrustedPrefix) -> None:
         for folder in sorted((self.path / TILE).rglob("*"), reverse=True) if prefix.strays or prefix.redo else ():
             if folder.is_dir() and not any(folder.iterdir()):
                 os.rmdir(folder)
 
-    def settle(self, prefix: Prefix) -> None:
+    def settle(self, prefix: TrustedPrefix) -> None:
         """Every committed segment is in place, after its record is on the disk for certain."""
         for number, name in enumerate(prefix.files):
             place = segment_path(self.path, number)
@@ -205,7 +206,7 @@ class _Mending:
                 disk.move(self.path / name, place)
                 self.steps.append(Step("moved into place", name, str(place.relative_to(self.path))))
 
-    def make_again(self, prefix: Prefix) -> None:
+    def make_again(self, prefix: TrustedPrefix) -> None:
         """What can be told from the commits is as they tell it: ledger.json, the tiles, the checkpoint."""
         made = put(self.path, {MANIFEST: prefix.manifest or b""}, self._set_aside)
         made += derive(open_ledger(self.path), prefix.redo, self._set_aside)
@@ -243,7 +244,7 @@ def _new_folder(ledger: Path) -> Path:
 
 
 def _copy(
-    path: Path, prefix: Prefix, into: Path, workers: int, progress: Progress | None, asked: Asked
+    path: Path, prefix: TrustedPrefix, into: Path, workers: int, progress: Progress | None, asked: Asked
 ) -> VerifyReport:
     """There is a new ledger with the trusted commits, byte for byte, which verifies; or nothing is there."""
     if not prefix.records:
@@ -275,16 +276,16 @@ def _copy(
     return report
 
 
-def _write_copy(path: Path, prefix: Prefix, work: Path) -> None:
+def _write_copy(path: Path, prefix: TrustedPrefix, work: Path) -> None:
     """The new folder holds a ledger of the trusted commits, durably. Raises: OSError."""
     for folder in (work, work / COMMITS, work / SEGMENTS, work / STAGING):
         folder.mkdir()
-    for number, (name, document) in enumerate(zip(prefix.files, prefix.documents, strict=True)):
+    for number, (name, record) in enumerate(zip(prefix.files, prefix.records, strict=True)):
         with open(path / name, "rb") as source, open(segment_path(work, number), "xb") as target:
             shutil.copyfileobj(source, target)
             target.flush()
             os.fsync(target.fileno())
-        disk.write_temporary(commit_path(work, number), document)
+        disk.write_temporary(commit_path(work, number), canonical.document(record))
     disk.write_temporary(work / MANIFEST, prefix.manifest or b"")
     derive(open_ledger(work), Redo(0), os.unlink)
     for folder in (work / COMMITS, work / SEGMENTS, work / STAGING, work):

@@ -12,12 +12,12 @@ import msgspec
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.log.merkle import consistency_proof, is_consistent
 from fsar_ledger.ledger.log.note import Checkpoint, Note, parse_note
-from fsar_ledger.ledger.log.tiles import HEIGHT, TILE, WIDTH, Edge, Tile, node_of
+from fsar_ledger.ledger.log.tiles import HEIGHT, TILE, WIDTH, Edge, Tile, node_of, tile_named
 from fsar_ledger.ledger.store import disk
-from fsar_ledger.ledger.store.derived import CHECKPOINT, read_checkpoint, tile_reader
+from fsar_ledger.ledger.store.derived import read_checkpoint, tile_files, tile_reader
+from fsar_ledger.ledger.store.paths import CHECKPOINT, STAGING
 from fsar_ledger.ledger.store.problem import Problem
 from fsar_ledger.ledger.store.read import Head, LedgerView
-from fsar_ledger.ledger.store.record import STAGING
 
 SetAside = Callable[[str], None]
 """Takes the file of this name within the ledger out of it, to where nothing is lost."""
@@ -145,12 +145,12 @@ def begins_with(ledger: Path, then: Checkpoint, head: Head) -> bool:
 def tile_strays(ledger: Path, head: Head, partial: list[_Made]) -> list[str]:
     """Every file below `tile/` that is no tile of this tree, outgrown partial tiles among them; links and other things are files."""
     expected = {one.tile.name for one in partial}
-    return [name for name in _files(ledger) if name not in expected and not _is_full(_tile(name), head.size)]
+    return [name for name in tile_files(ledger) if name not in expected and not _is_full(tile_named(name), head.size)]
 
 
 def is_tile(name: str) -> bool:
     """Whether a tile of some tree has this name: then nothing else of a ledger can have its place."""
-    return name.startswith(f"{TILE}/") and _tile(name) is not None
+    return name.startswith(f"{TILE}/") and tile_named(name) is not None
 
 
 def grown_beyond(ledger: Path, head: Head, origin: str) -> Iterator[Problem]:
@@ -167,8 +167,9 @@ def grown_beyond(ledger: Path, head: Head, origin: str) -> Iterator[Problem]:
         yield Problem(CHECKPOINT, f"a checkpoint of {note.checkpoint.size} events", expected, commit=head.commits)
     beyond = [
         name
-        for name in _files(ledger)
-        if (tile := _tile(name)) is not None and tile.number * WIDTH + tile.width > head.size >> HEIGHT * tile.level
+        for name in tile_files(ledger)
+        if (tile := tile_named(name)) is not None
+        and tile.number * WIDTH + tile.width > head.size >> HEIGHT * tile.level
     ]
     if beyond:
         yield Problem(
@@ -193,31 +194,6 @@ def _checkpoint(ledger: Path) -> str | None:
         return read_checkpoint(ledger)
     except LedgerCorrupted:
         return None
-
-
-def _files(ledger: Path) -> Iterator[str]:
-    folders = [TILE] if (ledger / TILE).is_dir() and not (ledger / TILE).is_symlink() else []
-    while folders:
-        for entry in sorted(os.scandir(ledger / folders.pop()), key=lambda entry: entry.name):
-            name = os.path.relpath(entry.path, ledger)
-            if entry.is_dir(follow_symlinks=False):
-                folders.append(name)
-            else:
-                yield name
-
-
-def _tile(name: str) -> Tile | None:
-    """The tile whose file has this name; None if no tile has."""
-    _, level, *groups = name.split("/")
-    width = str(WIDTH)
-    if len(groups) > 1 and groups[-2].endswith(".p"):
-        width = groups.pop()
-        groups[-1] = groups[-1].removesuffix(".p")
-    digits = "".join(group.removeprefix("x") for group in groups)
-    if not all(part.isascii() and part.isdecimal() and len(part) <= 18 for part in (level, digits, width)):
-        return None
-    tile = Tile(int(level), int(digits), int(width))
-    return tile if tile.name == name and 0 < tile.width <= WIDTH and tile.level <= 64 // HEIGHT else None
 
 
 def _is_full(tile: Tile | None, size: int) -> bool:

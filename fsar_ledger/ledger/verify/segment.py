@@ -1,8 +1,5 @@
 """One segment, examined on its own: what a worker of `verify` does."""
 
-import hashlib
-import os
-import stat
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
@@ -17,12 +14,14 @@ from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.arrow import places, whole
 from fsar_ledger.ledger.rows.check import first_flaw, run_starts, standing_alone
-from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_file, read_layout
+from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_layout
 from fsar_ledger.ledger.rows.releases import FINGERPRINTS
 from fsar_ledger.ledger.rows.schema import SCHEMA, fingerprint
 from fsar_ledger.ledger.rows.segment import read_coded, to_parquet
+from fsar_ledger.ledger.store.paths import commit_file, segment_file
 from fsar_ledger.ledger.store.problem import Problem, refusal, unexpected
-from fsar_ledger.ledger.store.record import COMMITS, CommitRecord
+from fsar_ledger.ledger.store.record import CommitRecord
+from fsar_ledger.ledger.store.walk import find_segment, read_segment
 
 
 class SegmentFacts(msgspec.Struct, frozen=True):
@@ -45,71 +44,55 @@ for byte what these rows are written as."""
 
 
 def examine(
-    file: str, ledger: str, number: int, record: CommitRecord | None, second_reader: SecondReader | None = None
+    ledger: str, number: int, record: CommitRecord | None, second_reader: SecondReader | None = None
 ) -> SegmentFacts:
-    """What this segment holds, compared with its commit record and with what the second reader finds. Never raises."""
-    return _guarded(partial(_examine, second_reader), file, ledger, number, record)
+    """Compare the segment of this commit with its record and with what the second reader finds. Never raises."""
+    return _guarded(partial(_examine, second_reader), Path(ledger), number, record)
 
 
-def examine_file(file: str, ledger: str, number: int, record: CommitRecord | None) -> SegmentFacts:
-    """Whether this segment is the file that its commit record names, without a look at its rows. Never raises."""
-    return _guarded(_examine_file, file, ledger, number, record)
+def examine_file(ledger: str, number: int, record: CommitRecord | None) -> SegmentFacts:
+    """Say whether the segment of this commit is the file that its record names, without a look at its rows. Never raises."""
+    return _guarded(_examine_file, Path(ledger), number, record)
 
 
 def _guarded(
-    check: Callable[[str, str, int, CommitRecord], SegmentFacts],
-    file: str,
-    ledger: str,
+    check: Callable[[Path, str, int, CommitRecord], SegmentFacts],
+    ledger: Path,
     number: int,
     record: CommitRecord | None,
 ) -> SegmentFacts:
     if record is None:
-        return SegmentFacts(file)
+        return SegmentFacts(segment_file(number))
+    found = find_segment(ledger, number, record)
+    if found.problem is not None:
+        return SegmentFacts(found.file, (found.problem,))
     try:
-        return check(file, f"{ledger}/{file}", number, record)
+        return check(ledger, found.file, number, record)
     except (Exception, RecursionError) as error:
-        return SegmentFacts(file, (unexpected(file, number, error),))
+        return SegmentFacts(found.file, (unexpected(found.file, number, error),))
 
 
-def _examine_file(file: str, path: str, number: int, record: CommitRecord) -> SegmentFacts:
-    says = f"as {COMMITS}/{number:012d}.json says"
-
-    def fail(found: object, expected: str, field: str) -> SegmentFacts:
-        return SegmentFacts(file, (Problem(file, str(found), f"{expected}, {says}", commit=number, field=field),))
-
-    try:
-        handle = os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK)
-    except OSError as error:
-        return fail(error.strerror, f"a segment of {record.rows} events", "segment_sha256")
-    with open(handle, "rb") as opened:
-        status = os.fstat(handle)
-        if not stat.S_ISREG(status.st_mode):
-            return fail("no regular file", f"a segment of {record.rows} events", "segment_sha256")
-        if status.st_size != record.segment_bytes:
-            return fail(status.st_size, f"{record.segment_bytes}", "segment_bytes")
-        digest = hashlib.file_digest(opened, "sha256").hexdigest()
-    if digest != record.segment_sha256:
-        return fail(digest, record.segment_sha256, "segment_sha256")
-    return SegmentFacts(file, rows=record.rows)
+def _examine_file(ledger: Path, file: str, number: int, record: CommitRecord) -> SegmentFacts:
+    _, problem = read_segment(ledger, file, number, record, is_kept=False)
+    return SegmentFacts(file, (problem,)) if problem is not None else SegmentFacts(file, rows=record.rows)
 
 
 def _examine(
-    second_reader: SecondReader | None, file: str, place: str, number: int, record: CommitRecord
+    second_reader: SecondReader | None, ledger: Path, file: str, number: int, record: CommitRecord
 ) -> SegmentFacts:
-    as_a_file = _examine_file(file, place, number, record)
+    data, problem = read_segment(ledger, file, number, record)
+    if problem is not None:
+        return SegmentFacts(file, (problem,))
     if (
-        as_a_file.problems or record.release not in FINGERPRINTS
-    ):  # rows of a release that is not known cannot be judged; the record is a problem already
-        return as_a_file
-    says = f"as {COMMITS}/{number:012d}.json says"
+        record.release not in FINGERPRINTS
+    ):  # rows of a release that is not known cannot be judged; the record is a problem
+        return SegmentFacts(file, rows=record.rows)
+    says = f"as {commit_file(number)} says"
 
     def fail(found: object, expected: object, field: str) -> SegmentFacts:
         return SegmentFacts(file, (Problem(file, str(found), str(expected), commit=number, field=field),))
 
-    path = Path(place)
-    data = read_file(path)
-    if hashlib.sha256(data).hexdigest() != record.segment_sha256:
-        return fail("another file than a moment ago", "one file", "segment_sha256")
+    path = ledger / file
     try:
         layout = check_layout(path, data)
     except LedgerCorrupted as error:
@@ -127,7 +110,7 @@ def _examine(
     runs = tuple(run_ids.take(run_starts(run_ids)).to_pylist())
     stored = table.select(layout.schema.names)
     is_as_written, misleading = _misleading(data, layout, stored)
-    again = second_reader(place, stored, is_as_written) if second_reader is not None else None
+    again = second_reader(str(path), stored, is_as_written) if second_reader is not None else None
     problems = (
         *problems,
         *(

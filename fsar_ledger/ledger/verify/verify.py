@@ -7,36 +7,33 @@ trusted key (nobody else can sign what he wrote) and by an anchor, an earlier ch
 
 import os
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
-from itertools import repeat
 from pathlib import Path
 
 import msgspec
 
 from fsar_ledger.errors import FsarLedgerError, NotALedger, WorkerDied
 from fsar_ledger.ledger.log import merkle
-from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
 from fsar_ledger.ledger.log.note import Signed, VerifierKey
-from fsar_ledger.ledger.log.tiles import Edge
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.ledger.store.derived import check_checkpoint, read_checkpoint
-from fsar_ledger.ledger.store.paths import require_created
+from fsar_ledger.ledger.store.paths import COMMITS, MANIFEST, SEGMENTS, STAGING, require_created, segment_file
 from fsar_ledger.ledger.store.problem import Problem, unexpected
-from fsar_ledger.ledger.store.record import COMMITS, MANIFEST, SEGMENTS, STAGING, CommitRecord
-from fsar_ledger.ledger.verify.commits import (
-    Commit,
-    check_folder,
+from fsar_ledger.ledger.store.record import CommitRecord, sha256_hex
+from fsar_ledger.ledger.store.walk import (
+    FILES,
+    FOLDERS,
+    check_folders,
     check_manifest,
-    check_record,
-    check_strays,
-    read_commits,
-    segment_file,
+    check_names,
+    commit_names,
+    numbers_of,
+    strays,
+    walk,
 )
 from fsar_ledger.ledger.verify.derived import BEHIND, TileCheck
 from fsar_ledger.ledger.verify.notes import Anchor, ByTiles, Signatures, check_anchor, check_signatures, root_by_tiles
-from fsar_ledger.ledger.verify.segment import SecondReader, SegmentFacts, examine, examine_file
-from fsar_ledger.workers import WorkerPool
+from fsar_ledger.ledger.verify.segment import SecondReader
+from fsar_ledger.ledger.verify.walk import RowWalk, Standing
 
 MAX_PROBLEMS = 100
 """A report names the first so many; a ledger with more is lost anyway."""
@@ -146,30 +143,35 @@ class _Verification:
     def __init__(self, path: Path, asked: Asked) -> None:
         self.path, self.asked = path, asked
         self.problems: list[Problem] = []
-        self.runs: set[str] = set()
-        self.alone: set[str] = set()  # of these, what is no run but an event that stands alone
+        self.rows = RowWalk(path, asked.sizes(), is_quick=asked.is_quick)
         self.commits = self.events = 0
-        self.edge: Edge | None = None if asked.is_quick else Edge()  # None: not known, because some rows were not read
-        self.tree: Frontier | None = Frontier()  # None: not known, because a record or segment before could not be read
         self.tiles = TileCheck(path)
-        self.roots_then: dict[int, bytes] = {}  # of the anchors' events, by their number
         self.is_behind = False  # the derived files are those of the commit before the newest
 
     def run(self, workers: int, progress: Progress | None) -> VerifyReport:
-        """The whole look."""
-        self.problems += check_folder(self.path)
-        origin, previous = check_manifest(self.path, self.problems)
-        commits = read_commits(self.path, self.problems)
-        for commit, facts in zip(commits, _examine_all(self.path, commits, workers, self.asked), strict=True):
-            before = len(self.problems)
-            self._add(commits, commit, facts, previous, origin)
-            previous = commit.sha256
-            if len(self.problems) == before:
-                self.commits, self.events = self.commits + 1, self.events + facts.rows
+        """Look at the whole ledger."""
+        self.problems += check_folders(self.path)
+        origin, document, doubt = check_manifest(self.path)
+        self.problems += [doubt] if doubt is not None else []
+        names = commit_names(self.path)
+        manifest_sha256 = sha256_hex(document) if document is not None else None
+        commits = list(walk(self.path, origin, manifest_sha256, len(numbers_of(names, ".json"))))
+        self.problems += check_names(names)
+        for standing in self.rows.over(commits, workers, self.asked.second_reader):
+            self._add(standing)
             if progress is not None:
-                progress(commit.number + 1, len(commits))
-        self.problems += check_strays(self.path, len(commits))
-        return self._report(origin, [commit.record for commit in commits if commit.record is not None], previous)
+                progress(standing.commit.number + 1, len(commits))
+        self.problems += _check_strays(self.path, len(commits))
+        newest = commits[-1].sha256 if commits else manifest_sha256
+        return self._report(origin, [commit.record for commit in commits if commit.record is not None], newest)
+
+    def _add(self, standing: Standing) -> None:
+        """Take one commit more."""
+        self.problems += standing.problems
+        if standing.made:
+            self.tiles.add(standing.commit.number, standing.made)
+        if not standing.problems:
+            self.commits, self.events = self.commits + 1, self.events + standing.facts.rows
 
     def _report(self, origin: str | None, records: list[CommitRecord], newest: str | None) -> VerifyReport:
         signed = Signatures("signer not checked")
@@ -181,13 +183,13 @@ class _Verification:
         ok = not self.problems
         if ok and self.asked.is_quick:
             remarks += (_not_compared(anchored, proved, records[-1].tree_size if records else 0),)
-        root = (self.tree.root() if self.tree is not None else merkle.EMPTY_ROOT).hex() if ok else None
+        root = (self.rows.tree.root() if self.rows.tree is not None else merkle.EMPTY_ROOT).hex() if ok else None
         return VerifyReport(
             ok,
             tuple(self.problems[:MAX_PROBLEMS]),
             self.commits,
             self.events,
-            len(self.runs - self.alone),
+            len(self.rows.runs - self.rows.alone),
             root,
             signature=signed.state,
             signer=signed.signer,
@@ -197,83 +199,6 @@ class _Verification:
             remarks=remarks,
             record_sha256=newest if ok else None,
         )
-
-    def _add(
-        self, commits: list[Commit], commit: Commit, facts: SegmentFacts, previous: str | None, origin: str | None
-    ) -> None:
-        """One commit more, compared with those before it."""
-        if commit.record is None:
-            self.tree = self.edge = None
-            return
-        known = self.tree if self.tree is not None else _claimed_before(commits, commit.number)
-        self.problems += check_record(commit.number, commit.record, previous, origin, known)
-        self.problems += facts.problems
-        self._grow(commit.number, commit.record, known, facts)
-        self._check_runs(commit.number, commit.record, facts)
-
-    def _grow(self, number: int, record: CommitRecord, before: Frontier | None, facts: SegmentFacts) -> None:
-        """The tree has the commit's leaves: those of its rows if they could be read and agree, else as claimed, so that each error shows once."""
-        claimed = record.tree()
-        self.tree = claimed
-        if facts.leaves is None or before is None:
-            self.edge = None
-            return
-        if self.edge is not None:  # then it is the edge of the tree before
-            self._look_back(self.edge, facts.leaves)
-            self.edge, made = self.edge.extend(facts.leaves)
-            self.tiles.add(number, made)
-            tree = self.edge.frontier()
-        else:
-            tree = before.extend(facts.leaves)
-        if (
-            tree.size == claimed.size and tree != claimed
-        ):  # another size is a contradiction in the record, and named there
-            found = f"Merkle root {tree.root().hex()}"
-            self.problems.append(
-                Problem(
-                    facts.file,
-                    found,
-                    f"{record.tree_root} as committed: a row was altered",
-                    commit=number,
-                    field="tree_root",
-                )
-            )
-        if tree != claimed:
-            self.edge = None
-
-    def _look_back(self, edge: Edge, leaves: bytes) -> None:
-        """The root over an anchor's events is known if they end within these leaves, or before them."""
-        for size in self.asked.sizes():
-            wanted = size - edge.size
-            if 0 <= wanted * HASH_BYTES <= len(leaves):
-                self.roots_then[size] = edge.extend(leaves[: wanted * HASH_BYTES])[0].frontier().root()
-
-    def _check_runs(self, number: int, record: CommitRecord, facts: SegmentFacts) -> None:
-        """The runs are those of the record, and in no other commit."""
-        if facts.runs is None:
-            return
-        where = f"{COMMITS}/{number:012d}.json"
-        for name, found, expected in (
-            ("first_run", record.first_run, facts.runs[0]),
-            ("last_run", record.last_run, facts.runs[-1]),
-        ):
-            if found != expected:
-                self.problems.append(Problem(where, repr(found), repr(expected), commit=number, field=name))
-        again = next((run for run in facts.runs if run in self.runs), None)
-        if again is not None:
-            self.problems.append(
-                Problem(
-                    facts.file,
-                    f"run {again} once more",
-                    "each run in one commit",
-                    commit=number,
-                    run=again,
-                    seq=0,
-                    field="run_id",
-                )
-            )
-        self.runs.update(facts.runs)
-        self.alone |= facts.alone
 
     def _check_derived(self, records: list[CommitRecord]) -> tuple[str, ...]:
         """What is derived is compared only where all it is derived from is beyond doubt; the remarks on it."""
@@ -307,7 +232,7 @@ class _Verification:
             return ByTiles(merkle.EMPTY_ROOT, size)
         if then is not None and self.asked.is_quick:
             return root_by_tiles(self.path, then, records[: -3 if self.is_behind else -2 : -1])
-        return ByTiles(self.roots_then.get(then.size) if then is not None else None, size)
+        return ByTiles(self.rows.roots.get(then.size) if then is not None else None, size)
 
 
 def _not_compared(anchored: int | None, proved: int, size: int) -> str:
@@ -322,25 +247,11 @@ def _not_compared(anchored: int | None, proved: int, size: int) -> str:
     )
 
 
-def _examine_all(path: Path, commits: list[Commit], workers: int, asked: Asked) -> Iterator[SegmentFacts]:
-    """What each segment holds, in order; nothing of those whose record is unreadable."""
-    files = [segment_file(path, commit) for commit in commits]
-    records = [commit.record for commit in commits]
-    arguments = (files, repeat(str(path)), range(len(commits)), records)
-    again = (*arguments, repeat(asked.second_reader)) if asked.second_reader is not None else arguments
-    workers = min(workers, len(commits))
-    with ExitStack() as stack:
-        if workers > 1 and asked.is_quick:  # hashing lets other threads run
-            yield from stack.enter_context(ThreadPoolExecutor(workers)).map(examine_file, *arguments)
-        elif workers > 1:
-            yield from stack.enter_context(WorkerPool(workers)).map(examine, *again)
-        elif asked.is_quick:
-            yield from map(examine_file, *arguments)
-        else:
-            yield from map(examine, *again)
-
-
-def _claimed_before(commits: list[Commit], number: int) -> Frontier | None:
-    """The tree that the record before this one claims, where the rows before it could not be read."""
-    record = commits[number - 1].record if number else None
-    return record.tree() if record is not None else None
+def _check_strays(path: Path, count: int) -> Iterator[Problem]:
+    """Yield every file that the ledger should not hold; what is in staging is harmless, and `check_names` looks at the records."""
+    for name in strays(path, FILES.union(map(segment_file, range(count))), [SEGMENTS]):
+        if name.startswith(f"{SEGMENTS}/"):
+            expected = f"segments of {count} commits; restore the record or take it away"
+            yield Problem(name, "a file of no commit", expected)
+        elif name not in FOLDERS:
+            yield Problem(name, "an unknown file", f"only {', '.join(sorted(FOLDERS | FILES))}; take it away")

@@ -1,0 +1,139 @@
+"""The walk of `store/walk.py` with the rows: each segment read and decoded, and the tree and the runs that they give.
+
+`verify` folds all of it; `recover` folds it up to the first finding.
+"""
+
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
+from itertools import repeat
+from pathlib import Path
+
+import msgspec
+
+from fsar_ledger.ledger.log import merkle
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.tiles import Edge, Tile
+from fsar_ledger.ledger.store.paths import commit_file
+from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.record import CommitRecord
+from fsar_ledger.ledger.store.walk import Commit
+from fsar_ledger.ledger.verify.segment import SecondReader, SegmentFacts, examine, examine_file
+from fsar_ledger.workers import WorkerPool
+
+
+class Standing(msgspec.Struct, frozen=True):
+    """What stands at one commit, with its rows.
+
+    `problems` are all of this commit: of its record, its segment, its rows, and what they add to the ledger. `edge` is that of the tree before its
+    rows, None where that is not known, and `made` the tiles that they make.
+    """
+
+    commit: Commit
+    facts: SegmentFacts
+    problems: tuple[Problem, ...]
+    edge: Edge | None
+    made: dict[Tile, bytes]
+
+
+class RowWalk:
+    """One walk over the rows of a ledger.
+
+    Args:
+        ledger: Its folder.
+        sizes: The trees, by their number of events, whose roots are wanted.
+        is_quick: No rows are read: the hashes of the files must do.
+    """
+
+    def __init__(self, ledger: Path, sizes: set[int], *, is_quick: bool = False) -> None:
+        self.ledger, self.sizes, self.is_quick = ledger, sizes, is_quick
+        self.runs: set[str] = set()
+        self.alone: set[str] = set()  # of these, what is no run but an event that stands alone
+        self.tree: Frontier | None = (
+            Frontier()
+        )  # as its rows or, where they are in doubt, its record say; None: not known
+        self.roots = {0: merkle.EMPTY_ROOT}  # of the wanted trees, by their number of events
+        self._edge: Edge | None = None if is_quick else Edge()  # None: not known, because some rows were not read
+
+    def over(
+        self, commits: Sequence[Commit], workers: int = 1, second_reader: SecondReader | None = None
+    ) -> Iterator[Standing]:
+        """Yield what stands at each of these commits, the first ones of the ledger; of those without a record, no rows are read."""
+        facts = _examine_all(self.ledger, commits, workers, second_reader, is_quick=self.is_quick)
+        for commit, found in zip(commits, facts, strict=True):
+            yield self._stand(commit, found)
+
+    def _stand(self, commit: Commit, facts: SegmentFacts) -> Standing:
+        if commit.record is None:
+            self.tree = self._edge = None
+            return Standing(commit, facts, commit.problems, None, {})
+        problems = [*commit.problems, *facts.problems]
+        edge = self._edge
+        made = self._grow(commit, commit.record, facts, problems)
+        problems += self._check_runs(commit.number, commit.record, facts)
+        return Standing(commit, facts, tuple(problems), edge, made)
+
+    def _grow(
+        self, commit: Commit, record: CommitRecord, facts: SegmentFacts, problems: list[Problem]
+    ) -> dict[Tile, bytes]:
+        """Add the leaves of a commit to the tree: those of its rows if they could be read and agree, else as claimed, so that each error shows once."""
+        claimed = self.tree = record.tree()
+        made: dict[Tile, bytes] = {}
+        if facts.leaves is None or commit.before is None:
+            self._edge = None
+            return made
+        if self._edge is not None:  # then it is the edge of the tree before
+            self._look_back(self._edge, facts.leaves)
+            self._edge, made = self._edge.extend(facts.leaves)
+            tree = self._edge.frontier()
+        else:
+            tree = commit.before.extend(facts.leaves)
+        if tree == claimed:
+            return made
+        self._edge = None
+        if tree.size == claimed.size:  # another size is a contradiction in the record, and named there
+            found, expected = f"Merkle root {tree.root().hex()}", f"{record.tree_root} as committed: a row was altered"
+            problems.append(Problem(facts.file, found, expected, commit=commit.number, field="tree_root"))
+        return made
+
+    def _look_back(self, edge: Edge, leaves: bytes) -> None:
+        """The root of a wanted tree is known if it ends within these leaves, or before them."""
+        for size in self.sizes:
+            wanted = size - edge.size
+            if 0 <= wanted * HASH_BYTES <= len(leaves):
+                self.roots[size] = edge.extend(leaves[: wanted * HASH_BYTES])[0].frontier().root()
+
+    def _check_runs(self, number: int, record: CommitRecord, facts: SegmentFacts) -> Iterator[Problem]:
+        """Yield where the runs are not those of the record, or are in an earlier commit too."""
+        if facts.runs is None:
+            return
+        for name, found, expected in (
+            ("first_run", record.first_run, facts.runs[0]),
+            ("last_run", record.last_run, facts.runs[-1]),
+        ):
+            if found != expected:
+                yield Problem(commit_file(number), repr(found), repr(expected), commit=number, field=name)
+        again = next((run for run in facts.runs if run in self.runs), None)
+        if again is not None:
+            found, expected = f"run {again} once more", "each run in one commit"
+            yield Problem(facts.file, found, expected, commit=number, run=again, seq=0, field="run_id")
+        self.runs.update(facts.runs)
+        self.alone |= facts.alone
+
+
+def _examine_all(
+    ledger: Path, commits: Sequence[Commit], workers: int, second_reader: SecondReader | None, *, is_quick: bool
+) -> Iterator[SegmentFacts]:
+    """Yield what each segment holds, in order; nothing of those whose record is unreadable."""
+    arguments = (repeat(str(ledger)), range(len(commits)), [commit.record for commit in commits])
+    again = (*arguments, repeat(second_reader)) if second_reader is not None else arguments
+    workers = min(workers, len(commits))
+    with ExitStack() as stack:
+        if workers > 1 and is_quick:  # hashing lets other threads run
+            yield from stack.enter_context(ThreadPoolExecutor(workers)).map(examine_file, *arguments)
+        elif workers > 1:
+            yield from stack.enter_context(WorkerPool(workers)).map(examine, *again)
+        elif is_quick:
+            yield from map(examine_file, *arguments)
+        else:
+            yield from map(examine, *again)
