@@ -30,11 +30,11 @@ from fsar_ledger.report.sensitivity import (
 )
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS
-from fsar_ledger.sensitivity.emulator import design, indices, terms
-from fsar_ledger.sensitivity.evaluations import CELLS, Answer, Question, evaluate
-from fsar_ledger.sensitivity.factors import Factor, Setting, factors, setting
-from fsar_ledger.sensitivity.morris import DELTA, Trajectory, elementary_effects, summary, trajectory
-from fsar_ledger.sensitivity.study import BASE_SEED, EMULATOR_SEED, REPEATS, Size, sensitivity
+from fsar_ledger.screening.emulator import design, indices, terms
+from fsar_ledger.screening.evaluations import CELLS, Answer, Question, evaluate
+from fsar_ledger.screening.factors import Factor, Setting, factors, setting
+from fsar_ledger.screening.morris import DELTA, Trajectory, elementary_effects, summary, trajectory
+from fsar_ledger.screening.study import BASE_SEED, EMULATOR_SEED, REPEATS, Size, sensitivity
 
 SALIB = json.loads((Path(__file__).parent / "vectors" / "salib" / "polynomial.json").read_text())
 NAMES = (
