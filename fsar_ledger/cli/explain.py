@@ -20,7 +20,6 @@ from .options import (
     VerifiedOption,
     examples,
 )
-from .output import json_text, table_text
 from .terminal import show
 
 if TYPE_CHECKING:
@@ -71,6 +70,7 @@ def explain(
     from fsar_ledger.ledger.place import require_outside
 
     from .answering import opened, warn
+    from .output import json_text
 
     kinds: tuple[tuple[Kind, Path | None], ...] = (("svg", svg), ("pdf", pdf))
     files = {kind: path for kind, path in kinds if path is not None}
@@ -135,6 +135,8 @@ def _first(ledger: Path, asked: str, names: Sequence[str]) -> str:
 
 def _list(ledger: Path, run: str, found: "Table", *, as_json: bool) -> None:
     """The requests of a run."""
+    from .output import json_text, table_text
+
     about, rows = found.about, found.rows()
     if as_json:
         show(json_text(about.head, {**about.answer(), "run": run, "requests": rows}, about.rows_verified))
