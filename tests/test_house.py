@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger.schema import LAYOUTS
+from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.library import view_name
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -347,7 +347,13 @@ def test_imports_go_one_way(tree: Path) -> None:
             "import fsar_ledger.projections",
             "fsar_ledger.report is not allowed to import fsar_ledger.projections",
         ),
-        ("ledger/fixture.py", "import duckdb", "fsar_ledger.ledger.fixture imports duckdb"),
+        ("ledger/rows/fixture.py", "import duckdb", "fsar_ledger.ledger.rows.fixture imports duckdb"),
+        (
+            "ledger/rows/fixture.py",
+            "import fsar_ledger.ledger.store",
+            "fsar_ledger.ledger.rows is not allowed to import fsar_ledger.ledger.store",
+        ),
+        ("ledger/log/fixture.py", "import os", "fsar_ledger.ledger.log.fixture imports os"),
         ("fixture.py", "", "The following modules are not listed as layers"),
     ],
 )

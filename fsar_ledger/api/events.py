@@ -8,9 +8,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from fsar_ledger.events import Event
-from fsar_ledger.ledger import codec
-from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, SCHEMA
+from fsar_ledger.ledger.rows import codec
+from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, SCHEMA
+from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.verified import is_verified
 

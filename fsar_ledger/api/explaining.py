@@ -11,7 +11,7 @@ import msgspec
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.place import require_outside
+from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import Database, plain_rows
 
 from .about import About, of_rows

@@ -16,9 +16,9 @@ import pyarrow.parquet as pq
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError, WriteFailed
-from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.place import require_outside
-from fsar_ledger.ledger.schema import SCHEMA
+from fsar_ledger.ledger.rows.schema import SCHEMA
+from fsar_ledger.ledger.store.opening import open_for_answers
+from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.memory import unfinished
 from fsar_ledger.metrics.verified import is_verified
 

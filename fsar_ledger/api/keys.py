@@ -8,8 +8,8 @@ from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.note import Signer, VerifierKey
-    from fsar_ledger.ledger.verify_notes import Anchor
+    from fsar_ledger.ledger.log.note import Signer, VerifierKey
+    from fsar_ledger.ledger.verify.notes import Anchor
 
 
 def key_new(file: str | PathLike[str], name: str | None = None) -> "VerifierKey":
@@ -23,8 +23,8 @@ def key_new(file: str | PathLike[str], name: str | None = None) -> "VerifierKey"
         UsageError: The name cannot be an origin, or the file would lie inside a ledger, or exists.
         WriteFailed: The file cannot be written.
     """
-    from fsar_ledger.ledger.note import new_key
-    from fsar_ledger.ledger.place import require_outside
+    from fsar_ledger.ledger.store.keys import new_key
+    from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.runtime.experiment import ORIGIN
 
     require_outside(Path(file), f"FILE {file}")
@@ -37,7 +37,8 @@ def key_public(key: str, name: str) -> "VerifierKey":
     Raises:
         UsageError: There is no such key, or no ledger can have this origin.
     """
-    from fsar_ledger.ledger.note import VerifierKey, read_verifier
+    from fsar_ledger.ledger.log.note import VerifierKey
+    from fsar_ledger.ledger.store.keys import read_verifier
 
     if (origin := origin_of(name, "--name")) is None:
         raise UsageError("--name: expected the origin of a ledger")
@@ -54,14 +55,14 @@ def signer_of(key: str | PathLike[str] | None, *, adopts: bool = False) -> "Sign
         if adopts:
             raise UsageError("--adopt: found no --key, expected the key that signs on from here")
         return None
-    from fsar_ledger.ledger.note import read_signer
+    from fsar_ledger.ledger.store.keys import read_signer
 
     return read_signer(Path(key))
 
 
 def origin_of(name: str | None, option: str = "--origin") -> str | None:
     """Return the origin that was asked for, if any. Raises: UsageError if no ledger can have it."""
-    from fsar_ledger.ledger.note import is_name
+    from fsar_ledger.ledger.log.note import is_name
 
     if name is not None and not is_name(name):
         raise UsageError(f"{option} {name!r}: expected a printable name without spaces and plus signs")
@@ -79,13 +80,13 @@ def short(option: str, name: str) -> str:
 
 def trusted_of(key: str | None) -> "VerifierKey | None":
     """Return the public key that must have signed, if one was given. Raises: UsageError if it is none."""
-    from fsar_ledger.ledger.note import read_verifier
+    from fsar_ledger.ledger.store.keys import read_verifier
 
     return None if key is None else read_verifier(key)
 
 
 def anchor_of(file: str | PathLike[str] | None) -> "Anchor | None":
     """Return the kept checkpoint in this file, if one was given. Raises: UsageError if it is none."""
-    from fsar_ledger.ledger.verify_notes import read_anchor
+    from fsar_ledger.ledger.verify.notes import read_anchor
 
     return None if file is None else read_anchor(Path(file))

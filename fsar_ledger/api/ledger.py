@@ -7,16 +7,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.opening import open_for_answers
+from fsar_ledger.ledger.store.opening import open_for_answers
 
 from .answering import demanded_head
 from .names import microseconds, names_of, robot_named, run_named
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.proof import Proof
-    from fsar_ledger.ledger.read import Head
-    from fsar_ledger.ledger.recover import Recovery
+    from fsar_ledger.ledger.store.proof import Proof
+    from fsar_ledger.ledger.store.read import Head
+    from fsar_ledger.ledger.verify.recover import Recovery
     from fsar_ledger.metrics.database import Database
     from fsar_ledger.metrics.locked import Limits
     from fsar_ledger.projections.fold import State
@@ -332,8 +332,8 @@ class Ledger:
             LedgerCorrupted: No commit can be trusted.
             WriteFailed: Another writer is at work, or the disk refused.
         """
-        from fsar_ledger.ledger.recover import recover
-        from fsar_ledger.ledger.verify import Asked
+        from fsar_ledger.ledger.verify.recover import recover
+        from fsar_ledger.ledger.verify.verify import Asked
 
         from .keys import anchor_of, trusted_of
 

@@ -15,7 +15,7 @@ from .names import names_of
 from .workload import WORTH_ROBOTS, Progress, workers_of
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.proof import Proven
+    from fsar_ledger.ledger.store.proof import Proven
     from fsar_ledger.report.sensitivity import Sensitivity
     from fsar_ledger.runtime.experiment import Made
 
@@ -132,7 +132,7 @@ def verify_proof(file: Place, trusted_key: str | None = None) -> "Proven":
     Raises:
         LedgerCorrupted: It proves nothing, or the trusted key did not sign it.
     """
-    from fsar_ledger.ledger.proof import check_proof, read_proof
+    from fsar_ledger.ledger.store.proof import check_proof, read_proof
 
     return check_proof(str(file), read_proof(Path(file)), trusted_of(trusted_key))
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple, get_args
 from fsar_ledger import printable
 from fsar_ledger.errors import InvalidExperiment, UsageError
 from fsar_ledger.events.envelope import Architecture, Scenario, Workflow
-from fsar_ledger.ledger.read import LedgerView
+from fsar_ledger.ledger.store.read import LedgerView
 from fsar_ledger.metrics.plans import EXPERIMENTS
 
 from .experiments import RUNS, experiment_of

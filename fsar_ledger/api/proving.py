@@ -4,9 +4,9 @@ from pathlib import Path
 
 from fsar_ledger import printable
 from fsar_ledger.errors import LedgerCorrupted, UsageError
-from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.proof import Proof, Proven, blocks, check_proof, prove
-from fsar_ledger.ledger.read import LedgerView
+from fsar_ledger.ledger.store.opening import open_for_answers
+from fsar_ledger.ledger.store.proof import Proof, Proven, blocks, check_proof, prove
+from fsar_ledger.ledger.store.read import LedgerView
 from fsar_ledger.metrics.verified import is_verified
 
 from .names import did_you_mean

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.ledger.note import Signer
-from fsar_ledger.ledger.place import require_outside
+from fsar_ledger.ledger.log.note import Signer
+from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
 from fsar_ledger.metrics.verified import required_look

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.problem import Problem
-from fsar_ledger.ledger.verify import Asked, VerifyReport
+from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.verify.verify import Asked, VerifyReport
 from fsar_ledger.metrics.verified import whole_look
 
 from .keys import anchor_of, trusted_of

@@ -11,7 +11,7 @@ from fsar_ledger.errors import LedgerCorrupted, NotCosigned, UsageError
 from .keys import short
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.note import VerifierKey
+    from fsar_ledger.ledger.log.note import VerifierKey
     from fsar_ledger.witness.cosign import Cosigned
     from fsar_ledger.witness.cosignature import WitnessKey
     from fsar_ledger.witness.evidence import Evidence
@@ -89,8 +89,8 @@ def seen_of(
         if cosigned:
             raise UsageError("--cosigned: found no --witness-policy, expected the policy that names the witnesses")
         return None
-    from fsar_ledger.ledger.read import read_manifest
-    from fsar_ledger.ledger.record import MANIFEST, parse_manifest
+    from fsar_ledger.ledger.store.read import read_manifest
+    from fsar_ledger.ledger.store.record import MANIFEST, parse_manifest
     from fsar_ledger.witness.evidence import ask_witnesses, read_cosigned
     from fsar_ledger.witness.policy import read_policy
 
@@ -146,7 +146,7 @@ def witness_new(state: str | PathLike[str], name: str) -> "WitnessKey":
     Raises:
         UsageError: There is something at this place, or it lies inside a ledger, or the name is none.
     """
-    from fsar_ledger.ledger.place import require_outside
+    from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.witness.state import new_state
 
     require_outside(Path(state), f"STATE {state}")

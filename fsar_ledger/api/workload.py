@@ -38,7 +38,7 @@ def readers_of(asked: int | None, *ledgers: Path | None) -> int:
 
 def stored(*ledgers: Path | None) -> int:
     """The bytes that the segments of these ledgers take, staged ones too."""
-    from fsar_ledger.ledger.record import SEGMENTS, STAGING
+    from fsar_ledger.ledger.store.record import SEGMENTS, STAGING
 
     return sum(_stored(ledger / folder) for ledger in ledgers if ledger is not None for folder in (SEGMENTS, STAGING))
 

@@ -67,7 +67,7 @@ def explain(
     requests of the run.
     """
     from fsar_ledger.api.explaining import account, chosen_run, requests
-    from fsar_ledger.ledger.place import require_outside
+    from fsar_ledger.ledger.store.paths import require_outside
 
     from .answering import opened, warn
     from .output import json_text

@@ -69,7 +69,7 @@ def multiverse(
     under each combination, too.
     """
     from fsar_ledger.api.fields import csv_text, plain
-    from fsar_ledger.ledger.place import require_outside
+    from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.metrics.multiverse import Cell, Multiverse
 
     from .answering import opened, warn

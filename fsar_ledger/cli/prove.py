@@ -43,7 +43,7 @@ def prove(
     needs no ledger to check it with `verify-proof`.
     """
     from fsar_ledger.api.files import write_text
-    from fsar_ledger.ledger.place import require_outside
+    from fsar_ledger.ledger.store.paths import require_outside
 
     from .answering import opened
 

@@ -15,9 +15,9 @@ from .progress import Progress
 from .terminal import show
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.recover import Recovery, Step
-    from fsar_ledger.ledger.recover_prefix import Later
-    from fsar_ledger.ledger.verify import Asked
+    from fsar_ledger.ledger.verify.recover import Recovery, Step
+    from fsar_ledger.ledger.verify.trusted_prefix import Later
+    from fsar_ledger.ledger.verify.verify import Asked
 
 DAMAGED = 3
 SHOWN = 10
@@ -58,7 +58,7 @@ def recover(
     """
     from fsar_ledger.api.keys import anchor_of, trusted_of
     from fsar_ledger.api.ledger import Ledger
-    from fsar_ledger.ledger.verify import Asked
+    from fsar_ledger.ledger.verify.verify import Asked
 
     asked = Asked(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
     with Progress("examined", "segments") as progress:
@@ -156,7 +156,7 @@ def _later(later: "Sequence[Later]") -> Iterator[str]:
 
 def _next(ledger: Path, found: "Recovery", into: Path | None) -> Iterator[str]:
     """How to go on."""
-    from fsar_ledger.ledger.record import segment_path
+    from fsar_ledger.ledger.store.record import segment_path
 
     if into is not None:
         yield f"  {into} holds what can be trusted, byte for byte, and verifies; {ledger} remains damaged, keep it as evidence"

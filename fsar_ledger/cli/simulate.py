@@ -120,9 +120,9 @@ def before(made: "Made") -> list[str]:
 
 def _signed(ledger: Path, key: Path) -> list[str]:
     """A line that says whether the newest commit of the ledger carries a signature of this key."""
-    from fsar_ledger.ledger.note import read_signer
-    from fsar_ledger.ledger.read import open_ledger
-    from fsar_ledger.ledger.verify_notes import signers_of
+    from fsar_ledger.ledger.log.note import signers_of
+    from fsar_ledger.ledger.store.keys import read_signer
+    from fsar_ledger.ledger.store.read import open_ledger
 
     records = open_ledger(ledger).records
     signers = signers_of(records[-1].signed_note()) if records else None

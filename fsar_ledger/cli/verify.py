@@ -24,7 +24,7 @@ from .terminal import show
 
 if TYPE_CHECKING:
     from fsar_ledger.api.verifying import Verification
-    from fsar_ledger.ledger.verify import VerifyReport
+    from fsar_ledger.ledger.verify.verify import VerifyReport
     from fsar_ledger.runtime.replay import ReplayReport
 
 EXAMPLES = examples(

@@ -13,7 +13,7 @@ from .options import TrustedKeyOption, examples
 from .terminal import show
 
 if TYPE_CHECKING:
-    from fsar_ledger.ledger.proof import Proven
+    from fsar_ledger.ledger.store.proof import Proven
 
 EXAMPLES = examples(
     "fsar-ledger verify-proof out/event.tlog-proof",
@@ -50,7 +50,7 @@ def verify_proof(
 
 def _text(file: Path, proven: "Proven") -> Shown:
     """What the proof shows, for people: the event and its principals, its place, and what the signature is worth."""
-    from fsar_ledger.ledger.canonical import document
+    from fsar_ledger.ledger.rows.canonical import document
 
     from .output import signature_text
 

@@ -143,7 +143,7 @@ def witness_ask(
     from fsar_ledger.api.files import write_text
     from fsar_ledger.api.ledger import Ledger
     from fsar_ledger.api.witnessed import listed
-    from fsar_ledger.ledger.place import require_outside
+    from fsar_ledger.ledger.store.paths import require_outside
 
     if out is not None:
         require_outside(out, f"--out {out}")

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 
 from fsar_ledger.cli import app
-from fsar_ledger.ledger.append import Writer
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.runtime.experiment import ORIGIN
 from tests.cli.conftest import SMALL, Call, one_message
 

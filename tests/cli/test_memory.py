@@ -17,7 +17,7 @@ from fsar_ledger.cli.memory import (
     default_bytes,
 )
 from fsar_ledger.errors import LimitReached, UsageError
-from fsar_ledger.ledger.problem import unexpected
+from fsar_ledger.ledger.store.problem import unexpected
 from fsar_ledger.metrics.database import from_rows
 from tests.ledger.bomb_trial import cost_of
 

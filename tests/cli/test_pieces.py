@@ -9,7 +9,7 @@ from fsar_ledger.api.fields import Row
 from fsar_ledger.cli.output import answer_text
 from fsar_ledger.cli.pieces import KEPT_BYTES, Kept, answer_pieces
 from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.read import Head
+from fsar_ledger.ledger.store.read import Head
 from fsar_ledger.printable import Shown
 
 HEAD = Head(3, 1000, "ab" * 32)

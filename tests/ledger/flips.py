@@ -10,7 +10,7 @@ from typing import NamedTuple, get_args
 from fsar_ledger.cli import app
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.envelope import Architecture, Scenario
-from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.ledger.damage import files_of, kind_of
 

@@ -9,10 +9,10 @@ import pytest
 
 from fsar_ledger.cli import app
 from fsar_ledger.errors import FormatVersionMismatch, UnknownEventTag
-from fsar_ledger.ledger.append import Writer
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.releases import FINGERPRINTS, RELEASE
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger import later_release
 from tests.ledger.forgery import changed, forge_segment, table_of
 from tests.ledger.keep_release import LEDGERS, ORIGIN
@@ -27,7 +27,7 @@ import json, sys
 from pathlib import Path
 import msgspec
 import fsar_ledger
-from fsar_ledger.ledger.read import open_ledger
+from fsar_ledger.ledger.store.read import open_ledger
 events = [event for run in open_ledger(Path(sys.argv[1])).runs() for event in run.events if type(event).__name__.startswith("StepBegan")]
 found = [{**msgspec.structs.asdict(event), "type": type(event).__struct_config__.tag} for event in events]
 print(json.dumps({"package": fsar_ledger.__file__, "events": found}))
@@ -146,7 +146,7 @@ def test_a_ledger_of_this_release_is_exported_as_it_is_stored(later: LaterReleas
 
 
 def test_the_records_of_each_commit_name_its_release(later: LaterRelease, mixed: Path) -> None:
-    code = "import json, sys; from pathlib import Path; from fsar_ledger.ledger.read import open_ledger\n"
+    code = "import json, sys; from pathlib import Path; from fsar_ledger.ledger.store.read import open_ledger\n"
     records = later.run(
         code + "print(json.dumps([[r.release, r.schema_sha256] for r in open_ledger(Path(sys.argv[1])).records]))",
         mixed,

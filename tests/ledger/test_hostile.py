@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 
 from fsar_ledger.cli import app
 from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
-from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.record import commit_path, segment_path
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.record import commit_path, segment_path
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.forgery import examined_once, forge, forge_segment, record_of, table_of
 from tests.ledger.hostile import documents, lying_pages, parquets, records
 from tests.ledger.samples import ORIGIN, append_all, made_up_batches, made_up_run

@@ -5,13 +5,10 @@ from the events and can be made again; they spare whoever proves something about
 """
 
 from collections.abc import Callable
-from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier, Node, parents
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier, Node, parents
 
 TILE = "tile"
 HEIGHT = 8
@@ -102,37 +99,6 @@ def _subtree_root(hashes: bytes) -> bytes:
     return hashes
 
 
-def tile_reader(ledger: Path) -> Callable[[Tile], bytes]:
-    """Reads the ledger's tiles, each once; of a tile that has become full since, as much as it was. It raises LedgerCorrupted where one is missing."""
-    found: dict[Tile, bytes] = {}
-
-    def read(tile: Tile) -> bytes:
-        if tile not in found:
-            found[tile] = _read(ledger, tile)
-        return found[tile]
-
-    return read
-
-
-def _read(ledger: Path, tile: Tile) -> bytes:
-    data: bytes | None = None
-    for name in dict.fromkeys((tile.name, Tile(tile.level, tile.number).name)):
-        try:
-            data = disk.read_document(ledger / name)
-        except FileNotFoundError:
-            continue
-        except OSError as error:
-            raise LedgerCorrupted(
-                f"{ledger / name}: the tile cannot be read ({error.strerror}); run fsar-ledger recover, which derives it again"
-            ) from error
-        if len(data) >= tile.width * HASH_BYTES:
-            return data[: tile.width * HASH_BYTES]
-    found = "no file" if data is None else f"{len(data)} bytes"
-    raise LedgerCorrupted(
-        f"{ledger / tile.name}: found {found}, expected {tile.width} hashes of {HASH_BYTES} bytes; run fsar-ledger recover, which derives them again"
-    )
-
-
 def node_of(read: Callable[[Tile], bytes], size: int) -> Node:
     """The roots of complete subtrees of a tree of this size (see `merkle.Node`), out of its tiles."""
 
@@ -145,20 +111,3 @@ def node_of(read: Callable[[Tile], bytes], size: int) -> Node:
         return _subtree_root(read(tile)[start * HASH_BYTES : (start + (1 << above)) * HASH_BYTES])
 
     return node
-
-
-def edge_at(ledger: Path, frontier: Frontier) -> Edge:
-    """The edge of the tree with this frontier, out of its partial tiles.
-
-    Raises:
-        LedgerCorrupted: A tile is missing or does not agree with the frontier.
-    """
-    read = tile_reader(ledger)
-    partial = {tile.level: read(tile) for tile in partial_tiles(frontier.size)}
-    edge = Edge(frontier.size, tuple(partial.get(level, b"") for level in range(max(partial, default=-1) + 1)))
-    if edge.frontier() != frontier:
-        raise LedgerCorrupted(
-            f"{ledger / TILE}: the partial tiles of a tree of {frontier.size} events do not agree with its commit record; "
-            "run fsar-ledger verify, and fsar-ledger recover if only they are damaged"
-        )
-    return edge

@@ -10,14 +10,14 @@ from pathlib import Path
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.derived import CHECKPOINT, read_checkpoint
-from fsar_ledger.ledger.merkle import consistency_proof, is_consistent
-from fsar_ledger.ledger.note import Checkpoint, Note, parse_note
-from fsar_ledger.ledger.problem import Problem
-from fsar_ledger.ledger.read import Head, LedgerView
-from fsar_ledger.ledger.record import STAGING
-from fsar_ledger.ledger.tiles import HEIGHT, TILE, WIDTH, Edge, Tile, node_of, tile_reader
+from fsar_ledger.ledger.log.merkle import consistency_proof, is_consistent
+from fsar_ledger.ledger.log.note import Checkpoint, Note, parse_note
+from fsar_ledger.ledger.log.tiles import HEIGHT, TILE, WIDTH, Edge, Tile, node_of
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.derived import CHECKPOINT, read_checkpoint, tile_reader
+from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.read import Head, LedgerView
+from fsar_ledger.ledger.store.record import STAGING
 
 SetAside = Callable[[str], None]
 """Takes the file of this name within the ledger out of it, to where nothing is lost."""

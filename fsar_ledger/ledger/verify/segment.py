@@ -14,15 +14,15 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger import canonical
-from fsar_ledger.ledger.arrow import places, whole
-from fsar_ledger.ledger.check import first_flaw, run_starts, standing_alone
-from fsar_ledger.ledger.layout import Layout, check_layout, read_file, read_layout
-from fsar_ledger.ledger.problem import Problem, refusal, unexpected
-from fsar_ledger.ledger.record import COMMITS, CommitRecord
-from fsar_ledger.ledger.releases import FINGERPRINTS
-from fsar_ledger.ledger.schema import SCHEMA, fingerprint
-from fsar_ledger.ledger.segment import read_coded, to_parquet
+from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.rows.arrow import places, whole
+from fsar_ledger.ledger.rows.check import first_flaw, run_starts, standing_alone
+from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_file, read_layout
+from fsar_ledger.ledger.rows.releases import FINGERPRINTS
+from fsar_ledger.ledger.rows.schema import SCHEMA, fingerprint
+from fsar_ledger.ledger.rows.segment import read_coded, to_parquet
+from fsar_ledger.ledger.store.problem import Problem, refusal, unexpected
+from fsar_ledger.ledger.store.record import COMMITS, CommitRecord
 
 
 class SegmentFacts(msgspec.Struct, frozen=True):

@@ -10,7 +10,7 @@ from importlib.resources import files
 
 import pyarrow as pa
 
-from fsar_ledger.ledger.schema import SCHEMA, described, fingerprint
+from fsar_ledger.ledger.rows.schema import SCHEMA, described, fingerprint
 
 RELEASE = "0.3.0"
 """The first release with the event types of today. Any change to them makes it the number of the release to come."""
@@ -37,7 +37,7 @@ def parse_columns(where: str, text: str) -> pa.Schema:
 def _released() -> dict[str, pa.Schema]:
     """The columns of every release that has a file."""
     found = {}
-    for file in sorted((files("fsar_ledger.ledger") / "columns").iterdir(), key=lambda file: file.name):
+    for file in sorted((files("fsar_ledger.ledger.rows") / "columns").iterdir(), key=lambda file: file.name):
         found[file.name.removesuffix(".txt")] = parse_columns(file.name, file.read_text("utf-8"))
     return found
 

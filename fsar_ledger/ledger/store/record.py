@@ -12,12 +12,12 @@ from typing import Annotated, TypeVar
 import msgspec
 
 from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger
-from fsar_ledger.ledger import canonical
-from fsar_ledger.ledger.bounds import MAX_ROWS, MAX_SEGMENT_BYTES
-from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
-from fsar_ledger.ledger.note import Checkpoint, Note, checkpoint_of, is_name, parse_note
-from fsar_ledger.ledger.releases import FINGERPRINTS, RELEASE, is_later
-from fsar_ledger.ledger.schema import MAX_INTEGER
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.note import Checkpoint, Note, checkpoint_of, is_name, parse_note
+from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.rows.bounds import MAX_ROWS, MAX_SEGMENT_BYTES
+from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, is_later
+from fsar_ledger.ledger.rows.schema import MAX_INTEGER
 
 FORMAT = "fsar-ledger"
 VERSION = 1

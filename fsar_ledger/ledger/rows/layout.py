@@ -13,9 +13,9 @@ from zlib import crc32
 import pyarrow as pa
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger import bounds
-from fsar_ledger.ledger.footer import explain_footer, explain_page
-from fsar_ledger.ledger.grammar import (
+from fsar_ledger.ledger.rows import bounds
+from fsar_ledger.ledger.rows.footer import explain_footer, explain_page
+from fsar_ledger.ledger.rows.grammar import (
     BOUNDS_END,
     DICTIONARY_PAGE,
     GROUP_END,
@@ -30,7 +30,7 @@ from fsar_ledger.ledger.grammar import (
     Footer,
     encoding_statistics,
 )
-from fsar_ledger.ledger.releases import SCHEMAS
+from fsar_ledger.ledger.rows.releases import SCHEMAS
 
 MIN_ENTRY_BYTES = 4
 """The length of a string, as a dictionary holds it."""

@@ -15,15 +15,16 @@ from pathlib import Path
 import msgspec
 
 from fsar_ledger.errors import FsarLedgerError, NotALedger, WorkerDied
-from fsar_ledger.ledger import disk, merkle
-from fsar_ledger.ledger.derived import read_checkpoint
-from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
-from fsar_ledger.ledger.note import VerifierKey
-from fsar_ledger.ledger.place import require_created
-from fsar_ledger.ledger.problem import Problem, unexpected
-from fsar_ledger.ledger.record import COMMITS, MANIFEST, SEGMENTS, STAGING, CommitRecord
-from fsar_ledger.ledger.tiles import Edge
-from fsar_ledger.ledger.verify_commits import (
+from fsar_ledger.ledger.log import merkle
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.note import Signed, VerifierKey
+from fsar_ledger.ledger.log.tiles import Edge
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.derived import check_checkpoint, read_checkpoint
+from fsar_ledger.ledger.store.paths import require_created
+from fsar_ledger.ledger.store.problem import Problem, unexpected
+from fsar_ledger.ledger.store.record import COMMITS, MANIFEST, SEGMENTS, STAGING, CommitRecord
+from fsar_ledger.ledger.verify.commits import (
     Commit,
     check_folder,
     check_manifest,
@@ -32,17 +33,9 @@ from fsar_ledger.ledger.verify_commits import (
     read_commits,
     segment_file,
 )
-from fsar_ledger.ledger.verify_derived import BEHIND, TileCheck, check_checkpoint
-from fsar_ledger.ledger.verify_notes import (
-    Anchor,
-    ByTiles,
-    Signatures,
-    Signed,
-    check_anchor,
-    check_signatures,
-    root_by_tiles,
-)
-from fsar_ledger.ledger.verify_segment import SecondReader, SegmentFacts, examine, examine_file
+from fsar_ledger.ledger.verify.derived import BEHIND, TileCheck
+from fsar_ledger.ledger.verify.notes import Anchor, ByTiles, Signatures, check_anchor, check_signatures, root_by_tiles
+from fsar_ledger.ledger.verify.segment import SecondReader, SegmentFacts, examine, examine_file
 from fsar_ledger.workers import WorkerPool
 
 MAX_PROBLEMS = 100

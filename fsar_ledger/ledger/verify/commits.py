@@ -8,12 +8,13 @@ from pathlib import Path
 import msgspec
 
 from fsar_ledger.errors import FsarLedgerError
-from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.derived import CHECKPOINT
-from fsar_ledger.ledger.merkle import Frontier
-from fsar_ledger.ledger.problem import Problem, refusal, unexpected
-from fsar_ledger.ledger.read import commit_names
-from fsar_ledger.ledger.record import (
+from fsar_ledger.ledger.log.merkle import Frontier
+from fsar_ledger.ledger.log.tiles import TILE
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.derived import CHECKPOINT
+from fsar_ledger.ledger.store.problem import Problem, refusal, unexpected
+from fsar_ledger.ledger.store.read import commit_names
+from fsar_ledger.ledger.store.record import (
     COMMITS,
     MANIFEST,
     SEGMENTS,
@@ -25,7 +26,6 @@ from fsar_ledger.ledger.record import (
     sha256_hex,
     staged_path,
 )
-from fsar_ledger.ledger.tiles import TILE
 
 
 class Commit(msgspec.Struct, frozen=True):

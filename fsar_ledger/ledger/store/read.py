@@ -11,11 +11,15 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger.errors import FormatVersionMismatch, LedgerCorrupted, NotALedger
-from fsar_ledger.ledger import canonical, codec, disk, merkle, segment
-from fsar_ledger.ledger.layout import check_layout
-from fsar_ledger.ledger.merkle import Frontier
-from fsar_ledger.ledger.place import require_created
-from fsar_ledger.ledger.record import (
+from fsar_ledger.ledger.log import merkle
+from fsar_ledger.ledger.log.merkle import Frontier
+from fsar_ledger.ledger.log.tiles import TILE
+from fsar_ledger.ledger.rows import canonical, codec, segment
+from fsar_ledger.ledger.rows.layout import check_layout
+from fsar_ledger.ledger.rows.releases import is_later
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.paths import require_created
+from fsar_ledger.ledger.store.record import (
     COMMITS,
     MANIFEST,
     SEGMENTS,
@@ -31,8 +35,6 @@ from fsar_ledger.ledger.record import (
     sha256_hex,
     staged_path,
 )
-from fsar_ledger.ledger.releases import is_later
-from fsar_ledger.ledger.tiles import TILE
 
 _THREADS = 4
 _WORTH_THREADS_BYTES = 1 << 25

@@ -7,9 +7,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.ledger.arrow import Mask, coded, numbers, places, validity, whole
-from fsar_ledger.ledger.runs import Flaw
-from fsar_ledger.ledger.schema import (
+from fsar_ledger.ledger.rows.arrow import Mask, coded, numbers, places, validity, whole
+from fsar_ledger.ledger.rows.runs import Flaw
+from fsar_ledger.ledger.rows.schema import (
     CODED_SCHEMA,
     COLUMNS,
     CONCERNED,

@@ -1,42 +1,19 @@
 """The tiles and the checkpoint, compared with those that the rows give: a part of `verify`."""
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 
-from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.derived import CHECKPOINT, read_checkpoint
-from fsar_ledger.ledger.merkle import HASH_BYTES
-from fsar_ledger.ledger.problem import Problem, refusal
-from fsar_ledger.ledger.record import COMMITS, CommitRecord
-from fsar_ledger.ledger.tiles import HEIGHT, TILE, WIDTH, Tile
+from fsar_ledger.ledger.log.merkle import HASH_BYTES
+from fsar_ledger.ledger.log.tiles import HEIGHT, TILE, WIDTH, Tile
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.problem import Problem
 
 BEHIND = "the tiles and the checkpoint are one commit behind, as a crash leaves them; the next writer, or fsar-ledger recover, goes on from there"
 LEFT_OVER = (
     "partial tiles are there whose full tile is there too, as a crash leaves them; fsar-ledger recover sets them aside"
 )
-
-
-def check_checkpoint(ledger: Path, records: Sequence[CommitRecord]) -> tuple[list[Problem], bool]:
-    """The file `checkpoint` holds the note of the newest commit, or (True) of the one before it, which a crash may leave."""
-    try:
-        found = read_checkpoint(ledger)
-    except LedgerCorrupted as error:
-        return [Problem(CHECKPOINT, f"no note {refusal(ledger / CHECKPOINT, error)}", "the newest one")], False
-    notes = [None, *(record.note for record in records)]
-    if found == notes[-1]:
-        return [], False
-    if len(notes) > 1 and found == notes[-2]:
-        return [], True
-    newest = records[-1].number if records else None
-    expected = (
-        "no note, as there is no commit"
-        if newest is None
-        else f"the note in {COMMITS}/{newest:012d}.json, the newest record"
-    )
-    return [Problem(CHECKPOINT, "no file" if found is None else f"{found!r:.400}", expected, commit=newest)], False
 
 
 class TileCheck:

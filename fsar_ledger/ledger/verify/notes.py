@@ -3,19 +3,17 @@
 import os
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
 
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
-from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.merkle import consistency_proof, is_consistent
-from fsar_ledger.ledger.note import Checkpoint, Note, VerifierKey, parse_note
-from fsar_ledger.ledger.problem import Problem
-from fsar_ledger.ledger.record import COMMITS, MANIFEST, CommitRecord
-from fsar_ledger.ledger.tiles import TILE, node_of, tile_reader
-
-Signed = Literal["unsigned", "signer not checked", "signed"]
+from fsar_ledger.ledger.log.merkle import consistency_proof, is_consistent
+from fsar_ledger.ledger.log.note import Checkpoint, Note, Signed, VerifierKey, doubt, names, parse_note, signers_of
+from fsar_ledger.ledger.log.tiles import TILE, node_of
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.derived import tile_reader
+from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.record import COMMITS, MANIFEST, CommitRecord
 
 
 class Signatures(msgspec.Struct, frozen=True):
@@ -70,30 +68,6 @@ def check_signatures(records: list[CommitRecord], trusted: VerifierKey | None) -
     if problems:
         return problems, Signatures("signer not checked" if signers else "unsigned", signers)
     return [], Signatures("signed", trusted.key, sum(1 for note in notes if names(note, trusted)))
-
-
-def names(note: Note, key: VerifierKey) -> bool:
-    """Whether the note has a signature that says to be of this key."""
-    return any(signature.key == key.key for signature in note.signatures)
-
-
-def signers_of(note: Note) -> str | None:
-    """The keys that the note names; None if it is unsigned. Nobody has checked that they signed it."""
-    return ", ".join(signature.key for signature in note.signatures) or None
-
-
-def doubt(note: Note, trusted: VerifierKey) -> str | None:
-    """Why this note is not one that the trusted key signed; None if it is."""
-    if trusted.has_signed(note):
-        return None
-    if names(note, trusted):
-        return (
-            "a signature that this key did not make"
-            if note.checkpoint.origin == trusted.name
-            else f"a checkpoint of {note.checkpoint.origin}"
-        )
-    signers = signers_of(note)
-    return f"a signature of {signers}" if signers else "no signature"
 
 
 class ByTiles(msgspec.Struct, frozen=True):

@@ -13,7 +13,7 @@ import msgspec
 from fsar_ledger import printable
 from fsar_ledger.errors import InvalidRun
 from fsar_ledger.events import Event
-from fsar_ledger.ledger.schema import LAYOUTS, MAX_INTEGER, Field, Kind
+from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, Field, Kind
 from fsar_ledger.parameters import BadParameters, read_parameters
 
 

@@ -13,13 +13,16 @@ from pathlib import Path
 import msgspec
 
 from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
-from fsar_ledger.ledger import canonical, disk, merkle
-from fsar_ledger.ledger.derived import CHECKPOINT
-from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
-from fsar_ledger.ledger.note import VerifierKey
-from fsar_ledger.ledger.problem import Problem, refusal, unexpected
-from fsar_ledger.ledger.read import EMPTY_HEAD, Head
-from fsar_ledger.ledger.record import (
+from fsar_ledger.ledger.log import merkle
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.note import VerifierKey, names
+from fsar_ledger.ledger.log.tiles import TILE, Edge
+from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.derived import CHECKPOINT
+from fsar_ledger.ledger.store.problem import Problem, refusal, unexpected
+from fsar_ledger.ledger.store.read import EMPTY_HEAD, Head
+from fsar_ledger.ledger.store.record import (
     COMMITS,
     FORMAT,
     MANIFEST,
@@ -35,12 +38,11 @@ from fsar_ledger.ledger.record import (
     sha256_hex,
     staged_path,
 )
-from fsar_ledger.ledger.recover_derived import Redo, TilePlan, begins_with, checkpoint_note, grown_beyond, tile_strays
-from fsar_ledger.ledger.tiles import TILE, Edge
-from fsar_ledger.ledger.verify import Asked, Progress
-from fsar_ledger.ledger.verify_commits import check_record
-from fsar_ledger.ledger.verify_notes import Anchor, check_anchor, names
-from fsar_ledger.ledger.verify_segment import SegmentFacts, examine, examine_file
+from fsar_ledger.ledger.verify.commits import check_record
+from fsar_ledger.ledger.verify.notes import Anchor, check_anchor
+from fsar_ledger.ledger.verify.rederive import Redo, TilePlan, begins_with, checkpoint_note, grown_beyond, tile_strays
+from fsar_ledger.ledger.verify.segment import SegmentFacts, examine, examine_file
+from fsar_ledger.ledger.verify.verify import Asked, Progress
 from fsar_ledger.workers import WorkerPool
 
 FITS = "record and segment fit each other"

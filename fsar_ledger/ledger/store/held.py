@@ -11,11 +11,11 @@ from typing import NamedTuple
 import pyarrow as pa
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.arrow import whole
-from fsar_ledger.ledger.check import standing_alone
-from fsar_ledger.ledger.layout import dictionary_of_runs, read_file
-from fsar_ledger.ledger.read import LedgerView
-from fsar_ledger.ledger.segment import read_table
+from fsar_ledger.ledger.rows.arrow import whole
+from fsar_ledger.ledger.rows.check import standing_alone
+from fsar_ledger.ledger.rows.layout import dictionary_of_runs, read_file
+from fsar_ledger.ledger.rows.segment import read_table
+from fsar_ledger.ledger.store.read import LedgerView
 
 _BEGINNING_BYTES = 1 << 14
 

@@ -22,15 +22,15 @@ import msgspec
 import pyarrow.compute as pc
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
-from fsar_ledger.ledger import canonical, disk
-from fsar_ledger.ledger.derived import read_checkpoint
-from fsar_ledger.ledger.merkle import HASH_BYTES, inclusion_proof, leaf_hash, root_of_inclusion
-from fsar_ledger.ledger.note import Checkpoint, Note, VerifierKey, parse_note
-from fsar_ledger.ledger.read import LedgerView
-from fsar_ledger.ledger.record import CommitRecord
-from fsar_ledger.ledger.schema import MAX_INTEGER
-from fsar_ledger.ledger.tiles import node_of, tile_reader
-from fsar_ledger.ledger.verify_notes import Signed, doubt, signers_of
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, inclusion_proof, leaf_hash, root_of_inclusion
+from fsar_ledger.ledger.log.note import Checkpoint, Note, Signed, VerifierKey, doubt, parse_note, signers_of
+from fsar_ledger.ledger.log.tiles import node_of
+from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.rows.schema import MAX_INTEGER
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.derived import read_checkpoint, tile_reader
+from fsar_ledger.ledger.store.read import LedgerView
+from fsar_ledger.ledger.store.record import CommitRecord
 
 TITLE = "c2sp.org/tlog-proof@v1"
 SUFFIX = ".tlog-proof"

@@ -5,8 +5,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from fsar_ledger.errors import NotALedger, UsageError
-from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.record import COMMITS, MANIFEST, SEGMENTS, STAGING
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.record import COMMITS, MANIFEST, SEGMENTS, STAGING
 
 
 def require_created(ledger: Path) -> None:

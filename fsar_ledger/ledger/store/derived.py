@@ -4,15 +4,16 @@ They are written after the commit, tiles first, so a crash leaves them one commi
 Partial tiles stay until the full tile is there, as C2SP tlog-tiles asks, so each published tree size keeps its own.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.merkle import Frontier
-from fsar_ledger.ledger.read import LedgerView
-from fsar_ledger.ledger.record import STAGING, CommitRecord
-from fsar_ledger.ledger.tiles import HEIGHT, TILE, WIDTH, Edge, Tile, edge_at, partial_tiles
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.tiles import HEIGHT, TILE, WIDTH, Edge, Tile, partial_tiles
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.problem import Problem, refusal
+from fsar_ledger.ledger.store.read import LedgerView
+from fsar_ledger.ledger.store.record import COMMITS, STAGING, CommitRecord
 
 CHECKPOINT = "checkpoint"
 
@@ -90,3 +91,71 @@ def read_checkpoint(ledger: Path) -> str | None:
         raise LedgerCorrupted(
             f"{path}: the checkpoint cannot be read ({reason}), expected the newest note; run fsar-ledger recover"
         ) from error
+
+
+def check_checkpoint(ledger: Path, records: Sequence[CommitRecord]) -> tuple[list[Problem], bool]:
+    """The file `checkpoint` holds the note of the newest commit, or (True) of the one before it, which a crash may leave."""
+    try:
+        found = read_checkpoint(ledger)
+    except LedgerCorrupted as error:
+        return [Problem(CHECKPOINT, f"no note {refusal(ledger / CHECKPOINT, error)}", "the newest one")], False
+    notes = [None, *(record.note for record in records)]
+    if found == notes[-1]:
+        return [], False
+    if len(notes) > 1 and found == notes[-2]:
+        return [], True
+    newest = records[-1].number if records else None
+    expected = (
+        "no note, as there is no commit"
+        if newest is None
+        else f"the note in {COMMITS}/{newest:012d}.json, the newest record"
+    )
+    return [Problem(CHECKPOINT, "no file" if found is None else f"{found!r:.400}", expected, commit=newest)], False
+
+
+def tile_reader(ledger: Path) -> Callable[[Tile], bytes]:
+    """Reads the ledger's tiles, each once; of a tile that has become full since, as much as it was. It raises LedgerCorrupted where one is missing."""
+    found: dict[Tile, bytes] = {}
+
+    def read(tile: Tile) -> bytes:
+        if tile not in found:
+            found[tile] = _read(ledger, tile)
+        return found[tile]
+
+    return read
+
+
+def _read(ledger: Path, tile: Tile) -> bytes:
+    data: bytes | None = None
+    for name in dict.fromkeys((tile.name, Tile(tile.level, tile.number).name)):
+        try:
+            data = disk.read_document(ledger / name)
+        except FileNotFoundError:
+            continue
+        except OSError as error:
+            raise LedgerCorrupted(
+                f"{ledger / name}: the tile cannot be read ({error.strerror}); run fsar-ledger recover, which derives it again"
+            ) from error
+        if len(data) >= tile.width * HASH_BYTES:
+            return data[: tile.width * HASH_BYTES]
+    found = "no file" if data is None else f"{len(data)} bytes"
+    raise LedgerCorrupted(
+        f"{ledger / tile.name}: found {found}, expected {tile.width} hashes of {HASH_BYTES} bytes; run fsar-ledger recover, which derives them again"
+    )
+
+
+def edge_at(ledger: Path, frontier: Frontier) -> Edge:
+    """The edge of the tree with this frontier, out of its partial tiles.
+
+    Raises:
+        LedgerCorrupted: A tile is missing or does not agree with the frontier.
+    """
+    read = tile_reader(ledger)
+    partial = {tile.level: read(tile) for tile in partial_tiles(frontier.size)}
+    edge = Edge(frontier.size, tuple(partial.get(level, b"") for level in range(max(partial, default=-1) + 1)))
+    if edge.frontier() != frontier:
+        raise LedgerCorrupted(
+            f"{ledger / TILE}: the partial tiles of a tree of {frontier.size} events do not agree with its commit record; "
+            "run fsar-ledger verify, and fsar-ledger recover if only they are damaged"
+        )
+    return edge

@@ -8,10 +8,10 @@ made of, which lead to the root or to nothing.
 from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.read import LedgerView, open_ledger
-from fsar_ledger.ledger.record import COMMITS
-from fsar_ledger.ledger.verify_derived import check_checkpoint
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.derived import check_checkpoint
+from fsar_ledger.ledger.store.read import LedgerView, open_ledger
+from fsar_ledger.ledger.store.record import COMMITS
 
 
 def open_for_answers(path: Path) -> LedgerView:

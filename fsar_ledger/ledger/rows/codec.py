@@ -17,11 +17,20 @@ import pyarrow.compute as pc
 
 from fsar_ledger.errors import InvalidRun, LedgerCorrupted, UnknownEventTag
 from fsar_ledger.events import EVENT_TYPES, UPCASTS
-from fsar_ledger.ledger import canonical
-from fsar_ledger.ledger.check import first_flaw, run_starts
-from fsar_ledger.ledger.merkle import HASH_BYTES
-from fsar_ledger.ledger.runs import ALLOWED, CAUSE, TIME, RunRecord, are_allowed, first_unfit, refusal, require_runs
-from fsar_ledger.ledger.schema import (
+from fsar_ledger.ledger.log.merkle import HASH_BYTES
+from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.rows.check import first_flaw, run_starts
+from fsar_ledger.ledger.rows.runs import (
+    ALLOWED,
+    CAUSE,
+    TIME,
+    RunRecord,
+    are_allowed,
+    first_unfit,
+    refusal,
+    require_runs,
+)
+from fsar_ledger.ledger.rows.schema import (
     ARROW_TYPES,
     CODED_SCHEMA,
     COLUMNS,

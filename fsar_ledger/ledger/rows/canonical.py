@@ -13,9 +13,9 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from fsar_ledger.ledger.arrow import coded, numbers, places, validity, whole
-from fsar_ledger.ledger.bounds import has_more_text_than, text_bytes
-from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, SCHEMA, STORED, Layout
+from fsar_ledger.ledger.rows.arrow import coded, numbers, places, validity, whole
+from fsar_ledger.ledger.rows.bounds import has_more_text_than, text_bytes
+from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, SCHEMA, STORED, Layout
 
 _ENCODER = msgspec.json.Encoder()
 _SORTING_ENCODER = msgspec.json.Encoder(order="sorted")

@@ -1,6 +1,6 @@
 """Recovery: what a crash left is finished or set aside, what was altered is explained, and nothing is ever deleted.
 
-1. What can be trusted is found first, without changing anything (`recover_prefix.py`).
+1. What can be trusted is found first, without changing anything (`trusted_prefix.py`).
 2. If that is the whole ledger: committed segments move into place, and what only stands beside the commits (ledger.json, tiles, checkpoint)
    is made again from them where it is wrong. Whatever else is there is set aside: it moves to `LEDGER.set-aside/NNN/` under the same name.
    Every step may be the last one before a crash; the next recovery goes on from there.
@@ -19,14 +19,14 @@ from typing import Literal
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted, NotALedger, UsageError, WriteFailed
-from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.problem import Problem
-from fsar_ledger.ledger.read import Head, open_ledger
-from fsar_ledger.ledger.record import COMMITS, MANIFEST, SEGMENTS, STAGING, commit_path, segment_path
-from fsar_ledger.ledger.recover_derived import Redo, derive, is_tile, put
-from fsar_ledger.ledger.recover_prefix import Later, Prefix, find_prefix
-from fsar_ledger.ledger.tiles import TILE
-from fsar_ledger.ledger.verify import Asked, Progress, VerifyReport, verify
+from fsar_ledger.ledger.log.tiles import TILE
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.read import Head, open_ledger
+from fsar_ledger.ledger.store.record import COMMITS, MANIFEST, SEGMENTS, STAGING, commit_path, segment_path
+from fsar_ledger.ledger.verify.rederive import Redo, derive, is_tile, put
+from fsar_ledger.ledger.verify.trusted_prefix import Later, Prefix, find_prefix
+from fsar_ledger.ledger.verify.verify import Asked, Progress, VerifyReport, verify
 
 Outcome = Literal["whole", "mended", "damaged", "continued"]
 

@@ -21,18 +21,23 @@ import msgspec
 import pyarrow as pa
 
 from fsar_ledger.errors import InvalidRun, NotALedger, SequenceConflict, UsageError, WriteFailed
-from fsar_ledger.ledger import canonical, disk, segment
-from fsar_ledger.ledger.bounds import MAX_NAME_BYTES, MAX_ROWS, MAX_SEGMENT_BYTES, MAX_TEXT_BYTES, text_bytes
-from fsar_ledger.ledger.check import disordered, unprintable
-from fsar_ledger.ledger.codec import RunRecord, encode_hashed
-from fsar_ledger.ledger.derived import catch_up, check_folders, write_derived
-from fsar_ledger.ledger.held import Held, HeldRuns, runs_of
-from fsar_ledger.ledger.layout import read_file, read_layout
-from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
-from fsar_ledger.ledger.note import Note, Signer, VerifierKey, checkpoint_of, is_name
-from fsar_ledger.ledger.place import is_unfinished, require_outside
-from fsar_ledger.ledger.read import Head, LedgerView, commit_names, open_ledger, read_manifest
-from fsar_ledger.ledger.record import (
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.note import Note, Signer, VerifierKey, checkpoint_of, doubt, is_name
+from fsar_ledger.ledger.log.tiles import Tile
+from fsar_ledger.ledger.rows import canonical, segment
+from fsar_ledger.ledger.rows.bounds import MAX_NAME_BYTES, MAX_ROWS, MAX_SEGMENT_BYTES, MAX_TEXT_BYTES, text_bytes
+from fsar_ledger.ledger.rows.check import disordered, unprintable
+from fsar_ledger.ledger.rows.codec import RunRecord, encode_hashed
+from fsar_ledger.ledger.rows.layout import read_file, read_layout
+from fsar_ledger.ledger.rows.releases import RELEASE
+from fsar_ledger.ledger.rows.runs import Flaw, refusal, unreadable
+from fsar_ledger.ledger.rows.schema import FINGERPRINT
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.derived import catch_up, check_folders, write_derived
+from fsar_ledger.ledger.store.held import Held, HeldRuns, runs_of
+from fsar_ledger.ledger.store.paths import is_unfinished, require_outside
+from fsar_ledger.ledger.store.read import Head, LedgerView, commit_names, open_ledger, read_manifest
+from fsar_ledger.ledger.store.record import (
     COMMITS,
     FORMAT,
     MANIFEST,
@@ -47,11 +52,6 @@ from fsar_ledger.ledger.record import (
     sha256_hex,
     staged_path,
 )
-from fsar_ledger.ledger.releases import RELEASE
-from fsar_ledger.ledger.runs import Flaw, refusal, unreadable
-from fsar_ledger.ledger.schema import FINGERPRINT
-from fsar_ledger.ledger.tiles import Tile
-from fsar_ledger.ledger.verify_notes import doubt
 
 
 class Staged(msgspec.Struct, frozen=True):

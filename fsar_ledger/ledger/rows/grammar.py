@@ -28,7 +28,7 @@ from typing import NamedTuple
 
 import pyarrow as pa
 
-from fsar_ledger.ledger.schema import COLUMNS, Kind
+from fsar_ledger.ledger.rows.schema import COLUMNS, Kind
 
 MAGIC = b"PAR1"
 HAS_STATISTICS = ("run_id", "seq", "time_us")
