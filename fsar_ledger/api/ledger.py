@@ -1,6 +1,6 @@
 """A ledger as Python sees it: every question that the command line answers, by the same names."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
@@ -10,7 +10,8 @@ from fsar_ledger.errors import UsageError
 from fsar_ledger.ledger.store.opening import open_for_answers
 
 from .answering import demanded_head
-from .names import microseconds, names_of, robot_named, run_named
+from .asked import parameters_of, robot_of, run_of
+from .names import microseconds, names_of
 from .workload import Progress, readers_of
 
 if TYPE_CHECKING:
@@ -37,20 +38,6 @@ if TYPE_CHECKING:
 Place = str | PathLike[str]
 Pool = Literal["seeds"] | None
 By = Literal["scenario"] | None
-
-ROBOTS = """
-    SELECT DISTINCT name
-    FROM (
-        SELECT robot AS name FROM robot_joined WHERE $run IS NULL OR run_id = $run
-        UNION ALL
-        SELECT unnest([decided_by, requested_by, executed_by]) AS name FROM events WHERE $run IS NULL OR run_id = $run
-    )
-    WHERE starts_with(name, 'robot/')
-    ORDER BY name
-"""
-_RUNS = "SELECT DISTINCT run_id FROM events ORDER BY run_id"
-_ALL = ("all", "any")
-_ROBOT_PARAMETERS = ("robot", "peer")
 
 
 class Ledger:
@@ -108,8 +95,8 @@ class Ledger:
             )
         if run is not None or robot is not None:
             with self.database() as database:
-                run = None if run is None else _run_of(database, run)
-                robot = None if robot is None else _robot_of(database, robot, run)
+                run = None if run is None else run_of(database, run)
+                robot = None if robot is None else robot_of(database, robot, run)
         return Events(self.path, Filter(run, since_us, until_us, robot), self._demanded)
 
     def state(self, run: str, at: float | None = None) -> "State":
@@ -139,7 +126,7 @@ class Ledger:
 
         with self.database() as database:
             query = database.library.find(name)
-            given = _parameters(database, query.parameters, parameters)
+            given = parameters_of(database, query.parameters, parameters)
             rows = database.query(name, given)
             return Table(rows, of_rows(database, query))
 
@@ -352,14 +339,16 @@ class Ledger:
 
     # --- files ---
 
-    def export(self, out: Place, query: str | None = None, /, *, raw: bool = False, **parameters: object) -> "Written":
+    def export(
+        self, out: Place, query: str | None = None, parameters: Mapping[str, object] | None = None, *, raw: bool = False
+    ) -> "Written":
         """Write every event, or the answer of a query, to a .csv or .parquet file; return how many rows.
 
         Args:
             out: The file; replaced if it exists.
             query: The name of the query; None: every event as it is stored.
-            raw: Leave text in CSV as it is, also where a terminal or a spreadsheet would act on it.
             parameters: Those of the query.
+            raw: Leave text in CSV as it is, also where a terminal or a spreadsheet would act on it.
 
         Raises:
             UsageError: The name ends otherwise, or the file lies inside a ledger.
@@ -370,7 +359,7 @@ class Ledger:
         file = Path(out)
         require_place(file)
         if query is not None:
-            found = self.query(query, **parameters)
+            found = self.query(query, **(parameters or {}))
             return Written(write_table(file, found.stored, raw=raw), found.about)
         if parameters:
             raise UsageError(f"export: found parameter {next(iter(parameters))} and no query, expected both or neither")
@@ -442,30 +431,6 @@ def open_ledger(path: Place, *, verified: bool = False, progress: Progress | Non
     if not verified:
         open_for_answers(Path(path))
     return Ledger(path, demanded=demanded_head(Path(path), verified=verified, progress=progress))
-
-
-def _run_of(database: "Database", asked: str) -> str:
-    return run_named(asked, [row["run_id"] for row in database.rows(_RUNS)])
-
-
-def _robot_of(database: "Database", asked: str, run: str | None) -> str:
-    return robot_named(asked, [row["name"] for row in database.rows(ROBOTS, {"run": run})])
-
-
-def _parameters(database: "Database", known: Any, given: dict[str, object]) -> dict[str, str]:
-    """The parameters of a query as text, with whole names of runs and robots, and times in microseconds."""
-    found = {name: str(value) for name, value in given.items()}
-    if "at" in given and "at_us" in known and "at_us" not in given:
-        at = given["at"]
-        found["at_us"] = str(microseconds("at", at if isinstance(at, int | float) else -1))
-        del found["at"]
-    if found.get("run", "all") not in _ALL and "run" in known:
-        found["run"] = _run_of(database, found["run"])
-    run = found.get("run")
-    for name in _ROBOT_PARAMETERS:
-        if name in known and found.get(name, "all") not in _ALL:
-            found[name] = _robot_of(database, found[name], None if run in _ALL else run)
-    return found
 
 
 def _by(by: str | None) -> bool:

@@ -60,7 +60,7 @@ def run_named(asked: str, names: Sequence[str]) -> str:
             f"run {printable.value(asked)}: found {len(found):,} runs that have this in their names, expected one of {shown}"
         )
     raise UsageError(
-        f"run {printable.value(asked)}: there is no such run; {did_you_mean(asked, names)}runs() lists them"
+        f"run {printable.value(asked)}: there is no such run; {did_you_mean(asked, names)}the query `runs` lists them"
     )
 
 

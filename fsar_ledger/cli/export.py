@@ -37,9 +37,11 @@ def export(
     The format, CSV or Parquet, follows from the name of the file; lists are JSON text in CSV. Text in CSV is made harmless for spreadsheets and
     terminals unless --raw is given; Parquet always holds the values themselves.
     """
+    from fsar_ledger.api.files import require_place
+
     from .answering import opened, warn
 
-    asked = opened(ledger, verified=verified)
-    written = asked.export(out, name, raw=raw, **parameters_of(param) if name is not None else {})
+    require_place(out)
+    written = opened(ledger, verified=verified).export(out, name, parameters_of(param), raw=raw)
     warn(ledger, written.about)
     show(printable.line(f"{out}: {written.row_count:,} rows"))
