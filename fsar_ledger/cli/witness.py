@@ -81,11 +81,11 @@ def witness_serve(
     from fsar_ledger.witness.cosignature import read_log_key
     from fsar_ledger.witness.server import WitnessServer
     from fsar_ledger.witness.service import Service
-    from fsar_ledger.witness.state import opened
+    from fsar_ledger.witness.state import open_state
 
     logs = [read_log_key(key) for key in log]
     with (
-        opened(state) as found,
+        open_state(state) as found,
         WitnessServer(host, port, Service(found, logs, _clock(context), _tell), time.monotonic) as server,
     ):
         _serve(server, printable.lines(str(found.cosigner.key), server.url))
