@@ -12,6 +12,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from fsar_ledger import errors
     from fsar_ledger.api.auditing import Audit
     from fsar_ledger.api.events import Events, LoggedEvent
     from fsar_ledger.api.explaining import Account
@@ -47,6 +48,7 @@ __all__ = [
     "Table",
     "Verification",
     "calibrate",
+    "errors",
     "judge",
     "key_new",
     "key_public",
@@ -86,6 +88,8 @@ _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 def __getattr__(name: str) -> Any:
     """Load what is asked for only now: to import the package takes no library."""
+    if name == "errors":
+        return import_module(f"{__name__}.errors")
     if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     value = getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)
