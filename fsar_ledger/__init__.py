@@ -1,3 +1,101 @@
-"""An event-sourced audit ledger and replay analyzer for robot fleets, after the FSAR paper."""
+"""An event-sourced audit ledger and replay analyzer for robot fleets, after the FSAR paper.
+
+What the command line does, Python does by the same names (docs/python.md):
+
+    import fsar_ledger
+
+    ledger = fsar_ledger.simulate("out/ledger", scenario="door-relay", runs=3).ledger
+    ledger.metrics().polars()
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from fsar_ledger import errors
+    from fsar_ledger.api.auditing import Audit
+    from fsar_ledger.api.events import Events, LoggedEvent
+    from fsar_ledger.api.explaining import Account
+    from fsar_ledger.api.keys import key_new, key_public
+    from fsar_ledger.api.ledger import Ledger, open_ledger
+    from fsar_ledger.api.making import (
+        Simulated,
+        calibrate,
+        judge,
+        predict,
+        reproduce,
+        sensitivity,
+        simulate,
+        verify_proof,
+    )
+    from fsar_ledger.api.reproducing import Reproduced
+    from fsar_ledger.api.table import Table
+    from fsar_ledger.api.verifying import Verification
+    from fsar_ledger.api.witnessed import witness_new
+    from fsar_ledger.errors import FsarLedgerError
 
 __version__ = "0.4.0"
+
+__all__ = [
+    "Account",
+    "Audit",
+    "Events",
+    "FsarLedgerError",
+    "Ledger",
+    "LoggedEvent",
+    "Reproduced",
+    "Simulated",
+    "Table",
+    "Verification",
+    "calibrate",
+    "errors",
+    "judge",
+    "key_new",
+    "key_public",
+    "open_ledger",
+    "predict",
+    "reproduce",
+    "sensitivity",
+    "simulate",
+    "verify_proof",
+    "witness_new",
+]
+
+_HOMES = {
+    "api.auditing": ("Audit",),
+    "api.events": ("Events", "LoggedEvent"),
+    "api.explaining": ("Account",),
+    "api.keys": ("key_new", "key_public"),
+    "api.ledger": ("Ledger", "open_ledger"),
+    "api.making": (
+        "Simulated",
+        "calibrate",
+        "judge",
+        "predict",
+        "reproduce",
+        "sensitivity",
+        "simulate",
+        "verify_proof",
+    ),
+    "api.reproducing": ("Reproduced",),
+    "api.table": ("Table",),
+    "api.verifying": ("Verification",),
+    "api.witnessed": ("witness_new",),
+    "errors": ("FsarLedgerError",),
+}
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+
+def __getattr__(name: str) -> Any:
+    """Load what is asked for only now: to import the package takes no library."""
+    if name == "errors":
+        return import_module(f"{__name__}.errors")
+    if name not in _HOME_OF:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_HOME_OF[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

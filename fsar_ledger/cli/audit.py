@@ -1,70 +1,68 @@
-"""The answer of `audit`, as a table or JSON, and whether everything holds. Nothing here prints."""
+"""The command `audit`."""
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from fsar_ledger import printable
-from fsar_ledger.metrics.invariants import audit_rows, chosen
-from fsar_ledger.metrics.models import models
-from fsar_ledger.printable import Shown
+import typer
 
-from .answering import answering, of_plans, warn_of_missing
-from .options import known
-from .output import Row, json_text, table_text
-from .simulated import runs
+from fsar_ledger import printable
+
+from .options import AuditedOption, InvariantOption, JsonOption, LedgerArgument, VerifiedOption, examples
+from .terminal import show
 
 if TYPE_CHECKING:
+    from fsar_ledger.api.fields import Row
     from fsar_ledger.metrics.invariants import AuditRow
+
+EXAMPLES = examples(
+    "fsar-ledger audit out/ledger --architecture fsar",
+    "fsar-ledger audit out/ledger --architecture fsar --invariant i4 --json",
+)
 
 
 def audit(
-    ledger: Path, invariants: Sequence[str], architectures: Sequence[str], *, as_json: bool, verified: bool = False
-) -> tuple[Shown, bool]:
-    """The text of the answer, and whether every invariant that was asked for was shown to hold, by a case, and by every run that was asked for.
+    ledger: LedgerArgument,
+    invariant: InvariantOption = None,
+    architecture: AuditedOption = None,
+    verified: VerifiedOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Check the invariants I1 to I5 and A1 to A5.
 
-    Raises:
-        InvalidExperiment: an architecture is unknown, to this version and to the ledger.
-        UnknownQuery: an invariant is unknown.
-        UsageError: the ledger has no run of these architectures.
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: as `answering`.
+    Counts the events that offend each, by architecture and configuration, and names the first. Exit code 0 if all hold on all runs, else 1.
     """
-    from fsar_ledger.runtime.architectures import REGISTERED
+    from fsar_ledger.api.plans import runs
 
-    queries = chosen(invariants)
-    with answering(ledger, verified=verified) as database:
-        there = [
-            str(row["architecture"])
-            for row in database.rows(
-                "SELECT DISTINCT architecture FROM runs WHERE architecture IS NOT NULL ORDER BY ALL"
-            )
-        ]
-        wanted = known("architecture", architectures, tuple(dict.fromkeys([*REGISTERED, *there])))
-        unreadable = sum(one.runs for one in models(database) if one.parameters is None)
-        rows = audit_rows(database, queries, wanted)
-        holds = False if any(row.holds is False for row in rows) else _all_shown(rows) or None
-        warn_of_missing(ledger, database)
-        if as_json:
-            answer = {
-                "ledger": str(ledger),
-                "holds": holds,
-                **of_plans(database),
-                "runs_unreadable": unreadable,
-                "rows": rows,
-            }
-            return json_text(database.head, answer, database.rows_verified), bool(holds)
-    of_budgets = (
-        [
-            f"{runs(unreadable)} with parameters that cannot be read: recovery budgets that they set are unknown, and none is judged"
-        ]
-        if unreadable
-        else []
-    )
-    said = printable.lines("", *_verdict(rows), *of_budgets)
-    return printable.joined(table_text([_shown(row) for row in rows], list(_shown(rows[0]))), said), bool(holds)
+    from .answering import opened, warn
+    from .output import json_text, table_text
+
+    found = opened(ledger, verified=verified).audit(invariant, architecture)
+    about, rows = found.about, found.rows
+    if as_json:
+        answer = {
+            "ledger": str(ledger),
+            "holds": found.holds,
+            **about.answer(),
+            "runs_unreadable": found.runs_unreadable,
+            "rows": rows,
+        }
+        show(json_text(about.head, answer, about.rows_verified))
+    else:
+        of_budgets = (
+            [
+                f"{runs(found.runs_unreadable)} with parameters that cannot be read: recovery budgets that they set are unknown, and none is judged"
+            ]
+            if found.runs_unreadable
+            else []
+        )
+        said = printable.lines("", *_verdict(rows), *of_budgets)
+        show(printable.joined(table_text([_shown(row) for row in rows], list(_shown(rows[0]))), said))
+    warn(ledger, about)
+    if not found.holds:
+        raise typer.Exit(1)
 
 
-def _shown(row: "AuditRow") -> Row:
+def _shown(row: "AuditRow") -> "Row":
     first = None if row.first_run is None else f"{row.first_run} seq {row.first_seq}: {row.first_found}"
     return {
         "invariant": row.invariant,
@@ -80,24 +78,15 @@ def _shown(row: "AuditRow") -> Row:
 def _word(row: "AuditRow") -> str:
     """What was shown of one invariant, and by how many cases."""
     cases = "1 case" if row.cases == 1 else f"{row.cases or 0:,} cases"
-    if _is_empty(row):
+    from fsar_ledger.api.auditing import is_empty
+
+    if is_empty(row):
         return "no case"
     if row.holds is None:
         return f"not observable: {row.not_observed}" + (
             f" ({row.runs_not_observed} of {row.runs} runs)" if row.runs_not_observed < row.runs else ""
         )
     return f"{'holds' if row.holds else 'broken'} ({cases})" if row.cases is not None else "broken"
-
-
-def _is_empty(row: "AuditRow") -> bool:
-    """Whether all was observed that could offend, and there was nothing."""
-    return row.holds is None and not row.runs_not_observed
-
-
-def _all_shown(rows: "Sequence[AuditRow]") -> bool:
-    """Whether each invariant holds by a case: of some architecture, and no other has anything but no case."""
-    shown = {row.invariant for row in rows if row.holds}
-    return all(row.holds or (_is_empty(row) and row.invariant in shown) for row in rows)
 
 
 def _verdict(rows: "Sequence[AuditRow]") -> Iterator[str]:

@@ -1,23 +1,38 @@
-"""The answer of `explain`: the requests of a run, or the story of one of them as text, JSON or a figure. Nothing here prints.
-
-The story is what `queries/audit/request_story.sql`, `requests.sql` and `failure_story.sql` answer; here it is only laid out.
-"""
+"""The command `explain`: the requests of a run, or the account of one of them as text, JSON or a figure."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from fsar_ledger import printable
+from fsar_ledger.api.names import did_you_mean
 from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.store.paths import require_outside
-from fsar_ledger.metrics.database import Database, plain_rows
-from fsar_ledger.printable import Shown
 
-from .answering import answering, not_observed
-from .options import did_you_mean
-from .output import json_text, table_text
+from .options import (
+    FailureOption,
+    JsonOption,
+    LedgerArgument,
+    PdfOption,
+    RequestOption,
+    RunOption,
+    SvgOption,
+    VerifiedOption,
+    examples,
+)
+from .terminal import show
 
+if TYPE_CHECKING:
+    from fsar_ledger.api.table import Table
+
+EXAMPLES = examples(
+    "fsar-ledger explain out/ledger",
+    "fsar-ledger explain out/ledger --request A1-1/2.1",
+    "fsar-ledger explain out/ledger --run cfc.full.door-relay --request A1-1/2.1 --svg out/request.svg",
+    "fsar-ledger explain out/ledger --run fsar.full.failure-recovery-chain --json",
+)
+
+Kind = Literal["svg", "pdf"]
 Story = list[dict[str, Any]]
 
 COLUMNS = (
@@ -37,56 +52,59 @@ WORDS, MAX_WORDS = ("message", "note"), 1_000
 
 
 def explain(
-    ledger: Path,
-    run: str | None,
-    request: str | None,
-    failure: str | None,
-    drawn: Mapping[str, Path | None],
-    *,
-    as_json: bool,
-    verified: bool = False,
-) -> Shown:
-    """The text of the answer; `drawn` names the file of each kind of figure (svg, pdf) that is wanted, which is written.
+    ledger: LedgerArgument,
+    run: RunOption = None,
+    request: RequestOption = None,
+    failure: FailureOption = None,
+    svg: SvgOption = None,
+    pdf: PdfOption = None,
+    verified: VerifiedOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Tell the story of a request: who asked, who allowed, who acted, who supervised.
 
-    Raises:
-        UsageError: the run or the action is unknown, has not failed, or what was asked for cannot be drawn, or not there: inside a ledger.
-        WriteFailed: a figure cannot be written.
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: as `answering`.
+    For a request that failed also what recovery tried at each level, for how long, and why it went on. Without --request or --failure: the
+    requests of the run.
     """
-    files = {kind: path for kind, path in drawn.items() if path is not None}
+    from fsar_ledger.api.explaining import account, chosen_run, requests
+    from fsar_ledger.ledger.store.paths import require_outside
+
+    from .answering import opened, warn
+    from .output import json_text
+
+    kinds: tuple[tuple[Kind, Path | None], ...] = (("svg", svg), ("pdf", pdf))
+    files = {kind: path for kind, path in kinds if path is not None}
     if request is not None and failure is not None:
         raise UsageError(
             f"--request {request} and --failure {failure}: expected one of them; --request tells a failure, too"
         )
-    action = request or failure
-    if files and action is None:
+    if files and request is None and failure is None:
         raise UsageError(f"--{next(iter(files))}: found no request to draw; give --request ACTION or --failure ACTION")
     for kind, path in files.items():
         require_outside(path, f"--{kind} {path}")
-    with answering(ledger, verified=verified) as database:
-        name = _run(database, ledger, run)
-        more = not_observed(database, "audit/request_story", name)
-        if action is None:
-            return _listed(database, ledger, name, more, as_json=as_json)
-        story = _asked(database, "request_story", name, action)
-        if not story:
-            raise UsageError(_no_action(database, ledger, name, action))
-        (parties,) = _asked(database, "requests", name, action)
-        recovery = _asked(database, "failure_story", name, action)
-        if failure is not None and not recovery:
-            raise UsageError(
-                f"--failure {failure}: found no failure of this action in run {name}; --request {failure} tells what happened"
-            )
-        head, rows_verified = database.head, database.rows_verified
-    _draw(files, recovery if failure is not None else story, is_ladder=failure is not None)
+    asked = opened(ledger, verified=verified)
+    with asked.database() as database:
+        name = chosen_run(database, ledger, run, lambda part, names: _first(ledger, part, names))
+        if request is None and failure is None:
+            listed = requests(database, name)
+        else:
+            told = account(database, ledger, name, request, failure)
+    if request is None and failure is None:
+        warn(ledger, listed.about)
+        _list(ledger, name, listed, as_json=as_json)
+        return
+    for kind, path in files.items():
+        told.draw(path, kind=kind)
+    warn(ledger, told.about)
     if as_json:
-        return json_text(
-            head,
-            {**more, "run": name, "action": action, "parties": parties, "story": story, "recovery": recovery},
-            rows_verified,
+        answer = {"parties": told.parties, "story": told.story, "recovery": told.recovery}
+        about = told.about
+        show(
+            json_text(about.head, {**about.answer(), "run": name, "action": told.action, **answer}, about.rows_verified)
         )
-    told = _told(name, action, shown(story if failure is None else []), shown([parties])[0])
-    return printable.lines(*told, *_recovered(shown(recovery)), *map(str, files.values()))
+        return
+    lines = _told(name, told.action, shown(told.story if failure is None else []), shown([told.parties])[0])
+    show(printable.lines(*lines, *_recovered(shown(told.recovery)), *map(str, files.values())))
 
 
 def shown(rows: Sequence[Mapping[str, Any]]) -> Story:
@@ -102,52 +120,36 @@ def shown(rows: Sequence[Mapping[str, Any]]) -> Story:
     ]
 
 
-def _asked(database: Database, query: str, run: str, action: str = "all") -> Story:
-    return plain_rows(database.query(f"audit/{query}", {"run": run, "action": action}))
-
-
-def _run(database: Database, ledger: Path, asked: str | None) -> str:
-    """The run of this name, else the first whose name begins so; the first of the ledger when none was asked for."""
-    names = [row["run_id"] for row in database.rows("SELECT run_id FROM run_started")]
-    if not names:
-        raise UsageError(f"{ledger}: found no run, so there is nothing to explain")
-    if asked is None:
-        return str(names[0])
+def _first(ledger: Path, asked: str, names: Sequence[str]) -> str:
+    """The run of this name, else the first whose name begins so."""
     if asked in names:
         return asked
     beginning = sorted(name for name in names if name.startswith(asked)) if asked else []
-    if beginning:
-        return str(beginning[0])
-    raise UsageError(
-        f"--run {asked}: there is no such run in {ledger}; {did_you_mean(asked, names)}`fsar-ledger query runs {printable.word(ledger)}` lists them"
-    )
-
-
-def _no_action(database: Database, ledger: Path, run: str, asked: str) -> str:
-    known = [
-        row["action_id"]
-        for row in database.rows(
-            "SELECT DISTINCT action_id FROM keyed_events WHERE run_id = $run AND action_id IS NOT NULL", {"run": run}
+    if not beginning:
+        raise UsageError(
+            f"--run {asked}: there is no such run in {ledger}; {did_you_mean(asked, names)}"
+            f"`fsar-ledger query runs {printable.word(ledger)}` lists them"
         )
-    ]
-    way = f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)}` lists them"
-    return f"{asked}: there is no such request in run {printable.value(run)}; {did_you_mean(asked, known)}{way}"
+    return beginning[0]
 
 
-def _listed(database: Database, ledger: Path, run: str, more: Mapping[str, object], *, as_json: bool) -> Shown:
-    rows = _asked(database, "requests", run)
+def _list(ledger: Path, run: str, found: "Table", *, as_json: bool) -> None:
+    """The requests of a run."""
+    from .output import json_text, table_text
+
+    about, rows = found.about, found.rows()
     if as_json:
-        return json_text(database.head, {**more, "run": run, "requests": rows}, database.rows_verified)
-    if not rows:
-        return printable.lines(
-            f"run {printable.value(run)}",
-            "no requests on record; not all that a request leaves was observed" if more else "no requests",
+        show(json_text(about.head, {**about.answer(), "run": run, "requests": rows}, about.rows_verified))
+    elif not rows:
+        nothing = (
+            "no requests on record; not all that a request leaves was observed" if about.not_observed else "no requests"
         )
-    began = [{**row, "began_s": f"{row['began_s']:.3f}"} for row in rows]
-    hint = f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)} --request {printable.word(rows[0]['action_id'])}` tells one of them"
-    return printable.joined(
-        printable.lines(f"run {printable.value(run)}", ""), table_text(began, COLUMNS), printable.lines("", hint)
-    )
+        show(printable.lines(f"run {printable.value(run)}", nothing))
+    else:
+        began = [{**row, "began_s": f"{row['began_s']:.3f}"} for row in rows]
+        hint = f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)} --request {printable.word(rows[0]['action_id'])}` tells one of them"
+        table = table_text(began, COLUMNS)
+        show(printable.joined(printable.lines(f"run {printable.value(run)}", ""), table, printable.lines("", hint)))
 
 
 def _told(run: str, action: str, story: Story, parties: Mapping[str, Any]) -> Iterator[str]:
@@ -201,13 +203,3 @@ def _result(row: Mapping[str, Any], stay: Sequence[Mapping[str, Any]]) -> str:
             "" if budget is None else f" ({attempts} {'attempt' if attempts == 1 else 'attempts'} within {budget:g} s)"
         )
     return result
-
-
-def _draw(files: Mapping[str, Path], rows: Story, *, is_ladder: bool) -> None:
-    if not files:
-        return
-    from fsar_ledger.report import sequence, typeset
-
-    figure = sequence.ladder if is_ladder else sequence.sequence
-    for kind, path in files.items():
-        typeset.publish(path, figure(rows, kind))

@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from fsar_ledger import memory
+from fsar_ledger.api.workload import stored, workers_of
 from fsar_ledger.errors import LimitReached, UsageError
 
-from .options import ReadingMemoryOption, workers_of
+from .options import ReadingMemoryOption
 from .terminal import say
 
 LEAST_MIB = 256
@@ -24,8 +25,6 @@ PER_WORKER_BYTES = 192 << 20
 """And so much for each core or worker beyond two, which have processes or threads with buffers of their own: `verify` takes 150 MiB for each."""
 
 MACHINE_SHARE = 0.8
-WORTH_BYTES = 400 << 10
-"""Bytes of segments that are verified in about the time that a process takes to start (0.4 s)."""
 
 
 def reading(command: Callable[..., None]) -> Callable[..., None]:
@@ -80,26 +79,3 @@ def default_bytes(*ledgers: Path | None, workers: int | None = None) -> int:
         BASE_BYTES + PER_WORKER_BYTES * more + PER_BYTE * stored(*ledgers),
         int(MACHINE_SHARE * memory.bytes_installed()),
     )
-
-
-def readers_of(asked: int | None, *ledgers: Path | None) -> int:
-    """The number of processes that read these ledgers: as asked, else one for each core, but no more than have enough to do. Raises: as `workers_of`."""
-    return workers_of(asked, stored(*ledgers) // WORTH_BYTES)
-
-
-def stored(*ledgers: Path | None) -> int:
-    """The bytes that the segments of these ledgers take, staged ones too."""
-    from fsar_ledger.ledger.store.paths import SEGMENTS, STAGING
-
-    return sum(_stored(ledger / folder) for ledger in ledgers if ledger is not None for folder in (SEGMENTS, STAGING))
-
-
-def _stored(folder: Path) -> int:
-    """The bytes that the files in the folder take; a sparse file takes what it holds."""
-    size = 0
-    with suppress(OSError), os.scandir(folder) as entries:
-        for entry in entries:
-            with suppress(OSError):
-                status = entry.stat(follow_symlinks=False)
-                size += min(status.st_size, status.st_blocks * 512)
-    return size

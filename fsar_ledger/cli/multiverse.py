@@ -1,7 +1,6 @@
 """The command `multiverse`: the results table under every reading of the paper that its text allows."""
 
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -17,17 +16,14 @@ from .options import (
     SvgOption,
     VerifiedOption,
     examples,
-    known,
-    pools_seeds,
 )
 from .terminal import show
 
 if TYPE_CHECKING:
+    from fsar_ledger.api.fields import Row
     from fsar_ledger.metrics.multiverse import Chosen, Multiverse, Ranking
 
-    from .output import Row
-
-MULTIVERSE = examples(
+EXAMPLES = examples(
     "fsar-ledger multiverse out/ledger",
     "fsar-ledger multiverse out/ledger --metric authority_conflicts --json",
     "fsar-ledger multiverse out/ledger --metric human_intervention --svg out/multiverse.svg",
@@ -72,34 +68,35 @@ def multiverse(
     under how many FSAR is the best one, and the smallest combinations under which it is not so. Nothing is simulated again. --json has the mean
     under each combination, too.
     """
+    from fsar_ledger.api.fields import csv_text, plain
     from fsar_ledger.ledger.store.paths import require_outside
-    from fsar_ledger.metrics.multiverse import Cell
-    from fsar_ledger.metrics.multiverse import multiverse as read
+    from fsar_ledger.metrics.multiverse import Cell, Multiverse
 
-    from .answering import answering, of_plans, warn_of_missing
-    from .output import check_form, csv_text, json_text, plain
+    from .answering import opened, warn
+    from .output import check_form, json_text
 
-    pooled = pools_seeds(pool)
     check_form(as_json=as_json, as_csv=as_csv, raw=raw)
     if svg is not None:
         require_outside(svg, f"--svg {svg}")
-    with answering(ledger, verified=verified) as database:
-        names = tuple(row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position"))
-        found = read(database, known("metric", metric, names), pools_seeds=pooled)
-        if as_json:
-            answer = {name: getattr(found, name) for name in found.__struct_fields__}
-            show(json_text(database.head, {**of_plans(database), **answer}, database.rows_verified))
-        elif as_csv:
-            show(csv_text(plain(found.cells), Cell.__struct_fields__, raw=raw), raw=raw)
-        else:
-            show(printable.joined(*_told(found)))
-        _draw(svg, found)
-        warn_of_missing(ledger, database)
+    found = opened(ledger, verified=verified).multiverse(metric, pool)  # type: ignore[arg-type]
+    about = found.about
+    if as_json:
+        answer = {name: getattr(found, name) for name in Multiverse.__struct_fields__}
+        show(json_text(about.head, {**about.answer(), **answer}, about.rows_verified))
+    elif as_csv:
+        show(csv_text(plain(found.cells), Cell.__struct_fields__, raw=raw), raw=raw)
+    else:
+        show(printable.joined(*_told(found)))
+    if svg is not None:
+        found.draw(svg)
+    warn(ledger, about)
 
 
 def _told(found: "Multiverse") -> "Iterator[printable.Shown]":
     """The ranges, the rankings, and what the readings say, for people."""
-    from .output import plain, table_text
+    from fsar_ledger.api.fields import plain
+
+    from .output import table_text
 
     if not found.cells:
         yield printable.line("no runs to read")
@@ -138,7 +135,7 @@ def _columns(rows: "Sequence[Row]", columns: tuple[str, ...]) -> list[str]:
 
 def _named(row: "Ranking") -> "Row":
     """The ranking with combinations of readings as text."""
-    from .output import plain
+    from fsar_ledger.api.fields import plain
 
     (told,) = plain([row])
     return {**told, "changed_under": _texts(row.changed_under), "fsar_not_best_under": _texts(row.fsar_not_best_under)}
@@ -147,11 +144,3 @@ def _named(row: "Ranking") -> "Row":
 def _texts(sets: "tuple[Chosen, ...] | None") -> str | None:
     """The combinations as people read them; None where nothing can be said, or there are none."""
     return "; ".join(" + ".join(names) or OURS for names in sets) if sets else None
-
-
-def _draw(path: Path | None, found: "Multiverse") -> None:
-    if path is None:
-        return
-    from fsar_ledger.report import specification, typeset
-
-    typeset.publish(path, specification.curves(found))

@@ -6,24 +6,19 @@ table, `null` in JSON and an empty field in CSV. Lists are JSON text in CSV and 
 Text of a ledger is escaped where it becomes a cell, a field or a line (`printable`): what is returned can be shown.
 """
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
-from functools import partial
-from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import msgspec
 from msgspec import to_builtins
 
 from fsar_ledger import printable
+from fsar_ledger.api.fields import Row, csv_text, encodable, field_text
 from fsar_ledger.errors import UsageError
-from fsar_ledger.printable import Shown, counted
+from fsar_ledger.printable import Shown
 
-if TYPE_CHECKING:
-    from fsar_ledger.ledger.verify.verify import VerifyReport
-
-Row = Mapping[str, object]
+SETTING = ("family", "family_tests", "seed", "seeds", "kind", "source", "model_version", "constants")
+"""Columns that a table for people has only where they tell rows apart."""
 
 
 class HeadLike(Protocol):
@@ -69,45 +64,7 @@ def json_text(head: HeadLike | None, answer: Mapping[str, object], rows_verified
     Of an answer from rows, `rows_verified` says whether they were compared with that root.
     """
     standing = {} if rows_verified is None else {"rows_verified": rows_verified}
-    return _pretty({"head": head and {"size": head.size, "root": head.root}, **standing, **answer})
-
-
-def csv_text(rows: Sequence[Row], columns: Sequence[str], *, raw: bool = False) -> Shown:
-    """The rows as comma-separated values under one line of column names; text is harmless for terminals and spreadsheets unless `raw`."""
-    text = io.StringIO()
-    writer, quoting = (
-        csv.writer(text, lineterminator="\n"),
-        csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_ALL),
-    )
-    for fields in (
-        [*map(partial(_field, raw=raw), columns)],
-        *([_field(row[column], raw=raw) for column in columns] for row in rows),
-    ):
-        (quoting if any("\r" in field for field in fields) else writer).writerow(
-            fields
-        )  # a bare CR ends a row for some readers
-    return Shown(text.getvalue())
-
-
-def verdict_lines(ledger: Path, report: "VerifyReport") -> list[str]:
-    """What `verify` found, for people: one line for each problem, or that there is none and what that covers."""
-    if not report.ok:
-        count = f"{counted(len(report.problems), 'problem')}{' at a quick look' if report.is_quick else ''}"
-        return [
-            *map(str, report.problems),
-            f"{ledger}: {count}; do not rely on this ledger, restore it from a copy that verifies",
-        ]
-    of_runs = "" if report.is_quick else f" of {counted(report.runs, 'run')}"
-    counts = f"{counted(report.events, 'event')}{of_runs} in {counted(report.commits, 'commit')}"
-    looked = "consistent at a quick look, which reads no rows" if report.is_quick else "consistent"
-    lines = [f"{ledger}: {looked}, {signature_text(report.signature, report.signer)}: {counts}", f"root {report.root}"]
-    lines += [f"signed commits: {report.signed:,} of {report.commits:,}"] if report.signed else []
-    lines += (
-        [f"only grew since the anchor's {report.anchored:,} events"]
-        if report.anchored is not None and not report.is_quick
-        else []
-    )  # there a remark says it
-    return [*lines, *report.remarks]
+    return pretty({"head": head and {"size": head.size, "root": head.root}, **standing, **answer})
 
 
 def signature_text(state: str, signer: str | None) -> str:
@@ -119,16 +76,6 @@ def signature_text(state: str, signer: str | None) -> str:
         if state == "signed"
         else f"signed, signer not checked (it names {printable.value(signer)})"
     )
-
-
-def verdict_json(report: "VerifyReport", **more: object) -> Shown:
-    """What `verify` found, for programs: the head is the one that the rows themselves give, its root null where some cannot be read."""
-    return _pretty({"head": {"size": report.events, "root": report.root}, **to_builtins(report), **more})
-
-
-def plain(rows: Sequence[msgspec.Struct]) -> list[Row]:
-    """The typed rows as mappings."""
-    return [msgspec.structs.asdict(row) for row in rows]
 
 
 def answer_text(
@@ -153,6 +100,11 @@ def answer_text(
     if as_json:
         return json_text(head, {**(more or {}), "rows": rows}, rows_verified)
     return csv_text(rows, names, raw=raw) if as_csv else table_text(rows, names, limit) or Shown("(no rows)\n")
+
+
+def telling(rows: Sequence[Row]) -> list[str]:
+    """Return the columns without those of a setting that is the same in every row."""
+    return [name for name in (rows[0] if rows else ()) if name not in SETTING or len({row[name] for row in rows}) > 1]
 
 
 def check_form(*, as_json: bool, as_csv: bool, raw: bool) -> None:
@@ -188,19 +140,11 @@ def queries_text(*, as_json: bool, as_csv: bool, raw: bool = False) -> Shown:
     )
 
 
-def _pretty(document: object) -> Shown:
+def pretty(document: object) -> Shown:
     """The document as JSON in ASCII; a name of a file that is not UTF-8 has each such byte escaped, `\\udcff` for ff."""
     return printable.ascii_json(
-        msgspec.json.format(msgspec.json.encode(_encodable(to_builtins(document))), indent=2).decode() + "\n"
+        msgspec.json.format(msgspec.json.encode(encodable(to_builtins(document))), indent=2).decode() + "\n"
     )
-
-
-def _encodable(value: object) -> object:
-    if isinstance(value, str):
-        return value if value.isascii() else value.encode("utf-8", "backslashreplace").decode()
-    if isinstance(value, dict):
-        return {_encodable(name): _encodable(one) for name, one in value.items()}
-    return [_encodable(one) for one in value] if isinstance(value, list | tuple) else value
 
 
 def _cell(value: object) -> str:
@@ -211,23 +155,9 @@ def _cell(value: object) -> str:
         return "-"
     if isinstance(value, float):
         return f"{value:.6g}"
-    shown = _field(value, raw=False)
+    shown = field_text(value, raw=False)
     return (
         shown
         if len(shown) <= printable.MAX_VALUE
         else f"{shown[: printable.MAX_VALUE]}... ({len(shown) - printable.MAX_VALUE:,} more)"
     )
-
-
-def _field(value: object, *, raw: bool) -> str:
-    """The value in CSV."""
-    if isinstance(value, str):
-        return value if raw else printable.field(value)
-    if value is None:
-        return ""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, list | tuple | dict):
-        text = msgspec.json.encode(_encodable(value)).decode()
-        return text if raw else printable.ascii_json(text)
-    return repr(value) if isinstance(value, float) else str(value)

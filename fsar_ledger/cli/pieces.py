@@ -1,19 +1,56 @@
-"""Long answers as text, some rows at a time, so that what a command holds does not grow with its answer. Nothing here prints.
+"""Long answers as text, some rows at a time, so that what a command holds does not grow with its answer.
 
 The pieces together are what `output.answer_text` makes of all rows.
 """
 
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TextIO
+from typing import TYPE_CHECKING, NamedTuple, TextIO
 
+from fsar_ledger.api.fields import Row, csv_text
 from fsar_ledger.printable import Shown
 
-from .output import HeadLike, Row, check_form, csv_text, json_text, more_text, table_text
+from .output import HeadLike, check_form, json_text, more_text, table_text
+from .terminal import show
+
+if TYPE_CHECKING:
+    from fsar_ledger.api.about import About
 
 KEPT_BYTES = 16 << 20
 """Text up to this size stays in memory until it is complete; more waits in a file without a name."""
 PIECE = 1 << 20
+
+
+class Form(NamedTuple):
+    """The form in which an answer is asked for: a table of so many rows (0: all), JSON or CSV."""
+
+    as_json: bool
+    as_csv: bool
+    raw: bool
+    limit: int
+
+    def check(self) -> None:
+        """Raises: UsageError as `check_form`."""
+        check_form(as_json=self.as_json, as_csv=self.as_csv, raw=self.raw)
+
+    def pieces(self, about: "About", columns: Sequence[str], parts: Iterable[Sequence[Row]]) -> Iterator[Shown]:
+        """Return the answer as `answer_pieces` makes it."""
+        return answer_pieces(
+            about.head,
+            columns,
+            parts,
+            rows_verified=about.rows_verified,
+            as_json=self.as_json,
+            as_csv=self.as_csv,
+            raw=self.raw,
+            limit=self.limit,
+            more=about.answer(),
+        )
+
+    def show(self, pieces: Iterable[Shown]) -> None:
+        """Show the answer."""
+        for piece in pieces:
+            show(piece, raw=self.raw)
 
 
 def answer_pieces(

@@ -10,7 +10,6 @@ import typer
 from fsar_ledger import printable
 from fsar_ledger.printable import Shown
 
-from .memory import readers_of
 from .options import JsonOption, LedgerArgument, TrustedKeyOption, WorkersOption, examples
 from .progress import Progress
 from .terminal import show
@@ -23,7 +22,7 @@ if TYPE_CHECKING:
 DAMAGED = 3
 SHOWN = 10
 
-RECOVER = examples(
+EXAMPLES = examples(
     "fsar-ledger recover out/ledger",
     "fsar-ledger recover out/ledger --json",
     "fsar-ledger recover out/ledger --into out/continued",
@@ -57,17 +56,13 @@ def recover(
     not touched; it is said up to which commit it can be trusted, and --into copies that much. Exit code 3 if LEDGER is damaged and nothing was
     copied.
     """
-    from fsar_ledger.ledger.store.keys import read_verifier
-    from fsar_ledger.ledger.verify.notes import read_anchor
-    from fsar_ledger.ledger.verify.recover import recover as mend
+    from fsar_ledger.api.keys import anchor_of, trusted_of
+    from fsar_ledger.api.ledger import Ledger
     from fsar_ledger.ledger.verify.verify import Asked
 
-    asked = Asked(
-        trusted=None if trusted_key is None else read_verifier(trusted_key),
-        anchor=None if anchor is None else read_anchor(anchor),
-    )
+    asked = Asked(trusted=trusted_of(trusted_key), anchor=anchor_of(anchor))
     with Progress("examined", "segments") as progress:
-        found = mend(ledger, readers_of(workers, ledger), progress, asked, into)
+        found = Ledger(ledger).recover(into, anchor=anchor, trusted_key=trusted_key, workers=workers, progress=progress)
     show(recovery_json(ledger, found, into) if as_json else recovery_text(ledger, found, asked, into))
     if found.outcome == "damaged":
         raise typer.Exit(DAMAGED)

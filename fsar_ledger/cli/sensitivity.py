@@ -7,14 +7,14 @@ import typer
 
 from fsar_ledger import printable
 
-from .options import WorkersOption, examples, workers_of
+from .options import WorkersOption, examples
 from .progress import Progress
 from .terminal import show
 
 if TYPE_CHECKING:
     from fsar_ledger.report.sensitivity import Sensitivity
 
-SENSITIVITY = examples(
+EXAMPLES = examples(
     "fsar-ledger sensitivity --out out/sensitivity.parquet --svg out/sensitivity.svg",
     "fsar-ledger sensitivity --out out/short.parquet --trajectories 2 --runs 1 --points 0",
 )
@@ -46,17 +46,15 @@ def sensitivity(
     Every constant of the world and of the structure, the load and the size of the fleet are varied (Morris screening); of the dozen that move a
     number furthest also what part of its variance is theirs (Sobol indices). Interrupted, it goes on where it stopped.
     """
+    from fsar_ledger.api.making import sensitivity as study
     from fsar_ledger.ledger.store.paths import require_outside
     from fsar_ledger.report.sensitivity import heat_map
     from fsar_ledger.report.typeset import publish
-    from fsar_ledger.sensitivity.study import Size
-    from fsar_ledger.sensitivity.study import sensitivity as study
 
-    size = Size(trajectories, runs, points)
     if svg is not None:
         require_outside(svg, f"--svg {svg}")
     with Progress("evaluated", "points") as progress:
-        found = study(out, size, workers_of(workers), progress)
+        found = study(out, trajectories=trajectories, runs=runs, points=points, workers=workers, progress=progress)
     _tell(found)
     show(printable.line(f"{out}"))
     if svg is not None:

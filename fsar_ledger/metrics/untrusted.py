@@ -87,7 +87,27 @@ def stream_untrusted(
         SequenceConflict: As `is_verified`.
         QueryFailed: The SQL is not one SELECT, does not run, reaches for something outside, or meets a limit.
     """
-    limits = limits or Limits()
+    with _answering(ledger, sql, limits or Limits(), demanded) as (head, rows_verified, first, process):
+        yield Stream(head, rows_verified, pa.ipc.open_stream(first).schema.names, _parts(process))
+
+
+def table_untrusted(
+    ledger: Path, sql: str, limits: Limits | None = None, demanded: str | None = None
+) -> tuple[pa.Table, Head, bool]:
+    """Return the answer of this SELECT as Arrow has it, its head, and whether the rows it read were compared with the root. Raises: as `stream_untrusted`."""
+    with _answering(ledger, sql, limits or Limits(), demanded) as (head, rows_verified, first, process):
+        tables = [pa.ipc.open_stream(first).read_all()]
+        while data := process.receive():
+            tables.append(pa.ipc.open_stream(data).read_all())
+            process.check_time()
+    return pa.concat_tables(tables), head, rows_verified
+
+
+@contextmanager
+def _answering(
+    ledger: Path, sql: str, limits: Limits, demanded: str | None
+) -> Iterator[tuple[Head, bool, bytes, "_Process"]]:
+    """The head, whether its rows were compared with the root, the first part of the answer, without rows, and the process that sends the others."""
     check_text(sql, limits)
     view = open_for_answers(ledger)
     rows_verified = is_verified(view, demanded)
@@ -97,7 +117,7 @@ def stream_untrusted(
         refusal = msgspec.json.decode(process.receive(), type=Refusal | None)
         if refusal is not None:
             raise (first_damage(view.segments()) if refusal.may_be_damage else None) or QueryFailed(refusal.message)
-        yield Stream(view.head, rows_verified, pa.ipc.open_stream(process.receive()).schema.names, _parts(process))
+        yield view.head, rows_verified, process.receive(), process
 
 
 def _parts(process: "_Process") -> Iterator[list[dict[str, Any]]]:

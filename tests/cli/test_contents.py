@@ -9,8 +9,9 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.cli.plans import MAX_COUNTS, MAX_RUNS, Shown, reproducing
-from fsar_ledger.cli.simulated import before, beyond
+from fsar_ledger.api.plans import MAX_COUNTS, MAX_RUNS, Shown, reproducing
+from fsar_ledger.cli.reproduce import beyond
+from fsar_ledger.cli.simulate import before
 from fsar_ledger.constants import Constants, Load, WorldConstants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.fleet import RunStarted

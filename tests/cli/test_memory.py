@@ -8,16 +8,14 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger import memory
+from fsar_ledger.api.workload import WORTH_BYTES, readers_of, workers_of
 from fsar_ledger.cli.memory import (
     BASE_BYTES,
     PER_BYTE,
     PER_WORKER_BYTES,
-    WORTH_BYTES,
     bounded,
     default_bytes,
-    readers_of,
 )
-from fsar_ledger.cli.options import workers_of
 from fsar_ledger.errors import LimitReached, UsageError
 from fsar_ledger.ledger.store.problem import unexpected
 from fsar_ledger.metrics.database import from_rows

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 from scipy import stats
 
-from fsar_ledger.cli.options import experiment_of
+from fsar_ledger.api.experiments import experiment_of
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import Event

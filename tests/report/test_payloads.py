@@ -11,8 +11,9 @@ import msgspec
 import pyarrow as pa
 import pyarrow.csv as pa_csv
 
+from fsar_ledger.api.fields import csv_text
+from fsar_ledger.api.files import _write_tables
 from fsar_ledger.cli import output
-from fsar_ledger.cli.files import _write_tables
 from fsar_ledger.report import document, printing, sequence, typeset
 from fsar_ledger.report.findings import Findings
 from tests.report.test_sequence import STORY, told
@@ -132,7 +133,7 @@ def test_a_long_story_says_what_it_leaves_out() -> None:
 def test_no_answer_holds_a_formula_or_paints() -> None:
     rows = [{payload: payload, "n": -1.5, "list": [payload]} for payload in PAYLOADS]
     for row in rows:
-        text = output.csv_text([row], list(row))
+        text = csv_text([row], list(row))
         header, values = csv.reader(io.StringIO(text))
         for cell in (header[0], values[0], values[2]):
             assert cell.lstrip()[:1] not in tuple("=+-@\t\r\uff1d\uff0b\uff0d\uff20")
@@ -141,7 +142,7 @@ def test_no_answer_holds_a_formula_or_paints() -> None:
         assert painted(text) == []
         assert painted(output.table_text([row], list(row))) == []
         assert msgspec.json.decode(output.json_text(None, {"rows": [row]}))["rows"] == [row]
-        raw = list(csv.reader(io.StringIO(output.csv_text([row], list(row), raw=True), newline="")))
+        raw = list(csv.reader(io.StringIO(csv_text([row], list(row), raw=True), newline="")))
         assert raw[1][0] == next(iter(row))
 
 

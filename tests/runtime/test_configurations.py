@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.cli.options import experiment_of
+from fsar_ledger.api.experiments import experiment_of
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events.configuration import CONFIGURATIONS, FULL, MECHANISMS, is_known, lacks, without

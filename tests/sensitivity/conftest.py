@@ -12,9 +12,9 @@ from fsar_ledger.report.sensitivity import (
     read_sensitivity,
 )
 from fsar_ledger.runtime.simulation import MODEL_VERSION
-from fsar_ledger.sensitivity.evaluations import CELLS, Answer, Question
-from fsar_ledger.sensitivity.factors import factors
-from fsar_ledger.sensitivity.study import Size, sensitivity
+from fsar_ledger.screening.evaluations import CELLS, Answer, Question
+from fsar_ledger.screening.factors import factors
+from fsar_ledger.screening.study import Size, sensitivity
 
 NAMES = (
     "world.message",

@@ -22,9 +22,9 @@ from fsar_ledger.report.sensitivity import (
     table_of,
 )
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION
-from fsar_ledger.sensitivity.evaluations import CELLS
-from fsar_ledger.sensitivity.factors import factors, setting
-from fsar_ledger.sensitivity.study import Size, sensitivity
+from fsar_ledger.screening.evaluations import CELLS
+from fsar_ledger.screening.factors import factors, setting
+from fsar_ledger.screening.study import Size, sensitivity
 from tests.sensitivity.conftest import NAMES
 
 

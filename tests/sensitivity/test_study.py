@@ -14,10 +14,10 @@ from fsar_ledger.report.sensitivity import (
     that_matter,
 )
 from fsar_ledger.runtime.simulation import MODEL_VERSION
-from fsar_ledger.sensitivity.evaluations import CELLS, Answer, Question, evaluate
-from fsar_ledger.sensitivity.factors import factors, setting
-from fsar_ledger.sensitivity.morris import DELTA
-from fsar_ledger.sensitivity.study import BASE_SEED, EMULATOR_SEED, REPEATS, Size
+from fsar_ledger.screening.evaluations import CELLS, Answer, Question, evaluate
+from fsar_ledger.screening.factors import factors, setting
+from fsar_ledger.screening.morris import DELTA
+from fsar_ledger.screening.study import BASE_SEED, EMULATOR_SEED, REPEATS, Size
 from tests.sensitivity.conftest import NAMES, linear, study
 
 

@@ -7,7 +7,6 @@ import typer
 
 from fsar_ledger import printable
 
-from .memory import readers_of
 from .options import (
     BesideOption,
     LedgerArgument,
@@ -17,12 +16,11 @@ from .options import (
     WorkersOption,
     WorkflowLedgerOption,
     examples,
-    pools_seeds,
 )
 from .progress import Progress
 from .terminal import show
 
-REPORT = examples(
+EXAMPLES = examples(
     "fsar-ledger report out/ledger --out out/report.pdf",
     "fsar-ledger report out/ledger --with out/workflows --with out/untrusting --out out/report.pdf",
     "fsar-ledger report out/ledger --out out/report.pdf --numbers out/numbers.json",
@@ -46,19 +44,17 @@ def report(
     Each number of the paper stands beside the ledger's, with its interval and a verdict. Ablations, larger fleets and workflows are sections of
     their own where this ledger, or one given with --with, holds them. First all rows are compared with their root, as `verify` does it.
     """
-    from fsar_ledger.report import write_report
+    from fsar_ledger.api.ledger import Ledger
 
-    pooled = pools_seeds(pool)
     with Progress("verified", "segments") as progress:
-        write_report(
-            ledger,
+        Ledger(ledger).report(
             out,
-            workflows,
-            readers_of(workers, ledger),
-            progress,
             beside=beside or (),
-            pools_seeds=pooled,
+            workflows=workflows,
             sensitivity=sensitivity,
-            numbers_out=numbers,
+            numbers=numbers,
+            pool=pool,  # type: ignore[arg-type]  # it refuses any other text
+            workers=workers,
+            progress=progress,
         )
     show(printable.lines(*(f"{one}" for one in (out, numbers) if one is not None)))

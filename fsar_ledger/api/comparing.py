@@ -1,6 +1,9 @@
-"""The answer of `statistics`: its rows, and what is said of what they leave out. Nothing here prints."""
+"""The answer of `statistics`: its rows, and what is said of what they leave out."""
+
+from typing import Any
 
 import msgspec
+from msgspec import structs
 
 from fsar_ledger.metrics.comparing import (
     DifferingWorlds,
@@ -14,7 +17,7 @@ from fsar_ledger.metrics.comparing import (
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.results import StatisticRow, statistic_rows
 
-from .output import Row, plain
+from .about import About, of_judgement
 
 NOTHING = "nothing to compare; that takes runs of two architectures, or of one with and without a mechanism, that met the same world"
 
@@ -22,11 +25,12 @@ NOTHING = "nothing to compare; that takes runs of two architectures, or of one w
 class Compared(msgspec.Struct, frozen=True):
     """What `statistics` has to say: the rows, the worlds that differ, why comparisons have no pairs, and what the rows do not show."""
 
-    rows: list[Row]
+    rows: list[dict[str, Any]]
     columns: list[str]
     differing: list[DifferingWorlds]
     not_compared: list[str]
     remarks: list[str]
+    about: About
     notes: list[str]
     """How the rows are to be read; no warning."""
 
@@ -54,4 +58,12 @@ def compared(database: Database, *, pooled: bool) -> Compared:
     columns = list(StatisticRow.__struct_fields__)
     remarks = [*remarks_on(found, metrics), *left_over(database)]
     notes = [*too_few(found), *imputed(database, found)]
-    return Compared(plain(found), columns, differing_worlds(database), not_compared(database), remarks, notes)
+    return Compared(
+        [structs.asdict(row) for row in found],
+        columns,
+        differing_worlds(database),
+        not_compared(database),
+        remarks,
+        of_judgement(database),
+        notes,
+    )

@@ -9,8 +9,7 @@ from fsar_ledger.errors import InvalidExperiment, UsageError
 from fsar_ledger.ledger.store.read import LedgerView
 from fsar_ledger.metrics.plans import EXPERIMENTS
 
-from .options import RUNS, experiment_of
-from .simulated import runs
+from .experiments import RUNS, experiment_of
 
 if TYPE_CHECKING:
     from fsar_ledger.metrics.database import Database
@@ -152,3 +151,8 @@ def _name(view: LedgerView) -> Iterator[str]:
         yield "--key KEY"
     elif view.manifest.origin != ORIGIN:
         yield f"--origin {printable.word(view.manifest.origin)}"
+
+
+def runs(count: int) -> str:
+    """Return so many runs, in words."""
+    return printable.counted(count, "run")

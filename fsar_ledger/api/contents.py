@@ -12,14 +12,14 @@ import msgspec
 from msgspec import structs
 
 from fsar_ledger import printable
-from fsar_ledger.ledger.store.read import Head, open_ledger
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.models import Model, lettered, models
 from fsar_ledger.metrics.observing import Unobserved, never_observed, shown
 from fsar_ledger.metrics.plans import completeness
 
-from .answering import answering
-from .plans import Shown, plans, shape
-from .simulated import runs
+from .about import About
+from .plans import Shown, plans, runs, shape
 
 # Grain: one row per model (kind of run, source, model version, constants), seed, fleet size, architecture and configuration; NULL where runs have none.
 # A rectangle has, for each scenario of its model, seed and fleet size, all runs from 0 to the highest number there; runs without a number make none.
@@ -97,7 +97,7 @@ COLUMNS = (
 class Contents(msgspec.Struct, frozen=True):
     """The runs of a ledger: `groups` by model, seed, fleet size, architecture and configuration; `models` with their constants; `plans` by what they name.
 
-    `rows_verified` is that of the `Database` they come from; `not_observed` are the concerns that some runs do not observe.
+    `not_observed` are the concerns that some runs do not observe.
     """
 
     groups: list[dict[str, Any]]
@@ -106,8 +106,8 @@ class Contents(msgspec.Struct, frozen=True):
     missing: int | None
     """Runs that were planned and are missing, each counted once; None where plans name too much to tell."""
 
-    rows_verified: bool | None = None
-    not_observed: list[Unobserved] = []
+    about: About
+    not_observed: tuple[Unobserved, ...] = ()
 
     @property
     def run_count(self) -> int:
@@ -230,13 +230,13 @@ class Contents(msgspec.Struct, frozen=True):
         return [{name: group[name] for name in COLUMNS if not is_dull.get(name)} for group in self.groups]
 
 
-def contents(ledger: Path, *, verified: bool = False) -> tuple[Head, Contents]:
-    """The head of the ledger, its plans and its runs, counted by SQL.
+def contents(ledger: Path, demanded: str | None = None) -> Contents:
+    """Return the plans of the ledger and its runs, counted by SQL.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `answering`, and `models`.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `connect`, and `models`.
     """
-    with answering(ledger, verified=verified) as database:
+    with connect(ledger, demanded=demanded) as database:
         assert database.head is not None  # only a database over rows in memory has none
         found = lettered(models(database))
         letters = {_key(structs.asdict(one)): letter for one, letter in found}
@@ -244,9 +244,8 @@ def contents(ledger: Path, *, verified: bool = False) -> tuple[Head, Contents]:
         planned = plans(database, Shown(ledger, open_ledger(ledger)))
         named = [_of_model(one, letter) for one, letter in found]
         missing = completeness(database).missing
-        return database.head, Contents(
-            groups, named, planned, missing, database.rows_verified, never_observed(database)
-        )
+        about = About(database.head, database.rows_verified)
+        return Contents(groups, named, planned, missing, about, tuple(never_observed(database)))
 
 
 def _are(number: int) -> str:

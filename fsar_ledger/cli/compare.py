@@ -1,23 +1,21 @@
 """The command `compare`: the paired table of any two configurations or sets of constants, of one ledger or of two."""
 
-from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from fsar_ledger import printable
-from fsar_ledger.errors import UsageError
 from fsar_ledger.printable import counted
 
-from .options import CsvOption, JsonOption, LedgerArgument, PoolOption, RawOption, VerifiedOption, examples, pools_seeds
+from .options import CsvOption, JsonOption, LedgerArgument, PoolOption, RawOption, VerifiedOption, examples
 from .terminal import say, show
 
 if TYPE_CHECKING:
-    from fsar_ledger.metrics.database import Database
+    from fsar_ledger.api.sides import Comparison
     from fsar_ledger.metrics.sides import LeftOut, Paired, Side, SideRow
 
-COMPARE = examples(
+EXAMPLES = examples(
     "fsar-ledger compare out/ledger --first fsar --second cfc",
     "fsar-ledger compare out/ledger --first fsar --second dhma --by scenario",
     "fsar-ledger compare out/ledger out/large --first fsar --verified --json",
@@ -63,66 +61,58 @@ def compare(
     at all, p of the paired t-test, or of the exact sign test where few differ, Holm over these tests, and d_z. Containment and latency are ratios over all
     pairs. It is said for how many pairs the facts of the world were the same and for how many only what was drawn, and which constants differ.
     """
-    from fsar_ledger.metrics.sides import chosen, paired, sides
-
-    from .answering import answering, of_plans, warn_of_missing
+    from .answering import opened, warn
     from .output import check_form
 
-    if by not in (None, "scenario"):
-        raise UsageError(f"--by {by}: expected --by scenario, or no --by")
-    pooled = pools_seeds(pool)
     check_form(as_json=as_json, as_csv=as_csv, raw=raw)
-    places = [ledger] if other is None else [ledger, other]
-    with ExitStack() as stack:
-        held = [stack.enter_context(answering(place, verified=verified)) for place in places]
-        both = chosen([sides(database) for database in held], (first, second), list(map(str, places)))
-        if other is not None and both[0].side == both[1].side and held[0].head == held[1].head:
-            raise UsageError(
-                f"{ledger} and {other}: found the same events in both, and {both[0]} as both sides, expected two that differ"
-            )
-        found = paired(held, both, pools_seeds=pooled, by_scenario=by is not None)
-        if as_json:
-            _show_json(held, both, found, [of_plans(database) for database in held])
-        else:
-            _show_text(both, found, by_scenario=by is not None, as_csv=as_csv, raw=raw)
-        for place, database in zip(places, held, strict=True):
-            warn_of_missing(place, database)
+    second_ledger = None if other is None else opened(other, verified=verified)
+    found = opened(ledger, verified=verified).compare(first, second, second_ledger, by, pool)  # type: ignore[arg-type]
+    if as_json:
+        _show_json(found)
+    else:
+        _show_text(found.sides, found, by_scenario=by is not None, as_csv=as_csv, raw=raw)
+    for place, about in zip((ledger, other), found.abouts, strict=False):
+        if place is not None:
+            warn(place, about)
     if any(one.differs in FAULTS for one in found.left_out):
         raise typer.Exit(1)
 
 
-def _show_json(
-    held: "list[Database]", both: "tuple[Side, Side]", found: "Paired", plans: list[dict[str, object]]
-) -> None:
+def _show_json(found: "Comparison") -> None:
     from msgspec import structs
+
+    from fsar_ledger.metrics.sides import Paired
 
     from .output import json_text
 
+    both = found.sides
     described = [{"name": side.name, **structs.asdict(side)} for side in both]
+    about, *others = found.abouts
     further = [
         {
             "head": one.head and {"size": one.head.size, "root": one.head.root},
             "rows_verified": one.rows_verified,
-            **of_plan,
+            **one.answer(),
         }
-        for one, of_plan in zip(held[1:], plans[1:], strict=True)
+        for one in others
     ]
     document = {
-        **plans[0],
+        **about.answer(),
         "other": further[0] if further else None,
         "first": described[0],
         "second": described[1],
         "pairs": found.pairs,
-        **structs.asdict(found),
+        **{field.name: getattr(found, field.name) for field in structs.fields(Paired)},
         "remarks": [*_pairing(both, found), *_missing(both, found), *_how_to_read(found)],
     }
-    show(json_text(held[0].head, document, held[0].rows_verified))
+    show(json_text(about.head, document, about.rows_verified))
 
 
 def _show_text(both: "tuple[Side, Side]", found: "Paired", *, by_scenario: bool, as_csv: bool, raw: bool) -> None:
+    from fsar_ledger.api.fields import csv_text, plain
     from fsar_ledger.metrics.sides import SideRow
 
-    from .output import csv_text, plain, table_text
+    from .output import table_text
 
     rows = plain(found.rows)
     columns = [name for name in SideRow.__struct_fields__ if name != "scenario" or by_scenario]

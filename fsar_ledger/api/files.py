@@ -1,11 +1,11 @@
-"""Files that a command writes for other tools: CSV and Parquet. A file is whole or not there.
+"""Files that an answer is written to for other tools: CSV and Parquet. A file is whole or not there.
 
 Each is written under a temporary name beside its place and renamed when it is complete, so that neither
 Ctrl-C nor a full disk leaves half of one.
 """
 
 import os
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -22,40 +22,33 @@ from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.memory import unfinished
 from fsar_ledger.metrics.verified import is_verified
 
-from .answering import answering, demanded_head, warn
+from .about import About
 
 
-def export_events(ledger: Path, out: Path, *, raw: bool = False, verified: bool = False) -> int:
-    """Every event of the ledger is in the file as it is stored, retired types too, in commit order; returns how many.
+class Written(msgspec.Struct, frozen=True):
+    """How many rows were written to a file, and what they hold for."""
+
+    row_count: int
+    about: About
+
+
+def write_events(ledger: Path, out: Path, *, raw: bool = False, demanded: str | None = None) -> Written:
+    """Write every event as it is stored, retired types too, in commit order; return how many.
 
     Text in CSV is as `printable.field` makes it, unless `raw`.
 
     Raises:
-        UsageError: the name of the file ends in neither .csv nor .parquet, or it lies inside a ledger.
-        WriteFailed: the file cannot be written.
+        UsageError: The name of the file ends in neither .csv nor .parquet, or it lies inside a ledger.
+        WriteFailed: The file cannot be written.
     """
-    _check(out)
-    demanded = demanded_head(ledger, verified=verified)
+    require_place(out)
     view = open_for_answers(ledger)
     rows_verified = is_verified(view, demanded)
-    rows = _write_tables(out, SCHEMA, view.tables(), raw=raw)
-    warn(ledger, rows_verified=rows_verified)
-    return rows
+    return Written(_write_tables(out, SCHEMA, view.tables(), raw=raw), About(view.head, rows_verified))
 
 
-def export_query(
-    ledger: Path, name: str, parameters: Mapping[str, str], out: Path, *, raw: bool = False, verified: bool = False
-) -> int:
-    """The answer of the named query is in the file, text as in `export_events`; returns its number of rows.
-
-    Raises:
-        UsageError: the name of the file ends in neither .csv nor .parquet, or it lies inside a ledger.
-        UnknownQuery: there is no query of that name.
-        WriteFailed: the file cannot be written.
-    """
-    _check(out)
-    with answering(ledger, verified=verified) as database:
-        table = database.query(name, parameters)
+def write_table(out: Path, table: pa.Table, *, raw: bool = False) -> int:
+    """Write the rows, text as in `write_events`; return how many. Raises: as `write_events`."""
     return _write_tables(out, table.schema, [table], raw=raw)
 
 
@@ -69,8 +62,8 @@ def write_text(out: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8", newline="\n")
 
 
-def _check(out: Path) -> None:
-    """The file may be written. Before any reading: a wrong name should not cost minutes."""
+def require_place(out: Path) -> None:
+    """Raises: UsageError if rows cannot be written there. To be asked before any reading: a wrong name should not cost minutes."""
     _format_of(out)
     require_outside(out, f"--out {out}")
 

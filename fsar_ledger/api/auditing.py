@@ -1,0 +1,66 @@
+"""The answer of `audit`: whether the invariants hold."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from fsar_ledger.metrics.invariants import AuditRow, audit_rows, chosen
+from fsar_ledger.metrics.models import models
+
+from .about import About, of_judgement
+from .names import known
+from .table import Table, of_structs
+
+if TYPE_CHECKING:
+    from fsar_ledger.metrics.database import Database
+
+
+class Audit(msgspec.Struct, frozen=True):
+    """What `audit` found: a row for each invariant, architecture and configuration.
+
+    `holds`: every invariant was shown to hold, by a case, and by every run; False: an event offends one; None: it cannot be told.
+    `runs_unreadable` are runs whose parameters cannot be read, so that no recovery budget of theirs is judged.
+    """
+
+    rows: list[AuditRow]
+    holds: bool | None
+    runs_unreadable: int
+    about: About
+
+    def table(self) -> Table:
+        """Return the rows as a table."""
+        return Table(of_structs(self.rows, AuditRow), self.about)
+
+
+def audited(database: "Database", invariants: Sequence[str], architectures: Sequence[str]) -> Audit:
+    """Check these invariants on the runs of these architectures; all where none is named.
+
+    Raises:
+        InvalidExperiment: An architecture is unknown, to this version and to the ledger.
+        UnknownQuery: An invariant is unknown.
+        UsageError: The ledger has no run of these architectures.
+    """
+    from fsar_ledger.runtime.architectures import REGISTERED
+
+    queries = chosen(invariants)
+    there = [
+        str(row["architecture"])
+        for row in database.rows("SELECT DISTINCT architecture FROM runs WHERE architecture IS NOT NULL ORDER BY ALL")
+    ]
+    wanted = known("architecture", architectures, tuple(dict.fromkeys([*REGISTERED, *there])))
+    unreadable = sum(one.runs for one in models(database) if one.parameters is None)
+    rows = audit_rows(database, queries, wanted)
+    holds = False if any(row.holds is False for row in rows) else all_shown(rows) or None
+    return Audit(rows, holds, unreadable, of_judgement(database))
+
+
+def is_empty(row: AuditRow) -> bool:
+    """Whether all was observed that could offend, and there was nothing."""
+    return row.holds is None and not row.runs_not_observed
+
+
+def all_shown(rows: Sequence[AuditRow]) -> bool:
+    """Whether each invariant holds by a case: of some architecture, and no other has anything but no case."""
+    shown = {row.invariant for row in rows if row.holds}
+    return all(row.holds or (is_empty(row) and row.invariant in shown) for row in rows)

@@ -1,0 +1,142 @@
+"""The events of a ledger: some of them by run, robot and time, as typed objects or as a table."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from fsar_ledger.events import Event
+from fsar_ledger.ledger.rows import codec
+from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, SCHEMA
+from fsar_ledger.ledger.store.opening import open_for_answers
+from fsar_ledger.metrics.database import connect
+from fsar_ledger.metrics.verified import is_verified
+
+from .about import of_rows
+from .table import Table
+
+if TYPE_CHECKING:
+    import duckdb
+    import polars as pl
+
+_ENVELOPE = {field.name for field in ENVELOPE}
+NAMING = {name: kind for name, kind in COLUMNS.items() if name not in _ENVELOPE and kind in ("string", "strings")}
+"""The columns that may name a robot."""
+
+
+class LoggedEvent(NamedTuple):
+    """An event with its envelope: the run, its seq there, when it happened, and the seq of the event that led to it (None: nothing did)."""
+
+    run: str
+    seq: int
+    time_us: int
+    caused_by: int | None
+    event: Event
+
+    @property
+    def time_s(self) -> float:
+        """When it happened, in seconds of run time."""
+        return self.time_us / 1_000_000
+
+
+class Filter(NamedTuple):
+    """Which events are meant; None takes all. Times are microseconds, from `since_us` and before `until_us`."""
+
+    run: str | None = None
+    since_us: int | None = None
+    until_us: int | None = None
+    robot: str | None = None
+
+    def takes(self, time_us: int, event: Event) -> bool:
+        """Whether an event of the run is meant."""
+        return (
+            (self.since_us is None or time_us >= self.since_us)
+            and (self.until_us is None or time_us < self.until_us)
+            and (self.robot is None or names(event, self.robot))
+        )
+
+    def sql(self) -> tuple[str, dict[str, str | int]]:
+        """Return the same as a SELECT over `events`, and its parameters."""
+        conditions: list[str] = []
+        values: dict[str, str | int] = {}
+        for name, value, condition in (
+            ("run", self.run, "run_id = $run"),
+            ("since", self.since_us, "time_us >= $since"),
+            ("until", self.until_us, "time_us < $until"),
+        ):
+            if value is not None:
+                conditions.append(condition)
+                values[name] = value
+        if self.robot is not None:
+            values |= {"robot": self.robot, "agents": _agents(self.robot)}
+            conditions.append(f"({' OR '.join(_naming(name, kind) for name, kind in NAMING.items())})")
+        where = f" WHERE {' AND '.join(conditions)}" if conditions else ""
+        return f"SELECT * FROM events{where} ORDER BY run_id, seq", values
+
+
+def _naming(name: str, kind: str) -> str:
+    if kind == "string":
+        return f'"{name}" = $robot OR starts_with("{name}", $agents)'
+    return f'len(list_filter("{name}", lambda one: one = $robot OR starts_with(one, $agents))) > 0'
+
+
+def _agents(robot: str) -> str:
+    """What the principals of a robot's agents begin with (DHMA splits a robot into four)."""
+    return f"agent/{robot.removeprefix('robot/')}/"
+
+
+def names(event: Event, robot: str) -> bool:
+    """Whether a field of the event, or an item of one, is this robot or an agent of it."""
+    agents = _agents(robot)
+    for field in event.__struct_fields__:
+        value = getattr(event, field)
+        for text in value if isinstance(value, tuple) else (value,):
+            if isinstance(text, str) and (text == robot or text.startswith(agents)):
+                return True
+    return False
+
+
+class Events:
+    """Some events of a ledger; each way to take them reads the ledger anew.
+
+    Iterating yields a `LoggedEvent` for each, run by run in commit order, as its newest version, and holds one commit in memory at a time.
+    """
+
+    def __init__(self, path: Path, meant: Filter, demanded: str | None = None) -> None:
+        self._path, self._meant, self._demanded = path, meant, demanded
+
+    def __iter__(self) -> Iterator[LoggedEvent]:
+        view = open_for_answers(self._path)
+        is_verified(view, self._demanded)
+        for table in view.tables():
+            if self._meant.run is not None:
+                table = table.filter(pc.equal(table.column("run_id"), self._meant.run))
+                if not table.num_rows:
+                    continue
+            for run in codec.decode(table):
+                rows = zip(run.times_us, run.caused_by, run.events, strict=True)
+                for seq, (time_us, caused_by, event) in enumerate(rows):
+                    if self._meant.takes(time_us, event):
+                        yield LoggedEvent(run.run_id, seq, time_us, caused_by, event)
+
+    def table(self) -> Table:
+        """Return them as a table: one row an event, by run and seq, NULL in columns that its type does not have."""
+        sql, values = self._meant.sql()
+        with connect(self._path, demanded=self._demanded) as database:
+            return Table(database.table(sql, values).cast(SCHEMA), of_rows(database))
+
+    def arrow(self) -> pa.Table:
+        """Return `table` as an Arrow table."""
+        return self.table().arrow()
+
+    def polars(self) -> "pl.DataFrame":
+        """Return `table` as a polars data frame."""
+        return self.table().polars()
+
+    def duckdb(self) -> "duckdb.DuckDBPyRelation":
+        """Return `table` as a DuckDB relation in a private, in-memory database."""
+        import duckdb
+
+        return duckdb.connect(":memory:").from_arrow(self.arrow())

@@ -1,0 +1,40 @@
+"""The answer of `multiverse`: the results table under every reading of the paper that its text allows."""
+
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from msgspec import structs
+
+from fsar_ledger.metrics.multiverse import Cell, Multiverse, multiverse
+
+from .about import About, of_judgement
+from .names import known
+from .table import Table, of_structs
+
+if TYPE_CHECKING:
+    from fsar_ledger.metrics.database import Database
+
+
+class EveryWay(Multiverse, frozen=True, kw_only=True):
+    """As `Multiverse`, and what it holds for."""
+
+    about: About
+
+    def table(self) -> Table:
+        """Return the cells as a table."""
+        return Table(of_structs(self.cells, Cell), self.about)
+
+    def draw(self, file: str | PathLike[str]) -> None:
+        """Draw every cell under every combination of readings, as SVG. Raises: WriteFailed if the file cannot be written."""
+        from fsar_ledger.report import specification, typeset
+
+        typeset.publish(Path(file), specification.curves(self))
+
+
+def every_way(database: "Database", metrics: Sequence[str] | None, *, pools_seeds: bool) -> EveryWay:
+    """Read the table in every way, all metrics or those named. Raises: InvalidExperiment if one is unknown."""
+    every = tuple(row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position"))
+    found = multiverse(database, known("metric", metrics, every), pools_seeds=pools_seeds)
+    return EveryWay(**structs.asdict(found), about=of_judgement(database))

@@ -1,0 +1,115 @@
+"""Which experiment the names and numbers that `simulate` is given stand for."""
+
+from typing import TYPE_CHECKING, Any
+
+from fsar_ledger import printable
+from fsar_ledger.errors import InvalidExperiment, UsageError
+
+from .names import known
+
+if TYPE_CHECKING:
+    from fsar_ledger.runtime.experiment import Experiment
+
+RUNS = 20  # per scenario and architecture, as in the paper
+
+
+def experiment_of(
+    architectures: list[str] | None,
+    scenarios: list[str] | None,
+    runs: int | None,
+    seed: int,
+    fleet_size: int | None,
+    without: list[str] | None,
+    workflows: list[str] | None = None,
+    load: tuple[int | None, int] = (None, 1),
+    fleet: str | None = None,
+    settings: list[str] | None = None,
+) -> "Experiment":
+    """The experiment that the options of `simulate` name; a mechanism is of one architecture, so with one the default is that architecture alone.
+
+    `load` is how many teams work (None: all), and how many sets of tasks each of them gets; `fleet` and `settings` are as in `with_own`.
+
+    Raises:
+        InvalidExperiment: a name is unknown, or a number impossible.
+        UsageError: a workflow was asked for together with what it does not have, or a file or setting is wrong.
+    """
+    if workflows:
+        others = {
+            "--scenario": scenarios,
+            "--without": without,
+            "--teams-working": load[0],
+            "--task-sets": load[1] if load[1] != 1 else None,
+            "--fleet": fleet,
+            "--set": settings,
+        }
+        return _workflows_of(workflows, runs, seed, others, architectures, fleet_size)
+    import msgspec
+
+    from fsar_ledger.constants import Constants, Load
+    from fsar_ledger.designs import registered
+    from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, MECHANISMS_OF, lacks
+    from fsar_ledger.events.configuration import without as ablation
+    from fsar_ledger.runtime.architectures import REGISTERED
+    from fsar_ledger.runtime.experiment import Experiment
+    from fsar_ledger.runtime.own import is_file, with_own
+    from fsar_ledger.runtime.simulation import ARCHITECTURES
+    from fsar_ledger.runtime.world.founding import team_size
+
+    configurations = tuple(
+        dict.fromkeys(ablation(known("mechanism", _joined(name), EVERY_MECHANISM)) for name in without or ())
+    )
+    whose = tuple(
+        name for name in MECHANISMS_OF if any(lacks(one) & set(MECHANISMS_OF[name]) for one in configurations)
+    )
+    known("scenario", [name for name in scenarios or () if not is_file(name)], registered.scenarios())
+    constants, chosen = with_own(Constants(), tuple(dict.fromkeys(scenarios or ())), fleet, settings or ())
+    size = team_size(constants.fleet) if fleet_size is None else fleet_size
+    if load not in ((None, 1), (size // team_size(constants.fleet), 1)):
+        if constants.load is not None:
+            raise UsageError("--set load and --teams-working or --task-sets: expected one or the other")
+        constants = msgspec.structs.replace(constants, load=Load(*load))
+    return Experiment(
+        architectures=known("architecture", architectures, REGISTERED) or whose or ARCHITECTURES,
+        scenarios=chosen or registered.PAPER_SCENARIOS,
+        configurations=configurations or (FULL,),
+        runs=RUNS if runs is None else runs,
+        seed=seed,
+        fleet_size=size,
+        constants=constants,
+    )
+
+
+def _joined(asked: str) -> list[str]:
+    """The names that a + joins. Raises: InvalidExperiment, where one is missing, stands twice, or is joined otherwise."""
+    names = [name.strip() for name in asked.split("+")]
+    if "" in names or len(set(names)) < len(names) or "," in asked:
+        raise InvalidExperiment(
+            f"--without {printable.value(asked)}: expected mechanisms, each once, with + between them, as in trust-evaluation+shared-registry"
+        )
+    return names
+
+
+def _workflows_of(
+    asked: list[str],
+    runs: int | None,
+    seed: int,
+    others: dict[str, Any],
+    architectures: list[str] | None,
+    fleet_size: int | None,
+) -> "Experiment":
+    """The workflows that were asked for: FSAR's, with one robot of each role, and nothing beside them."""
+    from fsar_ledger.designs.registered import workflows
+    from fsar_ledger.runtime.experiment import workflow_experiment
+
+    for option, found in others.items():
+        if found is not None and found != []:
+            shown = found[0] if isinstance(found, list) else found
+            raise UsageError(f"--workflow and {option} {shown}: expected one or the other")
+    for name in architectures or ():
+        if name != "fsar":
+            raise UsageError(f"--workflow and --architecture {name}: expected fsar; the workflows are FSAR's")
+    if fleet_size not in (None, 4):
+        raise UsageError(f"--workflow and --fleet-size {fleet_size}: expected 4, one robot of each role")
+    names = {name.removeprefix("workflow-"): name for name in workflows()}
+    chosen = tuple(names[name] for name in known("workflow", asked, tuple(names)))
+    return workflow_experiment(seed, 1 if runs is None else runs, chosen)

@@ -1,0 +1,109 @@
+"""The answers of `explain` and `requests`: the requests of a run, and the account of one of them.
+
+The account is what `queries/audit/request_story.sql`, `requests.sql` and `failure_story.sql` answer.
+"""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import msgspec
+
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError
+from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.metrics.database import Database, plain_rows
+
+from .about import About, of_rows
+from .names import did_you_mean, run_named
+from .table import Table
+
+if TYPE_CHECKING:
+    from os import PathLike
+
+Rows = list[dict[str, Any]]
+Choose = Callable[[str, Sequence[str]], str]
+"""Finds the run that a name means among the names of all runs. Raises: UsageError."""
+
+
+class Account(msgspec.Struct, frozen=True):
+    """What happened to one request: who asked, who allowed, who acted, who supervised.
+
+    `story` has a row for each step, `recovery` one for each thing that was tried after it failed, level by level.
+    """
+
+    run: str
+    action: str
+    parties: dict[str, Any]
+    story: Rows
+    recovery: Rows
+    is_failure: bool
+    about: About
+
+    def draw(self, file: "str | PathLike[str]", kind: Literal["svg", "pdf"] | None = None) -> None:
+        """Draw the account, of a failure its levels, as SVG or PDF, which the name of the file says unless `kind` does; replaced if it exists.
+
+        Raises:
+            UsageError: Nothing says what it shall be, or the file lies inside a ledger.
+            WriteFailed: The file cannot be written.
+        """
+        from fsar_ledger.report import sequence, typeset
+
+        place = Path(file)
+        form = place.suffix[1:] if kind is None else kind
+        if form not in ("svg", "pdf"):
+            raise UsageError(f"{place}: expected a name that ends in .svg or .pdf")
+        require_outside(place, str(place))
+        rows, figure = (self.recovery, sequence.ladder) if self.is_failure else (self.story, sequence.sequence)
+        typeset.publish(place, figure(rows, form))
+
+
+def account(database: Database, ledger: Path, run: str, request: str | None, failure: str | None) -> Account:
+    """Return the account of this action, as a request or as a failure.
+
+    Raises:
+        UsageError: The run has no such action, it has not failed, or both or neither are named.
+    """
+    action = request or failure
+    if action is None or (request is not None and failure is not None):
+        raise UsageError(
+            "explain: expected the name of a request or of a failure; requests() lists the requests of a run"
+        )
+    story = _asked(database, "request_story", run, action)
+    if not story:
+        raise UsageError(_no_action(database, ledger, run, action))
+    (parties,) = _asked(database, "requests", run, action)
+    recovery = _asked(database, "failure_story", run, action)
+    if failure is not None and not recovery:
+        raise UsageError(
+            f"--failure {failure}: found no failure of this action in run {run}; --request {failure} tells what happened"
+        )
+    return Account(run, action, parties, story, recovery, failure is not None, _about(database, run))
+
+
+def requests(database: Database, run: str) -> Table:
+    """Return the requests of a run, one row each."""
+    return Table(database.query("audit/requests", {"run": run, "action": "all"}), _about(database, run))
+
+
+def chosen_run(database: Database, ledger: Path, asked: str | None, choose: Choose = run_named) -> str:
+    """Return the run that was asked for, the first of the ledger where none was. Raises: UsageError if there is none."""
+    names = [str(row["run_id"]) for row in database.rows("SELECT run_id FROM run_started")]
+    if not names:
+        raise UsageError(f"{ledger}: found no run, so there is nothing to explain")
+    return names[0] if asked is None else choose(asked, names)
+
+
+def _about(database: Database, run: str) -> About:
+    return of_rows(database, database.library.find("audit/request_story"), run)
+
+
+def _asked(database: Database, query: str, run: str, action: str) -> Rows:
+    return plain_rows(database.query(f"audit/{query}", {"run": run, "action": action}))
+
+
+def _no_action(database: Database, ledger: Path, run: str, asked: str) -> str:
+    sql = "SELECT DISTINCT action_id FROM keyed_events WHERE run_id = $run AND action_id IS NOT NULL"
+    known = [row["action_id"] for row in database.rows(sql, {"run": run})]
+    way = f"`fsar-ledger explain {printable.word(ledger)} --run {printable.word(run)}` lists them"
+    return f"{asked}: there is no such request in run {printable.value(run)}; {did_you_mean(asked, known)}{way}"

@@ -1,0 +1,58 @@
+"""Rows as comma-separated values. Text of a ledger is escaped where it becomes a field (`printable`), unless it shall stay raw."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from functools import partial
+
+import msgspec
+
+from fsar_ledger import printable
+from fsar_ledger.printable import Shown
+
+Row = Mapping[str, object]
+
+
+def csv_text(rows: Sequence[Row], columns: Sequence[str], *, raw: bool = False) -> Shown:
+    """The rows as comma-separated values under one line of column names; text is harmless for terminals and spreadsheets unless `raw`."""
+    text = io.StringIO()
+    writer, quoting = (
+        csv.writer(text, lineterminator="\n"),
+        csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_ALL),
+    )
+    for fields in (
+        [*map(partial(field_text, raw=raw), columns)],
+        *([field_text(row[column], raw=raw) for column in columns] for row in rows),
+    ):
+        (quoting if any("\r" in field for field in fields) else writer).writerow(
+            fields
+        )  # a bare CR ends a row for some readers
+    return Shown(text.getvalue())
+
+
+def plain(rows: Sequence[msgspec.Struct]) -> list[Row]:
+    """The typed rows as mappings."""
+    return [msgspec.structs.asdict(row) for row in rows]
+
+
+def encodable(value: object) -> object:
+    """Return the value with each byte of a file's name that is not UTF-8 escaped, `\\udcff` for ff."""
+    if isinstance(value, str):
+        return value if value.isascii() else value.encode("utf-8", "backslashreplace").decode()
+    if isinstance(value, dict):
+        return {encodable(name): encodable(one) for name, one in value.items()}
+    return [encodable(one) for one in value] if isinstance(value, list | tuple) else value
+
+
+def field_text(value: object, *, raw: bool) -> str:
+    """The value in CSV."""
+    if isinstance(value, str):
+        return value if raw else printable.field(value)
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, list | tuple | dict):
+        text = msgspec.json.encode(encodable(value)).decode()
+        return text if raw else printable.ascii_json(text)
+    return repr(value) if isinstance(value, float) else str(value)

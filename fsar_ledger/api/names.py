@@ -1,0 +1,91 @@
+"""Names that users give: of runs, robots, scenarios. An unknown one is an error that suggests the nearest."""
+
+from collections.abc import Sequence
+from difflib import get_close_matches
+from typing import TypeVar
+
+from fsar_ledger import printable
+from fsar_ledger.errors import InvalidExperiment, UsageError
+
+_Name = TypeVar("_Name", bound=str)
+
+
+def pools_seeds(asked: str | None) -> bool:
+    """Whether the runs of all seeds are taken together. Raises: UsageError for anything else that `--pool` names."""
+    if asked not in (None, "seeds"):
+        raise UsageError(
+            f"--pool {asked}: expected --pool seeds, or no --pool; runs of other constants, models or fleet sizes are never taken together"
+        )
+    return asked is not None
+
+
+def known(what: str, asked: Sequence[str] | None, names: tuple[_Name, ...]) -> tuple[_Name, ...]:
+    """The names that were asked for, each once, in the order of `names`.
+
+    Raises:
+        InvalidExperiment: one of them is none of `names`; the message suggests the nearest.
+    """
+    for name in asked or ():
+        if name not in names:
+            nearest = get_close_matches(name.lower(), names, n=1, cutoff=0.4)
+            hint = f"; did you mean {nearest[0]!r}?" if nearest else ";"
+            raise InvalidExperiment(f"unknown {what} {name!r}{hint} expected one of {', '.join(names)}")
+    return tuple(name for name in names if name in (asked or ()))
+
+
+def did_you_mean(asked: str, names: Sequence[str]) -> str:
+    """A question about the nearest name: one that begins so, else one whose beginning is like it."""
+    ordered = sorted(names)
+    near = [name for name in ordered if name.startswith(asked)] or get_close_matches(
+        asked, [name[: len(asked)] for name in ordered], 1, 0.3
+    )
+    found = next((name for name in ordered if near and name.startswith(near[0])), None)
+    return "" if found is None else f"did you mean {printable.value(found)}? "
+
+
+def run_named(asked: str, names: Sequence[str]) -> str:
+    """Return the run of this name, or the one whose name has this part.
+
+    Raises:
+        UsageError: No run has it, or several do.
+    """
+    if asked in names:
+        return asked
+    found = sorted(name for name in names if asked and asked in name)
+    if len(found) == 1:
+        return found[0]
+    if found:
+        shown = printable.some(map(printable.value, found))
+        raise UsageError(
+            f"run {printable.value(asked)}: found {len(found):,} runs that have this in their names, expected one of {shown}"
+        )
+    raise UsageError(
+        f"run {printable.value(asked)}: there is no such run; {did_you_mean(asked, names)}the query `runs` lists them"
+    )
+
+
+def robot_named(asked: str, names: Sequence[str]) -> str:
+    """Return the principal of a robot that is given as `B1` or `robot/B1`. Raises: UsageError if there is none."""
+    name = asked if asked.startswith("robot/") else f"robot/{asked}"
+    if name in names:
+        return name
+    nearest = get_close_matches(name, names, 1, 0.3)
+    hint = f"did you mean {printable.value(nearest[0])}? " if nearest else ""
+    raise UsageError(
+        f"robot {printable.value(asked)}: there is no such robot; {hint}expected one of "
+        f"{printable.some(map(printable.value, sorted(names))) or 'none: no robot is on record'}"
+    )
+
+
+def names_of(asked: str | Sequence[str] | None) -> list[str] | None:
+    """Return one name or several as a list; None stays None."""
+    return [asked] if isinstance(asked, str) else None if asked is None else list(asked)
+
+
+def microseconds(what: str, seconds: float | None) -> int | None:
+    """Return a time given in seconds in whole microseconds; None stays None. Raises: UsageError if it is no time."""
+    if seconds is None:
+        return None
+    if isinstance(seconds, bool) or not isinstance(seconds, int | float) or not 0 <= seconds <= 9_007_199_254:
+        raise UsageError(f"{what}: found {seconds!r:.80}, expected seconds of run time, 0 or more")
+    return round(seconds * 1_000_000)

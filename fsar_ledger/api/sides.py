@@ -1,0 +1,47 @@
+"""The answer of `compare`: two sides over paired runs, of one ledger or of two."""
+
+from collections.abc import Sequence
+from contextlib import ExitStack
+from typing import TYPE_CHECKING
+
+from msgspec import structs
+
+from fsar_ledger.errors import UsageError
+from fsar_ledger.metrics.sides import Paired, Side, SideRow, chosen, paired, sides
+
+from .about import About, of_judgement
+from .table import Table, of_structs
+
+if TYPE_CHECKING:
+    from .ledger import Ledger
+
+
+class Comparison(Paired, frozen=True, kw_only=True):
+    """As `Paired`, with both sides, and what holds of each ledger."""
+
+    sides: tuple[Side, Side]
+    abouts: tuple[About, ...]
+
+    def table(self) -> Table:
+        """Return the rows as a table; its `about` is that of the first ledger."""
+        return Table(of_structs(self.rows, SideRow), self.abouts[0])
+
+
+def compared_sides(
+    ledgers: "Sequence[Ledger]", names: tuple[str | None, str | None], *, by_scenario: bool, pooled: bool
+) -> Comparison:
+    """Compare the sides of these names, of one ledger or of two.
+
+    Raises:
+        UsageError: There is no such side, or both are the same events.
+    """
+    places = [str(ledger.path) for ledger in ledgers]
+    with ExitStack() as stack:
+        held = [stack.enter_context(ledger.database()) for ledger in ledgers]
+        both = chosen([sides(database) for database in held], names, places)
+        if len(held) > 1 and both[0].side == both[1].side and held[0].head == held[1].head:
+            raise UsageError(
+                f"{' and '.join(places)}: found the same events in both, and {both[0]} as both sides, expected two that differ"
+            )
+        found = paired(held, both, pools_seeds=pooled, by_scenario=by_scenario)
+        return Comparison(**structs.asdict(found), sides=both, abouts=tuple(map(of_judgement, held)))

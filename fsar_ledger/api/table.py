@@ -1,0 +1,133 @@
+"""An answer as a table: Arrow, polars or plain rows, with the head of the ledger that it holds for."""
+
+import html
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+import pyarrow as pa
+
+from fsar_ledger import printable
+from fsar_ledger.errors import QueryFailed
+from fsar_ledger.metrics.database import plain_rows
+from fsar_ledger.metrics.locked import slices
+
+from .about import About
+
+if TYPE_CHECKING:
+    import polars as pl
+
+Row = dict[str, Any]
+
+NOTHING = About()
+SHOWN_ROWS = 20
+"""Rows that a notebook shows."""
+
+
+class Table:
+    """The rows of an answer. They are read-only; iterating gives a dictionary for each, with None for NULL.
+
+    `about` says which head of the ledger they hold for, whether the rows that were read were compared with its root (`Ledger.verify` does
+    that, and remembers it), which planned runs are missing, and what runs do not observe.
+    """
+
+    def __init__(
+        self,
+        rows: pa.Table,
+        about: About = NOTHING,
+    ) -> None:
+        self.stored = rows
+        """The rows as DuckDB gave them."""
+        self.about = about
+
+    @property
+    def columns(self) -> list[str]:
+        """The names of the columns."""
+        return list(self.stored.column_names)
+
+    def arrow(self) -> pa.Table:
+        """Return the rows as an Arrow table; sums of integers are int64 where they fit."""
+        return _with_integers(self.stored)
+
+    def polars(self) -> "pl.DataFrame":
+        """Return the rows as a polars data frame."""
+        import polars as pl
+
+        frame = pl.from_arrow(self.arrow())
+        assert isinstance(frame, pl.DataFrame)
+        return frame
+
+    def rows(self) -> list[Row]:
+        """Return all rows as dictionaries. Raises: as `parts`."""
+        return [row for part in self.parts() for row in part]
+
+    def parts(self) -> Iterator[list[Row]]:
+        """Yield the rows as dictionaries, some at a time.
+
+        Raises:
+            QueryFailed: A date or time is none that Python has.
+        """
+        for batch in self.stored.to_batches():
+            for part in slices(batch):
+                try:
+                    yield plain_rows(pa.Table.from_batches([part]))
+                except (OverflowError, ValueError) as error:
+                    raise QueryFailed(
+                        "the answer: found a date or time that Python cannot hold, expected years 1 to 9999 and whole "
+                        "microseconds; use arrow(), or make it text, as in CAST(... AS VARCHAR)"
+                    ) from error
+
+    def __iter__(self) -> Iterator[Row]:
+        return (row for part in self.parts() for row in part)
+
+    def __len__(self) -> int:
+        return int(self.stored.num_rows)
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__}: {printable.counted(len(self), 'row')} of {printable.some(self.columns)}>"
+
+    def _repr_html_(self) -> str:
+        """Return the first rows as HTML, for notebooks; what a ledger holds is escaped."""
+        shown = plain_rows(self.stored.slice(0, SHOWN_ROWS))
+        header = "".join(f"<th>{_cell(name)}</th>" for name in self.columns)
+        body = "".join(f"<tr>{''.join(f'<td>{_cell(row[name])}</td>' for name in self.columns)}</tr>" for row in shown)
+        more = len(self) - len(shown)
+        rest = f"<p>... {more:,} more rows</p>" if more else ""
+        return f"<table><thead><tr>{header}</tr></thead><tbody>{body}</tbody></table>{rest}"
+
+
+def of_structs(rows: Sequence[msgspec.Struct], kind: type[msgspec.Struct]) -> pa.Table:
+    """Return typed rows as an Arrow table that has the columns of their type even where there are no rows."""
+    fields = [(field.name, _arrow_type(field.type)) for field in msgspec.inspect.type_info(kind).fields]  # type: ignore[attr-defined]
+    columns = [pa.array([getattr(row, name) for row in rows], type) for name, type in fields]
+    return pa.Table.from_arrays(columns, names=[name for name, _ in fields])
+
+
+def _arrow_type(kind: msgspec.inspect.Type) -> pa.DataType | None:
+    """The Arrow type of a field; None where Arrow finds it out from the values."""
+    options = kind.types if isinstance(kind, msgspec.inspect.UnionType) else (kind,)
+    named: dict[type, pa.DataType] = {
+        msgspec.inspect.StrType: pa.string(),
+        msgspec.inspect.IntType: pa.int64(),
+        msgspec.inspect.FloatType: pa.float64(),
+        msgspec.inspect.BoolType: pa.bool_(),
+    }
+    found = [named.get(type(one)) for one in options if not isinstance(one, msgspec.inspect.NoneType)]
+    return found[0] if len(found) == 1 else None
+
+
+def _with_integers(table: pa.Table) -> pa.Table:
+    for at, field in enumerate(table.schema):
+        if pa.types.is_decimal(field.type) and field.type.scale == 0:
+            try:
+                table = table.set_column(at, field.name, table.column(at).cast(pa.int64()))
+            except pa.ArrowInvalid:  # too large for 64 bits: a decimal it stays
+                continue
+    return table
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return "-"
+    text = f"{value:.6g}" if isinstance(value, float) else str(value)
+    return html.escape(printable.cell(text))

@@ -1,0 +1,80 @@
+"""The answer of `verify`: the look at the ledger, the replay, and what witnesses saw."""
+
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import msgspec
+
+from fsar_ledger.errors import UsageError
+from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.verify.verify import Asked, VerifyReport
+from fsar_ledger.metrics.verified import whole_look
+
+from .keys import anchor_of, trusted_of
+from .witnessed import Seen, seen_of
+from .workload import Progress, readers_of
+
+if TYPE_CHECKING:
+    from fsar_ledger.runtime.replay import ReplayReport
+
+Place = str | PathLike[str]
+
+
+class Verification(msgspec.Struct, frozen=True):
+    """What was found: `report` by deriving everything again, `replay` by playing the runs again, `witnessed` by asking witnesses; None: not asked."""
+
+    report: VerifyReport
+    replay: "ReplayReport | None" = None
+    witnessed: Seen | None = None
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing was found by any of them, and enough witnesses saw the ledger."""
+        return (
+            self.report.ok
+            and (self.replay is None or self.replay.ok)
+            and (self.witnessed is None or self.witnessed.is_enough)
+        )
+
+    @property
+    def problems(self) -> tuple[Problem, ...]:
+        """What contradicts itself; what a replay found differs is in `replay.differences`."""
+        return self.report.problems
+
+    @property
+    def root(self) -> str | None:
+        """The Merkle root over the rows themselves, in hex; None where there is any doubt."""
+        return self.report.root
+
+
+def verification(
+    ledger: Path,
+    quick: bool,
+    anchor: Place | None,
+    trusted_key: str | None,
+    by_witnesses: tuple[Place | None, Sequence[Place], int | None],
+    replays: bool,
+    workers: int | None,
+    progress: Progress | None,
+) -> Verification:
+    """Look at the ledger; `by_witnesses` are the policy, the notes at hand and the present time. Raises: as `Ledger.verify`."""
+    if quick and replays:
+        raise UsageError("--quick and --replay: expected one of them; a quick look reads no rows, a replay all of them")
+    trusted, kept = trusted_of(trusted_key), anchor_of(anchor)
+    policy, cosigned, now_s = by_witnesses
+    # Before the look: the ledger may grow meanwhile.
+    seen = seen_of(ledger, None if policy is None else Path(policy), list(map(Path, cosigned)), trusted, now_s)
+    if trusted is None and seen is not None:
+        trusted = seen.log
+    asked = Asked(quick, trusted, kept, seen.evidence.checkpoints if seen is not None else ())
+    report = whole_look(ledger, readers_of(workers, ledger), progress, asked)
+    return Verification(report, replayed(ledger, report, workers, progress) if replays else None, seen)
+
+
+def replayed(ledger: Path, report: VerifyReport, workers: int | None, progress: Progress | None) -> "ReplayReport":
+    """Play every run that `verify` went through again; `NOT_REPLAYED` where it found a problem. Raises: LedgerCorrupted if it was damaged in between."""
+    from fsar_ledger.runtime.replay import NOT_REPLAYED, replay
+
+    return replay(ledger, readers_of(workers, ledger), progress, report.commits) if report.ok else NOT_REPLAYED

@@ -1,0 +1,54 @@
+"""How many processes a piece of work is worth."""
+
+import os
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from fsar_ledger.errors import UsageError
+
+Progress = Callable[[int, int], None]
+"""Called with how much is done, and of how much."""
+
+WORTH_ROBOTS = 320
+"""Robots to be simulated, over all runs, that take about as long as a process takes to start (0.4 s)."""
+
+WORTH_BYTES = 400 << 10
+"""Bytes of segments that are verified in about the time that a process takes to start (0.4 s)."""
+
+
+def workers_of(asked: int | None, worth: int | None = None) -> int:
+    """The number of processes: as asked, else one for each core that this process may use, but no more than the work is worth.
+
+    Raises:
+        UsageError: fewer than one was asked for.
+    """
+    if asked is None:
+        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return cores if worth is None else max(1, min(cores, worth))
+    if asked < 1:
+        raise UsageError(f"--workers {asked}: expected at least 1; leave the option out for one per core")
+    return asked
+
+
+def readers_of(asked: int | None, *ledgers: Path | None) -> int:
+    """The number of processes that read these ledgers: as asked, else one for each core, but no more than have enough to do. Raises: as `workers_of`."""
+    return workers_of(asked, stored(*ledgers) // WORTH_BYTES)
+
+
+def stored(*ledgers: Path | None) -> int:
+    """The bytes that the segments of these ledgers take, staged ones too."""
+    from fsar_ledger.ledger.store.paths import SEGMENTS, STAGING
+
+    return sum(_stored(ledger / folder) for ledger in ledgers if ledger is not None for folder in (SEGMENTS, STAGING))
+
+
+def _stored(folder: Path) -> int:
+    """The bytes that the files in the folder take; a sparse file takes what it holds."""
+    size = 0
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            with suppress(OSError):
+                status = entry.stat(follow_symlinks=False)
+                size += min(status.st_size, status.st_blocks * 512)
+    return size

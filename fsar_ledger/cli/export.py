@@ -1,0 +1,47 @@
+"""The command `export`."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from fsar_ledger import printable
+
+from .options import LedgerArgument, ParameterOption, RawOption, VerifiedOption, examples, parameters_of
+from .terminal import show
+
+EXAMPLES = examples(
+    "fsar-ledger export out/ledger --out out/events.parquet",
+    "fsar-ledger export out/ledger --query metrics/run_metrics --out out/run_metrics.csv",
+)
+
+
+def export(
+    ledger: LedgerArgument,
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", metavar="FILE", help="A .csv or .parquet file; replaced if it exists.", show_default=False
+        ),
+    ],
+    name: Annotated[
+        str | None,
+        typer.Option("--query", metavar="NAME", help="Export the answer of this query.", show_default="every event"),
+    ] = None,
+    param: ParameterOption = None,
+    raw: RawOption = False,
+    verified: VerifiedOption = False,
+) -> None:
+    """Write events, or the answer of a query, to a file.
+
+    The format, CSV or Parquet, follows from the name of the file; lists are JSON text in CSV. Text in CSV is made harmless for spreadsheets and
+    terminals unless --raw is given; Parquet always holds the values themselves.
+    """
+    from fsar_ledger.api.files import require_place
+
+    from .answering import opened, warn
+
+    require_place(out)
+    written = opened(ledger, verified=verified).export(out, name, parameters_of(param), raw=raw)
+    warn(ledger, written.about)
+    show(printable.line(f"{out}: {written.row_count:,} rows"))

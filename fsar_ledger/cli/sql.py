@@ -1,0 +1,68 @@
+"""The command `sql`: a SELECT of the user's own."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fsar_ledger.printable import Shown
+
+from .options import (
+    SHOWN_ROWS,
+    CsvOption,
+    JsonOption,
+    LedgerArgument,
+    LimitOption,
+    MemoryOption,
+    RawOption,
+    SecondsOption,
+    VerifiedOption,
+    examples,
+)
+
+if TYPE_CHECKING:
+    from fsar_ledger.metrics.locked import Limits
+
+    from .pieces import Form
+
+EXAMPLES = examples(
+    'fsar-ledger sql out/ledger "SELECT type, count(*) AS events FROM events GROUP BY type ORDER BY events DESC"',
+    "fsar-ledger sql out/ledger \"SELECT * FROM request_denied WHERE run_id LIKE '%door-relay%'\" --csv",
+)
+
+
+def sql(
+    ledger: LedgerArgument,
+    select: Annotated[str, typer.Argument(metavar="SELECT", help="One SELECT in DuckDB's SQL.", show_default=False)],
+    as_json: JsonOption = False,
+    as_csv: CsvOption = False,
+    raw: RawOption = False,
+    limit: LimitOption = SHOWN_ROWS,
+    verified: VerifiedOption = False,
+    seconds: SecondsOption = None,
+    memory: MemoryOption = None,
+) -> None:
+    """Answer a SELECT of your own.
+
+    It can read `events`, one view for each event type, and the views of `query --list`; it runs in a locked-down process that can read
+    this ledger and nothing else.
+    """
+    from fsar_ledger.api.limits import limits_of
+
+    from .pieces import Form
+
+    form = Form(as_json=as_json, as_csv=as_csv, raw=raw, limit=limit)
+    form.show(answer_select(ledger, select, limits_of(seconds, memory), form, verified=verified))
+
+
+def answer_select(ledger: Path, select: str, limits: "Limits", form: "Form", *, verified: bool) -> Iterable[Shown]:
+    """Return the answer of the SELECT as text, a piece at a time; the limit of time holds for making all of it. Raises: as `Ledger.sql`."""
+    from .answering import opened, warn
+    from .pieces import Kept
+
+    form.check()
+    with opened(ledger, verified=verified).stream(select, limits) as (about, columns, parts):
+        text = Kept(form.pieces(about, columns, parts))
+    warn(ledger, about)
+    return text

@@ -1,0 +1,102 @@
+"""What `import fsar_ledger` offers is what the command line does, is documented, and costs nothing until it is used."""
+
+import ast
+import inspect
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import fsar_ledger
+from tests.test_documentation import COMMANDS
+
+DOCS = Path(fsar_ledger.__file__).resolve().parent.parent / "docs"
+PAGE = (DOCS / "python.md").read_text("utf-8")
+ONLY_SERVES = {"witness serve"}
+"""Runs until it is interrupted; there is nothing to return."""
+
+
+def methods() -> set[str]:
+    return {name for name, _ in inspect.getmembers(fsar_ledger.Ledger) if not name.startswith("_")}
+
+
+@pytest.mark.parametrize("verb", sorted(COMMANDS.keys() - ONLY_SERVES))
+def test_every_verb_has_a_function_of_its_name(verb: str) -> None:
+    name = re.sub(r"[ -]", "_", verb)
+    assert name in set(fsar_ledger.__all__) | methods()
+
+
+def test_every_public_name_is_documented() -> None:
+    named = set(re.findall(r"\w+", PAGE))
+    internal = {"database", "stream", "path"}
+    assert (set(fsar_ledger.__all__) | methods()) - internal - named == set()
+
+
+def test_every_public_name_can_be_imported_and_says_what_it_is() -> None:
+    for name in fsar_ledger.__all__:
+        assert inspect.getdoc(getattr(fsar_ledger, name)), name
+    with pytest.raises(AttributeError, match="has no attribute 'simulat'"):
+        getattr(fsar_ledger, "simulat")  # noqa: B009
+
+
+def test_an_import_takes_no_library() -> None:
+    code = (
+        "import sys; before = set(sys.modules); import fsar_ledger; "
+        "loaded = {name for name in set(sys.modules) - before if name.partition('.')[0] not in sys.stdlib_module_names}; "
+        "print(*sorted(loaded))"
+    )
+    done = subprocess.run([sys.executable, "-S", "-c", code], capture_output=True, text=True, env=_here(), check=True)
+    assert done.stdout.split() == ["fsar_ledger"]
+
+
+def test_the_examples_of_the_page_run(tmp_path: Path) -> None:
+    run_in_order(re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL), tmp_path)
+
+
+def test_the_cells_of_the_tour_run(tmp_path: Path) -> None:
+    run_in_order(cells(), tmp_path)
+    assert (tmp_path / "out" / "tour.svg").read_bytes().startswith(b"<?xml")
+
+
+def test_the_tour_holds_no_output() -> None:
+    tour = json.loads((DOCS / "tour.ipynb").read_text("utf-8"))
+    assert [cell for cell in tour["cells"] if cell.get("outputs") or cell.get("execution_count")] == []
+
+
+def test_the_tour_runs_in_a_kernel(tmp_path: Path) -> None:
+    client = pytest.importorskip("nbclient", reason="the notebook extra is not installed")
+    nbformat = pytest.importorskip("nbformat", reason="the notebook extra is not installed")
+    pytest.importorskip("ipykernel", reason="the notebook extra is not installed")
+    tour = nbformat.read(DOCS / "tour.ipynb", as_version=4)
+    client.NotebookClient(tour, timeout=120, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    assert (tmp_path / "out" / "tour.svg").exists()
+
+
+def cells() -> list[str]:
+    """The code of the tour, cell by cell."""
+    tour = json.loads((DOCS / "tour.ipynb").read_text("utf-8"))
+    return ["".join(cell["source"]) for cell in tour["cells"] if cell["cell_type"] == "code"]
+
+
+def run_in_order(parts: list[str], folder: Path) -> None:
+    """Run these texts in one process of its own, one after the other."""
+    assert len(parts) > 3
+    for part in parts:
+        ast.parse(part)
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", "\n".join(parts)],
+        cwd=folder,
+        env=_here() | {"MPLBACKEND": "agg", "XDG_CACHE_HOME": str(folder / "cache"), "MPLCONFIGDIR": str(folder)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def _here() -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(DOCS.parent)}

@@ -1,0 +1,174 @@
+"""A ledger from Python: names, times, events as objects and as tables, and what is refused."""
+
+from pathlib import Path
+
+import pyarrow.compute as pc
+import pytest
+
+import fsar_ledger
+from fsar_ledger.api.table import Table
+from fsar_ledger.errors import (
+    InvalidExperiment,
+    LedgerCorrupted,
+    NotALedger,
+    QueryFailed,
+    UnknownQuery,
+    UsageError,
+)
+from fsar_ledger.projections.fold import fold
+from tests.api.conftest import RUN
+
+
+def test_a_folder_that_is_no_ledger_is_refused_at_once(tmp_path: Path) -> None:
+    with pytest.raises(NotALedger, match="no such path"):
+        fsar_ledger.open_ledger(tmp_path / "nothing")
+
+
+def test_a_run_is_found_by_a_part_that_only_one_has(ledger: fsar_ledger.Ledger) -> None:
+    names = {row["run_id"] for row in ledger.runs()}
+    assert {logged.run for logged in ledger.events(run=RUN)} == {next(name for name in names if RUN in name)}
+    with pytest.raises(UsageError, match="found 3 runs that have this in their names"):
+        ledger.events(run="r0001")
+    with pytest.raises(UsageError, match=r"no such run; did you mean fsar\.full\.door-relay"):
+        ledger.events(run="fsar.full.dor-relay")
+
+
+@pytest.mark.parametrize(
+    ("asked", "message"),
+    [
+        ({"robot": "B9"}, "no such robot; did you mean robot/"),
+        ({"since": 3.0, "until": 3.0}, "expected an earlier time first"),
+        ({"since": -1.0}, "expected seconds of run time"),
+        ({"until": float("nan")}, "expected seconds of run time"),
+        ({"since": "3"}, "expected seconds of run time"),
+        ({"run": ""}, "there is no such run"),
+    ],
+)
+def test_a_wrong_name_or_time_is_an_error_and_no_empty_answer(
+    ledger: fsar_ledger.Ledger, asked: dict[str, object], message: str
+) -> None:
+    with pytest.raises(UsageError, match=message):
+        ledger.events(**asked)  # type: ignore[arg-type]
+
+
+def test_wrong_names_in_questions_are_errors(ledger: fsar_ledger.Ledger) -> None:
+    with pytest.raises(UnknownQuery, match="did you mean"):
+        ledger.query("refusls")
+    with pytest.raises(UnknownQuery, match="found parameter robto"):
+        ledger.query("audit/robot_state_at", robto="B1")
+    with pytest.raises(UsageError, match="no such robot"):
+        ledger.query("audit/robot_state_at", robot="B9")
+    with pytest.raises(UsageError, match="no such run"):
+        ledger.query("audit/refusals", run="nowhere")
+    with pytest.raises(InvalidExperiment, match="unknown metric"):
+        ledger.multiverse(metric="coordination")
+    with pytest.raises(UsageError, match="expected --pool seeds"):
+        ledger.metrics(pool="all")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "asked",
+    [{"run": RUN}, {"run": RUN, "robot": "B1"}, {"robot": "robot/A1", "since": 5, "until": 20.5}, {"until": 0.000001}],
+)
+def test_events_are_the_same_as_objects_and_as_a_table(ledger: fsar_ledger.Ledger, asked: dict[str, object]) -> None:
+    events = ledger.events(**asked)  # type: ignore[arg-type]
+    objects = sorted((one.run, one.seq, one.time_us, type(one.event).__name__) for one in events)
+    table = events.arrow().select(["run_id", "seq", "time_us", "type"]).to_pylist()
+    assert objects == [(row["run_id"], row["seq"], row["time_us"], row["type"].partition(".")[0]) for row in table]
+    assert objects
+    assert events.polars().height == len(objects) == events.duckdb().shape[0]
+
+
+def test_events_of_a_robot_are_those_that_name_it(ledger: fsar_ledger.Ledger) -> None:
+    every, ours = ledger.events(run=RUN), ledger.events(run=RUN, robot="B1")
+    seqs = {one.seq for one in ours}
+    assert 0 < len(seqs) < sum(1 for _ in every)
+    assert seqs == {one.seq for one in every if "'robot/B1'" in repr(one.event) or "'agent/B1/" in repr(one.event)}
+
+
+def test_since_is_included_and_until_is_not(ledger: fsar_ledger.Ledger) -> None:
+    times = sorted({one.time_s for one in ledger.events(run=RUN)})
+    first, last = times[3], times[6]
+    assert sorted({one.time_s for one in ledger.events(run=RUN, since=first, until=last)}) == times[3:6]
+
+
+def test_the_state_at_a_time_is_what_the_events_until_then_make(ledger: fsar_ledger.Ledger) -> None:
+    every = list(ledger.events(run=RUN))
+    at = every[len(every) // 2].time_s
+    assert ledger.state(RUN, at) == fold(one.event for one in every if one.time_s <= at)
+    assert ledger.state(RUN) == fold(one.event for one in every)
+    assert ledger.state(RUN, at) != ledger.state(RUN)
+
+
+def test_a_time_of_a_question_is_in_seconds(ledger: fsar_ledger.Ledger) -> None:
+    asked = {"run": RUN, "robot": "B1"}
+    found = ledger.query("audit/robot_state_at", **asked, at=20).rows()
+    assert found == ledger.query("audit/robot_state_at", **asked, at_us=20_000_000).rows()
+    assert found
+    with pytest.raises(UsageError, match="expected seconds"):
+        ledger.query("audit/robot_state_at", **asked, at="soon")
+
+
+def test_sql_reads_this_ledger_and_nothing_else(ledger: fsar_ledger.Ledger) -> None:
+    table = ledger.sql("SELECT count(*) AS events, sum(seq) AS seqs FROM events")
+    assert table.rows()[0]["events"] == ledger.head.size == table.polars()["events"][0]
+    assert str(table.arrow().schema.field("seqs").type) == "int64"
+    for sql in ("SELECT * FROM read_text('/etc/hostname')", "DROP TABLE events", "SELECT 1; SELECT 2"):
+        with pytest.raises(QueryFailed):
+            ledger.sql(sql)
+
+
+def test_a_table_says_what_it_holds_for_and_shows_text_harmlessly(ledger: fsar_ledger.Ledger) -> None:
+    table = ledger.sql("SELECT '<script>' || chr(27) || '[31m' AS evil, NULL AS nothing FROM range(30)")
+    assert table.about.head == ledger.head
+    shown = table._repr_html_()
+    assert "&lt;script&gt;" in shown
+    assert "<script>" not in shown
+    assert "\x1b" not in shown
+    assert "10 more rows" in shown
+    assert repr(table) == "<Table: 30 rows of evil, nothing>"
+    assert [row["nothing"] for row in table] == [None] * 30
+
+
+def test_metrics_have_their_columns_and_types_in_every_form(ledger: fsar_ledger.Ledger) -> None:
+    table = ledger.metrics()
+    assert isinstance(table, Table)
+    assert len(table) == 24
+    assert "scenario" not in table.columns
+    assert set(ledger.metrics(by="scenario").polars()["scenario"]) == {"door-relay"}
+    assert str(table.arrow().schema.field("mean").type) == "double"
+    assert pc.sum(table.arrow().column("n")).as_py() == sum(row["n"] for row in table)
+
+
+def test_damage_is_told_and_refused(ledger: fsar_ledger.Ledger, copy: Path) -> None:
+    assert ledger.verify().ok
+    segment = next(copy.glob("segments/*"))
+    segment.chmod(0o644)
+    data = bytearray(segment.read_bytes())
+    data[len(data) // 2] ^= 1
+    segment.write_bytes(data)
+    damaged = fsar_ledger.open_ledger(copy)
+    found = damaged.verify()
+    assert not found.ok
+    assert found.problems
+    assert found.root is None
+    for answer in (damaged.metrics, damaged.runs, lambda: list(damaged.events()), lambda: damaged.sql("SELECT 1")):
+        with pytest.raises(LedgerCorrupted):
+            answer()
+    with pytest.raises(LedgerCorrupted):
+        fsar_ledger.open_ledger(copy, verified=True).runs()
+
+
+def test_an_answer_says_whether_its_rows_were_compared(copy: Path) -> None:
+    assert fsar_ledger.open_ledger(copy, verified=True).runs().about.rows_verified is True
+
+
+def test_a_proof_of_an_event_shows_that_event(ledger: fsar_ledger.Ledger, tmp_path: Path) -> None:
+    [run] = {one.run for one in ledger.events(run=RUN)}
+    file = tmp_path / "event.tlog-proof"
+    file.write_text(str(ledger.prove(f"{run}:3")))
+    proven = fsar_ledger.verify_proof(file)
+    assert (proven.event["run_id"], proven.event["seq"]) == (run, 3)
+    file.write_text(file.read_text().replace("3", "4"))
+    with pytest.raises(LedgerCorrupted):
+        fsar_ledger.verify_proof(file)
