@@ -22,7 +22,7 @@ from fsar_ledger.ledger.segment import read_table
 
 from . import relation
 from .functions import register
-from .library import Library, Query, library, staging_sql, values
+from .library import Library, Query, library, values
 from .verified import is_verified
 
 LOCK = (
@@ -178,16 +178,13 @@ class Database:
             self._made.add(query.relation)
 
     def _body(self, query: Query) -> str:
-        """What a packaged query selects, in the form that reads least here."""
-        if query.tag is None:
+        """Return what a packaged query selects, in the form that reads least here."""
+        if query.tags and query.tags <= self.absent:
+            return query.nothing
+        is_changed = self.changed if not query.tags else self.changed & {tag.partition(".")[0] for tag in query.tags}
+        if self.source is None or is_changed or not query.name.startswith("staging/"):
             return query.sql
-        if query.tag in self.absent:
-            return staging_sql(query.tag, None)
-        return (
-            query.sql
-            if self.source is None or query.tag.partition(".")[0] in self.changed
-            else staging_sql(query.tag, self.source)
-        )
+        return query.reading_from({"events": self.source})
 
     def table(self, sql: str, params: Mapping[str, Value] | None = None) -> pa.Table:
         """The answer to one SELECT, with `$name` parameters bound.

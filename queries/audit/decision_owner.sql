@@ -1,6 +1,7 @@
 -- Title: The owner of the decision that led to an event: the nearest decision on the way back through its causes
 -- Paper: sec:evaluation:metrics (governance locality)
 -- Grain: one row per event of this number: one for a run, at most one for each run of the ledger
+-- Key: ?
 -- Units: steps causes between the event and the decision (0: the event is the decision); decided_us microseconds of run time
 -- NULL: the decision's columns when no cause was a decision; decided_by when the record names no decider
 -- Example: fsar-ledger query audit/decision_owner LEDGER --param run=RUN --param seq=107
@@ -11,7 +12,7 @@ WITH RECURSIVE causes AS (
         run_id,
         seq,
         caused_by
-    FROM events
+    FROM event_principals
     WHERE $run IN ('all', run_id) AND seq <= $seq::BIGINT
 ),
 
@@ -56,7 +57,7 @@ SELECT
     decisions.decided_by,
     decisions.path,
     decisions.is_local
-FROM events AS asked
+FROM event_principals AS asked
 LEFT JOIN nearest ON asked.run_id = nearest.run_id
 LEFT JOIN decisions ON nearest.run_id = decisions.run_id AND nearest.decision_seq = decisions.seq
 WHERE $run IN ('all', asked.run_id) AND asked.seq = $seq::BIGINT

@@ -1,6 +1,7 @@
 -- Title: The policy at a time as its decider knew it, beside the policy as it truly was
 -- Paper: eq:policy, sec:evaluation:baselines
 -- Grain: one row per run, decider, robot and scope of which the decider had been told by then
+-- Key: ?
 -- Units: learned_us, as_of_us, at_us microseconds of run time; the default time is after the end of every run
 -- NULL: never; a decider without a row had not been told, or reads the policy itself (an FSAR robot its own)
 -- Example: fsar-ledger query audit/policy_known_at LEDGER --param run=RUN --param robot=robot/D1 --param at_us=31200000
@@ -37,7 +38,7 @@ told AS (
         CASE type WHEN 'FleetRuleLearned.v1' THEN 'fleet' ELSE 'local' END AS scope,
         outcome,
         coalesce(as_of_us, time_us) AS as_of_us
-    FROM events
+    FROM knowledge_events
     WHERE type IN ('FleetRuleLearned.v1', 'SnapshotTaken.v1')
     UNION ALL
     SELECT *

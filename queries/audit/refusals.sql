@@ -1,6 +1,7 @@
 -- Title: Refusals by reason and failed conjunct: requests denied, countered or unanswered, help declined, executions held, commands rejected
 -- Paper: sec:model:request, eq:admissible
 -- Grain: one row per run, type of refusal, reason and principal that decided it
+-- Key: ?
 -- Units: refusals count; first_us, last_us microseconds of run time
 -- NULL: decided_by when the record names no decider; conjunct when the refusal is no part of eq:admissible; the reason of an unanswered request, of
 --       declined help and of a counter-offer is what their type means
@@ -43,7 +44,7 @@ refused AS (
             ELSE events.reason
         END AS reason,
         CASE events.type WHEN 'AssistanceDeclined.v1' THEN events.helper ELSE events.decided_by END AS decided_by
-    FROM events
+    FROM event_principals AS events
     LEFT JOIN offered ON events.run_id = offered.run_id AND events.action_id = offered.action_id
     WHERE
         events.type IN (

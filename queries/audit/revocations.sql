@@ -1,6 +1,7 @@
 -- Title: Revocations of authority, and when each took effect
 -- Paper: eq:nontransitive, sec:model:authority
 -- Grain: one row per claim whose reason is a revocation, and per AuthorityRevoked event
+-- Key: ?
 -- Units: revoked_us, effective_us microseconds of run time; waited_us microseconds
 -- NULL: effective_us, waited_us, boundary, action_id of a right when it never took effect; revoked_from when nobody held execution; capability, context: any
 -- Example: fsar-ledger query audit/revocations LEDGER --param run=RUN
@@ -36,7 +37,7 @@ ended AS (
         'context changed' AS reason,
         arg_max(events.type, events.seq) AS boundary
     FROM claimed
-    LEFT JOIN events
+    LEFT JOIN event_principals AS events
         ON
             claimed.run_id = events.run_id AND claimed.action_id = events.action_id AND claimed.seq < events.seq AND claimed.release_seq > events.seq
             AND events.type NOT IN ('AuthorityClaimed.v1', 'AuthorityReleased.v1')

@@ -1,6 +1,7 @@
 -- Title: Events that contradict what their run says it observes
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per event of a concern that its run does not observe, and per concern that a run observes and nobody knows
+-- Key: ?
 -- Units: none
 -- NULL: seq, type of a concern that nobody knows
 -- Example: fsar-ledger query audit/undeclared_events LEDGER
@@ -18,7 +19,7 @@ SELECT
     events.seq,
     events.type,
     event_concerns.concern
-FROM events
+FROM event_principals AS events
 INNER JOIN event_concerns ON events.type = event_concerns.type
 INNER JOIN runs ON events.run_id = runs.run_id
 WHERE NOT list_contains(coalesce(runs.observes, []), event_concerns.concern)

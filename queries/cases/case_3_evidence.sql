@@ -1,6 +1,7 @@
 -- Title: Case 3, run by run: conflicts over the capability that two tasks want at once, and calls to H_F to order them
 -- Paper: sec:evaluation:qualitative (case 3)
 -- Grain: one row per claim and run of the scenario in which steps of two tasks that need door.open.secure are open at the same time
+-- Key: ?
 -- Units: counted conflicts, or 1 and 0 for the claim on H_F; seq the step that came second, evidence the claims that made the conflicts, and for H_F
 --        the calls: positions in the run
 -- NULL: never; evidence is empty where nothing is counted
@@ -13,7 +14,7 @@ WITH turns AS (
         events.capability,
         events.seq,
         coalesce(lead(events.seq) OVER (PARTITION BY events.run_id, events.task_id ORDER BY events.seq), 9223372036854775807) AS until_seq
-    FROM events
+    FROM task_events AS events
     INNER JOIN runs ON events.run_id = runs.run_id
     WHERE runs.scenario = 'fleet-contention' AND events.type IN ('StepBegan.v1', 'TaskCompleted.v1', 'TaskAbandoned.v1')
 ),

@@ -1,6 +1,7 @@
 -- Title: What robots advertise, on which terms, from when to when
 -- Paper: eq:adv, sec:architecture:registry
 -- Grain: one row per run, robot, capability and period in which its advertisement stood unchanged; none while it is not advertised
+-- Key: ?
 -- Units: since_us, until_us microseconds of run time, half-open; since_seq the event that began the period
 -- NULL: until_us and until_seq for what stands to the end of the run; successor unless a deprecation names one
 -- Example: fsar-ledger query facts/advertisements LEDGER
@@ -20,7 +21,7 @@ changes AS (
         events.type IN ('CapabilityAdvertised.v1', 'CapabilityWithdrawn.v1', 'CapabilityRemoved.v1') AS is_new,
         count_if(is_new) OVER (PARTITION BY offered.run_id, offered.robot, offered.capability ORDER BY events.seq) AS stand
     FROM offered
-    INNER JOIN events
+    INNER JOIN registry_events AS events
         ON
             offered.run_id = events.run_id AND offered.robot = events.robot
             AND (events.capability IS NULL OR offered.capability = events.capability)

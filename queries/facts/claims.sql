@@ -1,6 +1,7 @@
 -- Title: Claims of authority, from when to when
 -- Paper: eq:auth
 -- Grain: one row per AuthorityClaimed event
+-- Key: ?
 -- Units: began_us, ended_us microseconds of run time, half-open: a claim no longer holds at ended_us
 -- NULL: ended_us when the claim was never released; task_id when the claim is about no task
 -- Example: fsar-ledger query facts/claims LEDGER
@@ -15,7 +16,7 @@ WITH edges AS (
         dimension,
         claimant,
         reason
-    FROM events
+    FROM authority_events
     WHERE type IN ('AuthorityClaimed.v1', 'AuthorityReleased.v1')
 ),
 

@@ -1,6 +1,7 @@
 -- Title: Decisions, and whether one principal took each by itself
 -- Paper: sec:evaluation:metrics (governance locality)
 -- Grain: one row per event of a decision type whose path is not empty; a denial that only stands, looked at again as time passed, is not decided again
+-- Key: ?
 -- Units: time_us microseconds of run time
 -- NULL: decided_by when the record names no decider; task_id, action_id when the record is not tied to one
 -- Example: fsar-ledger query facts/decisions LEDGER
@@ -16,7 +17,7 @@ WITH decided AS (
         events.decided_by,
         events.path,
         { 'type': events.type, 'by': events.decided_by, 'path': events.path, 'reason': events.reason } AS content
-    FROM events
+    FROM event_principals AS events
     INNER JOIN event_classes AS classes ON events.type = classes.type
     WHERE classes.decision_kind IS NOT NULL AND len(events.path) > 0
 ),

@@ -1,6 +1,7 @@
 -- Title: Executions and motions that policy governs, with the true policy at their start
 -- Paper: eq:policy, app:foundations
 -- Grain: one row per ExecutionStarted event and per RoutinePerformed event whose operation is motion
+-- Key: ?
 -- Units: started_us microseconds of run time
 -- NULL: action_id and on_behalf_of for a motion, which serves no action and nobody else
 -- Example: fsar-ledger query facts/governed_starts LEDGER
@@ -14,7 +15,7 @@ WITH starts AS (
         robot,
         on_behalf_of,
         capability
-    FROM events
+    FROM execution_events
     WHERE type = 'ExecutionStarted.v1' OR (type = 'RoutinePerformed.v1' AND operation = 'motion')
 ),
 
@@ -58,7 +59,8 @@ approved AS (
         run_id,
         action_id,
         min(seq) AS approved_seq
-    FROM approvals
+    FROM supervisor_responded
+    WHERE purpose = 'review' AND coalesce(approves, TRUE) -- a response that does not say whether it approves does
     GROUP BY run_id, action_id
 )
 

@@ -1,6 +1,7 @@
 -- Title: Spells in which a robot was off, its link was down, or its actuator was degraded
 -- Paper: sec:evaluation:simulator
 -- Grain: one row per RobotWentOff, LinkWentDown or ActuatorDegraded event
+-- Key: ?
 -- Units: since_us, until_us microseconds of run time
 -- NULL: until_us when nothing ended it within the run
 -- Example: fsar-ledger query facts/outages LEDGER
@@ -12,7 +13,7 @@ WITH edges AS (
             WHEN type IN ('LinkWentDown.v1', 'LinkCameUp.v1') THEN 'unlinked'
             WHEN type IN ('ActuatorDegraded.v1', 'ActuatorServiced.v1') THEN 'degraded'
         END AS what
-    FROM events
+    FROM event_principals
 ),
 
 spells AS (

@@ -1,6 +1,7 @@
 -- Title: Decisions on delegated requests, and whose policy did not allow them at that moment
 -- Paper: eq:policy
 -- Grain: one row per admission, command, refusal for policy and call for review of a step that one robot delegates to another
+-- Key: ?
 -- Units: time_us microseconds of run time
 -- NULL: never; is_against_*: that policy had not allowed for a second (two messages) or longer; is_heeded: refused, put to review or approved in one
 -- Example: fsar-ledger query facts/policy_decisions LEDGER
@@ -15,19 +16,40 @@ WITH approvals AS (
     GROUP BY run_id, action_id
 ),
 
+judgements AS (
+    SELECT
+        run_id,
+        seq,
+        time_us,
+        task_id,
+        action_id,
+        type = 'RequestDenied.v1' AS is_refused,
+        coalesce(executed_by, robot, 'robot/' || nullif(split_part(decided_by, '/', 2), '')) AS executor
+    FROM request_events
+    WHERE type IN ('RequestAdmitted.v1', 'CommandIssued.v1', 'RequestDenied.v1')
+    UNION ALL
+    SELECT
+        run_id,
+        seq,
+        time_us,
+        task_id,
+        action_id,
+        TRUE AS is_refused,
+        robot AS executor
+    FROM supervisor_called
+    WHERE purpose = 'review'
+),
+
 decided AS (
     SELECT
-        events.run_id,
-        events.seq,
-        events.time_us,
-        events.task_id,
-        events.type NOT IN ('RequestAdmitted.v1', 'CommandIssued.v1') OR coalesce(approvals.seq < events.seq, FALSE) AS is_heeded,
-        coalesce(events.executed_by, events.robot, 'robot/' || nullif(split_part(events.decided_by, '/', 2), '')) AS executor
-    FROM events
-    LEFT JOIN approvals ON events.run_id = approvals.run_id AND events.action_id = approvals.action_id
-    WHERE
-        events.type IN ('RequestAdmitted.v1', 'CommandIssued.v1', 'RequestDenied.v1')
-        OR (events.type = 'SupervisorCalled.v1' AND events.purpose = 'review')
+        judgements.run_id,
+        judgements.seq,
+        judgements.time_us,
+        judgements.task_id,
+        judgements.is_refused OR coalesce(approvals.seq < judgements.seq, FALSE) AS is_heeded,
+        judgements.executor
+    FROM judgements
+    LEFT JOIN approvals ON judgements.run_id = approvals.run_id AND judgements.action_id = approvals.action_id
 ),
 
 asked AS (

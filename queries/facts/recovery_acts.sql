@@ -1,6 +1,7 @@
 -- Title: What recovery did about each failure, at which level, with the budget of the level then
 -- Paper: eq:recovery, app:foundations (Paper 3)
 -- Grain: one row per failure and attempt, question for help or its admission, reassignment decision, call or answer for recovery, escalation or resolution
+-- Key: ?
 -- Units: time_us, deadline_us microseconds of run time; t_max_us microseconds; n_max uses; rank 1 local to 4 human
 -- NULL: failure, robot before any failure of the action; level, rank where the record names none; to_rank unless an escalation; t_max_us, n_max as in
 --       facts/recovery_allowances; helper, deadline_us, reason where the record gives none
@@ -20,26 +21,24 @@ records AS (
         seq,
         time_us,
         type,
-        coalesce(failed_action, action_id) AS action_id,
+        action_id,
         helper,
         number,
         deadline_us,
         reason,
         to_level,
-        CASE type
-            WHEN 'ReassignmentDecided.v1' THEN 'fleet' WHEN 'SupervisorCalled.v1' THEN 'human' WHEN 'SupervisorResponded.v1' THEN 'human' ELSE level
-        END AS level,
+        level,
         -- A call and its answer name no failure: they are about the last one of the action.
         coalesce(failure, last_value(CASE WHEN type = 'ExecutionFailed.v1' THEN failure END IGNORE NULLS) OVER so_far) AS failure,
         last_value(CASE WHEN type = 'ExecutionFailed.v1' THEN robot END IGNORE NULLS) OVER so_far AS robot
-    FROM events
+    FROM recovery_records
     WHERE
         type IN (
-            'ExecutionFailed.v1', 'RecoveryAttempted.v1', 'AssistanceRequested.v1', 'AssistanceAdmitted.v1', 'ReassignmentDecided.v1', 'RecoveryEscalated.v1',
-            'FailureResolved.v1'
+            'ExecutionFailed.v1', 'RecoveryAttempted.v1', 'AssistanceRequested.v1', 'AssistanceAdmitted.v1',
+            'ReassignmentDecided.v1', 'RecoveryEscalated.v1', 'FailureResolved.v1', 'SupervisorCalled.v1',
+            'SupervisorResponded.v1'
         )
-        OR (type IN ('SupervisorCalled.v1', 'SupervisorResponded.v1') AND purpose = 'recovery')
-    WINDOW so_far AS (PARTITION BY run_id, coalesce(failed_action, action_id) ORDER BY seq ROWS BETWEEN UNBOUNDED PRECEDING AND CURRENT ROW)
+    WINDOW so_far AS (PARTITION BY run_id, action_id ORDER BY seq ROWS BETWEEN UNBOUNDED PRECEDING AND CURRENT ROW)
 ),
 
 helped AS (

@@ -2,6 +2,7 @@
 -- Paper: sec:architecture:invariants (A3), eq:policy
 -- Grain: one row per start under a known deny, or review that no supervisor had approved, after a refusal that nothing lifted, or after a hold that
 --        nothing ended; per admission that is milder than what the request carried; and per stop against a mandate that was not escalated
+-- Key: ?
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a motion
 -- Example: fsar-ledger query invariants/a3_no_silent_policy_override LEDGER
@@ -19,15 +20,34 @@ WITH holds AS (
     GROUP BY starts.run_id, starts.seq
 ),
 
+said AS (
+    SELECT
+        run_id,
+        seq,
+        action_id,
+        carried_policy,
+        FALSE AS is_approved
+    FROM request_events
+    WHERE carried_policy IS NOT NULL
+    UNION ALL
+    SELECT
+        run_id,
+        seq,
+        action_id,
+        NULL AS carried_policy,
+        purpose = 'review' AND coalesce(approves, TRUE) AS is_approved
+    FROM supervisor_responded
+),
+
 admissions AS (
     SELECT
         admitted.run_id,
         admitted.seq,
-        bool_or(said.type = 'SupervisorResponded.v1' AND said.purpose = 'review' AND coalesce(said.approves, TRUE)) AS is_approved,
+        bool_or(said.is_approved) AS is_approved,
         max(CASE said.carried_policy WHEN 'deny' THEN 2 WHEN 'review' THEN 1 ELSE 0 END) AS carried
     FROM request_admitted AS admitted
-    INNER JOIN events AS said ON admitted.run_id = said.run_id AND admitted.action_id = said.action_id AND admitted.seq > said.seq
-    WHERE said.type = 'SupervisorResponded.v1' OR said.carried_policy IS NOT NULL
+    INNER JOIN said
+        ON admitted.run_id = said.run_id AND admitted.action_id = said.action_id AND admitted.seq > said.seq
     GROUP BY admitted.run_id, admitted.seq
 ),
 
@@ -76,5 +96,5 @@ SELECT
     events.action_id,
     findings.found
 FROM findings
-INNER JOIN events ON findings.run_id = events.run_id AND findings.seq = events.seq
+INNER JOIN event_principals AS events ON findings.run_id = events.run_id AND findings.seq = events.seq
 WHERE events.type IN ('ExecutionStarted.v1', 'RoutinePerformed.v1', 'RequestAdmitted.v1', 'RequestDenied.v1', 'ExecutionHeld.v1')

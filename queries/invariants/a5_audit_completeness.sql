@@ -3,6 +3,7 @@
 -- Grain: one row per start or end of an execution for another robot whose own record lacks or misstates a principal, without an earlier request and
 --        admission (or reassignment) and acceptance of its action in this order, ended by who had not begun it, or not closed before its task goes
 --        on; and per help that was admitted without a principal
+-- Key: ?
 -- Units: time_us microseconds of run time
 -- NULL: action_id where the record names none
 -- Example: fsar-ledger query invariants/a5_audit_completeness LEDGER
@@ -17,7 +18,7 @@ WITH phases AS (
         max(events.seq) FILTER (events.type = 'RequestAccepted.v1' AND records.seq > events.seq) AS accepted_seq,
         min(events.seq) FILTER (events.type = 'RequestClosed.v1' AND records.seq < events.seq) AS closed_seq
     FROM cross_robot_records AS records
-    INNER JOIN events ON records.run_id = events.run_id AND records.action_id = events.action_id
+    INNER JOIN event_principals AS events ON records.run_id = events.run_id AND records.action_id = events.action_id
     WHERE
         events.type IN ('RequestIssued.v1', 'RequestAdmitted.v1', 'RequestAccepted.v1', 'RequestClosed.v1')
         OR (events.type = 'ReassignmentDecided.v1' AND records.robot = events.helper)

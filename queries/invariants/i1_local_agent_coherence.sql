@@ -2,6 +2,7 @@
 -- Paper: sec:model:invariants (I1), eq:runtime
 -- Grain: one row per event and principal that is no joined robot, no supervisor, no federation service and no coordinator; and per second joining of
 --        a robot
+-- Key: ?
 -- Units: time_us microseconds of run time
 -- NULL: action_id when the event is not tied to an action
 -- Example: fsar-ledger query invariants/i1_local_agent_coherence LEDGER
@@ -43,7 +44,7 @@ named AS (
         type,
         action_id,
         unnest(list_concat([decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver], coalesce(path, []))) AS principal
-    FROM events
+    FROM event_principals
     WHERE
         decided_by IS NOT NULL OR requested_by IS NOT NULL OR executed_by IS NOT NULL OR supervised_by IS NOT NULL
         OR claimant IS NOT NULL OR sender IS NOT NULL OR receiver IS NOT NULL OR len(path) > 0

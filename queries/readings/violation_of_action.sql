@@ -6,6 +6,7 @@
 -- Moves: policy_violations
 -- Why: The number of actions per run, not of their starts.
 -- Grain: one row per run
+-- Key: ?
 -- Units: as in policy_violations
 -- NULL: as in policy_violations
 -- Example: fsar-ledger query readings/violation_of_action LEDGER

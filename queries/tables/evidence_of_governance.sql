@@ -1,6 +1,7 @@
 -- Title: What shows governed delegation: trust where it was needed, policies that were composed, a registry that hides
 -- Paper: tab:baseline_context, eq:trust, eq:policy, sec:architecture:registry
 -- Grain: one row per made_alike (as in run_groups) and part
+-- Key: ?
 -- Units: numerator, denominator counts
 -- NULL: never; no row for a part that nothing in the ledger could show, and none of runs that do not observe what it rests on
 -- Example: fsar-ledger query tables/evidence_of_governance LEDGER
@@ -15,6 +16,24 @@ WITH outsiders AS (
     GROUP BY attempts.run_id, attempts.seq
 ),
 
+asked AS (
+    SELECT
+        run_id,
+        seq,
+        time_us,
+        task_id,
+        capability
+    FROM registry_queried
+    UNION ALL
+    SELECT
+        run_id,
+        seq,
+        time_us,
+        task_id,
+        capability
+    FROM candidate_matched
+),
+
 found AS (
     -- The registry, or whoever matches candidates, was asked for the capability for this task, and the executor was no peer remembered from a meeting.
     SELECT
@@ -22,10 +41,10 @@ found AS (
         done.seq,
         count(asked.seq) > count(met.seq) AS is_found
     FROM executions AS done
-    LEFT JOIN events AS asked
+    LEFT JOIN asked
         ON
-            done.run_id = asked.run_id AND done.task_id = asked.task_id AND done.capability = asked.capability AND done.seq > asked.seq
-            AND asked.type IN ('RegistryQueried.v1', 'CandidateMatched.v1')
+            done.run_id = asked.run_id AND done.task_id = asked.task_id AND done.capability = asked.capability
+            AND done.seq > asked.seq
     LEFT JOIN peer_remembered AS met
         ON asked.run_id = met.run_id AND done.on_behalf_of = met.robot AND done.robot = met.peer AND asked.seq > met.seq AND asked.time_us <= met.until_us
     WHERE done.robot <> done.on_behalf_of
@@ -45,7 +64,7 @@ counted AS (
             'part': 'decisions on the executor''s policy',
             'holds': said.decided_by[:6] IN ('robot/', 'agent/') OR count(copies.seq) > 0
         } AS fact
-    FROM events AS said
+    FROM request_events AS said
     LEFT JOIN copy_synced AS copies ON said.run_id = copies.run_id AND said.seq > copies.seq
     WHERE said.type IN ('RequestAdmitted.v1', 'CommandIssued.v1')
     GROUP BY said.run_id, said.seq, said.decided_by

@@ -1,6 +1,7 @@
 -- Title: What shows who a principal is and who decides: robots as one principal, central decisions, agents inside robots, attribution
 -- Paper: tab:baseline_context, sec:model:invariants (I1, I5)
 -- Grain: one row per made_alike (as in run_groups) and part
+-- Key: ?
 -- Units: numerator, denominator counts
 -- NULL: never; no row for a part that nothing in the ledger could show, and none of runs that do not observe what it rests on
 -- Example: fsar-ledger query tables/evidence_of_principals LEDGER
@@ -9,7 +10,7 @@ WITH named AS (
     SELECT DISTINCT
         run_id,
         unnest(list_concat([decided_by, requested_by, executed_by, claimant, sender, receiver], coalesce(path, []))) AS principal
-    FROM events
+    FROM event_principals
 ),
 
 robots AS (

@@ -1,0 +1,49 @@
+-- Title: What is on record about the recovery from failures, and at which level it took place
+-- Paper: eq:recovery
+-- Grain: one row per event of the concern recovery, question to the registry, and call or answer of a supervisor for recovery
+-- Key: ?
+-- Units: time_us, deadline_us microseconds of run time; number, failure count from 1
+-- NULL: failure for a question, a call or an answer, which name none; anything else that the record does not name; level where it has none
+-- Example: fsar-ledger query facts/recovery_records LEDGER
+SELECT
+    run_id,
+    seq,
+    time_us,
+    type,
+    coalesce(failed_action, action_id) AS action_id,
+    failure,
+    robot,
+    helper,
+    NULL AS supervisor,
+    NULL AS capability,
+    NULL AS candidates,
+    decided_by,
+    if(type = 'ReassignmentDecided.v1', 'fleet', level) AS level,
+    to_level,
+    number,
+    deadline_us,
+    checkpoint,
+    reason
+FROM recovery_events
+UNION ALL BY NAME
+SELECT
+    run_id,
+    seq,
+    time_us,
+    'RegistryQueried.v1' AS type,
+    action_id,
+    capability,
+    candidates,
+    'peer' AS level
+FROM registry_queried
+UNION ALL BY NAME
+SELECT
+    run_id,
+    seq,
+    time_us,
+    type,
+    action_id,
+    if(type = 'SupervisorCalled.v1', supervisor, NULL) AS supervisor,
+    'human' AS level
+FROM supervision_events
+WHERE type IN ('SupervisorCalled.v1', 'SupervisorResponded.v1') AND purpose = 'recovery'
