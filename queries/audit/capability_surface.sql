@@ -62,7 +62,23 @@ admissible AS (
 )
 
 SELECT
-    surfaces.* EXCLUDE (since_seq, until_seq, until_us),
+    surfaces.run_id,
+    surfaces.robot,
+    surfaces.capability,
+    surfaces.since_us,
+    surfaces.version,
+    surfaces.preconditions,
+    surfaces.postconditions,
+    surfaces.resources,
+    surfaces.trust_required,
+    surfaces.policy_required,
+    surfaces.override_allowed,
+    surfaces.availability,
+    surfaces.embodiment,
+    surfaces.visibility,
+    surfaces.visible_to,
+    surfaces.is_deprecated,
+    surfaces.successor,
     coalesce(admissible.may_ask, []) AS may_ask
 FROM surfaces
 LEFT JOIN admissible ON surfaces.run_id = admissible.run_id AND surfaces.robot = admissible.robot AND surfaces.capability = admissible.capability

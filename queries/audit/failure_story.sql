@@ -11,7 +11,21 @@
 -- Parameters: run = all, action = all
 WITH steps AS (
     SELECT
-        *,
+        run_id,
+        action_id,
+        failure,
+        detected_us,
+        seq,
+        type,
+        time_us,
+        until_us,
+        decided_by,
+        level,
+        to_level,
+        deadline_us,
+        what,
+        result,
+        achieved,
         row_number() OVER in_order AS step,
         -- A step that follows an escalation began with it; the first began with the detection.
         CASE

@@ -49,7 +49,14 @@ there AS (
 )
 
 SELECT
-    planned.*,
+    planned.seed,
+    planned.fleet_size,
+    planned.model_version,
+    planned.parameters_sha256,
+    planned.architecture,
+    planned.configuration,
+    planned.scenario,
+    planned.planned_count,
     coalesce(there.there_count, 0) AS there_count,
     planned.planned_count - coalesce(there.there_count, 0) AS missing_count
 FROM planned

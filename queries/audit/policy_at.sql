@@ -20,7 +20,14 @@ WITH subjects AS (
 applicable AS (
     -- Without a capability or context, only what is in force for all of them; with one, the strictest of that and of what is about it.
     SELECT
-        *,
+        run_id,
+        robot,
+        scope,
+        capability,
+        context,
+        since_us,
+        until_us,
+        outcome,
         CASE outcome WHEN 'deny' THEN 3 WHEN 'review' THEN 2 ELSE 1 END AS strictness
     FROM policy_in_force
     WHERE (capability IS NULL OR capability = $capability) AND (context IS NULL OR context = $context)

@@ -61,7 +61,13 @@ known AS (
 
 judged AS (
     SELECT
-        known.*,
+        known.run_id,
+        known.known_by,
+        known.robot,
+        known.scope,
+        known.known_outcome,
+        known.learned_us,
+        known.as_of_us,
         CASE WHEN bool_or(windows.outcome = 'deny') THEN 'deny' WHEN bool_or(windows.outcome = 'review') THEN 'review' ELSE 'allow' END AS true_outcome
     FROM known
     LEFT JOIN policy_windows AS windows
@@ -76,6 +82,13 @@ judged AS (
 )
 
 SELECT
-    *,
+    run_id,
+    known_by,
+    robot,
+    scope,
+    known_outcome,
+    learned_us,
+    as_of_us,
+    true_outcome,
     known_outcome <> true_outcome AS is_wrong
 FROM judged

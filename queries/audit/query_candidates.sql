@@ -31,7 +31,22 @@ surfaces AS (
 
 considered AS (
     SELECT
-        queries.*,
+        queries.run_id,
+        queries.seq,
+        queries.time_us,
+        queries.caused_by,
+        queries.task_id,
+        queries.action_id,
+        queries.requested_by,
+        queries.executed_by,
+        queries.supervised_by,
+        queries.capability,
+        queries.candidates,
+        queries.relay,
+        queries.rejected,
+        queries.rejected_by,
+        queries.domain,
+        queries.as_of_us,
         others.robot,
         requesters.role,
         list_extract(queries.rejected_by, list_position(queries.rejected, others.robot)) AS filter,
@@ -60,7 +75,21 @@ considered AS (
 )
 
 SELECT
-    considered.* EXCLUDE (role, filter, visible_to, visibility, is_offered, candidates, rejected, rejected_by),
+    considered.run_id,
+    considered.seq,
+    considered.time_us,
+    considered.caused_by,
+    considered.task_id,
+    considered.action_id,
+    considered.requested_by,
+    considered.executed_by,
+    considered.supervised_by,
+    considered.capability,
+    considered.relay,
+    considered.domain,
+    considered.as_of_us,
+    considered.robot,
+    considered.trust_scope,
     list_contains(considered.candidates, considered.robot) AS is_candidate,
     considered.filter AS rejected_by,
     CASE

@@ -29,7 +29,15 @@ WITH stays AS (
 
 used AS (
     SELECT
-        stays.*,
+        stays.run_id,
+        stays.action_id,
+        stays.failure,
+        stays.level,
+        stays.rank,
+        stays.seq,
+        stays.robot,
+        stays.next_seq,
+        stays.spent_us,
         count(uses.seq) AS used
     FROM stays
     LEFT JOIN recovery_acts AS uses

@@ -37,7 +37,18 @@ records AS (
 
 steps AS (
     SELECT
-        *,
+        run_id,
+        action_id,
+        failure,
+        seq,
+        time_us,
+        type,
+        decided_by,
+        reason,
+        level,
+        rank,
+        left_level,
+        left_rank,
         coalesce(lag(level) OVER failures, left_level) AS from_level,
         coalesce(lag(rank) OVER failures, left_rank) AS from_rank
     FROM records

@@ -30,7 +30,17 @@ WITH chains AS (
 
 links AS (
     SELECT
-        chains.*,
+        chains.run_id,
+        chains.action_id,
+        chains.asked_seq,
+        chains.asked_us,
+        chains.requested_by,
+        chains.relay,
+        chains.executed_by,
+        chains.capability,
+        chains.context,
+        chains.relayed_seq,
+        chains.relayed_us,
         numbers.link,
         CASE numbers.link WHEN 1 THEN chains.asked_seq ELSE chains.relayed_seq END AS seq,
         CASE numbers.link WHEN 1 THEN chains.asked_us ELSE chains.relayed_us END AS passed_us,
@@ -43,7 +53,22 @@ links AS (
 judged AS (
     -- Each link between its own two ends, and the ends of the whole chain beside it.
     SELECT
-        links.*,
+        links.run_id,
+        links.action_id,
+        links.asked_seq,
+        links.asked_us,
+        links.requested_by,
+        links.relay,
+        links.executed_by,
+        links.capability,
+        links.context,
+        links.relayed_seq,
+        links.relayed_us,
+        links.link,
+        links.seq,
+        links.passed_us,
+        links.sender,
+        links.receiver,
         arg_max(scopes.scope, scopes.precedence) FILTER (WHERE links.receiver = trusting.robot AND links.sender = trusted.robot) AS link_scope,
         arg_max(scopes.scope, scopes.precedence) FILTER (WHERE links.executed_by = trusting.robot AND links.requested_by = trusted.robot) AS direct_scope
     FROM links

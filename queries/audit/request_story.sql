@@ -10,7 +10,11 @@
 -- Parameters: run = all, action = all
 WITH RECURSIVE known AS (
     SELECT
-        keyed_events.*,
+        keyed_events.run_id,
+        keyed_events.seq,
+        keyed_events.caused_by,
+        keyed_events.type,
+        keyed_events.action_id,
         keyed_events.type IN (SELECT message_words.type FROM message_words) AS is_told
     FROM keyed_events
     WHERE $run IN ('all', keyed_events.run_id)
@@ -44,7 +48,10 @@ steps AS (
 
 chain AS (
     SELECT
-        own.*,
+        own.run_id,
+        own.action_id,
+        own.seq,
+        own.caused_by,
         TRUE AS is_tied
     FROM own
     UNION

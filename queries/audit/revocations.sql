@@ -33,7 +33,13 @@ WITH claimed AS (
 ended AS (
     -- The boundary is what happened to the action just before the release, apart from other claims and releases.
     SELECT
-        claimed.* EXCLUDE (release_seq),
+        claimed.run_id,
+        claimed.seq,
+        claimed.action_id,
+        claimed.revoked_by,
+        claimed.revoked_from,
+        claimed.revoked_us,
+        claimed.effective_us,
         'context changed' AS reason,
         arg_max(events.type, events.seq) AS boundary
     FROM claimed
@@ -71,7 +77,17 @@ every AS (
 )
 
 SELECT
-    *,
+    run_id,
+    seq,
+    action_id,
+    revoked_by,
+    revoked_from,
+    revoked_us,
+    effective_us,
+    reason,
+    boundary,
+    capability,
+    context,
     effective_us - revoked_us AS waited_us
 FROM every
 WHERE $run IN ('all', run_id)

@@ -40,7 +40,18 @@ WITH decided AS (
 
 answered AS (
     SELECT
-        decided.*,
+        decided.run_id,
+        decided.seq,
+        decided.decided_us,
+        decided.type,
+        decided.decided_by,
+        decided.action_id,
+        decided.requested_by,
+        decided.executed_by,
+        decided.robot,
+        decided.capability,
+        decided.purpose,
+        decided.decision,
         max(calls.time_us) AS called_us
     FROM decided
     LEFT JOIN supervisor_called AS calls

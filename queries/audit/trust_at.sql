@@ -10,7 +10,19 @@
 -- Parameters: run = all, robot = all, peer = all, capability = all, context = all, at_us = 9007199254740991
 WITH entries AS (
     SELECT
-        found.* EXCLUDE (robot, peer) REPLACE (greatest(found.since_us, trusting.joined_us, trusted.joined_us) AS since_us),
+        found.run_id,
+        found.role,
+        found.peer_role,
+        found.domain,
+        found.capability,
+        found.context,
+        greatest(found.since_us, trusting.joined_us, trusted.joined_us) AS since_us,
+        found.until_us,
+        found.trust_scope,
+        found.set_by,
+        found.reason,
+        found.precedence,
+        found.seq,
         trusting.robot,
         trusted.robot AS peer,
         $capability = 'all' AND $context = 'all' AS is_listed

@@ -19,10 +19,27 @@ WITH judged AS (
 
 cells AS (
     SELECT
-        definitions.*,
-        runs.* EXCLUDE (scenario),
-        settings.* EXCLUDE (run_id),
-        judged.* EXCLUDE (run_id, claim),
+        definitions.position,
+        definitions.case_number,
+        definitions.claim,
+        definitions.is_taken,
+        definitions.counted,
+        definitions.of_how_many,
+        definitions.scenario,
+        definitions.judge,
+        runs.run_id,
+        runs.kind,
+        runs.seed,
+        runs.architecture,
+        runs.configuration,
+        runs.fleet_size,
+        runs.model_version,
+        runs.source,
+        settings.kind,
+        settings.setting,
+        settings.constants,
+        judged.numerator,
+        judged.denominator,
         coalesce(runs.scenario = definitions.scenario AND hidden.run_id IS NULL, FALSE) AS is_judged,
         coalesce(runs.scenario = definitions.scenario AND hidden.run_id IS NOT NULL, FALSE) AS is_hidden
     FROM case_definitions AS definitions
@@ -60,7 +77,23 @@ counts AS (
 )
 
 SELECT
-    * EXCLUDE (numerator, denominator),
+    case_number,
+    position,
+    claim,
+    is_taken,
+    counted,
+    of_how_many,
+    architecture,
+    configuration,
+    fleet_size,
+    seed,
+    kind,
+    source,
+    model_version,
+    constants,
+    runs,
+    runs_with_case,
+    runs_not_observed,
     CASE WHEN runs > 0 THEN coalesce(numerator, 0) END AS numerator,
     CASE WHEN runs > 0 THEN coalesce(denominator, 0) END AS denominator,
     numerator / denominator AS value

@@ -34,7 +34,12 @@ claims (position, case_number, claim, is_taken, counted, of_how_many) AS (
 )
 
 SELECT
-    claims.*,
+    claims.position,
+    claims.case_number,
+    claims.claim,
+    claims.is_taken,
+    claims.counted,
+    claims.of_how_many,
     cases.scenario,
     cases.judge
 FROM claims

@@ -16,7 +16,23 @@ WITH offered AS (
 changes AS (
     -- A report of availability without a capability is about all that the robot advertises.
     SELECT
-        events.* EXCLUDE (capability),
+        events.run_id,
+        events.seq,
+        events.time_us,
+        events.type,
+        events.availability,
+        events.embodiment,
+        events.override_allowed,
+        events.policy_required,
+        events.postconditions,
+        events.preconditions,
+        events.resources,
+        events.robot,
+        events.successor,
+        events.trust_required,
+        events.version,
+        events.visibility,
+        events.visible_to,
         offered.capability,
         events.type IN ('CapabilityAdvertised.v1', 'CapabilityWithdrawn.v1', 'CapabilityRemoved.v1') AS is_new,
         count_if(is_new) OVER (PARTITION BY offered.run_id, offered.robot, offered.capability ORDER BY events.seq) AS stand

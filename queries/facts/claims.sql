@@ -22,7 +22,15 @@ WITH edges AS (
 
 paired AS (
     SELECT
-        *,
+        run_id,
+        seq,
+        time_us,
+        type,
+        task_id,
+        action_id,
+        dimension,
+        claimant,
+        reason,
         -- The first later release, whatever claims lie between: a claim that is repeated ends with the one before it.
         first_value(CASE WHEN type = 'AuthorityReleased.v1' THEN time_us END IGNORE NULLS) OVER (
             PARTITION BY run_id, action_id, dimension, claimant, reason

@@ -50,7 +50,21 @@ parts AS (
 
 judged AS (
     SELECT
-        records.*,
+        records.run_id,
+        records.seq,
+        records.time_us,
+        records.type,
+        records.record_kind,
+        records.task_id,
+        records.action_id,
+        records.decided_by,
+        records.requested_by,
+        records.executed_by,
+        records.supervised_by,
+        records.requires_origin,
+        records.requires_executor,
+        records.requires_supervisor,
+        records.part_of,
         records.requested_by IS NOT NULL OR NOT records.requires_origin OR coalesce(parts.has_origin, FALSE) AS has_origin,
         records.executed_by IS NOT NULL OR NOT records.requires_executor OR coalesce(parts.has_executor, FALSE) AS has_executor,
         records.supervised_by IS NOT NULL OR NOT records.requires_supervisor OR coalesce(parts.has_supervisor, FALSE) AS has_supervisor

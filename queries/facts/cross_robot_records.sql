@@ -7,7 +7,15 @@
 -- Example: fsar-ledger query facts/cross_robot_records LEDGER
 WITH finished AS (
     SELECT
-        done.*,
+        done.run_id,
+        done.seq,
+        done.time_us,
+        done.task_id,
+        done.action_id,
+        done.requested_by,
+        done.executed_by,
+        done.supervised_by,
+        done.robot,
         starts.robot AS began_by,
         starts.on_behalf_of
     FROM execution_finished AS done
@@ -26,7 +34,17 @@ progress AS (
 ends AS (
     -- What is no step of a task, such as a request of a robot's own accord, has no next step to wait for it.
     SELECT
-        finished.*,
+        finished.run_id,
+        finished.seq,
+        finished.time_us,
+        finished.task_id,
+        finished.action_id,
+        finished.requested_by,
+        finished.executed_by,
+        finished.supervised_by,
+        finished.robot,
+        finished.began_by,
+        finished.on_behalf_of,
         CASE WHEN steps.run_id IS NOT NULL THEN later.seq END AS next_seq
     FROM finished
     LEFT JOIN step_began AS steps ON finished.run_id = steps.run_id AND finished.action_id = steps.action_id

@@ -25,7 +25,16 @@ WITH decided AS (
 followed AS (
     -- Whoever asks again decides to ask, and whoever admits decides, too: then another decision of the task lies between two denials.
     SELECT
-        *,
+        run_id,
+        seq,
+        time_us,
+        type,
+        decision_kind,
+        task_id,
+        action_id,
+        decided_by,
+        path,
+        content,
         lag(content) OVER (PARTITION BY run_id, task_id ORDER BY seq) AS content_before
     FROM decided
 )

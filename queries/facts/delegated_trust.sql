@@ -20,7 +20,13 @@ WITH delegated AS (
 
 links AS (
     SELECT
-        delegated.*,
+        delegated.run_id,
+        delegated.seq,
+        delegated.task_id,
+        delegated.action_id,
+        delegated.capability,
+        delegated.executor,
+        delegated.requester,
         relayed.decided_by AS relay,
         unnest(
             CASE

@@ -22,13 +22,27 @@ WITH starts AS (
 subjects AS (
     -- Whose policy counts: the executor's own and the fleet's for its zone, and the requester's own.
     SELECT
-        starts.*,
+        starts.run_id,
+        starts.seq,
+        starts.started_us,
+        starts.task_id,
+        starts.action_id,
+        starts.robot,
+        starts.on_behalf_of,
+        starts.capability,
         starts.robot AS subject,
         FALSE AS own_only
     FROM starts
     UNION ALL
     SELECT
-        starts.*,
+        starts.run_id,
+        starts.seq,
+        starts.started_us,
+        starts.task_id,
+        starts.action_id,
+        starts.robot,
+        starts.on_behalf_of,
+        starts.capability,
         starts.on_behalf_of AS subject,
         TRUE AS own_only
     FROM starts

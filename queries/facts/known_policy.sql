@@ -89,7 +89,13 @@ outcomes AS (
 )
 
 SELECT
-    starts.* EXCLUDE (task_id, capability, approved_seq, admitted_seq, denied_seq),
+    starts.run_id,
+    starts.seq,
+    starts.time_us,
+    starts.type,
+    starts.action_id,
+    starts.robot,
+    starts.decision_seq,
     CASE WHEN bool_or(outcomes.outcome = 'deny') THEN 'deny' WHEN bool_or(outcomes.outcome = 'review') THEN 'review' ELSE 'allow' END AS outcome,
     CASE WHEN starts.denied_seq > greatest(starts.approved_seq, starts.admitted_seq) THEN starts.denied_seq END AS denied_seq
 FROM starts

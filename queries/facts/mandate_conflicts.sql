@@ -9,7 +9,14 @@
 WITH mandated AS (
     -- The fleet allows where every rule of it that applies does.
     SELECT
-        stops.*,
+        stops.run_id,
+        stops.seq,
+        stops.time_us,
+        stops.task_id,
+        stops.action_id,
+        stops.robot,
+        stops.capability,
+        stops.previous_seq,
         max(rules.seq) AS mandate_seq
     FROM policy_stops AS stops
     INNER JOIN policy_rules AS rules

@@ -7,7 +7,11 @@
 -- Example: fsar-ledger query facts/outages LEDGER
 WITH edges AS (
     SELECT
-        *,
+        run_id,
+        seq,
+        time_us,
+        type,
+        robot,
         CASE
             WHEN type IN ('RobotWentOff.v1', 'RobotCameBack.v1') THEN 'off'
             WHEN type IN ('LinkWentDown.v1', 'LinkCameUp.v1') THEN 'unlinked'

@@ -54,7 +54,12 @@ decided AS (
 
 asked AS (
     SELECT
-        decided.*,
+        decided.run_id,
+        decided.seq,
+        decided.time_us,
+        decided.task_id,
+        decided.is_heeded,
+        decided.executor,
         steps.robot AS requester,
         steps.capability
     FROM decided

@@ -32,6 +32,12 @@ WITH stops AS (
 )
 
 SELECT
-    *,
+    run_id,
+    seq,
+    time_us,
+    task_id,
+    action_id,
+    robot,
+    capability,
     coalesce(lag(seq) OVER (PARTITION BY run_id, action_id ORDER BY seq), -1) AS previous_seq
 FROM stops

@@ -51,7 +51,18 @@ helped AS (
 )
 
 SELECT
-    records.* EXCLUDE (number),
+    records.run_id,
+    records.seq,
+    records.time_us,
+    records.type,
+    records.action_id,
+    records.helper,
+    records.deadline_us,
+    records.reason,
+    records.to_level,
+    records.level,
+    records.failure,
+    records.robot,
     ranks.rank,
     targets.rank AS to_rank,
     allowed.t_max_us,

@@ -8,7 +8,26 @@
 WITH askers AS (
     -- A relay judges its own link of the chain by itself.
     SELECT
-        * EXCLUDE (executed_by),
+        run_id,
+        seq,
+        asked_seq,
+        time_us,
+        action_id,
+        context,
+        requested_by,
+        relay,
+        parent,
+        capability,
+        override_asked,
+        decided_by,
+        type,
+        verdict,
+        conjunct,
+        trust,
+        may_request,
+        may_execute,
+        override,
+        is_audited,
         CASE WHEN decided_by = relay THEN relay ELSE executed_by END AS executed_by,
         unnest(list_distinct([requested_by, coalesce(relay, requested_by)])) AS asker
     FROM evaluations

@@ -10,7 +10,17 @@
 -- about roles, of roles the smallest domain; then both capability and context named, then the capability, then the context, then neither; of equals the last.
 WITH entries AS (
     SELECT
-        *,
+        run_id,
+        seq,
+        time_us,
+        caused_by,
+        robot,
+        peer,
+        scope,
+        capability,
+        context,
+        decided_by,
+        reason,
         NULL AS role,
         NULL AS peer_role,
         NULL AS domain,
@@ -18,7 +28,17 @@ WITH entries AS (
     FROM trust_set
     UNION ALL BY NAME
     SELECT
-        *,
+        run_id,
+        seq,
+        time_us,
+        role,
+        peer_role,
+        scope,
+        domain,
+        capability,
+        context,
+        decided_by,
+        reason,
         NULL AS robot,
         NULL AS peer,
         CASE domain WHEN '' THEN 0 ELSE least(len(string_split(domain, '/')), 1023) END AS nearness

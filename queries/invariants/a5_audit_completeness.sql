@@ -27,7 +27,18 @@ WITH phases AS (
 
 judged AS (
     SELECT
-        records.*,
+        records.run_id,
+        records.seq,
+        records.time_us,
+        records.type,
+        records.action_id,
+        records.requested_by,
+        records.executed_by,
+        records.supervised_by,
+        records.robot,
+        records.began_by,
+        records.on_behalf_of,
+        records.next_seq,
         concat_ws(
             ', ',
             CASE WHEN records.requested_by IS DISTINCT FROM records.on_behalf_of THEN 'requester ' || coalesce(records.requested_by, 'missing') END,

@@ -11,7 +11,23 @@
 WITH placed AS (
     -- Every failure begins at the local level; an escalation sets the level from then on, also one that should not have been.
     SELECT
-        *,
+        run_id,
+        seq,
+        time_us,
+        type,
+        action_id,
+        helper,
+        deadline_us,
+        reason,
+        to_level,
+        level,
+        failure,
+        rank,
+        to_rank,
+        t_max_us,
+        n_max,
+        is_use,
+        is_remedy,
         coalesce(last_value(to_rank IGNORE NULLS) OVER earlier, 1) AS reached,
         last_value(CASE WHEN type IN ('ExecutionFailed.v1', 'RecoveryEscalated.v1') THEN time_us END IGNORE NULLS) OVER earlier AS reached_us,
         coalesce(bool_or(type = 'ExecutionFailed.v1') OVER earlier, FALSE) AS has_failed,
@@ -26,16 +42,17 @@ WITH placed AS (
         so_far AS (PARTITION BY run_id, action_id, failure ORDER BY seq ROWS BETWEEN UNBOUNDED PRECEDING AND CURRENT ROW)
 ),
 
-timed AS (
-    SELECT
-        *,
-        CASE WHEN level = 'local' AND uses > 1 THEN attempts_end_us WHEN level <> 'human' THEN reached_us + t_max_us END AS ends_us
-    FROM placed
-),
-
 judged AS (
     SELECT
-        *,
+        run_id,
+        seq,
+        time_us,
+        type,
+        action_id,
+        failure,
+        CASE
+            WHEN level = 'local' AND uses > 1 THEN attempts_end_us WHEN level <> 'human' THEN reached_us + t_max_us
+        END AS ends_us,
         CASE
             WHEN type = 'ExecutionFailed.v1' AND has_failed THEN 'the failure is detected twice'
             WHEN type IN ('ExecutionFailed.v1', 'SupervisorResponded.v1') THEN NULL
@@ -54,7 +71,7 @@ judged AS (
             WHEN type = 'RecoveryEscalated.v1' AND level <> 'local' AND coalesce(reason, '') <> 'budget exhausted' AND time_us > ends_us
                 THEN 'recovery stays at level ' || level || ' after the time budget of its level'
         END AS found
-    FROM timed
+    FROM placed
 )
 
 SELECT

@@ -49,7 +49,9 @@ named AS (
 
 differing AS (
     SELECT
-        sets.*,
+        sets.model,
+        sets.parameter_set,
+        sets.is_readable,
         count(*) OVER (PARTITION BY sets.model) > 1 AS is_one_of_many,
         coalesce(nullif(array_to_string(named.parts[:5], ', '), ''), 'all defaults')
         || if(len(named.parts) > 5, ' and ' || (len(named.parts) - 5) || ' more', '') AS named,

@@ -16,7 +16,8 @@ WITH texts AS (
 
 parsed AS MATERIALIZED (
     SELECT
-        texts.*,
+        texts.model,
+        texts.parameters,
         constants_of(parameters) AS values_by_name
     FROM texts
 )

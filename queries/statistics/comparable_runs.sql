@@ -8,14 +8,26 @@
 -- Example: fsar-ledger query statistics/comparable_runs LEDGER
 WITH sides AS (
     SELECT
-        *,
+        comparison,
+        family,
+        configuration,
+        first_architecture,
+        first_configuration,
+        second_architecture,
+        second_configuration,
         'first' AS side,
         first_architecture AS architecture,
         first_configuration AS its_configuration
     FROM comparisons
     UNION ALL
     SELECT
-        *,
+        comparison,
+        family,
+        configuration,
+        first_architecture,
+        first_configuration,
+        second_architecture,
+        second_configuration,
         'second' AS side,
         second_architecture AS architecture,
         second_configuration AS its_configuration
@@ -65,8 +77,22 @@ paired AS (
 )
 
 SELECT
-    comparisons.*,
-    worlds.* EXCLUDE (comparison, configuration),
+    comparisons.comparison,
+    comparisons.family,
+    comparisons.configuration,
+    comparisons.first_architecture,
+    comparisons.first_configuration,
+    comparisons.second_architecture,
+    comparisons.second_configuration,
+    worlds.first_count,
+    worlds.second_count,
+    worlds.shared_worlds,
+    worlds.first_seeds,
+    worlds.second_seeds,
+    worlds.first_fleet_sizes,
+    worlds.second_fleet_sizes,
+    worlds.first_scenarios,
+    worlds.second_scenarios,
     coalesce(paired.pair_count, 0) AS pair_count,
     coalesce(paired.left_out, 0) AS left_out
 FROM comparisons

@@ -25,7 +25,16 @@ WITH found AS (
 )
 
 SELECT
-    found.*,
+    found.run_id,
+    found.architecture,
+    found.configuration,
+    found.fleet_size,
+    found.seed,
+    found.scenario,
+    found.run,
+    found.setting,
+    found.described,
+    found.observes_world,
     digests.world_sha256,
     count(*) OVER (PARTITION BY found.architecture, found.configuration, found.setting, found.seed, found.scenario, found.run) AS twins
 FROM found

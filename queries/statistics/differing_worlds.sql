@@ -54,7 +54,17 @@ earliest AS (
 )
 
 SELECT
-    run_pairs.*,
+    run_pairs.comparison,
+    run_pairs.family,
+    run_pairs.configuration,
+    run_pairs.fleet_size,
+    run_pairs.seed,
+    run_pairs.scenario,
+    run_pairs.run,
+    run_pairs.setting,
+    run_pairs.first_run_id,
+    run_pairs.second_run_id,
+    run_pairs.differs,
     CASE run_pairs.differs WHEN 'setting' THEN firsts.described WHEN 'facts' THEN earliest.facts.one END AS first_found,
     CASE run_pairs.differs WHEN 'setting' THEN seconds.described WHEN 'facts' THEN earliest.facts.other END AS second_found
 FROM run_pairs

@@ -8,7 +8,18 @@
 -- Example: fsar-ledger query statistics/drawn_experiments LEDGER
 WITH summed AS (
     SELECT
-        * EXCLUDE (scenario, value_ppb, defined, numerator, denominator),
+        draw,
+        architecture,
+        configuration,
+        fleet_size,
+        setting,
+        seed,
+        kind,
+        source,
+        model_version,
+        constants,
+        position,
+        metric,
         sum(value_ppb) AS value_ppb,
         sum(defined) AS defined,
         sum(numerator) AS numerator,
@@ -18,7 +29,18 @@ WITH summed AS (
 )
 
 SELECT
-    summed.* EXCLUDE (value_ppb, defined, numerator, denominator),
+    summed.draw,
+    summed.architecture,
+    summed.configuration,
+    summed.fleet_size,
+    summed.setting,
+    summed.seed,
+    summed.kind,
+    summed.source,
+    summed.model_version,
+    summed.constants,
+    summed.position,
+    summed.metric,
     CASE
         WHEN definitions.is_pooled THEN summed.numerator::DOUBLE / nullif(summed.denominator, 0)::DOUBLE / definitions.numerator_units
         ELSE summed.value_ppb::DOUBLE / nullif(summed.defined, 0) / 1e9

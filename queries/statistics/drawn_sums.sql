@@ -10,7 +10,28 @@
 -- Example: fsar-ledger query statistics/drawn_sums LEDGER
 WITH numbered AS (
     SELECT
-        *,
+        run_id,
+        kind,
+        observes,
+        seed,
+        architecture,
+        configuration,
+        scenario,
+        fleet_size,
+        run,
+        model_version,
+        parameters_sha256,
+        source,
+        setting,
+        constants,
+        position,
+        metric,
+        value,
+        numerator,
+        denominator,
+        value_without_routine,
+        published_convention_value,
+        not_observed,
         dense_rank() OVER (PARTITION BY architecture, configuration, setting, seed, scenario ORDER BY run) - 1 AS place
     FROM run_metrics
     WHERE not_observed IS NULL AND architecture IS NOT NULL AND scenario IS NOT NULL AND run IS NOT NULL
@@ -30,7 +51,11 @@ counted AS (
 
 picked AS (
     SELECT
-        counted.* EXCLUDE (runs),
+        counted.architecture,
+        counted.configuration,
+        counted.setting,
+        counted.seed,
+        counted.scenario,
         places.draw,
         places.place,
         places.times

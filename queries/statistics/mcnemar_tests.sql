@@ -16,7 +16,9 @@ WITH discordant AS (
 )
 
 SELECT
-    *,
+    test,
+    mcnemar_first_only,
+    mcnemar_second_only,
     binomial_half_sf2(
         least(mcnemar_first_only, mcnemar_second_only)::DOUBLE,
         (mcnemar_first_only + mcnemar_second_only)::DOUBLE

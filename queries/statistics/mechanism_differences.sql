@@ -39,7 +39,27 @@ WITH ablated AS (
 
 ranked AS (
     SELECT
-        *,
+        architecture,
+        configuration,
+        setting,
+        fleet_size,
+        kind,
+        source,
+        model_version,
+        pools_seeds,
+        seed,
+        position,
+        metric,
+        n,
+        differing_pairs,
+        full_mean,
+        without_mean,
+        mean_difference,
+        ci_low,
+        ci_high,
+        test,
+        p,
+        d_z,
         count(p) OVER family AS family_tests,
         (count(p) OVER family - row_number() OVER (family ORDER BY p NULLS LAST, architecture, configuration, position) + 1) * p AS bound
     FROM ablated
@@ -47,7 +67,28 @@ ranked AS (
 )
 
 SELECT
-    * EXCLUDE (bound),
+    architecture,
+    configuration,
+    setting,
+    fleet_size,
+    kind,
+    source,
+    model_version,
+    pools_seeds,
+    seed,
+    position,
+    metric,
+    n,
+    differing_pairs,
+    full_mean,
+    without_mean,
+    mean_difference,
+    ci_low,
+    ci_high,
+    test,
+    p,
+    d_z,
+    family_tests,
     CASE
         WHEN p IS NOT NULL
             THEN least(1, max(bound) OVER (PARTITION BY setting, pools_seeds, seed ORDER BY p NULLS LAST, architecture, configuration, position))

@@ -11,29 +11,34 @@
 -- Stored: every test reads it
 WITH seeds AS (
     SELECT
-        run_pairs.*,
-        FALSE AS pools_seeds
+        run_pairs.comparison,
+        run_pairs.family,
+        run_pairs.configuration,
+        run_pairs.fleet_size,
+        scopes.pools_seeds,
+        CASE WHEN NOT scopes.pools_seeds THEN run_pairs.seed END AS seed,
+        run_pairs.scenario,
+        run_pairs.run,
+        run_pairs.first_run_id,
+        run_pairs.second_run_id
     FROM run_pairs
-    WHERE differs IS NULL
-    UNION ALL
-    SELECT
-        run_pairs.* REPLACE (NULL::BIGINT AS seed),
-        TRUE AS pools_seeds
-    FROM run_pairs
-    WHERE differs IS NULL
+    CROSS JOIN (VALUES (FALSE), (TRUE)) AS scopes (pools_seeds)
+    WHERE run_pairs.differs IS NULL
 ),
 
 measured AS (
     SELECT
-        *,
-        'published' AS basis,
-        published_convention_value AS tested_value
-    FROM run_metrics
-    UNION ALL
-    SELECT
-        *,
-        'defined' AS basis,
-        value AS tested_value
+        run_id,
+        kind,
+        source,
+        model_version,
+        constants,
+        setting,
+        position,
+        metric,
+        value,
+        unnest(['published', 'defined']) AS basis,
+        unnest([published_convention_value, value]) AS tested_value
     FROM run_metrics
 )
 

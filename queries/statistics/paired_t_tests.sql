@@ -37,38 +37,67 @@ WITH moments AS (
     GROUP BY ALL
 ),
 
-effects AS (
+sizes AS (
     SELECT
-        *,
+        test,
+        holm_family,
+        basis,
+        family,
+        configuration,
+        fleet_size,
+        pools_seeds,
+        seed,
+        kind,
+        source,
+        model_version,
+        constants,
+        position,
+        metric,
+        comparison,
+        n,
+        first_mean,
+        second_mean,
+        mean_difference,
         n - 1 AS df,
         CASE WHEN differences_vary THEN mean_difference / difference_sd END AS d_z,
         sqrt((first_sd * first_sd + second_sd * second_sd) / 2) AS pooled_sd,
         (first_sd * first_sd + second_sd * second_sd - difference_sd * difference_sd) / 2 AS covariance,
-        covariance / nullif(first_sd * second_sd, 0) AS r
-    FROM moments
-),
-
-sizes AS (
-    SELECT
-        *,
+        covariance / nullif(first_sd * second_sd, 0) AS r,
         CASE WHEN pooled_sd > 1e-12 THEN mean_difference / pooled_sd END AS cohens_d,
-        CASE WHEN df > 1 THEN 1 - 3.0::DOUBLE / (4 * df - 1) END AS correction
-    FROM effects
-),
-
-widths AS (
-    SELECT
-        *,
+        CASE WHEN df > 1 THEN 1 - 3.0::DOUBLE / (4 * df - 1) END AS correction,
         pow(difference_sd / pooled_sd, 2) / n AS variance_of_difference,
-        pow(cohens_d, 2) * (pow(first_sd, 4) + pow(second_sd, 4) + 2 * pow(covariance, 2)) / (8 * df * pow(pooled_sd, 4)) AS variance_of_spread,
-        CASE WHEN r < 1 - 1e-9 AND correction IS NOT NULL THEN norm_quantile(0.975) * sqrt(variance_of_difference + variance_of_spread) END AS half_width
-    FROM sizes
+        pow(cohens_d, 2) * (pow(first_sd, 4) + pow(second_sd, 4) + 2 * pow(covariance, 2))
+        / (8 * df * pow(pooled_sd, 4)) AS variance_of_spread,
+        CASE
+            WHEN r < 1 - 1e-9 AND correction IS NOT NULL
+                THEN norm_quantile(0.975) * sqrt(variance_of_difference + variance_of_spread)
+        END AS half_width
+    FROM moments
 )
 
 SELECT
-    widths.* EXCLUDE (
-        differences_vary, first_sd, second_sd, difference_sd, pooled_sd, covariance, r, correction, variance_of_difference, variance_of_spread, half_width
-    ),
+    test,
+    holm_family,
+    basis,
+    family,
+    configuration,
+    fleet_size,
+    pools_seeds,
+    seed,
+    kind,
+    source,
+    model_version,
+    constants,
+    position,
+    metric,
+    comparison,
+    n,
+    first_mean,
+    second_mean,
+    mean_difference,
+    df,
+    d_z,
+    cohens_d,
     d_z * sqrt(n) AS t,
     t_sf2(d_z * sqrt(n), df::DOUBLE) AS p,
     cohens_d - half_width AS d_ci_low,
@@ -76,4 +105,4 @@ SELECT
     correction * cohens_d AS hedges_g,
     correction * (cohens_d - half_width) AS g_ci_low,
     correction * (cohens_d + half_width) AS g_ci_high
-FROM widths
+FROM sizes

@@ -11,7 +11,21 @@ WITH pooled AS (
     SELECT
         concat_ws('/', comparisons.family, comparisons.comparison, comparisons.setting, coalesce(found.seed::VARCHAR, 'all'), found.metric) AS test,
         concat_ws('/', 'published', comparisons.family, comparisons.setting, coalesce(found.seed::VARCHAR, 'all')) AS holm_family,
-        found.* EXCLUDE (test),
+        found.first_side,
+        found.second_side,
+        found.seed,
+        found.scenario,
+        found.metric,
+        found.n,
+        found.differing_pairs,
+        found.first_mean,
+        found.second_mean,
+        found.mean_difference,
+        found.p,
+        found.family_tests,
+        found.ci_low,
+        found.ci_high,
+        found.p_holm,
         found.test AS pooled_test
     FROM side_comparisons AS comparisons
     INNER JOIN side_differences AS found ON comparisons.first_side = found.first_side AND comparisons.second_side = found.second_side
@@ -38,7 +52,9 @@ family AS (
 
 ranked AS (
     SELECT
-        *,
+        holm_family,
+        test,
+        p,
         row_number() OVER (PARTITION BY holm_family ORDER BY p, test) AS step,
         count(*) OVER (PARTITION BY holm_family) AS family_tests
     FROM family

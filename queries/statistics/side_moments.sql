@@ -29,7 +29,18 @@ WITH moments AS (
 )
 
 SELECT
-    * EXCLUDE (spread, varies),
+    first_side,
+    second_side,
+    pools_seeds,
+    seed,
+    scenario,
+    metric,
+    n,
+    differing_pairs,
+    above,
+    below,
+    first_mean,
+    second_mean,
     first_mean - second_mean AS mean_difference,
     CASE WHEN varies THEN spread END AS sd,
     CASE WHEN varies THEN spread / sqrt(n) END AS error

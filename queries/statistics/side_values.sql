@@ -36,27 +36,46 @@ WITH measured AS (
 
 totals AS (
     SELECT
-        *,
+        first_side,
+        second_side,
+        first_run_id,
+        second_run_id,
+        pools_seeds,
+        seed,
+        scenario,
+        metric,
+        is_pooled,
+        first_value,
+        second_value,
+        n1,
+        d1,
+        n2,
+        d2,
         count(*) OVER cell AS n,
         sum(n1) OVER cell AS s1,
         nullif(sum(d1) OVER cell, 0) AS t1,
         sum(n2) OVER cell AS s2,
-        nullif(sum(d2) OVER cell, 0) AS t2
-    FROM measured
-    WINDOW cell AS (PARTITION BY first_side, second_side, pools_seeds, seed, scenario, metric)
-),
-
-ratios AS (
-    SELECT
-        *,
+        nullif(sum(d2) OVER cell, 0) AS t2,
         s1::DOUBLE / t1::DOUBLE / numerator_units AS r1,
         s2::DOUBLE / t2::DOUBLE / numerator_units AS r2,
-        ((s1 - n1)::DOUBLE / nullif(t1 - d1, 0)::DOUBLE - (s2 - n2)::DOUBLE / nullif(t2 - d2, 0)::DOUBLE) / numerator_units AS without_it
-    FROM totals
+        ((s1 - n1)::DOUBLE / nullif(t1 - d1, 0)::DOUBLE - (s2 - n2)::DOUBLE / nullif(t2 - d2, 0)::DOUBLE)
+        / numerator_units AS without_it
+    FROM measured
+    WINDOW cell AS (PARTITION BY first_side, second_side, pools_seeds, seed, scenario, metric)
 )
 
 SELECT
-    * EXCLUDE (numerator_units, n, n1, d1, n2, d2, s1, t1, s2, t2, r1, r2, without_it),
+    first_side,
+    second_side,
+    first_run_id,
+    second_run_id,
+    pools_seeds,
+    seed,
+    scenario,
+    metric,
+    is_pooled,
+    first_value,
+    second_value,
     CASE WHEN is_pooled THEN r1 END AS first_ratio,
     CASE WHEN is_pooled THEN r2 END AS second_ratio,
     if(is_pooled, n1 <> n2 OR d1 <> d2, round((first_value - second_value) * 1e9) <> 0) AS differs,
@@ -65,4 +84,4 @@ SELECT
         WHEN is_pooled THEN sign((n1 - n2)::HUGEINT * (t1 + t2)::HUGEINT - (s1 + s2)::HUGEINT * (d1 - d2)::HUGEINT)
         ELSE sign(round((first_value - second_value) * 1e9))
     END::INTEGER AS direction
-FROM ratios
+FROM totals

@@ -36,7 +36,11 @@ sums AS (
 
 scores AS (
     SELECT
-        *,
+        test,
+        n,
+        positive,
+        negative,
+        tie_term,
         CASE WHEN n >= 6 THEN (positive - n * (n + 1) / 4) / sqrt(n::DOUBLE * (n + 1) * (2 * n + 1) / 24 - tie_term / 48) END AS z
     FROM sums
 )

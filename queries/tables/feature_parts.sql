@@ -42,7 +42,9 @@ groups AS (
 
 SELECT
     groups.made_alike,
-    rules.*,
+    rules.feature,
+    rules.part,
+    rules.is_essential,
     evidence.numerator / evidence.denominator AS share,
     rules.part || ' ' || coalesce(
         evidence.numerator || '/' || evidence.denominator, if(list_contains(groups.unseen, rules.part), 'not observable', 'not shown')
