@@ -1,7 +1,7 @@
 -- Title: The authority chain of an action: who granted, asked, relayed, admitted, accepted, supervised, acted and closed
 -- Paper: eq:auth, sec:model:request
 -- Grain: one row per event of the action in which somebody asks, decides or acts; and per grant or revocation that concerned its request by then
--- Key: ?
+-- Key: run_id, action_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: a principal that the record does not name; the authority tuple and trust where it gives none; recovery is also found where only its failed
 --       action ties it to the action

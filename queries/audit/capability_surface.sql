@@ -1,7 +1,7 @@
 -- Title: The capability surface of a robot at a time: what it offers on which terms, who may discover it, who may ask for it
 -- Paper: eq:adv, eq:advertise, eq:delegable
 -- Grain: one row per run, robot and capability that it advertised at the time
--- Key: ?
+-- Key: run_id, robot, capability
 -- Units: since_us, at_us microseconds of run time; the default time is after the end of every run
 -- NULL: successor unless a deprecation names one; visible_to is empty when every role may discover it, may_ask when no other robot has role and trust
 -- Example: fsar-ledger query audit/capability_surface LEDGER --param run=RUN --param robot=robot/C1 --param at_us=30000000

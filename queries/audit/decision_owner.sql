@@ -1,7 +1,7 @@
 -- Title: The owner of the decision that led to an event: the nearest decision on the way back through its causes
 -- Paper: sec:evaluation:metrics (governance locality)
 -- Grain: one row per event of this number: one for a run, at most one for each run of the ledger
--- Key: ?
+-- Key: run_id
 -- Units: steps causes between the event and the decision (0: the event is the decision); decided_us microseconds of run time
 -- NULL: the decision's columns when no cause was a decision; decided_by when the record names no decider
 -- Example: fsar-ledger query audit/decision_owner LEDGER --param run=RUN --param seq=107

@@ -1,7 +1,7 @@
 -- Title: Chains of delegations, link by link: what each executor made of its own link, and whether the chain is well-formed
 -- Paper: eq:nontransitive
 -- Grain: one row per request that was asked in the service of another, or served by one, within each chain that it belongs to
--- Key: ?
+-- Key: run_id, chain, action_id
 -- Units: link number of the link from 1; asked_us microseconds of run time
 -- NULL: verdict, conjunct, trust while nobody has judged the link; conjunct unless denied; end_scope when the link's executor had set no trust in
 --       the chain's first requester by then

@@ -1,7 +1,7 @@
 -- Title: What was planned, and how much of it is there
 -- Paper: sec:evaluation:setup
 -- Grain: one row per plan
--- Key: ?
+-- Key: plan
 -- Units: planned_count, there_count, missing_count runs; larger_plans how many plans of the ledger name all runs of this one and more
 -- NULL: never
 -- Example: fsar-ledger query audit/experiments LEDGER

@@ -1,7 +1,7 @@
 -- Title: The recovery of a failure, level by level: what was tried, what came of it, how long each level took and why it was left
 -- Paper: fig:wf3, eq:recovery
 -- Grain: one row per step that recovery took about a failure; the resolution is the last
--- Key: ?
+-- Key: run_id, action_id, failure, seq
 -- Units: step counts from 1 within the failure; level_number 1 local to 4 human; time_s, until_s seconds of run time; spent_s seconds at the level in
 --   all; budget_s seconds from detection to the deadline of the attempt
 -- NULL: decided_by when the record names none; result when nothing came of it or none is recorded; until_s of the last step; budget_s where no

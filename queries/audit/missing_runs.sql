@@ -1,7 +1,7 @@
 -- Title: Which runs that were planned are missing, each counted once, however many plans name it
 -- Paper: sec:evaluation:setup
 -- Grain: one row per seed, fleet size, model version, constants, architecture, configuration and scenario that a plan which lacks runs names
--- Key: ?
+-- Key: seed, fleet_size, model_version, parameters_sha256, architecture, configuration, scenario
 -- Units: planned_count, there_count, missing_count runs; parameters_sha256 the digest of all constants
 -- NULL: never
 -- Example: fsar-ledger query audit/missing_runs LEDGER

@@ -1,7 +1,7 @@
 -- Title: The policy in force at a time, as it truly was
 -- Paper: eq:policy, app:foundations
 -- Grain: one row per run, robot and scope (its own policy, the fleet's for it)
--- Key: ?
+-- Key: run_id, robot, scope
 -- Units: since_us, until_us, at_us microseconds of run time, half-open; the default time is after the end of every run
 -- NULL: since_us when nothing had begun yet, so policy allowed from the start; until_us when no window or rule began or ended later
 -- Example: fsar-ledger query audit/policy_at LEDGER --param run=RUN --param robot=robot/D1 --param at_us=31200000

@@ -1,7 +1,7 @@
 -- Title: The policy at a time as its decider knew it, beside the policy as it truly was
 -- Paper: eq:policy, sec:evaluation:baselines
 -- Grain: one row per run, decider, robot and scope of which the decider had been told by then
--- Key: ?
+-- Key: run_id, known_by, robot, scope
 -- Units: learned_us, as_of_us, at_us microseconds of run time; the default time is after the end of every run
 -- NULL: never; a decider without a row had not been told, or reads the policy itself (an FSAR robot its own)
 -- Example: fsar-ledger query audit/policy_known_at LEDGER --param run=RUN --param robot=robot/D1 --param at_us=31200000

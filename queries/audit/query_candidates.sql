@@ -1,7 +1,7 @@
 -- Title: The candidates of a query, and why each other robot was none: the filter that left it out, else what its surface and its trust say
 -- Paper: sec:architecture:registry, eq:adv, eq:trust
 -- Grain: one row per RegistryQueried event and other robot of the fleet
--- Key: ?
+-- Key: run_id, seq, robot
 -- Units: time_us, as_of_us microseconds of run time
 -- NULL: rejected_by when the record names no filter for the robot; trust_scope when the robot had not set any for the requester; relay when the query
 --   was answered without one; as_of_us when it was answered from the present; action_id when the query is tied to no action

@@ -1,7 +1,7 @@
 -- Title: What each failure used of the budget that its robot had at each level of recovery
 -- Paper: eq:recovery, app:foundations (Paper 3)
 -- Grain: one row per failure and level that its recovery turned to
--- Key: ?
+-- Key: run_id, action_id, failure, level
 -- Units: spent_us, t_max_us microseconds, spent_us with the time of the help; used, n_max attempts (local), helpers asked (peer),
 --        reassignments (fleet), calls (human); rank 1 local to 4 human
 -- NULL: spent_us when the failure was still at this level at the end of its record; t_max_us, n_max where the run records neither; set_by where the

@@ -1,7 +1,7 @@
 -- Title: The levels that each failure's recovery came to, in order
 -- Paper: eq:recovery
 -- Grain: one row per failure and level that its recovery turned to; attempts that stay at the level are no new row
--- Key: ?
+-- Key: run_id, action_id, failure, seq
 -- Units: time_us microseconds of run time; move number of the row within the failure from 1; *_rank 1 local to 4 human
 -- NULL: from_level, from_rank for the first level of a failure, unless it is an escalation that names the level before; reason, why that
 --       was left, for the first level and where the record does not say it

@@ -1,7 +1,7 @@
 -- Title: The time that each failure spent at each level of recovery
 -- Paper: eq:recovery
 -- Grain: one row per failure and level that its recovery turned to
--- Key: ?
+-- Key: run_id, action_id, failure, move
 -- Units: entered_us, left_us microseconds of run time; spent_us microseconds; attempts count; the first level counts from detection
 -- NULL: left_because where nothing else came or the record does not say it; left_us, spent_us when the failure was still at this level at the end of its record
 -- Example: fsar-ledger query audit/recovery_time LEDGER --param run=RUN --param action=A1-1/4.1

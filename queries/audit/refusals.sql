@@ -1,7 +1,7 @@
 -- Title: Refusals by reason and failed conjunct: requests denied, countered or unanswered, help declined, executions held, commands rejected
 -- Paper: sec:model:request, eq:admissible
 -- Grain: one row per run, type of refusal, reason and principal that decided it
--- Key: ?
+-- Key: run_id, type, reason?, decided_by?
 -- Units: refusals count; first_us, last_us microseconds of run time
 -- NULL: decided_by when the record names no decider; conjunct when the refusal is no part of eq:admissible; the reason of an unanswered request, of
 --       declined help and of a counter-offer is what their type means

@@ -1,7 +1,7 @@
 -- Title: Chains through a relay, link by link: whom each receiver trusted, and that the ends do not trust each other
 -- Paper: eq:nontransitive
 -- Grain: one row per link (two for a chain: requester to relay, relay to executor) of each request through a relay
--- Key: ?
+-- Key: run_id, asked_seq, link
 -- Units: link number of the link from 1; passed_us microseconds of run time
 -- NULL: passed_us, seq when the relay did not pass it on; a trust scope that had not been set by then
 -- Example: fsar-ledger query audit/relay_links LEDGER --param run=RUN

@@ -1,7 +1,7 @@
 -- Title: The story of an action: who asked, who allowed, who acted, who supervised, in the order in which it happened
 -- Paper: fig:wf1, sec:model:request, sec:architecture:fleet
 -- Grain: one row per message or deed of the action
--- Key: ?
+-- Key: run_id, action_id, seq, message
 -- Units: step counts from 1 within the action; time_s seconds of run time
 -- NULL: sender, receiver when the record does not say; note when there is nothing to add. Records that name no action belong to the story when they
 --   caused, or were caused by, one that does; is_tied says which they are

@@ -1,7 +1,7 @@
 -- Title: Revocations of authority, and when each took effect
 -- Paper: eq:nontransitive, sec:model:authority
 -- Grain: one row per claim whose reason is a revocation, and per AuthorityRevoked event
--- Key: ?
+-- Key: run_id, seq
 -- Units: revoked_us, effective_us microseconds of run time; waited_us microseconds
 -- NULL: effective_us, waited_us, boundary, action_id of a right when it never took effect; revoked_from when nobody held execution; capability, context: any
 -- Example: fsar-ledger query audit/revocations LEDGER --param run=RUN

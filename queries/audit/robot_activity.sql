@@ -1,7 +1,7 @@
 -- Title: What a robot was doing at a time
 -- Paper: sec:model:robot
 -- Grain: one row per run, robot and action that it had in hand; one row `idle` for a robot that had none
--- Key: ?
+-- Key: run_id, robot, action_id?
 -- Units: since_us, at_us microseconds of run time; the default time is after the end of every run
 -- NULL: action_id, since_us, on_behalf_of when idle; on_behalf_of also when the robot helps another
 -- Example: fsar-ledger query audit/robot_activity LEDGER --param run=RUN --param robot=robot/C1 --param at_us=20000000

@@ -1,7 +1,7 @@
 -- Title: The execution state of a robot at a time: off, idle, executing, degraded or failed
 -- Paper: sec:evaluation:simulator, sec:model:robot
 -- Grain: one row per run and robot that had joined by then
--- Key: ?
+-- Key: run_id, robot
 -- Units: at_us microseconds of run time; the default time is after the end of every run
 -- NULL: action_id when the robot had nothing in hand; of several things in hand, one that failed, else the first
 -- Example: fsar-ledger query audit/robot_state_at LEDGER --param run=RUN --param robot=robot/D1 --param at_us=31000000

@@ -1,7 +1,7 @@
 -- Title: What one supervisor decided: answers to calls, and interventions of their own accord
 -- Paper: eq:supervision, sec:architecture:fleet (human oversight console)
 -- Grain: one row per SupervisorResponded event, and per other event that a supervisor decided (trust, rules, rights, density, budgets)
--- Key: ?
+-- Key: run_id, seq
 -- Units: called_us, decided_us microseconds of run time; waited_us microseconds
 -- NULL: purpose, called_us, waited_us for what answers no call; decided_by when the record names no decider; robot, capability, action_id and the
 --   principals when the decision is about none in particular

@@ -1,7 +1,7 @@
 -- Title: Who supervised an action, by its records, and whether that supervisor was on shift
 -- Paper: eq:supervision
 -- Grain: one row per run, action and supervisor that its coordination events name
--- Key: ?
+-- Key: run_id, action_id, supervised_by?
 -- Units: first_us, last_us microseconds of run time; records and records_off_shift events
 -- NULL: supervised_by for the records that name no supervisor; records_off_shift for these, too
 -- Example: fsar-ledger query audit/supervisor_of LEDGER --param run=RUN --param action=B1-1/2.1

@@ -1,7 +1,7 @@
 -- Title: The trust in force at a time
 -- Paper: eq:trust
 -- Grain: one row per run, ordered pair of robots and entry about it that had been set by then; asked about a capability or context, only the one that holds
--- Key: ?
+-- Key: run_id, robot, peer, role?, peer_role?, domain?, capability?, context?
 -- Units: since_us (not before both were members), until_us, at_us microseconds of run time, half-open; the default time is after the end of every run
 -- NULL: role, peer_role, domain of an entry about the very pair; capability, context when the entry is about all of them; until_us when it was not set
 --   again; set_by for what the fleet was founded with; a pair without a row had no trust

@@ -1,7 +1,7 @@
 -- Title: Executions without an approval although a review was in force
 -- Paper: eq:policy, sec:evaluation:metrics (policy violations)
 -- Grain: one row per execution or motion that began in a review and had no earlier approval of its action
--- Key: ?
+-- Key: run_id, seq
 -- Units: started_us, called_us microseconds of run time
 -- NULL: action_id and on_behalf_of for a motion; called_us when no supervisor had been asked to review it before
 -- Example: fsar-ledger query audit/unapproved_executions LEDGER --param run=RUN

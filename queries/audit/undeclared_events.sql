@@ -1,7 +1,7 @@
 -- Title: Events that contradict what their run says it observes
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per event of a concern that its run does not observe, and per concern that a run observes and nobody knows
--- Key: ?
+-- Key: run_id, seq?, concern
 -- Units: none
 -- NULL: seq, type of a concern that nobody knows
 -- Example: fsar-ledger query audit/undeclared_events LEDGER

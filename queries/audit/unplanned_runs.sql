@@ -1,7 +1,7 @@
 -- Title: Runs that no plan names
 -- Paper: sec:evaluation:setup
 -- Grain: one row per such run
--- Key: ?
+-- Key: run_id
 -- Units: fleet_size robots
 -- NULL: never
 -- Example: fsar-ledger query audit/unplanned_runs LEDGER

@@ -1,7 +1,7 @@
 -- Title: Case 1, request by request: which requests without trust discovered a capability that was not visible to them, were put to a robot, were executed
 -- Paper: sec:evaluation:qualitative (case 1)
 -- Grain: one row per claim and injected request of the scenario of which the record says what came of it
--- Key: ?
+-- Key: run_id, claim, seq
 -- Units: counted 1 or 0; seq the injection, evidence the event that makes it count, positions in the run
 -- NULL: never; evidence is empty where it does not count
 -- Example: fsar-ledger query cases/case_1_evidence LEDGER

@@ -1,7 +1,7 @@
 -- Title: Case 2, run by run: whether the robot contains its failures by itself, gives them to the coordinator at once, or disputes who recovers
 -- Paper: sec:evaluation:qualitative (case 2), sec:model:recovery
 -- Grain: one row per claim and run of the scenario with a failure; the claims on degradation look only at failures of worn actuators of robots of role D
--- Key: ?
+-- Key: run_id, claim
 -- Units: counted 1 or 0; seq the first failure, evidence where it counts the failures, for a loop the claims and the escalation: positions in the run
 -- NULL: never
 -- Example: fsar-ledger query cases/case_2_evidence LEDGER

@@ -1,7 +1,7 @@
 -- Title: Case 3, run by run: conflicts over the capability that two tasks want at once, and calls to H_F to order them
 -- Paper: sec:evaluation:qualitative (case 3)
 -- Grain: one row per claim and run of the scenario in which steps of two tasks that need door.open.secure are open at the same time
--- Key: ?
+-- Key: run_id, claim
 -- Units: counted conflicts, or 1 and 0 for the claim on H_F; seq the step that came second, evidence the claims that made the conflicts, and for H_F
 --        the calls: positions in the run
 -- NULL: never; evidence is empty where nothing is counted

@@ -1,7 +1,7 @@
 -- Title: Case 4, handoff by handoff: coordination events from the gap to the result, which of them no principal can be named for, and internal messages
 -- Paper: sec:evaluation:qualitative (case 4), sec:evaluation:metrics (audit attributability)
 -- Grain: one row per claim and handoff of the scenario: an action that a robot of role A asks one of role D to do and whose execution has ended
--- Key: ?
+-- Key: run_id, claim, seq
 -- Units: counted coordination events; seq where the step began, evidence the events that are counted: positions in the run
 -- NULL: never; evidence is empty where nothing is counted
 -- Example: fsar-ledger query cases/case_4_evidence LEDGER

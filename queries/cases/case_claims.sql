@@ -2,7 +2,7 @@
 -- Paper: sec:evaluation:qualitative
 -- Grain: one row per claim, architecture, configuration, seed and setting (kind, source, model version, constants, fleet size): runs of different ones
 --        are never in one row
--- Key: ?
+-- Key: claim, architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?
 -- Units: numerator what is counted, denominator of how many, as of_how_many says; value their ratio: a share of runs or requests, or conflicts a run, or
 --        events a handoff; runs of the scenario, runs_with_case those with a case, runs_not_observed those of which it cannot be told, counted nowhere else
 -- NULL: value where no case arose; numerator and denominator where no run of the scenario observes what the claim rests on; what the runs do not have

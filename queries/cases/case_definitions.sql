@@ -1,7 +1,7 @@
 -- Title: The claims of the paper's four cases: in which scenario each is made, and what is counted of how many
 -- Paper: sec:evaluation:qualitative
 -- Grain: one row per claim
--- Key: ?
+-- Key: claim
 -- Units: position counts from 1
 -- NULL: never; is_taken is whether the claim is read in the way that is taken; the others say what else it could mean (R46)
 -- Example: fsar-ledger query cases/case_definitions LEDGER

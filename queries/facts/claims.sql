@@ -1,7 +1,7 @@
 -- Title: Claims of authority, from when to when
 -- Paper: eq:auth
 -- Grain: one row per AuthorityClaimed event
--- Key: ?
+-- Key: run_id, seq
 -- Units: began_us, ended_us microseconds of run time, half-open: a claim no longer holds at ended_us
 -- NULL: ended_us when the claim was never released; task_id when the claim is about no task
 -- Example: fsar-ledger query facts/claims LEDGER

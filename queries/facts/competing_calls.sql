@@ -1,7 +1,7 @@
 -- Title: Calls to a supervisor to order two actions, and the answers, for the action that competes
 -- Paper: sec:prototype:workflows (Workflow 3), eq:supervision
 -- Grain: one row per SupervisorCalled event that names a competing action, and per answer to it
--- Key: ?
+-- Key: run_id, seq, action_id
 -- Units: none
 -- NULL: never; action_id is the competing action, while the event itself names the action for which the supervisor was called
 -- Example: fsar-ledger query facts/competing_calls LEDGER

@@ -1,7 +1,7 @@
 -- Title: Authority conflicts: two or more principals hold one dimension of an action at once
 -- Paper: sec:evaluation:metrics (authority conflict)
 -- Grain: one row per run, action and dimension in which claims of distinct principals overlap, however many pairs
--- Key: ?
+-- Key: run_id, action_id, dimension
 -- Units: began_us microseconds of run time, when the first overlap begins
 -- NULL: never
 -- Example: fsar-ledger query facts/conflicts LEDGER

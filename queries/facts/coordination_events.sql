@@ -1,7 +1,7 @@
 -- Title: Coordination events, and which principals each lets an auditor recover
 -- Paper: sec:evaluation:metrics (audit attributability)
 -- Grain: one row per event of a coordination type
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: decided_by, or a principal, that the row itself does not record; action_id when the record is not correlated with an action; part_of when it
 --       names no robot

@@ -1,7 +1,7 @@
 -- Title: Starts and ends of executions for another robot, and who had begun what ends
 -- Paper: sec:architecture:invariants (A5), eq:request
 -- Grain: one row per start for another robot, and per end of what was started for another robot or by another one than ends it
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time; next_seq position of the next step or end of its task
 -- NULL: principals that the record does not name; began_by, on_behalf_of of an end without a start; next_seq of a start, and where nothing follows
 -- Example: fsar-ledger query facts/cross_robot_records LEDGER

@@ -1,7 +1,7 @@
 -- Title: Decisions, and whether one principal took each by itself
 -- Paper: sec:evaluation:metrics (governance locality)
 -- Grain: one row per event of a decision type whose path is not empty; a denial that only stands, looked at again as time passed, is not decided again
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: decided_by when the record names no decider; task_id, action_id when the record is not tied to one
 -- Example: fsar-ledger query facts/decisions LEDGER

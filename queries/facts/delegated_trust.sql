@@ -1,7 +1,7 @@
 -- Title: Executions for another robot, and whether trust reached from the executor to that robot
 -- Paper: eq:trust, eq:nontransitive
 -- Grain: one row per ExecutionStarted event of a robot on behalf of another
--- Key: ?
+-- Key: run_id, seq
 -- Units: none
 -- NULL: never; is_direct: the executor trusted the other robot by itself; is_chained: each link through the relay that passed the request on was trusted
 -- Example: fsar-ledger query facts/delegated_trust LEDGER

@@ -1,7 +1,7 @@
 -- Title: What executors (or a relay on the way) made of requests, with what was asked
 -- Paper: eq:admissible, eq:auth
 -- Grain: one row per RequestAdmitted, RequestDenied or RequestCountered event of an action that was requested before
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time; seq, asked_seq positions in the run
 -- NULL: conjunct unless denied; trust and the authority tuple where the record gives none; parent, relay when the request has none
 -- Example: fsar-ledger query facts/evaluations LEDGER

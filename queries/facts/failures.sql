@@ -1,7 +1,7 @@
 -- Title: Failures, how each was resolved and when recovery left its first level
 -- Paper: sec:model:recovery
 -- Grain: one row per ExecutionFailed event (run, action, number of the failure within the action)
--- Key: ?
+-- Key: run_id, action_id, failure
 -- Units: detected_us, resolved_us, left_us microseconds of run time; latency_us microseconds, 0 when recovery goes to a human at once
 -- NULL: resolved_level, resolved_us when never resolved; left_us when the first level was never left; latency_us when neither
 -- Example: fsar-ledger query facts/failures LEDGER

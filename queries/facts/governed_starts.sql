@@ -1,7 +1,7 @@
 -- Title: Executions and motions that policy governs, with the true policy at their start
 -- Paper: eq:policy, app:foundations
 -- Grain: one row per ExecutionStarted event and per RoutinePerformed event whose operation is motion
--- Key: ?
+-- Key: run_id, seq
 -- Units: started_us microseconds of run time
 -- NULL: action_id and on_behalf_of for a motion, which serves no action and nobody else
 -- Example: fsar-ledger query facts/governed_starts LEDGER

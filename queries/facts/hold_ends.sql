@@ -1,7 +1,7 @@
 -- Title: What may end a hold: an approval, a window of the robot's that closes, a rule that comes into force for it, word of the fleet's rule
 -- Paper: eq:policy, sec:architecture:fleet
 -- Grain: one row per such event; per robot, where a rule is about several
--- Key: ?
+-- Key: run_id, seq, robot?
 -- Units: seq position in the run
 -- NULL: robot for an approval, which is about one action; action_id for the others, which are about whatever the robot has in hand
 -- Example: fsar-ledger query facts/hold_ends LEDGER

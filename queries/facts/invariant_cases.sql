@@ -1,7 +1,7 @@
 -- Title: How much each invariant looked at
 -- Paper: sec:model:invariants, sec:architecture:invariants
 -- Grain: one row per run and invariant that found anything to judge
--- Key: ?
+-- Key: run_id, invariant
 -- Units: cases records, decisions, executions or acts of recovery, each judged by the invariant; never fewer than the events that offend it
 -- NULL: never; without a row there was nothing to judge, which is no pass
 -- Example: fsar-ledger query facts/invariant_cases LEDGER

@@ -1,7 +1,7 @@
 -- Title: Which concerns each judgement rests on: metrics, invariants, parts of features, mechanisms, cases
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per judge and concern
--- Key: ?
+-- Key: judge, concern
 -- Units: none
 -- NULL: never; is_context is whether nothing at all can be judged without the concern. Without another one an offence that is found stands, but nothing
 --       can be said to hold

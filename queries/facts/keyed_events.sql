@@ -1,7 +1,7 @@
 -- Title: Events, and the action that each record names
 -- Paper: sec:evaluation:metrics (audit attributability)
 -- Grain: one row per event
--- Key: ?
+-- Key: run_id, seq
 -- Units: none
 -- NULL: action_id when the record names no action, no failed action and no request, and no outsider's attempt is its task
 -- Example: fsar-ledger query facts/keyed_events LEDGER

@@ -1,7 +1,7 @@
 -- Title: Executions and motions that policy governs, with the composed outcome that was known at the decision
 -- Paper: eq:policy, app:foundations
 -- Grain: one row per ExecutionStarted event and per RoutinePerformed event whose operation is motion
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time; decision_seq, denied_seq positions in the run
 -- NULL: action_id for a motion; denied_seq without an earlier refusal of the action that still stands
 -- Example: fsar-ledger query facts/known_policy LEDGER

@@ -2,7 +2,7 @@
 -- Paper: sec:architecture:fleet, sec:architecture:invariants (A3)
 -- Grain: one row per RequestDenied event for reasons of policy, and per ExecutionHeld event under the executor's own denial, at which rules of the
 --        fleet explicitly allow and the executor's own policy denies
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time; seq, mandate_seq, escalated_seq positions in the run
 -- NULL: escalated_seq when nobody was told of the conflict
 -- Example: fsar-ledger query facts/mandate_conflicts LEDGER

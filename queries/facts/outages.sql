@@ -1,7 +1,7 @@
 -- Title: Spells in which a robot was off, its link was down, or its actuator was degraded
 -- Paper: sec:evaluation:simulator
 -- Grain: one row per RobotWentOff, LinkWentDown or ActuatorDegraded event
--- Key: ?
+-- Key: run_id, seq
 -- Units: since_us, until_us microseconds of run time
 -- NULL: until_us when nothing ended it within the run
 -- Example: fsar-ledger query facts/outages LEDGER

@@ -1,7 +1,7 @@
 -- Title: Decisions on delegated requests, and whose policy did not allow them at that moment
 -- Paper: eq:policy
 -- Grain: one row per admission, command, refusal for policy and call for review of a step that one robot delegates to another
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: never; is_against_*: that policy had not allowed for a second (two messages) or longer; is_heeded: refused, put to review or approved in one
 -- Example: fsar-ledger query facts/policy_decisions LEDGER

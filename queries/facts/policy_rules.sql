@@ -2,7 +2,7 @@
 -- Paper: eq:policy, app:foundations
 -- Grain: one row per PolicyRuleSet or RolePolicyRuleSet event and robot for which it comes into force; a rule for every robot, or for a role, is one row
 --        for each member of the fleet that it is about, also for those that joined later
--- Key: ?
+-- Key: run_id, seq, robot
 -- Units: set_us, until_us microseconds of run time, half-open; seq, until_seq positions in the run
 -- NULL: role, domain for a rule about no role (an empty domain is the whole fleet); capability, context when the rule is about all of them; until_us,
 --   until_seq when nothing replaced it; decided_by for what the fleet was founded with

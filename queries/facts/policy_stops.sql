@@ -1,7 +1,7 @@
 -- Title: What policy stops: refusals of requests, and holds of admitted actions under the executor's own denial
 -- Paper: eq:policy, sec:architecture:fleet
 -- Grain: one row per RequestDenied event for reasons of policy, and per ExecutionHeld event whose outcome is the executor's own denial
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time; seq, previous_seq positions in the run, previous_seq of the action's stop before this one (-1: none)
 -- NULL: task_id where the record names no task
 -- Example: fsar-ledger query facts/policy_stops LEDGER
@@ -15,7 +15,7 @@ WITH stops AS (
         denied.executed_by AS robot,
         issued.capability
     FROM request_denied AS denied
-    INNER JOIN request_issued AS issued ON denied.run_id = issued.run_id AND denied.action_id = issued.action_id AND denied.seq > issued.seq
+    ASOF JOIN request_issued AS issued ON denied.run_id = issued.run_id AND denied.action_id = issued.action_id AND denied.seq > issued.seq
     WHERE denied.reason = 'policy'
     UNION ALL
     SELECT

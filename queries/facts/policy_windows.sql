@@ -1,7 +1,7 @@
 -- Title: When a policy does not allow: windows of the world, and rules that deny or ask for review
 -- Paper: eq:policy, app:foundations
 -- Grain: one row per PolicyWindowOpened event, and per PolicyRuleSet or RolePolicyRuleSet event whose outcome is not allow and robot for which it holds
--- Key: ?
+-- Key: run_id, seq, robot
 -- Units: opened_us, closed_us microseconds of run time, half-open: it is over at closed_us; seq, closed_seq positions in the run
 -- NULL: window for a rule; capability, context when it holds for all of them; closed_us, closed_seq when it was never closed or replaced
 -- Example: fsar-ledger query facts/policy_windows LEDGER

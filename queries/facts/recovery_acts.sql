@@ -1,7 +1,7 @@
 -- Title: What recovery did about each failure, at which level, with the budget of the level then
 -- Paper: eq:recovery, app:foundations (Paper 3)
 -- Grain: one row per failure and attempt, question for help or its admission, reassignment decision, call or answer for recovery, escalation or resolution
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us, deadline_us microseconds of run time; t_max_us microseconds; n_max uses; rank 1 local to 4 human
 -- NULL: failure, robot before any failure of the action; level, rank where the record names none; to_rank unless an escalation; t_max_us, n_max as in
 --       facts/recovery_allowances; helper, deadline_us, reason where the record gives none

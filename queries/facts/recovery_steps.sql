@@ -1,7 +1,7 @@
 -- Title: What recovery did about each failure, step by step, and what came of it
 -- Paper: eq:recovery, fig:wf3
 -- Grain: one row per failure and attempt, question to registry, peer or supervisor, reassignment decision, escalation or resolution
--- Key: ?
+-- Key: run_id, action_id, failure, seq
 -- Units: detected_us, time_us, until_us microseconds of run time; until_us is when the next step was taken
 -- NULL: decided_by when the record names none; result when nothing came of it or none is recorded; until_us of the last step
 -- Example: fsar-ledger query facts/recovery_steps LEDGER

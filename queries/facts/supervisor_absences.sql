@@ -1,7 +1,7 @@
 -- Title: Recorded absences of supervisors
 -- Paper: eq:supervision
 -- Grain: one row per SupervisorLeft event
--- Key: ?
+-- Key: run_id, left_seq
 -- Units: left_us, returned_us microseconds of run time; left_seq, returned_seq positions in the run
 -- NULL: returned_us and returned_seq when the supervisor never came back
 -- Example: fsar-ledger query facts/supervisor_absences LEDGER

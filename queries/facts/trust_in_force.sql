@@ -1,7 +1,7 @@
 -- Title: The trust in force between two robots or roles, by capability and context, from each moment at which it was set
 -- Paper: eq:trust
 -- Grain: one row per run, robot and peer (or role, peer_role and domain), capability, context and moment at which it was set; before the first there is none
--- Key: ?
+-- Key: run_id, robot?, peer?, role?, peer_role?, domain?, capability?, context?, since_us
 -- Units: since_us, until_us microseconds of run time, half-open
 -- NULL: robot, peer of an entry about roles; role, peer_role, domain of one about a pair; capability, context when the entry is about all of them;
 --   until_us for the last row of an entry; set_by for what the fleet was founded with

@@ -1,7 +1,7 @@
 -- Title: The robots that each entry of trust is about, on either side
 -- Paper: eq:trust
 -- Grain: one row per TrustSet or RoleTrustSet event, side and robot; an entry about roles has one for each member, also for those that joined later
--- Key: ?
+-- Key: run_id, seq, is_trusting, robot
 -- Units: joined_us microseconds of run time, from which on the robot is a member; 0 where nobody recorded that it joined
 -- NULL: never; is_trusting: the robot is one that trusts, else one that is trusted
 -- Example: fsar-ledger query facts/trust_parties LEDGER

@@ -1,7 +1,7 @@
 -- Title: Entries of trust, and which of those that apply holds
 -- Paper: eq:trust
 -- Grain: one row per TrustSet or RoleTrustSet event
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time; precedence orders the entries that apply to one robot about one peer
 -- NULL: robot, peer of an entry about roles; role, peer_role, domain of one about a pair (an empty domain is the whole fleet); capability, context when
 --   the entry is about all of them; set_by for what the fleet was founded with

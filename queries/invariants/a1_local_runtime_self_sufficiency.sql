@@ -1,7 +1,7 @@
 -- Title: A1 broken: a robot needs somebody else for its own steps or routine
 -- Paper: sec:architecture:invariants (A1), eq:runtime
 -- Grain: one row per own step, or routine, that another principal than the robot decided or was on the way to; and per own execution nobody decided
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a routine, and where the record does not name it
 -- Example: fsar-ledger query invariants/a1_local_runtime_self_sufficiency LEDGER

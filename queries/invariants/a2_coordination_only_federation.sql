@@ -1,7 +1,7 @@
 -- Title: A2 broken: a federation service or the coordinator executes
 -- Paper: sec:architecture:invariants (A2), eq:federation
 -- Grain: one row per event that names a service or the coordinator as executor, or as the body that moves
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id when the event is not tied to an action
 -- Example: fsar-ledger query invariants/a2_coordination_only_federation LEDGER

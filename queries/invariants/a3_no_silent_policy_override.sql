@@ -2,7 +2,7 @@
 -- Paper: sec:architecture:invariants (A3), eq:policy
 -- Grain: one row per start under a known deny, or review that no supervisor had approved, after a refusal that nothing lifted, or after a hold that
 --        nothing ended; per admission that is milder than what the request carried; and per stop against a mandate that was not escalated
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a motion
 -- Example: fsar-ledger query invariants/a3_no_silent_policy_override LEDGER

@@ -1,7 +1,7 @@
 -- Title: A4 broken: a decision about execution is taken by another principal than the robot that executes
 -- Paper: sec:architecture:invariants (A4), eq:federation
 -- Grain: one row per acceptance, admission, own step, routine, hold, replan, local recovery or assistance that the robot did not decide itself
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a routine, and where the record does not name it
 -- Example: fsar-ledger query invariants/a4_thin_federation_interface LEDGER

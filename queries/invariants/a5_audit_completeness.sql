@@ -3,7 +3,7 @@
 -- Grain: one row per start or end of an execution for another robot whose own record lacks or misstates a principal, without an earlier request and
 --        admission (or reassignment) and acceptance of its action in this order, ended by who had not begun it, or not closed before its task goes
 --        on; and per help that was admitted without a principal
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id where the record names none
 -- Example: fsar-ledger query invariants/a5_audit_completeness LEDGER

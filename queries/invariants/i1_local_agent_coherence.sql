@@ -2,7 +2,7 @@
 -- Paper: sec:model:invariants (I1), eq:runtime
 -- Grain: one row per event and principal that is no joined robot, no supervisor, no federation service and no coordinator; and per second joining of
 --        a robot
--- Key: ?
+-- Key: run_id, seq, found
 -- Units: time_us microseconds of run time
 -- NULL: action_id when the event is not tied to an action
 -- Example: fsar-ledger query invariants/i1_local_agent_coherence LEDGER

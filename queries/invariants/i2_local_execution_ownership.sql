@@ -2,7 +2,7 @@
 -- Paper: sec:model:invariants (I2), eq:request
 -- Grain: one row per ExecutionStarted event for another robot without an earlier acceptance, by the executing robot, of that action, and per admission of
 --        a request that the asking robot had no right to any more
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: never
 -- Example: fsar-ledger query invariants/i2_local_execution_ownership LEDGER

@@ -1,7 +1,7 @@
 -- Title: I3 broken: an execution or motion starts although the composed policy known then denies it
 -- Paper: sec:model:invariants (I3), eq:policy
 -- Grain: one row per start under a known deny, or after a refusal that no later admission or approval lifted
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a motion
 -- Example: fsar-ledger query invariants/i3_jointly_composed_policy LEDGER

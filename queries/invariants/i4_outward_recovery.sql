@@ -2,7 +2,7 @@
 -- Paper: sec:model:invariants (I4), eq:recovery
 -- Grain: one row per recovery event whose level is not the one reached, whose step is not to the next level outward, that is beyond the time or the
 --        count of its level, or that rests on what is not on record
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: never
 -- Example: fsar-ledger query invariants/i4_outward_recovery LEDGER

@@ -1,7 +1,7 @@
 -- Title: I5 broken: a coordination event from which a principal cannot be recovered
 -- Paper: sec:model:invariants (I5), sec:evaluation:metrics (audit attributability)
 -- Grain: one row per coordination event that lacks a requester, an executor, or a supervisor who is not recorded as absent
--- Key: ?
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id when the record is not correlated with an action
 -- Example: fsar-ledger query invariants/i5_audit_attributability LEDGER

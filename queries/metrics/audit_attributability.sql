@@ -1,7 +1,7 @@
 -- Title: Audit attributability
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run
--- Key: ?
+-- Key: run_id
 -- Units: numerator coordination events whose origin, executor and supervisor are recorded or recoverable; denominator coordination events; value share;
 --        *_without_routine the same without records of routine operations, which no request made (R42)
 -- NULL: value of a run without coordination events; numbers of a run that does not observe what the metric rests on; not_observed of one that does

@@ -1,7 +1,7 @@
 -- Title: How much of what is counted is routine, and how much of what is not attributable only lacks a supervisor who was off shift
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per architecture, configuration, seed and setting (kind, source, model version, constants, fleet size)
--- Key: ?
+-- Key: architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?
 -- Units: counts, and shares of them: of decisions, of local decisions, of coordination events and of policy violations those of routine operations;
 --        of coordination events that are not attributable those whose supervisor alone is missing, during a recorded absence (R8)
 -- NULL: seed, source, model version of runs that have none; constants where all runs of the kind and model have the same; a share of nothing;

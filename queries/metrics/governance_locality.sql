@@ -1,7 +1,7 @@
 -- Title: Governance locality
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run
--- Key: ?
+-- Key: run_id
 -- Units: numerator decisions that a robot or named supervisor took by itself; denominator decisions; value share;
 --        *_without_routine the same without decisions on routine operations, which no request made (R42)
 -- NULL: value of a run without decisions; numbers of a run that does not observe what the metric rests on; not_observed of one that does

@@ -2,7 +2,7 @@
 -- Paper: tab:results
 -- Grain: one row per architecture, configuration, setting (kind, source, model version, constants, fleet size), metric, scenario or all scenarios,
 --        and seed or all seeds (pools_seeds)
--- Key: ?
+-- Key: architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?, pools_seeds, scenario?, metric
 -- Units: mean, mean_without_routine (routine operations left out), sd (per run), ci_low, ci_high in the metric's unit; n runs of so many seeds;
 --        denominator: what the metric counts, summed over runs; runs_not_observed runs that do not observe what it rests on, which nothing else counts.
 --        Containment and latency are pooled: mean is the sum of numerators over the sum of denominators.

@@ -2,7 +2,7 @@
 -- Paper: tab:ablation
 -- Grain: one row per architecture, configuration, setting (kind, source, model version, constants, fleet size), metric, scenario or all scenarios,
 --        and seed or all seeds (pools_seeds), as in metric_summaries
--- Key: ?
+-- Key: architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?, pools_seeds, scenario?, metric
 -- Units: as in metric_summaries; setting, encounter_mean_s, teams_working and made_alike_but as in dials
 -- NULL: as in metric_summaries and dials
 -- Example: fsar-ledger query metrics/metrics_by_dial LEDGER

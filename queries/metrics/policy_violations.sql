@@ -1,7 +1,7 @@
 -- Title: Policy violations
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run
--- Key: ?
+-- Key: run_id
 -- Units: numerator and value executions and motions that started against policy; denominator 1 (the run);
 --        *_without_routine the same without motions, which are routine operations (R42)
 -- NULL: numbers of a run that does not observe what the metric rests on; not_observed of one that does

@@ -1,7 +1,7 @@
 -- Title: Reassignment latency
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run
--- Key: ?
+-- Key: run_id
 -- Units: numerator microseconds from detection to local resolution or to leaving the first level; denominator failures that did either; value seconds
 -- NULL: value of a run without such failures; numbers of a run that does not observe what the metric rests on; not_observed of one that does
 -- Example: fsar-ledger query metrics/reassignment_latency_s LEDGER

@@ -1,7 +1,7 @@
 -- Title: The number that each run contributes to a summary: of each scenario and of all together, of each seed and of all together
 -- Paper: tab:results
 -- Grain: one row per run, metric, scenario or all scenarios, and seed or all seeds (pools_seeds)
--- Key: ?
+-- Key: run_id, metric, pools_seeds, scenario?
 -- Units: setting and constants as in run_settings; x and pooled_mean in the metric's unit. For a pooled metric
 --        x = ratio + residual / mean denominator, whose mean is the pooled ratio and sd(x) / sqrt(n) its standard error
 -- NULL: scenario for all scenarios; seed for all seeds, and of runs that have none; what the run does not have; x where the metric is undefined or

@@ -6,7 +6,7 @@
 -- Moves: audit_attributability
 -- Why: The supervision owner is recoverable: the absence is on record, and whose it is; and H_F oversees what a local supervisor does not.
 -- Grain: one row per run
--- Key: ?
+-- Key: run_id
 -- Units: as in audit_attributability
 -- NULL: as in audit_attributability
 -- Example: fsar-ledger query readings/absent_supervisors_are_excused LEDGER

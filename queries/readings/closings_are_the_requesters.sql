@@ -6,7 +6,7 @@
 -- Moves: governance_locality
 -- Why: In the worked computation the requester detects the completion, one of the nine local decisions of FSAR.
 -- Grain: one row per decision
--- Key: ?
+-- Key: run_id, seq
 -- Units: as in decisions
 -- NULL: as in decisions
 -- Example: fsar-ledger query readings/closings_are_the_requesters LEDGER

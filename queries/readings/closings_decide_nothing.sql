@@ -6,7 +6,7 @@
 -- Moves: governance_locality
 -- Why: The definition lists requests, delegations, escalations and denials, and what closes a request decides nothing any more.
 -- Grain: one row per decision
--- Key: ?
+-- Key: run_id, seq
 -- Units: as in decisions
 -- NULL: as in decisions
 -- Example: fsar-ledger query readings/closings_decide_nothing LEDGER

@@ -6,7 +6,7 @@
 -- Moves: governance_locality
 -- Why: Each coordination decision in the audit trace counts, and each look at a step that waits leaves a denial there.
 -- Grain: one row per decision
--- Key: ?
+-- Key: run_id, seq
 -- Units: as in decisions
 -- NULL: as in decisions
 -- Example: fsar-ledger query readings/denials_decide_each_time LEDGER

@@ -7,7 +7,7 @@
 -- Why: The allotted time is printed nowhere; a task that we call late is still worked on, and given up after twice its budget, so that may be the allotted
 --      time.
 -- Grain: one row per TaskArrived event
--- Key: ?
+-- Key: run_id, seq
 -- Units: as in task_arrived
 -- NULL: as in task_arrived
 -- Example: fsar-ledger query readings/late_tasks_succeed LEDGER

@@ -6,7 +6,7 @@
 -- Moves: reassignment_latency_s
 -- Why: A reassignment is successful when the other robot has done it, not when recovery turns to the next level.
 -- Grain: one row per failure
--- Key: ?
+-- Key: run_id, seq
 -- Units: as in failures
 -- NULL: as in failures
 -- Example: fsar-ledger query readings/latency_until_helped LEDGER

@@ -7,7 +7,7 @@
 -- Why: The definition excludes the traversal of nested internal-agent delegation chains, and of nothing else; that of the fleet layer stands in the worked
 --      computation.
 -- Grain: one row per decision
--- Key: ?
+-- Key: run_id, seq
 -- Units: as in decisions
 -- NULL: as in decisions
 -- Example: fsar-ledger query readings/only_agents_are_traversed LEDGER

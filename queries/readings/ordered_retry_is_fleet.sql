@@ -6,7 +6,7 @@
 -- Moves: recovery_containment, reassignment_latency_s
 -- Why: The first level is the robot's own runtime, and under CFC every failure is at once escalated to the coordinator, in 100 % of runs.
 -- Grain: one row per failure
--- Key: ?
+-- Key: run_id, seq
 -- Units: as in failures
 -- NULL: as in failures
 -- Example: fsar-ledger query readings/ordered_retry_is_fleet LEDGER

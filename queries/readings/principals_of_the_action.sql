@@ -6,7 +6,7 @@
 -- Moves: audit_attributability
 -- Why: The score is the share of events for which all three are recoverable; it does not say from what.
 -- Grain: one row per record
--- Key: ?
+-- Key: run_id, seq
 -- Units: as in coordination_events
 -- NULL: as in coordination_events
 -- Example: fsar-ledger query readings/principals_of_the_action LEDGER

@@ -6,7 +6,7 @@
 -- Moves: audit_attributability
 -- Why: We check whether the audit trace jointly records the three, for each event.
 -- Grain: one row per record
--- Key: ?
+-- Key: run_id, seq
 -- Units: as in coordination_events
 -- NULL: as in coordination_events
 -- Example: fsar-ledger query readings/principals_on_the_record LEDGER

@@ -6,7 +6,7 @@
 -- Moves: recovery_containment, reassignment_latency_s
 -- Why: All tests have 100 pairs, also where few runs fail; 1.0 and 0 s for the others fit the printed tests.
 -- Grain: one row per metric
--- Key: ?
+-- Key: metric
 -- Units: as in metric_definitions
 -- NULL: as in metric_definitions
 -- Example: fsar-ledger query readings/published_convention LEDGER

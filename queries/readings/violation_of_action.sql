@@ -6,7 +6,7 @@
 -- Moves: policy_violations
 -- Why: The number of actions per run, not of their starts.
 -- Grain: one row per run
--- Key: ?
+-- Key: run_id
 -- Units: as in policy_violations
 -- NULL: as in policy_violations
 -- Example: fsar-ledger query readings/violation_of_action LEDGER

@@ -1,7 +1,7 @@
 -- Title: The dials that the paper leaves open, as each setting has them
 -- Paper: tab:scaling
 -- Grain: one row per setting (kind, source, model version, constants, fleet size)
--- Key: ?
+-- Key: setting
 -- Units: setting as in run_settings; encounter_mean_s in s; teams_working teams, all of the fleet's unless the runs say otherwise; made_alike_but,
 --        the same text for settings of one kind, source and model that differ in fleet size and these two dials alone
 -- NULL: source, model_version, constants and fleet_size as in run_groups; a dial of a source that records none and has no default

@@ -1,7 +1,7 @@
 -- Title: Sets of constants, and the constants in which those of one model differ
 -- Paper: sec:evaluation:setup
 -- Grain: one row per model (as in parameter_texts) and parameter_set
--- Key: ?
+-- Key: model, parameter_set
 -- Units: constants, those in which the readable sets of one model differ, as NAME=VALUE: the first five, and how many more
 -- NULL: constants where all runs of the model have the same
 -- Example: fsar-ledger query staging/parameter_sets LEDGER

@@ -1,7 +1,7 @@
 -- Title: Plans: which runs an experiment was to have, on record before the first of them
 -- Paper: sec:evaluation:setup
 -- Grain: one row per plan
--- Key: ?
+-- Key: plan
 -- Units: fleet_size robots; run_count runs for each architecture, configuration and scenario, numbered from 0; planned_count runs in all; parameters_sha256
 --        the digest of all constants of the world and of structure
 -- NULL: never

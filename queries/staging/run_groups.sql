@@ -1,7 +1,7 @@
 -- Title: Runs, and which of them may be counted together
 -- Paper: sec:evaluation:setup
 -- Grain: one row per run
--- Key: ?
+-- Key: run_id
 -- Units: made_alike, the same text for runs of one architecture, configuration, seed and setting (kind, source, model version, constants, fleet size);
 --        fleet_size robots; constants as in parameter_sets
 -- NULL: what the run does not have; constants where all runs of the kind and model have the same

@@ -1,7 +1,7 @@
 -- Title: What there is to compare, for each comparison: runs of both sides, worlds that both met, pairs
 -- Paper: sec:evaluation:significance
 -- Grain: one row per comparison and configuration of which the ledger holds a run of either side
--- Key: ?
+-- Key: comparison, configuration
 -- Units: first_count, second_count runs; first_worlds, second_worlds combinations of seed, scenario, fleet size and run that each met, shared_worlds both;
 --        pair_count pairs that met the same world, left_out those with the same combination that did not; scenarios, seeds, fleet_sizes of a side as text
 -- NULL: the texts of a side without runs

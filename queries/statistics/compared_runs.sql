@@ -1,7 +1,7 @@
 -- Title: Runs that have a seed, a scenario and a number, and so may have met the world of another run
 -- Paper: sec:evaluation:setup
 -- Grain: one row per run
--- Key: ?
+-- Key: run_id
 -- Units: setting as in run_settings, described its kind, source, model version and constants;
 --        twins runs of the same architecture, configuration, setting, seed, scenario and number, itself included;
 --        observes_world whether its source records every fact of the world

@@ -1,7 +1,7 @@
 -- Title: Who is compared with whom: the three pairs of architectures, and an architecture with itself without a mechanism
 -- Paper: tab:significance, tab:ablation
 -- Grain: one row per comparison and configuration; differences are first minus second
--- Key: ?
+-- Key: comparison, configuration
 -- Units: family names the tests that Holm adjusts together; configuration that of both architectures, of an ablation the ablated one
 -- NULL: never
 -- Example: fsar-ledger query statistics/comparisons LEDGER

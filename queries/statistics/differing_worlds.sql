@@ -1,7 +1,7 @@
 -- Title: Pairs of runs that are not compared, since they did not meet the same world, with what differs first
 -- Paper: sec:evaluation:significance
 -- Grain: one row per pair of runs (run_pairs) whose worlds differ, or may differ
--- Key: ?
+-- Key: comparison, configuration, first_run_id?, second_run_id?
 -- Units: differs as in run_pairs; first_found and second_found say of each run of the pair what differs: of facts the first one that is not in the other at its
 --        place, as time, type and fields; of the setting kind, model version and constants
 -- NULL: first_found, second_found where a run has no more facts, or where nothing can be shown (repeated, unobserved)

@@ -2,7 +2,7 @@
 -- Paper: tab:results
 -- Grain: one row per drawn experiment (drawn_sums), architecture, configuration, setting (kind, source, model version, constants, fleet size), seed
 --        and metric
--- Key: ?
+-- Key: draw, architecture, configuration, setting, seed, metric
 -- Units: setting as in run_settings; value in the metric's unit
 -- NULL: value where nothing that the metric counts was drawn
 -- Example: fsar-ledger query statistics/drawn_experiments LEDGER

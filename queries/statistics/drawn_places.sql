@@ -1,7 +1,7 @@
 -- Title: Which runs of a scenario an experiment of the paper's size takes: 4,000 of them, drawn from as many runs as there are
 -- Paper: sec:evaluation:setup
 -- Grain: one row per scenario, count of runs that are there of it, drawn experiment and place of a run among them, from 0
--- Key: ?
+-- Key: scenario, runs, draw, place
 -- Units: runs, times counts: 20 runs are drawn with replacement, so times add up to 20. Nothing is random: which runs a draw takes follows from an MD5
 --        of its number
 -- NULL: none

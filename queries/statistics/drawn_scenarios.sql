@@ -2,7 +2,7 @@
 -- Paper: sec:evaluation:ablation
 -- Grain: one row per drawn experiment (drawn_sums), architecture, configuration, setting (kind, source, model version, constants, fleet size), seed,
 --        scenario and metric
--- Key: ?
+-- Key: draw, architecture, configuration, setting, seed, scenario, metric
 -- Units: setting as in run_settings; value in the metric's unit
 -- NULL: value where nothing that the metric counts was drawn
 -- Example: fsar-ledger query statistics/drawn_scenarios LEDGER

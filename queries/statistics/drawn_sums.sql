@@ -2,7 +2,7 @@
 -- Paper: sec:evaluation:setup
 -- Grain: one row per drawn experiment, architecture, configuration, setting (kind, source, model version, constants, fleet size), seed,
 --        scenario and metric
--- Key: ?
+-- Key: draw, architecture, configuration, setting, seed, scenario, metric
 -- Units: setting as in run_settings; value_ppb billionths of the metric's unit, summed over defined runs; numerator, denominator as in run_metrics, summed.
 --        20 runs of the scenario are drawn with replacement; the runs of a world are drawn together for all
 --        architectures. Nothing is random: which runs a draw takes follows from an MD5 of its number (drawn_places)

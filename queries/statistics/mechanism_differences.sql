@@ -2,7 +2,7 @@
 -- Paper: sec:evaluation:ablation
 -- Grain: one row per architecture, configuration that lacks one mechanism, setting (kind, source, model version, constants, fleet size), metric, and seed or
 --        all seeds (pools_seeds)
--- Key: ?
+-- Key: architecture, configuration, setting, seed?, pools_seeds, metric
 -- Units: first is in full and second without, so mean_difference is what the mechanism adds; n and all else as in side_differences, but p_holm over the
 --        family_tests tests of all mechanisms of all architectures, of one setting and seed
 -- NULL: seed for all seeds; the rest as in side_differences

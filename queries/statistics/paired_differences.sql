@@ -2,7 +2,7 @@
 -- Paper: sec:evaluation:significance
 -- Grain: one row per metric, pair of runs that met the same world (run_pairs), basis, and the pair's seed or all seeds (pools_seeds):
 --        published counts a metric that is undefined for a run as the paper does, defined leaves such pairs out
--- Key: ?
+-- Key: test, first_run_id, second_run_id
 -- Units: first_value, second_value, difference (first minus second) in the metric's unit; difference_ppb billionths of it, an integer
 --        so that differences which are equal but for the last bits of a float tie in ranks; holm_family the tests that Holm adjusts together
 -- NULL: seed for all seeds; constants as in run_settings (test names basis, comparison, setting, seed and metric in one text); pairs with an undefined

@@ -1,7 +1,7 @@
 -- Title: Paired t-tests with effect sizes
 -- Paper: tab:significance
 -- Grain: one row per test (basis, comparison, configuration, setting, seed or all seeds, metric) with at least one pair
--- Key: ?
+-- Key: test
 -- Units: means and mean_difference in the metric's unit; cohens_d in pooled standard deviations (as published, with sign), d_z in standard
 --        deviations of the differences; hedges_g = J * cohens_d with J = 1 - 3 / (4 df - 1). 95 % intervals of both from the variance of d for correlated
 --        pairs by the delta method: var(differences) / (n s^2) + d^2 (s1^4 + s2^4 + 2 cov^2) / (8 df s^4), s the pooled standard deviation

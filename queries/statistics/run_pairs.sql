@@ -1,7 +1,7 @@
 -- Title: Pairs of runs of two architectures or configurations with the same seed, scenario, fleet size and number, and what differs in their worlds
 -- Paper: sec:evaluation:significance
 -- Grain: one row per comparison, configuration and pair of such runs: both under the same setting, or one that has no counterpart under its own
--- Key: ?
+-- Key: comparison, configuration, first_run_id?, second_run_id?
 -- Units: differs is what keeps a pair from being compared: setting (kind, source, model version or constants), repeated (a run has a twin, so nobody can say
 --        which is the pair), unobserved (the facts of the world, by one of them), facts (the world did something else)
 -- NULL: differs where both met the same world

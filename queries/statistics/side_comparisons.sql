@@ -1,7 +1,7 @@
 -- Title: Which sides are compared: those of the paper's comparisons that were made under one setting; `compare` has the two that it is asked for instead
 -- Paper: tab:significance, tab:ablation
 -- Grain: one row per comparison, configuration and setting
--- Key: ?
+-- Key: comparison, configuration, setting
 -- Units: comparison, family, configuration as in comparisons; first_side, second_side as in sides
 -- NULL: never
 -- Example: fsar-ledger query statistics/side_comparisons LEDGER

@@ -1,7 +1,7 @@
 -- Title: Paired differences of two sides, metric by metric, with intervals and tests
 -- Paper: sec:evaluation:significance
 -- Grain: one row per pair of sides (side_comparisons), metric, seed or all seeds (pools_seeds), and scenario or all scenarios
--- Key: ?
+-- Key: first_side, second_side, pools_seeds, seed?, scenario?, metric
 -- Units: means and counts of pairs as in side_moments. 95 % interval: Student's t with differing_pairs - 1 degrees of freedom; of human_intervention after
 --        Bonett and Price. test is paired t, or sign (exact, of the pairs that differ): of human_intervention, where fewer than 25 pairs and less than half
 --        of all differ, and where all differ alike. p_holm over the family_tests tests of the same sides, seed and scenario, or of all scenarios' rows.

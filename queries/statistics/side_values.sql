@@ -1,7 +1,7 @@
 -- Title: What each pair of runs of two sides contributes to the difference of a metric
 -- Paper: sec:evaluation:significance
 -- Grain: one row per pair of runs (side_pairs) that both count, metric, its seed or all seeds (pools_seeds), and its scenario or all scenarios
--- Key: ?
+-- Key: first_side, second_side, first_run_id, second_run_id, metric, pools_seeds, scenario?
 -- Units: contribution in the metric's unit: first minus second, and of a pooled metric the pseudo-value of the jackknife, n * difference - (n - 1) * difference
 --        without the pair; direction 1 where the first side is higher, -1 where the second is, 0 where neither, for a pooled metric beside the ratio of both
 --        together; differs whether the pair's runs count the same; first_ratio, second_ratio the pooled values of the sides

@@ -1,7 +1,7 @@
 -- Title: Wilcoxon signed-rank tests
 -- Paper: sec:evaluation:significance
 -- Grain: one row per test (as in paired_t_tests) with at least one pair
--- Key: ?
+-- Key: test
 -- Units: n pairs that differ (zeros are dropped); w the smaller rank sum; z of the rank sum of positive differences, variance corrected for ties,
 --        no continuity correction. Ranks are average ranks of the absolute differences in billionths of the metric's unit
 -- NULL: w when no pair differs; z, p when fewer than 6 do: too few for the normal approximation, and no p below 0.05 is possible

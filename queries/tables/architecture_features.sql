@@ -1,7 +1,7 @@
 -- Title: Architectural comparison: which of the eight features each architecture of the ledger shows, by what its events say
 -- Paper: tab:baseline_context
 -- Grain: one row per architecture, configuration, seed, setting (kind, source, model version, constants, fleet size) and feature
--- Key: ?
+-- Key: architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?, feature
 -- Units: essential_share share; evidence is text, numerator/denominator of each part, the essential one first
 -- NULL: what the runs do not have; constants where all runs of the kind and model have the same; grade, essential_share when they hold nothing that could show
 --       the essential part; grade also when another part that would decide is not shown

@@ -1,7 +1,7 @@
 -- Title: What shows governed delegation: trust where it was needed, policies that were composed, a registry that hides
 -- Paper: tab:baseline_context, eq:trust, eq:policy, sec:architecture:registry
 -- Grain: one row per made_alike (as in run_groups) and part
--- Key: ?
+-- Key: made_alike, part
 -- Units: numerator, denominator counts
 -- NULL: never; no row for a part that nothing in the ledger could show, and none of runs that do not observe what it rests on
 -- Example: fsar-ledger query tables/evidence_of_governance LEDGER

@@ -1,7 +1,7 @@
 -- Title: What shows who a principal is and who decides: robots as one principal, central decisions, agents inside robots, attribution
 -- Paper: tab:baseline_context, sec:model:invariants (I1, I5)
 -- Grain: one row per made_alike (as in run_groups) and part
--- Key: ?
+-- Key: made_alike, part
 -- Units: numerator, denominator counts
 -- NULL: never; no row for a part that nothing in the ledger could show, and none of runs that do not observe what it rests on
 -- Example: fsar-ledger query tables/evidence_of_principals LEDGER

@@ -1,7 +1,7 @@
 -- Title: What shows layered recovery: who begins it, which levels it comes to, and whether one is skipped
 -- Paper: tab:baseline_context, eq:recovery
 -- Grain: one row per made_alike (as in run_groups) and part
--- Key: ?
+-- Key: made_alike, part
 -- Units: numerator, denominator counts; of the levels, those that any failure came to and all four
 -- NULL: never; no row for runs without failures, and none of runs that do not observe what a part rests on
 -- Example: fsar-ledger query tables/evidence_of_recovery LEDGER

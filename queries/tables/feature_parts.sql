@@ -1,7 +1,7 @@
 -- Title: What the eight features of the architectural comparison rest on, part by part
 -- Paper: tab:baseline_context
 -- Grain: one row per made_alike (as in run_groups), feature and part
--- Key: ?
+-- Key: made_alike, feature, part
 -- Units: share; shown is text, the part with its numerator/denominator
 -- NULL: share when the runs hold nothing that could show the part, or do not observe what it rests on
 -- Example: fsar-ledger query tables/feature_parts LEDGER

@@ -1,7 +1,7 @@
 -- Title: FSAR mechanisms exercised by each workflow, in the words of the paper's table
 -- Paper: tab:coverage
 -- Grain: one row per workflow, made_alike (as in run_groups) and mechanism; runs of one workflow that differ show each of their cells
--- Key: ?
+-- Key: workflow, made_alike, mechanism
 -- Units: runs count
 -- NULL: cell when no event of the workflow exercises the mechanism; 'not observable' where its runs do not record what would show it
 -- Example: fsar-ledger query tables/mechanism_coverage LEDGER
