@@ -23,7 +23,7 @@ import msgspec
 from fsar_ledger.errors import UnknownQuery
 from fsar_ledger.events.concerns import EVENTS_OF
 from fsar_ledger.events.world import WorldEvent
-from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, LAYOUTS, Field, Kind, Layout
+from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, LAYOUTS, Field, Kind, Layout
 
 REQUIRED_KEYS = ("Title", "Paper", "Grain", "Key", "Units", "NULL", "Example")
 READINGS = "readings/"
