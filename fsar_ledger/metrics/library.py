@@ -1,12 +1,13 @@
 """The packaged queries: found by name, their headers read, their dependencies known.
 
-A query file starts with comment lines `-- Key: text`. Title, Paper, Grain, Units, NULL and Example are required.
-`Parameters: name = default, ...` makes it a query that is run with values instead of a view. `Stored: <reason>`
-keeps its rows once computed for as long as a connection lives.
+A query file starts with comment lines `-- Name: text`. Title, Paper, Grain, Key, Units, NULL and Example are required.
+`Key` lists the columns that tell any two rows apart, `?` after one that may be NULL; or it says `one row`, or
+`none, <reason>`. `Parameters: name = default, ...` makes it a query that is run with values instead of a view.
+`Stored: <reason>` keeps its rows, once computed, for as long as a connection lives.
 
-A file in `readings/` is another reading of a relation: it has its columns, reads it, and differs in the one thing that `Title`
-says (`metrics/multiverse.py`). `Reading` is the number of ours, `Replaces` the relation, `Moves` the metrics that hang on it;
-`Question` is what it answers otherwise than we do, and `Why` on what words of the paper.
+A file in `readings/` is another reading of a relation: it has its columns, reads it, and differs in the one thing that
+`Title` says (`metrics/multiverse.py`). `Reading` is the number of ours, `Replaces` the relation, `Moves` the metrics that
+hang on it; `Question` is what it answers otherwise than we do, and `Why` on what words of the paper.
 """
 
 import difflib
@@ -57,6 +58,18 @@ class Query(msgspec.Struct, frozen=True):
     def relation(self) -> str:
         """The name by which SQL refers to it: the last part of its name."""
         return self.name.rpartition("/")[2]
+
+    @property
+    def key(self) -> dict[str, bool] | None:
+        """Return the columns that tell any two rows apart, and whether each may be NULL, which is a value like others.
+
+        Empty: there is at most one row. None: rows may look alike, and each counts.
+        """
+        text = self.header["Key"]
+        if text.startswith("none, "):
+            return None
+        columns = [] if text == "one row" else [column.strip() for column in text.split(",")]
+        return {column.removesuffix("?"): column.endswith("?") for column in columns}
 
     @property
     def is_stored(self) -> bool:

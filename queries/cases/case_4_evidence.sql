@@ -56,7 +56,13 @@ ties AS (
         caused_by
     FROM records
     UNION ALL
-    SELECT ties.* REPLACE (causes.action_id AS action_id, causes.caused_by AS caused_by)
+    SELECT
+        ties.run_id,
+        ties.seq,
+        ties.kind,
+        ties.is_attributable,
+        causes.action_id,
+        causes.caused_by
     FROM ties
     INNER JOIN chronicle AS causes ON ties.run_id = causes.run_id AND ties.caused_by = causes.seq
     WHERE ties.action_id IS NULL

@@ -42,7 +42,27 @@ WITH moments AS (
 
 quantiles AS (
     SELECT
-        moments.*,
+        moments.architecture,
+        moments.configuration,
+        moments.fleet_size,
+        moments.pools_seeds,
+        moments.seed,
+        moments.kind,
+        moments.source,
+        moments.model_version,
+        moments.constants,
+        moments.scenario,
+        moments.position,
+        moments.metric,
+        moments.mean,
+        moments.mean_without_routine,
+        moments.sd,
+        moments.seeds,
+        moments.n,
+        moments.telling,
+        moments.runs_not_observed,
+        moments.denominator,
+        moments.published_convention_mean,
         definitions.scale,
         norm_quantile(0.975) AS z,
         moments.sd <= 1e-12 * abs(moments.mean) AS is_constant, -- but for rounding
@@ -50,31 +70,45 @@ quantiles AS (
         CASE WHEN moments.telling > 1 THEN pow(0.025, 1.0 / moments.telling) END AS agreement
     FROM moments
     INNER JOIN metric_definitions AS definitions ON moments.metric = definitions.metric
-),
-
-intervals AS (
-    SELECT
-        *,
-        CASE
-            WHEN mean <= 0 THEN CASE WHEN scale = 'yes-no' OR scale <> 'seconds' AND telling > 1 THEN 0.0 END
-            WHEN scale = 'yes-no'
-                THEN (mean + z * z / (2 * n) - z * sqrt(mean * (1 - mean) / n + z * z / (4 * n * n))) / (1 + z * z / n)
-            WHEN scale = 'share' AND mean >= 1 THEN agreement
-            WHEN is_constant THEN CASE WHEN scale = 'count' THEN gamma_quantile(0.025, mean * n) / n END
-            WHEN scale = 'share' THEN 1 / (1 + (1 - mean) / mean * exp(half_width / (mean * (1 - mean))))
-            ELSE mean * exp(-half_width / mean)
-        END AS ci_low,
-        CASE
-            WHEN scale IN ('share', 'yes-no') AND mean >= 1 THEN CASE WHEN scale = 'yes-no' OR telling > 1 THEN 1.0 END
-            WHEN scale = 'yes-no'
-                THEN (mean + z * z / (2 * n) + z * sqrt(mean * (1 - mean) / n + z * z / (4 * n * n))) / (1 + z * z / n)
-            WHEN scale = 'share' AND mean <= 0 THEN 1 - agreement
-            WHEN is_constant THEN CASE WHEN scale = 'count' THEN gamma_quantile(0.975, mean * n + 1) / n END
-            WHEN scale = 'share' THEN 1 / (1 + (1 - mean) / mean * exp(-half_width / (mean * (1 - mean))))
-            ELSE mean * exp(half_width / mean)
-        END AS ci_high
-    FROM quantiles
 )
 
-SELECT * EXCLUDE (telling, scale, z, is_constant, half_width, agreement)
-FROM intervals
+SELECT
+    architecture,
+    configuration,
+    fleet_size,
+    pools_seeds,
+    seed,
+    kind,
+    source,
+    model_version,
+    constants,
+    scenario,
+    position,
+    metric,
+    mean,
+    mean_without_routine,
+    sd,
+    seeds,
+    n,
+    runs_not_observed,
+    denominator,
+    published_convention_mean,
+    CASE
+        WHEN mean <= 0 THEN CASE WHEN scale = 'yes-no' OR scale <> 'seconds' AND telling > 1 THEN 0.0 END
+        WHEN scale = 'yes-no'
+            THEN (mean + z * z / (2 * n) - z * sqrt(mean * (1 - mean) / n + z * z / (4 * n * n))) / (1 + z * z / n)
+        WHEN scale = 'share' AND mean >= 1 THEN agreement
+        WHEN is_constant THEN CASE WHEN scale = 'count' THEN gamma_quantile(0.025, mean * n) / n END
+        WHEN scale = 'share' THEN 1 / (1 + (1 - mean) / mean * exp(half_width / (mean * (1 - mean))))
+        ELSE mean * exp(-half_width / mean)
+    END AS ci_low,
+    CASE
+        WHEN scale IN ('share', 'yes-no') AND mean >= 1 THEN CASE WHEN scale = 'yes-no' OR telling > 1 THEN 1.0 END
+        WHEN scale = 'yes-no'
+            THEN (mean + z * z / (2 * n) + z * sqrt(mean * (1 - mean) / n + z * z / (4 * n * n))) / (1 + z * z / n)
+        WHEN scale = 'share' AND mean <= 0 THEN 1 - agreement
+        WHEN is_constant THEN CASE WHEN scale = 'count' THEN gamma_quantile(0.975, mean * n + 1) / n END
+        WHEN scale = 'share' THEN 1 / (1 + (1 - mean) / mean * exp(-half_width / (mean * (1 - mean))))
+        ELSE mean * exp(half_width / mean)
+    END AS ci_high
+FROM quantiles

@@ -12,47 +12,93 @@
 WITH measured AS (
     SELECT
         'coordination_success' AS metric,
-        *
+        run_id,
+        value,
+        numerator,
+        denominator,
+        not_observed
     FROM coordination_success
     UNION ALL BY NAME
     SELECT
         'governance_locality' AS metric,
-        *
+        run_id,
+        value,
+        numerator,
+        denominator,
+        value_without_routine,
+        not_observed
     FROM governance_locality
     UNION ALL BY NAME
     SELECT
         'recovery_containment' AS metric,
-        *
+        run_id,
+        value,
+        numerator,
+        denominator,
+        not_observed
     FROM recovery_containment
     UNION ALL BY NAME
     SELECT
         'authority_conflicts' AS metric,
-        *
+        run_id,
+        value,
+        numerator,
+        denominator,
+        not_observed
     FROM authority_conflicts
     UNION ALL BY NAME
     SELECT
         'policy_violations' AS metric,
-        *
+        run_id,
+        value,
+        numerator,
+        denominator,
+        value_without_routine,
+        not_observed
     FROM policy_violations
     UNION ALL BY NAME
     SELECT
         'reassignment_latency_s' AS metric,
-        *
+        run_id,
+        value,
+        numerator,
+        denominator,
+        not_observed
     FROM reassignment_latency_s
     UNION ALL BY NAME
     SELECT
         'human_intervention' AS metric,
-        *
+        run_id,
+        value,
+        numerator,
+        denominator,
+        not_observed
     FROM human_intervention
     UNION ALL BY NAME
     SELECT
         'audit_attributability' AS metric,
-        *
+        run_id,
+        value,
+        numerator,
+        denominator,
+        value_without_routine,
+        not_observed
     FROM audit_attributability
 )
 
 SELECT
-    runs.* REPLACE (settings.kind AS kind),
+    runs.run_id,
+    settings.kind,
+    runs.observes,
+    runs.seed,
+    runs.architecture,
+    runs.configuration,
+    runs.scenario,
+    runs.fleet_size,
+    runs.run,
+    runs.model_version,
+    runs.parameters_sha256,
+    runs.source,
     settings.setting,
     settings.constants,
     definitions.position,

@@ -6,7 +6,7 @@
 -- Moves: authority_conflicts
 -- Why: The number of events: each claim is one, and a principal that claims again, claims against the other again.
 -- Grain: one row per claim that begins while another principal holds the same dimension of the action
--- Key: none
+-- Key: none, each row is a claim
 -- Units: as in conflicts
 -- NULL: as in conflicts
 -- Example: fsar-ledger query readings/conflict_of_claim LEDGER

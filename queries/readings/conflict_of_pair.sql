@@ -6,7 +6,7 @@
 -- Moves: authority_conflicts
 -- Why: Two or more principals claim at once: three that do are three times two.
 -- Grain: one row per run, action, dimension and pair of principals whose claims overlap
--- Key: none
+-- Key: none, each row is a pair of principals
 -- Units: as in conflicts
 -- NULL: as in conflicts
 -- Example: fsar-ledger query readings/conflict_of_pair LEDGER
