@@ -1,12 +1,15 @@
--- Title: The authority chain of an action: who granted, asked, relayed, admitted, accepted, supervised, acted and closed
+-- Title: The authority chain of an action: who granted, asked, relayed, admitted, accepted, supervised, acted and
+--   closed
 -- Paper: eq:auth, sec:model:request
--- Grain: one row per event of the action in which somebody asks, decides or acts; and per grant or revocation that concerned its request by then
+-- Grain: one row per event of the action in which somebody asks, decides or acts; and per grant or revocation that
+--   concerned its request by then
 -- Key: run_id, action_id, seq
 -- Units: time_us microseconds of run time
--- NULL: a principal that the record does not name; the authority tuple and trust where it gives none; recovery is also found where only its failed
---       action ties it to the action
+-- NULL: a principal that the record does not name; the authority tuple and trust where it gives none; recovery is also
+--   found where only its failed action ties it to the action
 -- Example: fsar-ledger query audit/authority_chain LEDGER --param run=RUN --param action=B1-1/2.1
---   answers asked robot/B1, admitted robot/C1 (session; may ask, may execute, none, audited), accepted, acted, finished, closed service/coordination
+--   answers asked robot/B1, admitted robot/C1 (session; may ask, may execute, none, audited), accepted, acted,
+--   finished, closed service/coordination
 -- Parameters: run = all, action = all
 WITH deeds (type, deed) AS (
     VALUES
@@ -61,7 +64,9 @@ concerned AS (
     FROM authority_events AS rights
     INNER JOIN evaluations
         ON
-            rights.run_id = evaluations.run_id AND rights.seq < evaluations.seq AND rights.requested_by = evaluations.requested_by
+            rights.run_id = evaluations.run_id
+            AND rights.seq < evaluations.seq
+            AND rights.requested_by = evaluations.requested_by
             AND coalesce(rights.executed_by = evaluations.executed_by, TRUE)
             AND coalesce(rights.capability = evaluations.capability, TRUE)
             AND coalesce(rights.context = evaluations.context, TRUE)

@@ -2,7 +2,8 @@
 -- Paper: sec:evaluation:metrics (governance locality)
 -- Grain: one row per event of this number: one for a run, at most one for each run of the ledger
 -- Key: run_id
--- Units: steps causes between the event and the decision (0: the event is the decision); decided_us microseconds of run time
+-- Units: steps causes between the event and the decision (0: the event is the decision); decided_us microseconds of run
+--   time
 -- NULL: the decision's columns when no cause was a decision; decided_by when the record names no decider
 -- Example: fsar-ledger query audit/decision_owner LEDGER --param run=RUN --param seq=107
 --   answers for an ExecutionFinished: RequestAccepted, 3 causes back, by robot/C1 alone, so it was local
@@ -32,7 +33,9 @@ way_back AS (
         way_back.steps + 1 AS steps
     FROM way_back
     -- A cause comes before what it causes; a forged record that says otherwise ends the way.
-    INNER JOIN causes ON way_back.run_id = causes.run_id AND way_back.caused_by = causes.seq AND way_back.seq > causes.seq
+    INNER JOIN
+        causes
+        ON way_back.run_id = causes.run_id AND way_back.caused_by = causes.seq AND way_back.seq > causes.seq
 ),
 
 nearest AS (

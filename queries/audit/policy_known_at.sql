@@ -17,8 +17,16 @@ WITH copies AS (
         members.robot,
         scopes.scope,
         CASE
-            WHEN list_contains(CASE scopes.scope WHEN 'local' THEN copies.local_deny ELSE copies.fleet_deny END, members.robot) THEN 'deny'
-            WHEN list_contains(CASE scopes.scope WHEN 'local' THEN copies.local_review ELSE copies.fleet_review END, members.robot) THEN 'review'
+            WHEN
+                list_contains(
+                    CASE scopes.scope WHEN 'local' THEN copies.local_deny ELSE copies.fleet_deny END, members.robot
+                )
+                THEN 'deny'
+            WHEN
+                list_contains(
+                    CASE scopes.scope WHEN 'local' THEN copies.local_review ELSE copies.fleet_review END, members.robot
+                )
+                THEN 'review'
             ELSE 'allow'
         END AS outcome,
         copies.time_us AS as_of_us
@@ -68,7 +76,11 @@ judged AS (
         known.known_outcome,
         known.learned_us,
         known.as_of_us,
-        CASE WHEN bool_or(windows.outcome = 'deny') THEN 'deny' WHEN bool_or(windows.outcome = 'review') THEN 'review' ELSE 'allow' END AS true_outcome
+        CASE
+            WHEN bool_or(windows.outcome = 'deny') THEN 'deny' WHEN
+                bool_or(windows.outcome = 'review')
+                THEN 'review' ELSE 'allow'
+        END AS true_outcome
     FROM known
     LEFT JOIN policy_windows AS windows
         ON

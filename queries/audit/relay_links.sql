@@ -5,7 +5,8 @@
 -- Units: link number of the link from 1; passed_us microseconds of run time
 -- NULL: passed_us, seq when the relay did not pass it on; a trust scope that had not been set by then
 -- Example: fsar-ledger query audit/relay_links LEDGER --param run=RUN
---   answers link 1 robot/D1 to robot/A1 (capability), link 2 robot/A1 to robot/B1 (task); robot/B1 has set none for robot/D1
+--   answers link 1 robot/D1 to robot/A1 (capability), link 2 robot/A1 to robot/B1 (task); robot/B1 has set none for
+--   robot/D1
 -- Parameters: run = all, action = all
 WITH chains AS (
     -- The relay's record is the first after the request.
@@ -69,12 +70,18 @@ judged AS (
         links.passed_us,
         links.sender,
         links.receiver,
-        arg_max(scopes.scope, scopes.precedence) FILTER (WHERE links.receiver = trusting.robot AND links.sender = trusted.robot) AS link_scope,
-        arg_max(scopes.scope, scopes.precedence) FILTER (WHERE links.executed_by = trusting.robot AND links.requested_by = trusted.robot) AS direct_scope
+        arg_max(scopes.scope, scopes.precedence) FILTER (
+            WHERE links.receiver = trusting.robot AND links.sender = trusted.robot
+        ) AS link_scope,
+        arg_max(scopes.scope, scopes.precedence) FILTER (
+            WHERE links.executed_by = trusting.robot AND links.requested_by = trusted.robot
+        ) AS direct_scope
     FROM links
     LEFT JOIN trust_parties AS trusting
         ON
-            links.run_id = trusting.run_id AND trusting.is_trusting AND coalesce(links.seq, links.asked_seq) > trusting.seq
+            links.run_id = trusting.run_id
+            AND trusting.is_trusting
+            AND coalesce(links.seq, links.asked_seq) > trusting.seq
             AND trusting.robot IN (links.receiver, links.executed_by)
     LEFT JOIN trust_parties AS trusted
         ON

@@ -17,6 +17,10 @@ SELECT
     min(calls.time_us) AS called_us
 FROM governed_starts AS starts
 LEFT JOIN supervisor_called AS calls
-    ON starts.run_id = calls.run_id AND starts.action_id = calls.action_id AND starts.seq > calls.seq AND calls.purpose = 'review'
+    ON
+        starts.run_id = calls.run_id
+        AND starts.action_id = calls.action_id
+        AND starts.seq > calls.seq
+        AND calls.purpose = 'review'
 WHERE starts.outcome = 'review' AND NOT starts.is_approved AND $run IN ('all', starts.run_id)
 GROUP BY ALL

@@ -1,12 +1,15 @@
 -- Title: Events that contradict what their run says it observes
 -- Paper: sec:evaluation:metrics
--- Grain: one row per event of a concern that its run does not observe, and per concern that a run observes and nobody knows
+-- Grain: one row per event of a concern that its run does not observe, and per concern that a run observes and nobody
+--   knows
 -- Key: run_id, seq?, concern
 -- Units: none
 -- NULL: seq, type of a concern that nobody knows
 -- Example: fsar-ledger query audit/undeclared_events LEDGER
---   answers nothing for a ledger that verifies; else run, seq and concern of each event that its run says it does not observe
--- Whoever reads such a run is told that these things were not observed, and then meets some: either the declaration is wrong or the events are.
+--   answers nothing for a ledger that verifies; else run, seq and concern of each event that its run says it does not
+--   observe
+-- Whoever reads such a run is told that these things were not observed, and then meets some: either the declaration is
+-- wrong or the events are.
 WITH named AS (
     SELECT
         run_id,

@@ -6,8 +6,8 @@
 -- NULL: never
 -- Example: fsar-ledger query facts/conflicts LEDGER
 WITH swept AS (
-    -- In order of beginning, each beside the claim before it that lasts longest: where that is the claimant's own, no other can hold, or a conflict
-    -- had begun before.
+    -- In order of beginning, each beside the claim before it that lasts longest: where that is the claimant's own, no
+    -- other can hold, or a conflict had begun before.
     SELECT
         run_id,
         seq,
@@ -19,7 +19,11 @@ WITH swept AS (
         max(ended_us) OVER earlier AS held_until_us,
         arg_max(claimant, ended_us) OVER earlier AS holder
     FROM held_claims
-    WINDOW earlier AS (PARTITION BY run_id, action_id, dimension ORDER BY began_us, seq ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING)
+    WINDOW
+        earlier AS (
+            PARTITION BY run_id, action_id, dimension
+            ORDER BY began_us, seq ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING
+        )
 )
 
 SELECT

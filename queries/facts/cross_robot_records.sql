@@ -1,9 +1,11 @@
 -- Title: Starts and ends of executions for another robot, and who had begun what ends
 -- Paper: sec:architecture:invariants (A5), eq:request
--- Grain: one row per start for another robot, and per end of what was started for another robot or by another one than ends it
+-- Grain: one row per start for another robot, and per end of what was started for another robot or by another one than
+--   ends it
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time; next_seq position of the next step or end of its task
--- NULL: principals that the record does not name; began_by, on_behalf_of of an end without a start; next_seq of a start, and where nothing follows
+-- NULL: principals that the record does not name; began_by, on_behalf_of of an end without a start; next_seq of a
+--   start, and where nothing follows
 -- Example: fsar-ledger query facts/cross_robot_records LEDGER
 WITH finished AS (
     SELECT
@@ -19,7 +21,9 @@ WITH finished AS (
         starts.robot AS began_by,
         starts.on_behalf_of
     FROM execution_finished AS done
-    ASOF LEFT JOIN execution_started AS starts ON done.run_id = starts.run_id AND done.action_id = starts.action_id AND done.seq > starts.seq
+    ASOF LEFT JOIN
+        execution_started AS starts
+    ON done.run_id = starts.run_id AND done.action_id = starts.action_id AND done.seq > starts.seq
 ),
 
 progress AS (
@@ -48,7 +52,9 @@ ends AS (
         CASE WHEN steps.run_id IS NOT NULL THEN later.seq END AS next_seq
     FROM finished
     LEFT JOIN step_began AS steps ON finished.run_id = steps.run_id AND finished.action_id = steps.action_id
-    ASOF LEFT JOIN progress AS later ON finished.run_id = later.run_id AND finished.task_id = later.task_id AND finished.seq < later.seq
+    ASOF LEFT JOIN
+        progress AS later
+    ON finished.run_id = later.run_id AND finished.task_id = later.task_id AND finished.seq < later.seq
     WHERE finished.robot IS DISTINCT FROM finished.on_behalf_of OR finished.robot IS DISTINCT FROM finished.began_by
 )
 

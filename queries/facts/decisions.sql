@@ -1,6 +1,7 @@
 -- Title: Decisions, and whether one principal took each by itself
 -- Paper: sec:evaluation:metrics (governance locality)
--- Grain: one row per event of a decision type whose path is not empty; a denial that only stands, looked at again as time passed, is not decided again
+-- Grain: one row per event of a decision type whose path is not empty; a denial that only stands, looked at again as
+--   time passed, is not decided again
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: decided_by when the record names no decider; task_id, action_id when the record is not tied to one
@@ -23,7 +24,8 @@ WITH decided AS (
 ),
 
 followed AS (
-    -- Whoever asks again decides to ask, and whoever admits decides, too: then another decision of the task lies between two denials.
+    -- Whoever asks again decides to ask, and whoever admits decides, too: then another decision of the task lies
+    -- between two denials.
     SELECT
         run_id,
         seq,
@@ -49,6 +51,7 @@ SELECT
     action_id,
     decided_by,
     path,
-    coalesce(len(path) = 1 AND (starts_with(decided_by, 'robot/') OR starts_with(decided_by, 'supervisor/')), FALSE) AS is_local
+    coalesce(len(path) = 1 AND (starts_with(decided_by, 'robot/') OR starts_with(decided_by, 'supervisor/')), FALSE)
+        AS is_local
 FROM followed
 WHERE decision_kind <> 'denial' OR task_id IS NULL OR content IS DISTINCT FROM content_before

@@ -50,7 +50,8 @@ subjects AS (
 ),
 
 checks AS (
-    -- A window that closes at the start no longer counts; one that opens at it does. A rule counts where it is about this capability and context.
+    -- A window that closes at the start no longer counts; one that opens at it does. A rule counts where it is about
+    -- this capability and context.
     SELECT
         subjects.run_id,
         subjects.seq,
@@ -87,7 +88,8 @@ SELECT
     starts.on_behalf_of,
     CASE WHEN checks.run_id IS NULL THEN 'allow' WHEN checks.is_denied THEN 'deny' ELSE 'review' END AS outcome,
     coalesce(approved.approved_seq < starts.seq, FALSE) AS is_approved,
-    checks.run_id IS NOT NULL AND (checks.is_denied OR NOT coalesce(approved.approved_seq < starts.seq, FALSE)) AS is_violation
+    checks.run_id IS NOT NULL
+    AND (checks.is_denied OR NOT coalesce(approved.approved_seq < starts.seq, FALSE)) AS is_violation
 FROM starts
 LEFT JOIN checks ON starts.run_id = checks.run_id AND starts.seq = checks.seq
 LEFT JOIN approved ON starts.run_id = approved.run_id AND starts.action_id = approved.action_id

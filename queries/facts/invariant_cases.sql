@@ -2,7 +2,8 @@
 -- Paper: sec:model:invariants, sec:architecture:invariants
 -- Grain: one row per run and invariant that found anything to judge
 -- Key: run_id, invariant
--- Units: cases records, decisions, executions or acts of recovery, each judged by the invariant; never fewer than the events that offend it
+-- Units: cases records, decisions, executions or acts of recovery, each judged by the invariant; never fewer than the
+--   events that offend it
 -- NULL: never; without a row there was nothing to judge, which is no pass
 -- Example: fsar-ledger query facts/invariant_cases LEDGER
 -- Stored: audit reads it for each invariant
@@ -13,7 +14,9 @@ WITH judged AS (
             CASE
                 WHEN
                     type = 'RobotJoined.v1' OR len(path) > 0
-                    OR coalesce(decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver) IS NOT NULL
+                    OR coalesce(
+                        decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver
+                    ) IS NOT NULL
                     THEN 'i1_local_agent_coherence'
             END,
             CASE
@@ -27,7 +30,9 @@ WITH judged AS (
                 THEN ['a1_local_runtime_self_sufficiency', 'a4_thin_federation_interface']
             WHEN type = 'RequestAdmitted.v1' THEN ['a3_no_silent_policy_override', 'a4_thin_federation_interface']
             WHEN type = 'AssistanceAdmitted.v1' THEN ['a4_thin_federation_interface', 'a5_audit_completeness']
-            WHEN type = 'ExecutionStarted.v1' THEN [if(robot = on_behalf_of, 'a1_local_runtime_self_sufficiency', 'i2_local_execution_ownership')]
+            WHEN
+                type = 'ExecutionStarted.v1'
+                THEN [if(robot = on_behalf_of, 'a1_local_runtime_self_sufficiency', 'i2_local_execution_ownership')]
             WHEN
                 type IN ('RequestAccepted.v1', 'ReplanOrdered.v1')
                 OR (type = 'ExecutionHeld.v1' AND len(path) > 0)
@@ -35,7 +40,11 @@ WITH judged AS (
         END)) AS invariant
     FROM event_principals
     WHERE -- each of these events has a robot or a path, if an empty one; to leave others out costs less than to tell what they hold
-        robot IS NOT NULL OR decided_by IS NOT NULL OR requested_by IS NOT NULL OR executed_by IS NOT NULL OR supervised_by IS NOT NULL
+        robot IS NOT NULL
+        OR decided_by IS NOT NULL
+        OR requested_by IS NOT NULL
+        OR executed_by IS NOT NULL
+        OR supervised_by IS NOT NULL
         OR claimant IS NOT NULL OR sender IS NOT NULL OR receiver IS NOT NULL OR path IS NOT NULL
     UNION ALL
     SELECT

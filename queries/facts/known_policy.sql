@@ -28,7 +28,8 @@ WITH said AS (
 ),
 
 starts AS (
-    -- A delegated action was decided when the executor last admitted it (accepted, where nobody admits), anything else when it starts.
+    -- A delegated action was decided when the executor last admitted it (accepted, where nobody admits), anything else
+    -- when it starts.
     SELECT
         events.run_id,
         events.seq,
@@ -47,11 +48,20 @@ starts AS (
     FROM execution_events AS events
     LEFT JOIN said ON events.run_id = said.run_id AND events.action_id = said.action_id AND events.seq > said.seq
     WHERE events.type = 'ExecutionStarted.v1' OR (events.type = 'RoutinePerformed.v1' AND events.operation = 'motion')
-    GROUP BY events.run_id, events.seq, events.time_us, events.type, events.task_id, events.action_id, events.robot, events.capability
+    GROUP BY
+        events.run_id,
+        events.seq,
+        events.time_us,
+        events.type,
+        events.task_id,
+        events.action_id,
+        events.robot,
+        events.capability
 ),
 
 outcomes AS (
-    -- The executor's own policy, which it knows as it is until it starts; rules of the fleet are known at once to all, and count at the decision.
+    -- The executor's own policy, which it knows as it is until it starts; rules of the fleet are known at once to all,
+    -- and count at the decision.
     SELECT
         starts.run_id,
         starts.seq,
@@ -62,8 +72,15 @@ outcomes AS (
         ON
             starts.run_id = windows.run_id AND starts.robot = windows.robot
             AND CASE
-                WHEN windows.scope = 'local' THEN starts.time_us >= windows.opened_us AND starts.time_us < coalesce(windows.closed_us, starts.time_us + 1)
-                ELSE windows."window" IS NULL AND starts.decision_seq > windows.seq AND starts.decision_seq <= coalesce(windows.closed_seq, starts.seq)
+                WHEN
+                    windows.scope = 'local'
+                    THEN
+                        starts.time_us >= windows.opened_us
+                        AND starts.time_us < coalesce(windows.closed_us, starts.time_us + 1)
+                ELSE
+                    windows."window" IS NULL
+                    AND starts.decision_seq > windows.seq
+                    AND starts.decision_seq <= coalesce(windows.closed_seq, starts.seq)
             END
             AND (windows.capability IS NULL OR starts.capability = windows.capability)
             AND (windows.context IS NULL OR starts.task_id = windows.context)
@@ -75,7 +92,9 @@ outcomes AS (
         rules.seq AS known_seq,
         rules.outcome
     FROM starts
-    ASOF JOIN fleet_rule_learned AS rules ON starts.run_id = rules.run_id AND starts.robot = rules.robot AND starts.decision_seq > rules.seq
+    ASOF JOIN
+        fleet_rule_learned AS rules
+    ON starts.run_id = rules.run_id AND starts.robot = rules.robot AND starts.decision_seq > rules.seq
     UNION ALL
     -- The requester's own, and that of a relay, as the request carried it.
     SELECT
@@ -84,7 +103,9 @@ outcomes AS (
         requests.seq AS known_seq,
         requests.carried_policy AS outcome
     FROM starts
-    INNER JOIN request_events AS requests ON starts.run_id = requests.run_id AND starts.action_id = requests.action_id AND starts.seq > requests.seq
+    INNER JOIN
+        request_events AS requests
+    ON starts.run_id = requests.run_id AND starts.action_id = requests.action_id AND starts.seq > requests.seq
     WHERE requests.carried_policy IS NOT NULL
 )
 
@@ -96,10 +117,18 @@ SELECT
     starts.action_id,
     starts.robot,
     starts.decision_seq,
-    CASE WHEN bool_or(outcomes.outcome = 'deny') THEN 'deny' WHEN bool_or(outcomes.outcome = 'review') THEN 'review' ELSE 'allow' END AS outcome,
-    CASE WHEN starts.denied_seq > greatest(starts.approved_seq, starts.admitted_seq) THEN starts.denied_seq END AS denied_seq
+    CASE
+        WHEN bool_or(outcomes.outcome = 'deny') THEN 'deny' WHEN
+            bool_or(outcomes.outcome = 'review')
+            THEN 'review' ELSE 'allow'
+    END AS outcome,
+    CASE WHEN starts.denied_seq > greatest(starts.approved_seq, starts.admitted_seq) THEN starts.denied_seq END
+        AS denied_seq
 FROM starts
 -- What a supervisor approves are the reviews that were known by then; a denial stands whatever was approved.
 LEFT JOIN outcomes
-    ON starts.run_id = outcomes.run_id AND starts.seq = outcomes.seq AND (outcomes.outcome = 'deny' OR starts.approved_seq < outcomes.known_seq)
+    ON
+        starts.run_id = outcomes.run_id
+        AND starts.seq = outcomes.seq
+        AND (outcomes.outcome = 'deny' OR starts.approved_seq < outcomes.known_seq)
 GROUP BY ALL

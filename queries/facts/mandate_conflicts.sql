@@ -1,7 +1,8 @@
--- Title: Refusals and holds of what the fleet mandates and the executor's own policy denies, and whether each conflict was escalated
+-- Title: Refusals and holds of what the fleet mandates and the executor's own policy denies, and whether each conflict
+--   was escalated
 -- Paper: sec:architecture:fleet, sec:architecture:invariants (A3)
--- Grain: one row per RequestDenied event for reasons of policy, and per ExecutionHeld event under the executor's own denial, at which rules of the
---        fleet explicitly allow and the executor's own policy denies
+-- Grain: one row per RequestDenied event for reasons of policy, and per ExecutionHeld event under the executor's own
+--   denial, at which rules of the fleet explicitly allow and the executor's own policy denies
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time; seq, mandate_seq, escalated_seq positions in the run
 -- NULL: escalated_seq when nobody was told of the conflict
@@ -36,7 +37,9 @@ heard AS (
         mandated.seq,
         told.outcome
     FROM mandated
-    ASOF JOIN fleet_rule_learned AS told ON mandated.run_id = told.run_id AND mandated.robot = told.robot AND mandated.seq > told.seq
+    ASOF JOIN
+        fleet_rule_learned AS told
+    ON mandated.run_id = told.run_id AND mandated.robot = told.robot AND mandated.seq > told.seq
 )
 
 SELECT

@@ -3,9 +3,10 @@
 -- Grain: one row per event that belongs in the story of an action, two for a registry's answer (part 1 and 2)
 -- Key: run_id, seq, part
 -- Units: time_us microseconds of run time; part counts from 1
--- NULL: action_id when the record names none; sender, receiver when the record does not say; note when there is nothing to add.
---   A robot's own deed has the robot as sender and receiver, whatever principal the record names. Who calls a supervisor is on no record: it is the
---   coordinator that names a robot for a review, else the executor (for recovery: the decider) that the action's record named last
+-- NULL: action_id when the record names none; sender, receiver when the record does not say; note when there is nothing
+--   to add. A robot's own deed has the robot as sender and receiver, whatever principal the record names. Who calls a
+--   supervisor is on no record: it is the coordinator that names a robot for a review, else the executor (for recovery:
+--   the decider) that the action's record named last
 -- Example: fsar-ledger query facts/messages LEDGER
 WITH told AS (
     SELECT
@@ -15,11 +16,23 @@ WITH told AS (
         events.type,
         keyed_events.action_id,
         MAP {
-            'decider': decided_by, 'requester': requested_by, 'executor': executed_by, 'supervisor': supervised_by, 'registry': if(
-                regexp_matches(runs.configuration, '^without-(.*[+])?shared-registry([+]|$)'), requested_by, 'service/registry'
+            'decider': decided_by,
+            'requester': requested_by,
+            'executor': executed_by,
+            'supervisor': supervised_by,
+            'registry': if(
+                regexp_matches(runs.configuration, '^without-(.*[+])?shared-registry([+]|$)'),
+                requested_by,
+                'service/registry'
             ),
-            'target': if(events.action_id IS NULL AND request_id IS NULL, decided_by, coalesce(relay, executed_by)), 'helper': coalesce(helper, decided_by),
-            'robot': robot, 'peer': peer, 'claimant': claimant, 'sender': sender, 'receiver': receiver, 'called': supervisor,
+            'target': if(events.action_id IS NULL AND request_id IS NULL, decided_by, coalesce(relay, executed_by)),
+            'helper': coalesce(helper, decided_by),
+            'robot': robot,
+            'peer': peer,
+            'claimant': claimant,
+            'sender': sender,
+            'receiver': receiver,
+            'called': supervisor,
             'caller': CASE
                 WHEN purpose = 'review' AND robot IS NOT NULL THEN 'coordinator'
                 WHEN purpose = 'recovery' THEN last_value(decided_by IGNORE NULLS) OVER earlier
@@ -27,11 +40,22 @@ WITH told AS (
             END
         } AS parties,
         MAP {
-            'capability': capability, 'candidates': coalesce(nullif(array_to_string(candidates, ', '), ''), 'none'), 'reason': reason,
+            'capability': capability,
+            'candidates': coalesce(nullif(array_to_string(candidates, ', '), ''), 'none'),
+            'reason': reason,
             'outcome': outcome, 'policy': 'policy ' || outcome, 'override': override,
-            'answer': CASE WHEN is_accepted THEN 'accepted' WHEN override IS NULL THEN 'let go' ELSE 'asks ' || override END,
-            'cause': cause, 'result': result, 'purpose': purpose, 'number': number::VARCHAR, 'level': level, 'levels': level || ' to ' || to_level,
-            'checkpoint': CASE WHEN helper IS NULL THEN 'not feasible' ELSE coalesce(checkpoint, 'from the last step boundary') END,
+            'answer': CASE
+                WHEN is_accepted THEN 'accepted' WHEN override IS NULL THEN 'let go' ELSE 'asks ' || override
+            END,
+            'cause': cause,
+            'result': result,
+            'purpose': purpose,
+            'number': number::VARCHAR,
+            'level': level,
+            'levels': level || ' to ' || to_level,
+            'checkpoint': CASE
+                WHEN helper IS NULL THEN 'not feasible' ELSE coalesce(checkpoint, 'from the last step boundary')
+            END,
             'decision': CASE
                 WHEN preferred IS NOT NULL THEN preferred || ' first'
                 WHEN NOT approves THEN 'refused'
@@ -43,11 +67,24 @@ WITH told AS (
             'carries policy ' || carried_policy, 'through ' || relay, 'trust ' || trust,
             CASE
                 WHEN may_request IS NOT NULL
-                    THEN format('authority ({}, {}, {}, {})', may_request::INT, may_execute::INT, coalesce(nullif(override, 'none'), '0'), is_audited::INT)
+                    THEN
+                        format(
+                            'authority ({}, {}, {}, {})',
+                            may_request::INT,
+                            may_execute::INT,
+                            coalesce(nullif(override, 'none'), '0'),
+                            is_audited::INT
+                        )
             END,
             CASE WHEN events.type = 'RequestIssued.v1' THEN 'override ' || nullif(override, 'none') END,
             'in ' || nullif(domain, ''), 'as of ' || (as_of_us / 1000000) || ' s',
-            'left out: ' || nullif(array_to_string(list_transform(list_zip(rejected, rejected_by), LAMBDA pair: pair[1] || ' by ' || pair[2]), ', '), ''),
+            'left out: '
+            || nullif(
+                array_to_string(
+                    list_transform(list_zip(rejected, rejected_by), LAMBDA pair: pair[1] || ' by ' || pair[2]), ', '
+                ),
+                ''
+            ),
             CASE WHEN events.type NOT IN ('RequestDenied.v1', 'AuthorityClaimed.v1') THEN reason END,
             'gives way to ' || preempted_by, keyed_events.action_id || ' competes with ' || competing,
             CASE WHEN events.type = 'RecoveryAttempted.v1' THEN 'level ' || level END,

@@ -1,9 +1,11 @@
 -- Title: Decisions on delegated requests, and whose policy did not allow them at that moment
 -- Paper: eq:policy
--- Grain: one row per admission, command, refusal for policy and call for review of a step that one robot delegates to another
+-- Grain: one row per admission, command, refusal for policy and call for review of a step that one robot delegates to
+--   another
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
--- NULL: never; is_against_*: that policy had not allowed for a second (two messages) or longer; is_heeded: refused, put to review or approved in one
+-- NULL: never; is_against_*: that policy had not allowed for a second (two messages) or longer; is_heeded: refused, put
+--   to review or approved in one
 -- Example: fsar-ledger query facts/policy_decisions LEDGER
 -- Stored: the evidence of governance reads it twice
 WITH approvals AS (
@@ -63,7 +65,9 @@ asked AS (
         steps.robot AS requester,
         steps.capability
     FROM decided
-    ASOF JOIN step_began AS steps ON decided.run_id = steps.run_id AND decided.task_id = steps.task_id AND decided.seq > steps.seq
+    ASOF JOIN
+        step_began AS steps
+    ON decided.run_id = steps.run_id AND decided.task_id = steps.task_id AND decided.seq > steps.seq
     WHERE steps.target_role IS NOT NULL
 )
 
@@ -79,8 +83,11 @@ SELECT
 FROM asked
 LEFT JOIN policy_windows AS windows
     ON
-        asked.run_id = windows.run_id AND windows.robot IN (asked.requester, asked.executor) AND windows.outcome <> 'allow'
+        asked.run_id = windows.run_id
+        AND windows.robot IN (asked.requester, asked.executor)
+        AND windows.outcome <> 'allow'
         AND (windows.capability IS NULL OR asked.capability = windows.capability)
         AND (windows.context IS NULL OR asked.task_id = windows.context)
-        AND windows.opened_us + 1000000 <= asked.time_us AND asked.time_us < coalesce(windows.closed_us, asked.time_us + 1)
+        AND windows.opened_us + 1000000 <= asked.time_us
+        AND asked.time_us < coalesce(windows.closed_us, asked.time_us + 1)
 GROUP BY asked.run_id, asked.seq, asked.time_us, asked.requester, asked.executor, asked.is_heeded

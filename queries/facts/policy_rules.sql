@@ -1,11 +1,11 @@
 -- Title: Policy that is set by rule, robot by robot, until another rule replaces it
 -- Paper: eq:policy, app:foundations
--- Grain: one row per PolicyRuleSet or RolePolicyRuleSet event and robot for which it comes into force; a rule for every robot, or for a role, is one row
---        for each member of the fleet that it is about, also for those that joined later
+-- Grain: one row per PolicyRuleSet or RolePolicyRuleSet event and robot for which it comes into force; a rule for every
+--   robot, or for a role, is one row for each member of the fleet that it is about, also for those that joined later
 -- Key: run_id, seq, robot
 -- Units: set_us, until_us microseconds of run time, half-open; seq, until_seq positions in the run
--- NULL: role, domain for a rule about no role (an empty domain is the whole fleet); capability, context when the rule is about all of them; until_us,
---   until_seq when nothing replaced it; decided_by for what the fleet was founded with
+-- NULL: role, domain for a rule about no role (an empty domain is the whole fleet); capability, context when the rule
+--   is about all of them; until_us, until_seq when nothing replaced it; decided_by for what the fleet was founded with
 -- Example: fsar-ledger query facts/policy_rules LEDGER
 WITH stated AS (
     SELECT
@@ -64,18 +64,23 @@ of_members AS (
                 WHEN stated.role IS NULL THEN coalesce(stated.robot, members.robot) = members.robot
                 ELSE
                     stated.role = members.role
-                    AND (stated.domain IN ('', coalesce(members.domain, '')) OR starts_with(members.domain, stated.domain || '/'))
+                    AND (
+                        stated.domain IN ('', coalesce(members.domain, ''))
+                        OR starts_with(members.domain, stated.domain || '/')
+                    )
             END
 ),
 
 in_force AS (
-    -- A rule replaces the one of the same scope, capability and context: that of the very robot those of its role, that of a smaller domain those of
-    -- larger ones, and neither is replaced by them. What is ruled for every robot holds beside the others.
+    -- A rule replaces the one of the same scope, capability and context: that of the very robot those of its role, that
+    -- of a smaller domain those of larger ones, and neither is replaced by them. What is ruled for every robot holds
+    -- beside the others.
     SELECT *
     FROM of_members
     QUALIFY
         nearness IS NULL
-        OR nearness >= max(nearness) OVER (PARTITION BY run_id, robot, nearness IS NULL, scope, capability, context ORDER BY seq)
+        OR nearness
+        >= max(nearness) OVER (PARTITION BY run_id, robot, nearness IS NULL, scope, capability, context ORDER BY seq)
 )
 
 SELECT

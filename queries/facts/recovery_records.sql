@@ -1,9 +1,11 @@
 -- Title: What is on record about the recovery from failures, and at which level it took place
 -- Paper: eq:recovery
--- Grain: one row per event of the concern recovery, question to the registry, and call or answer of a supervisor for recovery
+-- Grain: one row per event of the concern recovery, question to the registry, and call or answer of a supervisor for
+--   recovery
 -- Key: run_id, seq
 -- Units: time_us, deadline_us microseconds of run time; number, failure count from 1
--- NULL: failure for a question, a call or an answer, which name none; anything else that the record does not name; level where it has none
+-- NULL: failure for a question, a call or an answer, which name none; anything else that the record does not name;
+--   level where it has none
 -- Example: fsar-ledger query facts/recovery_records LEDGER
 SELECT
     run_id,

@@ -1,9 +1,11 @@
 -- Title: What recovery did about each failure, step by step, and what came of it
 -- Paper: eq:recovery, fig:wf3
--- Grain: one row per failure and attempt, question to registry, peer or supervisor, reassignment decision, escalation or resolution
+-- Grain: one row per failure and attempt, question to registry, peer or supervisor, reassignment decision, escalation
+--   or resolution
 -- Key: run_id, action_id, failure, seq
 -- Units: detected_us, time_us, until_us microseconds of run time; until_us is when the next step was taken
--- NULL: decided_by when the record names none; result when nothing came of it or none is recorded; until_us of the last step
+-- NULL: decided_by when the record names none; result when nothing came of it or none is recorded; until_us of the last
+--   step
 -- Example: fsar-ledger query facts/recovery_steps LEDGER
 WITH answers AS (
     -- What came of an attempt, or of a question for help, where the record says so.
@@ -15,7 +17,8 @@ WITH answers AS (
         helper,
         any_value(
             CASE type
-                WHEN 'AssistanceDeclined.v1' THEN 'busy' WHEN 'AssistanceFailed.v1' THEN 'no help: ' || cause ELSE result
+                WHEN 'AssistanceDeclined.v1' THEN 'busy' WHEN 'AssistanceFailed.v1' THEN 'no help: ' || cause ELSE
+                    result
             END
         ) AS answer,
         any_value(nullif(array_to_string(achieved, ', '), '')) AS achieved

@@ -3,7 +3,8 @@
 -- Grain: one row per evaluation and robot that asks: the requester and, where the request came through one, the relay
 -- Key: run_id, seq, asker
 -- Units: time_us microseconds of run time; asked_seq, right_seq positions in the run
--- NULL: action_id; conjunct unless denied; no row where nobody has granted or revoked anything that the request is about
+-- NULL: action_id; conjunct unless denied; no row where nobody has granted or revoked anything that the request is
+--   about
 -- Example: fsar-ledger query facts/rights_at_evaluations LEDGER
 WITH askers AS (
     -- A relay judges its own link of the chain by itself.

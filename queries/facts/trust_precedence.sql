@@ -3,11 +3,12 @@
 -- Grain: one row per TrustSet or RoleTrustSet event
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time; precedence orders the entries that apply to one robot about one peer
--- NULL: robot, peer of an entry about roles; role, peer_role, domain of one about a pair (an empty domain is the whole fleet); capability, context when
---   the entry is about all of them; set_by for what the fleet was founded with
+-- NULL: robot, peer of an entry about roles; role, peer_role, domain of one about a pair (an empty domain is the whole
+--   fleet); capability, context when the entry is about all of them; set_by for what the fleet was founded with
 -- Example: fsar-ledger query facts/trust_precedence LEDGER
--- Of the entries that apply to a pair (see trust_parties), a capability and a context, that of the greatest precedence holds: about the very pair before
--- about roles, of roles the smallest domain; then both capability and context named, then the capability, then the context, then neither; of equals the last.
+-- Of the entries that apply to a pair (see trust_parties), a capability and a context, that of the greatest precedence
+-- holds: about the very pair before about roles, of roles the smallest domain; then both capability and context named,
+-- then the capability, then the context, then neither; of equals the last.
 WITH entries AS (
     SELECT
         run_id,
@@ -59,5 +60,6 @@ SELECT
     scope,
     decided_by AS set_by,
     reason,
-    (nearness::BIGINT * 4 + (capability IS NOT NULL)::BIGINT * 2 + (context IS NOT NULL)::BIGINT) * 1000000000 + seq AS precedence
+    (nearness::BIGINT * 4 + (capability IS NOT NULL)::BIGINT * 2 + (context IS NOT NULL)::BIGINT) * 1000000000
+    + seq AS precedence
 FROM entries

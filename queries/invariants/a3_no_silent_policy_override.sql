@@ -1,7 +1,8 @@
 -- Title: A3 broken: a known conflict of policies is passed over instead of escalated
 -- Paper: sec:architecture:invariants (A3), eq:policy
--- Grain: one row per start under a known deny, or review that no supervisor had approved, after a refusal that nothing lifted, or after a hold that
---        nothing ended; per admission that is milder than what the request carried; and per stop against a mandate that was not escalated
+-- Grain: one row per start under a known deny, or review that no supervisor had approved, after a refusal that nothing
+--   lifted, or after a hold that nothing ended; per admission that is milder than what the request carried; and per
+--   stop against a mandate that was not escalated
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a motion
@@ -14,9 +15,16 @@ WITH holds AS (
         max(ends.seq) AS changed_seq
     FROM execution_started AS starts
     INNER JOIN execution_held AS held
-        ON starts.run_id = held.run_id AND starts.action_id = held.action_id AND starts.robot = held.robot AND starts.seq > held.seq
+        ON
+            starts.run_id = held.run_id
+            AND starts.action_id = held.action_id
+            AND starts.robot = held.robot
+            AND starts.seq > held.seq
     LEFT JOIN hold_ends AS ends
-        ON starts.run_id = ends.run_id AND (starts.robot = ends.robot OR starts.action_id = ends.action_id) AND starts.seq > ends.seq
+        ON
+            starts.run_id = ends.run_id
+            AND (starts.robot = ends.robot OR starts.action_id = ends.action_id)
+            AND starts.seq > ends.seq
     GROUP BY starts.run_id, starts.seq
 ),
 
@@ -56,8 +64,12 @@ findings AS (
         run_id,
         seq,
         CASE
-            WHEN denied_seq IS NOT NULL THEN 'starts after the refusal at seq ' || denied_seq || ', which nothing lifted'
-            ELSE 'starts under a known ' || CASE outcome WHEN 'deny' THEN 'deny' ELSE 'review that no supervisor had approved' END
+            WHEN
+                denied_seq IS NOT NULL
+                THEN 'starts after the refusal at seq ' || denied_seq || ', which nothing lifted'
+            ELSE
+                'starts under a known '
+                || CASE outcome WHEN 'deny' THEN 'deny' ELSE 'review that no supervisor had approved' END
         END AS found
     FROM known_policy
     WHERE denied_seq IS NOT NULL OR outcome <> 'allow'
@@ -97,4 +109,7 @@ SELECT
     findings.found
 FROM findings
 INNER JOIN event_principals AS events ON findings.run_id = events.run_id AND findings.seq = events.seq
-WHERE events.type IN ('ExecutionStarted.v1', 'RoutinePerformed.v1', 'RequestAdmitted.v1', 'RequestDenied.v1', 'ExecutionHeld.v1')
+WHERE
+    events.type IN (
+        'ExecutionStarted.v1', 'RoutinePerformed.v1', 'RequestAdmitted.v1', 'RequestDenied.v1', 'ExecutionHeld.v1'
+    )

@@ -1,6 +1,7 @@
 -- Title: A4 broken: a decision about execution is taken by another principal than the robot that executes
 -- Paper: sec:architecture:invariants (A4), eq:federation
--- Grain: one row per acceptance, admission, own step, routine, hold, replan, local recovery or assistance that the robot did not decide itself
+-- Grain: one row per acceptance, admission, own step, routine, hold, replan, local recovery or assistance that the
+--   robot did not decide itself
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a routine, and where the record does not name it
@@ -21,7 +22,12 @@ WITH decided AS (
     FROM event_principals
     WHERE
         type IN (
-            'RequestAdmitted.v1', 'RequestAccepted.v1', 'OwnStepDecided.v1', 'RoutinePerformed.v1', 'RoutineWithheld.v1', 'ReplanOrdered.v1',
+            'RequestAdmitted.v1',
+            'RequestAccepted.v1',
+            'OwnStepDecided.v1',
+            'RoutinePerformed.v1',
+            'RoutineWithheld.v1',
+            'ReplanOrdered.v1',
             'AssistanceAdmitted.v1'
         )
         -- Waiting that is no denial is no decision; its path is empty.

@@ -5,8 +5,8 @@
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a motion
 -- Example: fsar-ledger query invariants/i3_jointly_composed_policy LEDGER
--- Known are the executor's own policy, the fleet's rule as it was last told, and what the request carried. Windows of which no message had
--- arrived are for the metric of policy violations.
+-- Known are the executor's own policy, the fleet's rule as it was last told, and what the request carried. Windows of
+-- which no message had arrived are for the metric of policy violations.
 SELECT
     run_id,
     seq,

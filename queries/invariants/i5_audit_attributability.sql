@@ -1,13 +1,14 @@
 -- Title: I5 broken: a coordination event from which a principal cannot be recovered
 -- Paper: sec:model:invariants (I5), sec:evaluation:metrics (audit attributability)
--- Grain: one row per coordination event that lacks a requester, an executor, or a supervisor who is not recorded as absent
+-- Grain: one row per coordination event that lacks a requester, an executor, or a supervisor who is not recorded as
+--   absent
 -- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id when the record is not correlated with an action
 -- Example: fsar-ledger query invariants/i5_audit_attributability LEDGER
--- A principal counts when the record or another event of its action names it. The supervisor that may be absent is that of the robot that
--- decided; where no robot did, of the requester until the request is issued, and of the executor after that. A robot without a supervisor of its
--- own is supervised by H_F, who is always there.
+-- A principal counts when the record or another event of its action names it. The supervisor that may be absent is that
+-- of the robot that decided; where no robot did, of the requester until the request is issued, and of the executor
+-- after that. A robot without a supervisor of its own is supervised by H_F, who is always there.
 WITH lacking AS (
     SELECT
         run_id,

@@ -1,16 +1,19 @@
 -- Title: The eight metrics over the runs of each seed and over those of all seeds, with intervals
 -- Paper: tab:results
--- Grain: one row per architecture, configuration, setting (kind, source, model version, constants, fleet size), metric, scenario or all scenarios,
---        and seed or all seeds (pools_seeds)
--- Key: architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?, pools_seeds, scenario?, metric
--- Units: mean, mean_without_routine (routine operations left out), sd (per run), ci_low, ci_high in the metric's unit; n runs of so many seeds;
---        denominator: what the metric counts, summed over runs; runs_not_observed runs that do not observe what it rests on, which nothing else counts.
---        Containment and latency are pooled: mean is the sum of numerators over the sum of denominators.
---        95 % intervals keep within the scale: Wilson for human_intervention; Student's t on the logit of a share and on the logarithm of a count
---        or time, with as many degrees of freedom as runs count anything; where all agree, exact bounds of a share of 0 or 1 and a count
--- NULL: scenario for all scenarios; seed for all seeds; what the runs do not have; mean where the metric is undefined or not observable in all
---       runs, denominator where it is not observable; sd also for a single run; the interval but Wilson's where one run counts anything,
---       and of a time or a share between 0 and 1 that does not vary; mean_without_routine of a metric that counts no routine operations
+-- Grain: one row per architecture, configuration, setting (kind, source, model version, constants, fleet size), metric,
+--   scenario or all scenarios, and seed or all seeds (pools_seeds)
+-- Key: architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?, pools_seeds,
+--   scenario?, metric
+-- Units: mean, mean_without_routine (routine operations left out), sd (per run), ci_low, ci_high in the metric's unit;
+--   n runs of so many seeds; denominator: what the metric counts, summed over runs; runs_not_observed runs that do not
+--   observe what it rests on, which nothing else counts. Containment and latency are pooled: mean is the sum of
+--   numerators over the sum of denominators. 95 % intervals keep within the scale: Wilson for human_intervention;
+--   Student's t on the logit of a share and on the logarithm of a count or time, with as many degrees of freedom as
+--   runs count anything; where all agree, exact bounds of a share of 0 or 1 and a count
+-- NULL: scenario for all scenarios; seed for all seeds; what the runs do not have; mean where the metric is undefined
+--   or not observable in all runs, denominator where it is not observable; sd also for a single run; the interval but
+--   Wilson's where one run counts anything, and of a time or a share between 0 and 1 that does not vary;
+--   mean_without_routine of a metric that counts no routine operations
 -- Example: fsar-ledger query metrics/metric_summaries LEDGER
 WITH moments AS (
     -- Sums of floats in a fixed order are the same bits on any number of threads.
@@ -37,7 +40,20 @@ WITH moments AS (
         sum(denominator)::BIGINT AS denominator,
         avg(published_convention_value ORDER BY run_id) AS published_convention_mean
     FROM summary_values
-    GROUP BY architecture, configuration, fleet_size, pools_seeds, seed, setting, kind, source, model_version, constants, scenario, position, metric
+    GROUP BY
+        architecture,
+        configuration,
+        fleet_size,
+        pools_seeds,
+        seed,
+        setting,
+        kind,
+        source,
+        model_version,
+        constants,
+        scenario,
+        position,
+        metric
 ),
 
 quantiles AS (

@@ -20,9 +20,11 @@ SELECT
     CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator, 0)::BIGINT END AS numerator,
     CASE WHEN hidden.run_id IS NULL THEN 1::BIGINT END AS denominator,
     CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator, 0)::DOUBLE END AS value,
-    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator_without_routine, 0)::BIGINT END AS numerator_without_routine,
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator_without_routine, 0)::BIGINT END
+        AS numerator_without_routine,
     CASE WHEN hidden.run_id IS NULL THEN 1::BIGINT END AS denominator_without_routine,
-    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator_without_routine, 0)::DOUBLE END AS value_without_routine,
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator_without_routine, 0)::DOUBLE END
+        AS value_without_routine,
     hidden.not_observed
 FROM runs
 LEFT JOIN judged ON runs.run_id = judged.run_id

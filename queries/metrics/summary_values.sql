@@ -1,11 +1,13 @@
--- Title: The number that each run contributes to a summary: of each scenario and of all together, of each seed and of all together
+-- Title: The number that each run contributes to a summary: of each scenario and of all together, of each seed and of
+--   all together
 -- Paper: tab:results
 -- Grain: one row per run, metric, scenario or all scenarios, and seed or all seeds (pools_seeds)
 -- Key: run_id, metric, pools_seeds, scenario?
 -- Units: setting and constants as in run_settings; x and pooled_mean in the metric's unit. For a pooled metric
 --        x = ratio + residual / mean denominator, whose mean is the pooled ratio and sd(x) / sqrt(n) its standard error
--- NULL: scenario for all scenarios; seed for all seeds, and of runs that have none; what the run does not have; x where the metric is undefined or
---       not observable; pooled_mean for metrics that are not pooled; value_without_routine, not_observed as in run_metrics
+-- NULL: scenario for all scenarios; seed for all seeds, and of runs that have none; what the run does not have; x where
+--   the metric is undefined or not observable; pooled_mean for metrics that are not pooled; value_without_routine,
+--   not_observed as in run_metrics
 -- Example: fsar-ledger query metrics/summary_values LEDGER
 WITH cells AS (
     SELECT
@@ -31,7 +33,8 @@ WITH cells AS (
         runs.published_convention_value,
         runs.not_observed
     FROM run_metrics AS runs
-    INNER JOIN (VALUES (FALSE, FALSE), (FALSE, TRUE), (TRUE, FALSE), (TRUE, TRUE)) AS scopes (pools_seeds, is_of_scenario)
+    INNER JOIN
+        (VALUES (FALSE, FALSE), (FALSE, TRUE), (TRUE, FALSE), (TRUE, TRUE)) AS scopes (pools_seeds, is_of_scenario)
         ON NOT scopes.is_of_scenario OR runs.scenario IS NOT NULL
 ),
 
@@ -66,7 +69,13 @@ ratios AS (
     INNER JOIN metric_definitions AS definitions ON cells.metric = definitions.metric
     WINDOW cell AS (
         PARTITION BY
-            cells.architecture, cells.configuration, cells.setting, cells.pools_seeds, cells.seed, cells.scenario, cells.metric
+            cells.architecture,
+            cells.configuration,
+            cells.setting,
+            cells.pools_seeds,
+            cells.seed,
+            cells.scenario,
+            cells.metric
     )
 )
 
@@ -90,6 +99,8 @@ SELECT
     value_without_routine,
     published_convention_value,
     not_observed,
-    CASE WHEN is_pooled THEN (ratio + (numerator - ratio * denominator) / mean_denominator) / numerator_units ELSE value END AS x,
+    CASE
+        WHEN is_pooled THEN (ratio + (numerator - ratio * denominator) / mean_denominator) / numerator_units ELSE value
+    END AS x,
     CASE WHEN is_pooled THEN ratio / numerator_units END AS pooled_mean
 FROM ratios

@@ -10,5 +10,8 @@
 -- Units: as in decisions
 -- NULL: as in decisions
 -- Example: fsar-ledger query readings/closings_are_the_requesters LEDGER
-SELECT * REPLACE (is_local OR coalesce(decision_kind = 'closing' AND starts_with(decided_by, 'service/'), FALSE) AS is_local)
+SELECT
+    * REPLACE (
+        is_local OR coalesce(decision_kind = 'closing' AND starts_with(decided_by, 'service/'), FALSE) AS is_local
+    )
 FROM decisions

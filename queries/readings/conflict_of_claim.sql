@@ -19,4 +19,6 @@ FROM held_claims AS later
 SEMI JOIN held_claims AS earlier
     ON
         later.run_id = earlier.run_id AND later.action_id = earlier.action_id AND later.dimension = earlier.dimension
-        AND later.claimant <> earlier.claimant AND (earlier.began_us, earlier.seq) < (later.began_us, later.seq) AND later.began_us < earlier.ended_us
+        AND later.claimant <> earlier.claimant
+        AND (earlier.began_us, earlier.seq) < (later.began_us, later.seq)
+        AND later.began_us < earlier.ended_us

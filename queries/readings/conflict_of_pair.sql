@@ -18,6 +18,9 @@ SELECT
 FROM held_claims AS one
 INNER JOIN held_claims AS other
     ON
-        one.run_id = other.run_id AND one.action_id = other.action_id AND one.dimension = other.dimension AND one.claimant < other.claimant
+        one.run_id = other.run_id
+        AND one.action_id = other.action_id
+        AND one.dimension = other.dimension
+        AND one.claimant < other.claimant
         AND one.began_us < other.ended_us AND one.ended_us > other.began_us
 GROUP BY one.run_id, one.action_id, one.dimension, one.claimant, other.claimant

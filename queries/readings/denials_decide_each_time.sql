@@ -23,7 +23,11 @@ SELECT
     events.action_id,
     events.decided_by,
     events.path,
-    coalesce(len(events.path) = 1 AND (starts_with(events.decided_by, 'robot/') OR starts_with(events.decided_by, 'supervisor/')), FALSE) AS is_local
+    coalesce(
+        len(events.path) = 1
+        AND (starts_with(events.decided_by, 'robot/') OR starts_with(events.decided_by, 'supervisor/')),
+        FALSE
+    ) AS is_local
 FROM event_principals AS events
 INNER JOIN event_classes AS classes ON events.type = classes.type
 ANTI JOIN decisions ON events.run_id = decisions.run_id AND events.seq = decisions.seq

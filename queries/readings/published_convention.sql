@@ -13,6 +13,8 @@
 SELECT
     * REPLACE (
         is_pooled AND metric NOT IN ('recovery_containment', 'reassignment_latency_s') AS is_pooled,
-        CASE WHEN metric IN ('recovery_containment', 'reassignment_latency_s') THEN published_value ELSE undefined_value END AS undefined_value
+        CASE
+            WHEN metric IN ('recovery_containment', 'reassignment_latency_s') THEN published_value ELSE undefined_value
+        END AS undefined_value
     )
 FROM metric_definitions

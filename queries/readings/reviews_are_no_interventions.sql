@@ -4,7 +4,8 @@
 -- Question: which calls are interventions
 -- Replaces: interventions
 -- Moves: human_intervention
--- Why: Fleet supervision intervenes only when cross-robot conflicts require it; a review that policy asks for is oversight as planned.
+-- Why: Fleet supervision intervenes only when cross-robot conflicts require it; a review that policy asks for is
+--   oversight as planned.
 -- Grain: one row per call
 -- Key: run_id, seq
 -- Units: as in interventions

@@ -21,9 +21,11 @@ WITH judged AS (
 
 SELECT
     measured.* REPLACE (
-        CASE WHEN measured.not_observed IS NULL THEN coalesce(judged.motions + judged.actions, 0)::BIGINT END AS numerator,
+        CASE WHEN measured.not_observed IS NULL THEN coalesce(judged.motions + judged.actions, 0)::BIGINT END
+            AS numerator,
         CASE WHEN measured.not_observed IS NULL THEN coalesce(judged.motions + judged.actions, 0)::DOUBLE END AS value,
-        CASE WHEN measured.not_observed IS NULL THEN coalesce(judged.actions, 0)::BIGINT END AS numerator_without_routine,
+        CASE WHEN measured.not_observed IS NULL THEN coalesce(judged.actions, 0)::BIGINT END
+            AS numerator_without_routine,
         CASE WHEN measured.not_observed IS NULL THEN coalesce(judged.actions, 0)::DOUBLE END AS value_without_routine
     )
 FROM policy_violations AS measured

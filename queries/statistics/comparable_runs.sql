@@ -2,8 +2,9 @@
 -- Paper: sec:evaluation:significance
 -- Grain: one row per comparison and configuration of which the ledger holds a run of either side
 -- Key: comparison, configuration
--- Units: first_count, second_count runs; first_worlds, second_worlds combinations of seed, scenario, fleet size and run that each met, shared_worlds both;
---        pair_count pairs that met the same world, left_out those with the same combination that did not; scenarios, seeds, fleet_sizes of a side as text
+-- Units: first_count, second_count runs; first_worlds, second_worlds combinations of seed, scenario, fleet size and run
+--   that each met, shared_worlds both; pair_count pairs that met the same world, left_out those with the same
+--   combination that did not; scenarios, seeds, fleet_sizes of a side as text
 -- NULL: the texts of a side without runs
 -- Example: fsar-ledger query statistics/comparable_runs LEDGER
 WITH sides AS (
@@ -45,7 +46,9 @@ met AS (
         count(*) FILTER (WHERE sides.side = 'first') AS first_runs,
         count(*) FILTER (WHERE sides.side = 'second') AS second_runs
     FROM sides
-    INNER JOIN compared_runs AS runs ON sides.architecture = runs.architecture AND sides.its_configuration = runs.configuration
+    INNER JOIN
+        compared_runs AS runs
+    ON sides.architecture = runs.architecture AND sides.its_configuration = runs.configuration
     GROUP BY ALL
 ),
 

@@ -36,6 +36,10 @@ SELECT
     found.described,
     found.observes_world,
     digests.world_sha256,
-    count(*) OVER (PARTITION BY found.architecture, found.configuration, found.setting, found.seed, found.scenario, found.run) AS twins
+    count(*)
+        OVER (
+            PARTITION BY found.architecture, found.configuration, found.setting, found.seed, found.scenario, found.run
+        )
+        AS twins
 FROM found
 LEFT JOIN world_digests AS digests ON found.run_id = digests.run_id

@@ -1,7 +1,7 @@
 -- Title: What experiments of the paper's size would have printed: 4,000 of them, drawn from the runs that are here
 -- Paper: tab:results
--- Grain: one row per drawn experiment (drawn_sums), architecture, configuration, setting (kind, source, model version, constants, fleet size), seed
---        and metric
+-- Grain: one row per drawn experiment (drawn_sums), architecture, configuration, setting (kind, source, model version,
+--   constants, fleet size), seed and metric
 -- Key: draw, architecture, configuration, setting, seed, metric
 -- Units: setting as in run_settings; value in the metric's unit
 -- NULL: value where nothing that the metric counts was drawn
@@ -42,7 +42,9 @@ SELECT
     summed.position,
     summed.metric,
     CASE
-        WHEN definitions.is_pooled THEN summed.numerator::DOUBLE / nullif(summed.denominator, 0)::DOUBLE / definitions.numerator_units
+        WHEN
+            definitions.is_pooled
+            THEN summed.numerator::DOUBLE / nullif(summed.denominator, 0)::DOUBLE / definitions.numerator_units
         ELSE summed.value_ppb::DOUBLE / nullif(summed.defined, 0) / 1e9
     END AS value
 FROM summed

@@ -2,11 +2,13 @@
 -- Paper: tab:significance
 -- Grain: one row per test (basis, comparison, configuration, setting, seed or all seeds, metric) with at least one pair
 -- Key: test
--- Units: means and mean_difference in the metric's unit; cohens_d in pooled standard deviations (as published, with sign), d_z in standard
---        deviations of the differences; hedges_g = J * cohens_d with J = 1 - 3 / (4 df - 1). 95 % intervals of both from the variance of d for correlated
---        pairs by the delta method: var(differences) / (n s^2) + d^2 (s1^4 + s2^4 + 2 cov^2) / (8 df s^4), s the pooled standard deviation
--- NULL: t, p, d_z when all differences are equal (or one pair); cohens_d, hedges_g when neither side varies; hedges_g also for two pairs,
---       where J is 0; the intervals also for two pairs, and when one side does not vary, or both do alike (r = 1)
+-- Units: means and mean_difference in the metric's unit; cohens_d in pooled standard deviations (as published, with
+--   sign), d_z in standard deviations of the differences; hedges_g = J * cohens_d with J = 1 - 3 / (4 df - 1). 95 %
+--   intervals of both from the variance of d for correlated pairs by the delta method: var(differences) / (n s^2) + d^2
+--   (s1^4 + s2^4 + 2 cov^2) / (8 df s^4), s the pooled standard deviation
+-- NULL: t, p, d_z when all differences are equal (or one pair); cohens_d, hedges_g when neither side varies; hedges_g
+--   also for two pairs, where J is 0; the intervals also for two pairs, and when one side does not vary, or both do
+--   alike (r = 1)
 -- Example: fsar-ledger query statistics/paired_t_tests LEDGER
 WITH moments AS (
     SELECT

@@ -1,16 +1,27 @@
--- Title: Tests of the numbers that the results table prints: containment and latency pooled over failures, as ratios over all pairs
+-- Title: Tests of the numbers that the results table prints: containment and latency pooled over failures, as ratios
+--   over all pairs
 -- Paper: tab:significance
--- Grain: one row per comparison, configuration, setting (kind, source, model version, constants, fleet size), seed or all seeds, and pooled metric
+-- Grain: one row per comparison, configuration, setting (kind, source, model version, constants, fleet size), seed or
+--   all seeds, and pooled metric
 -- Key: test
--- Units: test as in paired_t_tests, without its basis; means, difference and interval in the metric's unit, n pairs of which differing_pairs have runs that
---        differ, pooled_test, p as in side_differences; p_holm over the family_tests tests of the same family (as in holm_adjustments, on the basis published)
---        in which those of pooled metrics are these
+-- Units: test as in paired_t_tests, without its basis; means, difference and interval in the metric's unit, n pairs of
+--   which differing_pairs have runs that differ, pooled_test, p as in side_differences; p_holm over the family_tests
+--   tests of the same family (as in holm_adjustments, on the basis published) in which those of pooled metrics are
+--   these
 -- NULL: as in side_differences
 -- Example: fsar-ledger query statistics/pooled_tests LEDGER
 WITH pooled AS (
     SELECT
-        concat_ws('/', comparisons.family, comparisons.comparison, comparisons.setting, coalesce(found.seed::VARCHAR, 'all'), found.metric) AS test,
-        concat_ws('/', 'published', comparisons.family, comparisons.setting, coalesce(found.seed::VARCHAR, 'all')) AS holm_family,
+        concat_ws(
+            '/',
+            comparisons.family,
+            comparisons.comparison,
+            comparisons.setting,
+            coalesce(found.seed::VARCHAR, 'all'),
+            found.metric
+        ) AS test,
+        concat_ws('/', 'published', comparisons.family, comparisons.setting, coalesce(found.seed::VARCHAR, 'all'))
+            AS holm_family,
         found.first_side,
         found.second_side,
         found.seed,
@@ -28,7 +39,9 @@ WITH pooled AS (
         found.p_holm,
         found.test AS pooled_test
     FROM side_comparisons AS comparisons
-    INNER JOIN side_differences AS found ON comparisons.first_side = found.first_side AND comparisons.second_side = found.second_side
+    INNER JOIN
+        side_differences AS found
+    ON comparisons.first_side = found.first_side AND comparisons.second_side = found.second_side
     INNER JOIN metric_definitions AS definitions ON found.metric = definitions.metric
     WHERE definitions.is_pooled AND found.scenario IS NULL
 ),

@@ -1,13 +1,16 @@
 -- Title: Paired differences of two sides, metric by metric, with intervals and tests
 -- Paper: sec:evaluation:significance
--- Grain: one row per pair of sides (side_comparisons), metric, seed or all seeds (pools_seeds), and scenario or all scenarios
+-- Grain: one row per pair of sides (side_comparisons), metric, seed or all seeds (pools_seeds), and scenario or all
+--   scenarios
 -- Key: first_side, second_side, pools_seeds, seed?, scenario?, metric
--- Units: means and counts of pairs as in side_moments. 95 % interval: Student's t with differing_pairs - 1 degrees of freedom; of human_intervention after
---        Bonett and Price. test is paired t, or sign (exact, of the pairs that differ): of human_intervention, where fewer than 25 pairs and less than half
---        of all differ, and where all differ alike. p_holm over the family_tests tests of the same sides, seed and scenario, or of all scenarios' rows.
---        d_z in standard deviations of what pairs contribute
--- NULL: seed for all seeds; scenario for all scenarios; means as in side_moments; the interval of fewer than two pairs that differ, or that differ alike, or
---       where one pair is all that a side counts; test, p where no pair differs; d_z where nothing varies
+-- Units: means and counts of pairs as in side_moments. 95 % interval: Student's t with differing_pairs - 1 degrees of
+--   freedom; of human_intervention after Bonett and Price. test is paired t, or sign (exact, of the pairs that differ):
+--   of human_intervention, where fewer than 25 pairs and less than half of all differ, and where all differ alike.
+--   p_holm over the family_tests tests of the same sides, seed and scenario, or of all scenarios' rows. d_z in standard
+--   deviations of what pairs contribute
+-- NULL: seed for all seeds; scenario for all scenarios; means as in side_moments; the interval of fewer than two pairs
+--   that differ, or that differ alike, or where one pair is all that a side counts; test, p where no pair differs; d_z
+--   where nothing varies
 -- Example: fsar-ledger query statistics/side_differences LEDGER
 WITH tested AS (
     SELECT
@@ -27,7 +30,9 @@ WITH tested AS (
         norm_quantile(0.975) AS z,
         (moments.above + 1) / (moments.n + 2) AS more,
         (moments.below + 1) / (moments.n + 2) AS less,
-        definitions.scale = 'yes-no' OR moments.error IS NULL OR moments.differing_pairs < least(25, moments.n / 2) AS is_counted,
+        definitions.scale = 'yes-no'
+        OR moments.error IS NULL
+        OR moments.differing_pairs < least(25, moments.n / 2) AS is_counted,
         if(definitions.scale = 'yes-no', more - less, moments.mean_difference) AS middle,
         if(
             scale = 'yes-no',
@@ -35,7 +40,9 @@ WITH tested AS (
             t_quantile(0.975, CASE WHEN differing_pairs > 1 THEN differing_pairs - 1 END::DOUBLE) * moments.error
         ) AS half,
         if(definitions.scale IN ('share', 'yes-no'), 1.0::DOUBLE, 'infinity'::DOUBLE) AS most,
-        CASE WHEN above + below > 0 AND moments.mean_difference IS NOT NULL THEN if(is_counted, 'sign', 'paired t') END AS test,
+        CASE
+            WHEN above + below > 0 AND moments.mean_difference IS NOT NULL THEN if(is_counted, 'sign', 'paired t')
+        END AS test,
         CASE
             WHEN test IS NULL THEN NULL
             WHEN is_counted THEN binomial_half_sf2(least(above, below), above + below)
@@ -92,6 +99,14 @@ SELECT
     CASE WHEN half IS NOT NULL THEN least(middle + half, most) END AS ci_high,
     CASE
         WHEN p IS NOT NULL
-            THEN least(1, max(bound) OVER (PARTITION BY first_side, second_side, pools_seeds, seed, scenario IS NULL ORDER BY p NULLS LAST, scenario, position))
+            THEN
+                least(
+                    1,
+                    max(bound)
+                        OVER (
+                            PARTITION BY first_side, second_side, pools_seeds, seed, scenario IS NULL
+                            ORDER BY p NULLS LAST, scenario, position
+                        )
+                )
     END AS p_holm
 FROM ranked

@@ -2,7 +2,8 @@
 -- Paper: sec:evaluation:significance
 -- Grain: one row per run (compared_runs) and metric
 -- Key: run_id, metric
--- Units: side as in sides; value, numerator, denominator as in run_metrics; twins, observes_world, world_sha256 as in compared_runs
+-- Units: side as in sides; value, numerator, denominator as in run_metrics; twins, observes_world, world_sha256 as in
+--   compared_runs
 -- NULL: as in run_metrics and compared_runs
 -- Example: fsar-ledger query statistics/side_runs LEDGER
 SELECT

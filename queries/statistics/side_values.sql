@@ -1,12 +1,15 @@
 -- Title: What each pair of runs of two sides contributes to the difference of a metric
 -- Paper: sec:evaluation:significance
--- Grain: one row per pair of runs (side_pairs) that both count, metric, its seed or all seeds (pools_seeds), and its scenario or all scenarios
+-- Grain: one row per pair of runs (side_pairs) that both count, metric, its seed or all seeds (pools_seeds), and its
+--   scenario or all scenarios
 -- Key: first_side, second_side, first_run_id, second_run_id, metric, pools_seeds, scenario?
--- Units: contribution in the metric's unit: first minus second, and of a pooled metric the pseudo-value of the jackknife, n * difference - (n - 1) * difference
---        without the pair; direction 1 where the first side is higher, -1 where the second is, 0 where neither, for a pooled metric beside the ratio of both
---        together; differs whether the pair's runs count the same; first_ratio, second_ratio the pooled values of the sides
--- NULL: seed for all seeds, scenario for all scenarios; contribution where a side counts nothing without the pair; ratios of what is not pooled, or counts
---       nothing. Pairs in which a run has no value, of a pooled metric one that does not observe it, are left out
+-- Units: contribution in the metric's unit: first minus second, and of a pooled metric the pseudo-value of the
+--   jackknife, n * difference - (n - 1) * difference without the pair; direction 1 where the first side is higher, -1
+--   where the second is, 0 where neither, for a pooled metric beside the ratio of both together; differs whether the
+--   pair's runs count the same; first_ratio, second_ratio the pooled values of the sides
+-- NULL: seed for all seeds, scenario for all scenarios; contribution where a side counts nothing without the pair;
+--   ratios of what is not pooled, or counts nothing. Pairs in which a run has no value, of a pooled metric one that
+--   does not observe it, are left out
 -- Example: fsar-ledger query statistics/side_values LEDGER
 WITH measured AS (
     SELECT
@@ -27,11 +30,20 @@ WITH measured AS (
         seconds.numerator AS n2,
         seconds.denominator AS d2
     FROM side_pairs AS pairs
-    INNER JOIN (VALUES (FALSE, FALSE), (FALSE, TRUE), (TRUE, FALSE), (TRUE, TRUE)) AS scopes (pools_seeds, is_of_scenario) ON pairs.differs IS NULL
+    INNER JOIN
+        (VALUES (FALSE, FALSE), (FALSE, TRUE), (TRUE, FALSE), (TRUE, TRUE)) AS scopes (pools_seeds, is_of_scenario)
+    ON pairs.differs IS NULL
     INNER JOIN side_runs AS firsts ON pairs.first_side = firsts.side AND pairs.first_run_id = firsts.run_id
-    INNER JOIN side_runs AS seconds ON pairs.second_side = seconds.side AND pairs.second_run_id = seconds.run_id AND firsts.metric = seconds.metric
+    INNER JOIN
+        side_runs AS seconds
+    ON pairs.second_side = seconds.side AND pairs.second_run_id = seconds.run_id AND firsts.metric = seconds.metric
     INNER JOIN metric_definitions AS definitions ON firsts.metric = definitions.metric
-    WHERE if(definitions.is_pooled, n1 IS NOT NULL AND n2 IS NOT NULL, first_value IS NOT NULL AND second_value IS NOT NULL)
+    WHERE
+        if(
+            definitions.is_pooled,
+            n1 IS NOT NULL AND n2 IS NOT NULL,
+            first_value IS NOT NULL AND second_value IS NOT NULL
+        )
 ),
 
 totals AS (

@@ -2,7 +2,8 @@
 -- Paper: sec:evaluation:setup
 -- Grain: one row per run with at least one fact of the world
 -- Key: run_id
--- Units: world_sha256, the same text for the same facts at the same times, in whatever order facts of one time stand, whatever else the run records
+-- Units: world_sha256, the same text for the same facts at the same times, in whatever order facts of one time stand,
+--   whatever else the run records
 -- NULL: never
 -- Example: fsar-ledger query statistics/world_digests LEDGER
 SELECT

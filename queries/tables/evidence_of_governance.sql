@@ -3,7 +3,8 @@
 -- Grain: one row per made_alike (as in run_groups) and part
 -- Key: made_alike, part
 -- Units: numerator, denominator counts
--- NULL: never; no row for a part that nothing in the ledger could show, and none of runs that do not observe what it rests on
+-- NULL: never; no row for a part that nothing in the ledger could show, and none of runs that do not observe what it
+--   rests on
 -- Example: fsar-ledger query tables/evidence_of_governance LEDGER
 -- Stored: in one plan with the other two, DuckDB plans longer than it computes
 WITH outsiders AS (
@@ -35,7 +36,8 @@ asked AS (
 ),
 
 found AS (
-    -- The registry, or whoever matches candidates, was asked for the capability for this task, and the executor was no peer remembered from a meeting.
+    -- The registry, or whoever matches candidates, was asked for the capability for this task, and the executor was no
+    -- peer remembered from a meeting.
     SELECT
         done.run_id,
         done.seq,
@@ -46,17 +48,30 @@ found AS (
             done.run_id = asked.run_id AND done.task_id = asked.task_id AND done.capability = asked.capability
             AND done.seq > asked.seq
     LEFT JOIN peer_remembered AS met
-        ON asked.run_id = met.run_id AND done.on_behalf_of = met.robot AND done.robot = met.peer AND asked.seq > met.seq AND asked.time_us <= met.until_us
+        ON
+            asked.run_id = met.run_id
+            AND done.on_behalf_of = met.robot
+            AND done.robot = met.peer
+            AND asked.seq > met.seq
+            AND asked.time_us <= met.until_us
     WHERE done.robot <> done.on_behalf_of
     GROUP BY done.run_id, done.seq
 ),
 
 counted AS (
-    SELECT { 'run_id': run_id, 'part': 'untrusted delegations that went through trusted links', 'holds': is_chained } AS fact
+    SELECT
+        { 'run_id': run_id, 'part': 'untrusted delegations that went through trusted links', 'holds': is_chained }
+            AS fact
     FROM delegated_trust
     WHERE NOT is_direct
     UNION ALL
-    SELECT { 'run_id': run_id, 'part': unnest(['outsiders refused', 'hidden capabilities kept from outsiders']), 'holds': is_refused } AS fact FROM outsiders
+    SELECT
+        {
+            'run_id': run_id,
+            'part': unnest(['outsiders refused', 'hidden capabilities kept from outsiders']),
+            'holds': is_refused
+        } AS fact
+    FROM outsiders
     UNION ALL
     SELECT
         {
@@ -77,7 +92,8 @@ counted AS (
     FROM policy_decisions
     WHERE is_against_fleet
     UNION ALL
-    SELECT { 'run_id': run_id, 'part': 'delegations found beyond the peers that were met', 'holds': is_found } AS fact FROM found
+    SELECT { 'run_id': run_id, 'part': 'delegations found beyond the peers that were met', 'holds': is_found } AS fact
+    FROM found
 )
 
 SELECT

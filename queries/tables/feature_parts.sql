@@ -47,7 +47,8 @@ SELECT
     rules.is_essential,
     evidence.numerator / evidence.denominator AS share,
     rules.part || ' ' || coalesce(
-        evidence.numerator || '/' || evidence.denominator, if(list_contains(groups.unseen, rules.part), 'not observable', 'not shown')
+        evidence.numerator || '/' || evidence.denominator,
+        if(list_contains(groups.unseen, rules.part), 'not observable', 'not shown')
     ) AS shown
 FROM groups
 CROSS JOIN rules
