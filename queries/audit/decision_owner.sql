@@ -33,8 +33,7 @@ way_back AS (
         way_back.steps + 1 AS steps
     FROM way_back
     -- A cause comes before what it causes; a forged record that says otherwise ends the way.
-    INNER JOIN
-        causes
+    INNER JOIN causes
         ON way_back.run_id = causes.run_id AND way_back.caused_by = causes.seq AND way_back.seq > causes.seq
 ),
 

@@ -33,8 +33,7 @@ WITH RECURSIVE chains AS (
         chains.link + 1 AS link
     FROM chains
     -- A request comes after the one that it serves; a forged record that says otherwise is no link.
-    INNER JOIN
-        request_issued AS asked
+    INNER JOIN request_issued AS asked
     ON chains.run_id = asked.run_id AND chains.action_id = asked.parent AND chains.seq < asked.seq
 ),
 
@@ -57,11 +56,9 @@ ends AS (
         arg_max(trust.scope, trust.precedence) AS end_scope
     FROM chains
     INNER JOIN request_issued AS asked ON chains.run_id = asked.run_id AND chains.seq = asked.seq
-    INNER JOIN
-        trust_parties AS own
+    INNER JOIN trust_parties AS own
     ON chains.run_id = own.run_id AND asked.executed_by = own.robot AND own.is_trusting AND chains.seq > own.seq
-    INNER JOIN
-        trust_parties AS peers
+    INNER JOIN trust_parties AS peers
     ON
         own.run_id = peers.run_id
         AND own.seq = peers.seq

@@ -59,11 +59,9 @@ considered AS (
         count(surfaces.robot) > 0 AS is_offered,
         arg_max(trust.scope, trust.precedence) AS trust_scope
     FROM registry_queried AS queries
-    INNER JOIN
-        fleet_members AS others
+    INNER JOIN fleet_members AS others
     ON queries.run_id = others.run_id AND queries.requested_by <> others.robot AND queries.seq > others.joined_seq
-    LEFT JOIN
-        fleet_members AS requesters
+    LEFT JOIN fleet_members AS requesters
     ON queries.run_id = requesters.run_id AND queries.requested_by = requesters.robot
     LEFT JOIN surfaces
         ON

@@ -22,8 +22,7 @@ WITH stays AS (
         coalesce(lead(moves.time_us) OVER by_failure, failures.resolved_us)
         - CASE moves.move WHEN 1 THEN failures.detected_us ELSE moves.time_us END AS spent_us
     FROM recovery_moves AS moves
-    INNER JOIN
-        failures
+    INNER JOIN failures
         ON moves.run_id = failures.run_id AND moves.action_id = failures.action_id AND moves.failure = failures.failure
     WHERE $run IN ('all', moves.run_id) AND $action IN ('all', moves.action_id)
     WINDOW by_failure AS (PARTITION BY moves.run_id, moves.action_id, moves.failure ORDER BY moves.seq)

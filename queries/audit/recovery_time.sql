@@ -24,8 +24,7 @@ WITH stays AS (
         coalesce(lead(moves.time_us) OVER by_failure, failures.resolved_us) AS left_us,
         lead(moves.seq) OVER by_failure IS NULL AND failures.resolved_us IS NOT NULL AS is_resolved_here
     FROM recovery_moves AS moves
-    LEFT JOIN
-        failures
+    LEFT JOIN failures
         ON moves.run_id = failures.run_id AND moves.action_id = failures.action_id AND moves.failure = failures.failure
     WHERE $run IN ('all', moves.run_id) AND $action IN ('all', moves.action_id)
     WINDOW by_failure AS (PARTITION BY moves.run_id, moves.action_id, moves.failure ORDER BY moves.seq)

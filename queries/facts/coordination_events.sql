@@ -75,8 +75,7 @@ judged AS (
         OR NOT records.requires_supervisor
         OR coalesce(parts.has_supervisor, FALSE) AS has_supervisor
     FROM classified AS records
-    LEFT JOIN
-        parts
+    LEFT JOIN parts
         ON records.run_id = parts.run_id AND records.action_id = parts.action_id AND records.part_of = parts.part_of
     WHERE records.record_kind IS NOT NULL
 )

@@ -40,8 +40,7 @@ links AS (
             END
         ) AS link
     FROM delegated
-    LEFT JOIN
-        request_relayed AS relayed
+    LEFT JOIN request_relayed AS relayed
     ON delegated.run_id = relayed.run_id AND delegated.action_id = relayed.action_id
 ),
 

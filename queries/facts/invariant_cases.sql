@@ -39,7 +39,8 @@ WITH judged AS (
                 THEN ['a4_thin_federation_interface']
         END)) AS invariant
     FROM event_principals
-    WHERE -- each of these events has a robot or a path, if an empty one; to leave others out costs less than to tell what they hold
+    -- Each of these events has a robot or a path, if an empty one; to leave others out costs less than to judge them.
+    WHERE
         robot IS NOT NULL
         OR decided_by IS NOT NULL
         OR requested_by IS NOT NULL

@@ -92,8 +92,7 @@ outcomes AS (
         rules.seq AS known_seq,
         rules.outcome
     FROM starts
-    ASOF JOIN
-        fleet_rule_learned AS rules
+    ASOF JOIN fleet_rule_learned AS rules
     ON starts.run_id = rules.run_id AND starts.robot = rules.robot AND starts.decision_seq > rules.seq
     UNION ALL
     -- The requester's own, and that of a relay, as the request carried it.
@@ -103,8 +102,7 @@ outcomes AS (
         requests.seq AS known_seq,
         requests.carried_policy AS outcome
     FROM starts
-    INNER JOIN
-        request_events AS requests
+    INNER JOIN request_events AS requests
     ON starts.run_id = requests.run_id AND starts.action_id = requests.action_id AND starts.seq > requests.seq
     WHERE requests.carried_policy IS NOT NULL
 )

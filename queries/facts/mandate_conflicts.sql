@@ -37,8 +37,7 @@ heard AS (
         mandated.seq,
         told.outcome
     FROM mandated
-    ASOF JOIN
-        fleet_rule_learned AS told
+    ASOF JOIN fleet_rule_learned AS told
     ON mandated.run_id = told.run_id AND mandated.robot = told.robot AND mandated.seq > told.seq
 )
 

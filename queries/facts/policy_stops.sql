@@ -17,8 +17,7 @@ WITH stops AS (
         denied.executed_by AS robot,
         issued.capability
     FROM request_denied AS denied
-    ASOF JOIN
-        request_issued AS issued
+    ASOF JOIN request_issued AS issued
     ON denied.run_id = issued.run_id AND denied.action_id = issued.action_id AND denied.seq > issued.seq
     WHERE denied.reason = 'policy'
     UNION ALL
@@ -31,8 +30,7 @@ WITH stops AS (
         held.robot,
         queued.capability
     FROM execution_held AS held
-    ASOF JOIN
-        execution_queued AS queued
+    ASOF JOIN execution_queued AS queued
     ON held.run_id = queued.run_id AND held.action_id = queued.action_id AND held.seq > queued.seq
     WHERE held.reason = 'local-policy' AND held.outcome = 'deny'
 )

@@ -23,6 +23,5 @@ WITH helped AS (
 
 SELECT failures.* REPLACE (coalesce(helped.helped_us - failures.detected_us, failures.latency_us) AS latency_us)
 FROM failures
-LEFT JOIN
-    helped
+LEFT JOIN helped
     ON failures.run_id = helped.run_id AND failures.action_id = helped.action_id AND failures.failure = helped.failure

@@ -34,8 +34,7 @@ shown AS (
             AS told
     FROM sets
     INNER JOIN varying ON sets.model = varying.model
-    LEFT JOIN
-        constants
+    LEFT JOIN constants
         ON
             sets.model = constants.model
             AND sets.parameter_set = constants.parameter_set

@@ -72,7 +72,6 @@ SELECT
 FROM run_pairs
 INNER JOIN compared_runs AS firsts ON run_pairs.first_run_id = firsts.run_id
 INNER JOIN compared_runs AS seconds ON run_pairs.second_run_id = seconds.run_id
-LEFT JOIN
-    earliest
+LEFT JOIN earliest
     ON run_pairs.first_run_id = earliest.first_run_id AND run_pairs.second_run_id = earliest.second_run_id
 WHERE run_pairs.differs IS NOT NULL

@@ -23,8 +23,7 @@ SELECT
     firsts.side AS first_side,
     seconds.side AS second_side
 FROM comparisons
-INNER JOIN
-    held AS firsts
+INNER JOIN held AS firsts
 ON comparisons.first_architecture = firsts.architecture AND comparisons.first_configuration = firsts.configuration
 INNER JOIN held AS seconds
     ON

@@ -23,8 +23,7 @@ robots AS (
         fleet_members.robot,
         count(DISTINCT named.principal) AS parts
     FROM fleet_members
-    LEFT JOIN
-        named
+    LEFT JOIN named
         ON
             fleet_members.run_id = named.run_id
             AND starts_with(named.principal, 'agent/' || fleet_members.robot[7:] || '/')

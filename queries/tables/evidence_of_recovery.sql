@@ -44,8 +44,7 @@ judged AS (
             failures.run_id = first_steps.run_id
             AND failures.action_id = first_steps.action_id
             AND failures.failure = first_steps.failure
-    LEFT JOIN
-        moves
+    LEFT JOIN moves
         ON failures.run_id = moves.run_id AND failures.action_id = moves.action_id AND failures.failure = moves.failure
 ),
 
