@@ -170,7 +170,9 @@ def staging_query(tag: str) -> Query:
         "NULL": "the record does not name it",
         "Example": f"fsar-ledger query staging/{view_name(tag)} LEDGER",
     }
-    return Query(f"staging/{view_name(tag)}", staging_sql(tag), header, tags=frozenset({tag}), nothing=staging_sql(tag, None))
+    return Query(
+        f"staging/{view_name(tag)}", staging_sql(tag), header, tags=frozenset({tag}), nothing=staging_sql(tag, None)
+    )
 
 
 def concerns_query() -> Query:
@@ -217,7 +219,9 @@ def concern_query(concern: str) -> Query:
         "Example": f"fsar-ledger query staging/{concern}_events LEDGER",
     }
     tags = frozenset(layout.tag for layout in _layouts(concern))
-    return Query(f"staging/{concern}_events", concern_sql(concern), header, tags=tags, nothing=concern_sql(concern, None))
+    return Query(
+        f"staging/{concern}_events", concern_sql(concern), header, tags=tags, nothing=concern_sql(concern, None)
+    )
 
 
 def world_query() -> Query:
@@ -321,4 +325,6 @@ def values(query: Query, given: Mapping[str, str]) -> dict[str, str]:
 def library() -> Library:
     """The packaged queries, one view per event type, the concerns of these types, and one view of what the world did."""
     packaged = [parse(name, sql) for name, sql in _files(files("fsar_ledger.queries"))]
-    return Library([*map(staging_query, LAYOUTS), *map(concern_query, EVENTS_OF), concerns_query(), world_query(), *packaged])
+    return Library(
+        [*map(staging_query, LAYOUTS), *map(concern_query, EVENTS_OF), concerns_query(), world_query(), *packaged]
+    )

@@ -1,10 +1,9 @@
 -- Title: What is on record about the recovery from failures, and at which level it took place
 -- Paper: eq:recovery
--- Grain: one row per event of the concern recovery, question to the registry, and call or answer of a supervisor for
---   recovery
+-- Grain: one row per event of the concern recovery, and per call or answer of a supervisor for recovery
 -- Key: run_id, seq
 -- Units: time_us, deadline_us microseconds of run time; number, failure count from 1
--- NULL: failure for a question, a call or an answer, which name none; anything else that the record does not name;
+-- NULL: failure for a call or an answer, which name none; anything else that the record does not name;
 --   level where it has none
 -- Example: fsar-ledger query facts/recovery_records LEDGER
 SELECT
@@ -17,8 +16,6 @@ SELECT
     robot,
     helper,
     NULL AS supervisor,
-    NULL AS capability,
-    NULL AS candidates,
     decided_by,
     if(type = 'ReassignmentDecided.v1', 'fleet', level) AS level,
     to_level,
@@ -27,17 +24,6 @@ SELECT
     checkpoint,
     reason
 FROM recovery_events
-UNION ALL BY NAME
-SELECT
-    run_id,
-    seq,
-    time_us,
-    'RegistryQueried.v1' AS type,
-    action_id,
-    capability,
-    candidates,
-    'peer' AS level
-FROM registry_queried
 UNION ALL BY NAME
 SELECT
     run_id,

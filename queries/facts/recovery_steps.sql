@@ -25,6 +25,37 @@ WITH answers AS (
     FROM recovery_events
     WHERE type IN ('RecoveryAttemptFailed.v1', 'AssistanceDeclined.v1', 'AssistanceFailed.v1')
     GROUP BY run_id, action_id, failure, number, helper
+),
+
+steps AS (
+    SELECT
+        run_id,
+        seq,
+        time_us,
+        type,
+        action_id,
+        failure,
+        helper,
+        supervisor,
+        decided_by,
+        level,
+        to_level,
+        number,
+        deadline_us,
+        checkpoint,
+        reason
+    FROM recovery_records
+    UNION ALL BY NAME
+    SELECT
+        run_id,
+        seq,
+        time_us,
+        'RegistryQueried.v1' AS type,
+        action_id,
+        'peer' AS level,
+        capability,
+        candidates
+    FROM registry_queried
 )
 
 SELECT
@@ -76,7 +107,7 @@ SELECT
     answers.achieved
 FROM failures
 -- A question to the registry, and a call, name no failure: they are about the one that is not resolved yet.
-INNER JOIN recovery_records AS steps
+INNER JOIN steps
     ON
         failures.run_id = steps.run_id AND failures.action_id = steps.action_id AND failures.seq < steps.seq
         AND CASE

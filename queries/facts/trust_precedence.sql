@@ -7,7 +7,7 @@
 --   fleet); capability, context when the entry is about all of them; set_by for what the fleet was founded with
 -- Example: fsar-ledger query facts/trust_precedence LEDGER
 -- Of the entries that apply to a pair (see trust_parties), a capability and a context, that of the greatest precedence
--- holds. One about the very pair goes before one about roles, and of roles the smallest domain. Then one that names both
+-- holds. One about the very pair goes before one about roles, of roles the smallest domain. Then one that names both
 -- capability and context goes before the capability alone, that before the context alone, that before neither, and of
 -- equals the last holds.
 WITH entries AS (

@@ -10,7 +10,6 @@ import pytest
 from fsar_ledger.ledger.rows.codec import RunRecord, encode
 from fsar_ledger.metrics.database import Database, connect, from_rows, from_table
 from fsar_ledger.metrics.library import REQUIRED_KEYS, Library, Query, library
-from fsar_ledger.runtime.experiment import Experiment, simulate
 from tests.queries.histories import event, run
 from tests.queries.keys import broken_keys
 from tests.runtime.commanded import commanded
@@ -51,7 +50,9 @@ def test_keys_tell_the_rows_of_a_kept_ledger_apart(path: Path) -> None:
 def test_a_query_that_fans_out_is_found() -> None:
     header = dict.fromkeys(REQUIRED_KEYS, "something") | {"Key": "run_id, seq"}
     joined = "SELECT tasks.run_id, tasks.seq, steps.step FROM task_arrived AS tasks INNER JOIN step_began AS steps"
-    planted = Query("facts/planted", f"{joined} ON tasks.run_id = steps.run_id AND tasks.task_id = steps.task_id", header)
+    planted = Query(
+        "facts/planted", f"{joined} ON tasks.run_id = steps.run_id AND tasks.task_id = steps.task_id", header
+    )
     history = run(
         event("TaskArrived", task_id="t"),
         event("StepBegan", task_id="t", action_id="t/1", step=1),
@@ -127,11 +128,14 @@ def test_no_star_stands_beside_columns() -> None:
 
 
 @pytest.mark.parametrize(
-    "columns", ["*, 1 AS one", "a.*, b.x", "1 AS one, a.*", "* EXCLUDE (x), y", "* REPLACE (f(x, y) AS x)", "f(a, b), *"]
+    "columns",
+    ["*, 1 AS one", "a.*, b.x", "1 AS one, a.*", "* EXCLUDE (x), y", "* REPLACE (f(x, y) AS x)", "f(a, b), *"],
 )
 def test_a_star_beside_columns_is_found_wherever_it_stands(columns: str) -> None:
     assert len(starred("facts/x", f"SELECT {columns} FROM a")) == 1
-    assert len(starred("facts/x", f"WITH s AS (\n    SELECT\n        {columns}\n    FROM a\n)\n\nSELECT *\nFROM s")) == 1
+    assert (
+        len(starred("facts/x", f"WITH s AS (\n    SELECT\n        {columns}\n    FROM a\n)\n\nSELECT *\nFROM s")) == 1
+    )
     assert starred("facts/x", f"-- SELECT {columns} FROM a\nSELECT ', *', count(*), 2 * 3 FROM a") == []
     assert starred("facts/x", "SELECT * EXCLUDE (x) FROM a UNION ALL SELECT b.* FROM b") == []
 

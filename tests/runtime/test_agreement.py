@@ -99,7 +99,7 @@ def disagreements(record: RunRecord) -> Iterator[str]:
         if isinstance(event, ExecutionPreempted):
             # One reaction records what gives way and what takes the robot; between the two it has nothing in hand.
             between[f"{seq:06}"] = ("state", event.robot)
-        if isinstance(event, RequestIssued):
+        if isinstance(event, RequestIssued) and event.action_id is not None:
             asked[event.action_id] = event
     for prefixes in _prefixes(record):
         with from_table(encode(prefixes)) as database:
@@ -136,9 +136,7 @@ def _prefixes(record: RunRecord) -> Iterator[Sequence[RunRecord]]:
     several: list[RunRecord] = []
     rows = 0
     for end in range(1, len(record.events) + 1):
-        several.append(
-            RunRecord(f"{end - 1:06}", record.times_us[:end], record.caused_by[:end], record.events[:end])
-        )
+        several.append(RunRecord(f"{end - 1:06}", record.times_us[:end], record.caused_by[:end], record.events[:end]))
         rows += end
         if rows > ROWS_AT_ONCE or end == len(record.events):
             yield several
