@@ -128,8 +128,8 @@ def queries_page() -> str:
         lines += [
             f"## {FOLDERS.get(folder, folder.capitalize())}",
             "",
-            "| query | what it yields | one row for each |",
-            "|---|---|---|",
+            "| query | what it yields | one row for each | key |",
+            "|---|---|---|---|",
         ]
         lines += [_row(query) for query in library().queries.values() if query.name.startswith(f"{folder}/")]
         lines.append("")
@@ -138,7 +138,8 @@ def queries_page() -> str:
 
 def _row(query: Query) -> str:
     parameters = "".join(f" `{name}={value or ''}`" for name, value in query.parameters.items())
-    cells = [f"`{query.name}`{parameters}", query.header["Title"], query.header["Grain"].removeprefix("one row per ")]
+    header = query.header
+    cells = [f"`{query.name}`{parameters}", header["Title"], header["Grain"].removeprefix("one row per "), header["Key"]]
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 

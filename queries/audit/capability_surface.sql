@@ -34,9 +34,9 @@ trusted AS (
         arg_max(trust.scope, trust.precedence) AS scope
     FROM surfaces
     INNER JOIN trust_parties AS trusting
-    ON surfaces.run_id = trusting.run_id AND surfaces.robot = trusting.robot AND trusting.is_trusting
+        ON surfaces.run_id = trusting.run_id AND surfaces.robot = trusting.robot AND trusting.is_trusting
     INNER JOIN trust_parties AS trusted
-    ON trusting.run_id = trusted.run_id AND trusting.seq = trusted.seq AND NOT trusted.is_trusting
+        ON trusting.run_id = trusted.run_id AND trusting.seq = trusted.seq AND NOT trusted.is_trusting
     INNER JOIN trust_precedence AS trust
         ON
             trusting.run_id = trust.run_id
@@ -45,7 +45,7 @@ trusted AS (
             AND trust.time_us <= $at_us::BIGINT
             AND (trust.capability IS NULL OR surfaces.capability = trust.capability)
     INNER JOIN fleet_members AS peers
-    ON trusted.run_id = peers.run_id AND trusted.robot = peers.robot AND peers.joined_us <= $at_us::BIGINT
+        ON trusted.run_id = peers.run_id AND trusted.robot = peers.robot AND peers.joined_us <= $at_us::BIGINT
     INNER JOIN fleet_members AS owners ON surfaces.run_id = owners.run_id AND surfaces.robot = owners.robot
     WHERE
         surfaces.robot <> trusted.robot

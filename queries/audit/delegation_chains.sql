@@ -34,7 +34,7 @@ WITH RECURSIVE chains AS (
     FROM chains
     -- A request comes after the one that it serves; a forged record that says otherwise is no link.
     INNER JOIN request_issued AS asked
-    ON chains.run_id = asked.run_id AND chains.action_id = asked.parent AND chains.seq < asked.seq
+        ON chains.run_id = asked.run_id AND chains.action_id = asked.parent AND chains.seq < asked.seq
 ),
 
 judged AS (
@@ -57,13 +57,13 @@ ends AS (
     FROM chains
     INNER JOIN request_issued AS asked ON chains.run_id = asked.run_id AND chains.seq = asked.seq
     INNER JOIN trust_parties AS own
-    ON chains.run_id = own.run_id AND asked.executed_by = own.robot AND own.is_trusting AND chains.seq > own.seq
+        ON chains.run_id = own.run_id AND asked.executed_by = own.robot AND own.is_trusting AND chains.seq > own.seq
     INNER JOIN trust_parties AS peers
-    ON
-        own.run_id = peers.run_id
-        AND own.seq = peers.seq
-        AND chains.first_requester = peers.robot
-        AND NOT peers.is_trusting
+        ON
+            own.run_id = peers.run_id
+            AND own.seq = peers.seq
+            AND chains.first_requester = peers.robot
+            AND NOT peers.is_trusting
     INNER JOIN trust_precedence AS trust ON own.run_id = trust.run_id AND own.seq = trust.seq
     WHERE
         coalesce(asked.capability = trust.capability, trust.capability IS NULL)

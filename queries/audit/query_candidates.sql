@@ -60,9 +60,9 @@ considered AS (
         arg_max(trust.scope, trust.precedence) AS trust_scope
     FROM registry_queried AS queries
     INNER JOIN fleet_members AS others
-    ON queries.run_id = others.run_id AND queries.requested_by <> others.robot AND queries.seq > others.joined_seq
+        ON queries.run_id = others.run_id AND queries.requested_by <> others.robot AND queries.seq > others.joined_seq
     LEFT JOIN fleet_members AS requesters
-    ON queries.run_id = requesters.run_id AND queries.requested_by = requesters.robot
+        ON queries.run_id = requesters.run_id AND queries.requested_by = requesters.robot
     LEFT JOIN surfaces
         ON
             queries.run_id = surfaces.run_id AND others.robot = surfaces.robot AND surfaces.is_shown

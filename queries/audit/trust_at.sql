@@ -33,9 +33,9 @@ WITH entries AS (
         $capability = 'all' AND $context = 'all' AS is_listed
     FROM trust_in_force AS found
     INNER JOIN trust_parties AS trusting
-    ON found.run_id = trusting.run_id AND found.seq = trusting.seq AND trusting.is_trusting
+        ON found.run_id = trusting.run_id AND found.seq = trusting.seq AND trusting.is_trusting
     INNER JOIN trust_parties AS trusted
-    ON found.run_id = trusted.run_id AND found.seq = trusted.seq AND NOT trusted.is_trusting
+        ON found.run_id = trusted.run_id AND found.seq = trusted.seq AND NOT trusted.is_trusting
     WHERE
         $run IN ('all', found.run_id)
         AND $robot IN ('all', trusting.robot)

@@ -22,7 +22,7 @@ WITH finished AS (
         starts.on_behalf_of
     FROM execution_finished AS done
     ASOF LEFT JOIN execution_started AS starts
-    ON done.run_id = starts.run_id AND done.action_id = starts.action_id AND done.seq > starts.seq
+        ON done.run_id = starts.run_id AND done.action_id = starts.action_id AND done.seq > starts.seq
 ),
 
 progress AS (
@@ -52,7 +52,7 @@ ends AS (
     FROM finished
     LEFT JOIN step_began AS steps ON finished.run_id = steps.run_id AND finished.action_id = steps.action_id
     ASOF LEFT JOIN progress AS later
-    ON finished.run_id = later.run_id AND finished.task_id = later.task_id AND finished.seq < later.seq
+        ON finished.run_id = later.run_id AND finished.task_id = later.task_id AND finished.seq < later.seq
     WHERE finished.robot IS DISTINCT FROM finished.on_behalf_of OR finished.robot IS DISTINCT FROM finished.began_by
 )
 

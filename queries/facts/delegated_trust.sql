@@ -41,7 +41,7 @@ links AS (
         ) AS link
     FROM delegated
     LEFT JOIN request_relayed AS relayed
-    ON delegated.run_id = relayed.run_id AND delegated.action_id = relayed.action_id
+        ON delegated.run_id = relayed.run_id AND delegated.action_id = relayed.action_id
 ),
 
 scopes AS (

@@ -13,7 +13,7 @@ WITH judged AS (
         max(asked.seq) AS asked_seq
     FROM request_events AS answers
     INNER JOIN request_issued AS asked
-    ON answers.run_id = asked.run_id AND answers.action_id = asked.action_id AND answers.seq > asked.seq
+        ON answers.run_id = asked.run_id AND answers.action_id = asked.action_id AND answers.seq > asked.seq
     WHERE answers.type IN ('RequestAdmitted.v1', 'RequestDenied.v1', 'RequestCountered.v1')
     GROUP BY answers.run_id, answers.seq
 )

@@ -93,7 +93,7 @@ outcomes AS (
         rules.outcome
     FROM starts
     ASOF JOIN fleet_rule_learned AS rules
-    ON starts.run_id = rules.run_id AND starts.robot = rules.robot AND starts.decision_seq > rules.seq
+        ON starts.run_id = rules.run_id AND starts.robot = rules.robot AND starts.decision_seq > rules.seq
     UNION ALL
     -- The requester's own, and that of a relay, as the request carried it.
     SELECT
@@ -103,7 +103,7 @@ outcomes AS (
         requests.carried_policy AS outcome
     FROM starts
     INNER JOIN request_events AS requests
-    ON starts.run_id = requests.run_id AND starts.action_id = requests.action_id AND starts.seq > requests.seq
+        ON starts.run_id = requests.run_id AND starts.action_id = requests.action_id AND starts.seq > requests.seq
     WHERE requests.carried_policy IS NOT NULL
 )
 
@@ -118,7 +118,8 @@ SELECT
     CASE
         WHEN bool_or(outcomes.outcome = 'deny') THEN 'deny' WHEN
             bool_or(outcomes.outcome = 'review')
-            THEN 'review' ELSE 'allow'
+            THEN 'review'
+        ELSE 'allow'
     END AS outcome,
     CASE WHEN starts.denied_seq > greatest(starts.approved_seq, starts.admitted_seq) THEN starts.denied_seq END
         AS denied_seq

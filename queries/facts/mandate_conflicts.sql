@@ -38,7 +38,7 @@ heard AS (
         told.outcome
     FROM mandated
     ASOF JOIN fleet_rule_learned AS told
-    ON mandated.run_id = told.run_id AND mandated.robot = told.robot AND mandated.seq > told.seq
+        ON mandated.run_id = told.run_id AND mandated.robot = told.robot AND mandated.seq > told.seq
 )
 
 SELECT

@@ -66,7 +66,7 @@ asked AS (
         steps.capability
     FROM decided
     ASOF JOIN step_began AS steps
-    ON decided.run_id = steps.run_id AND decided.task_id = steps.task_id AND decided.seq > steps.seq
+        ON decided.run_id = steps.run_id AND decided.task_id = steps.task_id AND decided.seq > steps.seq
     WHERE steps.target_role IS NOT NULL
 )
 

@@ -18,7 +18,7 @@ WITH stops AS (
         issued.capability
     FROM request_denied AS denied
     ASOF JOIN request_issued AS issued
-    ON denied.run_id = issued.run_id AND denied.action_id = issued.action_id AND denied.seq > issued.seq
+        ON denied.run_id = issued.run_id AND denied.action_id = issued.action_id AND denied.seq > issued.seq
     WHERE denied.reason = 'policy'
     UNION ALL
     SELECT
@@ -31,7 +31,7 @@ WITH stops AS (
         queued.capability
     FROM execution_held AS held
     ASOF JOIN execution_queued AS queued
-    ON held.run_id = queued.run_id AND held.action_id = queued.action_id AND held.seq > queued.seq
+        ON held.run_id = queued.run_id AND held.action_id = queued.action_id AND held.seq > queued.seq
     WHERE held.reason = 'local-policy' AND held.outcome = 'deny'
 )
 

@@ -47,7 +47,7 @@ met AS (
         count(*) FILTER (WHERE sides.side = 'second') AS second_runs
     FROM sides
     INNER JOIN compared_runs AS runs
-    ON sides.architecture = runs.architecture AND sides.its_configuration = runs.configuration
+        ON sides.architecture = runs.architecture AND sides.its_configuration = runs.configuration
     GROUP BY ALL
 ),
 

@@ -79,6 +79,6 @@ SELECT
 FROM seeds
 INNER JOIN measured AS firsts ON seeds.first_run_id = firsts.run_id
 INNER JOIN measured AS seconds
-ON seeds.second_run_id = seconds.run_id AND firsts.basis = seconds.basis AND firsts.metric = seconds.metric
+    ON seeds.second_run_id = seconds.run_id AND firsts.basis = seconds.basis AND firsts.metric = seconds.metric
 WHERE firsts.tested_value IS NOT NULL AND seconds.tested_value IS NOT NULL
 QUALIFY bool_or(firsts.value IS NOT NULL OR seconds.value IS NOT NULL) OVER (PARTITION BY test)

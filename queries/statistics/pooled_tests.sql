@@ -40,7 +40,7 @@ WITH pooled AS (
         found.test AS pooled_test
     FROM side_comparisons AS comparisons
     INNER JOIN side_differences AS found
-    ON comparisons.first_side = found.first_side AND comparisons.second_side = found.second_side
+        ON comparisons.first_side = found.first_side AND comparisons.second_side = found.second_side
     INNER JOIN metric_definitions AS definitions ON found.metric = definitions.metric
     WHERE definitions.is_pooled AND found.scenario IS NULL
 ),

@@ -24,7 +24,7 @@ SELECT
     seconds.side AS second_side
 FROM comparisons
 INNER JOIN held AS firsts
-ON comparisons.first_architecture = firsts.architecture AND comparisons.first_configuration = firsts.configuration
+    ON comparisons.first_architecture = firsts.architecture AND comparisons.first_configuration = firsts.configuration
 INNER JOIN held AS seconds
     ON
         comparisons.second_architecture = seconds.architecture

@@ -32,10 +32,10 @@ WITH measured AS (
     FROM side_pairs AS pairs
     INNER JOIN
         (VALUES (FALSE, FALSE), (FALSE, TRUE), (TRUE, FALSE), (TRUE, TRUE)) AS scopes (pools_seeds, is_of_scenario)
-    ON pairs.differs IS NULL
+        ON pairs.differs IS NULL
     INNER JOIN side_runs AS firsts ON pairs.first_side = firsts.side AND pairs.first_run_id = firsts.run_id
     INNER JOIN side_runs AS seconds
-    ON pairs.second_side = seconds.side AND pairs.second_run_id = seconds.run_id AND firsts.metric = seconds.metric
+        ON pairs.second_side = seconds.side AND pairs.second_run_id = seconds.run_id AND firsts.metric = seconds.metric
     INNER JOIN metric_definitions AS definitions ON firsts.metric = definitions.metric
     WHERE
         if(
