@@ -17,13 +17,10 @@ from fsar_ledger import memory
 from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted, LimitReached, QueryFailed
 from fsar_ledger.ledger.rows.schema import SCHEMA
 from fsar_ledger.ledger.rows.segment import read_table
-from fsar_ledger.ledger.store.opening import open_for_answers
 from fsar_ledger.ledger.store.read import Head
 
-from . import relation
 from .functions import register
 from .library import Library, Query, library, values
-from .verified import is_verified
 
 LOCK = (
     "threads = 1",
@@ -41,8 +38,6 @@ DUCKDB_SHARE = 0.75
 """Of the memory that a process may take, what DuckDB may."""
 
 BATCH_ROWS = 10_000
-FEW_ROWS = 20_000
-"""To copy so many rows costs less than what planning over an Arrow table takes longer than over a table of DuckDB's own."""
 SHOWN = 200
 """Characters of a name, or of a line, that a message repeats."""
 OUT_OF_MEMORY = (duckdb.OutOfMemoryException, pa.ArrowMemoryError)
@@ -59,7 +54,7 @@ FAULTS_OF_SQL = (
 """What DuckDB says of the SQL, or of this machine, and never because a segment is damaged."""
 
 _GIVEN = "given"
-_NULLABLE = pa.schema([field.with_nullable(True) for field in SCHEMA])
+NULLABLE = pa.schema([field.with_nullable(True) for field in SCHEMA])
 _NAME = re.compile(r"\"(?:[^\"]|\"\")*\"|'(?:[^']|'')*'")
 _UNSHOWABLE = re.compile(r"\b(?:BIGNUM|BIT|GEOMETRY|TIME WITH TIME ZONE|UHUGEINT|UNION|VARIANT)\b")
 """Types whose values Arrow or Python would change without a word, or cannot hold."""
@@ -138,7 +133,7 @@ class Database:
         for name in sorted(self._made & {query.relation for query in self.library.queries.values() if query.is_stored}):
             self._change(f"DROP TABLE {name}")
             self._made.discard(name)
-        self._connection.register(_GIVEN, _with_all_columns(events))
+        self._connection.register(_GIVEN, with_all_columns(events))
         self._change(f"CREATE OR REPLACE TABLE events AS SELECT * FROM {_GIVEN}")
         self._connection.unregister(_GIVEN)
         self._made.add("events")
@@ -339,61 +334,7 @@ def _first_lines(text: str, count: int = 6) -> str:
     return "\n".join(lines[:count])
 
 
-def connect(ledger: Path, threads: int | None = None, demanded: str | None = None) -> Database:
-    """A database over the committed segments of one head of this ledger, each the very file that was committed.
-
-    Args:
-        ledger: Its folder.
-        threads: Of DuckDB; None is one per core.
-        demanded: The newest record that a whole look just saw (`required_look`), where no other head will do.
-
-    Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`; also LedgerCorrupted for a segment that is not as committed.
-        SequenceConflict: As `is_verified`.
-    """
-    view = open_for_answers(ledger)
-    rows_verified = is_verified(view, demanded)
-    segments = view.segments()
-    database = Database(view.head, segments, threads, rows_verified=rows_verified)
-    try:
-        if segments:
-            relation.hold_segments(database, segments, [record.release for record in view.records])
-        else:
-            database.hold("events", SCHEMA.empty_table())
-    except BaseException:
-        database.close()
-        raise
-    return database
-
-
-def from_table(events: pa.Table, threads: int | None = None) -> Database:
-    """A database over rows in memory; columns that the table lacks are NULL."""
-    database = Database(None, (), threads)
-    if len(events) <= FEW_ROWS:
-        database.refill(events)
-    else:
-        database.hold("events", _with_all_columns(events))
-    return database
-
-
-def from_rows(rows: Sequence[Mapping[str, Value]], threads: int | None = None) -> Database:
-    """A database over these rows; columns that a row lacks are NULL. For tests and small questions. Raises: as `table_of`."""
-    return from_table(table_of(rows), threads)
-
-
-def table_of(rows: Sequence[Mapping[str, Value]]) -> pa.Table:
-    """These rows with all columns of events; those that a row lacks are NULL.
-
-    Raises:
-        ValueError: A row has a column that events do not have.
-    """
-    names = SCHEMA.names
-    if unknown := sorted({name for row in rows for name in row} - set(names)):
-        raise ValueError(f"rows: found columns {', '.join(unknown)}, expected those of the ledger's schema")
-    return pa.Table.from_pylist([{name: row.get(name) for name in names} for row in rows], schema=_NULLABLE)
-
-
-def _with_all_columns(events: pa.Table) -> pa.Table:
+def with_all_columns(events: pa.Table) -> pa.Table:
     """The table as it is, or with NULL in the columns that it lacks."""
     if events.column_names == SCHEMA.names:
         return events

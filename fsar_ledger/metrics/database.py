@@ -1,0 +1,95 @@
+"""Databases over the rows of a ledger, or over rows in memory."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import pyarrow as pa
+
+from fsar_ledger.ledger.rows.schema import SCHEMA
+from fsar_ledger.ledger.store.opening import open_for_answers
+
+from . import relation
+from .connection import (
+    FAULTS_OF_SQL,
+    NULLABLE,
+    OUT_OF_MEMORY,
+    SHOWN,
+    Database,
+    Value,
+    first_damage,
+    plain_rows,
+    with_all_columns,
+)
+from .verified import is_verified
+
+__all__ = [
+    "FAULTS_OF_SQL",
+    "FEW_ROWS",
+    "OUT_OF_MEMORY",
+    "SHOWN",
+    "Database",
+    "Value",
+    "connect",
+    "first_damage",
+    "from_rows",
+    "from_table",
+    "plain_rows",
+    "table_of",
+]
+
+FEW_ROWS = 20_000
+"""To copy so many rows costs less than what planning over an Arrow table takes longer than over one of DuckDB's own."""
+
+
+def connect(ledger: Path, threads: int | None = None, demanded: str | None = None) -> Database:
+    """A database over the committed segments of one head of this ledger, each the very file that was committed.
+
+    Args:
+        ledger: Its folder.
+        threads: Of DuckDB; None is one per core.
+        demanded: The newest record that a whole look just saw (`required_look`), where no other head will do.
+
+    Raises:
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `open_for_answers`; also LedgerCorrupted for a segment that is not as committed.
+        SequenceConflict: As `is_verified`.
+    """
+    view = open_for_answers(ledger)
+    rows_verified = is_verified(view, demanded)
+    segments = view.segments()
+    database = Database(view.head, segments, threads, rows_verified=rows_verified)
+    try:
+        if segments:
+            relation.hold_segments(database, segments, [record.release for record in view.records])
+        else:
+            database.hold("events", SCHEMA.empty_table())
+    except BaseException:
+        database.close()
+        raise
+    return database
+
+
+def from_table(events: pa.Table, threads: int | None = None) -> Database:
+    """A database over rows in memory; columns that the table lacks are NULL."""
+    database = Database(None, (), threads)
+    if len(events) <= FEW_ROWS:
+        database.refill(events)
+    else:
+        database.hold("events", with_all_columns(events))
+    return database
+
+
+def from_rows(rows: Sequence[Mapping[str, Value]], threads: int | None = None) -> Database:
+    """A database over these rows; columns that a row lacks are NULL. For tests and small questions. Raises: as `table_of`."""
+    return from_table(table_of(rows), threads)
+
+
+def table_of(rows: Sequence[Mapping[str, Value]]) -> pa.Table:
+    """These rows with all columns of events; those that a row lacks are NULL.
+
+    Raises:
+        ValueError: A row has a column that events do not have.
+    """
+    names = SCHEMA.names
+    if unknown := sorted({name for row in rows for name in row} - set(names)):
+        raise ValueError(f"rows: found columns {', '.join(unknown)}, expected those of the ledger's schema")
+    return pa.Table.from_pylist([{name: row.get(name) for name in names} for row in rows], schema=NULLABLE)
