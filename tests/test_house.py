@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.library import view_name
 
@@ -410,5 +411,6 @@ def installed_queries(place: Path) -> set[str]:
     )
     file, _, answer = done.stdout.partition("\n")
     assert file.startswith(str(place / "site"))
-    generated = {f"staging/{view_name(tag)}" for tag in LAYOUTS} | {"facts/event_concerns", "staging/world_facts"}
+    generated = {f"staging/{view_name(tag)}" for tag in LAYOUTS} | {f"staging/{concern}_events" for concern in CONCERNS}
+    generated |= {"facts/event_concerns", "staging/world_facts"}
     return {query["name"] for query in json.loads(answer)["queries"]} - generated

@@ -24,14 +24,23 @@ SELECT
     checkpoint,
     reason
 FROM recovery_events
-UNION ALL BY NAME
+UNION ALL
 SELECT
     run_id,
     seq,
     time_us,
     type,
     action_id,
+    NULL AS failure,
+    NULL AS robot,
+    NULL AS helper,
     if(type = 'SupervisorCalled.v1', supervisor, NULL) AS supervisor,
-    'human' AS level
+    if(type = 'SupervisorResponded.v1', decided_by, NULL) AS decided_by,
+    'human' AS level,
+    NULL AS to_level,
+    NULL AS number,
+    NULL AS deadline_us,
+    NULL AS checkpoint,
+    NULL AS reason
 FROM supervision_events
 WHERE type IN ('SupervisorCalled.v1', 'SupervisorResponded.v1') AND purpose = 'recovery'

@@ -81,26 +81,32 @@ SELECT
         ELSE 'resolved'
     END AS what,
     CASE steps.type
-        WHEN 'RecoveryAttempted.v1' THEN coalesce(
-            answers.answer,
-            CASE
-                WHEN lead(steps.type) OVER in_order = 'FailureResolved.v1' THEN 'success'
-                WHEN lead(steps.type) OVER in_order IS NOT NULL THEN 'failure'
-            END
-        )
-        WHEN 'AssistanceRequested.v1' THEN coalesce(
-            answers.answer,
-            CASE
-                WHEN lead(steps.type) OVER in_order = 'FailureResolved.v1' THEN 'helped'
-                WHEN lead(steps.type) OVER in_order IS NOT NULL THEN 'no help'
-            END
-        )
+        WHEN 'RecoveryAttempted.v1'
+            THEN
+                coalesce(
+                    answers.answer,
+                    CASE
+                        WHEN lead(steps.type) OVER in_order = 'FailureResolved.v1' THEN 'success'
+                        WHEN lead(steps.type) OVER in_order IS NOT NULL THEN 'failure'
+                    END
+                )
+        WHEN 'AssistanceRequested.v1'
+            THEN
+                coalesce(
+                    answers.answer,
+                    CASE
+                        WHEN lead(steps.type) OVER in_order = 'FailureResolved.v1' THEN 'helped'
+                        WHEN lead(steps.type) OVER in_order IS NOT NULL THEN 'no help'
+                    END
+                )
         WHEN 'RegistryQueried.v1'
             THEN if(len(steps.candidates) = 0, 'no peer', array_to_string(steps.candidates, ', '))
-        WHEN 'ReassignmentDecided.v1' THEN coalesce(
-            'to ' || steps.helper || coalesce(' from ' || steps.checkpoint, ''),
-            'infeasible' || coalesce(': ' || steps.reason, '')
-        )
+        WHEN 'ReassignmentDecided.v1'
+            THEN
+                coalesce(
+                    'to ' || steps.helper || coalesce(' from ' || steps.checkpoint, ''),
+                    'infeasible' || coalesce(': ' || steps.reason, '')
+                )
         WHEN 'SupervisorCalled.v1' THEN if(failures.resolved_level = 'human', 'resolved', NULL)
         WHEN 'RecoveryEscalated.v1' THEN steps.reason
     END AS result,
@@ -113,10 +119,11 @@ INNER JOIN steps
         AND CASE
             WHEN steps.type IN ('RegistryQueried.v1', 'SupervisorCalled.v1')
                 THEN steps.time_us <= coalesce(failures.resolved_us, steps.time_us)
-            WHEN steps.type IN (
-                'RecoveryAttempted.v1', 'RecoveryEscalated.v1', 'AssistanceRequested.v1', 'ReassignmentDecided.v1',
-                'FailureResolved.v1'
-            )
+            WHEN
+                steps.type IN (
+                    'RecoveryAttempted.v1', 'RecoveryEscalated.v1', 'AssistanceRequested.v1', 'ReassignmentDecided.v1',
+                    'FailureResolved.v1'
+                )
                 THEN failures.failure = steps.failure
             ELSE FALSE
         END
