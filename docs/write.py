@@ -123,13 +123,17 @@ def queries_page() -> str:
         "In `sql` the last part is the name of a view.",
         "",
     ]
-    lines += ["Written by `docs/write.py` from the headers of `queries/`.", ""]
+    lines += [
+        "Written by `docs/write.py` from the headers of `queries/`. The key tells any two rows apart; a column of it that "
+        "ends in `?` may be NULL, which is a value like others there.",
+        "",
+    ]
     for folder in dict.fromkeys(name.partition("/")[0] for name in library().queries):
         lines += [
             f"## {FOLDERS.get(folder, folder.capitalize())}",
             "",
-            "| query | what it yields | one row for each |",
-            "|---|---|---|",
+            "| query | what it yields | one row for each | key |",
+            "|---|---|---|---|",
         ]
         lines += [_row(query) for query in library().queries.values() if query.name.startswith(f"{folder}/")]
         lines.append("")
@@ -138,7 +142,13 @@ def queries_page() -> str:
 
 def _row(query: Query) -> str:
     parameters = "".join(f" `{name}={value or ''}`" for name, value in query.parameters.items())
-    cells = [f"`{query.name}`{parameters}", query.header["Title"], query.header["Grain"].removeprefix("one row per ")]
+    header = query.header
+    cells = [
+        f"`{query.name}`{parameters}",
+        header["Title"],
+        header["Grain"].removeprefix("one row per "),
+        header["Key"],
+    ]
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 

@@ -1,345 +1,44 @@
-"""The one module that owns DuckDB calls: a relation `events` and, over it, every packaged query.
+"""Databases over the rows of a ledger, or over rows in memory."""
 
-Queries become views when something first reads them, each after what it reads; those whose header says
-`Stored` become tables, so that the eight metrics are computed once per connection.
-"""
-
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from types import TracebackType
-from typing import Any
 
-import duckdb
 import pyarrow as pa
 
-from fsar_ledger import memory
-from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted, LimitReached, QueryFailed
 from fsar_ledger.ledger.rows.schema import SCHEMA
-from fsar_ledger.ledger.rows.segment import read_table
 from fsar_ledger.ledger.store.opening import open_for_answers
-from fsar_ledger.ledger.store.read import Head
 
 from . import relation
-from .functions import register
-from .library import Library, Query, library, staging_sql, values
+from .connection import (
+    FAULTS_OF_SQL,
+    NULLABLE,
+    OUT_OF_MEMORY,
+    SHOWN,
+    Database,
+    Value,
+    first_damage,
+    plain_rows,
+    with_all_columns,
+)
 from .verified import is_verified
 
-LOCK = (
-    "threads = 1",
-    "temp_directory = ''",  # wherever DuckDB may spill, SQL may read and write, too: by default in `.tmp` of the working folder
-    "max_temp_directory_size = '0KB'",
-    "home_directory = ''",
-    "secret_directory = ''",
-    "python_enable_replacements = false",
-    "autoinstall_known_extensions = false",
-    "autoload_known_extensions = false",
-    "allow_persistent_secrets = false",
-    "enable_external_access = false",
-)
-DUCKDB_SHARE = 0.75
-"""Of the memory that a process may take, what DuckDB may."""
+__all__ = [
+    "FAULTS_OF_SQL",
+    "FEW_ROWS",
+    "OUT_OF_MEMORY",
+    "SHOWN",
+    "Database",
+    "Value",
+    "connect",
+    "first_damage",
+    "from_rows",
+    "from_table",
+    "plain_rows",
+    "table_of",
+]
 
-BATCH_ROWS = 10_000
 FEW_ROWS = 20_000
-"""To copy so many rows costs less than what planning over an Arrow table takes longer than over a table of DuckDB's own."""
-SHOWN = 200
-"""Characters of a name, or of a line, that a message repeats."""
-OUT_OF_MEMORY = (duckdb.OutOfMemoryException, pa.ArrowMemoryError)
-FAULTS_OF_SQL = (
-    duckdb.ParserException,
-    duckdb.BinderException,
-    duckdb.CatalogException,
-    duckdb.ConversionException,
-    duckdb.OutOfRangeException,
-    duckdb.PermissionException,
-    duckdb.TransactionException,
-    *OUT_OF_MEMORY,
-)
-"""What DuckDB says of the SQL, or of this machine, and never because a segment is damaged."""
-
-_GIVEN = "given"
-_NULLABLE = pa.schema([field.with_nullable(True) for field in SCHEMA])
-_NAME = re.compile(r"\"(?:[^\"]|\"\")*\"|'(?:[^']|'')*'")
-_UNSHOWABLE = re.compile(r"\b(?:BIGNUM|BIT|GEOMETRY|TIME WITH TIME ZONE|UHUGEINT|UNION|VARIANT)\b")
-"""Types whose values Arrow or Python would change without a word, or cannot hold."""
-
-Value = str | int | float | bool | None | list[str]
-
-
-class Database:
-    """A connection to a private in-memory DuckDB that holds nothing but views of `events`.
-
-    Answers are the same bits on any number of threads as long as queries sum integers, or floats in a given order;
-    the packaged ones do.
-    """
-
-    def __init__(
-        self,
-        head: Head | None,
-        segments: Sequence[Path],
-        threads: int | None = None,
-        queries: Library | None = None,
-        *,
-        rows_verified: bool | None = None,
-        caches_files: bool = True,
-    ):
-        self.head = head
-        self.rows_verified = rows_verified
-        """Whether the rows were compared with the root of the head, by a whole look; None where there is no head."""
-        self.library = queries or library()
-        self.source: str | None = None
-        """What has all columns and rows of `events`, but for those of `changed`, and stands in SQL for less: segments, or rows as they were stored."""
-        self.changed: frozenset[str] = frozenset()
-        """Names, without version, of event types that are another in `events` than in `source`."""
-        self.absent: frozenset[str] = frozenset()
-        """Event types that have no row in `events`, as far as it was looked: their views read nothing."""
-        self._segments = tuple(segments)
-        self._made: set[str] = set()
-        self._given: dict[str, str] = {}  # of these, what was not made of a packaged query, and how it was made
-        self._connection = duckdb.connect(":memory:", config={"threads": threads} if threads else {})
-        # The wide relation is read again and again: opening its files once is enough. UTC and no progress bar: the answer is the same anywhere.
-        for setting in (
-            f"parquet_metadata_cache = {str(caches_files).lower()}",
-            "TimeZone = 'UTC'",
-            "enable_progress_bar = false",
-        ):
-            self._connection.execute(f"SET {setting}")
-        # Who reads a ledger writes nothing: by default DuckDB would spill into `.tmp` of the working folder. What it does not count is for the process.
-        self._connection.execute("SET temp_directory = ''")
-        if (most := memory.limit()) is not None:
-            self._connection.execute(f"SET memory_limit = '{int(most * DUCKDB_SHARE)} bytes'")
-        register(self._connection)
-
-    def __enter__(self) -> "Database":
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """The connection is gone; DuckDB complains at exit about one that is not."""
-        self._connection.close()
-
-    def hold(self, name: str, table: Any) -> None:
-        """An Arrow table or dataset is the relation of this name, whatever packaged query has it."""
-        self._connection.register(name, table)
-        self._made.add(name)
-        self._given[name] = "held"
-
-    def refill(self, events: pa.Table) -> None:
-        """`events` are these few rows from now on, in a table of DuckDB's own, NULL in columns that they lack; what was stored of others is gone."""
-        for name, kind in sorted(self._given.items()):
-            self.drop(name) if kind == "held" else self._change(f"DROP {kind} {name}")
-            self._made.discard(name)
-        self._given.clear()
-        for name in sorted(self._made & {query.relation for query in self.library.queries.values() if query.is_stored}):
-            self._change(f"DROP TABLE {name}")
-            self._made.discard(name)
-        self._connection.register(_GIVEN, _with_all_columns(events))
-        self._change(f"CREATE OR REPLACE TABLE events AS SELECT * FROM {_GIVEN}")
-        self._connection.unregister(_GIVEN)
-        self._made.add("events")
-
-    def drop(self, name: str) -> None:
-        """The relation that `hold` made is gone, and what it held."""
-        self._connection.unregister(name)
-        self._made.discard(name)
-        self._given.pop(name, None)
-
-    def direct(self, sql: str) -> list[tuple[Any, ...]]:
-        """The rows of one SELECT over files and what this connection holds; names in it are never those of packaged queries. Raises: as `table`."""
-        try:
-            return self._connection.execute(sql).fetchall()  # a relation would plan it twice
-        except (duckdb.Error, UnicodeDecodeError) as error:  # what a damaged file holds as text may be none
-            raise self._failure(error) from error
-
-    def define(self, name: str, sql: str, *, is_stored: bool = False) -> None:
-        """The SELECT, or its rows as they are now, is the relation of this name, whatever packaged query has it. Raises: as `table`."""
-        self._change(f"CREATE {'TABLE' if is_stored else 'VIEW'} {name} AS\n{sql}")
-        self._made.add(name)
-        self._given[name] = "TABLE" if is_stored else "VIEW"
-
-    def undefine(self, name: str, *, is_stored: bool = False) -> None:
-        """The relation that `define` made is gone."""
-        self._change(f"DROP {'TABLE' if is_stored else 'VIEW'} {name}")
-        self._made.discard(name)
-        self._given.pop(name, None)
-
-    def prepare(self, sql: str) -> None:
-        """Every relation that this SQL mentions exists, with all that it reads."""
-        for query in self.library.needs(self.library.mentioned(sql), self._given):
-            if query.relation in self._made or query.parameters:
-                continue
-            kind = "TABLE" if query.is_stored else "VIEW"
-            self._change(f"CREATE {kind} {query.relation} AS\n{self._body(query)}")
-            self._made.add(query.relation)
-
-    def _body(self, query: Query) -> str:
-        """What a packaged query selects, in the form that reads least here."""
-        if query.tag is None:
-            return query.sql
-        if query.tag in self.absent:
-            return staging_sql(query.tag, None)
-        return (
-            query.sql
-            if self.source is None or query.tag.partition(".")[0] in self.changed
-            else staging_sql(query.tag, self.source)
-        )
-
-    def table(self, sql: str, params: Mapping[str, Value] | None = None) -> pa.Table:
-        """The answer to one SELECT, with `$name` parameters bound.
-
-        Raises:
-            QueryFailed: DuckDB does not accept the SQL or its parameters, or it fails on the data.
-            LedgerCorrupted: A segment cannot be read.
-        """
-        self.prepare(sql)
-        return self._execute(sql, params)
-
-    def rows(self, sql: str, params: Mapping[str, Value] | None = None) -> list[dict[str, Any]]:
-        """The answer to one SELECT as dictionaries. Raises: as `table`."""
-        self.prepare(sql)
-        try:
-            found = self._connection.execute(sql, dict(params) if params else None)  # a relation would plan it twice
-            names = [column[0] for column in found.description or ()]
-            rows: list[dict[str, Any]] = []
-            while part := found.fetchmany(BATCH_ROWS):
-                rows += [dict(zip(names, row, strict=True)) for row in part]
-            return rows
-        except (duckdb.Error, UnicodeDecodeError) as error:  # what a damaged file holds as text may be none
-            raise self._failure(error) from error
-
-    def query(self, name: str, given: Mapping[str, str] | None = None) -> pa.Table:
-        """The rows of a packaged query, sorted by all their columns from the left.
-
-        Raises:
-            UnknownQuery: There is no such query, or its parameters are others.
-            QueryFailed: A value does not fit its parameter.
-            LedgerCorrupted: A segment cannot be read.
-        """
-        query = self.library.find(name)
-        bound = values(query, given or {})
-        if not query.parameters:
-            return self.table(f"SELECT * FROM {query.relation} ORDER BY ALL")
-        self.prepare(query.sql)
-        return self._execute(f"SELECT * FROM (\n{query.sql}\n) ORDER BY ALL", bound)
-
-    def lock(self, seconds: int, memory_bytes: int) -> None:
-        """From now on the connection reaches nothing but what it already holds, and a statement ends after so many seconds or bytes of memory.
-
-        There is no allow-list: in DuckDB one grants writing too. What DuckDB does not stop (one huge string) is for the operating system to stop.
-        """
-        for setting in LOCK:
-            self._connection.execute(f"SET {setting}")
-        self._connection.execute(f"SET max_execution_time = {seconds * 1000}")
-        self._connection.execute(f"SET memory_limit = '{memory_bytes} bytes'")
-        self._connection.execute("SET lock_configuration = true")
-
-    def only_read(self) -> None:
-        """From now on not even the relations of this connection change: not by a step of a SELECT that inserts or deletes, either."""
-        self._connection.execute("BEGIN TRANSACTION READ ONLY")
-
-    def check_one_select(self, sql: str) -> None:
-        """The text is exactly one statement that only reads, as far as its type says.
-
-        Raises:
-            QueryFailed: It is empty, does not parse, holds several statements, or one that is neither SELECT nor EXPLAIN.
-        """
-        try:
-            statements = self._connection.extract_statements(sql)
-        except duckdb.Error as error:
-            raise QueryFailed(f"SQL: {_first_lines(str(error))}") from error
-        kinds = [statement.type.name for statement in statements]
-        if kinds == ["MULTI"]:
-            raise QueryFailed(
-                "SQL: found a PIVOT that lists no values, which DuckDB does in two statements; name the values, as in PIVOT ... ON x IN ('a', 'b')"
-            )
-        if len(kinds) != 1 or kinds[0] not in ("SELECT", "EXPLAIN"):
-            raise QueryFailed(
-                f"SQL: found {', '.join(kinds[:5]) or 'no statement'}, expected exactly one SELECT or EXPLAIN; a ledger can only be read"
-            )
-
-    def batches(self, sql: str) -> Iterator[pa.RecordBatch]:
-        """The answer to one SELECT, a batch at a time, the first one perhaps empty; what it mentions must have been prepared.
-
-        Raises:
-            QueryFailed, LedgerCorrupted: As `table`; QueryFailed also for two columns of one name, or a type whose values cannot be handed on as they are.
-        """
-        try:
-            relation = self._connection.sql(sql)
-            _check_columns(relation.columns, [str(kind) for kind in relation.types])
-            reader = relation.to_arrow_reader(BATCH_ROWS)
-            yield pa.RecordBatch.from_pylist([], schema=reader.schema)
-            yield from reader
-        except (duckdb.Error, pa.ArrowException, OSError) as error:
-            raise self._failure(error) from error
-
-    def _change(self, sql: str) -> None:
-        """Relations are made or gone; there is no answer."""
-        try:
-            self._connection.execute(
-                sql
-            )  # a relation would be made of the answer that there is none, which takes as long as a small view
-        except duckdb.Error as error:
-            raise self._failure(error) from error
-
-    def _execute(self, sql: str, params: Mapping[str, Value] | None) -> pa.Table:
-        """DuckDB's answer, its errors made ours."""
-        try:
-            return self._connection.sql(sql, params=dict(params) if params else None).to_arrow_table()
-        except duckdb.Error as error:
-            raise self._failure(error) from error
-
-    def _failure(self, error: Exception) -> FsarLedgerError:
-        """What failed, for a user: the SQL, or, where the error may come from the data, the first segment that cannot be read."""
-        if isinstance(error, OUT_OF_MEMORY) and memory.limit() is not None:
-            return LimitReached(memory.exceeded_message())
-        damage = None if isinstance(error, FAULTS_OF_SQL) else first_damage(self._segments)
-        return damage or QueryFailed(f"SQL: {_first_lines(str(error))}")
-
-
-def first_damage(segments: Sequence[Path]) -> LedgerCorrupted | None:
-    """What is wrong with the first segment that cannot be read; None when all can."""
-    for path in segments:
-        try:
-            read_table(path)
-        except LedgerCorrupted as damage:
-            return damage
-    return None
-
-
-def _check_columns(names: Sequence[str], kinds: Sequence[str]) -> None:
-    """Every column of the answer can be told from the others and holds values that arrive as they are. Raises: QueryFailed."""
-    seen: set[str] = set()
-    for name, kind in zip(names, kinds, strict=True):
-        if name in seen:
-            raise QueryFailed(f"SQL: found two columns named {name[:SHOWN]!r}; give one of them another name with AS")
-        if found := _UNSHOWABLE.search(_NAME.sub(" ", kind)):
-            raise QueryFailed(
-                f"SQL: column {name[:SHOWN]!r} holds {found[0]}, which an answer cannot show as it is; make it text, as in CAST(... AS VARCHAR)"
-            )
-        seen.add(name)
-
-
-def plain_rows(table: pa.Table) -> list[dict[str, Any]]:
-    """The rows as dictionaries. DuckDB's sums of integers are decimals in Arrow; here they are integers again."""
-    whole = [field.name for field in table.schema if pa.types.is_decimal(field.type) and field.type.scale == 0]
-    # Some at a time: between two parts whoever watches over the memory of this process has its turn.
-    rows: list[dict[str, Any]] = [
-        row for part in table.to_batches(max_chunksize=BATCH_ROWS) for row in part.to_pylist()
-    ]
-    for row in rows if whole else ():
-        row.update({name: None if row[name] is None else int(row[name]) for name in whole})
-    return rows
-
-
-def _first_lines(text: str, count: int = 6) -> str:
-    """The beginning of DuckDB's message, blank lines left out and long ones cut."""
-    lines = [line if len(line) <= SHOWN else f"{line[:SHOWN]}..." for line in text.splitlines() if line.strip()]
-    return "\n".join(lines[:count])
+"""To copy so many rows costs less than what planning over an Arrow table takes longer than over one of DuckDB's own."""
 
 
 def connect(ledger: Path, threads: int | None = None, demanded: str | None = None) -> Database:
@@ -375,7 +74,7 @@ def from_table(events: pa.Table, threads: int | None = None) -> Database:
     if len(events) <= FEW_ROWS:
         database.refill(events)
     else:
-        database.hold("events", _with_all_columns(events))
+        database.hold("events", with_all_columns(events))
     return database
 
 
@@ -393,13 +92,4 @@ def table_of(rows: Sequence[Mapping[str, Value]]) -> pa.Table:
     names = SCHEMA.names
     if unknown := sorted({name for row in rows for name in row} - set(names)):
         raise ValueError(f"rows: found columns {', '.join(unknown)}, expected those of the ledger's schema")
-    return pa.Table.from_pylist([{name: row.get(name) for name in names} for row in rows], schema=_NULLABLE)
-
-
-def _with_all_columns(events: pa.Table) -> pa.Table:
-    """The table as it is, or with NULL in the columns that it lacks."""
-    if events.column_names == SCHEMA.names:
-        return events
-    present = set(events.column_names)
-    columns = [events[field.name] if field.name in present else pa.nulls(len(events), field.type) for field in SCHEMA]
-    return pa.Table.from_arrays(columns, names=SCHEMA.names)
+    return pa.Table.from_pylist([{name: row.get(name) for name in names} for row in rows], schema=NULLABLE)

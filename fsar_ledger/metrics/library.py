@@ -1,12 +1,13 @@
 """The packaged queries: found by name, their headers read, their dependencies known.
 
-A query file starts with comment lines `-- Key: text`. Title, Paper, Grain, Units, NULL and Example are required.
-`Parameters: name = default, ...` makes it a query that is run with values instead of a view. `Stored: <reason>`
-keeps its rows once computed for as long as a connection lives.
+A query file starts with comment lines `-- Name: text`. Title, Paper, Grain, Key, Units, NULL and Example are required.
+`Key` lists the columns that tell any two rows apart, `?` after one that may be NULL; or it says `one row`, or
+`none, <reason>`. `Parameters: name = default, ...` makes it a query that is run with values instead of a view.
+`Stored: <reason>` keeps its rows, once computed, for as long as a connection lives.
 
-A file in `readings/` is another reading of a relation: it has its columns, reads it, and differs in the one thing that `Title`
-says (`metrics/multiverse.py`). `Reading` is the number of ours, `Replaces` the relation, `Moves` the metrics that hang on it;
-`Question` is what it answers otherwise than we do, and `Why` on what words of the paper.
+A file in `readings/` is another reading of a relation: it has its columns, reads it, and differs in the one thing that
+`Title` says (`metrics/multiverse.py`). `Reading` is the number of ours, `Replaces` the relation, `Moves` the metrics that
+hang on it; `Question` is what it answers otherwise than we do, and `Why` on what words of the paper.
 """
 
 import difflib
@@ -23,9 +24,9 @@ import msgspec
 from fsar_ledger.errors import UnknownQuery
 from fsar_ledger.events.concerns import EVENTS_OF
 from fsar_ledger.events.world import WorldEvent
-from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, LAYOUTS, Kind
+from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, LAYOUTS, Field, Kind, Layout
 
-REQUIRED_KEYS = ("Title", "Paper", "Grain", "Units", "NULL", "Example")
+REQUIRED_KEYS = ("Title", "Paper", "Grain", "Key", "Units", "NULL", "Example")
 READINGS = "readings/"
 READING_KEYS = ("Reading", "Question", "Replaces", "Moves", "Why")
 SQL_TYPES: dict[Kind, str] = {"string": "VARCHAR", "integer": "BIGINT", "boolean": "BOOLEAN", "strings": "VARCHAR[]"}
@@ -42,19 +43,33 @@ _VERSIONED = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")
 class Query(msgspec.Struct, frozen=True):
     """One relation that SQL can name: a packaged file, or a view that is generated from an event type.
 
-    `name` is `folder/relation`; `parameters` maps names to defaults (None: a value must be given); `tag` is the event type whose view it is.
+    `name` is `folder/relation`; `parameters` maps names to defaults (None: a value must be given); `tags` are the event
+    types whose view it is, and `nothing` selects the same columns where no such event exists.
     """
 
     name: str
     sql: str
     header: dict[str, str]
     parameters: dict[str, str | None] = {}
-    tag: str | None = None
+    tags: frozenset[str] = frozenset()
+    nothing: str = ""
 
     @property
     def relation(self) -> str:
         """The name by which SQL refers to it: the last part of its name."""
         return self.name.rpartition("/")[2]
+
+    @property
+    def key(self) -> dict[str, bool] | None:
+        """Return the columns that tell any two rows apart, and whether each may be NULL, which is a value like others.
+
+        Empty: there is at most one row. None: rows may look alike, and each counts.
+        """
+        text = self.header["Key"]
+        if text.startswith("none, "):
+            return None
+        columns = [] if text == "one row" else [column.strip() for column in text.split(",")]
+        return {column.removesuffix("?"): column.endswith("?") for column in columns}
 
     @property
     def is_stored(self) -> bool:
@@ -123,13 +138,23 @@ def view_name(tag: str) -> str:
 
 
 def staging_sql(tag: str, source: str | None = "events") -> str:
-    """The SELECT of one event type's envelope and fields, from whatever has all columns of `events`; None: from nowhere, where there is no such event."""
-    fields = [field for field in (*ENVELOPE, *LAYOUTS[tag].fields) if field.name != "type"]
+    """Return the SELECT of one event type's envelope and fields, from whatever has all columns of `events`.
+
+    None: from nowhere, where there is no such event.
+    """
+    return _select([*ENVELOPE, *LAYOUTS[tag].fields], [tag], source, without="type")
+
+
+def _select(fields: Iterable[Field], tags: Iterable[str], source: str | None, without: str | None = None) -> str:
+    """Return the SELECT of these columns of the events of these types."""
+    names = [field.name for field in fields if field.name != without]
     if source is None:
-        nothing = ", ".join(f'CAST(NULL AS {SQL_TYPES[COLUMNS[field.name]]}) AS "{field.name}"' for field in fields)
+        nothing = ", ".join(f'CAST(NULL AS {SQL_TYPES[COLUMNS[name]]}) AS "{name}"' for name in names)
         return f"SELECT {nothing}\nWHERE FALSE\n"
-    names = [f'"{field.name}"' for field in fields]
-    return f"SELECT {', '.join(names)}\nFROM {source}\nWHERE type = '{tag}'\n"
+    columns = ", ".join(f'"{name}"' for name in names)
+    listed = [f"'{tag}'" for tag in tags]
+    found = f"IN ({', '.join(listed)})" if len(listed) > 1 else f"= {listed[0]}"
+    return f"SELECT {columns}\nFROM {source}\nWHERE type {found}\n"
 
 
 def staging_query(tag: str) -> Query:
@@ -140,11 +165,14 @@ def staging_query(tag: str) -> Query:
         "Title": title,
         "Paper": "see the event type",
         "Grain": f"one row per {tag} event",
+        "Key": "run_id, seq",
         "Units": "microseconds in columns that end in _us",
         "NULL": "the record does not name it",
         "Example": f"fsar-ledger query staging/{view_name(tag)} LEDGER",
     }
-    return Query(f"staging/{view_name(tag)}", staging_sql(tag), header, tag=tag)
+    return Query(
+        f"staging/{view_name(tag)}", staging_sql(tag), header, tags=frozenset({tag}), nothing=staging_sql(tag, None)
+    )
 
 
 def concerns_query() -> Query:
@@ -158,11 +186,42 @@ def concerns_query() -> Query:
         "Title": "Which concern each event type belongs to; a run says which concerns its source records",
         "Paper": "sec:evaluation:metrics",
         "Grain": "one row per event type, but for those that say what a run is",
+        "Key": "type",
         "Units": "none",
         "NULL": "never",
         "Example": "fsar-ledger query facts/event_concerns LEDGER",
     }
     return Query("facts/event_concerns", sql, header)
+
+
+def concern_sql(concern: str, source: str | None = "events") -> str:
+    """Return the SELECT of all that the event types of one concern record, from whatever has all columns of `events`."""
+    layouts = _layouts(concern)
+    fields = {field.name: field for layout in layouts for field in layout.fields}
+    ordered = [fields[name] for name in sorted(fields)]
+    return _select([*ENVELOPE, *ordered], [layout.tag for layout in layouts], source)
+
+
+def _layouts(concern: str) -> list[Layout]:
+    """Return the event types of a concern, in their newest versions."""
+    return [layout for layout in LAYOUTS.values() if layout.tag.partition(".")[0] in EVENTS_OF[concern]]
+
+
+def concern_query(concern: str) -> Query:
+    """Return the view of every event of one concern."""
+    header = {
+        "Title": f"Every event of the concern {concern}",
+        "Paper": "see the event types",
+        "Grain": "one row per event of a type of the concern (facts/event_concerns)",
+        "Key": "run_id, seq",
+        "Units": "microseconds in columns that end in _us",
+        "NULL": "the event's type has no such field, or the record does not name it",
+        "Example": f"fsar-ledger query staging/{concern}_events LEDGER",
+    }
+    tags = frozenset(layout.tag for layout in _layouts(concern))
+    return Query(
+        f"staging/{concern}_events", concern_sql(concern), header, tags=tags, nothing=concern_sql(concern, None)
+    )
 
 
 def world_query() -> Query:
@@ -176,6 +235,7 @@ def world_query() -> Query:
         "Title": "What the world did, whoever governed it: facts that come from draws or from outside",
         "Paper": "see the event types",
         "Grain": "one row per event of a type of the world",
+        "Key": "run_id, seq",
         "Units": "time_us microseconds; fact its fields as NAME=VALUE, the values as JSON",
         "NULL": "never",
         "Example": "fsar-ledger query staging/world_facts LEDGER",
@@ -265,4 +325,6 @@ def values(query: Query, given: Mapping[str, str]) -> dict[str, str]:
 def library() -> Library:
     """The packaged queries, one view per event type, the concerns of these types, and one view of what the world did."""
     packaged = [parse(name, sql) for name, sql in _files(files("fsar_ledger.queries"))]
-    return Library([*map(staging_query, LAYOUTS), concerns_query(), world_query(), *packaged])
+    return Library(
+        [*map(staging_query, LAYOUTS), *map(concern_query, EVENTS_OF), concerns_query(), world_query(), *packaged]
+    )

@@ -10,7 +10,9 @@ from .library import Library, Query
 
 _TYPE = re.compile(r"'([A-Z][A-Za-z]+\.v\d+)'")
 _COMMENT = re.compile(r"--[^\n]*")
-_TIES = frozenset({"keyed_events"})
+_WIDE = frozenset({"events", "event_principals"})
+"""Relations that hold every event, whatever its type."""
+_TIES = frozenset({"event_principals", "keyed_events"})
 """Relations that read all events only to say which belong together; what is asked about is named beside them."""
 
 
@@ -29,7 +31,7 @@ def types_read(library: Library, query: Query) -> frozenset[str] | None:
         named = _TYPE.findall(_COMMENT.sub("", one.sql))
         if (
             not named
-            and one.sources() & {"events", *library.relations} == {"events"}
+            and _WIDE >= one.sources() & {"events", *library.relations} > set()
             and (one is query or one.relation not in _TIES)
         ):
             return None

@@ -7,7 +7,7 @@ reading of those segments.
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pyarrow as pa
 
@@ -18,15 +18,13 @@ from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, SCHEMAS
 from fsar_ledger.ledger.rows.schema import COLUMNS, LAYOUTS, RETIRED
 from fsar_ledger.ledger.rows.segment import read_table
 
+from .connection import Database
 from .library import SQL_TYPES
-
-if TYPE_CHECKING:
-    from .database import Database
 
 _DATASET, _UPCAST, _AS_STORED = "events_dataset", "events_upcast", "events_as_stored"
 
 
-def hold_segments(database: "Database", segments: Sequence[Path], releases: Sequence[str]) -> None:
+def hold_segments(database: Database, segments: Sequence[Path], releases: Sequence[str]) -> None:
     """The database's `events` are the rows of these segments, given the release of each. Raises: as `_upcast`."""
     types = _types(database, segments)
     database.absent = frozenset(
@@ -46,7 +44,7 @@ def hold_segments(database: "Database", segments: Sequence[Path], releases: Sequ
         database.source = _parquet(segments)
 
 
-def hold_dataset(database: "Database", stored: Any, segments: Sequence[Path]) -> None:
+def hold_dataset(database: Database, stored: Any, segments: Sequence[Path]) -> None:
     """The database's `events` are the rows of this Arrow dataset or table over these segments, with the columns of today. Raises: as `_upcast`."""
     holding = _holding(database, segments, _types(database, segments))
     if not holding:
@@ -57,7 +55,7 @@ def hold_dataset(database: "Database", stored: Any, segments: Sequence[Path]) ->
 
 
 def _hold_newest(
-    database: "Database", parts: Sequence[tuple[str, frozenset[str]]], holding: Mapping[str, Sequence[Path]]
+    database: Database, parts: Sequence[tuple[str, frozenset[str]]], holding: Mapping[str, Sequence[Path]]
 ) -> None:
     """The database's `events` are the rows of these relations, which have these columns, those of the retired types that they hold as their newest versions."""
     others = {tag: paths for tag, paths in holding.items() if RETIRED[tag].cls not in ADDITIONS}
@@ -108,7 +106,7 @@ def _parquet(paths: Sequence[Path], *options: str) -> str:
     return f"read_parquet([{files}], {', '.join(('hive_partitioning = false', *options))})"
 
 
-def _types(database: "Database", segments: Sequence[Path]) -> frozenset[str] | None:
+def _types(database: Database, segments: Sequence[Path]) -> frozenset[str] | None:
     """The event types of which these segments hold rows; None where one cannot be read."""
     try:
         return frozenset(
@@ -120,7 +118,7 @@ def _types(database: "Database", segments: Sequence[Path]) -> frozenset[str] | N
 
 
 def _holding(
-    database: "Database", segments: Sequence[Path], types: frozenset[str] | None
+    database: Database, segments: Sequence[Path], types: frozenset[str] | None
 ) -> Mapping[str, Sequence[Path]]:
     """The retired types among these of the segments, and which hold them; all of both where one cannot be read, so that reading it says what is wrong."""
     if types is None:

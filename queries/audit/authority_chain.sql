@@ -1,11 +1,15 @@
--- Title: The authority chain of an action: who granted, asked, relayed, admitted, accepted, supervised, acted and closed
+-- Title: The authority chain of an action: who granted, asked, relayed, admitted, accepted, supervised, acted and
+--   closed
 -- Paper: eq:auth, sec:model:request
--- Grain: one row per event of the action in which somebody asks, decides or acts; and per grant or revocation that concerned its request by then
+-- Grain: one row per event of the action in which somebody asks, decides or acts; and per grant or revocation that
+--   concerned its request by then
+-- Key: run_id, action_id, seq
 -- Units: time_us microseconds of run time
--- NULL: a principal that the record does not name; the authority tuple and trust where it gives none; recovery is also found where only its failed
---       action ties it to the action
+-- NULL: a principal that the record does not name; the authority tuple and trust where it gives none; recovery is also
+--   found where only its failed action ties it to the action
 -- Example: fsar-ledger query audit/authority_chain LEDGER --param run=RUN --param action=B1-1/2.1
---   answers asked robot/B1, admitted robot/C1 (session; may ask, may execute, none, audited), accepted, acted, finished, closed service/coordination
+--   answers asked robot/B1, admitted robot/C1 (session; may ask, may execute, none, audited), accepted, acted,
+--   finished, closed service/coordination
 -- Parameters: run = all, action = all
 WITH deeds (type, deed) AS (
     VALUES
@@ -33,16 +37,36 @@ WITH deeds (type, deed) AS (
     ('AuthorityRevoked.v1', 'revoked')
 ),
 
+tuples AS (
+    SELECT
+        run_id,
+        seq,
+        trust,
+        may_request,
+        may_execute,
+        override,
+        is_audited
+    FROM request_events
+    UNION ALL BY NAME
+    SELECT
+        run_id,
+        seq,
+        override
+    FROM authority_granted
+),
+
 concerned AS (
     -- Rights that bear on an evaluation, and events of the action itself.
     SELECT DISTINCT
         rights.run_id,
         rights.seq,
         evaluations.action_id
-    FROM events AS rights
+    FROM authority_events AS rights
     INNER JOIN evaluations
         ON
-            rights.run_id = evaluations.run_id AND rights.seq < evaluations.seq AND rights.requested_by = evaluations.requested_by
+            rights.run_id = evaluations.run_id
+            AND rights.seq < evaluations.seq
+            AND rights.requested_by = evaluations.requested_by
             AND coalesce(rights.executed_by = evaluations.executed_by, TRUE)
             AND coalesce(rights.capability = evaluations.capability, TRUE)
             AND coalesce(rights.context = evaluations.context, TRUE)
@@ -52,7 +76,7 @@ concerned AS (
         run_id,
         seq,
         coalesce(action_id, failed_action) AS action_id
-    FROM events
+    FROM event_principals
     WHERE coalesce(action_id, failed_action) IS NOT NULL
 )
 
@@ -67,12 +91,13 @@ SELECT
     events.executed_by,
     events.supervised_by,
     events.path,
-    events.trust,
-    events.may_request,
-    events.may_execute,
-    events.override,
-    events.is_audited
+    tuples.trust,
+    tuples.may_request,
+    tuples.may_execute,
+    tuples.override,
+    tuples.is_audited
 FROM concerned
-INNER JOIN events ON concerned.run_id = events.run_id AND concerned.seq = events.seq
+INNER JOIN event_principals AS events ON concerned.run_id = events.run_id AND concerned.seq = events.seq
 INNER JOIN deeds ON events.type = deeds.type
+LEFT JOIN tuples ON events.run_id = tuples.run_id AND events.seq = tuples.seq
 WHERE $run IN ('all', events.run_id) AND $action IN ('all', concerned.action_id)

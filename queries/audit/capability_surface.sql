@@ -1,9 +1,13 @@
--- Title: The capability surface of a robot at a time: what it offers on which terms, who may discover it, who may ask for it
+-- Title: The capability surface of a robot at a time: what it offers on which terms, who may discover it, who may ask
+--   for it
 -- Paper: eq:adv, eq:advertise, eq:delegable
 -- Grain: one row per run, robot and capability that it advertised at the time
+-- Key: run_id, robot, capability
 -- Units: since_us, at_us microseconds of run time; the default time is after the end of every run
--- NULL: successor unless a deprecation names one; visible_to is empty when every role may discover it, may_ask when no other robot has role and trust
--- Example: fsar-ledger query audit/capability_surface LEDGER --param run=RUN --param robot=robot/C1 --param at_us=30000000
+-- NULL: successor unless a deprecation names one; visible_to is empty when every role may discover it, may_ask when no
+--   other robot has role and trust
+-- Example: fsar-ledger query audit/capability_surface LEDGER --param run=RUN --param robot=robot/C1 --param
+--   at_us=30000000
 --   answers inspect.private_zone 1.0.0 ready: discoverable by role B, and robot/B1 may ask for it
 -- Parameters: run = all, robot = all, at_us = 9007199254740991
 WITH surfaces AS (
@@ -19,7 +23,8 @@ scopes (scope, breadth) AS (
 ),
 
 trusted AS (
-    -- Visible_Gamma: the role, the domain around the requester, and, where it is trust-gated, some trust, which asking needs at any rate.
+    -- Visible_Gamma: the role, the domain around the requester, and, where it is trust-gated, some trust, which asking
+    -- needs at any rate.
     SELECT
         surfaces.run_id,
         surfaces.robot,
@@ -28,13 +33,19 @@ trusted AS (
         peers.robot AS peer,
         arg_max(trust.scope, trust.precedence) AS scope
     FROM surfaces
-    INNER JOIN trust_parties AS trusting ON surfaces.run_id = trusting.run_id AND surfaces.robot = trusting.robot AND trusting.is_trusting
-    INNER JOIN trust_parties AS trusted ON trusting.run_id = trusted.run_id AND trusting.seq = trusted.seq AND NOT trusted.is_trusting
+    INNER JOIN trust_parties AS trusting
+        ON surfaces.run_id = trusting.run_id AND surfaces.robot = trusting.robot AND trusting.is_trusting
+    INNER JOIN trust_parties AS trusted
+        ON trusting.run_id = trusted.run_id AND trusting.seq = trusted.seq AND NOT trusted.is_trusting
     INNER JOIN trust_precedence AS trust
         ON
-            trusting.run_id = trust.run_id AND trusting.seq = trust.seq AND trust.context IS NULL AND trust.time_us <= $at_us::BIGINT
+            trusting.run_id = trust.run_id
+            AND trusting.seq = trust.seq
+            AND trust.context IS NULL
+            AND trust.time_us <= $at_us::BIGINT
             AND (trust.capability IS NULL OR surfaces.capability = trust.capability)
-    INNER JOIN fleet_members AS peers ON trusted.run_id = peers.run_id AND trusted.robot = peers.robot AND peers.joined_us <= $at_us::BIGINT
+    INNER JOIN fleet_members AS peers
+        ON trusted.run_id = peers.run_id AND trusted.robot = peers.robot AND peers.joined_us <= $at_us::BIGINT
     INNER JOIN fleet_members AS owners ON surfaces.run_id = owners.run_id AND surfaces.robot = owners.robot
     WHERE
         surfaces.robot <> trusted.robot
@@ -47,7 +58,8 @@ trusted AS (
 ),
 
 admissible AS (
-    -- Those who may ask at all: what a request states more (version, contract, context), and policy, may still refuse them.
+    -- Those who may ask at all: what a request states more (version, contract, context), and policy, may still refuse
+    -- them.
     SELECT
         trusted.run_id,
         trusted.robot,
@@ -61,7 +73,27 @@ admissible AS (
 )
 
 SELECT
-    surfaces.* EXCLUDE (since_seq, until_seq, until_us),
+    surfaces.run_id,
+    surfaces.robot,
+    surfaces.capability,
+    surfaces.since_us,
+    surfaces.version,
+    surfaces.preconditions,
+    surfaces.postconditions,
+    surfaces.resources,
+    surfaces.trust_required,
+    surfaces.policy_required,
+    surfaces.override_allowed,
+    surfaces.availability,
+    surfaces.embodiment,
+    surfaces.visibility,
+    surfaces.visible_to,
+    surfaces.is_deprecated,
+    surfaces.successor,
     coalesce(admissible.may_ask, []) AS may_ask
 FROM surfaces
-LEFT JOIN admissible ON surfaces.run_id = admissible.run_id AND surfaces.robot = admissible.robot AND surfaces.capability = admissible.capability
+LEFT JOIN admissible
+    ON
+        surfaces.run_id = admissible.run_id
+        AND surfaces.robot = admissible.robot
+        AND surfaces.capability = admissible.capability

@@ -1,7 +1,9 @@
 -- Title: The owner of the decision that led to an event: the nearest decision on the way back through its causes
 -- Paper: sec:evaluation:metrics (governance locality)
 -- Grain: one row per event of this number: one for a run, at most one for each run of the ledger
--- Units: steps causes between the event and the decision (0: the event is the decision); decided_us microseconds of run time
+-- Key: run_id
+-- Units: steps causes between the event and the decision (0: the event is the decision); decided_us microseconds of run
+--   time
 -- NULL: the decision's columns when no cause was a decision; decided_by when the record names no decider
 -- Example: fsar-ledger query audit/decision_owner LEDGER --param run=RUN --param seq=107
 --   answers for an ExecutionFinished: RequestAccepted, 3 causes back, by robot/C1 alone, so it was local
@@ -11,7 +13,7 @@ WITH RECURSIVE causes AS (
         run_id,
         seq,
         caused_by
-    FROM events
+    FROM event_principals
     WHERE $run IN ('all', run_id) AND seq <= $seq::BIGINT
 ),
 
@@ -31,7 +33,8 @@ way_back AS (
         way_back.steps + 1 AS steps
     FROM way_back
     -- A cause comes before what it causes; a forged record that says otherwise ends the way.
-    INNER JOIN causes ON way_back.run_id = causes.run_id AND way_back.caused_by = causes.seq AND way_back.seq > causes.seq
+    INNER JOIN causes
+        ON way_back.run_id = causes.run_id AND way_back.caused_by = causes.seq AND way_back.seq > causes.seq
 ),
 
 nearest AS (
@@ -56,7 +59,7 @@ SELECT
     decisions.decided_by,
     decisions.path,
     decisions.is_local
-FROM events AS asked
+FROM event_principals AS asked
 LEFT JOIN nearest ON asked.run_id = nearest.run_id
 LEFT JOIN decisions ON nearest.run_id = decisions.run_id AND nearest.decision_seq = decisions.seq
 WHERE $run IN ('all', asked.run_id) AND asked.seq = $seq::BIGINT

@@ -1,11 +1,15 @@
--- Title: Chains of delegations, link by link: what each executor made of its own link, and whether the chain is well-formed
+-- Title: Chains of delegations, link by link: what each executor made of its own link, and whether the chain is
+--   well-formed
 -- Paper: eq:nontransitive
--- Grain: one row per request that was asked in the service of another, or served by one, within each chain that it belongs to
+-- Grain: one row per request that was asked in the service of another, or served by one, within each chain that it
+--   belongs to
+-- Key: run_id, chain, action_id
 -- Units: link number of the link from 1; asked_us microseconds of run time
--- NULL: verdict, conjunct, trust while nobody has judged the link; conjunct unless denied; end_scope when the link's executor had set no trust in
---       the chain's first requester by then
+-- NULL: verdict, conjunct, trust while nobody has judged the link; conjunct unless denied; end_scope when the link's
+--   executor had set no trust in the chain's first requester by then
 -- Example: fsar-ledger query audit/delegation_chains LEDGER --param run=RUN
---   answers link 1 robot/A1 to robot/B1 (task, admitted), link 2 robot/B1 to robot/C1 (session, admitted): well-formed; robot/C1 has none for robot/A1
+--   answers link 1 robot/A1 to robot/B1 (task, admitted), link 2 robot/B1 to robot/C1 (session, admitted): well-formed;
+--   robot/C1 has none for robot/A1
 -- Parameters: run = all, action = all
 WITH RECURSIVE chains AS (
     SELECT
@@ -29,7 +33,8 @@ WITH RECURSIVE chains AS (
         chains.link + 1 AS link
     FROM chains
     -- A request comes after the one that it serves; a forged record that says otherwise is no link.
-    INNER JOIN request_issued AS asked ON chains.run_id = asked.run_id AND chains.action_id = asked.parent AND chains.seq < asked.seq
+    INNER JOIN request_issued AS asked
+        ON chains.run_id = asked.run_id AND chains.action_id = asked.parent AND chains.seq < asked.seq
 ),
 
 judged AS (
@@ -51,10 +56,18 @@ ends AS (
         arg_max(trust.scope, trust.precedence) AS end_scope
     FROM chains
     INNER JOIN request_issued AS asked ON chains.run_id = asked.run_id AND chains.seq = asked.seq
-    INNER JOIN trust_parties AS own ON chains.run_id = own.run_id AND asked.executed_by = own.robot AND own.is_trusting AND chains.seq > own.seq
-    INNER JOIN trust_parties AS peers ON own.run_id = peers.run_id AND own.seq = peers.seq AND chains.first_requester = peers.robot AND NOT peers.is_trusting
+    INNER JOIN trust_parties AS own
+        ON chains.run_id = own.run_id AND asked.executed_by = own.robot AND own.is_trusting AND chains.seq > own.seq
+    INNER JOIN trust_parties AS peers
+        ON
+            own.run_id = peers.run_id
+            AND own.seq = peers.seq
+            AND chains.first_requester = peers.robot
+            AND NOT peers.is_trusting
     INNER JOIN trust_precedence AS trust ON own.run_id = trust.run_id AND own.seq = trust.seq
-    WHERE coalesce(asked.capability = trust.capability, trust.capability IS NULL) AND coalesce(asked.task_id = trust.context, trust.context IS NULL)
+    WHERE
+        coalesce(asked.capability = trust.capability, trust.capability IS NULL)
+        AND coalesce(asked.task_id = trust.context, trust.context IS NULL)
     GROUP BY chains.run_id, chains.chain, chains.seq
 )
 
@@ -70,7 +83,9 @@ SELECT
     judged.trust,
     judged.verdict,
     judged.conjunct,
-    coalesce(bool_and(coalesce(judged.verdict = 'admitted', FALSE)) OVER (PARTITION BY chains.run_id, chains.chain), FALSE) AS is_well_formed,
+    coalesce(
+        bool_and(coalesce(judged.verdict = 'admitted', FALSE)) OVER (PARTITION BY chains.run_id, chains.chain), FALSE
+    ) AS is_well_formed,
     ends.end_scope
 FROM chains
 INNER JOIN request_issued AS asked ON chains.run_id = asked.run_id AND chains.seq = asked.seq

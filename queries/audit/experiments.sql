@@ -1,11 +1,14 @@
 -- Title: What was planned, and how much of it is there
 -- Paper: sec:evaluation:setup
 -- Grain: one row per plan
--- Units: planned_count, there_count, missing_count runs; larger_plans how many plans of the ledger name all runs of this one and more
+-- Key: plan
+-- Units: planned_count, there_count, missing_count runs; larger_plans how many plans of the ledger name all runs of
+--   this one and more
 -- NULL: never
 -- Example: fsar-ledger query audit/experiments LEDGER
 --   answers plan.n4.s42.x0020-...: 300 planned, 300 there, 0 missing, part of 0 larger plans
--- A plan of which a larger one came later was enlarged: the ledger has the runs of one that was planned so large at once, not its root.
+-- A plan of which a larger one came later was enlarged: the ledger has the runs of one that was planned so large at
+-- once, not its root.
 WITH there AS (
     SELECT
         plan,

@@ -1,16 +1,33 @@
--- Title: The recovery of a failure, level by level: what was tried, what came of it, how long each level took and why it was left
+-- Title: The recovery of a failure, level by level: what was tried, what came of it, how long each level took and why
+--   it was left
 -- Paper: fig:wf3, eq:recovery
 -- Grain: one row per step that recovery took about a failure; the resolution is the last
--- Units: step counts from 1 within the failure; level_number 1 local to 4 human; time_s, until_s seconds of run time; spent_s seconds at the level in
---   all; budget_s seconds from detection to the deadline of the attempt
--- NULL: decided_by when the record names none; result when nothing came of it or none is recorded; until_s of the last step; budget_s where no
---   attempt has a deadline; achieved when not even a part was
+-- Key: run_id, action_id, failure, seq
+-- Units: step counts from 1 within the failure; level_number 1 local to 4 human; time_s, until_s seconds of run time;
+--   spent_s seconds at the level in all; budget_s seconds from detection to the deadline of the attempt
+-- NULL: decided_by when the record names none; result when nothing came of it or none is recorded; until_s of the last
+--   step; budget_s where no attempt has a deadline; achieved when not even a part was
 -- Example: fsar-ledger query audit/failure_story LEDGER --param run=RUN --param action=A1-1/2.1
---   answers attempt 1 and 2 at robot/D1 in vain, no peer, no reassignment, supervisor/fleet resolved it; 4.356, 0.196, 0.571 and 24.384 s
+--   answers attempt 1 and 2 at robot/D1 in vain, no peer, no reassignment, supervisor/fleet resolved it; 4.356, 0.196,
+--   0.571 and 24.384 s
 -- Parameters: run = all, action = all
 WITH steps AS (
     SELECT
-        *,
+        run_id,
+        action_id,
+        failure,
+        detected_us,
+        seq,
+        type,
+        time_us,
+        until_us,
+        decided_by,
+        level,
+        to_level,
+        deadline_us,
+        what,
+        result,
+        achieved,
         row_number() OVER in_order AS step,
         -- A step that follows an escalation began with it; the first began with the detection.
         CASE
@@ -40,6 +57,9 @@ SELECT
     result,
     achieved,
     (deadline_us - detected_us) / 1000000 AS budget_s,
-    (max(over_us) OVER (PARTITION BY run_id, action_id, failure, level) - min(since_us) OVER (PARTITION BY run_id, action_id, failure, level))
+    (
+        max(over_us) OVER (PARTITION BY run_id, action_id, failure, level)
+        - min(since_us) OVER (PARTITION BY run_id, action_id, failure, level)
+    )
     / 1000000 AS spent_s
 FROM steps

@@ -1,12 +1,15 @@
 -- Title: Which runs that were planned are missing, each counted once, however many plans name it
 -- Paper: sec:evaluation:setup
--- Grain: one row per seed, fleet size, model version, constants, architecture, configuration and scenario that a plan which lacks runs names
+-- Grain: one row per seed, fleet size, model version, constants, architecture, configuration and scenario that a plan
+--   which lacks runs names
+-- Key: seed, fleet_size, model_version, parameters_sha256, architecture, configuration, scenario
 -- Units: planned_count, there_count, missing_count runs; parameters_sha256 the digest of all constants
 -- NULL: never
 -- Example: fsar-ledger query audit/missing_runs LEDGER
 --   answers no rows where all that was planned is there
--- Runs are numbered from 0, so what several plans ask for together is what the largest of them asks for. A plan that a larger one contains adds nothing.
--- A plan of more than 10,000 combinations of names, which no experiment has, is left out.
+-- Runs are numbered from 0, so what several plans ask for together is what the largest of them asks for. A plan that a
+-- larger one contains adds nothing. A plan of more than 10,000 combinations of names, which no experiment has, is left
+-- out.
 WITH lacking AS (
     SELECT *
     FROM experiments
@@ -48,7 +51,14 @@ there AS (
 )
 
 SELECT
-    planned.*,
+    planned.seed,
+    planned.fleet_size,
+    planned.model_version,
+    planned.parameters_sha256,
+    planned.architecture,
+    planned.configuration,
+    planned.scenario,
+    planned.planned_count,
     coalesce(there.there_count, 0) AS there_count,
     planned.planned_count - coalesce(there.there_count, 0) AS missing_count
 FROM planned
@@ -56,5 +66,7 @@ LEFT JOIN there
     ON
         planned.seed = there.seed AND planned.fleet_size = there.fleet_size
         AND planned.model_version = there.model_version AND planned.parameters_sha256 = there.parameters_sha256
-        AND planned.architecture = there.architecture AND planned.configuration = there.configuration AND planned.scenario = there.scenario
+        AND planned.architecture = there.architecture
+        AND planned.configuration = there.configuration
+        AND planned.scenario = there.scenario
 WHERE planned.planned_count > coalesce(there.there_count, 0)

@@ -1,8 +1,10 @@
 -- Title: The policy in force at a time, as it truly was
 -- Paper: eq:policy, app:foundations
 -- Grain: one row per run, robot and scope (its own policy, the fleet's for it)
+-- Key: run_id, robot, scope
 -- Units: since_us, until_us, at_us microseconds of run time, half-open; the default time is after the end of every run
--- NULL: since_us when nothing had begun yet, so policy allowed from the start; until_us when no window or rule began or ended later
+-- NULL: since_us when nothing had begun yet, so policy allowed from the start; until_us when no window or rule began or
+--   ended later
 -- Example: fsar-ledger query audit/policy_at LEDGER --param run=RUN --param robot=robot/D1 --param at_us=31200000
 --   answers robot/D1: its own policy denies since 24.818 s, the fleet's rule since 31.07 s
 -- Parameters: run = all, robot = all, capability = any, context = any, at_us = 9007199254740991
@@ -17,9 +19,17 @@ WITH subjects AS (
 ),
 
 applicable AS (
-    -- Without a capability or context, only what is in force for all of them; with one, the strictest of that and of what is about it.
+    -- Without a capability or context, only what is in force for all of them; with one, the strictest of that and of
+    -- what is about it.
     SELECT
-        *,
+        run_id,
+        robot,
+        scope,
+        capability,
+        context,
+        since_us,
+        until_us,
+        outcome,
         CASE outcome WHEN 'deny' THEN 3 WHEN 'review' THEN 2 ELSE 1 END AS strictness
     FROM policy_in_force
     WHERE (capability IS NULL OR capability = $capability) AND (context IS NULL OR context = $context)
@@ -32,7 +42,9 @@ moments AS (
         subjects.scope,
         max(policy.since_us) FILTER (WHERE policy.since_us <= $at_us::BIGINT) AS since_us,
         min(policy.since_us) FILTER (WHERE policy.since_us > $at_us::BIGINT) AS until_us,
-        max(policy.strictness) FILTER (WHERE policy.since_us <= $at_us::BIGINT AND (policy.until_us IS NULL OR policy.until_us > $at_us::BIGINT)) AS strictness
+        max(policy.strictness) FILTER (
+            WHERE policy.since_us <= $at_us::BIGINT AND (policy.until_us IS NULL OR policy.until_us > $at_us::BIGINT)
+        ) AS strictness
     FROM subjects
     LEFT JOIN applicable AS policy
         ON subjects.run_id = policy.run_id AND subjects.robot = policy.robot AND subjects.scope = policy.scope

@@ -1,6 +1,7 @@
 -- Title: The policy at a time as its decider knew it, beside the policy as it truly was
 -- Paper: eq:policy, sec:evaluation:baselines
 -- Grain: one row per run, decider, robot and scope of which the decider had been told by then
+-- Key: run_id, known_by, robot, scope
 -- Units: learned_us, as_of_us, at_us microseconds of run time; the default time is after the end of every run
 -- NULL: never; a decider without a row had not been told, or reads the policy itself (an FSAR robot its own)
 -- Example: fsar-ledger query audit/policy_known_at LEDGER --param run=RUN --param robot=robot/D1 --param at_us=31200000
@@ -16,8 +17,16 @@ WITH copies AS (
         members.robot,
         scopes.scope,
         CASE
-            WHEN list_contains(CASE scopes.scope WHEN 'local' THEN copies.local_deny ELSE copies.fleet_deny END, members.robot) THEN 'deny'
-            WHEN list_contains(CASE scopes.scope WHEN 'local' THEN copies.local_review ELSE copies.fleet_review END, members.robot) THEN 'review'
+            WHEN
+                list_contains(
+                    CASE scopes.scope WHEN 'local' THEN copies.local_deny ELSE copies.fleet_deny END, members.robot
+                )
+                THEN 'deny'
+            WHEN
+                list_contains(
+                    CASE scopes.scope WHEN 'local' THEN copies.local_review ELSE copies.fleet_review END, members.robot
+                )
+                THEN 'review'
             ELSE 'allow'
         END AS outcome,
         copies.time_us AS as_of_us
@@ -37,7 +46,7 @@ told AS (
         CASE type WHEN 'FleetRuleLearned.v1' THEN 'fleet' ELSE 'local' END AS scope,
         outcome,
         coalesce(as_of_us, time_us) AS as_of_us
-    FROM events
+    FROM knowledge_events
     WHERE type IN ('FleetRuleLearned.v1', 'SnapshotTaken.v1')
     UNION ALL
     SELECT *
@@ -60,8 +69,18 @@ known AS (
 
 judged AS (
     SELECT
-        known.*,
-        CASE WHEN bool_or(windows.outcome = 'deny') THEN 'deny' WHEN bool_or(windows.outcome = 'review') THEN 'review' ELSE 'allow' END AS true_outcome
+        known.run_id,
+        known.known_by,
+        known.robot,
+        known.scope,
+        known.known_outcome,
+        known.learned_us,
+        known.as_of_us,
+        CASE
+            WHEN bool_or(windows.outcome = 'deny') THEN 'deny' WHEN
+                bool_or(windows.outcome = 'review')
+                THEN 'review' ELSE 'allow'
+        END AS true_outcome
     FROM known
     LEFT JOIN policy_windows AS windows
         ON
@@ -75,6 +94,13 @@ judged AS (
 )
 
 SELECT
-    *,
+    run_id,
+    known_by,
+    robot,
+    scope,
+    known_outcome,
+    learned_us,
+    as_of_us,
+    true_outcome,
     known_outcome <> true_outcome AS is_wrong
 FROM judged

@@ -1,10 +1,11 @@
 -- Title: What each failure used of the budget that its robot had at each level of recovery
 -- Paper: eq:recovery, app:foundations (Paper 3)
 -- Grain: one row per failure and level that its recovery turned to
--- Units: spent_us, t_max_us microseconds, spent_us with the time of the help; used, n_max attempts (local), helpers asked (peer),
---        reassignments (fleet), calls (human); rank 1 local to 4 human
--- NULL: spent_us when the failure was still at this level at the end of its record; t_max_us, n_max where the run records neither; set_by where the
---       budget is the fleet's own
+-- Key: run_id, action_id, failure, level
+-- Units: spent_us, t_max_us microseconds, spent_us with the time of the help; used, n_max attempts (local), helpers
+--   asked (peer), reassignments (fleet), calls (human); rank 1 local to 4 human
+-- NULL: spent_us when the failure was still at this level at the end of its record; t_max_us, n_max where the run
+--   records neither; set_by where the budget is the fleet's own
 -- Example: fsar-ledger query audit/recovery_budgets LEDGER --param run=RUN --param action=A1-1/2.1
 --   answers local 2 of 2 attempts, peer 0 of 1 helpers, fleet 0 of 1 reassignments, human 1 of 2 calls
 -- Parameters: run = all, action = all
@@ -21,14 +22,23 @@ WITH stays AS (
         coalesce(lead(moves.time_us) OVER by_failure, failures.resolved_us)
         - CASE moves.move WHEN 1 THEN failures.detected_us ELSE moves.time_us END AS spent_us
     FROM recovery_moves AS moves
-    INNER JOIN failures ON moves.run_id = failures.run_id AND moves.action_id = failures.action_id AND moves.failure = failures.failure
+    INNER JOIN failures
+        ON moves.run_id = failures.run_id AND moves.action_id = failures.action_id AND moves.failure = failures.failure
     WHERE $run IN ('all', moves.run_id) AND $action IN ('all', moves.action_id)
     WINDOW by_failure AS (PARTITION BY moves.run_id, moves.action_id, moves.failure ORDER BY moves.seq)
 ),
 
 used AS (
     SELECT
-        stays.*,
+        stays.run_id,
+        stays.action_id,
+        stays.failure,
+        stays.level,
+        stays.rank,
+        stays.seq,
+        stays.robot,
+        stays.next_seq,
+        stays.spent_us,
         count(uses.seq) AS used
     FROM stays
     LEFT JOIN recovery_acts AS uses
@@ -52,4 +62,8 @@ SELECT
     allowed.set_by
 FROM used
 ASOF LEFT JOIN recovery_allowances AS allowed
-    ON used.run_id = allowed.run_id AND used.robot = allowed.robot AND used.level = allowed.level AND used.seq >= allowed.since_seq
+    ON
+        used.run_id = allowed.run_id
+        AND used.robot = allowed.robot
+        AND used.level = allowed.level
+        AND used.seq >= allowed.since_seq

@@ -1,9 +1,10 @@
 -- Title: The levels that each failure's recovery came to, in order
 -- Paper: eq:recovery
 -- Grain: one row per failure and level that its recovery turned to; attempts that stay at the level are no new row
+-- Key: run_id, action_id, failure, seq
 -- Units: time_us microseconds of run time; move number of the row within the failure from 1; *_rank 1 local to 4 human
--- NULL: from_level, from_rank for the first level of a failure, unless it is an escalation that names the level before; reason, why that
---       was left, for the first level and where the record does not say it
+-- NULL: from_level, from_rank for the first level of a failure, unless it is an escalation that names the level before;
+--   reason, why that was left, for the first level and where the record does not say it
 -- Example: fsar-ledger query audit/recovery_moves LEDGER
 --   answers A1-1/4.1: local at 80.172 s, peer at 84.274 s, fleet at 84.339 s, human at 84.854 s
 WITH ranks (level, rank) AS (
@@ -28,15 +29,27 @@ records AS (
         ranks.rank,
         before.level AS left_level,
         before.rank AS left_rank
-    FROM events
+    FROM recovery_events AS events
     INNER JOIN ranks ON coalesce(events.to_level, events.level) = ranks.level
     LEFT JOIN ranks AS before ON events.level = before.level AND events.to_level IS NOT NULL
-    WHERE events.type IN ('RecoveryAttempted.v1', 'AssistanceRequested.v1', 'RecoveryEscalated.v1', 'FailureResolved.v1')
+    WHERE
+        events.type IN ('RecoveryAttempted.v1', 'AssistanceRequested.v1', 'RecoveryEscalated.v1', 'FailureResolved.v1')
 ),
 
 steps AS (
     SELECT
-        *,
+        run_id,
+        action_id,
+        failure,
+        seq,
+        time_us,
+        type,
+        decided_by,
+        reason,
+        level,
+        rank,
+        left_level,
+        left_rank,
         coalesce(lag(level) OVER failures, left_level) AS from_level,
         coalesce(lag(rank) OVER failures, left_rank) AS from_rank
     FROM records

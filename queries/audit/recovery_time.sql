@@ -1,10 +1,14 @@
 -- Title: The time that each failure spent at each level of recovery
 -- Paper: eq:recovery
 -- Grain: one row per failure and level that its recovery turned to
--- Units: entered_us, left_us microseconds of run time; spent_us microseconds; attempts count; the first level counts from detection
--- NULL: left_because where nothing else came or the record does not say it; left_us, spent_us when the failure was still at this level at the end of its record
+-- Key: run_id, action_id, failure, move
+-- Units: entered_us, left_us microseconds of run time; spent_us microseconds; attempts count; the first level counts
+--   from detection
+-- NULL: left_because where nothing else came or the record does not say it; left_us, spent_us when the failure was
+--   still at this level at the end of its record
 -- Example: fsar-ledger query audit/recovery_time LEDGER --param run=RUN --param action=A1-1/4.1
---   answers local 4.101 s with 2 attempts (budget exhausted), peer 0.065 s, fleet 0.515 s, human 40.066 s, where it was resolved
+--   answers local 4.101 s with 2 attempts (budget exhausted), peer 0.065 s, fleet 0.515 s, human 40.066 s, where it was
+--   resolved
 -- Parameters: run = all, action = all
 WITH stays AS (
     SELECT
@@ -20,7 +24,8 @@ WITH stays AS (
         coalesce(lead(moves.time_us) OVER by_failure, failures.resolved_us) AS left_us,
         lead(moves.seq) OVER by_failure IS NULL AND failures.resolved_us IS NOT NULL AS is_resolved_here
     FROM recovery_moves AS moves
-    LEFT JOIN failures ON moves.run_id = failures.run_id AND moves.action_id = failures.action_id AND moves.failure = failures.failure
+    LEFT JOIN failures
+        ON moves.run_id = failures.run_id AND moves.action_id = failures.action_id AND moves.failure = failures.failure
     WHERE $run IN ('all', moves.run_id) AND $action IN ('all', moves.action_id)
     WINDOW by_failure AS (PARTITION BY moves.run_id, moves.action_id, moves.failure ORDER BY moves.seq)
 )

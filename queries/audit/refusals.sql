@@ -1,9 +1,11 @@
--- Title: Refusals by reason and failed conjunct: requests denied, countered or unanswered, help declined, executions held, commands rejected
+-- Title: Refusals by reason and failed conjunct: requests denied, countered or unanswered, help declined, executions
+--   held, commands rejected
 -- Paper: sec:model:request, eq:admissible
 -- Grain: one row per run, type of refusal, reason and principal that decided it
+-- Key: run_id, type, reason?, decided_by?
 -- Units: refusals count; first_us, last_us microseconds of run time
--- NULL: decided_by when the record names no decider; conjunct when the refusal is no part of eq:admissible; the reason of an unanswered request, of
---       declined help and of a counter-offer is what their type means
+-- NULL: decided_by when the record names no decider; conjunct when the refusal is no part of eq:admissible; the reason
+--   of an unanswered request, of declined help and of a counter-offer is what their type means
 -- Example: fsar-ledger query audit/refusals LEDGER --param run=RUN
 --   answers RequestDenied, policy (conjunct policy), by robot/B1: 1, at 31.046 s
 -- Parameters: run = all, reason = all
@@ -37,17 +39,24 @@ refused AS (
         events.time_us,
         events.type,
         CASE events.type
-            WHEN 'RequestUnanswered.v1' THEN if(events.executed_by IS NULL AND offered.action_id IS NULL, 'no candidate', 'no answer')
+            WHEN
+                'RequestUnanswered.v1'
+                THEN if(events.executed_by IS NULL AND offered.action_id IS NULL, 'no candidate', 'no answer')
             WHEN 'AssistanceDeclined.v1' THEN 'helper busy'
             WHEN 'RequestCountered.v1' THEN 'override'
             ELSE events.reason
         END AS reason,
         CASE events.type WHEN 'AssistanceDeclined.v1' THEN events.helper ELSE events.decided_by END AS decided_by
-    FROM events
+    FROM event_principals AS events
     LEFT JOIN offered ON events.run_id = offered.run_id AND events.action_id = offered.action_id
     WHERE
         events.type IN (
-            'RequestDenied.v1', 'RequestCountered.v1', 'RequestUnanswered.v1', 'AssistanceDeclined.v1', 'ExecutionHeld.v1', 'CommandRejected.v1'
+            'RequestDenied.v1',
+            'RequestCountered.v1',
+            'RequestUnanswered.v1',
+            'AssistanceDeclined.v1',
+            'ExecutionHeld.v1',
+            'CommandRejected.v1'
         )
 )
 

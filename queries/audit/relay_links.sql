@@ -1,10 +1,12 @@
 -- Title: Chains through a relay, link by link: whom each receiver trusted, and that the ends do not trust each other
 -- Paper: eq:nontransitive
 -- Grain: one row per link (two for a chain: requester to relay, relay to executor) of each request through a relay
+-- Key: run_id, asked_seq, link
 -- Units: link number of the link from 1; passed_us microseconds of run time
 -- NULL: passed_us, seq when the relay did not pass it on; a trust scope that had not been set by then
 -- Example: fsar-ledger query audit/relay_links LEDGER --param run=RUN
---   answers link 1 robot/D1 to robot/A1 (capability), link 2 robot/A1 to robot/B1 (task); robot/B1 has set none for robot/D1
+--   answers link 1 robot/D1 to robot/A1 (capability), link 2 robot/A1 to robot/B1 (task); robot/B1 has set none for
+--   robot/D1
 -- Parameters: run = all, action = all
 WITH chains AS (
     -- The relay's record is the first after the request.
@@ -29,7 +31,17 @@ WITH chains AS (
 
 links AS (
     SELECT
-        chains.*,
+        chains.run_id,
+        chains.action_id,
+        chains.asked_seq,
+        chains.asked_us,
+        chains.requested_by,
+        chains.relay,
+        chains.executed_by,
+        chains.capability,
+        chains.context,
+        chains.relayed_seq,
+        chains.relayed_us,
         numbers.link,
         CASE numbers.link WHEN 1 THEN chains.asked_seq ELSE chains.relayed_seq END AS seq,
         CASE numbers.link WHEN 1 THEN chains.asked_us ELSE chains.relayed_us END AS passed_us,
@@ -42,13 +54,34 @@ links AS (
 judged AS (
     -- Each link between its own two ends, and the ends of the whole chain beside it.
     SELECT
-        links.*,
-        arg_max(scopes.scope, scopes.precedence) FILTER (WHERE links.receiver = trusting.robot AND links.sender = trusted.robot) AS link_scope,
-        arg_max(scopes.scope, scopes.precedence) FILTER (WHERE links.executed_by = trusting.robot AND links.requested_by = trusted.robot) AS direct_scope
+        links.run_id,
+        links.action_id,
+        links.asked_seq,
+        links.asked_us,
+        links.requested_by,
+        links.relay,
+        links.executed_by,
+        links.capability,
+        links.context,
+        links.relayed_seq,
+        links.relayed_us,
+        links.link,
+        links.seq,
+        links.passed_us,
+        links.sender,
+        links.receiver,
+        arg_max(scopes.scope, scopes.precedence) FILTER (
+            WHERE links.receiver = trusting.robot AND links.sender = trusted.robot
+        ) AS link_scope,
+        arg_max(scopes.scope, scopes.precedence) FILTER (
+            WHERE links.executed_by = trusting.robot AND links.requested_by = trusted.robot
+        ) AS direct_scope
     FROM links
     LEFT JOIN trust_parties AS trusting
         ON
-            links.run_id = trusting.run_id AND trusting.is_trusting AND coalesce(links.seq, links.asked_seq) > trusting.seq
+            links.run_id = trusting.run_id
+            AND trusting.is_trusting
+            AND coalesce(links.seq, links.asked_seq) > trusting.seq
             AND trusting.robot IN (links.receiver, links.executed_by)
     LEFT JOIN trust_parties AS trusted
         ON

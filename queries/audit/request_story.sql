@@ -1,15 +1,21 @@
 -- Title: The story of an action: who asked, who allowed, who acted, who supervised, in the order in which it happened
 -- Paper: fig:wf1, sec:model:request, sec:architecture:fleet
 -- Grain: one row per message or deed of the action
+-- Key: run_id, action_id, seq, message
 -- Units: step counts from 1 within the action; time_s seconds of run time
--- NULL: sender, receiver when the record does not say; note when there is nothing to add. Records that name no action belong to the story when they
---   caused, or were caused by, one that does; is_tied says which they are
+-- NULL: sender, receiver when the record does not say; note when there is nothing to add. Records that name no action
+--   belong to the story when they caused, or were caused by, one that does; is_tied says which they are
 -- Example: fsar-ledger query audit/request_story LEDGER --param run=RUN --param action=A1-1/4.1
---   answers robot/A1 lacks door.open.secure, asks service/registry, requests it of robot/B1, which evaluates, accepts, executes: success
+--   answers robot/A1 lacks door.open.secure, asks service/registry, requests it of robot/B1, which evaluates, accepts,
+--   executes: success
 -- Parameters: run = all, action = all
 WITH RECURSIVE known AS (
     SELECT
-        keyed_events.*,
+        keyed_events.run_id,
+        keyed_events.seq,
+        keyed_events.caused_by,
+        keyed_events.type,
+        keyed_events.action_id,
         keyed_events.type IN (SELECT message_words.type FROM message_words) AS is_told
     FROM keyed_events
     WHERE $run IN ('all', keyed_events.run_id)
@@ -43,7 +49,10 @@ steps AS (
 
 chain AS (
     SELECT
-        own.*,
+        own.run_id,
+        own.action_id,
+        own.seq,
+        own.caused_by,
         TRUE AS is_tied
     FROM own
     UNION

@@ -1,10 +1,13 @@
 -- Title: Revocations of authority, and when each took effect
 -- Paper: eq:nontransitive, sec:model:authority
 -- Grain: one row per claim whose reason is a revocation, and per AuthorityRevoked event
+-- Key: run_id, seq
 -- Units: revoked_us, effective_us microseconds of run time; waited_us microseconds
--- NULL: effective_us, waited_us, boundary, action_id of a right when it never took effect; revoked_from when nobody held execution; capability, context: any
+-- NULL: effective_us, waited_us, boundary, action_id of a right when it never took effect; revoked_from when nobody
+--   held execution; capability, context: any
 -- Example: fsar-ledger query audit/revocations LEDGER --param run=RUN
---   answers A1-1/7.1: robot/A1 revoked at 51.375 s what robot/D1 executed; effective after its ExecutionFinished, 7.111 s later
+--   answers A1-1/7.1: robot/A1 revoked at 51.375 s what robot/D1 executed; effective after its ExecutionFinished, 7.111
+--   s later
 -- Parameters: run = all
 WITH claimed AS (
     SELECT
@@ -24,7 +27,9 @@ WITH claimed AS (
     LEFT JOIN authority_released AS releases
         ON
             claims.run_id = releases.run_id AND claims.action_id = releases.action_id AND claims.seq < releases.seq
-            AND claims.dimension = releases.dimension AND claims.claimant = releases.claimant AND claims.reason = releases.reason
+            AND claims.dimension = releases.dimension
+            AND claims.claimant = releases.claimant
+            AND claims.reason = releases.reason
     WHERE claims.reason = 'revocation'
     GROUP BY claims.run_id, claims.seq, claims.action_id, claims.claimant, claims.began_us, claims.ended_us
 ),
@@ -32,13 +37,22 @@ WITH claimed AS (
 ended AS (
     -- The boundary is what happened to the action just before the release, apart from other claims and releases.
     SELECT
-        claimed.* EXCLUDE (release_seq),
+        claimed.run_id,
+        claimed.seq,
+        claimed.action_id,
+        claimed.revoked_by,
+        claimed.revoked_from,
+        claimed.revoked_us,
+        claimed.effective_us,
         'context changed' AS reason,
         arg_max(events.type, events.seq) AS boundary
     FROM claimed
-    LEFT JOIN events
+    LEFT JOIN event_principals AS events
         ON
-            claimed.run_id = events.run_id AND claimed.action_id = events.action_id AND claimed.seq < events.seq AND claimed.release_seq > events.seq
+            claimed.run_id = events.run_id
+            AND claimed.action_id = events.action_id
+            AND claimed.seq < events.seq
+            AND claimed.release_seq > events.seq
             AND events.type NOT IN ('AuthorityClaimed.v1', 'AuthorityReleased.v1')
     GROUP BY ALL
 ),
@@ -70,7 +84,17 @@ every AS (
 )
 
 SELECT
-    *,
+    run_id,
+    seq,
+    action_id,
+    revoked_by,
+    revoked_from,
+    revoked_us,
+    effective_us,
+    reason,
+    boundary,
+    capability,
+    context,
     effective_us - revoked_us AS waited_us
 FROM every
 WHERE $run IN ('all', run_id)

@@ -1,6 +1,7 @@
 -- Title: What a robot was doing at a time
 -- Paper: sec:model:robot
 -- Grain: one row per run, robot and action that it had in hand; one row `idle` for a robot that had none
+-- Key: run_id, robot, action_id?
 -- Units: since_us, at_us microseconds of run time; the default time is after the end of every run
 -- NULL: action_id, since_us, on_behalf_of when idle; on_behalf_of also when the robot helps another
 -- Example: fsar-ledger query audit/robot_activity LEDGER --param run=RUN --param robot=robot/C1 --param at_us=20000000
@@ -31,7 +32,7 @@ latest AS (
         arg_max(coalesce(doings.doing, 'done'), events.seq) AS doing,
         arg_max(events.time_us, events.seq) AS since_us,
         arg_max(events.on_behalf_of, events.seq) FILTER (WHERE events.on_behalf_of IS NOT NULL) AS on_behalf_of
-    FROM events
+    FROM event_principals AS events
     INNER JOIN doings ON events.type = doings.type
     WHERE $run IN ('all', events.run_id) AND events.time_us <= $at_us::BIGINT
     -- A helper may have an action of its own in hand, and help with another.

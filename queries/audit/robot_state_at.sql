@@ -1,6 +1,7 @@
 -- Title: The execution state of a robot at a time: off, idle, executing, degraded or failed
 -- Paper: sec:evaluation:simulator, sec:model:robot
 -- Grain: one row per run and robot that had joined by then
+-- Key: run_id, robot
 -- Units: at_us microseconds of run time; the default time is after the end of every run
 -- NULL: action_id when the robot had nothing in hand; of several things in hand, one that failed, else the first
 -- Example: fsar-ledger query audit/robot_state_at LEDGER --param run=RUN --param robot=robot/D1 --param at_us=31000000
@@ -8,7 +9,7 @@
 -- Parameters: run = all, robot = all, at_us = 9007199254740991
 WITH past AS (
     SELECT *
-    FROM events
+    FROM event_principals
     WHERE $run IN ('all', run_id) AND time_us <= $at_us::BIGINT
 ),
 
@@ -32,9 +33,14 @@ in_hand AS (
         min(seq) AS since_seq,
         arg_max(type, seq) AS last_type
     FROM past
-    WHERE starts_with(type, 'Execution') OR type IN ('ApproachStarted.v1', 'AssistanceAdmitted.v1', 'AssistanceEnded.v1', 'AssistanceFailed.v1')
+    WHERE
+        starts_with(type, 'Execution')
+        OR type IN ('ApproachStarted.v1', 'AssistanceAdmitted.v1', 'AssistanceEnded.v1', 'AssistanceFailed.v1')
     GROUP BY run_id, coalesce(helper, robot), action_id, helper IS NOT NULL
-    HAVING last_type NOT IN ('ExecutionFinished.v1', 'ExecutionWithdrawn.v1', 'AssistanceEnded.v1', 'AssistanceFailed.v1')
+    HAVING
+        last_type NOT IN (
+            'ExecutionFinished.v1', 'ExecutionWithdrawn.v1', 'AssistanceEnded.v1', 'AssistanceFailed.v1'
+        )
 ),
 
 held AS (
@@ -45,7 +51,9 @@ held AS (
         in_hand.last_type = 'ExecutionFailed.v1' OR (outward.action_id IS NOT NULL AND NOT in_hand.is_help) AS is_failed
     FROM in_hand
     LEFT JOIN outward ON in_hand.run_id = outward.run_id AND in_hand.action_id = outward.action_id
-    QUALIFY row_number() OVER (PARTITION BY in_hand.run_id, in_hand.robot ORDER BY is_failed DESC, in_hand.since_seq ASC) = 1
+    QUALIFY
+        row_number() OVER (PARTITION BY in_hand.run_id, in_hand.robot ORDER BY is_failed DESC, in_hand.since_seq ASC)
+        = 1
 ),
 
 advertised AS (
@@ -70,7 +78,11 @@ SELECT
 FROM fleet_members AS members
 LEFT JOIN held ON members.run_id = held.run_id AND members.robot = held.robot
 LEFT JOIN outages AS off
-    ON members.run_id = off.run_id AND members.robot = off.robot AND off.what = 'off' AND $at_us BETWEEN off.since_us AND coalesce(off.until_us - 1, $at_us)
+    ON
+        members.run_id = off.run_id
+        AND members.robot = off.robot
+        AND off.what = 'off'
+        AND $at_us BETWEEN off.since_us AND coalesce(off.until_us - 1, $at_us)
 LEFT JOIN outages AS degraded
     ON
         members.run_id = degraded.run_id AND members.robot = degraded.robot AND degraded.what = 'degraded'

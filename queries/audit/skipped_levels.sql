@@ -1,8 +1,10 @@
 -- Title: Escalations that left out a level of recovery, or went back to an earlier one
 -- Paper: eq:recovery, sec:model:invariants (I4)
 -- Grain: one row per move of recovery that is not to the next level outward
+-- Key: run_id, action_id, failure, seq
 -- Units: time_us microseconds of run time
--- NULL: from_level when recovery did not begin at the first level; decided_by when the record names no decider; reason when it gives none
+-- NULL: from_level when recovery did not begin at the first level; decided_by when the record names no decider; reason
+--   when it gives none
 -- Example: fsar-ledger query audit/skipped_levels LEDGER --param run=RUN
 --   answers A1-1/8.2: from local to human, left out peer and fleet, decided by agent/A1/execution
 -- Parameters: run = all

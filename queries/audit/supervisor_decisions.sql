@@ -1,9 +1,11 @@
 -- Title: What one supervisor decided: answers to calls, and interventions of their own accord
 -- Paper: eq:supervision, sec:architecture:fleet (human oversight console)
--- Grain: one row per SupervisorResponded event, and per other event that a supervisor decided (trust, rules, rights, density, budgets)
+-- Grain: one row per SupervisorResponded event, and per other event that a supervisor decided (trust, rules, rights,
+--   density, budgets)
+-- Key: run_id, seq
 -- Units: called_us, decided_us microseconds of run time; waited_us microseconds
--- NULL: purpose, called_us, waited_us for what answers no call; decided_by when the record names no decider; robot, capability, action_id and the
---   principals when the decision is about none in particular
+-- NULL: purpose, called_us, waited_us for what answers no call; decided_by when the record names no decider; robot,
+--   capability, action_id and the principals when the decision is about none in particular
 -- Example: fsar-ledger query audit/supervisor_decisions LEDGER --param supervisor=supervisor/fleet
 --   answers recovery of A1-1/4.1, called at 84.854 s, decided at 124.92 s
 -- Parameters: run = all, supervisor = all
@@ -21,29 +23,58 @@ WITH decided AS (
         capability,
         CASE WHEN type = 'SupervisorResponded.v1' THEN purpose END AS purpose,
         CASE type
-            WHEN 'SupervisorResponded.v1' THEN CASE WHEN approves = FALSE THEN 'disapproved' ELSE coalesce('first ' || preferred, 'approved') END
+            WHEN
+                'SupervisorResponded.v1'
+                THEN CASE WHEN approves = FALSE THEN 'disapproved' ELSE coalesce('first ' || preferred, 'approved') END
             WHEN 'RoleTrustSet.v1' THEN role || ' to ' || peer_role || ' ' || scope || coalesce(' in ' || context, '')
             WHEN 'TrustSet.v1' THEN peer || ' ' || scope || coalesce(' in ' || context, '')
-            WHEN 'TrustThresholdsSet.v1' THEN 'promote after ' || promote_after || ', downgrade after ' || downgrade_after
+            WHEN
+                'TrustThresholdsSet.v1'
+                THEN 'promote after ' || promote_after || ', downgrade after ' || downgrade_after
             WHEN 'PolicyRuleSet.v1' THEN scope || ' ' || outcome || coalesce(' in ' || context, '')
             WHEN 'RolePolicyRuleSet.v1'
-                THEN role || coalesce(' of ' || nullif(domain, ''), '') || ' ' || scope || ' ' || outcome || coalesce(' in ' || context, '')
+                THEN
+                    role
+                    || coalesce(' of ' || nullif(domain, ''), '')
+                    || ' '
+                    || scope
+                    || ' '
+                    || outcome
+                    || coalesce(' in ' || context, '')
             WHEN 'SupervisionDensitySet.v1' THEN 'review every ' || review_every
             WHEN 'AuthorityGranted.v1' THEN 'up to ' || override
             WHEN 'AuthorityRevoked.v1' THEN reason
             WHEN 'RecoveryBudgetSet.v1' THEN level || ' ' || n_max || ' in ' || t_max_us || ' us'
         END AS decision
     FROM events
-    WHERE (type = 'SupervisorResponded.v1' OR starts_with(decided_by, 'supervisor/')) AND $run IN ('all', run_id) AND $supervisor IN ('all', decided_by)
+    WHERE
+        (type = 'SupervisorResponded.v1' OR starts_with(decided_by, 'supervisor/'))
+        AND $run IN ('all', run_id)
+        AND $supervisor IN ('all', decided_by)
 ),
 
 answered AS (
     SELECT
-        decided.*,
+        decided.run_id,
+        decided.seq,
+        decided.decided_us,
+        decided.type,
+        decided.decided_by,
+        decided.action_id,
+        decided.requested_by,
+        decided.executed_by,
+        decided.robot,
+        decided.capability,
+        decided.purpose,
+        decided.decision,
         max(calls.time_us) AS called_us
     FROM decided
     LEFT JOIN supervisor_called AS calls
-        ON decided.run_id = calls.run_id AND decided.action_id = calls.action_id AND decided.purpose = calls.purpose AND decided.seq > calls.seq
+        ON
+            decided.run_id = calls.run_id
+            AND decided.action_id = calls.action_id
+            AND decided.purpose = calls.purpose
+            AND decided.seq > calls.seq
     GROUP BY ALL
 )
 

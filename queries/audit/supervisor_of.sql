@@ -1,6 +1,7 @@
 -- Title: Who supervised an action, by its records, and whether that supervisor was on shift
 -- Paper: eq:supervision
 -- Grain: one row per run, action and supervisor that its coordination events name
+-- Key: run_id, action_id, supervised_by?
 -- Units: first_us, last_us microseconds of run time; records and records_off_shift events
 -- NULL: supervised_by for the records that name no supervisor; records_off_shift for these, too
 -- Example: fsar-ledger query audit/supervisor_of LEDGER --param run=RUN --param action=B1-1/2.1
@@ -12,7 +13,7 @@ WITH shifts AS (
         seq,
         supervisor,
         type = 'SupervisorLeft.v1' AS is_off
-    FROM events
+    FROM supervision_events AS events
     WHERE type IN ('SupervisorLeft.v1', 'SupervisorReturned.v1')
 ),
 

@@ -1,21 +1,41 @@
 -- Title: The trust in force at a time
 -- Paper: eq:trust
--- Grain: one row per run, ordered pair of robots and entry about it that had been set by then; asked about a capability or context, only the one that holds
--- Units: since_us (not before both were members), until_us, at_us microseconds of run time, half-open; the default time is after the end of every run
--- NULL: role, peer_role, domain of an entry about the very pair; capability, context when the entry is about all of them; until_us when it was not set
---   again; set_by for what the fleet was founded with; a pair without a row had no trust
--- Example: fsar-ledger query audit/trust_at LEDGER --param run=RUN --param robot=robot/B1 --param peer=robot/A1 --param at_us=30000000
---   answers robot/B1 trusts robot/A1 with scope task since 0, as every robot of role B trusts those of role A, for every capability and context
+-- Grain: one row per run, ordered pair of robots and entry about it that had been set by then; asked about a capability
+--   or context, only the one that holds
+-- Key: run_id, robot, peer, role?, peer_role?, domain?, capability?, context?
+-- Units: since_us (not before both were members), until_us, at_us microseconds of run time, half-open; the default time
+--   is after the end of every run
+-- NULL: role, peer_role, domain of an entry about the very pair; capability, context when the entry is about all of
+--   them; until_us when it was not set again; set_by for what the fleet was founded with; a pair without a row had no
+--   trust
+-- Example: fsar-ledger query audit/trust_at LEDGER --param run=RUN --param robot=robot/B1 --param peer=robot/A1
+--   --param at_us=30000000
+--   answers robot/B1 trusts robot/A1 with scope task since 0, as every robot of role B trusts those of role A, for
+--   every capability and context
 -- Parameters: run = all, robot = all, peer = all, capability = all, context = all, at_us = 9007199254740991
 WITH entries AS (
     SELECT
-        found.* EXCLUDE (robot, peer) REPLACE (greatest(found.since_us, trusting.joined_us, trusted.joined_us) AS since_us),
+        found.run_id,
+        found.role,
+        found.peer_role,
+        found.domain,
+        found.capability,
+        found.context,
+        greatest(found.since_us, trusting.joined_us, trusted.joined_us) AS since_us,
+        found.until_us,
+        found.trust_scope,
+        found.set_by,
+        found.reason,
+        found.precedence,
+        found.seq,
         trusting.robot,
         trusted.robot AS peer,
         $capability = 'all' AND $context = 'all' AS is_listed
     FROM trust_in_force AS found
-    INNER JOIN trust_parties AS trusting ON found.run_id = trusting.run_id AND found.seq = trusting.seq AND trusting.is_trusting
-    INNER JOIN trust_parties AS trusted ON found.run_id = trusted.run_id AND found.seq = trusted.seq AND NOT trusted.is_trusting
+    INNER JOIN trust_parties AS trusting
+        ON found.run_id = trusting.run_id AND found.seq = trusting.seq AND trusting.is_trusting
+    INNER JOIN trust_parties AS trusted
+        ON found.run_id = trusted.run_id AND found.seq = trusted.seq AND NOT trusted.is_trusting
     WHERE
         $run IN ('all', found.run_id)
         AND $robot IN ('all', trusting.robot)

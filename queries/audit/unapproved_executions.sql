@@ -1,6 +1,7 @@
 -- Title: Executions without an approval although a review was in force
 -- Paper: eq:policy, sec:evaluation:metrics (policy violations)
 -- Grain: one row per execution or motion that began in a review and had no earlier approval of its action
+-- Key: run_id, seq
 -- Units: started_us, called_us microseconds of run time
 -- NULL: action_id and on_behalf_of for a motion; called_us when no supervisor had been asked to review it before
 -- Example: fsar-ledger query audit/unapproved_executions LEDGER --param run=RUN
@@ -16,6 +17,10 @@ SELECT
     min(calls.time_us) AS called_us
 FROM governed_starts AS starts
 LEFT JOIN supervisor_called AS calls
-    ON starts.run_id = calls.run_id AND starts.action_id = calls.action_id AND starts.seq > calls.seq AND calls.purpose = 'review'
+    ON
+        starts.run_id = calls.run_id
+        AND starts.action_id = calls.action_id
+        AND starts.seq > calls.seq
+        AND calls.purpose = 'review'
 WHERE starts.outcome = 'review' AND NOT starts.is_approved AND $run IN ('all', starts.run_id)
 GROUP BY ALL

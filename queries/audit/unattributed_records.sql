@@ -1,6 +1,7 @@
 -- Title: The unattributed records of a run, by kind, and which principal each kind lacks
 -- Paper: sec:evaluation:metrics (audit attributability), sec:model:invariants (I5)
 -- Grain: one row per run and kind of record of which some record is not attributable
+-- Key: run_id, record_kind
 -- Units: records, and those of them that lack a principal, also by way of their action
 -- NULL: never
 -- Example: fsar-ledger query audit/unattributed_records LEDGER --param run=RUN

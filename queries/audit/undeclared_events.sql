@@ -1,11 +1,15 @@
 -- Title: Events that contradict what their run says it observes
 -- Paper: sec:evaluation:metrics
--- Grain: one row per event of a concern that its run does not observe, and per concern that a run observes and nobody knows
+-- Grain: one row per event of a concern that its run does not observe, and per concern that a run observes and nobody
+--   knows
+-- Key: run_id, seq?, concern
 -- Units: none
 -- NULL: seq, type of a concern that nobody knows
 -- Example: fsar-ledger query audit/undeclared_events LEDGER
---   answers nothing for a ledger that verifies; else run, seq and concern of each event that its run says it does not observe
--- Whoever reads such a run is told that these things were not observed, and then meets some: either the declaration is wrong or the events are.
+--   answers nothing for a ledger that verifies; else run, seq and concern of each event that its run says it does not
+--   observe
+-- Whoever reads such a run is told that these things were not observed, and then meets some: either the declaration is
+-- wrong or the events are.
 WITH named AS (
     SELECT
         run_id,
@@ -18,7 +22,7 @@ SELECT
     events.seq,
     events.type,
     event_concerns.concern
-FROM events
+FROM event_principals AS events
 INNER JOIN event_concerns ON events.type = event_concerns.type
 INNER JOIN runs ON events.run_id = runs.run_id
 WHERE NOT list_contains(coalesce(runs.observes, []), event_concerns.concern)

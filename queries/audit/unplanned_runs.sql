@@ -1,11 +1,13 @@
 -- Title: Runs that no plan names
 -- Paper: sec:evaluation:setup
 -- Grain: one row per such run
+-- Key: run_id
 -- Units: fleet_size robots
 -- NULL: never
 -- Example: fsar-ledger query audit/unplanned_runs LEDGER
 --   answers one row for each live run, and for each run from before plans were on record
--- Live runs are never planned; ledgers from before plans were recorded have none. Whether such runs are all that was meant, nothing in a ledger says.
+-- Live runs are never planned; ledgers from before plans were recorded have none. Whether such runs are all that was
+-- meant, nothing in a ledger says.
 SELECT
     runs.run_id,
     runs.kind,

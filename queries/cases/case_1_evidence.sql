@@ -1,6 +1,8 @@
--- Title: Case 1, request by request: which requests without trust discovered a capability that was not visible to them, were put to a robot, were executed
+-- Title: Case 1, request by request: which requests without trust discovered a capability that was not visible to them,
+--   were put to a robot, were executed
 -- Paper: sec:evaluation:qualitative (case 1)
 -- Grain: one row per claim and injected request of the scenario of which the record says what came of it
+-- Key: run_id, claim, seq
 -- Units: counted 1 or 0; seq the injection, evidence the event that makes it count, positions in the run
 -- NULL: never; evidence is empty where it does not count
 -- Example: fsar-ledger query cases/case_1_evidence LEDGER
@@ -21,16 +23,24 @@ followed AS (
         injected.seq,
         injected.action_id,
         min(events.seq) FILTER (
-            events.type IN ('RequestIssued.v1', 'RequestAdmitted.v1', 'CommandIssued.v1', 'ExecutionStarted.v1') OR len(events.candidates) > 0
+            events.type IN ('RequestIssued.v1', 'RequestAdmitted.v1', 'CommandIssued.v1', 'ExecutionStarted.v1')
+            OR len(queries.candidates) > 0
         ) AS discovered_seq,
-        min(events.seq) FILTER (events.type IN ('RequestIssued.v1', 'RequestAdmitted.v1', 'CommandIssued.v1', 'ExecutionStarted.v1')) AS attempted_seq,
+        min(events.seq) FILTER (
+            events.type IN ('RequestIssued.v1', 'RequestAdmitted.v1', 'CommandIssued.v1', 'ExecutionStarted.v1')
+        ) AS attempted_seq,
         min(events.seq) FILTER (events.type = 'ExecutionStarted.v1') AS executed_seq
     FROM injected
-    INNER JOIN keyed_events ON injected.run_id = keyed_events.run_id AND injected.action_id = keyed_events.action_id
-    INNER JOIN events ON keyed_events.run_id = events.run_id AND keyed_events.seq = events.seq
+    INNER JOIN keyed_events AS events ON injected.run_id = events.run_id AND injected.action_id = events.action_id
+    LEFT JOIN registry_queried AS queries ON events.run_id = queries.run_id AND events.seq = queries.seq
     WHERE
         events.type IN (
-            'RegistryQueried.v1', 'RequestIssued.v1', 'RequestUnanswered.v1', 'RequestAdmitted.v1', 'RequestDenied.v1', 'CommandIssued.v1',
+            'RegistryQueried.v1',
+            'RequestIssued.v1',
+            'RequestUnanswered.v1',
+            'RequestAdmitted.v1',
+            'RequestDenied.v1',
+            'CommandIssued.v1',
             'ExecutionStarted.v1'
         )
     GROUP BY injected.run_id, injected.seq, injected.action_id

@@ -1,10 +1,15 @@
--- Title: Case 2, run by run: whether the robot contains its failures by itself, gives them to the coordinator at once, or disputes who recovers
+-- Title: Case 2, run by run: whether the robot contains its failures by itself, gives them to the coordinator at once,
+--   or disputes who recovers
 -- Paper: sec:evaluation:qualitative (case 2), sec:model:recovery
--- Grain: one row per claim and run of the scenario with a failure; the claims on degradation look only at failures of worn actuators of robots of role D
--- Units: counted 1 or 0; seq the first failure, evidence where it counts the failures, for a loop the claims and the escalation: positions in the run
+-- Grain: one row per claim and run of the scenario with a failure; the claims on degradation look only at failures of
+--   worn actuators of robots of role D
+-- Key: run_id, claim
+-- Units: counted 1 or 0; seq the first failure, evidence where it counts the failures, for a loop the claims and the
+--   escalation: positions in the run
 -- NULL: never
 -- Example: fsar-ledger query cases/case_2_evidence LEDGER
--- A loop needs claims of two agents at once to override the failed action, one of an agent that recovers it, and an escalation after that (R46).
+-- A loop needs claims of two agents at once to override the failed action, one of an agent that recovers it, and an
+-- escalation after that (R46).
 WITH told AS (
     SELECT
         failures.run_id,
@@ -41,13 +46,22 @@ loops AS (
     INNER JOIN acted ON told.run_id = acted.run_id AND told.action_id = acted.action_id AND told.failure = acted.failure
     INNER JOIN claims AS recovering
         ON
-            told.run_id = recovering.run_id AND told.action_id = recovering.action_id AND recovering.dimension = 'override'
-            AND told.seq < recovering.seq AND acted.escalated_seq > recovering.seq AND list_contains(acted.deciders, recovering.claimant)
+            told.run_id = recovering.run_id
+            AND told.action_id = recovering.action_id
+            AND recovering.dimension = 'override'
+            AND told.seq < recovering.seq
+            AND acted.escalated_seq > recovering.seq
+            AND list_contains(acted.deciders, recovering.claimant)
     INNER JOIN claims AS other
         ON
-            recovering.run_id = other.run_id AND recovering.action_id = other.action_id AND recovering.dimension = other.dimension
-            AND recovering.claimant <> other.claimant AND starts_with(recovering.claimant, 'agent/') AND starts_with(other.claimant, 'agent/')
-            AND coalesce(recovering.ended_us > other.began_us, TRUE) AND coalesce(recovering.began_us < other.ended_us, TRUE)
+            recovering.run_id = other.run_id
+            AND recovering.action_id = other.action_id
+            AND recovering.dimension = other.dimension
+            AND recovering.claimant <> other.claimant
+            AND starts_with(recovering.claimant, 'agent/')
+            AND starts_with(other.claimant, 'agent/')
+            AND coalesce(recovering.ended_us > other.began_us, TRUE)
+            AND coalesce(recovering.began_us < other.ended_us, TRUE)
     GROUP BY told.run_id, told.seq
 ),
 
@@ -58,7 +72,11 @@ judged AS (
         coalesce(told.is_worn, FALSE) AS is_worn,
         unnest(['contained locally', 'escalated at once', 'recovery loop']) AS claim,
         unnest([
-            coalesce(told.is_local AND len(list_filter(acted.deciders, LAMBDA one: NOT regexp_matches(one, '^(robot|agent)/'))) = 0, FALSE),
+            coalesce(
+                told.is_local
+                AND len(list_filter(acted.deciders, LAMBDA one: NOT regexp_matches(one, '^(robot|agent)/'))) = 0,
+                FALSE
+            ),
             coalesce(NOT regexp_matches(acted.first_by, '^(robot|agent|supervisor)/'), FALSE),
             loops.seq IS NOT NULL
         ]) AS is_so,
@@ -73,7 +91,13 @@ SELECT
     claim || suffix.suffix AS claim,
     min(seq) AS seq,
     (CASE claim WHEN 'recovery loop' THEN bool_or(is_so) ELSE bool_and(is_so) END)::BIGINT AS counted,
-    if(claim = 'recovery loop' OR bool_and(is_so), list_sort(list_distinct(flatten(coalesce(list(evidence) FILTER (is_so), [])))), []) AS evidence
+    if(
+        claim = 'recovery loop' OR bool_and(is_so),
+        list_sort(list_distinct(flatten(coalesce(list(evidence) FILTER (is_so), [])))),
+        []
+    ) AS evidence
 FROM judged
-INNER JOIN (VALUES ('', FALSE), (' (degradation)', TRUE)) AS suffix (suffix, needs_wear) ON judged.is_worn OR NOT suffix.needs_wear
+INNER JOIN
+    (VALUES ('', FALSE), (' (degradation)', TRUE)) AS suffix (suffix, needs_wear)
+ON judged.is_worn OR NOT suffix.needs_wear
 GROUP BY run_id, claim, suffix.suffix

@@ -1,19 +1,24 @@
 -- Title: Case 3, run by run: conflicts over the capability that two tasks want at once, and calls to H_F to order them
 -- Paper: sec:evaluation:qualitative (case 3)
--- Grain: one row per claim and run of the scenario in which steps of two tasks that need door.open.secure are open at the same time
--- Units: counted conflicts, or 1 and 0 for the claim on H_F; seq the step that came second, evidence the claims that made the conflicts, and for H_F
---        the calls: positions in the run
+-- Grain: one row per claim and run of the scenario in which steps of two tasks that need door.open.secure are open at
+--   the same time
+-- Key: run_id, claim
+-- Units: counted conflicts, or 1 and 0 for the claim on H_F; seq the step that came second, evidence the claims that
+--   made the conflicts, and for H_F the calls: positions in the run
 -- NULL: never; evidence is empty where nothing is counted
 -- Example: fsar-ledger query cases/case_3_evidence LEDGER
--- A step is open until its task turns to another or ends. Conflicts that the other task has no part in count, too (R46).
+-- A step is open until its task turns to another or ends. Conflicts that the other task has no part in count, too
+-- (R46).
 WITH turns AS (
     SELECT
         events.run_id,
         events.action_id,
         events.capability,
         events.seq,
-        coalesce(lead(events.seq) OVER (PARTITION BY events.run_id, events.task_id ORDER BY events.seq), 9223372036854775807) AS until_seq
-    FROM events
+        coalesce(
+            lead(events.seq) OVER (PARTITION BY events.run_id, events.task_id ORDER BY events.seq), 9223372036854775807
+        ) AS until_seq
+    FROM task_events AS events
     INNER JOIN runs ON events.run_id = runs.run_id
     WHERE runs.scenario = 'fleet-contention' AND events.type IN ('StepBegan.v1', 'TaskCompleted.v1', 'TaskAbandoned.v1')
 ),
@@ -44,7 +49,9 @@ found AS (
     INNER JOIN conflicts ON wanted.run_id = conflicts.run_id AND wanted.action_id = conflicts.action_id
     INNER JOIN claims
         ON
-            conflicts.run_id = claims.run_id AND conflicts.action_id = claims.action_id AND conflicts.dimension = claims.dimension
+            conflicts.run_id = claims.run_id
+            AND conflicts.action_id = claims.action_id
+            AND conflicts.dimension = claims.dimension
             AND conflicts.began_us = claims.began_us
     GROUP BY conflicts.run_id, conflicts.action_id, conflicts.dimension
 ),
@@ -72,7 +79,8 @@ SELECT
     contended.run_id,
     claims.claim,
     contended.seq,
-    CASE claims.claim WHEN 'conflict for H_F' THEN (count(sorted.seq) > 0)::BIGINT ELSE count(sorted.seq) END AS counted,
+    CASE claims.claim WHEN 'conflict for H_F' THEN (count(sorted.seq) > 0)::BIGINT ELSE count(sorted.seq) END
+        AS counted,
     list_sort(coalesce(list(DISTINCT sorted.seq) FILTER (sorted.seq IS NOT NULL), [])) AS evidence
 FROM contended
 CROSS JOIN (VALUES ('conflicts'), ('conflicts over execution'), ('conflict for H_F')) AS claims (claim)

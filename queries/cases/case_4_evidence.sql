@@ -1,11 +1,15 @@
--- Title: Case 4, handoff by handoff: coordination events from the gap to the result, which of them no principal can be named for, and internal messages
+-- Title: Case 4, handoff by handoff: coordination events from the gap to the result, which of them no principal can be
+--   named for, and internal messages
 -- Paper: sec:evaluation:qualitative (case 4), sec:evaluation:metrics (audit attributability)
--- Grain: one row per claim and handoff of the scenario: an action that a robot of role A asks one of role D to do and whose execution has ended
--- Units: counted coordination events; seq where the step began, evidence the events that are counted: positions in the run
+-- Grain: one row per claim and handoff of the scenario: an action that a robot of role A asks one of role D to do and
+--   whose execution has ended
+-- Key: run_id, claim, seq
+-- Units: counted coordination events; seq where the step began, evidence the events that are counted: positions in the
+--   run
 -- NULL: never; evidence is empty where nothing is counted
 -- Example: fsar-ledger query cases/case_4_evidence LEDGER
--- A record belongs to the action that it names, else to that of its nearest cause that names one. The chain of the paper ends with the result and knows
--- no disturbance: records of failures and of new plans are not counted (R46).
+-- A record belongs to the action that it names, else to that of its nearest cause that names one. The chain of the
+-- paper ends with the result and knows no disturbance: records of failures and of new plans are not counted (R46).
 WITH RECURSIVE handoffs AS (
     SELECT
         begun.run_id,
@@ -22,7 +26,7 @@ WITH RECURSIVE handoffs AS (
 
 chronicle AS (
     SELECT *
-    FROM events
+    FROM event_principals
     WHERE run_id IN (SELECT handoffs.run_id FROM handoffs)
 ),
 
@@ -36,7 +40,11 @@ records AS (
         CASE
             WHEN chronicle.sender IS NULL THEN 'chain'
             WHEN coalesce(robots.role, '') <> 'D' THEN 'elsewhere'
-            WHEN regexp_matches(chronicle.sender || chronicle.receiver, '/(communication.*/planning|planning.*/execution)$') THEN 'inward'
+            WHEN
+                regexp_matches(
+                    chronicle.sender || chronicle.receiver, '/(communication.*/planning|planning.*/execution)$'
+                )
+                THEN 'inward'
             ELSE 'internal'
         END AS kind
     FROM coordination_events AS judged
@@ -55,7 +63,13 @@ ties AS (
         caused_by
     FROM records
     UNION ALL
-    SELECT ties.* REPLACE (causes.action_id AS action_id, causes.caused_by AS caused_by)
+    SELECT
+        ties.run_id,
+        ties.seq,
+        ties.kind,
+        ties.is_attributable,
+        causes.action_id,
+        causes.caused_by
     FROM ties
     INNER JOIN chronicle AS causes ON ties.run_id = causes.run_id AND ties.caused_by = causes.seq
     WHERE ties.action_id IS NULL

@@ -1,10 +1,13 @@
 -- Title: The claims of the paper's four cases, and the number of each
 -- Paper: sec:evaluation:qualitative
--- Grain: one row per claim, architecture, configuration, seed and setting (kind, source, model version, constants, fleet size): runs of different ones
---        are never in one row
--- Units: numerator what is counted, denominator of how many, as of_how_many says; value their ratio: a share of runs or requests, or conflicts a run, or
---        events a handoff; runs of the scenario, runs_with_case those with a case, runs_not_observed those of which it cannot be told, counted nowhere else
--- NULL: value where no case arose; numerator and denominator where no run of the scenario observes what the claim rests on; what the runs do not have
+-- Grain: one row per claim, architecture, configuration, seed and setting (kind, source, model version, constants,
+--   fleet size): runs of different ones are never in one row
+-- Key: claim, architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?
+-- Units: numerator what is counted, denominator of how many, as of_how_many says; value their ratio: a share of runs or
+--   requests, or conflicts a run, or events a handoff; runs of the scenario, runs_with_case those with a case,
+--   runs_not_observed those of which it cannot be told, counted nowhere else
+-- NULL: value where no case arose; numerator and denominator where no run of the scenario observes what the claim rests
+--   on; what the runs do not have
 -- Example: fsar-ledger query cases/case_claims LEDGER
 WITH judged AS (
     SELECT
@@ -18,10 +21,27 @@ WITH judged AS (
 
 cells AS (
     SELECT
-        definitions.*,
-        runs.* EXCLUDE (scenario),
-        settings.* EXCLUDE (run_id),
-        judged.* EXCLUDE (run_id, claim),
+        definitions.position,
+        definitions.case_number,
+        definitions.claim,
+        definitions.is_taken,
+        definitions.counted,
+        definitions.of_how_many,
+        definitions.scenario,
+        definitions.judge,
+        runs.run_id,
+        runs.kind,
+        runs.seed,
+        runs.architecture,
+        runs.configuration,
+        runs.fleet_size,
+        runs.model_version,
+        runs.source,
+        settings.kind,
+        settings.setting,
+        settings.constants,
+        judged.numerator,
+        judged.denominator,
         coalesce(runs.scenario = definitions.scenario AND hidden.run_id IS NULL, FALSE) AS is_judged,
         coalesce(runs.scenario = definitions.scenario AND hidden.run_id IS NOT NULL, FALSE) AS is_hidden
     FROM case_definitions AS definitions
@@ -54,12 +74,41 @@ counts AS (
         sum(denominator) FILTER (is_judged)::BIGINT AS denominator
     FROM cells
     GROUP BY
-        case_number, position, claim, is_taken, counted, of_how_many, architecture, configuration, fleet_size, seed, setting, kind, source, model_version,
+        case_number,
+        position,
+        claim,
+        is_taken,
+        counted,
+        of_how_many,
+        architecture,
+        configuration,
+        fleet_size,
+        seed,
+        setting,
+        kind,
+        source,
+        model_version,
         constants
 )
 
 SELECT
-    * EXCLUDE (numerator, denominator),
+    case_number,
+    position,
+    claim,
+    is_taken,
+    counted,
+    of_how_many,
+    architecture,
+    configuration,
+    fleet_size,
+    seed,
+    kind,
+    source,
+    model_version,
+    constants,
+    runs,
+    runs_with_case,
+    runs_not_observed,
     CASE WHEN runs > 0 THEN coalesce(numerator, 0) END AS numerator,
     CASE WHEN runs > 0 THEN coalesce(denominator, 0) END AS denominator,
     numerator / denominator AS value

@@ -1,6 +1,8 @@
 -- Title: What robots advertise, on which terms, from when to when
 -- Paper: eq:adv, sec:architecture:registry
--- Grain: one row per run, robot, capability and period in which its advertisement stood unchanged; none while it is not advertised
+-- Grain: one row per run, robot, capability and period in which its advertisement stood unchanged; none while it is not
+--   advertised
+-- Key: run_id, robot, capability, since_seq
 -- Units: since_us, until_us microseconds of run time, half-open; since_seq the event that began the period
 -- NULL: until_us and until_seq for what stands to the end of the run; successor unless a deprecation names one
 -- Example: fsar-ledger query facts/advertisements LEDGER
@@ -15,12 +17,30 @@ WITH offered AS (
 changes AS (
     -- A report of availability without a capability is about all that the robot advertises.
     SELECT
-        events.* EXCLUDE (capability),
+        events.run_id,
+        events.seq,
+        events.time_us,
+        events.type,
+        events.availability,
+        events.embodiment,
+        events.override_allowed,
+        events.policy_required,
+        events.postconditions,
+        events.preconditions,
+        events.resources,
+        events.robot,
+        events.successor,
+        events.trust_required,
+        events.version,
+        events.visibility,
+        events.visible_to,
         offered.capability,
         events.type IN ('CapabilityAdvertised.v1', 'CapabilityWithdrawn.v1', 'CapabilityRemoved.v1') AS is_new,
-        count_if(is_new) OVER (PARTITION BY offered.run_id, offered.robot, offered.capability ORDER BY events.seq) AS stand
+        count_if(is_new)
+            OVER (PARTITION BY offered.run_id, offered.robot, offered.capability ORDER BY events.seq)
+            AS stand
     FROM offered
-    INNER JOIN events
+    INNER JOIN registry_events AS events
         ON
             offered.run_id = events.run_id AND offered.robot = events.robot
             AND (events.capability IS NULL OR offered.capability = events.capability)
@@ -44,11 +64,16 @@ terms AS (
         first_value(coalesce(trust_required, 'capability')) OVER terms AS trust_required,
         first_value(policy_required) OVER terms AS policy_required,
         first_value(coalesce(override_allowed, 'none')) OVER terms AS override_allowed,
-        last_value(CASE WHEN is_new THEN coalesce(availability, 'ready') ELSE availability END IGNORE NULLS) OVER terms AS availability,
+        last_value(CASE WHEN is_new THEN coalesce(availability, 'ready') ELSE availability END IGNORE NULLS)
+            OVER terms
+            AS availability,
         first_value(embodiment) OVER terms AS embodiment,
         first_value(coalesce(visibility, 'global')) OVER terms AS visibility,
         first_value(visible_to) OVER terms AS visible_to,
-        coalesce(list_contains(list(CASE WHEN NOT is_new THEN version END) OVER terms, first_value(version) OVER terms), FALSE) AS is_deprecated,
+        coalesce(
+            list_contains(list(CASE WHEN NOT is_new THEN version END) OVER terms, first_value(version) OVER terms),
+            FALSE
+        ) AS is_deprecated,
         last_value(successor IGNORE NULLS) OVER terms AS successor
     FROM changes
     WINDOW

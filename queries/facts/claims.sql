@@ -1,6 +1,7 @@
 -- Title: Claims of authority, from when to when
 -- Paper: eq:auth
 -- Grain: one row per AuthorityClaimed event
+-- Key: run_id, seq
 -- Units: began_us, ended_us microseconds of run time, half-open: a claim no longer holds at ended_us
 -- NULL: ended_us when the claim was never released; task_id when the claim is about no task
 -- Example: fsar-ledger query facts/claims LEDGER
@@ -15,13 +16,21 @@ WITH edges AS (
         dimension,
         claimant,
         reason
-    FROM events
+    FROM authority_events
     WHERE type IN ('AuthorityClaimed.v1', 'AuthorityReleased.v1')
 ),
 
 paired AS (
     SELECT
-        *,
+        run_id,
+        seq,
+        time_us,
+        type,
+        task_id,
+        action_id,
+        dimension,
+        claimant,
+        reason,
         -- The first later release, whatever claims lie between: a claim that is repeated ends with the one before it.
         first_value(CASE WHEN type = 'AuthorityReleased.v1' THEN time_us END IGNORE NULLS) OVER (
             PARTITION BY run_id, action_id, dimension, claimant, reason

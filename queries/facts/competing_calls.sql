@@ -1,8 +1,10 @@
 -- Title: Calls to a supervisor to order two actions, and the answers, for the action that competes
 -- Paper: sec:prototype:workflows (Workflow 3), eq:supervision
 -- Grain: one row per SupervisorCalled event that names a competing action, and per answer to it
+-- Key: run_id, seq, action_id
 -- Units: none
--- NULL: never; action_id is the competing action, while the event itself names the action for which the supervisor was called
+-- NULL: never; action_id is the competing action, while the event itself names the action for which the supervisor was
+--   called
 -- Example: fsar-ledger query facts/competing_calls LEDGER
 WITH calls AS (
     SELECT
@@ -26,4 +28,8 @@ SELECT
     calls.action_id
 FROM calls
 INNER JOIN supervisor_responded AS answers
-    ON calls.run_id = answers.run_id AND calls.called_for = answers.action_id AND calls.seq < answers.seq AND answers.purpose = 'ordering'
+    ON
+        calls.run_id = answers.run_id
+        AND calls.called_for = answers.action_id
+        AND calls.seq < answers.seq
+        AND answers.purpose = 'ordering'

@@ -1,18 +1,29 @@
 -- Title: Authority conflicts: two or more principals hold one dimension of an action at once
 -- Paper: sec:evaluation:metrics (authority conflict)
 -- Grain: one row per run, action and dimension in which claims of distinct principals overlap, however many pairs
+-- Key: run_id, action_id, dimension
 -- Units: began_us microseconds of run time, when the first overlap begins
 -- NULL: never
 -- Example: fsar-ledger query facts/conflicts LEDGER
 WITH swept AS (
-    -- In order of beginning, each beside the claim before it that lasts longest: where that is the claimant's own, no other can hold, or a conflict
-    -- had begun before.
+    -- In order of beginning, each beside the claim before it that lasts longest: where that is the claimant's own, no
+    -- other can hold, or a conflict had begun before.
     SELECT
-        *,
+        run_id,
+        seq,
+        action_id,
+        dimension,
+        claimant,
+        began_us,
+        ended_us,
         max(ended_us) OVER earlier AS held_until_us,
         arg_max(claimant, ended_us) OVER earlier AS holder
     FROM held_claims
-    WINDOW earlier AS (PARTITION BY run_id, action_id, dimension ORDER BY began_us, seq ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING)
+    WINDOW
+        earlier AS (
+            PARTITION BY run_id, action_id, dimension
+            ORDER BY began_us, seq ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING
+        )
 )
 
 SELECT

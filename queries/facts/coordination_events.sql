@@ -1,9 +1,10 @@
 -- Title: Coordination events, and which principals each lets an auditor recover
 -- Paper: sec:evaluation:metrics (audit attributability)
 -- Grain: one row per event of a coordination type
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
--- NULL: decided_by, or a principal, that the row itself does not record; action_id when the record is not correlated with an action; part_of when it
---       names no robot
+-- NULL: decided_by, or a principal, that the row itself does not record; action_id when the record is not correlated
+--   with an action; part_of when it names no robot
 -- Example: fsar-ledger query facts/coordination_events LEDGER
 WITH classified AS (
     SELECT
@@ -30,7 +31,7 @@ WITH classified AS (
                 events.requested_by
             )
         END AS part_of
-    FROM events
+    FROM event_principals AS events
     INNER JOIN event_classes ON events.type = event_classes.type
 ),
 
@@ -49,12 +50,33 @@ parts AS (
 
 judged AS (
     SELECT
-        records.*,
-        records.requested_by IS NOT NULL OR NOT records.requires_origin OR coalesce(parts.has_origin, FALSE) AS has_origin,
-        records.executed_by IS NOT NULL OR NOT records.requires_executor OR coalesce(parts.has_executor, FALSE) AS has_executor,
-        records.supervised_by IS NOT NULL OR NOT records.requires_supervisor OR coalesce(parts.has_supervisor, FALSE) AS has_supervisor
+        records.run_id,
+        records.seq,
+        records.time_us,
+        records.type,
+        records.record_kind,
+        records.task_id,
+        records.action_id,
+        records.decided_by,
+        records.requested_by,
+        records.executed_by,
+        records.supervised_by,
+        records.requires_origin,
+        records.requires_executor,
+        records.requires_supervisor,
+        records.part_of,
+        records.requested_by IS NOT NULL
+        OR NOT records.requires_origin
+        OR coalesce(parts.has_origin, FALSE) AS has_origin,
+        records.executed_by IS NOT NULL
+        OR NOT records.requires_executor
+        OR coalesce(parts.has_executor, FALSE) AS has_executor,
+        records.supervised_by IS NOT NULL
+        OR NOT records.requires_supervisor
+        OR coalesce(parts.has_supervisor, FALSE) AS has_supervisor
     FROM classified AS records
-    LEFT JOIN parts ON records.run_id = parts.run_id AND records.action_id = parts.action_id AND records.part_of = parts.part_of
+    LEFT JOIN parts
+        ON records.run_id = parts.run_id AND records.action_id = parts.action_id AND records.part_of = parts.part_of
     WHERE records.record_kind IS NOT NULL
 )
 

@@ -1,16 +1,28 @@
 -- Title: Starts and ends of executions for another robot, and who had begun what ends
 -- Paper: sec:architecture:invariants (A5), eq:request
--- Grain: one row per start for another robot, and per end of what was started for another robot or by another one than ends it
+-- Grain: one row per start for another robot, and per end of what was started for another robot or by another one than
+--   ends it
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time; next_seq position of the next step or end of its task
--- NULL: principals that the record does not name; began_by, on_behalf_of of an end without a start; next_seq of a start, and where nothing follows
+-- NULL: principals that the record does not name; began_by, on_behalf_of of an end without a start; next_seq of a
+--   start, and where nothing follows
 -- Example: fsar-ledger query facts/cross_robot_records LEDGER
 WITH finished AS (
     SELECT
-        done.*,
+        done.run_id,
+        done.seq,
+        done.time_us,
+        done.task_id,
+        done.action_id,
+        done.requested_by,
+        done.executed_by,
+        done.supervised_by,
+        done.robot,
         starts.robot AS began_by,
         starts.on_behalf_of
     FROM execution_finished AS done
-    ASOF LEFT JOIN execution_started AS starts ON done.run_id = starts.run_id AND done.action_id = starts.action_id AND done.seq > starts.seq
+    ASOF LEFT JOIN execution_started AS starts
+        ON done.run_id = starts.run_id AND done.action_id = starts.action_id AND done.seq > starts.seq
 ),
 
 progress AS (
@@ -18,18 +30,29 @@ progress AS (
         run_id,
         seq,
         task_id
-    FROM events
+    FROM task_events
     WHERE type IN ('StepBegan.v1', 'StepCompleted.v1', 'TaskCompleted.v1', 'TaskAbandoned.v1')
 ),
 
 ends AS (
     -- What is no step of a task, such as a request of a robot's own accord, has no next step to wait for it.
     SELECT
-        finished.*,
+        finished.run_id,
+        finished.seq,
+        finished.time_us,
+        finished.task_id,
+        finished.action_id,
+        finished.requested_by,
+        finished.executed_by,
+        finished.supervised_by,
+        finished.robot,
+        finished.began_by,
+        finished.on_behalf_of,
         CASE WHEN steps.run_id IS NOT NULL THEN later.seq END AS next_seq
     FROM finished
     LEFT JOIN step_began AS steps ON finished.run_id = steps.run_id AND finished.action_id = steps.action_id
-    ASOF LEFT JOIN progress AS later ON finished.run_id = later.run_id AND finished.task_id = later.task_id AND finished.seq < later.seq
+    ASOF LEFT JOIN progress AS later
+        ON finished.run_id = later.run_id AND finished.task_id = later.task_id AND finished.seq < later.seq
     WHERE finished.robot IS DISTINCT FROM finished.on_behalf_of OR finished.robot IS DISTINCT FROM finished.began_by
 )
 

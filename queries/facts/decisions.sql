@@ -1,6 +1,8 @@
 -- Title: Decisions, and whether one principal took each by itself
 -- Paper: sec:evaluation:metrics (governance locality)
--- Grain: one row per event of a decision type whose path is not empty; a denial that only stands, looked at again as time passed, is not decided again
+-- Grain: one row per event of a decision type whose path is not empty; a denial that only stands, looked at again as
+--   time passed, is not decided again
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: decided_by when the record names no decider; task_id, action_id when the record is not tied to one
 -- Example: fsar-ledger query facts/decisions LEDGER
@@ -16,15 +18,25 @@ WITH decided AS (
         events.decided_by,
         events.path,
         { 'type': events.type, 'by': events.decided_by, 'path': events.path, 'reason': events.reason } AS content
-    FROM events
+    FROM event_principals AS events
     INNER JOIN event_classes AS classes ON events.type = classes.type
     WHERE classes.decision_kind IS NOT NULL AND len(events.path) > 0
 ),
 
 followed AS (
-    -- Whoever asks again decides to ask, and whoever admits decides, too: then another decision of the task lies between two denials.
+    -- Whoever asks again decides to ask, and whoever admits decides, too: then another decision of the task lies
+    -- between two denials.
     SELECT
-        *,
+        run_id,
+        seq,
+        time_us,
+        type,
+        decision_kind,
+        task_id,
+        action_id,
+        decided_by,
+        path,
+        content,
         lag(content) OVER (PARTITION BY run_id, task_id ORDER BY seq) AS content_before
     FROM decided
 )
@@ -39,6 +51,7 @@ SELECT
     action_id,
     decided_by,
     path,
-    coalesce(len(path) = 1 AND (starts_with(decided_by, 'robot/') OR starts_with(decided_by, 'supervisor/')), FALSE) AS is_local
+    coalesce(len(path) = 1 AND (starts_with(decided_by, 'robot/') OR starts_with(decided_by, 'supervisor/')), FALSE)
+        AS is_local
 FROM followed
 WHERE decision_kind <> 'denial' OR task_id IS NULL OR content IS DISTINCT FROM content_before

@@ -1,8 +1,10 @@
 -- Title: Executions for another robot, and whether trust reached from the executor to that robot
 -- Paper: eq:trust, eq:nontransitive
 -- Grain: one row per ExecutionStarted event of a robot on behalf of another
+-- Key: run_id, seq
 -- Units: none
--- NULL: never; is_direct: the executor trusted the other robot by itself; is_chained: each link through the relay that passed the request on was trusted
+-- NULL: never; is_direct: the executor trusted the other robot by itself; is_chained: each link through the relay that
+--   passed the request on was trusted
 -- Example: fsar-ledger query facts/delegated_trust LEDGER
 WITH delegated AS (
     SELECT
@@ -19,7 +21,13 @@ WITH delegated AS (
 
 links AS (
     SELECT
-        delegated.*,
+        delegated.run_id,
+        delegated.seq,
+        delegated.task_id,
+        delegated.action_id,
+        delegated.capability,
+        delegated.executor,
+        delegated.requester,
         relayed.decided_by AS relay,
         unnest(
             CASE
@@ -32,7 +40,8 @@ links AS (
             END
         ) AS link
     FROM delegated
-    LEFT JOIN request_relayed AS relayed ON delegated.run_id = relayed.run_id AND delegated.action_id = relayed.action_id
+    LEFT JOIN request_relayed AS relayed
+        ON delegated.run_id = relayed.run_id AND delegated.action_id = relayed.action_id
 ),
 
 scopes AS (
@@ -43,13 +52,22 @@ scopes AS (
         coalesce(arg_max(trust.scope, trust.precedence), 'none') <> 'none' AS is_trusted
     FROM links
     LEFT JOIN trust_parties AS trusting
-        ON links.run_id = trusting.run_id AND links.link.trusting = trusting.robot AND trusting.is_trusting AND links.seq > trusting.seq
+        ON
+            links.run_id = trusting.run_id
+            AND links.link.trusting = trusting.robot
+            AND trusting.is_trusting
+            AND links.seq > trusting.seq
     LEFT JOIN trust_parties AS trusted
-        ON trusting.run_id = trusted.run_id AND trusting.seq = trusted.seq AND links.link.trusted = trusted.robot AND NOT trusted.is_trusting
+        ON
+            trusting.run_id = trusted.run_id
+            AND trusting.seq = trusted.seq
+            AND links.link.trusted = trusted.robot
+            AND NOT trusted.is_trusting
     LEFT JOIN trust_precedence AS trust
         ON
             trusted.run_id = trust.run_id AND trusted.seq = trust.seq
-            AND links.capability = coalesce(trust.capability, links.capability) AND links.task_id = coalesce(trust.context, links.task_id)
+            AND links.capability = coalesce(trust.capability, links.capability)
+            AND links.task_id = coalesce(trust.context, links.task_id)
     GROUP BY links.run_id, links.seq, links.action_id, links.link
 )
 

@@ -1,16 +1,19 @@
 -- Title: What executors (or a relay on the way) made of requests, with what was asked
 -- Paper: eq:admissible, eq:auth
 -- Grain: one row per RequestAdmitted, RequestDenied or RequestCountered event of an action that was requested before
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time; seq, asked_seq positions in the run
--- NULL: conjunct unless denied; trust and the authority tuple where the record gives none; parent, relay when the request has none
+-- NULL: conjunct unless denied; trust and the authority tuple where the record gives none; parent, relay when the
+--   request has none
 -- Example: fsar-ledger query facts/evaluations LEDGER
 WITH judged AS (
     SELECT
         answers.run_id,
         answers.seq,
         max(asked.seq) AS asked_seq
-    FROM events AS answers
-    INNER JOIN request_issued AS asked ON answers.run_id = asked.run_id AND answers.action_id = asked.action_id AND answers.seq > asked.seq
+    FROM request_events AS answers
+    INNER JOIN request_issued AS asked
+        ON answers.run_id = asked.run_id AND answers.action_id = asked.action_id AND answers.seq > asked.seq
     WHERE answers.type IN ('RequestAdmitted.v1', 'RequestDenied.v1', 'RequestCountered.v1')
     GROUP BY answers.run_id, answers.seq
 )
@@ -30,7 +33,9 @@ SELECT
     asked.override AS override_asked,
     answers.decided_by,
     answers.type,
-    CASE answers.type WHEN 'RequestAdmitted.v1' THEN 'admitted' WHEN 'RequestDenied.v1' THEN 'denied' ELSE 'countered' END AS verdict,
+    CASE answers.type
+        WHEN 'RequestAdmitted.v1' THEN 'admitted' WHEN 'RequestDenied.v1' THEN 'denied' ELSE 'countered'
+    END AS verdict,
     answers.reason AS conjunct,
     answers.trust,
     answers.may_request,
@@ -38,5 +43,5 @@ SELECT
     answers.override,
     answers.is_audited
 FROM judged
-INNER JOIN events AS answers ON judged.run_id = answers.run_id AND judged.seq = answers.seq
+INNER JOIN request_events AS answers ON judged.run_id = answers.run_id AND judged.seq = answers.seq
 INNER JOIN request_issued AS asked ON judged.run_id = asked.run_id AND judged.asked_seq = asked.seq

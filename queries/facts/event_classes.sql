@@ -1,6 +1,7 @@
 -- Title: What each event type is to a judge: a decision, an audit record, both, and whose part in the action it records
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per event type that is a decision or a coordination event
+-- Key: type
 -- Units: none
 -- NULL: decision_kind when the type is no decision; record_kind when it is no coordination event
 -- Example: fsar-ledger query facts/event_classes LEDGER

@@ -1,8 +1,11 @@
 -- Title: Failures, how each was resolved and when recovery left its first level
 -- Paper: sec:model:recovery
 -- Grain: one row per ExecutionFailed event (run, action, number of the failure within the action)
--- Units: detected_us, resolved_us, left_us microseconds of run time; latency_us microseconds, 0 when recovery goes to a human at once
--- NULL: resolved_level, resolved_us when never resolved; left_us when the first level was never left; latency_us when neither
+-- Key: run_id, action_id, failure
+-- Units: detected_us, resolved_us, left_us microseconds of run time; latency_us microseconds, 0 when recovery goes to a
+--   human at once
+-- NULL: resolved_level, resolved_us when never resolved; left_us when the first level was never left; latency_us when
+--   neither
 -- Example: fsar-ledger query facts/failures LEDGER
 -- Stored: containment and latency both read it
 WITH resolutions AS (
@@ -22,7 +25,7 @@ departures AS (
         failed_action AS action_id,
         failure,
         min(time_us) AS left_us
-    FROM events
+    FROM recovery_events
     WHERE type IN ('RecoveryEscalated.v1', 'AssistanceRequested.v1')
     GROUP BY run_id, failed_action, failure
 )
@@ -40,7 +43,8 @@ SELECT
     resolutions.resolved_level,
     departures.left_us,
     coalesce(resolutions.resolved_level IN ('local', 'peer'), FALSE) AS is_contained,
-    -- Every reaction takes the clock a microsecond (R25): a level that the reaction to the failure left at once was left at its detection.
+    -- Every reaction takes the clock a microsecond (R25): a level that the reaction to the failure left at once was
+    -- left at its detection.
     CASE
         WHEN resolutions.resolved_level = 'local' THEN resolutions.resolved_us
         WHEN departures.left_us = detected.time_us + 1 THEN detected.time_us
@@ -48,6 +52,12 @@ SELECT
     END - detected.time_us AS latency_us
 FROM execution_failed AS detected
 LEFT JOIN resolutions
-    ON detected.run_id = resolutions.run_id AND detected.action_id = resolutions.action_id AND detected.failure = resolutions.failure
+    ON
+        detected.run_id = resolutions.run_id
+        AND detected.action_id = resolutions.action_id
+        AND detected.failure = resolutions.failure
 LEFT JOIN departures
-    ON detected.run_id = departures.run_id AND detected.action_id = departures.action_id AND detected.failure = departures.failure
+    ON
+        detected.run_id = departures.run_id
+        AND detected.action_id = departures.action_id
+        AND detected.failure = departures.failure

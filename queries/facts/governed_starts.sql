@@ -1,6 +1,7 @@
 -- Title: Executions and motions that policy governs, with the true policy at their start
 -- Paper: eq:policy, app:foundations
 -- Grain: one row per ExecutionStarted event and per RoutinePerformed event whose operation is motion
+-- Key: run_id, seq
 -- Units: started_us microseconds of run time
 -- NULL: action_id and on_behalf_of for a motion, which serves no action and nobody else
 -- Example: fsar-ledger query facts/governed_starts LEDGER
@@ -14,20 +15,34 @@ WITH starts AS (
         robot,
         on_behalf_of,
         capability
-    FROM events
+    FROM execution_events
     WHERE type = 'ExecutionStarted.v1' OR (type = 'RoutinePerformed.v1' AND operation = 'motion')
 ),
 
 subjects AS (
     -- Whose policy counts: the executor's own and the fleet's for its zone, and the requester's own.
     SELECT
-        starts.*,
+        starts.run_id,
+        starts.seq,
+        starts.started_us,
+        starts.task_id,
+        starts.action_id,
+        starts.robot,
+        starts.on_behalf_of,
+        starts.capability,
         starts.robot AS subject,
         FALSE AS own_only
     FROM starts
     UNION ALL
     SELECT
-        starts.*,
+        starts.run_id,
+        starts.seq,
+        starts.started_us,
+        starts.task_id,
+        starts.action_id,
+        starts.robot,
+        starts.on_behalf_of,
+        starts.capability,
         starts.on_behalf_of AS subject,
         TRUE AS own_only
     FROM starts
@@ -35,7 +50,8 @@ subjects AS (
 ),
 
 checks AS (
-    -- A window that closes at the start no longer counts; one that opens at it does. A rule counts where it is about this capability and context.
+    -- A window that closes at the start no longer counts; one that opens at it does. A rule counts where it is about
+    -- this capability and context.
     SELECT
         subjects.run_id,
         subjects.seq,
@@ -58,7 +74,8 @@ approved AS (
         run_id,
         action_id,
         min(seq) AS approved_seq
-    FROM approvals
+    FROM supervisor_responded
+    WHERE purpose = 'review' AND coalesce(approves, TRUE) -- a response that does not say whether it approves does
     GROUP BY run_id, action_id
 )
 
@@ -71,7 +88,8 @@ SELECT
     starts.on_behalf_of,
     CASE WHEN checks.run_id IS NULL THEN 'allow' WHEN checks.is_denied THEN 'deny' ELSE 'review' END AS outcome,
     coalesce(approved.approved_seq < starts.seq, FALSE) AS is_approved,
-    checks.run_id IS NOT NULL AND (checks.is_denied OR NOT coalesce(approved.approved_seq < starts.seq, FALSE)) AS is_violation
+    checks.run_id IS NOT NULL
+    AND (checks.is_denied OR NOT coalesce(approved.approved_seq < starts.seq, FALSE)) AS is_violation
 FROM starts
 LEFT JOIN checks ON starts.run_id = checks.run_id AND starts.seq = checks.seq
 LEFT JOIN approved ON starts.run_id = approved.run_id AND starts.action_id = approved.action_id

@@ -1,7 +1,9 @@
 -- Title: Claims that were held: a claim that ends when it begins never was
 -- Paper: sec:evaluation:metrics (authority conflict)
 -- Grain: one row per claim (claims) that names its action, dimension and claimant
--- Units: began_us, ended_us microseconds of run time, half-open; a claim that the record does not end lasts for ever, 9223372036854775807
+-- Key: run_id, seq
+-- Units: began_us, ended_us microseconds of run time, half-open; a claim that the record does not end lasts for ever,
+--   9223372036854775807
 -- NULL: never
 -- Example: fsar-ledger query facts/held_claims LEDGER
 SELECT
@@ -13,4 +15,8 @@ SELECT
     began_us,
     coalesce(ended_us, 9223372036854775807) AS ended_us
 FROM claims
-WHERE (ended_us IS NULL OR ended_us > began_us) AND action_id IS NOT NULL AND dimension IS NOT NULL AND claimant IS NOT NULL
+WHERE
+    (ended_us IS NULL OR ended_us > began_us)
+    AND action_id IS NOT NULL
+    AND dimension IS NOT NULL
+    AND claimant IS NOT NULL

@@ -1,8 +1,11 @@
--- Title: What may end a hold: an approval, a window of the robot's that closes, a rule that comes into force for it, word of the fleet's rule
+-- Title: What may end a hold: an approval, a window of the robot's that closes, a rule that comes into force for it,
+--   word of the fleet's rule
 -- Paper: eq:policy, sec:architecture:fleet
 -- Grain: one row per such event; per robot, where a rule is about several
+-- Key: run_id, seq, robot?
 -- Units: seq position in the run
--- NULL: robot for an approval, which is about one action; action_id for the others, which are about whatever the robot has in hand
+-- NULL: robot for an approval, which is about one action; action_id for the others, which are about whatever the robot
+--   has in hand
 -- Example: fsar-ledger query facts/hold_ends LEDGER
 WITH holders AS (
     SELECT DISTINCT
@@ -16,15 +19,22 @@ SELECT
     seq,
     NULL AS robot,
     action_id
-FROM approvals
+FROM supervisor_responded
+WHERE purpose = 'review' AND coalesce(approves, TRUE) -- a response that does not say whether it approves does
 UNION ALL
 SELECT
     run_id,
     seq,
     robot,
     NULL AS action_id
-FROM events
-WHERE type IN ('PolicyWindowClosed.v1', 'FleetRuleLearned.v1')
+FROM policy_window_closed
+UNION ALL
+SELECT
+    run_id,
+    seq,
+    robot,
+    NULL AS action_id
+FROM fleet_rule_learned
 UNION ALL
 SELECT
     run_id,
@@ -41,4 +51,5 @@ SELECT
     NULL AS action_id
 FROM policy_rule_set AS rules
 INNER JOIN holders AS held
-    ON rules.run_id = held.run_id AND coalesce(rules.robot, held.robot) = held.robot -- whether or not it is known to have joined
+    -- whether or not it is known to have joined
+    ON rules.run_id = held.run_id AND coalesce(rules.robot, held.robot) = held.robot

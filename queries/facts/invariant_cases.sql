@@ -1,7 +1,9 @@
 -- Title: How much each invariant looked at
 -- Paper: sec:model:invariants, sec:architecture:invariants
 -- Grain: one row per run and invariant that found anything to judge
--- Units: cases records, decisions, executions or acts of recovery, each judged by the invariant; never fewer than the events that offend it
+-- Key: run_id, invariant
+-- Units: cases records, decisions, executions or acts of recovery, each judged by the invariant; never fewer than the
+--   events that offend it
 -- NULL: never; without a row there was nothing to judge, which is no pass
 -- Example: fsar-ledger query facts/invariant_cases LEDGER
 -- Stored: audit reads it for each invariant
@@ -12,7 +14,9 @@ WITH judged AS (
             CASE
                 WHEN
                     type = 'RobotJoined.v1' OR len(path) > 0
-                    OR coalesce(decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver) IS NOT NULL
+                    OR coalesce(
+                        decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver
+                    ) IS NOT NULL
                     THEN 'i1_local_agent_coherence'
             END,
             CASE
@@ -26,16 +30,29 @@ WITH judged AS (
                 THEN ['a1_local_runtime_self_sufficiency', 'a4_thin_federation_interface']
             WHEN type = 'RequestAdmitted.v1' THEN ['a3_no_silent_policy_override', 'a4_thin_federation_interface']
             WHEN type = 'AssistanceAdmitted.v1' THEN ['a4_thin_federation_interface', 'a5_audit_completeness']
-            WHEN type = 'ExecutionStarted.v1' THEN [if(robot = on_behalf_of, 'a1_local_runtime_self_sufficiency', 'i2_local_execution_ownership')]
+            WHEN
+                type = 'ExecutionStarted.v1'
+                THEN [if(robot = on_behalf_of, 'a1_local_runtime_self_sufficiency', 'i2_local_execution_ownership')]
             WHEN
                 type IN ('RequestAccepted.v1', 'ReplanOrdered.v1')
-                OR (type = 'RecoveryAttempted.v1' AND level = 'local') OR (type = 'ExecutionHeld.v1' AND len(path) > 0)
+                OR (type = 'ExecutionHeld.v1' AND len(path) > 0)
                 THEN ['a4_thin_federation_interface']
         END)) AS invariant
-    FROM events
-    WHERE -- each of these events has a robot or a path, if an empty one; to leave others out costs less than to tell what they hold
-        robot IS NOT NULL OR decided_by IS NOT NULL OR requested_by IS NOT NULL OR executed_by IS NOT NULL OR supervised_by IS NOT NULL
+    FROM event_principals
+    -- Each of these events has a robot or a path, if an empty one; to leave others out costs less than to judge them.
+    WHERE
+        robot IS NOT NULL
+        OR decided_by IS NOT NULL
+        OR requested_by IS NOT NULL
+        OR executed_by IS NOT NULL
+        OR supervised_by IS NOT NULL
         OR claimant IS NOT NULL OR sender IS NOT NULL OR receiver IS NOT NULL OR path IS NOT NULL
+    UNION ALL
+    SELECT
+        run_id,
+        'a4_thin_federation_interface' AS invariant
+    FROM recovery_attempted
+    WHERE level = 'local'
     UNION ALL
     SELECT
         run_id,
@@ -61,7 +78,7 @@ WITH judged AS (
     SELECT
         events.run_id,
         'i5_audit_attributability' AS invariant
-    FROM events
+    FROM event_principals AS events
     INNER JOIN event_classes AS classes ON events.type = classes.type
     WHERE classes.record_kind IS NOT NULL -- each is a row of coordination_events
     UNION ALL

@@ -1,9 +1,10 @@
 -- Title: Which concerns each judgement rests on: metrics, invariants, parts of features, mechanisms, cases
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per judge and concern
+-- Key: judge, concern
 -- Units: none
--- NULL: never; is_context is whether nothing at all can be judged without the concern. Without another one an offence that is found stands, but nothing
---       can be said to hold
+-- NULL: never; is_context is whether nothing at all can be judged without the concern. Without another one an offence
+--   that is found stands, but nothing can be said to hold
 -- Example: fsar-ledger query facts/judged_concerns LEDGER
 WITH judges (judges, context, looked_at) AS (
     VALUES
@@ -25,13 +26,29 @@ WITH judges (judges, context, looked_at) AS (
     (['i2_local_execution_ownership'], ['request'], ['execution', 'authority']),
     (['i3_jointly_composed_policy'], ['request', 'supervision'], ['fleet', 'policy', 'execution', 'knowledge']),
     (['i4_outward_recovery'], ['recovery', 'supervision'], ['fleet']),
-    (['i5_audit_attributability'], ['fleet', 'registry', 'request', 'policy', 'execution', 'recovery', 'supervision', 'message'], []),
+    (
+        ['i5_audit_attributability'],
+        ['fleet', 'registry', 'request', 'policy', 'execution', 'recovery', 'supervision', 'message'],
+        []
+    ),
     (['a1_local_runtime_self_sufficiency'], ['execution'], []),
     (
         ['a2_coordination_only_federation'],
         [],
         [
-            'fleet', 'registry', 'trust', 'policy', 'task', 'request', 'authority', 'execution', 'recovery', 'supervision', 'knowledge', 'message', 'world'
+            'fleet',
+            'registry',
+            'trust',
+            'policy',
+            'task',
+            'request',
+            'authority',
+            'execution',
+            'recovery',
+            'supervision',
+            'knowledge',
+            'message',
+            'world'
         ]
     ),
     (['a3_no_silent_policy_override'], ['request', 'policy', 'execution', 'supervision', 'knowledge'], ['fleet']),
@@ -39,7 +56,18 @@ WITH judges (judges, context, looked_at) AS (
     (['a5_audit_completeness'], ['fleet', 'request', 'recovery', 'supervision'], ['task', 'execution']),
     (
         ['robots that appear as one principal', 'robots with two or more agents'],
-        ['fleet', 'registry', 'trust', 'policy', 'request', 'authority', 'execution', 'recovery', 'supervision', 'message'],
+        [
+            'fleet',
+            'registry',
+            'trust',
+            'policy',
+            'request',
+            'authority',
+            'execution',
+            'recovery',
+            'supervision',
+            'message'
+        ],
         []
     ),
     (['assignments decided by one principal that is no robot'], ['request', 'recovery'], []),
@@ -48,7 +76,11 @@ WITH judges (judges, context, looked_at) AS (
     (['failures that the robot itself begins to recover'], ['recovery', 'registry', 'supervision'], []),
     (['failures that skip no level', 'levels of recovery in use'], ['recovery'], []),
     (['decisions on the executor''s policy'], ['request', 'knowledge'], []),
-    (['the requester''s policy heeded', 'the fleet''s rule heeded'], ['fleet', 'policy', 'task', 'request', 'supervision'], []),
+    (
+        ['the requester''s policy heeded', 'the fleet''s rule heeded'],
+        ['fleet', 'policy', 'task', 'request', 'supervision'],
+        []
+    ),
     (['delegations found beyond the peers that were met'], ['registry', 'request', 'execution', 'knowledge'], []),
     (['inter_robot_request'], ['request', 'recovery'], []),
     (['trust_evaluation', 'authority_tuple', 'delegation_chain'], ['request'], []),
@@ -61,7 +93,20 @@ WITH judges (judges, context, looked_at) AS (
     (['case_3_contention'], ['task', 'authority', 'supervision'], []),
     (
         ['case_4_audit_trail'],
-        ['fleet', 'registry', 'policy', 'task', 'request', 'authority', 'execution', 'recovery', 'supervision', 'knowledge', 'message'], []
+        [
+            'fleet',
+            'registry',
+            'policy',
+            'task',
+            'request',
+            'authority',
+            'execution',
+            'recovery',
+            'supervision',
+            'knowledge',
+            'message'
+        ],
+        []
     )
 ),
 

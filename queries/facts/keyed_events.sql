@@ -1,8 +1,10 @@
 -- Title: Events, and the action that each record names
 -- Paper: sec:evaluation:metrics (audit attributability)
 -- Grain: one row per event
+-- Key: run_id, seq
 -- Units: none
--- NULL: action_id when the record names no action, no failed action and no request, and no outsider's attempt is its task
+-- NULL: action_id when the record names no action, no failed action and no request, and no outsider's attempt is its
+--   task
 -- Example: fsar-ledger query facts/keyed_events LEDGER
 WITH outsiders AS (
     SELECT DISTINCT
@@ -17,5 +19,5 @@ SELECT
     events.caused_by,
     events.type,
     coalesce(events.action_id, events.failed_action, events.request_id, outsiders.task_id) AS action_id
-FROM events
+FROM event_principals AS events
 LEFT JOIN outsiders ON events.run_id = outsiders.run_id AND events.task_id = outsiders.task_id

@@ -1,14 +1,23 @@
--- Title: Refusals and holds of what the fleet mandates and the executor's own policy denies, and whether each conflict was escalated
+-- Title: Refusals and holds of what the fleet mandates and the executor's own policy denies, and whether each conflict
+--   was escalated
 -- Paper: sec:architecture:fleet, sec:architecture:invariants (A3)
--- Grain: one row per RequestDenied event for reasons of policy, and per ExecutionHeld event under the executor's own denial, at which rules of the
---        fleet explicitly allow and the executor's own policy denies
+-- Grain: one row per RequestDenied event for reasons of policy, and per ExecutionHeld event under the executor's own
+--   denial, at which rules of the fleet explicitly allow and the executor's own policy denies
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time; seq, mandate_seq, escalated_seq positions in the run
 -- NULL: escalated_seq when nobody was told of the conflict
 -- Example: fsar-ledger query facts/mandate_conflicts LEDGER
 WITH mandated AS (
     -- The fleet allows where every rule of it that applies does.
     SELECT
-        stops.*,
+        stops.run_id,
+        stops.seq,
+        stops.time_us,
+        stops.task_id,
+        stops.action_id,
+        stops.robot,
+        stops.capability,
+        stops.previous_seq,
         max(rules.seq) AS mandate_seq
     FROM policy_stops AS stops
     INNER JOIN policy_rules AS rules
@@ -28,7 +37,8 @@ heard AS (
         mandated.seq,
         told.outcome
     FROM mandated
-    ASOF JOIN fleet_rule_learned AS told ON mandated.run_id = told.run_id AND mandated.robot = told.robot AND mandated.seq > told.seq
+    ASOF JOIN fleet_rule_learned AS told
+        ON mandated.run_id = told.run_id AND mandated.robot = told.robot AND mandated.seq > told.seq
 )
 
 SELECT

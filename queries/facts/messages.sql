@@ -1,42 +1,61 @@
 -- Title: Messages and deeds: who told whom what, with the facts that the record gives beside it
 -- Paper: sec:model:request, fig:wf1
 -- Grain: one row per event that belongs in the story of an action, two for a registry's answer (part 1 and 2)
+-- Key: run_id, seq, part
 -- Units: time_us microseconds of run time; part counts from 1
--- NULL: action_id when the record names none; sender, receiver when the record does not say; note when there is nothing to add.
---   A robot's own deed has the robot as sender and receiver, whatever principal the record names. Who calls a supervisor is on no record: it is the
---   coordinator that names a robot for a review, else the executor (for recovery: the decider) that the action's record named last
+-- NULL: action_id when the record names none; sender, receiver when the record does not say; note when there is nothing
+--   to add. A robot's own deed has the robot as sender and receiver, whatever principal the record names. Who calls a
+--   supervisor is on no record: it is the coordinator that names a robot for a review, else the executor (for recovery:
+--   the decider) that the action's record named last
 -- Example: fsar-ledger query facts/messages LEDGER
 WITH told AS (
     SELECT
-        events.* REPLACE (keyed_events.action_id AS action_id),
-        events.action_id IS NULL AND events.request_id IS NULL AS is_untied,
-        if(regexp_matches(runs.configuration, '^without-(.*[+])?shared-registry([+]|$)'), events.requested_by, 'service/registry') AS registry,
-        CASE
-            WHEN events.purpose = 'review' AND events.robot IS NOT NULL THEN 'coordinator'
-            WHEN events.purpose = 'recovery' THEN last_value(events.decided_by IGNORE NULLS) OVER earlier
-            ELSE last_value(events.executed_by IGNORE NULLS) OVER earlier
-        END AS caller
-    FROM events
-    INNER JOIN keyed_events ON events.run_id = keyed_events.run_id AND events.seq = keyed_events.seq
-    INNER JOIN runs ON events.run_id = runs.run_id
-    WHERE events.type IN (SELECT message_words.type FROM message_words) AND (events.type <> 'AuthorityClaimed.v1' OR events.reason = 'revocation')
-    WINDOW earlier AS (PARTITION BY events.run_id, keyed_events.action_id ORDER BY events.seq ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING)
-),
-
-filled AS (
-    SELECT
-        *,
+        events.run_id,
+        events.seq,
+        events.time_us,
+        events.type,
+        keyed_events.action_id,
         MAP {
-            'decider': decided_by, 'requester': requested_by, 'executor': executed_by, 'supervisor': supervised_by, 'registry': registry,
-            'target': CASE WHEN is_untied THEN decided_by ELSE coalesce(relay, executed_by) END, 'helper': coalesce(helper, decided_by),
-            'robot': robot, 'peer': peer, 'claimant': claimant, 'sender': sender, 'receiver': receiver, 'caller': caller, 'called': supervisor
+            'decider': decided_by,
+            'requester': requested_by,
+            'executor': executed_by,
+            'supervisor': supervised_by,
+            'registry': if(
+                regexp_matches(runs.configuration, '^without-(.*[+])?shared-registry([+]|$)'),
+                requested_by,
+                'service/registry'
+            ),
+            'target': if(events.action_id IS NULL AND request_id IS NULL, decided_by, coalesce(relay, executed_by)),
+            'helper': coalesce(helper, decided_by),
+            'robot': robot,
+            'peer': peer,
+            'claimant': claimant,
+            'sender': sender,
+            'receiver': receiver,
+            'called': supervisor,
+            'caller': CASE
+                WHEN purpose = 'review' AND robot IS NOT NULL THEN 'coordinator'
+                WHEN purpose = 'recovery' THEN last_value(decided_by IGNORE NULLS) OVER earlier
+                ELSE last_value(executed_by IGNORE NULLS) OVER earlier
+            END
         } AS parties,
         MAP {
-            'capability': capability, 'candidates': coalesce(nullif(array_to_string(candidates, ', '), ''), 'none'), 'reason': reason,
+            'capability': capability,
+            'candidates': coalesce(nullif(array_to_string(candidates, ', '), ''), 'none'),
+            'reason': reason,
             'outcome': outcome, 'policy': 'policy ' || outcome, 'override': override,
-            'answer': CASE WHEN is_accepted THEN 'accepted' WHEN override IS NULL THEN 'let go' ELSE 'asks ' || override END,
-            'cause': cause, 'result': result, 'purpose': purpose, 'number': number::VARCHAR, 'level': level, 'levels': level || ' to ' || to_level,
-            'checkpoint': CASE WHEN helper IS NULL THEN 'not feasible' ELSE coalesce(checkpoint, 'from the last step boundary') END,
+            'answer': CASE
+                WHEN is_accepted THEN 'accepted' WHEN override IS NULL THEN 'let go' ELSE 'asks ' || override
+            END,
+            'cause': cause,
+            'result': result,
+            'purpose': purpose,
+            'number': number::VARCHAR,
+            'level': level,
+            'levels': level || ' to ' || to_level,
+            'checkpoint': CASE
+                WHEN helper IS NULL THEN 'not feasible' ELSE coalesce(checkpoint, 'from the last step boundary')
+            END,
             'decision': CASE
                 WHEN preferred IS NOT NULL THEN preferred || ' first'
                 WHEN NOT approves THEN 'refused'
@@ -48,31 +67,54 @@ filled AS (
             'carries policy ' || carried_policy, 'through ' || relay, 'trust ' || trust,
             CASE
                 WHEN may_request IS NOT NULL
-                    THEN format('authority ({}, {}, {}, {})', may_request::INT, may_execute::INT, coalesce(nullif(override, 'none'), '0'), is_audited::INT)
+                    THEN
+                        format(
+                            'authority ({}, {}, {}, {})',
+                            may_request::INT,
+                            may_execute::INT,
+                            coalesce(nullif(override, 'none'), '0'),
+                            is_audited::INT
+                        )
             END,
-            CASE WHEN type IN ('RequestIssued.v1', 'ExecutionPreempted.v1') THEN 'override ' || nullif(override, 'none') END,
+            CASE WHEN events.type = 'RequestIssued.v1' THEN 'override ' || nullif(override, 'none') END,
             'in ' || nullif(domain, ''), 'as of ' || (as_of_us / 1000000) || ' s',
-            'left out: ' || nullif(array_to_string(list_transform(list_zip(rejected, rejected_by), LAMBDA pair: pair[1] || ' by ' || pair[2]), ', '), ''),
-            CASE WHEN type NOT IN ('RequestDenied.v1', 'AuthorityClaimed.v1') THEN reason END,
-            'gives way to ' || preempted_by, action_id || ' competes with ' || competing,
-            CASE WHEN type = 'RecoveryAttempted.v1' THEN 'level ' || level END,
+            'left out: '
+            || nullif(
+                array_to_string(
+                    list_transform(list_zip(rejected, rejected_by), LAMBDA pair: pair[1] || ' by ' || pair[2]), ', '
+                ),
+                ''
+            ),
+            CASE WHEN events.type NOT IN ('RequestDenied.v1', 'AuthorityClaimed.v1') THEN reason END,
+            'gives way to ' || preempted_by, keyed_events.action_id || ' competes with ' || competing,
+            CASE WHEN events.type = 'RecoveryAttempted.v1' THEN 'level ' || level END,
             'achieved ' || nullif(array_to_string(achieved, ', '), ''),
-            CASE WHEN type = 'ExecutionStarted.v1' AND robot <> on_behalf_of THEN 'for ' || on_behalf_of END,
-            CASE WHEN type = 'ExecutionStarted.v1' AND executed_by IS NULL THEN 'no executor on record' END
+            CASE WHEN events.type = 'ExecutionStarted.v1' AND robot <> on_behalf_of THEN 'for ' || on_behalf_of END,
+            CASE WHEN events.type = 'ExecutionStarted.v1' AND executed_by IS NULL THEN 'no executor on record' END
         ) AS note
-    FROM told
+    FROM events
+    INNER JOIN keyed_events ON events.run_id = keyed_events.run_id AND events.seq = keyed_events.seq
+    INNER JOIN runs ON events.run_id = runs.run_id
+    WHERE
+        events.type IN (SELECT message_words.type FROM message_words)
+        AND (events.type <> 'AuthorityClaimed.v1' OR reason = 'revocation')
+    WINDOW earlier AS (
+        PARTITION BY events.run_id, keyed_events.action_id
+        ORDER BY events.seq
+        ROWS BETWEEN UNBOUNDED PRECEDING AND 1 PRECEDING
+    )
 )
 
 SELECT
-    filled.run_id,
-    filled.seq,
+    told.run_id,
+    told.seq,
     words.part,
-    filled.time_us,
-    filled.type,
-    filled.action_id,
-    filled.parties[words.sender] AS sender,
-    filled.parties[words.receiver] AS receiver,
-    words.words || coalesce(': ' || filled.details[words.detail], '') AS message,
-    CASE WHEN filled.type <> 'RegistryQueried.v1' OR words.part = 2 THEN nullif(filled.note, '') END AS note
-FROM filled
-INNER JOIN message_words AS words ON filled.type = words.type
+    told.time_us,
+    told.type,
+    told.action_id,
+    told.parties[words.sender] AS sender,
+    told.parties[words.receiver] AS receiver,
+    words.words || coalesce(': ' || told.details[words.detail], '') AS message,
+    CASE WHEN told.type <> 'RegistryQueried.v1' OR words.part = 2 THEN nullif(told.note, '') END AS note
+FROM told
+INNER JOIN message_words AS words ON told.type = words.type

@@ -1,6 +1,7 @@
 -- Title: Records that lack only a supervisor, who was off shift at that moment
 -- Paper: sec:evaluation:metrics (audit attributability)
 -- Grain: one row per coordination event
+-- Key: run_id, seq
 -- Units: seq position in the run
 -- NULL: never
 -- Example: fsar-ledger query facts/off_shift_records LEDGER

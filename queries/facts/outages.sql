@@ -1,18 +1,23 @@
 -- Title: Spells in which a robot was off, its link was down, or its actuator was degraded
 -- Paper: sec:evaluation:simulator
 -- Grain: one row per RobotWentOff, LinkWentDown or ActuatorDegraded event
+-- Key: run_id, seq
 -- Units: since_us, until_us microseconds of run time
 -- NULL: until_us when nothing ended it within the run
 -- Example: fsar-ledger query facts/outages LEDGER
 WITH edges AS (
     SELECT
-        *,
+        run_id,
+        seq,
+        time_us,
+        type,
+        robot,
         CASE
             WHEN type IN ('RobotWentOff.v1', 'RobotCameBack.v1') THEN 'off'
             WHEN type IN ('LinkWentDown.v1', 'LinkCameUp.v1') THEN 'unlinked'
             WHEN type IN ('ActuatorDegraded.v1', 'ActuatorServiced.v1') THEN 'degraded'
         END AS what
-    FROM events
+    FROM event_principals
 ),
 
 spells AS (

@@ -1,6 +1,7 @@
 -- Title: Runs, and the plans that name them
 -- Paper: sec:evaluation:setup
 -- Grain: one row per plan and run of the ledger that it names
+-- Key: plan, run_id
 -- Units: none
 -- NULL: never
 -- Example: fsar-ledger query facts/planned_runs LEDGER

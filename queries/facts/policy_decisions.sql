@@ -1,8 +1,11 @@
 -- Title: Decisions on delegated requests, and whose policy did not allow them at that moment
 -- Paper: eq:policy
--- Grain: one row per admission, command, refusal for policy and call for review of a step that one robot delegates to another
+-- Grain: one row per admission, command, refusal for policy and call for review of a step that one robot delegates to
+--   another
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
--- NULL: never; is_against_*: that policy had not allowed for a second (two messages) or longer; is_heeded: refused, put to review or approved in one
+-- NULL: never; is_against_*: that policy had not allowed for a second (two messages) or longer; is_heeded: refused, put
+--   to review or approved in one
 -- Example: fsar-ledger query facts/policy_decisions LEDGER
 -- Stored: the evidence of governance reads it twice
 WITH approvals AS (
@@ -15,28 +18,55 @@ WITH approvals AS (
     GROUP BY run_id, action_id
 ),
 
+judgements AS (
+    SELECT
+        run_id,
+        seq,
+        time_us,
+        task_id,
+        action_id,
+        type = 'RequestDenied.v1' AS is_refused,
+        coalesce(executed_by, robot, 'robot/' || nullif(split_part(decided_by, '/', 2), '')) AS executor
+    FROM request_events
+    WHERE type IN ('RequestAdmitted.v1', 'CommandIssued.v1', 'RequestDenied.v1')
+    UNION ALL
+    SELECT
+        run_id,
+        seq,
+        time_us,
+        task_id,
+        action_id,
+        TRUE AS is_refused,
+        robot AS executor
+    FROM supervisor_called
+    WHERE purpose = 'review'
+),
+
 decided AS (
     SELECT
-        events.run_id,
-        events.seq,
-        events.time_us,
-        events.task_id,
-        events.type NOT IN ('RequestAdmitted.v1', 'CommandIssued.v1') OR coalesce(approvals.seq < events.seq, FALSE) AS is_heeded,
-        coalesce(events.executed_by, events.robot, 'robot/' || nullif(split_part(events.decided_by, '/', 2), '')) AS executor
-    FROM events
-    LEFT JOIN approvals ON events.run_id = approvals.run_id AND events.action_id = approvals.action_id
-    WHERE
-        events.type IN ('RequestAdmitted.v1', 'CommandIssued.v1', 'RequestDenied.v1')
-        OR (events.type = 'SupervisorCalled.v1' AND events.purpose = 'review')
+        judgements.run_id,
+        judgements.seq,
+        judgements.time_us,
+        judgements.task_id,
+        judgements.is_refused OR coalesce(approvals.seq < judgements.seq, FALSE) AS is_heeded,
+        judgements.executor
+    FROM judgements
+    LEFT JOIN approvals ON judgements.run_id = approvals.run_id AND judgements.action_id = approvals.action_id
 ),
 
 asked AS (
     SELECT
-        decided.*,
+        decided.run_id,
+        decided.seq,
+        decided.time_us,
+        decided.task_id,
+        decided.is_heeded,
+        decided.executor,
         steps.robot AS requester,
         steps.capability
     FROM decided
-    ASOF JOIN step_began AS steps ON decided.run_id = steps.run_id AND decided.task_id = steps.task_id AND decided.seq > steps.seq
+    ASOF JOIN step_began AS steps
+        ON decided.run_id = steps.run_id AND decided.task_id = steps.task_id AND decided.seq > steps.seq
     WHERE steps.target_role IS NOT NULL
 )
 
@@ -52,8 +82,11 @@ SELECT
 FROM asked
 LEFT JOIN policy_windows AS windows
     ON
-        asked.run_id = windows.run_id AND windows.robot IN (asked.requester, asked.executor) AND windows.outcome <> 'allow'
+        asked.run_id = windows.run_id
+        AND windows.robot IN (asked.requester, asked.executor)
+        AND windows.outcome <> 'allow'
         AND (windows.capability IS NULL OR asked.capability = windows.capability)
         AND (windows.context IS NULL OR asked.task_id = windows.context)
-        AND windows.opened_us + 1000000 <= asked.time_us AND asked.time_us < coalesce(windows.closed_us, asked.time_us + 1)
+        AND windows.opened_us + 1000000 <= asked.time_us
+        AND asked.time_us < coalesce(windows.closed_us, asked.time_us + 1)
 GROUP BY asked.run_id, asked.seq, asked.time_us, asked.requester, asked.executor, asked.is_heeded

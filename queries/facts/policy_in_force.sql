@@ -1,8 +1,11 @@
 -- Title: The policy in force, by what it is about, from each moment at which it may have changed
 -- Paper: eq:policy, app:foundations
--- Grain: one row per run, robot, scope, capability, context and moment at which a window or rule about them begins or ends; before the first, policy allows
+-- Grain: one row per run, robot, scope, capability, context and moment at which a window or rule about them begins or
+--   ends; before the first, policy allows
+-- Key: run_id, robot, scope, capability?, context?, since_us
 -- Units: since_us, until_us microseconds of run time, half-open
--- NULL: capability, context for what holds for all of them; until_us for the last row of a robot, scope, capability and context
+-- NULL: capability, context for what holds for all of them; until_us for the last row of a robot, scope, capability and
+--   context
 -- Example: fsar-ledger query facts/policy_in_force LEDGER
 WITH edges AS (
     SELECT

@@ -1,21 +1,41 @@
 -- Title: Policy that is set by rule, robot by robot, until another rule replaces it
 -- Paper: eq:policy, app:foundations
--- Grain: one row per PolicyRuleSet or RolePolicyRuleSet event and robot for which it comes into force; a rule for every robot, or for a role, is one row
---        for each member of the fleet that it is about, also for those that joined later
+-- Grain: one row per PolicyRuleSet or RolePolicyRuleSet event and robot for which it comes into force; a rule for every
+--   robot, or for a role, is one row for each member of the fleet that it is about, also for those that joined later
+-- Key: run_id, seq, robot
 -- Units: set_us, until_us microseconds of run time, half-open; seq, until_seq positions in the run
--- NULL: role, domain for a rule about no role (an empty domain is the whole fleet); capability, context when the rule is about all of them; until_us,
---   until_seq when nothing replaced it; decided_by for what the fleet was founded with
+-- NULL: role, domain for a rule about no role (an empty domain is the whole fleet); capability, context when the rule
+--   is about all of them; until_us, until_seq when nothing replaced it; decided_by for what the fleet was founded with
 -- Example: fsar-ledger query facts/policy_rules LEDGER
 WITH stated AS (
     SELECT
-        *,
+        run_id,
+        seq,
+        time_us,
+        caused_by,
+        scope,
+        robot,
+        capability,
+        context,
+        outcome,
+        decided_by,
         NULL AS role,
         NULL AS domain,
         CASE WHEN robot IS NOT NULL THEN 1024 END AS nearness
     FROM policy_rule_set
     UNION ALL BY NAME
     SELECT
-        *,
+        run_id,
+        seq,
+        time_us,
+        caused_by,
+        scope,
+        role,
+        outcome,
+        domain,
+        capability,
+        context,
+        decided_by,
         NULL AS robot,
         CASE domain WHEN '' THEN 0 ELSE least(len(string_split(domain, '/')), 1023) END AS nearness
     FROM role_policy_rule_set
@@ -23,7 +43,18 @@ WITH stated AS (
 
 of_members AS (
     SELECT
-        stated.* EXCLUDE (robot),
+        stated.run_id,
+        stated.seq,
+        stated.time_us,
+        stated.caused_by,
+        stated.scope,
+        stated.capability,
+        stated.context,
+        stated.outcome,
+        stated.decided_by,
+        stated.role,
+        stated.domain,
+        stated.nearness,
         members.robot
     FROM stated
     INNER JOIN fleet_members AS members
@@ -33,18 +64,23 @@ of_members AS (
                 WHEN stated.role IS NULL THEN coalesce(stated.robot, members.robot) = members.robot
                 ELSE
                     stated.role = members.role
-                    AND (stated.domain IN ('', coalesce(members.domain, '')) OR starts_with(members.domain, stated.domain || '/'))
+                    AND (
+                        stated.domain IN ('', coalesce(members.domain, ''))
+                        OR starts_with(members.domain, stated.domain || '/')
+                    )
             END
 ),
 
 in_force AS (
-    -- A rule replaces the one of the same scope, capability and context: that of the very robot those of its role, that of a smaller domain those of
-    -- larger ones, and neither is replaced by them. What is ruled for every robot holds beside the others.
+    -- A rule replaces the one of the same scope, capability and context: that of the very robot those of its role, that
+    -- of a smaller domain those of larger ones, and neither is replaced by them. What is ruled for every robot holds
+    -- beside the others.
     SELECT *
     FROM of_members
     QUALIFY
         nearness IS NULL
-        OR nearness >= max(nearness) OVER (PARTITION BY run_id, robot, nearness IS NULL, scope, capability, context ORDER BY seq)
+        OR nearness
+        >= max(nearness) OVER (PARTITION BY run_id, robot, nearness IS NULL, scope, capability, context ORDER BY seq)
 )
 
 SELECT

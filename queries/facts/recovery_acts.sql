@@ -1,9 +1,12 @@
 -- Title: What recovery did about each failure, at which level, with the budget of the level then
 -- Paper: eq:recovery, app:foundations (Paper 3)
--- Grain: one row per failure and attempt, question for help or its admission, reassignment decision, call or answer for recovery, escalation or resolution
+-- Grain: one row per failure and attempt, question for help or its admission, reassignment decision, call or answer for
+--   recovery, escalation or resolution
+-- Key: run_id, seq
 -- Units: time_us, deadline_us microseconds of run time; t_max_us microseconds; n_max uses; rank 1 local to 4 human
--- NULL: failure, robot before any failure of the action; level, rank where the record names none; to_rank unless an escalation; t_max_us, n_max as in
---       facts/recovery_allowances; helper, deadline_us, reason where the record gives none
+-- NULL: failure, robot before any failure of the action; level, rank where the record names none; to_rank unless an
+--   escalation; t_max_us, n_max as in facts/recovery_allowances; helper, deadline_us, reason where the record gives
+--   none
 -- Example: fsar-ledger query facts/recovery_acts LEDGER
 -- Stored: I4 and what the audit looked at both read it
 WITH ranks (level, rank) AS (
@@ -20,26 +23,25 @@ records AS (
         seq,
         time_us,
         type,
-        coalesce(failed_action, action_id) AS action_id,
+        action_id,
         helper,
         number,
         deadline_us,
         reason,
         to_level,
-        CASE type
-            WHEN 'ReassignmentDecided.v1' THEN 'fleet' WHEN 'SupervisorCalled.v1' THEN 'human' WHEN 'SupervisorResponded.v1' THEN 'human' ELSE level
-        END AS level,
+        level,
         -- A call and its answer name no failure: they are about the last one of the action.
-        coalesce(failure, last_value(CASE WHEN type = 'ExecutionFailed.v1' THEN failure END IGNORE NULLS) OVER so_far) AS failure,
+        coalesce(failure, last_value(CASE WHEN type = 'ExecutionFailed.v1' THEN failure END IGNORE NULLS) OVER so_far)
+            AS failure,
         last_value(CASE WHEN type = 'ExecutionFailed.v1' THEN robot END IGNORE NULLS) OVER so_far AS robot
-    FROM events
+    FROM recovery_records
     WHERE
         type IN (
-            'ExecutionFailed.v1', 'RecoveryAttempted.v1', 'AssistanceRequested.v1', 'AssistanceAdmitted.v1', 'ReassignmentDecided.v1', 'RecoveryEscalated.v1',
-            'FailureResolved.v1'
+            'ExecutionFailed.v1', 'RecoveryAttempted.v1', 'AssistanceRequested.v1', 'AssistanceAdmitted.v1',
+            'ReassignmentDecided.v1', 'RecoveryEscalated.v1', 'FailureResolved.v1', 'SupervisorCalled.v1',
+            'SupervisorResponded.v1'
         )
-        OR (type IN ('SupervisorCalled.v1', 'SupervisorResponded.v1') AND purpose = 'recovery')
-    WINDOW so_far AS (PARTITION BY run_id, coalesce(failed_action, action_id) ORDER BY seq ROWS BETWEEN UNBOUNDED PRECEDING AND CURRENT ROW)
+    WINDOW so_far AS (PARTITION BY run_id, action_id ORDER BY seq ROWS BETWEEN UNBOUNDED PRECEDING AND CURRENT ROW)
 ),
 
 helped AS (
@@ -52,14 +54,26 @@ helped AS (
 )
 
 SELECT
-    records.* EXCLUDE (number),
+    records.run_id,
+    records.seq,
+    records.time_us,
+    records.type,
+    records.action_id,
+    records.helper,
+    records.deadline_us,
+    records.reason,
+    records.to_level,
+    records.level,
+    records.failure,
+    records.robot,
     ranks.rank,
     targets.rank AS to_rank,
     allowed.t_max_us,
     allowed.n_max,
     records.type IN ('RecoveryAttempted.v1', 'AssistanceRequested.v1', 'SupervisorCalled.v1')
     OR (records.type = 'ReassignmentDecided.v1' AND records.helper IS NOT NULL) AS is_use,
-    -- What a failure can be resolved by at the level: an attempt that did not fail, help that was given to its end, a takeover, a human.
+    -- What a failure can be resolved by at the level: an attempt that did not fail, help that was given to its end, a
+    -- takeover, a human.
     records.type = 'SupervisorResponded.v1'
     OR (records.type = 'RecoveryAttempted.v1' AND fruitless.run_id IS NULL)
     OR (records.type = 'AssistanceAdmitted.v1' AND helped.run_id IS NOT NULL)
@@ -76,4 +90,8 @@ LEFT JOIN helped
         records.run_id = helped.run_id AND records.action_id = helped.action_id
         AND records.failure = helped.failure AND records.helper = helped.helper
 ASOF LEFT JOIN recovery_allowances AS allowed
-    ON records.run_id = allowed.run_id AND records.robot = allowed.robot AND records.level = allowed.level AND records.seq >= allowed.since_seq
+    ON
+        records.run_id = allowed.run_id
+        AND records.robot = allowed.robot
+        AND records.level = allowed.level
+        AND records.seq >= allowed.since_seq

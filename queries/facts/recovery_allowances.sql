@@ -1,8 +1,11 @@
 -- Title: The budget of each level of a robot's recovery, from each moment at which it was set
 -- Paper: eq:recovery, app:foundations (Paper 3)
 -- Grain: one row per run, robot and level for what the fleet was founded with, and per RecoveryBudgetSet event
--- Units: t_max_us microseconds; n_max attempts (local), helpers asked (peer), reassignments (fleet), calls (human); since_seq position in the run
--- NULL: t_max_us, n_max where the run records neither, or parameters that cannot be read; set_by where the budget is the fleet's own
+-- Key: run_id, robot, level, since_seq
+-- Units: t_max_us microseconds; n_max attempts (local), helpers asked (peer), reassignments (fleet), calls (human);
+--   since_seq position in the run
+-- NULL: t_max_us, n_max where the run records neither, or parameters that cannot be read; set_by where the budget is
+--   the fleet's own
 -- Example: fsar-ledger query facts/recovery_allowances LEDGER
 WITH readable AS (
     SELECT
@@ -21,7 +24,10 @@ founding AS (
         try_cast(json_extract(runs.constants, '$.structure.' || counts.name) AS BIGINT) AS n_max
     FROM readable AS runs
     CROSS JOIN (
-        VALUES ('local', 'local_attempts'), ('peer', 'peer_helpers'), ('fleet', 'fleet_reassignments'), ('human', 'human_calls')
+        VALUES ('local', 'local_attempts'),
+        ('peer', 'peer_helpers'),
+        ('fleet', 'fleet_reassignments'),
+        ('human', 'human_calls')
     ) AS counts (level, name)
 ),
 

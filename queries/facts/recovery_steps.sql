@@ -1,78 +1,134 @@
 -- Title: What recovery did about each failure, step by step, and what came of it
 -- Paper: eq:recovery, fig:wf3
--- Grain: one row per failure and attempt, question to registry, peer or supervisor, reassignment decision, escalation or resolution
+-- Grain: one row per failure and attempt, question to registry, peer or supervisor, reassignment decision, escalation
+--   or resolution
+-- Key: run_id, action_id, failure, seq
 -- Units: detected_us, time_us, until_us microseconds of run time; until_us is when the next step was taken
--- NULL: decided_by when the record names none; result when nothing came of it or none is recorded; until_us of the last step
+-- NULL: decided_by when the record names none; result when nothing came of it or none is recorded; until_us of the last
+--   step
 -- Example: fsar-ledger query facts/recovery_steps LEDGER
-WITH records AS (
+WITH answers AS (
+    -- What came of an attempt, or of a question for help, where the record says so.
     SELECT
-        failures.run_id,
-        failures.action_id,
-        failures.failure,
-        failures.detected_us,
-        failures.resolved_level,
-        events.seq,
-        events.type,
-        events.time_us,
-        events.decided_by,
-        events.to_level,
-        events.deadline_us,
-        events.number,
-        events.helper,
-        events.supervisor,
-        events.capability,
-        events.candidates,
-        events.checkpoint,
-        events.reason AS said,
-        CASE events.type
-            WHEN 'RegistryQueried.v1' THEN 'peer' WHEN 'ReassignmentDecided.v1' THEN 'fleet' WHEN 'SupervisorCalled.v1' THEN 'human' ELSE events.level
-        END AS level
-    FROM failures
-    INNER JOIN events
-        ON failures.run_id = events.run_id AND failures.action_id = coalesce(events.failed_action, events.action_id) AND failures.seq < events.seq
-    WHERE
-        CASE
-            WHEN events.type IN ('RecoveryAttempted.v1', 'RecoveryEscalated.v1', 'AssistanceRequested.v1', 'ReassignmentDecided.v1', 'FailureResolved.v1')
-                THEN failures.failure = events.failure
-            WHEN events.type = 'RegistryQueried.v1' OR (events.type = 'SupervisorCalled.v1' AND events.purpose = 'recovery')
-                THEN events.time_us <= coalesce(failures.resolved_us, events.time_us)
-            ELSE FALSE
-        END
+        run_id,
+        action_id,
+        failure,
+        number,
+        helper,
+        any_value(
+            CASE type
+                WHEN 'AssistanceDeclined.v1' THEN 'busy' WHEN 'AssistanceFailed.v1' THEN 'no help: ' || cause ELSE
+                    result
+            END
+        ) AS answer,
+        any_value(nullif(array_to_string(achieved, ', '), '')) AS achieved
+    FROM recovery_events
+    WHERE type IN ('RecoveryAttemptFailed.v1', 'AssistanceDeclined.v1', 'AssistanceFailed.v1')
+    GROUP BY run_id, action_id, failure, number, helper
 ),
 
-followed AS (
+steps AS (
     SELECT
-        records.*,
-        answers.answer,
-        answers.achieved,
-        lead(records.time_us) OVER in_order AS until_us,
-        lead(records.type) OVER in_order AS next_type
-    FROM records
-    LEFT JOIN recovery_answers AS answers
-        ON
-            records.run_id = answers.run_id AND records.action_id = answers.action_id AND records.failure = answers.failure
-            AND records.number IS NOT DISTINCT FROM answers.number AND records.helper IS NOT DISTINCT FROM answers.helper
-    WINDOW in_order AS (PARTITION BY records.run_id, records.action_id, records.failure ORDER BY records.seq)
+        run_id,
+        seq,
+        time_us,
+        type,
+        action_id,
+        failure,
+        helper,
+        supervisor,
+        decided_by,
+        level,
+        to_level,
+        number,
+        deadline_us,
+        checkpoint,
+        reason
+    FROM recovery_records
+    UNION ALL BY NAME
+    SELECT
+        run_id,
+        seq,
+        time_us,
+        'RegistryQueried.v1' AS type,
+        action_id,
+        'peer' AS level,
+        capability,
+        candidates
+    FROM registry_queried
 )
 
 SELECT
-    followed.* EXCLUDE (answer, next_type),
-    CASE type
-        WHEN 'RecoveryAttempted.v1' THEN 'attempt ' || number
-        WHEN 'AssistanceRequested.v1' THEN 'asks ' || helper || ' for help'
-        WHEN 'RegistryQueried.v1' THEN 'asks the registry for ' || capability
+    failures.run_id,
+    failures.action_id,
+    failures.failure,
+    failures.detected_us,
+    steps.seq,
+    steps.type,
+    steps.time_us,
+    lead(steps.time_us) OVER in_order AS until_us,
+    steps.decided_by,
+    steps.level,
+    steps.to_level,
+    steps.deadline_us,
+    CASE steps.type
+        WHEN 'RecoveryAttempted.v1' THEN 'attempt ' || steps.number
+        WHEN 'AssistanceRequested.v1' THEN 'asks ' || steps.helper || ' for help'
+        WHEN 'RegistryQueried.v1' THEN 'asks the registry for ' || steps.capability
         WHEN 'ReassignmentDecided.v1' THEN 'evaluates reassignment'
-        WHEN 'SupervisorCalled.v1' THEN 'asks ' || supervisor
-        WHEN 'RecoveryEscalated.v1' THEN 'leaves ' || level || ' for ' || to_level
+        WHEN 'SupervisorCalled.v1' THEN 'asks ' || steps.supervisor
+        WHEN 'RecoveryEscalated.v1' THEN 'leaves ' || steps.level || ' for ' || steps.to_level
         ELSE 'resolved'
     END AS what,
-    CASE type
-        WHEN 'RecoveryAttempted.v1' THEN coalesce(answer, if(next_type = 'FailureResolved.v1', 'success', if(next_type IS NULL, NULL, 'failure')))
-        WHEN 'AssistanceRequested.v1' THEN coalesce(answer, if(next_type = 'FailureResolved.v1', 'helped', if(next_type IS NULL, NULL, 'no help')))
-        WHEN 'RegistryQueried.v1' THEN if(len(candidates) = 0, 'no peer', array_to_string(candidates, ', '))
+    CASE steps.type
+        WHEN 'RecoveryAttempted.v1'
+            THEN
+                coalesce(
+                    answers.answer,
+                    CASE
+                        WHEN lead(steps.type) OVER in_order = 'FailureResolved.v1' THEN 'success'
+                        WHEN lead(steps.type) OVER in_order IS NOT NULL THEN 'failure'
+                    END
+                )
+        WHEN 'AssistanceRequested.v1'
+            THEN
+                coalesce(
+                    answers.answer,
+                    CASE
+                        WHEN lead(steps.type) OVER in_order = 'FailureResolved.v1' THEN 'helped'
+                        WHEN lead(steps.type) OVER in_order IS NOT NULL THEN 'no help'
+                    END
+                )
+        WHEN 'RegistryQueried.v1'
+            THEN if(len(steps.candidates) = 0, 'no peer', array_to_string(steps.candidates, ', '))
         WHEN 'ReassignmentDecided.v1'
-            THEN if(helper IS NULL, 'infeasible' || coalesce(': ' || said, ''), 'to ' || helper || coalesce(' from ' || checkpoint, ''))
-        WHEN 'SupervisorCalled.v1' THEN if(resolved_level = 'human', 'resolved', NULL)
-        WHEN 'RecoveryEscalated.v1' THEN said
-    END AS result
-FROM followed
+            THEN
+                coalesce(
+                    'to ' || steps.helper || coalesce(' from ' || steps.checkpoint, ''),
+                    'infeasible' || coalesce(': ' || steps.reason, '')
+                )
+        WHEN 'SupervisorCalled.v1' THEN if(failures.resolved_level = 'human', 'resolved', NULL)
+        WHEN 'RecoveryEscalated.v1' THEN steps.reason
+    END AS result,
+    answers.achieved
+FROM failures
+-- A question to the registry, and a call, name no failure: they are about the one that is not resolved yet.
+INNER JOIN steps
+    ON
+        failures.run_id = steps.run_id AND failures.action_id = steps.action_id AND failures.seq < steps.seq
+        AND CASE
+            WHEN steps.type IN ('RegistryQueried.v1', 'SupervisorCalled.v1')
+                THEN steps.time_us <= coalesce(failures.resolved_us, steps.time_us)
+            WHEN
+                steps.type IN (
+                    'RecoveryAttempted.v1', 'RecoveryEscalated.v1', 'AssistanceRequested.v1', 'ReassignmentDecided.v1',
+                    'FailureResolved.v1'
+                )
+                THEN failures.failure = steps.failure
+            ELSE FALSE
+        END
+LEFT JOIN answers
+    ON
+        steps.run_id = answers.run_id AND steps.action_id = answers.action_id AND steps.failure = answers.failure
+        AND steps.number IS NOT DISTINCT FROM answers.number AND steps.helper IS NOT DISTINCT FROM answers.helper
+WINDOW in_order AS (PARTITION BY failures.run_id, failures.action_id, failures.failure ORDER BY steps.seq)

@@ -1,13 +1,34 @@
 -- Title: The last word on who may ask, for each judgement of a request and each robot that stands behind the request
 -- Paper: eq:auth, sec:model:authority
 -- Grain: one row per evaluation and robot that asks: the requester and, where the request came through one, the relay
+-- Key: run_id, seq, asker
 -- Units: time_us microseconds of run time; asked_seq, right_seq positions in the run
--- NULL: action_id; conjunct unless denied; no row where nobody has granted or revoked anything that the request is about
+-- NULL: action_id; conjunct unless denied; no row where nobody has granted or revoked anything that the request is
+--   about
 -- Example: fsar-ledger query facts/rights_at_evaluations LEDGER
 WITH askers AS (
     -- A relay judges its own link of the chain by itself.
     SELECT
-        * EXCLUDE (executed_by),
+        run_id,
+        seq,
+        asked_seq,
+        time_us,
+        action_id,
+        context,
+        requested_by,
+        relay,
+        parent,
+        capability,
+        override_asked,
+        decided_by,
+        type,
+        verdict,
+        conjunct,
+        trust,
+        may_request,
+        may_execute,
+        override,
+        is_audited,
         CASE WHEN decided_by = relay THEN relay ELSE executed_by END AS executed_by,
         unnest(list_distinct([requested_by, coalesce(relay, requested_by)])) AS asker
     FROM evaluations
@@ -22,7 +43,7 @@ rights AS (
         executed_by,
         capability,
         context
-    FROM events
+    FROM authority_events
     WHERE type IN ('AuthorityGranted.v1', 'AuthorityRevoked.v1')
 )
 

@@ -1,12 +1,16 @@
--- Title: The trust in force between two robots or roles, by capability and context, from each moment at which it was set
+-- Title: The trust in force between two robots or roles, by capability and context, from each moment at which it was
+--   set
 -- Paper: eq:trust
--- Grain: one row per run, robot and peer (or role, peer_role and domain), capability, context and moment at which it was set; before the first there is none
+-- Grain: one row per run, robot and peer (or role, peer_role and domain), capability, context and moment at which it
+--   was set; before the first there is none
+-- Key: run_id, robot?, peer?, role?, peer_role?, domain?, capability?, context?, since_us
 -- Units: since_us, until_us microseconds of run time, half-open
--- NULL: robot, peer of an entry about roles; role, peer_role, domain of one about a pair; capability, context when the entry is about all of them;
---   until_us for the last row of an entry; set_by for what the fleet was founded with
+-- NULL: robot, peer of an entry about roles; role, peer_role, domain of one about a pair; capability, context when the
+--   entry is about all of them; until_us for the last row of an entry; set_by for what the fleet was founded with
 -- Example: fsar-ledger query facts/trust_in_force LEDGER
 WITH moments AS (
-    -- Of several about the same at one moment the last one holds; which of those about different things holds, precedence says.
+    -- Of several about the same at one moment the last one holds; which of those about different things holds,
+    -- precedence says.
     SELECT
         run_id,
         robot,
@@ -36,7 +40,9 @@ SELECT
     capability,
     context,
     since_us,
-    lead(since_us) OVER (PARTITION BY run_id, robot, peer, role, peer_role, domain, capability, context ORDER BY since_us) AS until_us,
+    lead(since_us)
+        OVER (PARTITION BY run_id, robot, peer, role, peer_role, domain, capability, context ORDER BY since_us)
+        AS until_us,
     trust_scope,
     set_by,
     reason,

@@ -1,10 +1,14 @@
 -- Title: The robots that each entry of trust is about, on either side
 -- Paper: eq:trust
--- Grain: one row per TrustSet or RoleTrustSet event, side and robot; an entry about roles has one for each member, also for those that joined later
--- Units: joined_us microseconds of run time, from which on the robot is a member; 0 where nobody recorded that it joined
+-- Grain: one row per TrustSet or RoleTrustSet event, side and robot; an entry about roles has one for each member, also
+--   for those that joined later
+-- Key: run_id, seq, is_trusting, robot
+-- Units: joined_us microseconds of run time, from which on the robot is a member; 0 where nobody recorded that it
+--   joined
 -- NULL: never; is_trusting: the robot is one that trusts, else one that is trusted
 -- Example: fsar-ledger query facts/trust_parties LEDGER
--- An entry is about a pair when one robot is on its trusting side and the other on its trusted side: so no row is needed for each pair.
+-- An entry is about a pair when one robot is on its trusting side and the other on its trusted side: so no row is
+-- needed for each pair.
 SELECT
     pairs.run_id,
     pairs.seq,
@@ -30,5 +34,7 @@ SELECT
 FROM role_trust_set AS entries
 CROSS JOIN (VALUES (TRUE), (FALSE)) AS sides (is_trusting)
 INNER JOIN fleet_members AS members
-    ON entries.run_id = members.run_id AND CASE WHEN sides.is_trusting THEN entries.role ELSE entries.peer_role END = members.role
+    ON
+        entries.run_id = members.run_id
+        AND CASE WHEN sides.is_trusting THEN entries.role ELSE entries.peer_role END = members.role
 WHERE entries.domain IN ('', coalesce(members.domain, '')) OR starts_with(members.domain, entries.domain || '/')

@@ -1,15 +1,28 @@
 -- Title: Entries of trust, and which of those that apply holds
 -- Paper: eq:trust
 -- Grain: one row per TrustSet or RoleTrustSet event
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time; precedence orders the entries that apply to one robot about one peer
--- NULL: robot, peer of an entry about roles; role, peer_role, domain of one about a pair (an empty domain is the whole fleet); capability, context when
---   the entry is about all of them; set_by for what the fleet was founded with
+-- NULL: robot, peer of an entry about roles; role, peer_role, domain of one about a pair (an empty domain is the whole
+--   fleet); capability, context when the entry is about all of them; set_by for what the fleet was founded with
 -- Example: fsar-ledger query facts/trust_precedence LEDGER
--- Of the entries that apply to a pair (see trust_parties), a capability and a context, that of the greatest precedence holds: about the very pair before
--- about roles, of roles the smallest domain; then both capability and context named, then the capability, then the context, then neither; of equals the last.
+-- Of the entries that apply to a pair (see trust_parties), a capability and a context, that of the greatest precedence
+-- holds. One about the very pair goes before one about roles, of roles the smallest domain. Then one that names both
+-- capability and context goes before the capability alone, that before the context alone, that before neither, and of
+-- equals the last holds.
 WITH entries AS (
     SELECT
-        *,
+        run_id,
+        seq,
+        time_us,
+        caused_by,
+        robot,
+        peer,
+        scope,
+        capability,
+        context,
+        decided_by,
+        reason,
         NULL AS role,
         NULL AS peer_role,
         NULL AS domain,
@@ -17,7 +30,17 @@ WITH entries AS (
     FROM trust_set
     UNION ALL BY NAME
     SELECT
-        *,
+        run_id,
+        seq,
+        time_us,
+        role,
+        peer_role,
+        scope,
+        domain,
+        capability,
+        context,
+        decided_by,
+        reason,
         NULL AS robot,
         NULL AS peer,
         CASE domain WHEN '' THEN 0 ELSE least(len(string_split(domain, '/')), 1023) END AS nearness
@@ -38,5 +61,6 @@ SELECT
     scope,
     decided_by AS set_by,
     reason,
-    (nearness::BIGINT * 4 + (capability IS NOT NULL)::BIGINT * 2 + (context IS NOT NULL)::BIGINT) * 1000000000 + seq AS precedence
+    (nearness::BIGINT * 4 + (capability IS NOT NULL)::BIGINT * 2 + (context IS NOT NULL)::BIGINT) * 1000000000
+    + seq AS precedence
 FROM entries

@@ -1,6 +1,7 @@
 -- Title: What cannot be judged of a run, because its source does not record what the judgement rests on
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run and judge that rests on a concern that the run does not observe
+-- Key: run_id, judge
 -- Units: none
 -- NULL: never; not_observed names the concerns, hides_offences is whether not even an offence could be told
 -- Example: fsar-ledger query facts/unobservable LEDGER

@@ -1,6 +1,8 @@
 -- Title: A1 broken: a robot needs somebody else for its own steps or routine
 -- Paper: sec:architecture:invariants (A1), eq:runtime
--- Grain: one row per own step, or routine, that another principal than the robot decided or was on the way to; and per own execution nobody decided
+-- Grain: one row per own step, or routine, that another principal than the robot decided or was on the way to; and per
+--   own execution nobody decided
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a routine, and where the record does not name it
 -- Example: fsar-ledger query invariants/a1_local_runtime_self_sufficiency LEDGER
@@ -15,7 +17,7 @@ WITH decided AS (
         decided_by,
         path,
         CASE WHEN type = 'OwnStepDecided.v1' THEN executed_by ELSE robot END AS owner
-    FROM events
+    FROM execution_events
     WHERE type IN ('OwnStepDecided.v1', 'RoutinePerformed.v1', 'RoutineWithheld.v1')
 ),
 
@@ -42,7 +44,10 @@ SELECT
     time_us,
     type,
     action_id,
-    coalesce(decided_by, 'nobody') || ' decides by way of ' || array_to_string(coalesce(path, []), ', ') || ' what is for '
+    coalesce(decided_by, 'nobody')
+    || ' decides by way of '
+    || array_to_string(coalesce(path, []), ', ')
+    || ' what is for '
     || coalesce(owner, 'nobody') || ' alone to decide' AS found
 FROM decided
 WHERE decided_by IS DISTINCT FROM owner OR path IS DISTINCT FROM [owner]

@@ -1,6 +1,7 @@
 -- Title: A2 broken: a federation service or the coordinator executes
 -- Paper: sec:architecture:invariants (A2), eq:federation
 -- Grain: one row per event that names a service or the coordinator as executor, or as the body that moves
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id when the event is not tied to an action
 -- Example: fsar-ledger query invariants/a2_coordination_only_federation LEDGER
@@ -14,7 +15,7 @@ SELECT
         WHEN executed_by = 'coordinator' OR starts_with(executed_by, 'service/') THEN executed_by
         ELSE robot
     END || ' is named as the one that executes' AS found
-FROM events
+FROM event_principals
 WHERE
     executed_by = 'coordinator'
     OR starts_with(executed_by, 'service/')

@@ -1,7 +1,9 @@
 -- Title: A3 broken: a known conflict of policies is passed over instead of escalated
 -- Paper: sec:architecture:invariants (A3), eq:policy
--- Grain: one row per start under a known deny, or review that no supervisor had approved, after a refusal that nothing lifted, or after a hold that
---        nothing ended; per admission that is milder than what the request carried; and per stop against a mandate that was not escalated
+-- Grain: one row per start under a known deny, or review that no supervisor had approved, after a refusal that nothing
+--   lifted, or after a hold that nothing ended; per admission that is milder than what the request carried; and per
+--   stop against a mandate that was not escalated
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id for a motion
 -- Example: fsar-ledger query invariants/a3_no_silent_policy_override LEDGER
@@ -13,21 +15,47 @@ WITH holds AS (
         max(ends.seq) AS changed_seq
     FROM execution_started AS starts
     INNER JOIN execution_held AS held
-        ON starts.run_id = held.run_id AND starts.action_id = held.action_id AND starts.robot = held.robot AND starts.seq > held.seq
+        ON
+            starts.run_id = held.run_id
+            AND starts.action_id = held.action_id
+            AND starts.robot = held.robot
+            AND starts.seq > held.seq
     LEFT JOIN hold_ends AS ends
-        ON starts.run_id = ends.run_id AND (starts.robot = ends.robot OR starts.action_id = ends.action_id) AND starts.seq > ends.seq
+        ON
+            starts.run_id = ends.run_id
+            AND (starts.robot = ends.robot OR starts.action_id = ends.action_id)
+            AND starts.seq > ends.seq
     GROUP BY starts.run_id, starts.seq
+),
+
+said AS (
+    SELECT
+        run_id,
+        seq,
+        action_id,
+        carried_policy,
+        FALSE AS is_approved
+    FROM request_events
+    WHERE carried_policy IS NOT NULL
+    UNION ALL
+    SELECT
+        run_id,
+        seq,
+        action_id,
+        NULL AS carried_policy,
+        purpose = 'review' AND coalesce(approves, TRUE) AS is_approved
+    FROM supervisor_responded
 ),
 
 admissions AS (
     SELECT
         admitted.run_id,
         admitted.seq,
-        bool_or(said.type = 'SupervisorResponded.v1' AND said.purpose = 'review' AND coalesce(said.approves, TRUE)) AS is_approved,
+        bool_or(said.is_approved) AS is_approved,
         max(CASE said.carried_policy WHEN 'deny' THEN 2 WHEN 'review' THEN 1 ELSE 0 END) AS carried
     FROM request_admitted AS admitted
-    INNER JOIN events AS said ON admitted.run_id = said.run_id AND admitted.action_id = said.action_id AND admitted.seq > said.seq
-    WHERE said.type = 'SupervisorResponded.v1' OR said.carried_policy IS NOT NULL
+    INNER JOIN said
+        ON admitted.run_id = said.run_id AND admitted.action_id = said.action_id AND admitted.seq > said.seq
     GROUP BY admitted.run_id, admitted.seq
 ),
 
@@ -36,8 +64,12 @@ findings AS (
         run_id,
         seq,
         CASE
-            WHEN denied_seq IS NOT NULL THEN 'starts after the refusal at seq ' || denied_seq || ', which nothing lifted'
-            ELSE 'starts under a known ' || CASE outcome WHEN 'deny' THEN 'deny' ELSE 'review that no supervisor had approved' END
+            WHEN
+                denied_seq IS NOT NULL
+                THEN 'starts after the refusal at seq ' || denied_seq || ', which nothing lifted'
+            ELSE
+                'starts under a known '
+                || CASE outcome WHEN 'deny' THEN 'deny' ELSE 'review that no supervisor had approved' END
         END AS found
     FROM known_policy
     WHERE denied_seq IS NOT NULL OR outcome <> 'allow'
@@ -76,5 +108,8 @@ SELECT
     events.action_id,
     findings.found
 FROM findings
-INNER JOIN events ON findings.run_id = events.run_id AND findings.seq = events.seq
-WHERE events.type IN ('ExecutionStarted.v1', 'RoutinePerformed.v1', 'RequestAdmitted.v1', 'RequestDenied.v1', 'ExecutionHeld.v1')
+INNER JOIN event_principals AS events ON findings.run_id = events.run_id AND findings.seq = events.seq
+WHERE
+    events.type IN (
+        'ExecutionStarted.v1', 'RoutinePerformed.v1', 'RequestAdmitted.v1', 'RequestDenied.v1', 'ExecutionHeld.v1'
+    )

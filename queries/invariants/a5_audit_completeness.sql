@@ -1,23 +1,28 @@
 -- Title: A5 broken: an execution for another robot is not fully on record
 -- Paper: sec:architecture:invariants (A5), eq:request
--- Grain: one row per start or end of an execution for another robot whose own record lacks or misstates a principal, without an earlier request and
---        admission (or reassignment) and acceptance of its action in this order, ended by who had not begun it, or not closed before its task goes
---        on; and per help that was admitted without a principal
+-- Grain: one row per start or end of an execution for another robot whose own record lacks or misstates a principal,
+--   without an earlier request and admission (or reassignment) and acceptance of its action in this order, ended by who
+--   had not begun it, or not closed before its task goes on; and per help that was admitted without a principal
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id where the record names none
 -- Example: fsar-ledger query invariants/a5_audit_completeness LEDGER
--- The robots are physical facts, the principals what was recorded. No supervisor is needed while that of the executing robot is recorded as absent;
--- a robot without one of its own is supervised by H_F, who is always there.
+-- The robots are physical facts, the principals what was recorded. No supervisor is needed while that of the executing
+-- robot is recorded as absent; a robot without one of its own is supervised by H_F, who is always there.
 WITH phases AS (
     SELECT
         records.run_id,
         records.seq,
-        max(events.seq) FILTER (events.type IN ('RequestIssued.v1', 'ReassignmentDecided.v1') AND records.seq > events.seq) AS asked_seq,
-        max(events.seq) FILTER (events.type IN ('RequestAdmitted.v1', 'ReassignmentDecided.v1') AND records.seq > events.seq) AS admitted_seq,
+        max(events.seq) FILTER (
+            events.type IN ('RequestIssued.v1', 'ReassignmentDecided.v1') AND records.seq > events.seq
+        ) AS asked_seq,
+        max(events.seq) FILTER (
+            events.type IN ('RequestAdmitted.v1', 'ReassignmentDecided.v1') AND records.seq > events.seq
+        ) AS admitted_seq,
         max(events.seq) FILTER (events.type = 'RequestAccepted.v1' AND records.seq > events.seq) AS accepted_seq,
         min(events.seq) FILTER (events.type = 'RequestClosed.v1' AND records.seq < events.seq) AS closed_seq
     FROM cross_robot_records AS records
-    INNER JOIN events ON records.run_id = events.run_id AND records.action_id = events.action_id
+    INNER JOIN event_principals AS events ON records.run_id = events.run_id AND records.action_id = events.action_id
     WHERE
         events.type IN ('RequestIssued.v1', 'RequestAdmitted.v1', 'RequestAccepted.v1', 'RequestClosed.v1')
         OR (events.type = 'ReassignmentDecided.v1' AND records.robot = events.helper)
@@ -26,17 +31,52 @@ WITH phases AS (
 
 judged AS (
     SELECT
-        records.*,
+        records.run_id,
+        records.seq,
+        records.time_us,
+        records.type,
+        records.action_id,
+        records.requested_by,
+        records.executed_by,
+        records.supervised_by,
+        records.robot,
+        records.began_by,
+        records.on_behalf_of,
+        records.next_seq,
         concat_ws(
             ', ',
-            CASE WHEN records.requested_by IS DISTINCT FROM records.on_behalf_of THEN 'requester ' || coalesce(records.requested_by, 'missing') END,
-            CASE WHEN records.executed_by IS DISTINCT FROM records.robot THEN 'executor ' || coalesce(records.executed_by, 'missing') END,
+            CASE
+                WHEN
+                    records.requested_by IS DISTINCT FROM records.on_behalf_of
+                    THEN 'requester ' || coalesce(records.requested_by, 'missing')
+            END,
+            CASE
+                WHEN
+                    records.executed_by IS DISTINCT FROM records.robot
+                    THEN 'executor ' || coalesce(records.executed_by, 'missing')
+            END,
             CASE WHEN records.supervised_by IS NULL AND absences.supervisor IS NULL THEN 'supervisor missing' END,
             CASE WHEN phases.asked_seq IS NULL THEN 'no earlier request' END,
-            CASE WHEN coalesce(phases.admitted_seq, -1) < coalesce(phases.asked_seq, 0) THEN 'no admission of the request' END,
-            CASE WHEN coalesce(phases.accepted_seq, -1) < coalesce(phases.admitted_seq, 0) THEN 'no acceptance after it was admitted' END,
-            CASE WHEN coalesce(records.robot <> records.began_by, TRUE) THEN 'begun by ' || coalesce(records.began_by, 'nobody') END,
-            CASE WHEN records.next_seq < coalesce(phases.closed_seq, records.next_seq + 1) THEN 'the task goes on before the request is closed' END
+            CASE
+                WHEN
+                    coalesce(phases.admitted_seq, -1) < coalesce(phases.asked_seq, 0)
+                    THEN 'no admission of the request'
+            END,
+            CASE
+                WHEN
+                    coalesce(phases.accepted_seq, -1) < coalesce(phases.admitted_seq, 0)
+                    THEN 'no acceptance after it was admitted'
+            END,
+            CASE
+                WHEN
+                    coalesce(records.robot <> records.began_by, TRUE)
+                    THEN 'begun by ' || coalesce(records.began_by, 'nobody')
+            END,
+            CASE
+                WHEN
+                    records.next_seq < coalesce(phases.closed_seq, records.next_seq + 1)
+                    THEN 'the task goes on before the request is closed'
+            END
         ) AS lacks
     FROM cross_robot_records AS records
     LEFT JOIN phases ON records.run_id = phases.run_id AND records.seq = phases.seq

@@ -1,7 +1,8 @@
 -- Title: I1 broken: a robot acts as more than one fleet-visible principal, or as one that never joined
 -- Paper: sec:model:invariants (I1), eq:runtime
--- Grain: one row per event and principal that is no joined robot, no supervisor, no federation service and no coordinator; and per second joining of
---        a robot
+-- Grain: one row per event and principal that is no joined robot, no supervisor, no federation service and no
+--   coordinator; and per second joining of a robot
+-- Key: run_id, seq, found
 -- Units: time_us microseconds of run time
 -- NULL: action_id when the event is not tied to an action
 -- Example: fsar-ledger query invariants/i1_local_agent_coherence LEDGER
@@ -30,7 +31,13 @@ known AS (
     SELECT
         run_id,
         unnest([
-            'supervisor/fleet', 'service/registry', 'service/coordination', 'service/recovery', 'service/policy', 'service/trust', 'coordinator'
+            'supervisor/fleet',
+            'service/registry',
+            'service/coordination',
+            'service/recovery',
+            'service/policy',
+            'service/trust',
+            'coordinator'
         ]) AS principal
     FROM runs
 ),
@@ -42,8 +49,12 @@ named AS (
         time_us,
         type,
         action_id,
-        unnest(list_concat([decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver], coalesce(path, []))) AS principal
-    FROM events
+        unnest(
+            list_concat(
+                [decided_by, requested_by, executed_by, supervised_by, claimant, sender, receiver], coalesce(path, [])
+            )
+        ) AS principal
+    FROM event_principals
     WHERE
         decided_by IS NOT NULL OR requested_by IS NOT NULL OR executed_by IS NOT NULL OR supervised_by IS NOT NULL
         OR claimant IS NOT NULL OR sender IS NOT NULL OR receiver IS NOT NULL OR len(path) > 0

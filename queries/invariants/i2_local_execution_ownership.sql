@@ -1,17 +1,27 @@
--- Title: I2 broken: a delegated action is executed that its executor had not accepted itself, or admitted against a revocation
+-- Title: I2 broken: a delegated action is executed that its executor had not accepted itself, or admitted against a
+--   revocation
 -- Paper: sec:model:invariants (I2), eq:request
--- Grain: one row per ExecutionStarted event for another robot without an earlier acceptance, by the executing robot, of that action, and per admission of
---        a request that the asking robot had no right to any more
+-- Grain: one row per ExecutionStarted event for another robot without an earlier acceptance, by the executing robot, of
+--   that action, and per admission of a request that the asking robot had no right to any more
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: never
 -- Example: fsar-ledger query invariants/i2_local_execution_ownership LEDGER
--- An acceptance counts when the executing robot decided it, it names that robot as executor, and nobody else was on its path.
+-- An acceptance counts when the executing robot decided it, it names that robot as executor, and nobody else was on its
+-- path.
 WITH acceptances AS (
     SELECT
         starts.run_id,
         starts.seq,
         arg_max(coalesce(accepted.decided_by, 'nobody'), accepted.seq) AS decided_by,
-        coalesce(bool_or(accepted.decided_by = starts.robot AND accepted.executed_by = starts.robot AND accepted.path = [starts.robot]), FALSE) AS is_own
+        coalesce(
+            bool_or(
+                accepted.decided_by = starts.robot
+                AND accepted.executed_by = starts.robot
+                AND accepted.path = [starts.robot]
+            ),
+            FALSE
+        ) AS is_own
     FROM execution_started AS starts
     LEFT JOIN request_accepted AS accepted
         ON starts.run_id = accepted.run_id AND starts.action_id = accepted.action_id AND starts.seq > accepted.seq

@@ -1,15 +1,29 @@
 -- Title: I5 broken: a coordination event from which a principal cannot be recovered
 -- Paper: sec:model:invariants (I5), sec:evaluation:metrics (audit attributability)
--- Grain: one row per coordination event that lacks a requester, an executor, or a supervisor who is not recorded as absent
+-- Grain: one row per coordination event that lacks a requester, an executor, or a supervisor who is not recorded as
+--   absent
+-- Key: run_id, seq
 -- Units: time_us microseconds of run time
 -- NULL: action_id when the record is not correlated with an action
 -- Example: fsar-ledger query invariants/i5_audit_attributability LEDGER
--- A principal counts when the record or another event of its action names it. The supervisor that may be absent is that of the robot that
--- decided; where no robot did, of the requester until the request is issued, and of the executor after that. A robot without a supervisor of its
--- own is supervised by H_F, who is always there.
+-- A principal counts when the record or another event of its action names it. The supervisor that may be absent is that
+-- of the robot that decided; where no robot did, of the requester until the request is issued, and of the executor
+-- after that. A robot without a supervisor of its own is supervised by H_F, who is always there.
 WITH lacking AS (
     SELECT
-        *,
+        run_id,
+        seq,
+        time_us,
+        type,
+        record_kind,
+        action_id,
+        decided_by,
+        requested_by,
+        executed_by,
+        has_origin,
+        has_executor,
+        has_supervisor,
+        is_attributable,
         'robot/' || split_part(
             CASE
                 WHEN starts_with(decided_by, 'robot/') OR starts_with(decided_by, 'agent/') THEN decided_by
@@ -23,7 +37,20 @@ WITH lacking AS (
 
 judged AS (
     SELECT
-        lacking.*,
+        lacking.run_id,
+        lacking.seq,
+        lacking.time_us,
+        lacking.type,
+        lacking.record_kind,
+        lacking.action_id,
+        lacking.decided_by,
+        lacking.requested_by,
+        lacking.executed_by,
+        lacking.has_origin,
+        lacking.has_executor,
+        lacking.has_supervisor,
+        lacking.is_attributable,
+        lacking.robot,
         NOT lacking.has_supervisor AND absences.supervisor IS NULL AS lacks_supervisor
     FROM lacking
     LEFT JOIN fleet_members AS members ON lacking.run_id = members.run_id AND lacking.robot = members.robot

@@ -1,9 +1,12 @@
 -- Title: Audit attributability
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run
--- Units: numerator coordination events whose origin, executor and supervisor are recorded or recoverable; denominator coordination events; value share;
---        *_without_routine the same without records of routine operations, which no request made (R42)
--- NULL: value of a run without coordination events; numbers of a run that does not observe what the metric rests on; not_observed of one that does
+-- Key: run_id
+-- Units: numerator coordination events whose origin, executor and supervisor are recorded or recoverable; denominator
+--   coordination events; value share; *_without_routine the same without records of routine operations, which no
+--   request made (R42)
+-- NULL: value of a run without coordination events; numbers of a run that does not observe what the metric rests on;
+--   not_observed of one that does
 -- Example: fsar-ledger query metrics/audit_attributability LEDGER
 WITH judged AS (
     SELECT
@@ -21,9 +24,13 @@ SELECT
     CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator, 0)::BIGINT END AS numerator,
     CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.denominator, 0)::BIGINT END AS denominator,
     CASE WHEN hidden.run_id IS NULL THEN judged.numerator / nullif(judged.denominator, 0) END AS value,
-    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator_without_routine, 0)::BIGINT END AS numerator_without_routine,
-    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.denominator_without_routine, 0)::BIGINT END AS denominator_without_routine,
-    CASE WHEN hidden.run_id IS NULL THEN judged.numerator_without_routine / nullif(judged.denominator_without_routine, 0) END AS value_without_routine,
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator_without_routine, 0)::BIGINT END
+        AS numerator_without_routine,
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.denominator_without_routine, 0)::BIGINT END
+        AS denominator_without_routine,
+    CASE
+        WHEN hidden.run_id IS NULL THEN judged.numerator_without_routine / nullif(judged.denominator_without_routine, 0)
+    END AS value_without_routine,
     hidden.not_observed
 FROM runs
 LEFT JOIN judged ON runs.run_id = judged.run_id

@@ -1,6 +1,7 @@
 -- Title: Authority conflicts
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run
+-- Key: run_id
 -- Units: numerator and value conflicts (one per action and dimension); denominator 1 (the run)
 -- NULL: numbers of a run that does not observe what the metric rests on; not_observed of one that does
 -- Example: fsar-ledger query metrics/authority_conflicts LEDGER

@@ -1,10 +1,13 @@
--- Title: How much of what is counted is routine, and how much of what is not attributable only lacks a supervisor who was off shift
+-- Title: How much of what is counted is routine, and how much of what is not attributable only lacks a supervisor who
+--   was off shift
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per architecture, configuration, seed and setting (kind, source, model version, constants, fleet size)
--- Units: counts, and shares of them: of decisions, of local decisions, of coordination events and of policy violations those of routine operations;
---        of coordination events that are not attributable those whose supervisor alone is missing, during a recorded absence (R8)
--- NULL: seed, source, model version of runs that have none; constants where all runs of the kind and model have the same; a share of nothing;
---       runs that do not observe decisions, records and policy are left out
+-- Key: architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?
+-- Units: counts, and shares of them: of decisions, of local decisions, of coordination events and of policy violations
+--   those of routine operations; of coordination events that are not attributable those whose supervisor alone is
+--   missing, during a recorded absence (R8)
+-- NULL: seed, source, model version of runs that have none; constants where all runs of the kind and model have the
+--   same; a share of nothing; runs that do not observe decisions, records and policy are left out
 -- Example: fsar-ledger query metrics/background LEDGER
 WITH counted AS (
     SELECT
@@ -53,10 +56,20 @@ FROM runs
 INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
 LEFT JOIN counted ON runs.run_id = counted.run_id
 LEFT JOIN unobservable AS hidden
-    ON runs.run_id = hidden.run_id AND hidden.judge IN ('governance_locality', 'audit_attributability', 'policy_violations')
+    ON
+        runs.run_id = hidden.run_id
+        AND hidden.judge IN ('governance_locality', 'audit_attributability', 'policy_violations')
 WHERE hidden.run_id IS NULL
 GROUP BY
-    runs.architecture, runs.configuration, settings.kind, runs.source, runs.model_version, runs.fleet_size, runs.seed, settings.setting, settings.constants
+    runs.architecture,
+    runs.configuration,
+    settings.kind,
+    runs.source,
+    runs.model_version,
+    runs.fleet_size,
+    runs.seed,
+    settings.setting,
+    settings.constants
 ORDER BY
     runs.configuration <> 'full', runs.configuration, runs.fleet_size, settings.constants, settings.setting, runs.seed,
     list_position(['fsar', 'cfc', 'dhma'], runs.architecture)

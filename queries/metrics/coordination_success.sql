@@ -1,8 +1,10 @@
 -- Title: Coordination success
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run
+-- Key: run_id
 -- Units: numerator tasks completed within their budget; denominator tasks; value share
--- NULL: value of a run without tasks; numbers of a run that does not observe what the metric rests on; not_observed of one that does
+-- NULL: value of a run without tasks; numbers of a run that does not observe what the metric rests on; not_observed of
+--   one that does
 -- Example: fsar-ledger query metrics/coordination_success LEDGER
 WITH completions AS (
     SELECT

@@ -1,6 +1,7 @@
 -- Title: Human intervention
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run
+-- Key: run_id
 -- Units: numerator and value 1 if the fleet supervisor was called, else 0; denominator 1 (the run)
 -- NULL: numbers of a run that does not observe what the metric rests on; not_observed of one that does
 -- Example: fsar-ledger query metrics/human_intervention LEDGER

@@ -1,9 +1,13 @@
--- Title: The eight metrics: their order, their scale, which way is better, how runs are pooled, and what the paper counts where nothing happened
+-- Title: The eight metrics: their order, their scale, which way is better, how runs are pooled, and what the paper
+--   counts where nothing happened
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per metric
--- Units: numerator_units, how many units of the numerator make one of the value; scale is share, count, seconds, or yes-no (0 or 1 for each run);
---        better is higher or lower; undefined_value, what a run counts as in which a metric that is not pooled is undefined
--- NULL: published_value when the metric is defined for every run; undefined_value where such a run does not count, as with us always
+-- Key: metric
+-- Units: numerator_units, how many units of the numerator make one of the value; scale is share, count, seconds, or
+--   yes-no (0 or 1 for each run); better is higher or lower; undefined_value, what a run counts as in which a metric
+--   that is not pooled is undefined
+-- NULL: published_value when the metric is defined for every run; undefined_value where such a run does not count, as
+--   with us always
 -- Example: fsar-ledger query metrics/metric_definitions LEDGER
 WITH definitions (position, metric, scale, better, is_pooled, numerator_units, published_value, undefined_value) AS (
     VALUES

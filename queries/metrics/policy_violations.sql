@@ -1,6 +1,7 @@
 -- Title: Policy violations
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run
+-- Key: run_id
 -- Units: numerator and value executions and motions that started against policy; denominator 1 (the run);
 --        *_without_routine the same without motions, which are routine operations (R42)
 -- NULL: numbers of a run that does not observe what the metric rests on; not_observed of one that does
@@ -19,9 +20,11 @@ SELECT
     CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator, 0)::BIGINT END AS numerator,
     CASE WHEN hidden.run_id IS NULL THEN 1::BIGINT END AS denominator,
     CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator, 0)::DOUBLE END AS value,
-    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator_without_routine, 0)::BIGINT END AS numerator_without_routine,
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator_without_routine, 0)::BIGINT END
+        AS numerator_without_routine,
     CASE WHEN hidden.run_id IS NULL THEN 1::BIGINT END AS denominator_without_routine,
-    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator_without_routine, 0)::DOUBLE END AS value_without_routine,
+    CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator_without_routine, 0)::DOUBLE END
+        AS value_without_routine,
     hidden.not_observed
 FROM runs
 LEFT JOIN judged ON runs.run_id = judged.run_id

@@ -1,8 +1,11 @@
 -- Title: Reassignment latency
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run
--- Units: numerator microseconds from detection to local resolution or to leaving the first level; denominator failures that did either; value seconds
--- NULL: value of a run without such failures; numbers of a run that does not observe what the metric rests on; not_observed of one that does
+-- Key: run_id
+-- Units: numerator microseconds from detection to local resolution or to leaving the first level; denominator failures
+--   that did either; value seconds
+-- NULL: value of a run without such failures; numbers of a run that does not observe what the metric rests on;
+--   not_observed of one that does
 -- Example: fsar-ledger query metrics/reassignment_latency_s LEDGER
 WITH judged AS (
     SELECT
@@ -17,7 +20,8 @@ SELECT
     runs.run_id,
     CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.numerator, 0)::BIGINT END AS numerator,
     CASE WHEN hidden.run_id IS NULL THEN coalesce(judged.denominator, 0)::BIGINT END AS denominator,
-    CASE WHEN hidden.run_id IS NULL THEN judged.numerator::BIGINT / nullif(judged.denominator, 0) / 1000000 END AS value,
+    CASE WHEN hidden.run_id IS NULL THEN judged.numerator::BIGINT / nullif(judged.denominator, 0) / 1000000 END
+        AS value,
     hidden.not_observed
 FROM runs
 LEFT JOIN judged ON runs.run_id = judged.run_id

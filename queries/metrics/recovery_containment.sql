@@ -1,6 +1,7 @@
 -- Title: Recovery containment
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run
+-- Key: run_id
 -- Units: numerator failures resolved at local or peer level; denominator failures; value share
 -- NULL: value of a run without failures; an unresolved failure is not contained;
 --       numbers of a run that does not observe what the metric rests on; not_observed of one that does

@@ -1,57 +1,106 @@
 -- Title: The eight metrics of every run
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run and metric
--- Units: setting and constants as in run_settings; value share, count or seconds, as the metric says; numerator and denominator as in the metric's own query
---        value_without_routine the same without routine operations, where the metric counts them
--- NULL: value where the metric is undefined for the run; published_convention_value then is what the paper counts (containment 1, latency 0 s), else NULL;
---       value_without_routine where the metric counts no routine operations, and where it counts nothing else;
---       all numbers where the run does not observe what the metric rests on, which not_observed names and is NULL otherwise
+-- Key: run_id, metric
+-- Units: setting and constants as in run_settings; value share, count or seconds, as the metric says; numerator and
+--   denominator as in the metric's own query value_without_routine the same without routine operations, where the
+--   metric counts them
+-- NULL: value where the metric is undefined for the run; published_convention_value then is what the paper counts
+--   (containment 1, latency 0 s), else NULL; value_without_routine where the metric counts no routine operations, and
+--   where it counts nothing else; all numbers where the run does not observe what the metric rests on, which
+--   not_observed names and is NULL otherwise
 -- Example: fsar-ledger query metrics/run_metrics LEDGER
 -- Stored: the summary and every statistic read it several times
 WITH measured AS (
     SELECT
         'coordination_success' AS metric,
-        *
+        run_id,
+        value,
+        numerator,
+        denominator,
+        not_observed
     FROM coordination_success
     UNION ALL BY NAME
     SELECT
         'governance_locality' AS metric,
-        *
+        run_id,
+        value,
+        numerator,
+        denominator,
+        value_without_routine,
+        not_observed
     FROM governance_locality
     UNION ALL BY NAME
     SELECT
         'recovery_containment' AS metric,
-        *
+        run_id,
+        value,
+        numerator,
+        denominator,
+        not_observed
     FROM recovery_containment
     UNION ALL BY NAME
     SELECT
         'authority_conflicts' AS metric,
-        *
+        run_id,
+        value,
+        numerator,
+        denominator,
+        not_observed
     FROM authority_conflicts
     UNION ALL BY NAME
     SELECT
         'policy_violations' AS metric,
-        *
+        run_id,
+        value,
+        numerator,
+        denominator,
+        value_without_routine,
+        not_observed
     FROM policy_violations
     UNION ALL BY NAME
     SELECT
         'reassignment_latency_s' AS metric,
-        *
+        run_id,
+        value,
+        numerator,
+        denominator,
+        not_observed
     FROM reassignment_latency_s
     UNION ALL BY NAME
     SELECT
         'human_intervention' AS metric,
-        *
+        run_id,
+        value,
+        numerator,
+        denominator,
+        not_observed
     FROM human_intervention
     UNION ALL BY NAME
     SELECT
         'audit_attributability' AS metric,
-        *
+        run_id,
+        value,
+        numerator,
+        denominator,
+        value_without_routine,
+        not_observed
     FROM audit_attributability
 )
 
 SELECT
-    runs.* REPLACE (settings.kind AS kind),
+    runs.run_id,
+    settings.kind,
+    runs.observes,
+    runs.seed,
+    runs.architecture,
+    runs.configuration,
+    runs.scenario,
+    runs.fleet_size,
+    runs.run,
+    runs.model_version,
+    runs.parameters_sha256,
+    runs.source,
     settings.setting,
     settings.constants,
     definitions.position,
@@ -60,7 +109,8 @@ SELECT
     measured.numerator,
     measured.denominator,
     measured.value_without_routine,
-    CASE WHEN measured.not_observed IS NULL THEN coalesce(measured.value, definitions.published_value) END AS published_convention_value,
+    CASE WHEN measured.not_observed IS NULL THEN coalesce(measured.value, definitions.published_value) END
+        AS published_convention_value,
     measured.not_observed
 FROM runs
 INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id

@@ -1,55 +1,82 @@
--- Title: The number that each run contributes to a summary: of each scenario and of all together, of each seed and of all together
+-- Title: The number that each run contributes to a summary: of each scenario and of all together, of each seed and of
+--   all together
 -- Paper: tab:results
 -- Grain: one row per run, metric, scenario or all scenarios, and seed or all seeds (pools_seeds)
+-- Key: run_id, metric, pools_seeds, scenario?
 -- Units: setting and constants as in run_settings; x and pooled_mean in the metric's unit. For a pooled metric
 --        x = ratio + residual / mean denominator, whose mean is the pooled ratio and sd(x) / sqrt(n) its standard error
--- NULL: scenario for all scenarios; seed for all seeds, and of runs that have none; what the run does not have; x where the metric is undefined or
---       not observable; pooled_mean for metrics that are not pooled; value_without_routine, not_observed as in run_metrics
+-- NULL: scenario for all scenarios; seed for all seeds, and of runs that have none; what the run does not have; x where
+--   the metric is undefined or not observable; pooled_mean for metrics that are not pooled; value_without_routine,
+--   not_observed as in run_metrics
 -- Example: fsar-ledger query metrics/summary_values LEDGER
-WITH scenarios AS (
-    SELECT * REPLACE (NULL::VARCHAR AS scenario)
-    FROM run_metrics
-    UNION ALL
-    SELECT *
-    FROM run_metrics
-    WHERE scenario IS NOT NULL
-),
-
-cells AS (
+WITH cells AS (
     SELECT
-        scenarios.*,
-        seed AS run_seed,
-        FALSE AS pools_seeds
-    FROM scenarios
-    UNION ALL
-    SELECT
-        scenarios.* REPLACE (NULL::BIGINT AS seed),
-        seed AS run_seed,
-        TRUE AS pools_seeds
-    FROM scenarios
-),
-
-scaled AS (
-    SELECT
-        cells.*,
-        definitions.is_pooled,
-        definitions.numerator_units,
-        sum(cells.numerator) OVER cell AS numerators,
-        sum(cells.denominator) OVER cell AS denominators,
-        count(cells.denominator) OVER cell AS runs
-    FROM cells
-    INNER JOIN metric_definitions AS definitions ON cells.metric = definitions.metric
-    WINDOW cell AS (
-        PARTITION BY cells.architecture, cells.configuration, cells.setting, cells.pools_seeds, cells.seed, cells.scenario, cells.metric
-    )
+        runs.architecture,
+        runs.configuration,
+        runs.fleet_size,
+        scopes.pools_seeds,
+        CASE WHEN NOT scopes.pools_seeds THEN runs.seed END AS seed,
+        runs.setting,
+        runs.kind,
+        runs.source,
+        runs.model_version,
+        runs.constants,
+        CASE WHEN scopes.is_of_scenario THEN runs.scenario END AS scenario,
+        runs.position,
+        runs.metric,
+        runs.run_id,
+        runs.seed AS run_seed,
+        runs.value,
+        runs.numerator,
+        runs.denominator,
+        runs.value_without_routine,
+        runs.published_convention_value,
+        runs.not_observed
+    FROM run_metrics AS runs
+    INNER JOIN
+        (VALUES (FALSE, FALSE), (FALSE, TRUE), (TRUE, FALSE), (TRUE, TRUE)) AS scopes (pools_seeds, is_of_scenario)
+        ON NOT scopes.is_of_scenario OR runs.scenario IS NOT NULL
 ),
 
 ratios AS (
     SELECT
-        *,
-        numerators::DOUBLE / nullif(denominators::DOUBLE, 0) AS ratio,
-        nullif(denominators::DOUBLE, 0) / runs AS mean_denominator
-    FROM scaled
+        cells.architecture,
+        cells.configuration,
+        cells.fleet_size,
+        cells.pools_seeds,
+        cells.seed,
+        cells.setting,
+        cells.kind,
+        cells.source,
+        cells.model_version,
+        cells.constants,
+        cells.scenario,
+        cells.position,
+        cells.metric,
+        cells.run_id,
+        cells.run_seed,
+        cells.value,
+        cells.numerator,
+        cells.denominator,
+        cells.value_without_routine,
+        cells.published_convention_value,
+        cells.not_observed,
+        definitions.is_pooled,
+        definitions.numerator_units,
+        (sum(cells.numerator) OVER cell)::DOUBLE / nullif((sum(cells.denominator) OVER cell)::DOUBLE, 0) AS ratio,
+        nullif((sum(cells.denominator) OVER cell)::DOUBLE, 0) / count(cells.denominator) OVER cell AS mean_denominator
+    FROM cells
+    INNER JOIN metric_definitions AS definitions ON cells.metric = definitions.metric
+    WINDOW cell AS (
+        PARTITION BY
+            cells.architecture,
+            cells.configuration,
+            cells.setting,
+            cells.pools_seeds,
+            cells.seed,
+            cells.scenario,
+            cells.metric
+    )
 )
 
 SELECT
@@ -72,6 +99,8 @@ SELECT
     value_without_routine,
     published_convention_value,
     not_observed,
-    CASE WHEN is_pooled THEN (ratio + (numerator - ratio * denominator) / mean_denominator) / numerator_units ELSE value END AS x,
+    CASE
+        WHEN is_pooled THEN (ratio + (numerator - ratio * denominator) / mean_denominator) / numerator_units ELSE value
+    END AS x,
     CASE WHEN is_pooled THEN ratio / numerator_units END AS pooled_mean
 FROM ratios

@@ -4,8 +4,10 @@
 -- Question: whose decision a closing is
 -- Replaces: decisions
 -- Moves: governance_locality
--- Why: The definition lists requests, delegations, escalations and denials, and what closes a request decides nothing any more.
+-- Why: The definition lists requests, delegations, escalations and denials, and what closes a request decides nothing
+--   any more.
 -- Grain: one row per decision
+-- Key: run_id, seq
 -- Units: as in decisions
 -- NULL: as in decisions
 -- Example: fsar-ledger query readings/closings_decide_nothing LEDGER

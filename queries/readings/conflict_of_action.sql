@@ -4,8 +4,10 @@
 -- Question: what one conflict is
 -- Replaces: conflicts
 -- Moves: authority_conflicts
--- Why: Execution authority, override authority or audit responsibility for the same action: an event in which any of them is claimed twice is one event.
+-- Why: Execution authority, override authority or audit responsibility for the same action: an event in which any of
+--   them is claimed twice is one event.
 -- Grain: one row per run and action in which any dimension conflicts
+-- Key: run_id, action_id, dimension
 -- Units: as in conflicts
 -- NULL: as in conflicts
 -- Example: fsar-ledger query readings/conflict_of_action LEDGER

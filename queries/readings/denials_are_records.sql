@@ -6,6 +6,7 @@
 -- Moves: audit_attributability
 -- Why: Locality counts denials among coordination decisions; what is a decision of coordination may be an event of it.
 -- Grain: one row per event type that is a decision or a coordination event
+-- Key: type
 -- Units: as in event_classes
 -- NULL: as in event_classes
 -- Example: fsar-ledger query readings/denials_are_records LEDGER

@@ -6,6 +6,7 @@
 -- Moves: recovery_containment, reassignment_latency_s
 -- Why: The tests pair runs, so each run has a number of its own; other metrics are said to be averaged across runs.
 -- Grain: one row per metric
+-- Key: metric
 -- Units: as in metric_definitions
 -- NULL: as in metric_definitions
 -- Example: fsar-ledger query readings/failures_by_run LEDGER

@@ -6,6 +6,7 @@
 -- Moves: audit_attributability
 -- Why: The definition lists no hand-offs; a case counts four of them for each action as unattributed.
 -- Grain: one row per record
+-- Key: run_id, seq
 -- Units: as in coordination_events
 -- NULL: as in coordination_events
 -- Example: fsar-ledger query readings/handoffs_leave_no_records LEDGER

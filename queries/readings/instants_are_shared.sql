@@ -6,6 +6,7 @@
 -- Moves: authority_conflicts
 -- Why: Simultaneous may include the instant at which one principal gives up what another takes.
 -- Grain: one row per AuthorityClaimed event
+-- Key: run_id, seq
 -- Units: as in claims
 -- NULL: as in claims
 -- Example: fsar-ledger query readings/instants_are_shared LEDGER

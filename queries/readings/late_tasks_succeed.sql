@@ -4,9 +4,10 @@
 -- Question: how long a task has
 -- Replaces: task_arrived
 -- Moves: coordination_success
--- Why: The allotted time is printed nowhere; a task that we call late is still worked on, and given up after twice its budget, so that may be the allotted
---      time.
+-- Why: The allotted time is printed nowhere; a task that we call late is still worked on, and given up after twice its
+--   budget, so that may be the allotted time.
 -- Grain: one row per TaskArrived event
+-- Key: run_id, seq
 -- Units: as in task_arrived
 -- NULL: as in task_arrived
 -- Example: fsar-ledger query readings/late_tasks_succeed LEDGER

@@ -6,6 +6,7 @@
 -- Moves: reassignment_latency_s
 -- Why: The definition ends at a reassignment or an escalation; a failure that the robot itself resolves has neither.
 -- Grain: one row per failure
+-- Key: run_id, seq
 -- Units: as in failures
 -- NULL: as in failures
 -- Example: fsar-ledger query readings/latency_of_departures LEDGER

@@ -4,8 +4,10 @@
 -- Question: whom the last level of recovery calls
 -- Replaces: interventions
 -- Moves: human_intervention
--- Why: The last level is directed to local or fleet supervision depending on scope, and scope is not defined; it may be the fleet supervisor always.
+-- Why: The last level is directed to local or fleet supervision depending on scope, and scope is not defined; it may be
+--   the fleet supervisor always.
 -- Grain: one row per call
+-- Key: run_id, seq
 -- Units: as in interventions
 -- NULL: as in interventions
 -- Example: fsar-ledger query readings/level_four_is_fleet LEDGER

@@ -4,9 +4,10 @@
 -- Question: what may be on the path of a local decision
 -- Replaces: decisions
 -- Moves: governance_locality
--- Why: The definition excludes the traversal of nested internal-agent delegation chains, and of nothing else; that of the fleet layer stands in the worked
---      computation.
+-- Why: The definition excludes the traversal of nested internal-agent delegation chains, and of nothing else; that of
+--   the fleet layer stands in the worked computation.
 -- Grain: one row per decision
+-- Key: run_id, seq
 -- Units: as in decisions
 -- NULL: as in decisions
 -- Example: fsar-ledger query readings/only_agents_are_traversed LEDGER

@@ -6,6 +6,7 @@
 -- Moves: governance_locality
 -- Why: The definition lists these four and no more.
 -- Grain: one row per decision
+-- Key: run_id, seq
 -- Units: as in decisions
 -- NULL: as in decisions
 -- Example: fsar-ledger query readings/only_listed_decisions LEDGER

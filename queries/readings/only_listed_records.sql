@@ -6,6 +6,7 @@
 -- Moves: audit_attributability
 -- Why: The definition lists these four and no more.
 -- Grain: one row per record
+-- Key: run_id, seq
 -- Units: as in coordination_events
 -- NULL: as in coordination_events
 -- Example: fsar-ledger query readings/only_listed_records LEDGER

@@ -4,8 +4,10 @@
 -- Question: at which level an ordered retry is
 -- Replaces: failures
 -- Moves: recovery_containment, reassignment_latency_s
--- Why: The first level is the robot's own runtime, and under CFC every failure is at once escalated to the coordinator, in 100 % of runs.
+-- Why: The first level is the robot's own runtime, and under CFC every failure is at once escalated to the coordinator,
+--   in 100 % of runs.
 -- Grain: one row per failure
+-- Key: run_id, seq
 -- Units: as in failures
 -- NULL: as in failures
 -- Example: fsar-ledger query readings/ordered_retry_is_fleet LEDGER
@@ -30,5 +32,7 @@ SELECT
 FROM failures
 LEFT JOIN ordered
     ON
-        failures.run_id = ordered.run_id AND failures.action_id = ordered.action_id AND failures.failure = ordered.failure
+        failures.run_id = ordered.run_id
+        AND failures.action_id = ordered.action_id
+        AND failures.failure = ordered.failure
         AND failures.resolved_level = 'local'

@@ -6,6 +6,7 @@
 -- Moves: audit_attributability
 -- Why: The score is the share of events for which all three are recoverable; it does not say from what.
 -- Grain: one row per record
+-- Key: run_id, seq
 -- Units: as in coordination_events
 -- NULL: as in coordination_events
 -- Example: fsar-ledger query readings/principals_of_the_action LEDGER
@@ -16,7 +17,7 @@ WITH named AS (
         count(events.requested_by) > 0 AS has_origin,
         count(events.executed_by) > 0 AS has_executor,
         count(events.supervised_by) > 0 AS has_supervisor
-    FROM events
+    FROM event_principals AS events
     INNER JOIN event_classes AS classes ON events.type = classes.type
     WHERE events.action_id IS NOT NULL
     GROUP BY events.run_id, events.action_id

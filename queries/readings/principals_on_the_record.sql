@@ -6,6 +6,7 @@
 -- Moves: audit_attributability
 -- Why: We check whether the audit trace jointly records the three, for each event.
 -- Grain: one row per record
+-- Key: run_id, seq
 -- Units: as in coordination_events
 -- NULL: as in coordination_events
 -- Example: fsar-ledger query readings/principals_on_the_record LEDGER
@@ -14,6 +15,9 @@ SELECT
         has_origin AND requested_by IS NOT NULL AS has_origin,
         has_executor AND executed_by IS NOT NULL AS has_executor,
         has_supervisor AND supervised_by IS NOT NULL AS has_supervisor,
-        is_attributable AND requested_by IS NOT NULL AND executed_by IS NOT NULL AND supervised_by IS NOT NULL AS is_attributable
+        is_attributable
+        AND requested_by IS NOT NULL
+        AND executed_by IS NOT NULL
+        AND supervised_by IS NOT NULL AS is_attributable
     )
 FROM coordination_events

@@ -6,6 +6,7 @@
 -- Moves: policy_violations
 -- Why: Invariant I3 demands that the composed policy does not deny; a review is another of its three outcomes.
 -- Grain: one row per execution or motion that policy governs
+-- Key: run_id, seq
 -- Units: as in governed_starts
 -- NULL: as in governed_starts
 -- Example: fsar-ledger query readings/review_is_no_denial LEDGER

@@ -4,8 +4,10 @@
 -- Question: which calls are interventions
 -- Replaces: interventions
 -- Moves: human_intervention
--- Why: Fleet supervision intervenes only when cross-robot conflicts require it; a review that policy asks for is oversight as planned.
+-- Why: Fleet supervision intervenes only when cross-robot conflicts require it; a review that policy asks for is
+--   oversight as planned.
 -- Grain: one row per call
+-- Key: run_id, seq
 -- Units: as in interventions
 -- NULL: as in interventions
 -- Example: fsar-ledger query readings/reviews_are_no_interventions LEDGER

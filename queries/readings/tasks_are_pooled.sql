@@ -6,6 +6,7 @@
 -- Moves: coordination_success
 -- Why: A fraction of fleet tasks; averaged across runs is said of other metrics, and not of this one.
 -- Grain: one row per metric
+-- Key: metric
 -- Units: as in metric_definitions
 -- NULL: as in metric_definitions
 -- Example: fsar-ledger query readings/tasks_are_pooled LEDGER

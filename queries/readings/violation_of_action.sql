@@ -6,6 +6,7 @@
 -- Moves: policy_violations
 -- Why: The number of actions per run, not of their starts.
 -- Grain: one row per run
+-- Key: run_id
 -- Units: as in policy_violations
 -- NULL: as in policy_violations
 -- Example: fsar-ledger query readings/violation_of_action LEDGER
@@ -20,9 +21,11 @@ WITH judged AS (
 
 SELECT
     measured.* REPLACE (
-        CASE WHEN measured.not_observed IS NULL THEN coalesce(judged.motions + judged.actions, 0)::BIGINT END AS numerator,
+        CASE WHEN measured.not_observed IS NULL THEN coalesce(judged.motions + judged.actions, 0)::BIGINT END
+            AS numerator,
         CASE WHEN measured.not_observed IS NULL THEN coalesce(judged.motions + judged.actions, 0)::DOUBLE END AS value,
-        CASE WHEN measured.not_observed IS NULL THEN coalesce(judged.actions, 0)::BIGINT END AS numerator_without_routine,
+        CASE WHEN measured.not_observed IS NULL THEN coalesce(judged.actions, 0)::BIGINT END
+            AS numerator_without_routine,
         CASE WHEN measured.not_observed IS NULL THEN coalesce(judged.actions, 0)::DOUBLE END AS value_without_routine
     )
 FROM policy_violations AS measured

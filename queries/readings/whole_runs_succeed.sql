@@ -4,8 +4,10 @@
 -- Question: what a fleet task is
 -- Replaces: coordination_success
 -- Moves: coordination_success
--- Why: Each scenario but the last is told as one task of the fleet (a heavy delivery task, a secure inspection task), which robots and steps share.
+-- Why: Each scenario but the last is told as one task of the fleet (a heavy delivery task, a secure inspection task),
+--   which robots and steps share.
 -- Grain: one row per run
+-- Key: run_id
 -- Units: as in coordination_success
 -- NULL: as in coordination_success
 -- Example: fsar-ledger query readings/whole_runs_succeed LEDGER

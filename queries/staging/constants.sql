@@ -1,6 +1,7 @@
 -- Title: The constants of runs, by name
 -- Paper: sec:evaluation:setup
 -- Grain: one row per model (as in parameter_texts), parameter_set and constant
+-- Key: model, parameter_set, name
 -- Units: value as JSON, the unit is the suffix of the name; sets, how many readable parameter sets the model has
 -- NULL: never; a constant that is null or absent has no row
 -- Example: fsar-ledger query staging/constants LEDGER

@@ -1,9 +1,12 @@
 -- Title: The dials that the paper leaves open, as each setting has them
 -- Paper: tab:scaling
 -- Grain: one row per setting (kind, source, model version, constants, fleet size)
--- Units: setting as in run_settings; encounter_mean_s in s; teams_working teams, all of the fleet's unless the runs say otherwise; made_alike_but,
---        the same text for settings of one kind, source and model that differ in fleet size and these two dials alone
--- NULL: source, model_version, constants and fleet_size as in run_groups; a dial of a source that records none and has no default
+-- Key: setting
+-- Units: setting as in run_settings; encounter_mean_s in s; teams_working teams, all of the fleet's unless the runs say
+--   otherwise; made_alike_but, the same text for settings of one kind, source and model that differ in fleet size and
+--   these two dials alone
+-- NULL: source, model_version, constants and fleet_size as in run_groups; a dial of a source that records none and has
+--   no default
 -- Example: fsar-ledger query staging/dials LEDGER
 -- What a simulated run does not record has its default, as far as this version knows it.
 WITH settings AS (
@@ -47,7 +50,14 @@ SELECT
         try_cast(by_set.encounter_mean_s AS DOUBLE),
         if(settings.kind = 'simulated', try_cast(default_of('world.encounter_mean_s') AS DOUBLE), NULL)
     ) AS encounter_mean_s,
-    coalesce(try_cast(by_set.teams_working AS BIGINT), settings.fleet_size // coalesce(nullif(by_set.robots_of_team, 0), 4)) AS teams_working,
-    sha256(to_json([settings.model, if(by_set.model IS NULL, settings.parameter_set, NULL), to_json(by_set.others)::VARCHAR])::VARCHAR) AS made_alike_but
+    coalesce(
+        try_cast(by_set.teams_working AS BIGINT),
+        settings.fleet_size // coalesce(nullif(by_set.robots_of_team, 0), 4)
+    ) AS teams_working,
+    sha256(
+        to_json(
+            [settings.model, if(by_set.model IS NULL, settings.parameter_set, NULL), to_json(by_set.others)::VARCHAR]
+        )::VARCHAR
+    ) AS made_alike_but
 FROM settings
 LEFT JOIN by_set ON settings.model = by_set.model AND settings.parameter_set = by_set.parameter_set

@@ -1,7 +1,9 @@
 -- Title: What runs record as their parameters, read constant by constant
 -- Paper: sec:evaluation:setup
 -- Grain: one row per kind, source and model version of runs (model, as JSON) and text of parameters
--- Units: parameter_set, the same text for the same constants by value, whatever their order, spaces, 1 or 1.0; a constant that is null is absent
+-- Key: model, parameters
+-- Units: parameter_set, the same text for the same constants by value, whatever their order, spaces, 1 or 1.0; a
+--   constant that is null is absent
 -- NULL: values_by_name where the text cannot be read as constants
 -- Example: fsar-ledger query staging/parameter_texts LEDGER
 -- Stored: no text is read twice
@@ -15,7 +17,8 @@ WITH texts AS (
 
 parsed AS MATERIALIZED (
     SELECT
-        texts.*,
+        texts.model,
+        texts.parameters,
         constants_of(parameters) AS values_by_name
     FROM texts
 )

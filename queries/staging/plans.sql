@@ -1,8 +1,9 @@
 -- Title: Plans: which runs an experiment was to have, on record before the first of them
 -- Paper: sec:evaluation:setup
 -- Grain: one row per plan
--- Units: fleet_size robots; run_count runs for each architecture, configuration and scenario, numbered from 0; planned_count runs in all; parameters_sha256
---        the digest of all constants of the world and of structure
+-- Key: plan
+-- Units: fleet_size robots; run_count runs for each architecture, configuration and scenario, numbered from 0;
+--   planned_count runs in all; parameters_sha256 the digest of all constants of the world and of structure
 -- NULL: never
 -- Example: fsar-ledger query staging/plans LEDGER
 SELECT
@@ -16,5 +17,7 @@ SELECT
     model_version,
     sha256(parameters) AS parameters_sha256,
     greatest(run_count, 0)::HUGEINT
-    * len(list_distinct(architectures)) * len(list_distinct(configurations)) * len(list_distinct(scenarios)) AS planned_count
+    * len(list_distinct(architectures))
+    * len(list_distinct(configurations))
+    * len(list_distinct(scenarios)) AS planned_count
 FROM experiment_planned

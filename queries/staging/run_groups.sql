@@ -1,8 +1,9 @@
 -- Title: Runs, and which of them may be counted together
 -- Paper: sec:evaluation:setup
 -- Grain: one row per run
--- Units: made_alike, the same text for runs of one architecture, configuration, seed and setting (kind, source, model version, constants, fleet size);
---        fleet_size robots; constants as in parameter_sets
+-- Key: run_id
+-- Units: made_alike, the same text for runs of one architecture, configuration, seed and setting (kind, source, model
+--   version, constants, fleet size); fleet_size robots; constants as in parameter_sets
 -- NULL: what the run does not have; constants where all runs of the kind and model have the same
 -- Example: fsar-ledger query staging/run_groups LEDGER
 SELECT

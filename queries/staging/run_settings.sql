@@ -1,9 +1,12 @@
 -- Title: Under what each run was made: kind, source, model, constants and fleet size
 -- Paper: sec:evaluation:setup
 -- Grain: one row per run
--- Units: kind of run, workflow for a simulated one of the paper's workflows, which is no run of a scenario; setting, the same text for runs of the same kind,
---        source, model version, constants by value and fleet size; parameter_set, constants as in parameter_sets
--- NULL: parameter_set of runs that record no parameters; constants where the runs of the same kind, source and model version have the same, or none
+-- Key: run_id
+-- Units: kind of run, workflow for a simulated one of the paper's workflows, which is no run of a scenario; setting,
+--   the same text for runs of the same kind, source, model version, constants by value and fleet size; parameter_set,
+--   constants as in parameter_sets
+-- NULL: parameter_set of runs that record no parameters; constants where the runs of the same kind, source and model
+--   version have the same, or none
 -- Example: fsar-ledger query staging/run_settings LEDGER
 -- Stored: every metric and comparison reads it
 WITH started AS (
@@ -19,7 +22,15 @@ WITH started AS (
 SELECT
     started.run_id,
     started.kind,
-    sha256(to_json([if(started.kind = 'workflow', 'workflow ', '') || started.model, sets.parameter_set, started.fleet_size::VARCHAR])::VARCHAR) AS setting,
+    sha256(
+        to_json(
+            [
+                if(started.kind = 'workflow', 'workflow ', '') || started.model,
+                sets.parameter_set,
+                started.fleet_size::VARCHAR
+            ]
+        )::VARCHAR
+    ) AS setting,
     texts.parameter_set,
     sets.constants
 FROM started

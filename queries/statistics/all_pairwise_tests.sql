@@ -1,8 +1,12 @@
 -- Title: All tests of all comparisons, on both bases
 -- Paper: tab:significance
--- Grain: one row per basis, comparison, configuration, setting (kind, source, model version, constants, fleet size), seed or all seeds, and metric
+-- Grain: one row per basis, comparison, configuration, setting (kind, source, model version, constants, fleet size),
+--   seed or all seeds, and metric
+-- Key: basis, comparison, configuration, seed?, fleet_size?, kind, source?, model_version?, constants?, pools_seeds,
+--   metric
 -- Units: as in the queries that it joins
--- NULL: as in the queries that it joins; McNemar columns for metrics that are not 0 or 1 per run, pooled columns (pooled_tests) for metrics that are not pooled
+-- NULL: as in the queries that it joins; McNemar columns for metrics that are not 0 or 1 per run, pooled columns
+--   (pooled_tests) for metrics that are not pooled
 -- Example: fsar-ledger query statistics/all_pairwise_tests LEDGER
 SELECT
     t_tests.basis,

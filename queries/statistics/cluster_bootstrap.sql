@@ -1,8 +1,10 @@
 -- Title: Mean differences with intervals that treat scenarios, not runs, as the sample
 -- Paper: sec:evaluation:limitations
 -- Grain: one row per test (as in paired_t_tests) with pairs in 2 to 6 scenarios
--- Units: mean_difference, ci_low, ci_high in the metric's unit; scenarios, samples counts. The bootstrap draws scenarios with replacement, each with all
---        its pairs; nothing is random, since all k^k ordered samples of k scenarios are taken (3125 for five); 2.5 % and 97.5 % quantiles of their means
+-- Key: test
+-- Units: mean_difference, ci_low, ci_high in the metric's unit; scenarios, samples counts. The bootstrap draws
+--   scenarios with replacement, each with all its pairs; nothing is random, since all k^k ordered samples of k
+--   scenarios are taken (3125 for five); 2.5 % and 97.5 % quantiles of their means
 -- NULL: never; tests with one scenario or more than six are left out
 -- Example: fsar-ledger query statistics/cluster_bootstrap LEDGER
 WITH clusters AS (
@@ -32,7 +34,8 @@ draws AS (
         test,
         scenarios,
         sample,
-        unnest(list_transform(range(scenarios), LAMBDA place: sample // pow(scenarios, place)::BIGINT % scenarios)) AS number
+        unnest(list_transform(range(scenarios), LAMBDA place: sample // pow(scenarios, place)::BIGINT % scenarios))
+            AS number
     FROM samples
 ),
 

@@ -1,20 +1,34 @@
 -- Title: What there is to compare, for each comparison: runs of both sides, worlds that both met, pairs
 -- Paper: sec:evaluation:significance
 -- Grain: one row per comparison and configuration of which the ledger holds a run of either side
--- Units: first_count, second_count runs; first_worlds, second_worlds combinations of seed, scenario, fleet size and run that each met, shared_worlds both;
---        pair_count pairs that met the same world, left_out those with the same combination that did not; scenarios, seeds, fleet_sizes of a side as text
+-- Key: comparison, configuration
+-- Units: first_count, second_count runs; first_worlds, second_worlds combinations of seed, scenario, fleet size and run
+--   that each met, shared_worlds both; pair_count pairs that met the same world, left_out those with the same
+--   combination that did not; scenarios, seeds, fleet_sizes of a side as text
 -- NULL: the texts of a side without runs
 -- Example: fsar-ledger query statistics/comparable_runs LEDGER
 WITH sides AS (
     SELECT
-        *,
+        comparison,
+        family,
+        configuration,
+        first_architecture,
+        first_configuration,
+        second_architecture,
+        second_configuration,
         'first' AS side,
         first_architecture AS architecture,
         first_configuration AS its_configuration
     FROM comparisons
     UNION ALL
     SELECT
-        *,
+        comparison,
+        family,
+        configuration,
+        first_architecture,
+        first_configuration,
+        second_architecture,
+        second_configuration,
         'second' AS side,
         second_architecture AS architecture,
         second_configuration AS its_configuration
@@ -32,7 +46,8 @@ met AS (
         count(*) FILTER (WHERE sides.side = 'first') AS first_runs,
         count(*) FILTER (WHERE sides.side = 'second') AS second_runs
     FROM sides
-    INNER JOIN compared_runs AS runs ON sides.architecture = runs.architecture AND sides.its_configuration = runs.configuration
+    INNER JOIN compared_runs AS runs
+        ON sides.architecture = runs.architecture AND sides.its_configuration = runs.configuration
     GROUP BY ALL
 ),
 
@@ -64,8 +79,22 @@ paired AS (
 )
 
 SELECT
-    comparisons.*,
-    worlds.* EXCLUDE (comparison, configuration),
+    comparisons.comparison,
+    comparisons.family,
+    comparisons.configuration,
+    comparisons.first_architecture,
+    comparisons.first_configuration,
+    comparisons.second_architecture,
+    comparisons.second_configuration,
+    worlds.first_count,
+    worlds.second_count,
+    worlds.shared_worlds,
+    worlds.first_seeds,
+    worlds.second_seeds,
+    worlds.first_fleet_sizes,
+    worlds.second_fleet_sizes,
+    worlds.first_scenarios,
+    worlds.second_scenarios,
     coalesce(paired.pair_count, 0) AS pair_count,
     coalesce(paired.left_out, 0) AS left_out
 FROM comparisons

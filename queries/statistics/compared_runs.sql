@@ -1,6 +1,7 @@
 -- Title: Runs that have a seed, a scenario and a number, and so may have met the world of another run
 -- Paper: sec:evaluation:setup
 -- Grain: one row per run
+-- Key: run_id
 -- Units: setting as in run_settings, described its kind, source, model version and constants;
 --        twins runs of the same architecture, configuration, setting, seed, scenario and number, itself included;
 --        observes_world whether its source records every fact of the world
@@ -24,8 +25,21 @@ WITH found AS (
 )
 
 SELECT
-    found.*,
+    found.run_id,
+    found.architecture,
+    found.configuration,
+    found.fleet_size,
+    found.seed,
+    found.scenario,
+    found.run,
+    found.setting,
+    found.described,
+    found.observes_world,
     digests.world_sha256,
-    count(*) OVER (PARTITION BY found.architecture, found.configuration, found.setting, found.seed, found.scenario, found.run) AS twins
+    count(*)
+        OVER (
+            PARTITION BY found.architecture, found.configuration, found.setting, found.seed, found.scenario, found.run
+        )
+        AS twins
 FROM found
 LEFT JOIN world_digests AS digests ON found.run_id = digests.run_id

@@ -1,7 +1,10 @@
--- Title: Who is compared with whom: the three pairs of architectures, and an architecture with itself without a mechanism
+-- Title: Who is compared with whom: the three pairs of architectures, and an architecture with itself without a
+--   mechanism
 -- Paper: tab:significance, tab:ablation
 -- Grain: one row per comparison and configuration; differences are first minus second
--- Units: family names the tests that Holm adjusts together; configuration that of both architectures, of an ablation the ablated one
+-- Key: comparison, configuration
+-- Units: family names the tests that Holm adjusts together; configuration that of both architectures, of an ablation
+--   the ablated one
 -- NULL: never
 -- Example: fsar-ledger query statistics/comparisons LEDGER
 WITH pairs (comparison, first_architecture, second_architecture) AS (
@@ -31,7 +34,8 @@ shared AS (
 
 SELECT
     pairs.comparison,
-    CASE WHEN shared.configuration = 'full' THEN 'architectures' ELSE 'architectures ' || shared.configuration END AS family,
+    CASE WHEN shared.configuration = 'full' THEN 'architectures' ELSE 'architectures ' || shared.configuration END
+        AS family,
     shared.configuration,
     pairs.first_architecture,
     shared.configuration AS first_configuration,

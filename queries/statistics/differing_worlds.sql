@@ -1,8 +1,10 @@
 -- Title: Pairs of runs that are not compared, since they did not meet the same world, with what differs first
 -- Paper: sec:evaluation:significance
 -- Grain: one row per pair of runs (run_pairs) whose worlds differ, or may differ
--- Units: differs as in run_pairs; first_found and second_found say of each run of the pair what differs: of facts the first one that is not in the other at its
---        place, as time, type and fields; of the setting kind, model version and constants
+-- Key: comparison, configuration, first_run_id?, second_run_id?
+-- Units: differs as in run_pairs; first_found and second_found say of each run of the pair what differs: of facts the
+--   first one that is not in the other at its place, as time, type and fields; of the setting kind, model version and
+--   constants
 -- NULL: first_found, second_found where a run has no more facts, or where nothing can be shown (repeated, unobserved)
 -- Example: fsar-ledger query statistics/differing_worlds LEDGER
 WITH unlike AS (
@@ -53,11 +55,23 @@ earliest AS (
 )
 
 SELECT
-    run_pairs.*,
+    run_pairs.comparison,
+    run_pairs.family,
+    run_pairs.configuration,
+    run_pairs.fleet_size,
+    run_pairs.seed,
+    run_pairs.scenario,
+    run_pairs.run,
+    run_pairs.setting,
+    run_pairs.first_run_id,
+    run_pairs.second_run_id,
+    run_pairs.differs,
     CASE run_pairs.differs WHEN 'setting' THEN firsts.described WHEN 'facts' THEN earliest.facts.one END AS first_found,
-    CASE run_pairs.differs WHEN 'setting' THEN seconds.described WHEN 'facts' THEN earliest.facts.other END AS second_found
+    CASE run_pairs.differs WHEN 'setting' THEN seconds.described WHEN 'facts' THEN earliest.facts.other END
+        AS second_found
 FROM run_pairs
 INNER JOIN compared_runs AS firsts ON run_pairs.first_run_id = firsts.run_id
 INNER JOIN compared_runs AS seconds ON run_pairs.second_run_id = seconds.run_id
-LEFT JOIN earliest ON run_pairs.first_run_id = earliest.first_run_id AND run_pairs.second_run_id = earliest.second_run_id
+LEFT JOIN earliest
+    ON run_pairs.first_run_id = earliest.first_run_id AND run_pairs.second_run_id = earliest.second_run_id
 WHERE run_pairs.differs IS NOT NULL

@@ -1,13 +1,25 @@
 -- Title: What experiments of the paper's size would have printed: 4,000 of them, drawn from the runs that are here
 -- Paper: tab:results
--- Grain: one row per drawn experiment (drawn_sums), architecture, configuration, setting (kind, source, model version, constants, fleet size), seed
---        and metric
+-- Grain: one row per drawn experiment (drawn_sums), architecture, configuration, setting (kind, source, model version,
+--   constants, fleet size), seed and metric
+-- Key: draw, architecture, configuration, setting, seed, metric
 -- Units: setting as in run_settings; value in the metric's unit
 -- NULL: value where nothing that the metric counts was drawn
 -- Example: fsar-ledger query statistics/drawn_experiments LEDGER
 WITH summed AS (
     SELECT
-        * EXCLUDE (scenario, value_ppb, defined, numerator, denominator),
+        draw,
+        architecture,
+        configuration,
+        fleet_size,
+        setting,
+        seed,
+        kind,
+        source,
+        model_version,
+        constants,
+        position,
+        metric,
         sum(value_ppb) AS value_ppb,
         sum(defined) AS defined,
         sum(numerator) AS numerator,
@@ -17,9 +29,22 @@ WITH summed AS (
 )
 
 SELECT
-    summed.* EXCLUDE (value_ppb, defined, numerator, denominator),
+    summed.draw,
+    summed.architecture,
+    summed.configuration,
+    summed.fleet_size,
+    summed.setting,
+    summed.seed,
+    summed.kind,
+    summed.source,
+    summed.model_version,
+    summed.constants,
+    summed.position,
+    summed.metric,
     CASE
-        WHEN definitions.is_pooled THEN summed.numerator::DOUBLE / nullif(summed.denominator, 0)::DOUBLE / definitions.numerator_units
+        WHEN
+            definitions.is_pooled
+            THEN summed.numerator::DOUBLE / nullif(summed.denominator, 0)::DOUBLE / definitions.numerator_units
         ELSE summed.value_ppb::DOUBLE / nullif(summed.defined, 0) / 1e9
     END AS value
 FROM summed

@@ -1,8 +1,11 @@
--- Title: Which runs of a scenario an experiment of the paper's size takes: 4,000 of them, drawn from as many runs as there are
+-- Title: Which runs of a scenario an experiment of the paper's size takes: 4,000 of them, drawn from as many runs as
+--   there are
 -- Paper: sec:evaluation:setup
--- Grain: one row per scenario, count of runs that are there of it, drawn experiment and place of a run among them, from 0
--- Units: runs, times counts: 20 runs are drawn with replacement, so times add up to 20. Nothing is random: which runs a draw takes follows from an MD5
---        of its number
+-- Grain: one row per scenario, count of runs that are there of it, drawn experiment and place of a run among them, from
+--   0
+-- Key: scenario, runs, draw, place
+-- Units: runs, times counts: 20 runs are drawn with replacement, so times add up to 20. Nothing is random: which runs a
+--   draw takes follows from an MD5 of its number
 -- NULL: none
 -- Example: fsar-ledger query statistics/drawn_places LEDGER
 -- Stored: every architecture, configuration and setting with as many runs of the scenario is drawn alike

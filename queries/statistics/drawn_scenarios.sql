@@ -1,14 +1,30 @@
--- Title: What experiments of the paper's size would have printed of each scenario: 4,000 of them, drawn from the runs that are here
+-- Title: What experiments of the paper's size would have printed of each scenario: 4,000 of them, drawn from the runs
+--   that are here
 -- Paper: sec:evaluation:ablation
--- Grain: one row per drawn experiment (drawn_sums), architecture, configuration, setting (kind, source, model version, constants, fleet size), seed,
---        scenario and metric
+-- Grain: one row per drawn experiment (drawn_sums), architecture, configuration, setting (kind, source, model version,
+--   constants, fleet size), seed, scenario and metric
+-- Key: draw, architecture, configuration, setting, seed, scenario, metric
 -- Units: setting as in run_settings; value in the metric's unit
 -- NULL: value where nothing that the metric counts was drawn
 -- Example: fsar-ledger query statistics/drawn_scenarios LEDGER
 SELECT
-    sums.* EXCLUDE (value_ppb, defined, numerator, denominator),
+    sums.draw,
+    sums.architecture,
+    sums.configuration,
+    sums.fleet_size,
+    sums.setting,
+    sums.seed,
+    sums.kind,
+    sums.source,
+    sums.model_version,
+    sums.constants,
+    sums.scenario,
+    sums.position,
+    sums.metric,
     CASE
-        WHEN definitions.is_pooled THEN sums.numerator::DOUBLE / nullif(sums.denominator, 0)::DOUBLE / definitions.numerator_units
+        WHEN
+            definitions.is_pooled
+            THEN sums.numerator::DOUBLE / nullif(sums.denominator, 0)::DOUBLE / definitions.numerator_units
         ELSE sums.value_ppb::DOUBLE / nullif(sums.defined, 0) / 1e9
     END AS value
 FROM drawn_sums AS sums

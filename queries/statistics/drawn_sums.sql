@@ -1,15 +1,39 @@
--- Title: What experiments of the paper's size, 4,000 of them drawn from the runs that are here, would have summed up in each scenario
+-- Title: What experiments of the paper's size, 4,000 of them drawn from the runs that are here, would have summed up in
+--   each scenario
 -- Paper: sec:evaluation:setup
--- Grain: one row per drawn experiment, architecture, configuration, setting (kind, source, model version, constants, fleet size), seed,
---        scenario and metric
--- Units: setting as in run_settings; value_ppb billionths of the metric's unit, summed over defined runs; numerator, denominator as in run_metrics, summed.
---        20 runs of the scenario are drawn with replacement; the runs of a world are drawn together for all
---        architectures. Nothing is random: which runs a draw takes follows from an MD5 of its number (drawn_places)
+-- Grain: one row per drawn experiment, architecture, configuration, setting (kind, source, model version, constants,
+--   fleet size), seed, scenario and metric
+-- Key: draw, architecture, configuration, setting, seed, scenario, metric
+-- Units: setting as in run_settings; value_ppb billionths of the metric's unit, summed over defined runs; numerator,
+--   denominator as in run_metrics, summed. 20 runs of the scenario are drawn with replacement; the runs of a world are
+--   drawn together for all architectures. Nothing is random: which runs a draw takes follows from an MD5 of its number
+--   (drawn_places)
 -- NULL: value_ppb, defined, numerator, denominator where no drawn run has one
 -- Example: fsar-ledger query statistics/drawn_sums LEDGER
 WITH numbered AS (
     SELECT
-        *,
+        run_id,
+        kind,
+        observes,
+        seed,
+        architecture,
+        configuration,
+        scenario,
+        fleet_size,
+        run,
+        model_version,
+        parameters_sha256,
+        source,
+        setting,
+        constants,
+        position,
+        metric,
+        value,
+        numerator,
+        denominator,
+        value_without_routine,
+        published_convention_value,
+        not_observed,
         dense_rank() OVER (PARTITION BY architecture, configuration, setting, seed, scenario ORDER BY run) - 1 AS place
     FROM run_metrics
     WHERE not_observed IS NULL AND architecture IS NOT NULL AND scenario IS NOT NULL AND run IS NOT NULL
@@ -29,7 +53,11 @@ counted AS (
 
 picked AS (
     SELECT
-        counted.* EXCLUDE (runs),
+        counted.architecture,
+        counted.configuration,
+        counted.setting,
+        counted.seed,
+        counted.scenario,
         places.draw,
         places.place,
         places.times
@@ -58,6 +86,10 @@ SELECT
 FROM picked
 INNER JOIN numbered
     ON
-        picked.architecture = numbered.architecture AND picked.configuration = numbered.configuration AND picked.setting = numbered.setting
-        AND picked.seed IS NOT DISTINCT FROM numbered.seed AND picked.scenario = numbered.scenario AND picked.place = numbered.place
+        picked.architecture = numbered.architecture
+        AND picked.configuration = numbered.configuration
+        AND picked.setting = numbered.setting
+        AND picked.seed IS NOT DISTINCT FROM numbered.seed
+        AND picked.scenario = numbered.scenario
+        AND picked.place = numbered.place
 GROUP BY ALL

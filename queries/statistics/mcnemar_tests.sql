@@ -1,6 +1,7 @@
 -- Title: Exact McNemar tests of the one metric that is 0 or 1 per run
 -- Paper: sec:evaluation:significance
 -- Grain: one row per test (as in paired_t_tests) with at least one pair
+-- Key: test
 -- Units: mcnemar_first_only, mcnemar_second_only pairs in which only that architecture called the fleet supervisor
 -- NULL: never; mcnemar_p is 1 when no pair differs
 -- Example: fsar-ledger query statistics/mcnemar_tests LEDGER
@@ -15,7 +16,9 @@ WITH discordant AS (
 )
 
 SELECT
-    *,
+    test,
+    mcnemar_first_only,
+    mcnemar_second_only,
     binomial_half_sf2(
         least(mcnemar_first_only, mcnemar_second_only)::DOUBLE,
         (mcnemar_first_only + mcnemar_second_only)::DOUBLE

@@ -1,9 +1,12 @@
--- Title: Which mechanism carries which number: an architecture in full beside itself without one mechanism, in pairs, metric by metric
+-- Title: Which mechanism carries which number: an architecture in full beside itself without one mechanism, in pairs,
+--   metric by metric
 -- Paper: sec:evaluation:ablation
--- Grain: one row per architecture, configuration that lacks one mechanism, setting (kind, source, model version, constants, fleet size), metric, and seed or
---        all seeds (pools_seeds)
--- Units: first is in full and second without, so mean_difference is what the mechanism adds; n and all else as in side_differences, but p_holm over the
---        family_tests tests of all mechanisms of all architectures, of one setting and seed
+-- Grain: one row per architecture, configuration that lacks one mechanism, setting (kind, source, model version,
+--   constants, fleet size), metric, and seed or all seeds (pools_seeds)
+-- Key: architecture, configuration, setting, seed?, pools_seeds, metric
+-- Units: first is in full and second without, so mean_difference is what the mechanism adds; n and all else as in
+--   side_differences, but p_holm over the family_tests tests of all mechanisms of all architectures, of one setting and
+--   seed
 -- NULL: seed for all seeds; the rest as in side_differences
 -- Example: fsar-ledger query statistics/mechanism_differences LEDGER
 WITH ablated AS (
@@ -33,22 +36,79 @@ WITH ablated AS (
     INNER JOIN side_comparisons AS comparisons
         ON differences.first_side = comparisons.first_side AND differences.second_side = comparisons.second_side
     INNER JOIN sides ON differences.second_side = sides.side
-    WHERE comparisons.family LIKE 'ablations of %' AND comparisons.configuration NOT LIKE '%+%' AND differences.scenario IS NULL
+    WHERE
+        comparisons.family LIKE 'ablations of %'
+        AND comparisons.configuration NOT LIKE '%+%'
+        AND differences.scenario IS NULL
 ),
 
 ranked AS (
     SELECT
-        *,
+        architecture,
+        configuration,
+        setting,
+        fleet_size,
+        kind,
+        source,
+        model_version,
+        pools_seeds,
+        seed,
+        position,
+        metric,
+        n,
+        differing_pairs,
+        full_mean,
+        without_mean,
+        mean_difference,
+        ci_low,
+        ci_high,
+        test,
+        p,
+        d_z,
         count(p) OVER family AS family_tests,
-        (count(p) OVER family - row_number() OVER (family ORDER BY p NULLS LAST, architecture, configuration, position) + 1) * p AS bound
+        (
+            count(p) OVER family
+            - row_number() OVER (family ORDER BY p NULLS LAST, architecture, configuration, position)
+            + 1
+        )
+        * p AS bound
     FROM ablated
     WINDOW family AS (PARTITION BY setting, pools_seeds, seed)
 )
 
 SELECT
-    * EXCLUDE (bound),
+    architecture,
+    configuration,
+    setting,
+    fleet_size,
+    kind,
+    source,
+    model_version,
+    pools_seeds,
+    seed,
+    position,
+    metric,
+    n,
+    differing_pairs,
+    full_mean,
+    without_mean,
+    mean_difference,
+    ci_low,
+    ci_high,
+    test,
+    p,
+    d_z,
+    family_tests,
     CASE
         WHEN p IS NOT NULL
-            THEN least(1, max(bound) OVER (PARTITION BY setting, pools_seeds, seed ORDER BY p NULLS LAST, architecture, configuration, position))
+            THEN
+                least(
+                    1,
+                    max(bound)
+                        OVER (
+                            PARTITION BY setting, pools_seeds, seed
+                            ORDER BY p NULLS LAST, architecture, configuration, position
+                        )
+                )
     END AS p_holm
 FROM ranked

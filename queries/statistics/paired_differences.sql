@@ -1,43 +1,59 @@
 -- Title: Differences between two architectures, or configurations, that met the same world
 -- Paper: sec:evaluation:significance
--- Grain: one row per metric, pair of runs that met the same world (run_pairs), basis, and the pair's seed or all seeds (pools_seeds):
---        published counts a metric that is undefined for a run as the paper does, defined leaves such pairs out
--- Units: first_value, second_value, difference (first minus second) in the metric's unit; difference_ppb billionths of it, an integer
---        so that differences which are equal but for the last bits of a float tie in ranks; holm_family the tests that Holm adjusts together
--- NULL: seed for all seeds; constants as in run_settings (test names basis, comparison, setting, seed and metric in one text); pairs with an undefined
---       value are left out, and tests in which no run of any pair has a value of its own
+-- Grain: one row per metric, pair of runs that met the same world (run_pairs), basis, and the pair's seed or all seeds
+--   (pools_seeds): published counts a metric that is undefined for a run as the paper does, defined leaves such pairs
+--   out
+-- Key: test, first_run_id, second_run_id
+-- Units: first_value, second_value, difference (first minus second) in the metric's unit; difference_ppb billionths of
+--   it, an integer so that differences which are equal but for the last bits of a float tie in ranks; holm_family the
+--   tests that Holm adjusts together
+-- NULL: seed for all seeds; constants as in run_settings (test names basis, comparison, setting, seed and metric in one
+--   text); pairs with an undefined value are left out, and tests in which no run of any pair has a value of its own
 -- Example: fsar-ledger query statistics/paired_differences LEDGER
 -- Stored: every test reads it
 WITH seeds AS (
     SELECT
-        run_pairs.*,
-        FALSE AS pools_seeds
+        run_pairs.comparison,
+        run_pairs.family,
+        run_pairs.configuration,
+        run_pairs.fleet_size,
+        scopes.pools_seeds,
+        CASE WHEN NOT scopes.pools_seeds THEN run_pairs.seed END AS seed,
+        run_pairs.scenario,
+        run_pairs.run,
+        run_pairs.first_run_id,
+        run_pairs.second_run_id
     FROM run_pairs
-    WHERE differs IS NULL
-    UNION ALL
-    SELECT
-        run_pairs.* REPLACE (NULL::BIGINT AS seed),
-        TRUE AS pools_seeds
-    FROM run_pairs
-    WHERE differs IS NULL
+    CROSS JOIN (VALUES (FALSE), (TRUE)) AS scopes (pools_seeds)
+    WHERE run_pairs.differs IS NULL
 ),
 
 measured AS (
     SELECT
-        *,
-        'published' AS basis,
-        published_convention_value AS tested_value
-    FROM run_metrics
-    UNION ALL
-    SELECT
-        *,
-        'defined' AS basis,
-        value AS tested_value
+        run_id,
+        kind,
+        source,
+        model_version,
+        constants,
+        setting,
+        position,
+        metric,
+        value,
+        unnest(['published', 'defined']) AS basis,
+        unnest([published_convention_value, value]) AS tested_value
     FROM run_metrics
 )
 
 SELECT
-    concat_ws('/', firsts.basis, seeds.family, seeds.comparison, firsts.setting, coalesce(seeds.seed::VARCHAR, 'all'), firsts.metric) AS test,
+    concat_ws(
+        '/',
+        firsts.basis,
+        seeds.family,
+        seeds.comparison,
+        firsts.setting,
+        coalesce(seeds.seed::VARCHAR, 'all'),
+        firsts.metric
+    ) AS test,
     concat_ws('/', firsts.basis, seeds.family, firsts.setting, coalesce(seeds.seed::VARCHAR, 'all')) AS holm_family,
     firsts.basis,
     seeds.family,
@@ -62,6 +78,7 @@ SELECT
     round((firsts.tested_value - seconds.tested_value) * 1e9)::BIGINT AS difference_ppb
 FROM seeds
 INNER JOIN measured AS firsts ON seeds.first_run_id = firsts.run_id
-INNER JOIN measured AS seconds ON seeds.second_run_id = seconds.run_id AND firsts.basis = seconds.basis AND firsts.metric = seconds.metric
+INNER JOIN measured AS seconds
+    ON seeds.second_run_id = seconds.run_id AND firsts.basis = seconds.basis AND firsts.metric = seconds.metric
 WHERE firsts.tested_value IS NOT NULL AND seconds.tested_value IS NOT NULL
 QUALIFY bool_or(firsts.value IS NOT NULL OR seconds.value IS NOT NULL) OVER (PARTITION BY test)

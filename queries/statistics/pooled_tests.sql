@@ -1,19 +1,46 @@
--- Title: Tests of the numbers that the results table prints: containment and latency pooled over failures, as ratios over all pairs
+-- Title: Tests of the numbers that the results table prints: containment and latency pooled over failures, as ratios
+--   over all pairs
 -- Paper: tab:significance
--- Grain: one row per comparison, configuration, setting (kind, source, model version, constants, fleet size), seed or all seeds, and pooled metric
--- Units: test as in paired_t_tests, without its basis; means, difference and interval in the metric's unit, n pairs of which differing_pairs have runs that
---        differ, pooled_test, p as in side_differences; p_holm over the family_tests tests of the same family (as in holm_adjustments, on the basis published)
---        in which those of pooled metrics are these
+-- Grain: one row per comparison, configuration, setting (kind, source, model version, constants, fleet size), seed or
+--   all seeds, and pooled metric
+-- Key: test
+-- Units: test as in paired_t_tests, without its basis; means, difference and interval in the metric's unit, n pairs of
+--   which differing_pairs have runs that differ, pooled_test, p as in side_differences; p_holm over the family_tests
+--   tests of the same family (as in holm_adjustments, on the basis published) in which those of pooled metrics are
+--   these
 -- NULL: as in side_differences
 -- Example: fsar-ledger query statistics/pooled_tests LEDGER
 WITH pooled AS (
     SELECT
-        concat_ws('/', comparisons.family, comparisons.comparison, comparisons.setting, coalesce(found.seed::VARCHAR, 'all'), found.metric) AS test,
-        concat_ws('/', 'published', comparisons.family, comparisons.setting, coalesce(found.seed::VARCHAR, 'all')) AS holm_family,
-        found.* EXCLUDE (test),
+        concat_ws(
+            '/',
+            comparisons.family,
+            comparisons.comparison,
+            comparisons.setting,
+            coalesce(found.seed::VARCHAR, 'all'),
+            found.metric
+        ) AS test,
+        concat_ws('/', 'published', comparisons.family, comparisons.setting, coalesce(found.seed::VARCHAR, 'all'))
+            AS holm_family,
+        found.first_side,
+        found.second_side,
+        found.seed,
+        found.scenario,
+        found.metric,
+        found.n,
+        found.differing_pairs,
+        found.first_mean,
+        found.second_mean,
+        found.mean_difference,
+        found.p,
+        found.family_tests,
+        found.ci_low,
+        found.ci_high,
+        found.p_holm,
         found.test AS pooled_test
     FROM side_comparisons AS comparisons
-    INNER JOIN side_differences AS found ON comparisons.first_side = found.first_side AND comparisons.second_side = found.second_side
+    INNER JOIN side_differences AS found
+        ON comparisons.first_side = found.first_side AND comparisons.second_side = found.second_side
     INNER JOIN metric_definitions AS definitions ON found.metric = definitions.metric
     WHERE definitions.is_pooled AND found.scenario IS NULL
 ),
@@ -37,7 +64,9 @@ family AS (
 
 ranked AS (
     SELECT
-        *,
+        holm_family,
+        test,
+        p,
         row_number() OVER (PARTITION BY holm_family ORDER BY p, test) AS step,
         count(*) OVER (PARTITION BY holm_family) AS family_tests
     FROM family

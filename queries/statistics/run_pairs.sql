@@ -1,8 +1,12 @@
--- Title: Pairs of runs of two architectures or configurations with the same seed, scenario, fleet size and number, and what differs in their worlds
+-- Title: Pairs of runs of two architectures or configurations with the same seed, scenario, fleet size and number, and
+--   what differs in their worlds
 -- Paper: sec:evaluation:significance
--- Grain: one row per comparison, configuration and pair of such runs: both under the same setting, or one that has no counterpart under its own
--- Units: differs is what keeps a pair from being compared: setting (kind, source, model version or constants), repeated (a run has a twin, so nobody can say
---        which is the pair), unobserved (the facts of the world, by one of them), facts (the world did something else)
+-- Grain: one row per comparison, configuration and pair of such runs: both under the same setting, or one that has no
+--   counterpart under its own
+-- Key: comparison, configuration, first_run_id?, second_run_id?
+-- Units: differs is what keeps a pair from being compared: setting (kind, source, model version or constants), repeated
+--   (a run has a twin, so nobody can say which is the pair), unobserved (the facts of the world, by one of them), facts
+--   (the world did something else)
 -- NULL: differs where both met the same world
 -- Example: fsar-ledger query statistics/run_pairs LEDGER
 -- Stored: every test reads it
@@ -22,14 +26,21 @@ WITH candidates AS (
         greatest(firsts.twins, seconds.twins) > 1 AS is_repeated,
         firsts.observes_world AND seconds.observes_world AS is_observed,
         coalesce(firsts.world_sha256, '') = coalesce(seconds.world_sha256, '') AS is_same_world,
-        bool_or(firsts.setting = seconds.setting) OVER (PARTITION BY comparisons.comparison, comparisons.configuration, firsts.run_id) AS first_has_own,
-        bool_or(firsts.setting = seconds.setting) OVER (PARTITION BY comparisons.comparison, comparisons.configuration, seconds.run_id) AS second_has_own
+        bool_or(firsts.setting = seconds.setting)
+            OVER (PARTITION BY comparisons.comparison, comparisons.configuration, firsts.run_id)
+            AS first_has_own,
+        bool_or(firsts.setting = seconds.setting)
+            OVER (PARTITION BY comparisons.comparison, comparisons.configuration, seconds.run_id)
+            AS second_has_own
     FROM comparisons
     INNER JOIN compared_runs AS firsts
-        ON comparisons.first_architecture = firsts.architecture AND comparisons.first_configuration = firsts.configuration
+        ON
+            comparisons.first_architecture = firsts.architecture
+            AND comparisons.first_configuration = firsts.configuration
     INNER JOIN compared_runs AS seconds
         ON
-            comparisons.second_architecture = seconds.architecture AND comparisons.second_configuration = seconds.configuration
+            comparisons.second_architecture = seconds.architecture
+            AND comparisons.second_configuration = seconds.configuration
             AND firsts.fleet_size = seconds.fleet_size
             AND firsts.seed = seconds.seed
             AND firsts.scenario = seconds.scenario

@@ -1,6 +1,8 @@
--- Title: Which sides are compared: those of the paper's comparisons that were made under one setting; `compare` has the two that it is asked for instead
+-- Title: Which sides are compared: those of the paper's comparisons that were made under one setting; `compare` has the
+--   two that it is asked for instead
 -- Paper: tab:significance, tab:ablation
 -- Grain: one row per comparison, configuration and setting
+-- Key: comparison, configuration, setting
 -- Units: comparison, family, configuration as in comparisons; first_side, second_side as in sides
 -- NULL: never
 -- Example: fsar-ledger query statistics/side_comparisons LEDGER
@@ -21,8 +23,10 @@ SELECT
     firsts.side AS first_side,
     seconds.side AS second_side
 FROM comparisons
-INNER JOIN held AS firsts ON comparisons.first_architecture = firsts.architecture AND comparisons.first_configuration = firsts.configuration
+INNER JOIN held AS firsts
+    ON comparisons.first_architecture = firsts.architecture AND comparisons.first_configuration = firsts.configuration
 INNER JOIN held AS seconds
     ON
-        comparisons.second_architecture = seconds.architecture AND comparisons.second_configuration = seconds.configuration
+        comparisons.second_architecture = seconds.architecture
+        AND comparisons.second_configuration = seconds.configuration
         AND firsts.setting = seconds.setting

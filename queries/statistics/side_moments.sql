@@ -1,10 +1,13 @@
 -- Title: Means, differences and their standard errors over the pairs of two sides
 -- Paper: sec:evaluation:significance
--- Grain: one row per pair of sides (side_comparisons), metric, seed or all seeds (pools_seeds), and scenario or all scenarios
--- Units: means, mean_difference, error in the metric's unit; containment and latency are pooled: ratios over all pairs, with a standard error by the jackknife
---        over pairs; n pairs, differing_pairs those in which the runs differ, above and below those in which the first side is higher, or lower
--- NULL: seed for all seeds; scenario for all scenarios; means of a side that counts nothing; sd, error where contributions do not vary, and where one pair
---       is all that a side counts
+-- Grain: one row per pair of sides (side_comparisons), metric, seed or all seeds (pools_seeds), and scenario or all
+--   scenarios
+-- Key: first_side, second_side, pools_seeds, seed?, scenario?, metric
+-- Units: means, mean_difference, error in the metric's unit; containment and latency are pooled: ratios over all pairs,
+--   with a standard error by the jackknife over pairs; n pairs, differing_pairs those in which the runs differ, above
+--   and below those in which the first side is higher, or lower
+-- NULL: seed for all seeds; scenario for all scenarios; means of a side that counts nothing; sd, error where
+--   contributions do not vary, and where one pair is all that a side counts
 -- Example: fsar-ledger query statistics/side_moments LEDGER
 WITH moments AS (
     -- Sums of floats in a fixed order are the same bits on any number of threads.
@@ -28,7 +31,18 @@ WITH moments AS (
 )
 
 SELECT
-    * EXCLUDE (spread, varies),
+    first_side,
+    second_side,
+    pools_seeds,
+    seed,
+    scenario,
+    metric,
+    n,
+    differing_pairs,
+    above,
+    below,
+    first_mean,
+    second_mean,
     first_mean - second_mean AS mean_difference,
     CASE WHEN varies THEN spread END AS sd,
     CASE WHEN varies THEN spread / sqrt(n) END AS error

@@ -1,9 +1,13 @@
--- Title: Pairs of runs of two sides with the same seed, scenario and number, what they have in common, and what keeps a pair out
+-- Title: Pairs of runs of two sides with the same seed, scenario and number, what they have in common, and what keeps a
+--   pair out
 -- Paper: sec:evaluation:significance
--- Grain: one row per pair of sides (side_comparisons) and pair of such runs; sides of different fleet sizes are paired without it
--- Units: shares is what both met: facts (the world did the same), draws (one model under other constants or with other robots: what was drawn for the same
---        subject is the same), seed (no more than seed, scenario and number; what they drew is not comparable). differs is what keeps a pair out: repeated
---        (a run has a twin), unobserved (the facts of the world, by one of them), facts (other facts under the same setting)
+-- Grain: one row per pair of sides (side_comparisons) and pair of such runs; sides of different fleet sizes are paired
+--   without it
+-- Key: first_side, second_side, first_run_id?, second_run_id?
+-- Units: shares is what both met: facts (the world did the same), draws (one model under other constants or with other
+--   robots: what was drawn for the same subject is the same), seed (no more than seed, scenario and number; what they
+--   drew is not comparable). differs is what keeps a pair out: repeated (a run has a twin), unobserved (the facts of
+--   the world, by one of them), facts (other facts under the same setting)
 -- NULL: shares of a pair that is kept out, differs of one that is not
 -- Example: fsar-ledger query statistics/side_pairs LEDGER
 WITH each_run AS (
@@ -32,7 +36,9 @@ candidates AS (
         firsts.run_id AS first_run_id,
         seconds.run_id AS second_run_id,
         firsts.world = seconds.world AS is_same_world,
-        firsts.kind = 'simulated' AND seconds.kind = 'simulated' AND firsts.model_version = seconds.model_version AS is_same_model,
+        firsts.kind = 'simulated'
+        AND seconds.kind = 'simulated'
+        AND firsts.model_version = seconds.model_version AS is_same_model,
         CASE
             WHEN greatest(firsts.twins, seconds.twins) > 1 THEN 'repeated'
             WHEN NOT (firsts.observes_world AND seconds.observes_world) THEN 'unobserved'
@@ -41,7 +47,11 @@ candidates AS (
     FROM side_comparisons AS comparisons
     INNER JOIN each_run AS firsts ON comparisons.first_side = firsts.side
     INNER JOIN each_run AS seconds
-        ON comparisons.second_side = seconds.side AND firsts.seed = seconds.seed AND firsts.scenario = seconds.scenario AND firsts.run = seconds.run
+        ON
+            comparisons.second_side = seconds.side
+            AND firsts.seed = seconds.seed
+            AND firsts.scenario = seconds.scenario
+            AND firsts.run = seconds.run
 )
 
 SELECT
@@ -53,5 +63,7 @@ SELECT
     first_run_id,
     second_run_id,
     differs,
-    CASE WHEN differs IS NULL THEN CASE WHEN is_same_world THEN 'facts' WHEN is_same_model THEN 'draws' ELSE 'seed' END END AS shares
+    CASE
+        WHEN differs IS NULL THEN CASE WHEN is_same_world THEN 'facts' WHEN is_same_model THEN 'draws' ELSE 'seed' END
+    END AS shares
 FROM candidates

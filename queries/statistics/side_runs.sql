@@ -1,7 +1,9 @@
 -- Title: Runs of each side, with what each metric counts in them and what world they met
 -- Paper: sec:evaluation:significance
 -- Grain: one row per run (compared_runs) and metric
--- Units: side as in sides; value, numerator, denominator as in run_metrics; twins, observes_world, world_sha256 as in compared_runs
+-- Key: run_id, metric
+-- Units: side as in sides; value, numerator, denominator as in run_metrics; twins, observes_world, world_sha256 as in
+--   compared_runs
 -- NULL: as in run_metrics and compared_runs
 -- Example: fsar-ledger query statistics/side_runs LEDGER
 SELECT

@@ -1,8 +1,9 @@
 -- Title: Sides that can be compared: what runs have in common but for seed, scenario and number
 -- Paper: sec:evaluation:significance
 -- Grain: one row per architecture, configuration and setting (kind, source, model version, constants, fleet size)
--- Units: side names the row in one text; made_as as kind in run_settings; run_count runs, named_count those with seed, scenario and number, which a pair
---        takes; seeds, scenarios that they have
+-- Key: side
+-- Units: side names the row in one text; made_as as kind in run_settings; run_count runs, named_count those with seed,
+--   scenario and number, which a pair takes; seeds, scenarios that they have
 -- NULL: what the runs do not have
 -- Example: fsar-ledger query statistics/sides LEDGER
 SELECT
@@ -17,11 +18,23 @@ SELECT
     settings.setting,
     settings.parameter_set,
     count(*) AS run_count,
-    count(*) FILTER (WHERE runs.seed IS NOT NULL AND runs.scenario IS NOT NULL AND runs.run IS NOT NULL AND runs.fleet_size IS NOT NULL) AS named_count,
+    count(*) FILTER (
+        WHERE runs.seed IS NOT NULL
+        AND runs.scenario IS NOT NULL
+        AND runs.run IS NOT NULL
+        AND runs.fleet_size IS NOT NULL
+    ) AS named_count,
     list_sort(list_distinct(list(runs.seed))) AS seeds,
     list_sort(list_distinct(list(runs.scenario))) AS scenarios
 FROM runs
 INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
 GROUP BY
-    runs.architecture, runs.configuration, runs.fleet_size, runs.kind, settings.kind, runs.source, runs.model_version, settings.setting,
+    runs.architecture,
+    runs.configuration,
+    runs.fleet_size,
+    runs.kind,
+    settings.kind,
+    runs.source,
+    runs.model_version,
+    settings.setting,
     settings.parameter_set

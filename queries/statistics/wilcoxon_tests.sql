@@ -1,9 +1,12 @@
 -- Title: Wilcoxon signed-rank tests
 -- Paper: sec:evaluation:significance
 -- Grain: one row per test (as in paired_t_tests) with at least one pair
--- Units: n pairs that differ (zeros are dropped); w the smaller rank sum; z of the rank sum of positive differences, variance corrected for ties,
---        no continuity correction. Ranks are average ranks of the absolute differences in billionths of the metric's unit
--- NULL: w when no pair differs; z, p when fewer than 6 do: too few for the normal approximation, and no p below 0.05 is possible
+-- Key: test
+-- Units: n pairs that differ (zeros are dropped); w the smaller rank sum; z of the rank sum of positive differences,
+--   variance corrected for ties, no continuity correction. Ranks are average ranks of the absolute differences in
+--   billionths of the metric's unit
+-- NULL: w when no pair differs; z, p when fewer than 6 do: too few for the normal approximation, and no p below 0.05 is
+--   possible
 -- Example: fsar-ledger query statistics/wilcoxon_tests LEDGER
 WITH tests AS (
     SELECT DISTINCT test
@@ -35,8 +38,14 @@ sums AS (
 
 scores AS (
     SELECT
-        *,
-        CASE WHEN n >= 6 THEN (positive - n * (n + 1) / 4) / sqrt(n::DOUBLE * (n + 1) * (2 * n + 1) / 24 - tie_term / 48) END AS z
+        test,
+        n,
+        positive,
+        negative,
+        tie_term,
+        CASE
+            WHEN n >= 6 THEN (positive - n * (n + 1) / 4) / sqrt(n::DOUBLE * (n + 1) * (2 * n + 1) / 24 - tie_term / 48)
+        END AS z
     FROM sums
 )
 

@@ -1,7 +1,9 @@
 -- Title: What the world did in each run, as one digest
 -- Paper: sec:evaluation:setup
 -- Grain: one row per run with at least one fact of the world
--- Units: world_sha256, the same text for the same facts at the same times, in whatever order facts of one time stand, whatever else the run records
+-- Key: run_id
+-- Units: world_sha256, the same text for the same facts at the same times, in whatever order facts of one time stand,
+--   whatever else the run records
 -- NULL: never
 -- Example: fsar-ledger query statistics/world_digests LEDGER
 SELECT

@@ -1,20 +1,26 @@
--- Title: Architectural comparison: which of the eight features each architecture of the ledger shows, by what its events say
+-- Title: Architectural comparison: which of the eight features each architecture of the ledger shows, by what its
+--   events say
 -- Paper: tab:baseline_context
--- Grain: one row per architecture, configuration, seed, setting (kind, source, model version, constants, fleet size) and feature
+-- Grain: one row per architecture, configuration, seed, setting (kind, source, model version, constants, fleet size)
+--   and feature
+-- Key: architecture?, configuration?, seed?, fleet_size?, kind, source?, model_version?, constants?, feature
 -- Units: essential_share share; evidence is text, numerator/denominator of each part, the essential one first
--- NULL: what the runs do not have; constants where all runs of the kind and model have the same; grade, essential_share when they hold nothing that could show
---       the essential part; grade also when another part that would decide is not shown
+-- NULL: what the runs do not have; constants where all runs of the kind and model have the same; grade, essential_share
+--   when they hold nothing that could show the essential part; grade also when another part that would decide is not
+--   shown
 -- Example: fsar-ledger query tables/architecture_features LEDGER
---   answers cfc trust_scoped_delegation none: untrusted delegations that went through trusted links 0/40; outsiders refused 40/40
+--   answers cfc trust_scoped_delegation none: untrusted delegations that went through trusted links 0/40; outsiders
+--   refused 40/40
 WITH alike AS (
     SELECT DISTINCT * EXCLUDE (run_id)
     FROM run_groups
 )
 
--- One rule grades all eight, and never looks at the architecture's name. Each feature has parts, each a share of events; one part is essential.
--- full: every part holds in at least 0.95 of its cases. none: the essential part holds in fewer than 0.70. partial: anything between.
--- The thresholds are ours, as the paper gives none. 0.95: at most one case in twenty escapes the mechanism. 0.70: the mechanism governs more than twice as
--- many cases as it misses; with less, it is what happens, not what rules.
+-- One rule grades all eight, and never looks at the architecture's name. Each feature has parts, each a share of
+-- events; one part is essential. full: every part holds in at least 0.95 of its cases. none: the essential part holds
+-- in fewer than 0.70. partial: anything between. The thresholds are ours, as the paper gives none. 0.95: at most one
+-- case in twenty escapes the mechanism. 0.70: the mechanism governs more than twice as many cases as it misses; with
+-- less, it is what happens, not what rules.
 SELECT
     runs.architecture,
     runs.configuration,

@@ -1,15 +1,19 @@
--- Title: What shows who a principal is and who decides: robots as one principal, central decisions, agents inside robots, attribution
+-- Title: What shows who a principal is and who decides: robots as one principal, central decisions, agents inside
+--   robots, attribution
 -- Paper: tab:baseline_context, sec:model:invariants (I1, I5)
 -- Grain: one row per made_alike (as in run_groups) and part
+-- Key: made_alike, part
 -- Units: numerator, denominator counts
--- NULL: never; no row for a part that nothing in the ledger could show, and none of runs that do not observe what it rests on
+-- NULL: never; no row for a part that nothing in the ledger could show, and none of runs that do not observe what it
+--   rests on
 -- Example: fsar-ledger query tables/evidence_of_principals LEDGER
 -- Stored: in one plan with the other two, DuckDB plans longer than it computes
 WITH named AS (
     SELECT DISTINCT
         run_id,
-        unnest(list_concat([decided_by, requested_by, executed_by, claimant, sender, receiver], coalesce(path, []))) AS principal
-    FROM events
+        unnest(list_concat([decided_by, requested_by, executed_by, claimant, sender, receiver], coalesce(path, [])))
+            AS principal
+    FROM event_principals
 ),
 
 robots AS (
@@ -19,7 +23,10 @@ robots AS (
         fleet_members.robot,
         count(DISTINCT named.principal) AS parts
     FROM fleet_members
-    LEFT JOIN named ON fleet_members.run_id = named.run_id AND starts_with(named.principal, 'agent/' || fleet_members.robot[7:] || '/')
+    LEFT JOIN named
+        ON
+            fleet_members.run_id = named.run_id
+            AND starts_with(named.principal, 'agent/' || fleet_members.robot[7:] || '/')
     GROUP BY fleet_members.run_id, fleet_members.robot
 ),
 
@@ -44,14 +51,37 @@ busiest AS (
 ),
 
 counted AS (
-    SELECT { 'run_id': run_id, 'part': 'robots that appear as one principal', 'numerator': (parts = 0)::INT, 'denominator': 1 } AS fact FROM robots
+    SELECT
+        {
+            'run_id': run_id,
+            'part': 'robots that appear as one principal',
+            'numerator': (parts = 0)::INT,
+            'denominator': 1
+        } AS fact
+    FROM robots
     UNION ALL
-    SELECT { 'run_id': run_id, 'part': 'robots with two or more agents', 'numerator': (parts > 1)::INT, 'denominator': 1 } AS fact FROM robots
+    SELECT
+        {
+            'run_id': run_id, 'part': 'robots with two or more agents', 'numerator': (parts > 1)::INT, 'denominator': 1
+        } AS fact
+    FROM robots
     UNION ALL
-    SELECT { 'run_id': run_id, 'part': 'assignments decided by one principal that is no robot', 'numerator': central, 'denominator': decisions } AS fact
+    SELECT
+        {
+            'run_id': run_id,
+            'part': 'assignments decided by one principal that is no robot',
+            'numerator': central,
+            'denominator': decisions
+        } AS fact
     FROM busiest
     UNION ALL
-    SELECT { 'run_id': run_id, 'part': 'records with origin, executor and supervisor', 'numerator': numerator, 'denominator': denominator } AS fact
+    SELECT
+        {
+            'run_id': run_id,
+            'part': 'records with origin, executor and supervisor',
+            'numerator': numerator,
+            'denominator': denominator
+        } AS fact
     FROM audit_attributability
     WHERE denominator > 0
 )

@@ -1,6 +1,7 @@
 -- Title: What shows layered recovery: who begins it, which levels it comes to, and whether one is skipped
 -- Paper: tab:baseline_context, eq:recovery
 -- Grain: one row per made_alike (as in run_groups) and part
+-- Key: made_alike, part
 -- Units: numerator, denominator counts; of the levels, those that any failure came to and all four
 -- NULL: never; no row for runs without failures, and none of runs that do not observe what a part rests on
 -- Example: fsar-ledger query tables/evidence_of_recovery LEDGER
@@ -31,14 +32,20 @@ judged AS (
         runs.made_alike,
         -- By the robot that failed, or an agent in it: agent/A1/execution is a part of robot/A1.
         coalesce(
-            first_steps.decided_by = failures.robot OR starts_with(first_steps.decided_by, 'agent/' || failures.robot[7:] || '/'), FALSE
+            first_steps.decided_by = failures.robot
+            OR starts_with(first_steps.decided_by, 'agent/' || failures.robot[7:] || '/'),
+            FALSE
         ) AS is_own,
         coalesce(moves.is_outward, FALSE) AS is_outward
     FROM failures
     INNER JOIN run_groups AS runs ON failures.run_id = runs.run_id
     LEFT JOIN first_steps
-        ON failures.run_id = first_steps.run_id AND failures.action_id = first_steps.action_id AND failures.failure = first_steps.failure
-    LEFT JOIN moves ON failures.run_id = moves.run_id AND failures.action_id = moves.action_id AND failures.failure = moves.failure
+        ON
+            failures.run_id = first_steps.run_id
+            AND failures.action_id = first_steps.action_id
+            AND failures.failure = first_steps.failure
+    LEFT JOIN moves
+        ON failures.run_id = moves.run_id AND failures.action_id = moves.action_id AND failures.failure = moves.failure
 ),
 
 parts AS (
@@ -46,7 +53,8 @@ parts AS (
         run_id,
         made_alike,
         unnest([
-            { 'part': 'failures that the robot itself begins to recover', 'holds': is_own }, { 'part': 'failures that skip no level', 'holds': is_outward }
+            { 'part': 'failures that the robot itself begins to recover', 'holds': is_own },
+            { 'part': 'failures that skip no level', 'holds': is_outward }
         ]) AS fact
     FROM judged
 )

@@ -1,6 +1,7 @@
 -- Title: What the eight features of the architectural comparison rest on, part by part
 -- Paper: tab:baseline_context
 -- Grain: one row per made_alike (as in run_groups), feature and part
+-- Key: made_alike, feature, part
 -- Units: share; shown is text, the part with its numerator/denominator
 -- NULL: share when the runs hold nothing that could show the part, or do not observe what it rests on
 -- Example: fsar-ledger query tables/feature_parts LEDGER
@@ -41,10 +42,13 @@ groups AS (
 
 SELECT
     groups.made_alike,
-    rules.*,
+    rules.feature,
+    rules.part,
+    rules.is_essential,
     evidence.numerator / evidence.denominator AS share,
     rules.part || ' ' || coalesce(
-        evidence.numerator || '/' || evidence.denominator, if(list_contains(groups.unseen, rules.part), 'not observable', 'not shown')
+        evidence.numerator || '/' || evidence.denominator,
+        if(list_contains(groups.unseen, rules.part), 'not observable', 'not shown')
     ) AS shown
 FROM groups
 CROSS JOIN rules

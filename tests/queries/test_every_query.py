@@ -8,12 +8,17 @@ from pathlib import Path
 import duckdb
 import pytest
 
+from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.database import Database, from_rows
 from fsar_ledger.metrics.library import KEYS, REQUIRED_KEYS, Library, Query, library, parse, view_name
 
 FILES = sorted(Path(str(files("fsar_ledger.queries"))).rglob("*.sql"))
-GENERATED = {f"staging/{view_name(tag)}" for tag in LAYOUTS} | {"facts/event_concerns", "staging/world_facts"}
+GENERATED = {
+    *(f"staging/{view_name(tag)}" for tag in LAYOUTS),
+    *(f"staging/{concern}_events" for concern in CONCERNS),
+    *("facts/event_concerns", "staging/world_facts"),
+}
 CONSTANT = {
     *("facts/event_classes", "facts/judged_concerns", "facts/message_words", "metrics/metric_definitions"),
     *("statistics/comparisons", "cases/case_definitions", "readings/denials_are_records"),
@@ -28,7 +33,7 @@ def test_every_file_is_in_the_library_under_its_folder_and_name() -> None:
 
 
 @pytest.mark.parametrize("name", PACKAGED)
-def test_header_names_title_paper_grain_units_and_null(name: str) -> None:
+def test_header_names_title_paper_grain_key_units_and_null(name: str) -> None:
     header = library().find(name).header
     assert all(header[key] for key in REQUIRED_KEYS)
     assert name in header["Example"]

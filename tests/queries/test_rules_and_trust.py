@@ -165,7 +165,7 @@ def test_a_rule_that_allows_lifts_no_other() -> None:
 def test_a_disapproval_is_no_approval(approves: bool | None, count: int) -> None:
     history = (rule(1, "review"), reviewed(2, approves), started(3))
     assert violations(*history) == len(broken("a3", *history)) == count
-    assert len(answer("facts/approvals", run(*history))) == 1 - count
+    assert len(answer("facts/hold_ends", run(*history))) == 1 - count
     assert len(asked("unapproved_executions", "action_id", *history)) == count
 
 

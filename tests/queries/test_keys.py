@@ -1,0 +1,145 @@
+"""No query fans out or captures: its key tells rows apart, no star stands beside columns, few read all events."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+from fsar_ledger.ledger.rows.codec import RunRecord, encode
+from fsar_ledger.metrics.database import Database, connect, from_rows, from_table
+from fsar_ledger.metrics.library import REQUIRED_KEYS, Library, Query, library
+from tests.queries.histories import event, run
+from tests.queries.keys import broken_keys
+from tests.runtime.commanded import commanded
+
+KEPT = sorted((Path(__file__).parent.parent / "ledgers").glob("*/ledger"))
+FILES = {name: query for name, query in library().queries.items() if not query.tags}
+CHEAP = ("facts/", "audit/", "invariants/", "readings/")
+DRAWN = {query.name for query in FILES.values() if query.relation.startswith(("drawn_", "cluster_"))}
+"""Millions of rows drawn from few: a second each."""
+READ_ALL_EVENTS = {
+    "facts/messages": "says any event in words, so that it needs every column",
+    "audit/requests": "sums up all that happened to an action, whatever the type",
+    "audit/supervisor_decisions": "finds what a supervisor decided by the decider, whatever the type",
+    "tables/mechanism_coverage": "counts events of five concerns in one pass",
+}
+COMMENT = re.compile(r"--[^\n]*")
+TEXT = re.compile(r"'(?:[^']|'')*'")
+STAR = re.compile(r"(?:^|[\s.,(])\*(?=\s*(?:EXCLUDE\b|REPLACE\b|FROM\b|,|$))", re.MULTILINE)
+
+
+def database_of_the_commanded_run() -> Database:
+    kernel = commanded()
+    return from_table(encode([RunRecord("live", kernel.times_us, kernel.caused_by, kernel.events)]))
+
+
+def test_keys_tell_the_rows_of_the_commanded_run_apart() -> None:
+    with database_of_the_commanded_run() as database:
+        assert broken_keys(database, (query for name, query in FILES.items() if name.startswith(CHEAP))) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", KEPT, ids=lambda path: path.parent.name)
+def test_keys_tell_the_rows_of_a_kept_ledger_apart(path: Path) -> None:
+    with connect(path) as database:
+        assert broken_keys(database, (query for name, query in FILES.items() if name not in DRAWN)) == []
+
+
+def test_a_query_that_fans_out_is_found() -> None:
+    header = dict.fromkeys(REQUIRED_KEYS, "something") | {"Key": "run_id, seq"}
+    joined = "SELECT tasks.run_id, tasks.seq, steps.step FROM task_arrived AS tasks INNER JOIN step_began AS steps"
+    planted = Query(
+        "facts/planted", f"{joined} ON tasks.run_id = steps.run_id AND tasks.task_id = steps.task_id", header
+    )
+    history = run(
+        event("TaskArrived", task_id="t"),
+        event("StepBegan", task_id="t", action_id="t/1", step=1),
+        event("StepBegan", task_id="t", action_id="t/2", step=2),
+    )
+    queries = Library([*library().queries.values(), planted])
+    with from_rows(history) as database:
+        database.library = queries
+        assert broken_keys(database, iter([planted])) == ["facts/planted: 1 of 2 rows have the key of another"]
+        planted.header["Key"] = "run_id, seq, step"
+        assert broken_keys(database, iter([planted])) == []
+        planted.header["Key"] = "run_id, seq, stage"
+        assert broken_keys(database, iter([planted])) == ["facts/planted: key names stage, which is no column"]
+        planted.header["Key"] = "one row"
+        assert broken_keys(database, iter([planted])) == ["facts/planted: 2 rows, at most one expected"]
+
+
+def test_a_key_column_that_is_null_is_found_unless_the_header_says_so() -> None:
+    query = library().relations["supervisor_absences"]
+    left = run(event("SupervisorLeft", supervisor=None))
+    with from_rows(left) as database:
+        header = query.header | {"Key": "run_id, supervisor"}
+        altered = Query(query.name, query.sql, header)
+        assert broken_keys(database, iter([altered])) == [f"{query.name}: supervisor is NULL"]
+        header["Key"] = "run_id, supervisor?"
+        assert broken_keys(database, iter([altered])) == []
+
+
+# --- lints ---
+
+
+@dataclass(frozen=True)
+class Select:
+    """The list of columns of one SELECT, with nothing in brackets but its own."""
+
+    items: tuple[str, ...]
+
+
+def selects(sql: str) -> Iterator[Select]:
+    """Yield the column lists of every SELECT of this text, however deep."""
+    text = TEXT.sub("''", COMMENT.sub("", sql))
+    for found in re.finditer(r"\bSELECT\b(?:\s+DISTINCT\b)?", text):
+        depth, items, begin = 0, [], found.end()
+        for place in range(found.end(), len(text)):
+            letter = text[place]
+            depth += letter in "([{"
+            depth -= letter in ")]}"
+            ends = depth < 0 or (depth == 0 and re.match(r"\bFROM\b", text[place:]) is not None)
+            if ends or (depth == 0 and letter == ","):
+                items.append(text[begin:place].strip())
+                begin = place + 1
+            if ends:
+                break
+        else:
+            items.append(text[begin:].strip())
+        yield Select(tuple(items))
+
+
+def starred(name: str, sql: str) -> list[str]:
+    """Return the columns lists of a query in which a star stands beside a column, or computes one."""
+    wrong = []
+    for select in selects(sql):
+        stars = [item for item in select.items if re.match(r"(?:\w+\.)?\*(?:\s|$)", item)]
+        replaces = any("REPLACE" in star for star in stars) and not name.startswith("readings/")
+        if stars and (len(select.items) > 1 or replaces):
+            wrong.append(f"{name}: {stars[0]} stands beside {len(select.items) - 1} columns")
+    return wrong
+
+
+def test_no_star_stands_beside_columns() -> None:
+    """A reading is its relation with a column replaced, and has its columns by definition."""
+    assert [fault for name, query in FILES.items() for fault in starred(name, query.sql)] == []
+
+
+@pytest.mark.parametrize(
+    "columns",
+    ["*, 1 AS one", "a.*, b.x", "1 AS one, a.*", "* EXCLUDE (x), y", "* REPLACE (f(x, y) AS x)", "f(a, b), *"],
+)
+def test_a_star_beside_columns_is_found_wherever_it_stands(columns: str) -> None:
+    assert len(starred("facts/x", f"SELECT {columns} FROM a")) == 1
+    assert (
+        len(starred("facts/x", f"WITH s AS (\n    SELECT\n        {columns}\n    FROM a\n)\n\nSELECT *\nFROM s")) == 1
+    )
+    assert starred("facts/x", f"-- SELECT {columns} FROM a\nSELECT ', *', count(*), 2 * 3 FROM a") == []
+    assert starred("facts/x", "SELECT * EXCLUDE (x) FROM a UNION ALL SELECT b.* FROM b") == []
+
+
+def test_only_staging_reads_all_events() -> None:
+    found = {name for name, query in FILES.items() if "events" in query.sources() and not name.startswith("staging/")}
+    assert found == READ_ALL_EVENTS.keys()
