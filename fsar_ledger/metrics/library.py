@@ -21,7 +21,7 @@ from typing import get_args
 import msgspec
 
 from fsar_ledger.errors import UnknownQuery
-from fsar_ledger.events.concerns import EVENTS_OF
+from fsar_ledger.events import CONCERN_OF
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, LAYOUTS, Kind
 
@@ -148,10 +148,9 @@ def staging_query(tag: str) -> Query:
 
 
 def concerns_query() -> Query:
-    """The concern of each event type, as `events/concerns.py` has it."""
-    found = {name: concern for concern, names in EVENTS_OF.items() for name in names}
+    """Return the view of the concern of each event type."""
     rows = ",\n    ".join(
-        f"('{tag}', '{found[tag.partition('.')[0]]}')" for tag in LAYOUTS if tag.partition(".")[0] in found
+        f"('{tag}', '{CONCERN_OF[tag.partition('.')[0]]}')" for tag in LAYOUTS if tag.partition(".")[0] in CONCERN_OF
     )
     sql = f"WITH concerns (type, concern) AS (\n    VALUES\n    {rows}\n)\n\nSELECT *\nFROM concerns\n"
     header = {
