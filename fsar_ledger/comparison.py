@@ -17,6 +17,7 @@ from fsar_ledger.errors import FsarLedgerError, UsageError
 from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.place import require_outside
+from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.printed import Place, Table, printed
 from fsar_ledger.metrics.results import MetricRow
 from fsar_ledger.metrics.verdicts import MARGINS, Answer, judge
@@ -27,7 +28,7 @@ from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION
 
 SAME = 22  # of the 24 cells, whatever the seed: registered as `seeds`
 SUCCESS, LOCALITY, CONFLICTS = "coordination_success", "governance_locality", "authority_conflicts"
-COUNTS = ("authority_conflicts", "policy_violations")
+COUNTS = tuple(one.name for one in published_metrics() if one.scale == "count")
 """Metrics without an upper end; the others of the ablation table are shares."""
 TABLES: dict[Table, str] = {"results": CASES, "ablation": "ablation", "ablation_text": "ablation", "scaling": "scaling"}
 """What was played for each table."""

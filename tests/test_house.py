@@ -12,8 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger.schema import LAYOUTS
-from fsar_ledger.metrics.library import view_name
+from fsar_ledger.metrics.library import generated
 
 ROOT = Path(__file__).resolve().parent.parent
 CODE = ("fsar_ledger", "queries", "reports", "tests", "benchmarks", "docs")
@@ -402,5 +401,4 @@ def installed_queries(place: Path) -> set[str]:
     )
     file, _, answer = done.stdout.partition("\n")
     assert file.startswith(str(place / "site"))
-    generated = {f"staging/{view_name(tag)}" for tag in LAYOUTS} | {"facts/event_concerns", "staging/world_facts"}
-    return {query["name"] for query in json.loads(answer)["queries"]} - generated
+    return {query["name"] for query in json.loads(answer)["queries"]} - {query.name for query in generated()}

@@ -25,6 +25,8 @@ from fsar_ledger.events import CONCERN_OF
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, LAYOUTS, Kind
 
+from . import definitions
+
 REQUIRED_KEYS = ("Title", "Paper", "Grain", "Units", "NULL", "Example")
 READINGS = "readings/"
 READING_KEYS = ("Reading", "Question", "Replaces", "Moves", "Why")
@@ -182,6 +184,56 @@ def world_query() -> Query:
     return Query("staging/world_facts", sql, header)
 
 
+def metric_queries() -> list[Query]:
+    """Return the relations that `reports/metrics.toml` makes: what SQL must know of each metric, and what all measure."""
+    undefined = "published_value where the metric is defined for every run; undefined_value where such a run does not count, as with us always"
+    made = {
+        "metric_definitions": (
+            "The metrics: their order, their scale, which way is better, how runs are pooled, and whether the paper prints them",
+            "one row per metric",
+            "numerator_units, how many units of the numerator make one of the value; scale is share, count, seconds, or yes-no "
+            "(0 or 1 for each run); better is higher or lower; undefined_value, what a run counts as in which a metric that is not "
+            "pooled is undefined, published_value, what it counts as in the paper",
+            undefined,
+            definitions.definitions_sql(),
+        ),
+        "metric_concerns": (
+            "What each metric rests on: without these concerns nothing of it can be judged",
+            "one row per metric and concern",
+            "none",
+            "never",
+            definitions.concerns_sql(),
+        ),
+        "metric_measurements": (
+            "What every metric measures of each run",
+            "one row per run and metric",
+            "as in each metric's own query",
+            "as in each metric's own query",
+            definitions.measured_sql(),
+        ),
+    }
+    return [
+        Query(
+            f"metrics/{name}",
+            sql,
+            {
+                "Title": title,
+                "Paper": "sec:evaluation:metrics",
+                "Grain": grain,
+                "Units": units,
+                "NULL": null,
+                "Example": f"fsar-ledger query metrics/{name} LEDGER",
+            },
+        )
+        for name, (title, grain, units, null, sql) in made.items()
+    ]
+
+
+def generated() -> list[Query]:
+    """Return the queries that have no file: a view of each event type, their concerns, the world's facts, and what is said of metrics."""
+    return [*map(staging_query, LAYOUTS), concerns_query(), world_query(), *metric_queries()]
+
+
 def _files(folder: Traversable, prefix: str = "") -> Iterator[tuple[str, str]]:
     """Name and text of every SQL file below the folder, sorted by name."""
     for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
@@ -262,6 +314,6 @@ def values(query: Query, given: Mapping[str, str]) -> dict[str, str]:
 
 @cache
 def library() -> Library:
-    """The packaged queries, one view per event type, the concerns of these types, and one view of what the world did."""
+    """Return the packaged queries and those that are made."""
     packaged = [parse(name, sql) for name, sql in _files(files("fsar_ledger.queries"))]
-    return Library([*map(staging_query, LAYOUTS), concerns_query(), world_query(), *packaged])
+    return Library([*generated(), *packaged])

@@ -12,12 +12,13 @@ from typing import NamedTuple
 from fsar_ledger.events.configuration import CONFIGURATIONS, FULL
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database, Value
+from fsar_ledger.metrics.definitions import metric_named, published_metrics
 from fsar_ledger.metrics.odds import Printed, odds
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.printed import Place, Table, printed
 from fsar_ledger.metrics.results import DialledRow, dialled_rows
 from fsar_ledger.registration import registration
-from fsar_ledger.report import printing, specs, whole
+from fsar_ledger.report import printing, whole
 from fsar_ledger.report.findings import ARCHITECTURES, MAIN_FLEET_SIZE, Ablation, Row, Scaling, Told
 
 QUERIES = ("metrics/metrics_by_dial", "statistics/drawn_experiments", "statistics/drawn_scenarios")
@@ -267,7 +268,7 @@ def _interval(row: DialledRow) -> tuple[float, float] | None:
 
 def _as_printed(metric: str, paper: Printed) -> str:
     """The printed number in the report's unit, with as many digits as it has."""
-    scale = specs.metric(metric).scale
+    scale = metric_named(metric).factor
     return printing.number(paper.value * scale, max(0, -round(math.log10(paper.step * scale))))
 
 
@@ -289,7 +290,7 @@ def _wide(rows: Iterable[DialledRow]) -> tuple[Row, ...]:
     for row in sorted(rows, key=lambda row: row.encounter_mean_s or 0.0):
         line = found.setdefault(
             row.encounter_mean_s,
-            {"encounter_mean_s": row.encounter_mean_s, "n": 0, **{spec.name: None for spec in specs.metrics()}},
+            {"encounter_mean_s": row.encounter_mean_s, "n": 0, **{spec.name: None for spec in published_metrics()}},
         )
         line[row.metric] = row.mean
         line["n"] = max(line["n"], row.n)

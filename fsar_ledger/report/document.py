@@ -10,6 +10,7 @@ import msgspec
 import fsar_ledger
 from fsar_ledger import printable
 from fsar_ledger.constants import Constants, write_constants
+from fsar_ledger.metrics.definitions import metric_named, published_metrics
 from fsar_ledger.registration import registration
 from fsar_ledger.report import (
     contradictions,
@@ -32,7 +33,7 @@ from fsar_ledger.report.printing import Table, flat
 from fsar_ledger.report.reproduction import versions
 from fsar_ledger.report.sensitivity import Section
 
-POOLED = ("recovery_containment", "reassignment_latency_s")  # metrics that a run without failures does not define
+POOLED = tuple(one.name for one in published_metrics() if one.is_pooled)  # a run without failures does not define them
 MAX_DIFFERING = 2_000  # characters of what is said of a pair's worlds
 SHOWN_WEIGHTS = 3  # constants named for each direction of the fit
 
@@ -222,7 +223,7 @@ def _misses(findings: Findings, record: Record | None) -> list[dict[str, Any]]:
     missing = sorted((row for row in findings.cells if row["gives"] == "no"), key=lambda row: -abs(row["distance"]))
     return [
         {
-            "title": f"{specs.metric(row['metric']).title}, {row['architecture'].upper()}",
+            "title": f"{metric_named(row['metric']).title}, {row['architecture'].upper()}",
             "distance": printing.number(row["distance"], 1),
             "reason": reasons.get(f"{row['metric']}/{row['architecture']}"),
         }
@@ -297,7 +298,7 @@ def data(findings: Findings, record: Record | None, effects: Section | None = No
 
 def _sayable(numbers: Row) -> Row:
     """The answer with undefined cells named as the tables name them."""
-    undefined = [f"{specs.metric(name).title} of {architecture.upper()}" for name, architecture in numbers["undefined"]]
+    undefined = [f"{metric_named(name).title} of {architecture.upper()}" for name, architecture in numbers["undefined"]]
     share = numbers["table_share"]
     return numbers | {"undefined": undefined, "table_share": None if share is None else printing.probability(share)}
 

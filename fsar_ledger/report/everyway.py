@@ -5,6 +5,7 @@ from typing import Any
 
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database
+from fsar_ledger.metrics.definitions import metric_named, published_metrics
 from fsar_ledger.metrics.library import READINGS, library
 from fsar_ledger.metrics.multiverse import Chosen, Multiverse, Universe, cells, rankings, readings, universes
 from fsar_ledger.report import printing, specs
@@ -21,14 +22,14 @@ def every_way(database: Database, setting: Row, *, pools_seeds: bool = False) ->
     Raises: as `Database.rows`.
     """
     found: list[Universe] = []
-    for spec in specs.metrics():
+    for spec in published_metrics():
         every = universes(database, spec.name, pools_seeds=pools_seeds)
         found += [
             one
             for one in every
             if one.architecture in ARCHITECTURES and all(getattr(one, name) == value for name, value in setting.items())
         ]
-    better = {spec.name: spec.better for spec in specs.metrics()}
+    better = {spec.name: spec.better for spec in published_metrics()}
     return Multiverse(readings(), tuple(cells(found)), tuple(rankings(found, better)), tuple(found)) if found else None
 
 
@@ -123,4 +124,4 @@ def said(found: Multiverse | None) -> dict[str, Any] | None:
 
 
 def _title(metric: str) -> str:
-    return specs.metric(metric).title.partition(" (")[0].lower()
+    return metric_named(metric).title.partition(" (")[0].lower()

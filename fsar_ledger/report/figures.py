@@ -8,6 +8,7 @@ from typing import Any
 from unicodedata import combining
 
 from fsar_ledger import printable
+from fsar_ledger.metrics.definitions import Metric, published_metrics
 from fsar_ledger.report import specs
 
 Row = Mapping[str, Any]
@@ -101,12 +102,12 @@ def rendered(figure: Any, kind: str) -> bytes:
     return buffer.getvalue()
 
 
-def _panel(axes: Any, spec: specs.MetricSpec, rows: Sequence[Row]) -> None:
+def _panel(axes: Any, spec: Metric, rows: Sequence[Row]) -> None:
     """One metric: a bar with its 95 % interval for each architecture, the paper's value as a diamond."""
     for position, (architecture, colour) in enumerate(COLOURS.items()):
         found = [row for row in rows if (row["metric"], row["architecture"]) == (spec.name, architecture)]
         for row in found:
-            axes.plot(position + 0.27, row["paper"] * spec.scale, zorder=4, **DIAMOND)
+            axes.plot(position + 0.27, row["paper"] * spec.factor, zorder=4, **DIAMOND)
             if row["mean"] is None:
                 axes.annotate(
                     "no value",
@@ -119,9 +120,9 @@ def _panel(axes: Any, spec: specs.MetricSpec, rows: Sequence[Row]) -> None:
                     color="#777777",
                 )
                 continue
-            axes.bar(position - 0.08, row["mean"] * spec.scale, width=0.5, color=colour, alpha=0.75, zorder=2)
+            axes.bar(position - 0.08, row["mean"] * spec.factor, width=0.5, color=colour, alpha=0.75, zorder=2)
             if row["ci_low"] is not None:
-                low, high = row["ci_low"] * spec.scale, row["ci_high"] * spec.scale
+                low, high = row["ci_low"] * spec.factor, row["ci_high"] * spec.factor
                 # Around its own middle: at a share of 0 a Wilson interval may begin a rounding error above the mean.
                 axes.errorbar(
                     position - 0.08,
@@ -144,7 +145,7 @@ def _panel(axes: Any, spec: specs.MetricSpec, rows: Sequence[Row]) -> None:
         for key in ("paper", "mean", "ci_high")
         if row[key] is not None
     ]
-    axes.set_ylim(0, HEADROOM * spec.scale * max(drawn))
+    axes.set_ylim(0, HEADROOM * spec.factor * max(drawn))
     axes.grid(axis="y", color="#dddddd", linewidth=0.5, zorder=0)
     axes.set_axisbelow(True)
 
@@ -158,7 +159,7 @@ def evaluation_results(rows: Sequence[Row], kind: str = "svg") -> bytes:
     from matplotlib.patches import Patch
 
     with canvas(specs.figure("evaluation-results"), 2, 4) as (figure, axes):
-        for panel, spec in zip(axes.flat, specs.metrics(), strict=True):
+        for panel, spec in zip(axes.flat, published_metrics(), strict=True):
             _panel(panel, spec, rows)
         handles: list[Any] = [
             Patch(color=colour, alpha=0.75, label=f"{name.upper()}, this ledger") for name, colour in COLOURS.items()
@@ -185,7 +186,7 @@ def effects(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
     with canvas(specs.figure("effects"), 1, 1) as (figure, axes):
         panel = axes[0, 0]
-        names = [spec.name for spec in specs.metrics()]
+        names = [spec.name for spec in published_metrics()]
         for at in range(1, len(names), 2):
             panel.axhspan(at - 0.5, at + 0.5, color="#f2f2f2", linewidth=0, zorder=0)
         panel.axvline(0, color="#999999", linewidth=0.7, zorder=1)
@@ -214,7 +215,7 @@ def effects(rows: Sequence[Row], kind: str = "svg") -> bytes:
         ticks = [tick for tick in (-20, -10, -5, -2, -1, -0.5, 0, 0.5, 1, 2, 5, 10, 20) if abs(tick) <= reach]
         panel.set_xticks(ticks, [f"{tick:g}".replace("-", "\u2212") for tick in ticks])
         panel.minorticks_off()
-        panel.set_yticks(range(len(names)), [spec.title for spec in specs.metrics()])
+        panel.set_yticks(range(len(names)), [spec.title for spec in published_metrics()])
         panel.set_ylim(len(names) - 0.5, -0.5)
         panel.tick_params(axis="y", length=0)
         panel.set_xlabel("effect in standard deviations, first minus second (linear up to 1, logarithmic beyond)")

@@ -15,6 +15,7 @@ import msgspec
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.comparing import differing_worlds
 from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.models import models
 from fsar_ledger.metrics.multiverse import Multiverse
 from fsar_ledger.metrics.odds import Cell, Odds, odds
@@ -54,7 +55,7 @@ Setting: TypeAlias = tuple[str | None, int | None, int | None, str, str | None, 
 SETTING = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
 """Its names in `CHOSEN_SQL`."""
 
-METRICS = tuple(spec.name for spec in specs.metrics())
+METRICS = tuple(spec.name for spec in published_metrics())
 
 MAX_SPANS = 20
 """Ranges of seeds that a cell of a table lists."""
@@ -164,14 +165,14 @@ def _cells(rows: Iterable[MetricRow], apart: Collection[str], drawn: Odds[Cell] 
     }
     printed = {(row["metric"], row["architecture"]): row["mean"] for row in specs.paper_table("results")}
     cells = []
-    for spec in specs.metrics():
+    for spec in published_metrics():
         for architecture in ARCHITECTURES:
             key = (spec.name, architecture)
             row, paper = found.get(key), verdicts.published()[key].value
             cell = msgspec.structs.asdict(row) if row is not None else _blank(MetricRow)
             beside = {
                 "paper": paper,
-                "paper_printed": printed[spec.result, architecture.upper()],
+                "paper_printed": printed[spec.printed.results, architecture.upper()],
                 "interval": _interval(cell),
             }
             cells.append(cell | {"metric": spec.name, "architecture": architecture} | beside | _judged(judged.get(key)))
@@ -202,9 +203,9 @@ def _tests(rows: Iterable[StatisticRow], apart: Collection[str]) -> tuple[Row, .
     found = {(row.metric, row.comparison): row for row in rows}
     printed = {(row["metric"], row["comparison"]): row for row in specs.paper_table("significance")}
     tests = []
-    for spec in specs.metrics():
+    for spec in published_metrics():
         for comparison in COMPARISONS:
-            paper = printed[spec.significance, " vs ".join(comparison.upper().split("-"))]
+            paper = printed[spec.printed.significance, " vs ".join(comparison.upper().split("-"))]
             row = found.get((spec.name, comparison))
             test = msgspec.structs.asdict(row) if row is not None else _blank(StatisticRow)
             beside = {
@@ -238,7 +239,7 @@ def _scenarios(overall: Iterable[MetricRow], by_scenario: Iterable[MetricRow]) -
     return tuple(
         {"metric": spec.name, "architecture": architecture}
         | {name: means.get((spec.name, architecture, name)) for name in (*SCENARIOS, "mean")}
-        for spec in specs.metrics()
+        for spec in published_metrics()
         for architecture in ARCHITECTURES
     )
 
@@ -249,7 +250,7 @@ def _rule(cells: tuple[Row, ...]) -> tuple[Row, ...]:
     return tuple(
         {"metric": spec.name, "margin": verdicts.MARGINS[spec.name]}
         | {name: power[spec.name, name] for name in ARCHITECTURES}
-        for spec in specs.metrics()
+        for spec in published_metrics()
     )
 
 

@@ -7,8 +7,9 @@ import msgspec
 
 from fsar_ledger.events.configuration import EVERY_MECHANISM, MECHANISMS_OF, ON_RECORD_ALONE, lacks, without
 from fsar_ledger.metrics.database import Database
+from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.plans import completeness
-from fsar_ledger.report import printing, specs
+from fsar_ledger.report import printing
 from fsar_ledger.report.findings import ARCHITECTURES, MAIN_FLEET_SIZE, Findings, Mechanisms, Row, Told
 from fsar_ledger.report.sections import Sourced
 
@@ -79,7 +80,7 @@ def carried(found: Mechanisms) -> list[Row]:
     `mean` and `n` are of the pairs of that mechanism, or of the one with most pairs; a further one that is of another number of pairs says so.
     """
     cells = []
-    for spec in specs.metrics():
+    for spec in published_metrics():
         for architecture in ARCHITECTURES:
             asked = [row for row in found.rows if (row["metric"], row["architecture"]) == (spec.name, architecture)]
             bearing = sorted((row for row in asked if row["stands"]), key=lambda row: -abs(row["mean_difference"]))
@@ -143,7 +144,7 @@ def _wide(rows: Iterable[Row], source: str) -> printing.Table:
         )
         line[row["metric"]] = row
         line["n"] = max(line["n"], row["n"])
-    blank = dict.fromkeys(spec.name for spec in specs.metrics())
+    blank = dict.fromkeys(spec.name for spec in published_metrics())
     plain = printing.table("mechanism-differences", [blank | line for line in lines.values()], source)
     return msgspec.structs.replace(plain, rows=tuple(tuple(map(_difference, row)) for row in plain.rows))
 

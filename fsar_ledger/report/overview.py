@@ -4,6 +4,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
+from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.report import figures, specs
 from fsar_ledger.report.curves import MARKERS
 from fsar_ledger.report.findings import Row
@@ -41,7 +42,7 @@ def overview(rows: Sequence[Row], kind: str = "svg") -> bytes:
         for title, tables in PANELS.items()
     }
     shown = {title: found for title, found in shown.items() if found} or {next(iter(PANELS)): []}
-    metrics = [spec.name for spec in specs.metrics()]
+    metrics = [spec.name for spec in published_metrics()]
     with figures.canvas(specs.figure("overview"), 1, len(shown), sharey=True) as (figure, axes):
         for panel, (title, found) in zip(axes.flat, shown.items(), strict=True):
             _grounds(panel, len(metrics))
@@ -56,7 +57,7 @@ def overview(rows: Sequence[Row], kind: str = "svg") -> bytes:
             panel.minorticks_off()
             panel.set_ylim(len(metrics) - 0.5, -0.5)
             panel.tick_params(axis="y", length=0)
-        axes[0, 0].set_yticks(range(len(metrics)), [spec.short for spec in specs.metrics()])
+        axes[0, 0].set_yticks(range(len(metrics)), [spec.short for spec in published_metrics()])
         axes[0, len(shown) // 2].set_xlabel("(ours − paper) / margin: linear up to 1, logarithmic beyond")
         figure.legend(
             handles=_legend(), loc="outside lower center", ncols=7, frameon=False, handletextpad=0.4, columnspacing=1.3

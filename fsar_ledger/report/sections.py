@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from fsar_ledger.metrics.definitions import metric_named
 from fsar_ledger.report import curves, printing, specs
 from fsar_ledger.report.findings import ARCHITECTURES, Findings, Row, Told
 from fsar_ledger.report.printing import Table
@@ -168,6 +169,6 @@ def _named(row: Row) -> dict[str, str]:
     """A cell in words: its metric, configuration and scenario, and the printed number."""
     where = "" if row["scenario"] is None else f", {row['scenario'].replace('-', ' ')}"
     return {
-        "title": f"{specs.metric(row['metric']).title}, {printing.configuration(row['configuration'])}{where}",
+        "title": f"{metric_named(row['metric']).title}, {printing.configuration(row['configuration'])}{where}",
         "paper": row["paper_printed"],
     }

@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
+from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.parameters import BadParameters, read_parameters
 from fsar_ledger.report import figures, printing, specs
 
@@ -161,7 +162,7 @@ def open_effects(path: Path) -> Sensitivity:
         ) from error
     grid = {
         (spec.name, architecture, factor)
-        for spec in specs.metrics()
+        for spec in published_metrics()
         for architecture in ARCHITECTURES
         for factor in about.factors
     }
@@ -247,7 +248,7 @@ def heat_map(found: Sensitivity, kind: str = "svg") -> bytes:
     shown = [name for name, furthest in reach(found).items() if furthest >= SHOWN_FROM][:MAX_SHOWN] or list(
         found.about.factors[:1]
     )
-    columns = [(spec.name, architecture) for spec in specs.metrics() for architecture in ARCHITECTURES]
+    columns = [(spec.name, architecture) for spec in published_metrics() for architecture in ARCHITECTURES]
     at = {(effect.factor, effect.metric, effect.architecture): effect for effect in found.effects}
     spec = msgspec.structs.replace(specs.figure("sensitivity"), height_in=1.7 + 0.135 * len(shown))
     with figures.canvas(spec, 1, 1) as (figure, axes):
@@ -258,7 +259,7 @@ def heat_map(found: Sensitivity, kind: str = "svg") -> bytes:
             range(len(columns)), [architecture.upper() for _, architecture in columns], rotation=90, fontsize=6
         )
         top = panel.secondary_xaxis("top")
-        titles = [one.short for one in specs.metrics()]
+        titles = [one.short for one in published_metrics()]
         top.set_xticks([3 * number + 1 for number in range(len(titles))], titles, rotation=25, ha="left", fontsize=7)
         for axis in (panel, top):
             axis.tick_params(length=0)

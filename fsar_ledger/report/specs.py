@@ -52,23 +52,6 @@ class FigureSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     paper: str | None = None
 
 
-class MetricSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One metric: its names in the queries and in the paper's tables, and how its values are printed.
-
-    The printed number is the stored one times `scale`, with `decimals` decimals; `counted` is what its denominator counts.
-    """
-
-    name: str
-    title: str
-    short: str
-    result: str
-    significance: str
-    scale: int
-    decimals: int
-    counted: str
-    better: str
-
-
 class Passage(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One titled paragraph in Typst markup; `id` names it, `paper` is the label of the place that it speaks about."""
 
@@ -120,18 +103,6 @@ def text(*path: str) -> str:
 
 def _toml(cls: type[T], *path: str) -> T:
     return msgspec.convert(tomllib.loads(text(*path)), cls)
-
-
-@cache
-def metrics() -> tuple[MetricSpec, ...]:
-    """The eight metrics, in the paper's order."""
-    return tuple(_toml(dict[str, list[MetricSpec]], "metrics.toml")["metric"])
-
-
-def metric(name: str) -> MetricSpec:
-    """The metric of this name in the queries. Raises: KeyError when there is none."""
-    found = {spec.name: spec for spec in metrics()}
-    return found[name]
 
 
 def table(name: str) -> TableSpec:

@@ -1,4 +1,4 @@
--- Title: The eight metrics of every run
+-- Title: The metrics of every run
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run and metric
 -- Units: setting and constants as in run_settings; value share, count or seconds, as the metric says; numerator and denominator as in the metric's own query
@@ -8,48 +8,6 @@
 --       all numbers where the run does not observe what the metric rests on, which not_observed names and is NULL otherwise
 -- Example: fsar-ledger query metrics/run_metrics LEDGER
 -- Stored: the summary and every statistic read it several times
-WITH measured AS (
-    SELECT
-        'coordination_success' AS metric,
-        *
-    FROM coordination_success
-    UNION ALL BY NAME
-    SELECT
-        'governance_locality' AS metric,
-        *
-    FROM governance_locality
-    UNION ALL BY NAME
-    SELECT
-        'recovery_containment' AS metric,
-        *
-    FROM recovery_containment
-    UNION ALL BY NAME
-    SELECT
-        'authority_conflicts' AS metric,
-        *
-    FROM authority_conflicts
-    UNION ALL BY NAME
-    SELECT
-        'policy_violations' AS metric,
-        *
-    FROM policy_violations
-    UNION ALL BY NAME
-    SELECT
-        'reassignment_latency_s' AS metric,
-        *
-    FROM reassignment_latency_s
-    UNION ALL BY NAME
-    SELECT
-        'human_intervention' AS metric,
-        *
-    FROM human_intervention
-    UNION ALL BY NAME
-    SELECT
-        'audit_attributability' AS metric,
-        *
-    FROM audit_attributability
-)
-
 SELECT
     runs.* REPLACE (settings.kind AS kind),
     settings.setting,
@@ -64,5 +22,5 @@ SELECT
     measured.not_observed
 FROM runs
 INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
-INNER JOIN measured ON runs.run_id = measured.run_id
+INNER JOIN metric_measurements AS measured ON runs.run_id = measured.run_id
 INNER JOIN metric_definitions AS definitions ON measured.metric = definitions.metric

@@ -3,7 +3,8 @@
 -- Grain: one row per architecture, configuration that lacks one mechanism, setting (kind, source, model version, constants, fleet size), metric, and seed or
 --        all seeds (pools_seeds)
 -- Units: first is in full and second without, so mean_difference is what the mechanism adds; n and all else as in side_differences, but p_holm over the
---        family_tests tests of all mechanisms of all architectures, of one setting and seed
+--        family_tests tests of all mechanisms of all architectures, of one setting and seed,
+--        for the paper's metrics together and each other one by itself
 -- NULL: seed for all seeds; the rest as in side_differences
 -- Example: fsar-ledger query statistics/mechanism_differences LEDGER
 WITH ablated AS (
@@ -19,6 +20,7 @@ WITH ablated AS (
         differences.seed,
         differences.position,
         differences.metric,
+        CASE WHEN NOT definitions.is_published THEN differences.metric END AS further,
         differences.n,
         differences.differing_pairs,
         differences.first_mean AS full_mean,
@@ -33,6 +35,7 @@ WITH ablated AS (
     INNER JOIN side_comparisons AS comparisons
         ON differences.first_side = comparisons.first_side AND differences.second_side = comparisons.second_side
     INNER JOIN sides ON differences.second_side = sides.side
+    INNER JOIN metric_definitions AS definitions ON differences.metric = definitions.metric
     WHERE comparisons.family LIKE 'ablations of %' AND comparisons.configuration NOT LIKE '%+%' AND differences.scenario IS NULL
 ),
 
@@ -42,13 +45,13 @@ ranked AS (
         count(p) OVER family AS family_tests,
         (count(p) OVER family - row_number() OVER (family ORDER BY p NULLS LAST, architecture, configuration, position) + 1) * p AS bound
     FROM ablated
-    WINDOW family AS (PARTITION BY setting, pools_seeds, seed)
+    WINDOW family AS (PARTITION BY setting, pools_seeds, seed, further)
 )
 
 SELECT
-    * EXCLUDE (bound),
+    * EXCLUDE (bound, further),
     CASE
         WHEN p IS NOT NULL
-            THEN least(1, max(bound) OVER (PARTITION BY setting, pools_seeds, seed ORDER BY p NULLS LAST, architecture, configuration, position))
+            THEN least(1, max(bound) OVER (PARTITION BY setting, pools_seeds, seed, further ORDER BY p NULLS LAST, architecture, configuration, position))
     END AS p_holm
 FROM ranked

@@ -9,7 +9,10 @@
 WITH pooled AS (
     SELECT
         concat_ws('/', comparisons.family, comparisons.comparison, comparisons.setting, coalesce(found.seed::VARCHAR, 'all'), found.metric) AS test,
-        concat_ws('/', 'published', comparisons.family, comparisons.setting, coalesce(found.seed::VARCHAR, 'all')) AS holm_family,
+        concat_ws(
+            '/', 'published', comparisons.family, comparisons.setting, coalesce(found.seed::VARCHAR, 'all'),
+            CASE WHEN NOT definitions.is_published THEN found.metric END
+        ) AS holm_family,
         found.* EXCLUDE (test),
         found.test AS pooled_test
     FROM side_comparisons AS comparisons

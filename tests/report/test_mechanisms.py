@@ -19,6 +19,7 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.request import ContractQuestioned, InternalHandoff
 from fsar_ledger.ledger.codec import encode
 from fsar_ledger.metrics.database import Database
+from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.report import document, mechanisms, specs, typeset
 from fsar_ledger.report.findings import SCENARIOS, Findings, Mechanisms
 from fsar_ledger.report.mechanisms import carried, mechanisms_of
@@ -250,7 +251,7 @@ def test_the_section_has_both_tables_with_what_is_marked_in_bold(findings: Findi
     data: dict[str, Any] = json.loads(document.encoded(document.data(given, None)))
     rows = {row[1]["printed"]: row for row in data["tables"]["mechanism-differences"]["rows"]}
     assert list(rows) == ["safe stop claims", "synced copies", "unnamed requests"]
-    at = 3 + [spec.name for spec in specs.metrics()].index("audit_attributability")
+    at = 3 + [spec.name for spec in published_metrics()].index("audit_attributability")
     assert rows["unnamed requests"][at]["tone"] == "strong"
     assert rows["safe stop claims"][at]["printed"] == "0"
     said = data["carried"]
