@@ -10,8 +10,8 @@ from pathlib import Path
 import msgspec
 
 import fsar_ledger
-from fsar_ledger.ledger import canonical, releases
-from fsar_ledger.ledger.schema import LAYOUTS, Layout
+from fsar_ledger.ledger.rows import canonical, releases
+from fsar_ledger.ledger.rows.schema import LAYOUTS, Layout
 from tests.ledger.keep_release import LEDGERS, stored_types
 
 ROWS = Path(__file__).with_name("canonical_rows.jsonl")
