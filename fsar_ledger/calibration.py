@@ -20,7 +20,6 @@ import numpy as np
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.configuration import FULL
-from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import connect, from_table
@@ -30,7 +29,6 @@ from fsar_ledger.recording import require_writable, write_record
 from fsar_ledger.registration import Free, registration
 from fsar_ledger.runtime.experiment import Experiment, simulate
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS, RunSpec, simulate_run
-from fsar_ledger.runtime.switches import SWITCHES, Switch
 from fsar_ledger.workers import WorkerPool
 
 REGISTERED = registration()
@@ -68,14 +66,10 @@ def rounded(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def measure(
-    constants: Constants, runs: int, architectures: Sequence[Architecture] = ARCHITECTURES, switch: Switch | None = None
-) -> list[MetricRow]:
-    """The eight metrics, judged by SQL, of runs under these constants; `switch` takes one mechanism out. For few runs: all are held in memory."""
-    structure = switch.structure() if switch is not None else None
-    configuration = switch.configuration if switch is not None else FULL
+def measure(constants: Constants, runs: int, architectures: Sequence[Architecture] = ARCHITECTURES) -> list[MetricRow]:
+    """Return the metrics, judged by SQL, of runs under these constants, all of which are held in memory."""
     records = [
-        simulate_run(RunSpec(PLAN.seed, architecture, configuration, scenario, 4, run), constants, structure)
+        simulate_run(RunSpec(PLAN.seed, architecture, FULL, scenario, 4, run), constants)
         for scenario in SCENARIOS
         for run in range(runs)
         for architecture in architectures
@@ -164,7 +158,6 @@ def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> 
         last = search(judge, best.point, PLAN.runs, PLAN.most_steps)
     record = _record(best.start, last, measure_stored(at(last.point), PLAN.judged_runs, workers), judge.evaluations)
     record["searches"] = [_told(one) for one in (*rough, last)]
-    record["switch_offs"] = _switch_offs(at(last.point))
     write_record(out, record)
 
 
@@ -286,22 +279,3 @@ def _parameter(
 def _value(constants: Constants, free: Free) -> float:
     part, _, name = free.name.partition(".")
     return getattr(getattr(constants, part), name)  # type: ignore[no-any-return]
-
-
-def _switch_offs(constants: Constants) -> list[dict[str, Any]]:
-    """Each mechanism switched off once, under the accepted constants and on the same worlds."""
-    whole = {(row.architecture, row.metric): row.mean for row in measure(constants, PLAN.runs)}
-    found: list[dict[str, Any]] = []
-    for switch in SWITCHES:
-        without = {row.metric: row.mean for row in measure(constants, PLAN.runs, (switch.architecture,), switch)}
-        of_switch = {"mechanism": switch.mechanism, "architecture": switch.architecture}
-        found += [
-            {
-                **of_switch,
-                "metric": metric,
-                "with_mechanism": whole[switch.architecture, metric],
-                "without": without[metric],
-            }
-            for metric in switch.metrics
-        ]
-    return found
