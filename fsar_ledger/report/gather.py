@@ -21,7 +21,7 @@ from fsar_ledger.metrics.multiverse import Multiverse
 from fsar_ledger.metrics.odds import Cell, Odds, odds
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
-from fsar_ledger.report import cases, everyway, marks, printing, specs, whole
+from fsar_ledger.report import cases, everyway, grades, printing, specs, whole
 from fsar_ledger.report.findings import (
     ARCHITECTURES,
     COMPARISONS,
@@ -403,7 +403,7 @@ def gather(
                 for query in sorted(needed, key=lambda query: query.name)
                 if _is_file(query.name)
             ),
-            features=marks.features(graded, apart),
+            features=grades.features(graded, apart),
             evidence=tuple(graded),
             background=background,
             cases=cases.beside(_of_setting(database.rows(CASES_SQL), main)),
@@ -461,11 +461,11 @@ def _held(
 def _of_main(
     ledger: Path, demanded: str | None, database: Database, main: Setting | None, *, alone: bool
 ) -> tuple[list[Row], tuple[Row, ...]]:
-    """The marks and the background of the runs that the tables are of; what else the ledger holds has no part in them, and of no tables there are none."""
+    """Return the grades and the background of the runs that the tables are of; what else the ledger holds has no part in them, and of no tables there are none."""
     if main is None:
         return [], ()
     if alone and main[2] is not None:
-        return marks.graded(database), _background(database.rows(BACKGROUND_SQL))
+        return grades.graded(database), _background(database.rows(BACKGROUND_SQL))
     chosen = database.table(CHOSEN_SQL, dict(zip(SETTING, main, strict=True)))
     with connect(ledger, demanded=demanded) as narrowed:
         narrowed.hold("chosen_runs", chosen)
@@ -475,4 +475,4 @@ def _of_main(
             "runs",
             f"SELECT {seed} FROM ({narrowed.library.find('staging/runs').sql}) WHERE run_id IN (SELECT run_id FROM chosen_runs)",
         )
-        return marks.graded(narrowed), _background(narrowed.rows(BACKGROUND_SQL))
+        return grades.graded(narrowed), _background(narrowed.rows(BACKGROUND_SQL))

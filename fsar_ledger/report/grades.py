@@ -1,4 +1,4 @@
-"""The paper's two tables of marks, beside what the ledgers show: features of architectures, mechanisms of workflows.
+"""The paper's two tables of grades, beside what the ledgers show: features of architectures, mechanisms of workflows.
 
 Grades and cells come from `queries/tables/`; here they are only laid beside the printed ones.
 """

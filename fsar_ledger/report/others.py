@@ -7,7 +7,7 @@ import msgspec
 
 from fsar_ledger.errors import UsageError
 from fsar_ledger.metrics.database import Database, connect
-from fsar_ledger.report import beside, marks, mechanisms
+from fsar_ledger.report import beside, grades, mechanisms
 from fsar_ledger.report.findings import Ablation, Mechanisms, Scaling, Workflows
 
 WORKFLOWS_SQL = "SELECT count(*) AS runs FROM runs WHERE list_contains($names, scenario)"
@@ -27,7 +27,7 @@ class Others(msgspec.Struct, frozen=True):
             *(beside.QUERIES if self.ablation or self.scaling else ()),
             *(mechanisms.QUERIES if self.mechanisms else ()),
         )
-        return (*(marks.QUERIES if self.workflows else ()), *further)
+        return (*(grades.QUERIES if self.workflows else ()), *further)
 
     def over(self, other: "Others") -> "Others":
         """These, and of the other ones what is missing here."""
@@ -46,13 +46,13 @@ def others(ledgers: Mapping[Path, str | None], workflows: Path | None = None, *,
     found = Others()
     for ledger, demanded in ledgers.items():
         if ledger == workflows:
-            found = found.over(Others(workflows=marks.workflows(ledger, demanded)))
+            found = found.over(Others(workflows=grades.workflows(ledger, demanded)))
             continue
         with connect(ledger, demanded=demanded) as database:
             here = held(database, pools_seeds=pools_seeds)
-            has_workflows = database.rows(WORKFLOWS_SQL, {"names": list(marks.WORKFLOWS)})[0]["runs"] > 0
+            has_workflows = database.rows(WORKFLOWS_SQL, {"names": list(grades.WORKFLOWS)})[0]["runs"] > 0
         if has_workflows:
-            here = Others(workflows=marks.workflows(ledger, demanded)).over(here)
+            here = Others(workflows=grades.workflows(ledger, demanded)).over(here)
         if here == Others():
             raise UsageError(
                 f"--with {ledger}: found no run of a workflow, without a mechanism, or of another fleet than of four robots, "
