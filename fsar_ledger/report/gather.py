@@ -461,7 +461,10 @@ def _held(
 def _of_main(
     ledger: Path, demanded: str | None, database: Database, main: Setting | None, *, alone: bool
 ) -> tuple[list[Row], tuple[Row, ...]]:
-    """Return the grades and the background of the runs that the tables are of; what else the ledger holds has no part in them, and of no tables there are none."""
+    """Return the grades and the background of the runs that the tables are of; of no tables there are none.
+
+    What else the ledger holds has no part in them.
+    """
     if main is None:
         return [], ()
     if alone and main[2] is not None:
