@@ -1,12 +1,14 @@
 """Fits world laws and structural lengths to the paper's results table, as `reports/registration.toml` says beforehand.
 
-Nonlinear least squares on the 24 cells of `results.csv`, each difference in margins of its metric, with common random numbers:
-every trial meets the same worlds. Points of a Sobol sequence over the ranges are screened first; from each of the best of them a bounded
-trust region search (`scipy.optimize.least_squares`) goes some steps on few runs, and from where the best of these ended another goes on with
-more runs. A weak pull to the middle of each range settles what the cells leave open.
+Nonlinear least squares on the 24 cells of `results.csv`, each difference in margins of its metric, with common random
+numbers: every trial meets the same worlds. Points of a Sobol sequence over the ranges are screened first; from each of
+the best of them a bounded trust region search (`scipy.optimize.least_squares`) goes some steps on few runs, and from
+where the best of these ended another goes on with more runs. A weak pull to the middle of each range settles what the
+cells leave open.
 
-No other table of the paper is read. A fit is not evidence: the record says how many directions of the constants the 24 cells identify
-at all. Nor are the constants that it leaves alone free of the cells: `constants.py` says of each whether it was chosen after fits.
+No other table of the paper is read. A fit is not evidence: the record says how many directions of the constants the 24
+cells identify at all. Nor are the constants that it leaves alone free of the cells: `constants.py` says of each whether
+it was chosen after fits.
 """
 
 from collections.abc import Callable, Sequence
@@ -89,7 +91,7 @@ def measure_stored(constants: Constants, runs: int, workers: int) -> list[Metric
 
 
 def distances(rows: list[MetricRow]) -> Vector:
-    """Return (ours - paper) of the 24 cells in margins, in the order of the rows; a cell that is undefined is one margin away."""
+    """Return (ours - paper) of the 24 cells in margins, row by row; an undefined cell is one margin away."""
     printed, margins = published(), REGISTERED.margins
     cells = [
         (row.mean, printed[row.metric, row.architecture].value, margins[row.metric])
@@ -126,7 +128,7 @@ class Judge:
 
 
 class Search(msgspec.Struct, frozen=True):
-    """Where a search began and ended, on how many runs, the objective at both, and the slopes of the distances where it ended."""
+    """Where a search began and ended, on how many runs, the objective at both, and the slopes at its end."""
 
     start: Vector
     point: Vector
@@ -199,7 +201,10 @@ def objective(found: Vector, point: Vector) -> float:
 
 
 def slopes(each: Callable[[list[Vector]], list[Vector]], point: Vector) -> Matrix:
-    """Return the change of each distance with the place of each constant: central differences within the ranges, on the same worlds."""
+    """Return the change of each distance with the place of each constant.
+
+    Central differences within the ranges, on the same worlds.
+    """
     ups = [np.clip(point + shift, -1.0, 1.0) for shift in np.eye(len(point)) * STEP]
     downs = [np.clip(point - shift, -1.0, 1.0) for shift in np.eye(len(point)) * STEP]
     found = each(ups + downs)

@@ -61,7 +61,10 @@ def variances() -> list[Variances]:
 
 
 def variance_rows() -> list[Row]:
-    """The table of implied variances: one row per metric, in squared printed units; `possible` says what rounding leaves."""
+    """Return the table of implied variances: a row per metric, in squared printed units.
+
+    `possible` says what rounding leaves.
+    """
     rows: list[Row] = []
     for one in variances():
         row: Row = {"metric": one.metric}

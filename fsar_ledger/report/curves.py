@@ -1,4 +1,7 @@
-"""The figures of the tables "Ablation" and "Scaling": bars beside the printed numbers, and curves over what the paper leaves open."""
+"""The figures of the tables "Ablation" and "Scaling".
+
+Bars beside the printed numbers, and curves over what the paper leaves open.
+"""
 
 import math
 from collections.abc import Sequence
@@ -30,7 +33,10 @@ LARGEST = 16
 
 
 def ablation(rows: Sequence[Row], kind: str = "svg") -> bytes:
-    """The figure "Without one mechanism": six panels, five configurations, the paper's values marked. Rows: cells of the ablation table."""
+    """The figure "Without one mechanism": six panels, five configurations, the paper's values marked.
+
+    Rows: cells of the ablation table.
+    """
     from matplotlib.lines import Line2D
 
     with canvas(specs.figure("ablation"), 2, 3) as (figure, axes):
@@ -91,7 +97,10 @@ def ablation(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
 
 def encounters(curve: Sequence[Row], printed: Sequence[Row], kind: str = "svg") -> bytes:
-    """The figure "Success without a registry": over how often robots meet, with a diamond where a curve has the paper's value."""
+    """Draw "Success without a registry": over how often robots meet.
+
+    A diamond stands where a curve has the paper's value.
+    """
     with canvas(specs.figure("encounters"), 1, 1) as (figure, axes):
         panel = axes[0, 0]
         for scenario, (colour, style, marker) in SCENARIO_STYLES.items():
@@ -117,7 +126,10 @@ def encounters(curve: Sequence[Row], printed: Sequence[Row], kind: str = "svg") 
 
 
 def scaling(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> bytes:
-    """The figure "Larger fleets": each metric over the number of robots, all teams working and one, the paper's points, no paper beyond 16."""
+    """Draw "Larger fleets": each metric over the number of robots, all teams working and one, and the paper's points.
+
+    The paper has none beyond 16.
+    """
     with canvas(specs.figure("scaling"), 2, 3) as (figure, axes):
         largest = max(row["fleet_size"] for row in curve)
         for panel, metric in zip(axes.flat, SCALED, strict=False):
@@ -149,7 +161,10 @@ def scaling(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> by
 
 
 def loads(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> bytes:
-    """The figure "How much there is to do": each metric over the teams that work, at the paper's largest fleet, a diamond where a curve has its value."""
+    """Draw "How much there is to do": each metric over the teams that work, at the paper's largest fleet.
+
+    A diamond stands where a curve has the paper's value.
+    """
     with canvas(specs.figure("loads"), 2, 3) as (figure, axes):
         at_size = [row for row in curve if row["fleet_size"] == LARGEST]
         for panel, metric in zip(axes.flat, SCALED, strict=False):

@@ -1,4 +1,7 @@
-"""The section "Every reading": the range of each cell over all readings of the text, which reading moves it most, and whether the ranking survives."""
+"""The section "Every reading" of the report.
+
+The range of each cell over all readings of the text, which reading moves it most, and whether the ranking survives.
+"""
 
 from collections.abc import Sequence
 from typing import Any
@@ -17,7 +20,9 @@ MAX_SETS = 2
 
 
 def every_way(database: Database, setting: Row, *, pools_seeds: bool = False) -> Multiverse | None:
-    """The multiverse of all metrics for the three architectures, over the runs of this setting alone; None where there are none.
+    """Return the multiverse of all metrics for the three architectures, over the runs of this setting alone.
+
+    None where there are none.
 
     Raises: as `Database.rows`.
     """
@@ -47,7 +52,10 @@ def tables(found: Multiverse | None) -> dict[str, Table]:
 
 
 def ranges(found: Multiverse) -> list[Row]:
-    """One row for each cell: printed, ours, lowest and highest, whether the printed number lies in between, give or take a margin, and what moves it most."""
+    """Return a row for each cell: printed, ours, lowest, highest, whether that range has it, what moves it most.
+
+    Between is give or take a margin.
+    """
     rows = []
     for cell in found.cells:
         margin = verdicts.MARGINS[cell.metric]
@@ -66,7 +74,10 @@ def ranges(found: Multiverse) -> list[Row]:
 
 
 def orders(found: Multiverse) -> list[Row]:
-    """One row for each metric: the order of the architectures under our readings, under how many combinations it is the same and FSAR the best one."""
+    """Return a row for each metric: the order of the architectures under our readings, and how often it survives.
+
+    Counted are the combinations under which it is the same, and those under which FSAR is the best one.
+    """
     return [
         {
             "metric": one.metric,
@@ -98,7 +109,11 @@ def _named(found: Multiverse, name: str) -> str:
 
 
 def said(found: Multiverse | None) -> dict[str, Any] | None:
-    """What the sentences count: readings, combinations, the metrics by which FSAR is the best under all, some and none of them, the orders that survive."""
+    """Return what the sentences count.
+
+    Readings, combinations, the metrics by which FSAR is the best under all, some and none of them, the orders that
+    survive.
+    """
     if found is None:
         return None
     judged = [one for one in found.rankings if one.fsar_best is not None]

@@ -43,7 +43,10 @@ HEADROOM = 1.1  # height of a panel, as a multiple of its highest value
 
 @contextmanager
 def canvas(spec: specs.FigureSpec, rows: int, columns: int, **grid: Any) -> Iterator[tuple[Any, Any]]:
-    """A figure of the spec's size and its panels, with what matplotlib calls the ratios of rows and columns. Only Agg draws, with these settings."""
+    """A figure of the spec's size and its panels, with what matplotlib calls the ratios of rows and columns.
+
+    Only Agg draws, with these settings.
+    """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -57,7 +60,10 @@ def canvas(spec: specs.FigureSpec, rows: int, columns: int, **grid: Any) -> Iter
 
 @contextmanager
 def plain_canvas(width_in: float, height_in: float) -> Iterator[tuple[Any, Any]]:
-    """A figure and its one panel: no axes, one unit is an inch, the origin is at the upper left. Only Agg draws, with these settings and no others."""
+    """A figure and its one panel: no axes, one unit is an inch, the origin is at the upper left.
+
+    Only Agg draws, with these settings and no others.
+    """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -74,7 +80,10 @@ def plain_canvas(width_in: float, height_in: float) -> Iterator[tuple[Any, Any]]
 
 
 def label(text: str, most: int) -> str:
-    """The text as a figure shows it, cut after `most` characters: escaped where the font has no picture of a character, or a reader would not see it."""
+    """Return the text as a figure shows it, cut after `most` characters.
+
+    Escaped is what the font has no picture of, and what a reader would not see.
+    """
     glyphs = _glyphs()
     return "".join(
         one if ord(one) in glyphs and not combining(one) else one.encode("unicode_escape").decode("ascii")
@@ -91,7 +100,10 @@ def _glyphs() -> frozenset[int]:
 
 
 def rendered(figure: Any, kind: str) -> bytes:
-    """The figure as a file of this kind (svg, png, pdf), without date or maker. To be called while its canvas is open."""
+    """The figure as a file of this kind (svg, png, pdf), without date or maker.
+
+    To be called while its canvas is open.
+    """
     buffer = io.BytesIO()
     if kind == "pdf":
         figure.savefig(buffer, format="pdf", metadata={"CreationDate": None, "Creator": None, "Producer": None})
@@ -178,7 +190,11 @@ def evaluation_results(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
 
 def effects(rows: Sequence[Row], kind: str = "svg") -> bytes:
-    """The figure "Effect sizes": Cohen's d of each pairwise test with its 95 % interval, and the paper's with the sign of its t. Paper: tab:significance.
+    """Draw "Effect sizes": Cohen's d of each pairwise test with its 95 % interval, and the paper's.
+
+    Paper: tab:significance.
+
+    The paper's have the sign of its t.
 
     Each row holds metric, comparison, cohens_d, d_ci_low, d_ci_high (None: no effect), paper_d and paper_t.
     """

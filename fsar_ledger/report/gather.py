@@ -50,7 +50,10 @@ QUERIES = (
 )  # what the report reads; the rest is what these read
 
 Setting: TypeAlias = tuple[str | None, int | None, int | None, str, str | None, str | None, str | None]
-"""Configuration, fleet size, seed (None: all seeds), kind, source, model version and differing constants of runs that were made alike."""
+"""What runs that were made alike have in common.
+
+Configuration, fleet size, seed (None: all seeds), kind, source, model version and differing constants.
+"""
 
 SETTING = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
 """Its names in `CHOSEN_SQL`."""
@@ -128,7 +131,10 @@ def _setting(row: MetricRow | StatisticRow) -> Setting:
 
 
 def _main(rows: Iterable[MetricRow]) -> Setting | None:
-    """The setting of the report's tables: the full configuration with four robots, and of several such the one with most runs, the first of equals."""
+    """Return the setting of the report's tables: the full configuration with four robots.
+
+    Of several such the one with most runs, the first of equals.
+    """
     runs: Counter[Setting] = Counter()
     for row in rows:
         if (row.configuration, row.fleet_size) == (MAIN_CONFIGURATION, MAIN_FLEET_SIZE):
@@ -137,7 +143,7 @@ def _main(rows: Iterable[MetricRow]) -> Setting | None:
 
 
 def _otherwise(setting: Setting, main: Setting | None) -> str | None:
-    """In what other rows differ from the tables beside configuration and fleet size, in words; None where in nothing."""
+    """Say in what other rows differ from the tables beside configuration and fleet size; None where in nothing."""
     _, _, seed, kind, source, model_version, constants = setting
     said = (
         f"seed {seed}",
@@ -245,7 +251,10 @@ def _scenarios(overall: Iterable[MetricRow], by_scenario: Iterable[MetricRow]) -
 
 
 def _rule(cells: tuple[Row, ...]) -> tuple[Row, ...]:
-    """Margin of every metric, and the chance of each cell that its number is found equivalent where it is exactly the printed one."""
+    """Return the margin of every metric, and for each cell the power of the verdict.
+
+    That is the chance that a number which is exactly the printed one is found equivalent.
+    """
     power = {(row["metric"], row["architecture"]): row["power"] for row in cells}
     return tuple(
         {"metric": spec.name, "margin": verdicts.MARGINS[spec.name]}
@@ -257,7 +266,10 @@ def _rule(cells: tuple[Row, ...]) -> tuple[Row, ...]:
 def _odds(
     database: Database, main: Setting | None, runs_held: Mapping[str, Mapping[str | None, int]]
 ) -> Odds[Cell] | None:
-    """How likely the printed table is among experiments that are drawn from the main runs; None where they are fewer than one such experiment."""
+    """Return how likely the printed table is among experiments that are drawn from the main runs.
+
+    None where they are fewer than one such experiment.
+    """
     if main is None or any(count < PAPER_RUNS for held in runs_held.values() for count in held.values()):
         return None
     drawn: dict[Cell, list[float | None]] = {}
@@ -322,7 +334,10 @@ def _span(low: int, high: int) -> str:
 
 
 def _models(database: Database, main: Setting | None) -> tuple[tuple[Row, ...], dict[str, str], str | None]:
-    """The sets of constants in the ledger, that of the main runs (without any: of the first run that says some) by dotted name, and its SHA-256."""
+    """Return the sets of constants in the ledger, that of the main runs by dotted name, and its SHA-256.
+
+    Without main runs, that of the first run that says some.
+    """
     found = models(database)
     ours = [one for one in found if main is not None and (one.source, one.model_version, one.constants) == main[4:]]
     rows: tuple[Row, ...] = tuple(
@@ -355,12 +370,14 @@ def gather(
 ) -> Findings:
     """All that the ledger's present head has to say, and those of the ledgers beside it, that of workflows among them.
 
-    The tables are of one setting: configuration, fleet size, kind, model, constants and seed; of all seeds if they are asked for together.
-    Where a newest record is demanded, of no other head; `beside` says which of each other ledger, None: any.
-    `reads_every_way` asks for the multiverse of readings, too, which costs as much as all the rest of the results.
+    The tables are of one setting: configuration, fleet size, kind, model, constants and seed; of all seeds if they are
+    asked for together. Where a newest record is demanded, of no other head; `beside` says which of each other ledger,
+    None: any. `reads_every_way` asks for the multiverse of readings, too, which costs as much as all the rest of the
+    results.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `fsar_ledger.metrics.database.connect`; SequenceConflict, too.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `fsar_ledger.metrics.database.connect`; SequenceConflict,
+            too.
         QueryFailed: A packaged query fails on this ledger's data.
     """
     told = others(
@@ -430,7 +447,10 @@ def _read(database: Database, main: Setting | None, *, pools_seeds: bool) -> Mul
 
 
 def _shown(main: Setting | None, others: tuple[Row, ...]) -> str | None:
-    """Which runs the tables are of, in words, where the ledger holds others of the same configuration and size; None where they are of all such."""
+    """Say which runs the tables are of, where the ledger holds others of the same configuration and size.
+
+    None where they are of all such.
+    """
     if main is None or not any((row["configuration"], row["fleet_size"]) == main[:2] for row in others):
         return None
     _, _, seed, kind, source, model_version, constants = main
@@ -461,7 +481,7 @@ def _held(
 def _of_main(
     ledger: Path, demanded: str | None, database: Database, main: Setting | None, *, alone: bool
 ) -> tuple[list[Row], tuple[Row, ...]]:
-    """Return the grades and the background of the runs that the tables are of; of no tables there are none.
+    """Return the grades and the background of the tables' runs; of no tables there are none.
 
     What else the ledger holds has no part in them.
     """

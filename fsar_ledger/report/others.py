@@ -1,4 +1,7 @@
-"""What other ledgers than that of the results have to say: each is asked what it holds, and gives the sections of the report that this makes."""
+"""What other ledgers than that of the results have to say.
+
+Each is asked what it holds, and gives the sections of the report that this makes.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -35,7 +38,9 @@ class Others(msgspec.Struct, frozen=True):
 
 
 def others(ledgers: Mapping[Path, str | None], workflows: Path | None = None, *, pools_seeds: bool = False) -> Others:
-    """What these ledgers say, each at the newest record that is demanded of it (None: any); of two that hold the same, the first.
+    """Return what these ledgers say, each at the newest record that is demanded of it (None: any).
+
+    Of two that hold the same, the first.
 
     `workflows` is one of them, if any, and has to hold workflows.
 

@@ -1,4 +1,7 @@
-"""The figure of the first page: every printed number that has a margin, at its distance from ours. Same rows, same bytes."""
+"""The figure of the first page: every printed number that has a margin, at its distance from ours.
+
+Same rows, same bytes.
+"""
 
 import math
 from collections.abc import Sequence
@@ -29,7 +32,9 @@ SPREAD = 0.76
 
 
 def overview(rows: Sequence[Row], kind: str = "svg") -> bytes:
-    """One panel for each table that is there: a point for each number, in margins of its metric, with its 90 % interval, or the range of an open dial.
+    """Draw a panel for each table that is there: a point for each number, in margins of its metric.
+
+    With its 90 % interval, or the range of an open dial.
 
     Rows: those of `numbers.numbers`.
     """
@@ -74,7 +79,10 @@ def _grounds(panel: Any, lines: int) -> None:
 
 
 def _number(panel: Any, row: Row, height: float) -> None:
-    """A point and its interval; what an open dial gives is a range without a point. An arrow at the edge: the number, or its range, goes farther."""
+    """A point and its interval; what an open dial gives is a range without a point.
+
+    An arrow at the edge: the number, or its range, goes farther.
+    """
     colour = figures.COLOURS[row["architecture"]]
     ends = [*(row["reach"] or ()), *([] if row["outcome"] == OPEN else [row["distance"]])]
     for edge, caret in ((-REACH, CARETLEFTBASE), (REACH, CARETRIGHTBASE)):
@@ -110,7 +118,10 @@ def _number(panel: Any, row: Row, height: float) -> None:
 
 
 def _look(outcome: str, colour: str) -> dict[str, Any]:
-    """Filled where the number stands, hollow where it does not, grey where it is undecided: told apart without colour."""
+    """Return the style: filled where the number stands, hollow where it does not, grey where it is undecided.
+
+    They are told apart without colour.
+    """
     fill = {STANDS: colour, UNDECIDED: "#bbbbbb"}.get(outcome, "white")
     return {
         "markersize": 4.4,

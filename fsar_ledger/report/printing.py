@@ -89,7 +89,10 @@ def _counted(value: float, name: str) -> str:
 
 
 def words(value: object, most: int = MAX_WORDS) -> str:
-    """The text as a page shows it: escaped but for the thin spaces of our numbers, and cut where it is longer than any of ours."""
+    """Return the text as a page shows it.
+
+    Escaped but for the thin spaces of our numbers, and cut where it is longer than any of ours.
+    """
     text = str(value)
     cut = text if len(text) <= most else f"{text[:most]}... ({len(text) - most:,} more)"
     return THIN_SPACE.join(printable.value(part, len(part)) for part in cut.split(THIN_SPACE))

@@ -84,7 +84,10 @@ def _dialled(findings: Findings) -> list[Row]:
 
 
 def ablation(findings: Findings) -> dict[str, Any] | None:
-    """What the sentences on the ablations say: counts of answers, where the dial gives the printed numbers, what cannot follow and why."""
+    """Return what the sentences on the ablations say.
+
+    Counts of answers, where the dial gives the printed numbers, what cannot follow and why.
+    """
     found = findings.ablation
     if found is None:
         return None
@@ -115,7 +118,10 @@ def ablation(findings: Findings) -> dict[str, Any] | None:
 
 
 def scaling(findings: Findings) -> dict[str, Any] | None:
-    """What the sentences on larger fleets say: counts of answers, where the printed numbers lie between the ends of the load, and which load they need."""
+    """Return what the sentences on larger fleets say.
+
+    Counts of answers, where the printed numbers lie between the ends of the load, and which load they need.
+    """
     found = findings.scaling
     if found is None:
         return None

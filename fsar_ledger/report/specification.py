@@ -1,4 +1,7 @@
-"""The figure "Every reading": a specification curve for each metric, from the rows of `metrics/multiverse.py`. Same rows, same bytes."""
+"""The figure "Every reading": a specification curve for each metric, from the rows of `metrics/multiverse.py`.
+
+Same rows, same bytes.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -22,9 +25,10 @@ Column = tuple[Chosen, dict[str, float]]
 
 
 def curves(found: Multiverse, kind: str = "svg") -> bytes:
-    """One panel for each metric: the means of the architectures under every combination of readings, and which readings each is made of.
+    """Draw a panel for each metric: the architectures' means under each combination of readings, and which it is.
 
-    Drawn are the runs of the first setting, those of the paper's table where the ledger has them; combinations stand in the order of FSAR's lead.
+    Drawn are the runs of the first setting, those of the paper's table where the ledger has them; combinations stand in
+    the order of FSAR's lead.
     """
     chosen = [spec for spec in published_metrics() if any(one.metric == spec.name for one in found.universes)]
     pairs = [chosen[at : at + COLUMNS] for at in range(0, len(chosen), COLUMNS)] or [[]]
@@ -54,7 +58,10 @@ def curves(found: Multiverse, kind: str = "svg") -> bytes:
 
 
 def ordered(universes: Sequence[Universe], spec: Metric) -> list[Column]:
-    """The combinations of the first setting of this metric with the means under each, from FSAR's worst lead to its best; ties by their readings."""
+    """Return the combinations of the metric's first setting with the means under each, FSAR's worst lead first.
+
+    Ties stand by their readings.
+    """
     mine = [one for one in universes if one.metric == spec.name]
     place = [getattr(mine[0], name) for name in CONDITIONS] if mine else []
     means: dict[Chosen, dict[str, float]] = {}
@@ -88,7 +95,10 @@ def printed(cells: Sequence[Cell], spec: Metric) -> dict[str, float]:
 
 
 def _curve(panel: Any, spec: Metric, columns: Sequence[Column], paper: Mapping[str, float]) -> None:
-    """The means of each architecture, the paper's on the line of our reading, and a ground for the combinations under which FSAR is the best one."""
+    """Draw the means of each architecture, and the paper's on the line of our reading.
+
+    The combinations under which FSAR is the best one have a ground.
+    """
     panel.set_visible(True)
     for (architecture, colour), marker in zip(figures.COLOURS.items(), MARKERS, strict=True):
         points = [(at, means[architecture]) for at, (_, means) in enumerate(columns) if architecture in means]

@@ -30,7 +30,7 @@ class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class TableSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One table: caption, columns, and the packaged query that its numbers come from (None: the paper alone, or a record)."""
+    """One table: caption, columns, and the packaged query behind its numbers (None: the paper alone, or a record)."""
 
     title: str
     caption: str
@@ -81,7 +81,7 @@ class Quote(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CaseCell(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"kind": "class"}):
-    """One number of the paper's four cases: which claim of `queries/cases` it is, the paper's words in short, and what it is counted over.
+    """One number of the paper's four cases: which claim of `queries/cases` it is, in which words, counted over what.
 
     `other` is the claim in its other reading, `of` the claim that says of how many, `kind` the class of the cell.
     """
@@ -122,7 +122,10 @@ def passages(name: str) -> tuple[Passage, ...]:
 
 @cache
 def labels(kind: str) -> dict[str, str]:
-    """How features, mechanisms and workflows are called in the report, and why some cells differ, by the names of the queries."""
+    """Return what features, mechanisms and workflows are called in the report, and why some cells differ.
+
+    By the names of the queries.
+    """
     return _toml(dict[str, dict[str, str]], "labels.toml")[kind]
 
 
