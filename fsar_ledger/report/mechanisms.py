@@ -25,11 +25,13 @@ HELD_SQL = """
     SELECT count(*) AS runs
     FROM runs
     WHERE fleet_size = $fleet_size AND list_contains($configurations, configuration)
+        AND metric IN (SELECT metric FROM metric_definitions WHERE is_published)
 """
 ROWS_SQL = f"""
     SELECT *
     FROM {QUERY.partition("/")[2]}
     WHERE pools_seeds = $pooled AND fleet_size = $fleet_size AND list_contains($configurations, configuration)
+        AND metric IN (SELECT metric FROM metric_definitions WHERE is_published)
 """
 DIGESTS_SQL = """
     SELECT DISTINCT runs.parameters_sha256

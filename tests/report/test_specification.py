@@ -5,7 +5,7 @@ import re
 import pytest
 
 from fsar_ledger.metrics.database import from_rows
-from fsar_ledger.metrics.definitions import metric_named, published_metrics
+from fsar_ledger.metrics.definitions import metric_named, metrics
 from fsar_ledger.metrics.multiverse import Chosen, Multiverse, Universe, cells, readings
 from fsar_ledger.report import specification
 
@@ -105,4 +105,4 @@ def test_nothing_to_draw_is_a_figure_without_panels() -> None:
 def test_which_way_is_better_is_the_same_in_the_queries_and_in_the_report() -> None:
     with from_rows([]) as database:
         asked = {row["metric"]: row["better"] for row in database.rows("SELECT metric, better FROM metric_definitions")}
-    assert asked == {spec.name: spec.better for spec in published_metrics()}
+    assert asked == {spec.name: spec.better for spec in metrics()}
