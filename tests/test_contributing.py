@@ -63,6 +63,39 @@ def changed(path: str, text: str, diff: str) -> str:
     return text
 
 
+_HOMES = """
+import sys
+from importlib.machinery import ModuleSpec
+from importlib.util import spec_from_file_location
+from pathlib import Path
+
+HOMES = {{f"fsar_ledger.{{name}}": Path({tree!r}, name) for name in ("queries", "reports")}}
+
+
+class Finder:
+    @staticmethod
+    def find_spec(name: str, path: object = None, target: object = None) -> ModuleSpec | None:
+        home = HOMES.get(name)
+        return home and spec_from_file_location(name, home / "__init__.py", submodule_search_locations=[str(home)])
+
+
+sys.meta_path.insert(0, Finder)
+"""
+"""What makes a process read the queries and reports of the copy: they lie beside the package, as in the repository."""
+
+
+def copied(place: Path) -> Path:
+    """Copy the repository to the place. Return the tree in it, from which `called` runs commands."""
+    tree, site = place / "tree", place / "site"
+    tree.mkdir()
+    site.mkdir()
+    copy_tree(tree)
+    for name in ("queries", "reports"):
+        (tree / "fsar_ledger" / name).unlink()
+    (site / "sitecustomize.py").write_text(_HOMES.format(tree=str(tree)), "utf-8")
+    return tree
+
+
 def make(section: str, place: Path) -> list[Change]:
     """Make the section's changes in the tree at the place."""
     made = changes(section)
@@ -77,7 +110,10 @@ def make(section: str, place: Path) -> list[Change]:
 
 def called(command: list[str], place: Path) -> None:
     """Run a command of the environment in the tree, against the package there. Raises: AssertionError unless it ends with 0."""
-    environment = os.environ | {"PYTHONPATH": str(place), "PYTHONDONTWRITEBYTECODE": "1"}
+    environment = os.environ | {
+        "PYTHONPATH": os.pathsep.join([str(place.parent / "site"), str(place)]),
+        "PYTHONDONTWRITEBYTECODE": "1",
+    }
     modules = {
         "ruff": ["ruff"],
         "mypy": ["mypy"],
@@ -98,10 +134,10 @@ def called(command: list[str], place: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("title", sections())
 def test_a_section_followed_to_the_letter_passes_its_checks(title: str, tmp_path: Path) -> None:
-    copy_tree(tmp_path)
-    make(sections()[title], tmp_path)
+    tree = copied(tmp_path)
+    make(sections()[title], tree)
     for command in commands(sections()[title]):
-        called(command, tmp_path)
+        called(command, tree)
 
 
 @pytest.mark.parametrize("title", sections())
@@ -132,5 +168,4 @@ def test_a_place_that_is_gone_or_stands_twice_is_found() -> None:
 
 if __name__ == "__main__":
     _, name, where = sys.argv
-    copy_tree(Path(where))
-    make(sections()[name], Path(where))
+    make(sections()[name], copied(Path(where)))
