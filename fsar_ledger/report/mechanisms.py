@@ -25,7 +25,6 @@ HELD_SQL = """
     SELECT count(*) AS runs
     FROM runs
     WHERE fleet_size = $fleet_size AND list_contains($configurations, configuration)
-        AND metric IN (SELECT metric FROM metric_definitions WHERE is_published)
 """
 ROWS_SQL = f"""
     SELECT *
