@@ -61,7 +61,7 @@ FOLDERS = {
     "readings": "Readings: relations as they are when the paper is read otherwise",
     "statistics": "Statistics: architectures compared over paired runs",
     "cases": "Cases: the paper's four cases, claim by claim, and the events behind each number",
-    "tables": "Tables: the paper's two tables of marks, and what each mark rests on",
+    "tables": "Tables: the paper's two tables of grades, and what each grade rests on",
 }
 
 

@@ -1,12 +1,14 @@
 """Fits world laws and structural lengths to the paper's results table, as `reports/registration.toml` says beforehand.
 
-Nonlinear least squares on the 24 cells of `results.csv`, each difference in margins of its metric, with common random numbers:
-every trial meets the same worlds. Points of a Sobol sequence over the ranges are screened first; from each of the best of them a bounded
-trust region search (`scipy.optimize.least_squares`) goes some steps on few runs, and from where the best of these ended another goes on with
-more runs. A weak pull to the middle of each range settles what the cells leave open.
+Nonlinear least squares on the 24 cells of `results.csv`, each difference in margins of its metric, with common random
+numbers: every trial meets the same worlds. Points of a Sobol sequence over the ranges are screened first; from each of
+the best of them a bounded trust region search (`scipy.optimize.least_squares`) goes some steps on few runs, and from
+where the best of these ended another goes on with more runs. A weak pull to the middle of each range settles what the
+cells leave open.
 
-No other table of the paper is read. A fit is not evidence: the record says how many directions of the constants the 24 cells identify
-at all. Nor are the constants that it leaves alone free of the cells: `constants.py` says of each whether it was chosen after fits.
+No other table of the paper is read. A fit is not evidence: the record says how many directions of the constants the 24
+cells identify at all. Nor are the constants that it leaves alone free of the cells: `constants.py` says of each whether
+it was chosen after fits.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,7 +32,6 @@ from fsar_ledger.recording import require_writable, write_record
 from fsar_ledger.registration import Free, registration
 from fsar_ledger.runtime.experiment import Experiment, simulate
 from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION, SCENARIOS, RunSpec, simulate_run
-from fsar_ledger.runtime.switches import SWITCHES, Switch
 from fsar_ledger.workers import WorkerPool
 
 REGISTERED = registration()
@@ -68,14 +69,10 @@ def rounded(value: float) -> float:
     return float(f"{value:.3g}")
 
 
-def measure(
-    constants: Constants, runs: int, architectures: Sequence[Architecture] = ARCHITECTURES, switch: Switch | None = None
-) -> list[MetricRow]:
-    """The eight metrics, judged by SQL, of runs under these constants; `switch` takes one mechanism out. For few runs: all are held in memory."""
-    structure = switch.structure() if switch is not None else None
-    configuration = switch.configuration if switch is not None else FULL
+def measure(constants: Constants, runs: int, architectures: Sequence[Architecture] = ARCHITECTURES) -> list[MetricRow]:
+    """Return the metrics, judged by SQL, of runs under these constants, all of which are held in memory."""
     records = [
-        simulate_run(RunSpec(PLAN.seed, architecture, configuration, scenario, 4, run), constants, structure)
+        simulate_run(RunSpec(PLAN.seed, architecture, FULL, scenario, 4, run), constants)
         for scenario in SCENARIOS
         for run in range(runs)
         for architecture in architectures
@@ -94,7 +91,7 @@ def measure_stored(constants: Constants, runs: int, workers: int) -> list[Metric
 
 
 def distances(rows: list[MetricRow]) -> Vector:
-    """Return (ours - paper) of the 24 cells in margins, in the order of the rows; a cell that is undefined is one margin away."""
+    """Return (ours - paper) of the 24 cells in margins, row by row; an undefined cell is one margin away."""
     printed, margins = published(), REGISTERED.margins
     cells = [
         (row.mean, printed[row.metric, row.architecture].value, margins[row.metric])
@@ -131,7 +128,7 @@ class Judge:
 
 
 class Search(msgspec.Struct, frozen=True):
-    """Where a search began and ended, on how many runs, the objective at both, and the slopes of the distances where it ended."""
+    """Where a search began and ended, on how many runs, the objective at both, and the slopes at its end."""
 
     start: Vector
     point: Vector
@@ -164,7 +161,6 @@ def calibrate(out: Path, progress: Progress | None = None, workers: int = 2) -> 
         last = search(judge, best.point, PLAN.runs, PLAN.most_steps)
     record = _record(best.start, last, measure_stored(at(last.point), PLAN.judged_runs, workers), judge.evaluations)
     record["searches"] = [_told(one) for one in (*rough, last)]
-    record["switch_offs"] = _switch_offs(at(last.point))
     write_record(out, record)
 
 
@@ -205,7 +201,10 @@ def objective(found: Vector, point: Vector) -> float:
 
 
 def slopes(each: Callable[[list[Vector]], list[Vector]], point: Vector) -> Matrix:
-    """Return the change of each distance with the place of each constant: central differences within the ranges, on the same worlds."""
+    """Return the change of each distance with the place of each constant.
+
+    Central differences within the ranges, on the same worlds.
+    """
     ups = [np.clip(point + shift, -1.0, 1.0) for shift in np.eye(len(point)) * STEP]
     downs = [np.clip(point - shift, -1.0, 1.0) for shift in np.eye(len(point)) * STEP]
     found = each(ups + downs)
@@ -286,22 +285,3 @@ def _parameter(
 def _value(constants: Constants, free: Free) -> float:
     part, _, name = free.name.partition(".")
     return getattr(getattr(constants, part), name)  # type: ignore[no-any-return]
-
-
-def _switch_offs(constants: Constants) -> list[dict[str, Any]]:
-    """Each mechanism switched off once, under the accepted constants and on the same worlds."""
-    whole = {(row.architecture, row.metric): row.mean for row in measure(constants, PLAN.runs)}
-    found: list[dict[str, Any]] = []
-    for switch in SWITCHES:
-        without = {row.metric: row.mean for row in measure(constants, PLAN.runs, (switch.architecture,), switch)}
-        of_switch = {"mechanism": switch.mechanism, "architecture": switch.architecture}
-        found += [
-            {
-                **of_switch,
-                "metric": metric,
-                "with_mechanism": whole[switch.architecture, metric],
-                "without": without[metric],
-            }
-            for metric in switch.metrics
-        ]
-    return found

@@ -1,7 +1,9 @@
 """Lays what was predicted beside what the paper prints, and beside what its claims were registered to imply.
 
-It reads the record of `prediction.py` and nothing else of ours: no run is played here, and the record is never replaced. That no number was predicted
-again after it was compared is nothing that a program can hold to: `tests/history.py` shows it from the commits of the repository.
+It reads the record of `prediction.py` and nothing else of ours: no run is played here, and the record is never
+replaced. That no number was predicted
+again after it was compared is nothing that a program can hold to: `tests/history.py` shows it from the commits of the
+repository.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,6 +19,7 @@ from fsar_ledger.errors import FsarLedgerError, UsageError
 from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.printed import Place, Table, printed
 from fsar_ledger.metrics.results import MetricRow
 from fsar_ledger.metrics.verdicts import MARGINS, Answer, judge
@@ -27,7 +30,7 @@ from fsar_ledger.runtime.simulation import ARCHITECTURES, MODEL_VERSION
 
 SAME = 22  # of the 24 cells, whatever the seed: registered as `seeds`
 SUCCESS, LOCALITY, CONFLICTS = "coordination_success", "governance_locality", "authority_conflicts"
-COUNTS = ("authority_conflicts", "policy_violations")
+COUNTS = tuple(one.name for one in published_metrics() if one.scale == "count")
 """Metrics without an upper end; the others of the ablation table are shares."""
 TABLES: dict[Table, str] = {"results": CASES, "ablation": "ablation", "ablation_text": "ablation", "scaling": "scaling"}
 """What was played for each table."""
@@ -36,8 +39,9 @@ TABLES: dict[Table, str] = {"results": CASES, "ablation": "ablation", "ablation_
 class CellBeside(msgspec.Struct, frozen=True, kw_only=True, rename={"kind": "class"}):
     """One printed cell beside what was predicted for it.
 
-    `ours` is with all teams working, `ours_one_team` with one, of larger fleets; `low` and `high` are the 90 % interval of (ours - paper); `gives` answers
-    whether the printed number is what this model gives, None where the text leaves open what the cell depends on.
+    `ours` is with all teams working, `ours_one_team` with one, of larger fleets; `low` and `high` are the 90 % interval
+    of (ours - paper); `gives` answers whether the printed number is what this model gives, None where the text leaves
+    open what the cell depends on.
     """
 
     table: str
@@ -59,7 +63,9 @@ class CellBeside(msgspec.Struct, frozen=True, kw_only=True, rename={"kind": "cla
 
 
 class Comparison(msgspec.Struct, frozen=True):
-    """The printed cells of the results, ablation and scaling tables, and all predictions, with the model and the constants that they rest on.
+    """The printed cells of the results, ablation and scaling tables, and all predictions.
+
+    With the model and the constants that they rest on.
 
     The tests of the significance table and the numbers of the cases are not here: `report` has them.
     """
@@ -121,7 +127,8 @@ def compare_predictions(predictions: Path, out: Path) -> None:
 
     Raises:
         FsarLedgerError: the file is no such record, or lacks a number.
-        UsageError: it cannot be read, is of another model or other constants, or `out` is the same file or lies inside a ledger.
+        UsageError: it cannot be read, is of another model or other constants, or `out` is the same file or lies inside
+            a ledger.
         WriteFailed: `out` cannot be written.
     """
     require_outside(out, f"--out {out}")
@@ -156,7 +163,10 @@ def read(path: Path) -> Record:
 
 
 def _require_of_today(record: Record, path: Path) -> None:
-    """The record is of the model and the constants that this version has: what is registered is registered of these. Raises: UsageError."""
+    """The record is of the model and the constants that this version has: what is registered is registered of these.
+
+    Raises: UsageError.
+    """
     if record.model_version != MODEL_VERSION:
         raise UsageError(
             f"{path}: found predictions of model {record.model_version!r:.80}, expected model {MODEL_VERSION!r}; "

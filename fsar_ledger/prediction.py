@@ -1,7 +1,9 @@
-"""Plays what was registered to be predicted, with the constants as they are, and writes down the numbers before anybody compares them.
+"""Plays what was registered to be predicted, and writes down the numbers before anybody compares them.
 
-Registered in `reports/registration.toml`. The tables of the paper that the fit does not aim at (ablation, scaling) are played beside what nobody has
-seen: other seeds, fleets between and beyond, loads, encounter rates, pairs of ablations. Nothing here reads a number of the paper.
+Registered in `reports/registration.toml`. The tables of the paper that the fit does not aim at (ablation, scaling) are
+played beside what nobody has
+seen: other seeds, fleets between and beyond, loads, encounter rates, pairs of ablations. Nothing here reads a number of
+the paper.
 """
 
 from collections.abc import Callable, Iterator
@@ -48,7 +50,7 @@ class Play(msgspec.Struct, frozen=True):
 
 
 class Predicted(msgspec.Struct, frozen=True, kw_only=True):
-    """One predicted number: what was played, and the metric's mean, SD per run, count of runs and 95 % interval, in the metric's unit.
+    """One predicted number: what was played, and the metric's mean, SD per run, runs and 95 % interval, in its unit.
 
     `teams_working` None: all teams. `scenario` None: all scenarios.
     """
@@ -70,7 +72,10 @@ class Predicted(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Claim(msgspec.Struct, frozen=True, kw_only=True):
-    """One claim of the paper's four cases, as `cases/case_claims` has it: what is counted, of how many, and their ratio; None where no case arose."""
+    """One claim of the paper's cases, as `cases/case_claims` has it: what is counted, of how many, and their ratio.
+
+    None where no case arose.
+    """
 
     case_number: int
     claim: str

@@ -1,4 +1,7 @@
-"""What was written down before the fit, `reports/registration.toml`: which constants are free and how far, the verdict rules, what is predicted."""
+"""What was written down before the fit, `reports/registration.toml`.
+
+Which constants are free and how far, the rules of the verdicts, what is predicted.
+"""
 
 from collections.abc import Mapping
 from functools import cache
@@ -11,9 +14,12 @@ UNNAMED = "informed"
 
 
 class Fit(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How the fit is made: the table it aims at, its rule in words, its seed, and how many points are judged, on how many runs a scenario and architecture.
+    """How the fit is made: the table it aims at, its rule in words, its seed, and how many points are judged.
 
-    `starts` searches of at most `rough_steps` begin at the best of the `screened` points; one of at most `most_steps` goes on from the best of them.
+    Runs are counted for each scenario and architecture.
+
+    `starts` searches of at most `rough_steps` begin at the best of the `screened` points; one of at most `most_steps`
+    goes on from the best of them.
     """
 
     aims_at: str
@@ -58,7 +64,7 @@ class Free(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Verdicts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The rules of the verdicts in words, their level, how many experiments are drawn, and how many cells the choice of n is to decide."""
+    """The rules of the verdicts in words, their level, how many experiments are drawn, and what n decides."""
 
     alpha: float
     model: str
@@ -93,7 +99,10 @@ class Prediction(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Check(msgspec.Struct, frozen=True):
-    """One number and where it must lie; an end that is None is open. `holds` None: a number that it needs is undefined."""
+    """One number and where it must lie; an end that is None is open.
+
+    `holds` None: a number that it needs is undefined.
+    """
 
     what: str
     value: float | None
@@ -103,7 +112,10 @@ class Check(msgspec.Struct, frozen=True):
 
 
 class Outcome(msgspec.Struct, frozen=True, kw_only=True):
-    """What became of one registered prediction: it holds if all its checks do. None: none fails, and one cannot be made."""
+    """What became of one registered prediction: it holds if all its checks do.
+
+    None: none fails, and one cannot be made.
+    """
 
     name: str
     implies: str
@@ -131,7 +143,10 @@ class Registration(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     prediction: tuple[Prediction, ...]
 
     def said_of(self, table: str, place: Mapping[str, object]) -> Said:
-        """Return what was said of the cell at this place of a table (names as in `where`): of it alone, else of its table; else it is informed."""
+        """Return what was said of the cell at this place of a table (names as in `where`).
+
+        Of it alone, else of its table; else it is informed.
+        """
         whole = Said(table, {}, self.cells.get(table, UNNAMED))
         return next((one for one in self.cell if one.is_of(table, place)), whole)
 

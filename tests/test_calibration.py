@@ -28,7 +28,6 @@ from fsar_ledger.constants import Constants, Structure, WorldConstants
 from fsar_ledger.errors import WriteFailed
 from fsar_ledger.registration import registration
 from fsar_ledger.runtime.simulation import MODEL_VERSION
-from fsar_ledger.runtime.switches import SWITCHES
 
 RECORD = json.loads(files("fsar_ledger.reports").joinpath("calibration.json").read_text())
 
@@ -124,14 +123,6 @@ def test_the_screening_begins_in_the_middle_and_covers_every_range() -> None:
     assert (points.max(axis=0) > 0.98).all()
 
 
-def test_a_mechanism_that_is_switched_off_changes_the_number_it_carries() -> None:
-    for switch in (one for one in SWITCHES if one.name in ("layered-recovery", "safe-stop-claims")):
-        whole = {row.metric: row.mean for row in calibration.measure(Constants(), 3, (switch.architecture,))}
-        without = {row.metric: row.mean for row in calibration.measure(Constants(), 3, (switch.architecture,), switch)}
-        for metric in switch.metrics:
-            assert whole[metric] != without[metric]
-
-
 def test_a_path_that_cannot_be_written_is_refused_before_the_work(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for out in (tmp_path / "file" / "record.json", tmp_path):
@@ -150,7 +141,6 @@ def test_the_record_of_a_small_fit_is_complete_and_the_same_again(
     for name, value in {
         "PLAN": plan,
         "FREE": FREE[:2],
-        "SWITCHES": SWITCHES[:2],
         "WorkerPool": ThreadPoolExecutor,
     }.items():
         monkeypatch.setattr(calibration, name, value)
@@ -165,4 +155,3 @@ def test_the_record_of_a_small_fit_is_complete_and_the_same_again(
     assert record["searches"][-1]["start"] == min(search["reached"] for search in record["searches"][:-1])
     assert len(record["residuals"]) == 24
     assert [parameter["name"] for parameter in record["parameters"]] == [free.name for free in FREE[:2]]
-    assert len(record["switch_offs"]) == sum(len(switch.metrics) for switch in SWITCHES[:2])

@@ -12,9 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.ledger.rows.schema import LAYOUTS
-from fsar_ledger.metrics.library import view_name
+from fsar_ledger.metrics.library import generated
 
 ROOT = Path(__file__).resolve().parent.parent
 CODE = ("fsar_ledger", "queries", "reports", "tests", "benchmarks", "docs")
@@ -411,6 +409,4 @@ def installed_queries(place: Path) -> set[str]:
     )
     file, _, answer = done.stdout.partition("\n")
     assert file.startswith(str(place / "site"))
-    generated = {f"staging/{view_name(tag)}" for tag in LAYOUTS} | {f"staging/{concern}_events" for concern in CONCERNS}
-    generated |= {"facts/event_concerns", "staging/world_facts"}
-    return {query["name"] for query in json.loads(answer)["queries"]} - generated
+    return {query["name"] for query in json.loads(answer)["queries"]} - {query.name for query in generated()}

@@ -196,10 +196,12 @@ def _missing(both: "tuple[Side, Side]", found: "Paired") -> list[str]:
 
 def _how_to_read(found: "Paired") -> list[str]:
     """What the numbers are; and for rows without one, why."""
+    from fsar_ledger.metrics.definitions import metric_named
+
     if not found.rows:
         return []
     alike = [row for row in found.rows if row.n and not row.differing_pairs]
-    few = [row for row in found.rows if row.test == "sign" and row.metric != "human_intervention"]
+    few = [row for row in found.rows if row.test == "sign" and metric_named(row.metric).scale != "yes-no"]
     lines = [
         f"differences are first minus second; containment and latency are ratios over all pairs; Holm adjusts {found.rows[0].family_tests} tests together"
     ]

@@ -5,7 +5,7 @@ from typing import get_args
 
 from .authority import AuthorityEvent
 from .command import CommandEvent
-from .concerns import EVENTS_OF
+from .concerns import BESIDE, CONCERNS
 from .envelope import Event
 from .execution import ExecutionEvent
 from .experiment import ExperimentEvent, ExperimentPlanned
@@ -50,7 +50,20 @@ ADDITIONS: Mapping[type[Event], Addition] = additions(RETIRED_TYPES, UPCASTERS)
 ALONE: frozenset[type[Event]] = frozenset({ExperimentPlanned})
 """The types of events that are the only one of their run: they are about runs, and happen in none. Event 0 of any other run is `RunStarted`."""
 
-CONCERN_OF: dict[str, str] = {name: concern for concern, names in EVENTS_OF.items() for name in names}
+
+def _concerns() -> dict[str, str]:
+    """Return the concern of each event type by name. Raises: TypeError where a type's file is named after none."""
+    found: dict[str, str | None] = {kind.__name__: kind.__module__.rpartition(".")[2] for kind in EVENT_TYPES}
+    found |= BESIDE
+    if stray := sorted(name for name, concern in found.items() if concern not in (None, *CONCERNS)):
+        raise TypeError(
+            f"{', '.join(stray)}: found in a file that is no concern, expected one of {', '.join(CONCERNS)}; "
+            "move it, or name its concern in fsar_ledger/events/concerns.py"
+        )
+    return {name: concern for name, concern in found.items() if concern is not None}
+
+
+CONCERN_OF: dict[str, str] = _concerns()
 """The concern of each event type, by its name whatever its version. What says what a run is has none: it is there whatever a run observes."""
 
 __all__ = ["ADDITIONS", "ALONE", "CONCERN_OF", "EVENT_TYPES", "RETIRED_TYPES", "UPCASTS", "AnyEvent", "Event"]

@@ -22,7 +22,8 @@ from typing import get_args
 import msgspec
 
 from fsar_ledger.errors import UnknownQuery
-from fsar_ledger.events.concerns import EVENTS_OF
+from fsar_ledger.events import CONCERN_OF
+from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, LAYOUTS, Field, Kind, Layout
 
@@ -176,10 +177,9 @@ def staging_query(tag: str) -> Query:
 
 
 def concerns_query() -> Query:
-    """The concern of each event type, as `events/concerns.py` has it."""
-    found = {name: concern for concern, names in EVENTS_OF.items() for name in names}
+    """Return the view of the concern of each event type."""
     rows = ",\n    ".join(
-        f"('{tag}', '{found[tag.partition('.')[0]]}')" for tag in LAYOUTS if tag.partition(".")[0] in found
+        f"('{tag}', '{CONCERN_OF[tag.partition('.')[0]]}')" for tag in LAYOUTS if tag.partition(".")[0] in CONCERN_OF
     )
     sql = f"WITH concerns (type, concern) AS (\n    VALUES\n    {rows}\n)\n\nSELECT *\nFROM concerns\n"
     header = {
@@ -204,7 +204,7 @@ def concern_sql(concern: str, source: str | None = "events") -> str:
 
 def _layouts(concern: str) -> list[Layout]:
     """Return the event types of a concern, in their newest versions."""
-    return [layout for layout in LAYOUTS.values() if layout.tag.partition(".")[0] in EVENTS_OF[concern]]
+    return [layout for layout in LAYOUTS.values() if CONCERN_OF.get(layout.tag.partition(".")[0]) == concern]
 
 
 def concern_query(concern: str) -> Query:
@@ -241,6 +241,66 @@ def world_query() -> Query:
         "Example": "fsar-ledger query staging/world_facts LEDGER",
     }
     return Query("staging/world_facts", sql, header)
+
+
+def metric_queries() -> list[Query]:
+    """Return the relations that `reports/metrics.toml` makes: what SQL must know of each metric, and what all measure."""
+    undefined = "published_value where the metric is defined for every run; undefined_value where such a run does not count, as with us always"
+    made = {
+        "metric_definitions": (
+            "The metrics: their order, their scale, which way is better, how runs are pooled, and whether the paper prints them",
+            "one row per metric",
+            "metric",
+            "numerator_units, how many units of the numerator make one of the value; scale is share, count, seconds, or yes-no "
+            "(0 or 1 for each run); better is higher or lower; undefined_value, what a run counts as in which a metric that is not "
+            "pooled is undefined, published_value, what it counts as in the paper",
+            undefined,
+            definitions.definitions_sql(),
+        ),
+        "metric_concerns": (
+            "What each metric rests on: without these concerns nothing of it can be judged",
+            "one row per metric and concern",
+            "judge, concern",
+            "none",
+            "never",
+            definitions.concerns_sql(),
+        ),
+        "metric_measurements": (
+            "What every metric measures of each run",
+            "one row per run and metric",
+            "run_id, metric",
+            "as in each metric's own query",
+            "as in each metric's own query",
+            definitions.measured_sql(),
+        ),
+    }
+    return [
+        Query(
+            f"metrics/{name}",
+            sql,
+            {
+                "Title": title,
+                "Paper": "sec:evaluation:metrics",
+                "Grain": grain,
+                "Key": key,
+                "Units": units,
+                "NULL": null,
+                "Example": f"fsar-ledger query metrics/{name} LEDGER",
+            },
+        )
+        for name, (title, grain, key, units, null, sql) in made.items()
+    ]
+
+
+def generated() -> list[Query]:
+    """Return the queries that have no file: a view of each event type, their concerns, the world's facts, and what is said of metrics."""
+    return [
+        *map(staging_query, LAYOUTS),
+        *map(concern_query, CONCERNS),
+        concerns_query(),
+        world_query(),
+        *metric_queries(),
+    ]
 
 
 def _files(folder: Traversable, prefix: str = "") -> Iterator[tuple[str, str]]:
@@ -323,8 +383,6 @@ def values(query: Query, given: Mapping[str, str]) -> dict[str, str]:
 
 @cache
 def library() -> Library:
-    """The packaged queries, one view per event type, the concerns of these types, and one view of what the world did."""
+    """Return the packaged queries and those that are made."""
     packaged = [parse(name, sql) for name, sql in _files(files("fsar_ledger.queries"))]
-    return Library(
-        [*map(staging_query, LAYOUTS), *map(concern_query, EVENTS_OF), concerns_query(), world_query(), *packaged]
-    )
+    return Library([*generated(), *packaged])

@@ -8,22 +8,11 @@ from typing import Literal, NamedTuple
 
 from fsar_ledger.events.configuration import FULL
 
+from .definitions import published_metrics
 from .odds import Printed
 
 Table = Literal["results", "ablation", "ablation_text", "scaling"]
 
-_RESULTS: dict[str, tuple[str, float]] = {
-    "coordination_success": ("coordination_success_pct", 100.0),
-    "governance_locality": ("governance_locality", 1.0),
-    "recovery_containment": ("recovery_containment", 1.0),
-    "authority_conflicts": ("authority_conflicts", 1.0),
-    "policy_violations": ("policy_violations", 1.0),
-    "reassignment_latency_s": ("reassignment_latency_s", 1.0),
-    "human_intervention": ("human_interventions_pct", 100.0),
-    "audit_attributability": ("audit_attributability", 1.0),
-}
-# Each metric's name in results.csv, and how many printed units make one of ours (percent, shares). The other tables print our units.
-_SUCCESS = "success"  # how the other tables call coordination_success
 _FSAR, _FLEET = "fsar", 4
 
 
@@ -50,9 +39,10 @@ def printed(table: Table) -> dict[Place, Printed]:
 
 def _results(rows: list[dict[str, str]]) -> Iterator[tuple[Place, Printed]]:
     means = {(row["metric"], row["architecture"]): row["mean"] for row in rows}
-    for metric, (name, unit) in _RESULTS.items():
+    for metric in published_metrics():
         for architecture in ("FSAR", "CFC", "DHMA"):
-            yield Place("results", metric, architecture.lower(), FULL, _FLEET), _number(means[name, architecture], unit)
+            number = _number(means[metric.printed.results, architecture], metric.factor)
+            yield Place("results", metric.name, architecture.lower(), FULL, _FLEET), number
 
 
 def _ablation(rows: list[dict[str, str]]) -> Iterator[tuple[Place, Printed]]:
@@ -86,7 +76,8 @@ def _number(text: str, unit: float = 1.0) -> Printed:
 
 
 def _metric(name: str) -> str:
-    return "coordination_success" if name == _SUCCESS else name
+    """The metric that a table other than the results calls so; such a table prints our units."""
+    return next(metric.name for metric in published_metrics() if metric.printed.elsewhere == name)
 
 
 def _hyphened(name: str) -> str:

@@ -17,6 +17,7 @@ import msgspec
 
 from fsar_ledger.registration import registration
 
+from .definitions import published_metrics
 from .odds import Cell, Odds, Printed
 from .printed import printed
 from .results import MetricRow
@@ -24,7 +25,7 @@ from .results import MetricRow
 Answer = Literal["yes", "no", "undecided"]
 
 ALPHA = registration().verdicts.alpha
-MARGINS: dict[str, float] = registration().margins
+MARGINS: dict[str, float] = {one.name: one.printed.margin for one in published_metrics()}
 """Half-width within which a difference does not matter, in the metric's unit."""
 
 

@@ -3,6 +3,7 @@
 from typing import assert_never
 
 import msgspec
+from msgspec.structs import replace
 
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.request import RequestAdmitted
@@ -46,34 +47,19 @@ def evolve(state: Supervision, event: HANDLES) -> Supervision:
             if event.executed_by is None:
                 return state
             count = state.admissions.get(event.executed_by, 0) + 1
-            return Supervision(
-                state.approved,
-                state.calls,
-                state.review_every,
-                {**state.admissions, event.executed_by: count},
-                state.called,
-            )
+            return replace(state, admissions={**state.admissions, event.executed_by: count})
         case SupervisorCalled():
             called = state.called + 1
-            return Supervision(
-                state.approved, {**state.calls, called: event}, state.review_every, state.admissions, called
-            )
+            return replace(state, calls={**state.calls, called: event}, called=called)
         case SupervisorResponded():
             approved = (
                 state.approved | {event.action_id} if event.purpose == "review" and event.approves else state.approved
             )
-            return Supervision(
-                approved,
-                _without(state.calls, event.action_id, event.purpose),
-                state.review_every,
-                state.admissions,
-                state.called,
-            )
+            return replace(state, approved=approved, calls=_without(state.calls, event.action_id, event.purpose))
         case FailureResolved():
-            calls = _without(state.calls, event.action_id, "recovery")
-            return Supervision(state.approved, calls, state.review_every, state.admissions, state.called)
+            return replace(state, calls=_without(state.calls, event.action_id, "recovery"))
         case SupervisionDensitySet():
-            return msgspec.structs.replace(state, review_every={**state.review_every, event.robot: event.review_every})
+            return replace(state, review_every={**state.review_every, event.robot: event.review_every})
         case _:
             assert_never(event)
 

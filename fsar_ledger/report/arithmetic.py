@@ -32,7 +32,10 @@ def wilson(share: float, n: int) -> tuple[float, float]:
 
 
 def pooled_sd(difference: float, d: float) -> float:
-    """The pooled SD that Cohen's d means for a difference of two means: |difference| / d. Unit: that of the difference."""
+    """The pooled SD that Cohen's d means for a difference of two means: |difference| / d.
+
+    Unit: that of the difference.
+    """
     return abs(difference) / d
 
 
@@ -44,7 +47,8 @@ def binary_d(first: float, second: float) -> float:
 def smallest_sd_with_a_zero(mean: float, groups: int) -> float:
     """The least SD that `groups` group means can have when they average `mean` and one of them is 0.
 
-    It is least when the others are equal, mean x groups / (groups - 1) each; divisor `groups`, which is the smaller one.
+    It is least when the others are equal, mean x groups / (groups - 1) each; divisor `groups`, which is the smaller
+    one.
     """
     other = mean * groups / (groups - 1)
     return math.sqrt((mean**2 + (groups - 1) * (other - mean) ** 2) / groups)

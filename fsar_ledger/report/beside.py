@@ -1,7 +1,9 @@
-"""The paper's tables "Ablation" and "Scaling", beside what a ledger shows: who is compared with what, and what stands alone.
+"""The paper's tables "Ablation" and "Scaling" beside what a ledger shows: what is compared, and what stands alone.
 
-Means, intervals and drawn experiments come from packaged queries; here they are only laid beside the printed numbers. Runs of other constants are
-never taken together: a table is of one set of them, but for the two dials that the paper leaves open, which are its curves.
+Means, intervals and drawn experiments come from packaged queries; here they are only laid beside the printed numbers.
+Runs of other constants are
+never taken together: a table is of one set of them, but for the two dials that the paper leaves open, which are its
+curves.
 """
 
 import math
@@ -12,12 +14,13 @@ from typing import NamedTuple
 from fsar_ledger.events.configuration import CONFIGURATIONS, FULL
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database, Value
+from fsar_ledger.metrics.definitions import metric_named, published_metrics
 from fsar_ledger.metrics.odds import Printed, odds
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.printed import Place, Table, printed
 from fsar_ledger.metrics.results import DialledRow, dialled_rows
 from fsar_ledger.registration import registration
-from fsar_ledger.report import printing, specs, whole
+from fsar_ledger.report import printing, whole
 from fsar_ledger.report.findings import ARCHITECTURES, MAIN_FLEET_SIZE, Ablation, Row, Scaling, Told
 
 QUERIES = ("metrics/metrics_by_dial", "statistics/drawn_experiments", "statistics/drawn_scenarios")
@@ -84,7 +87,10 @@ def ablation_of(database: Database, *, pools_seeds: bool = False) -> Ablation | 
 
 
 def scaling_of(database: Database, *, pools_seeds: bool = False) -> Scaling | None:
-    """The fleets of other sizes than four robots that the ledger holds, with those of four that were made alike; None where there are none."""
+    """Return the fleets of other sizes than four robots, with those of four that were made alike.
+
+    None where the ledger holds none.
+    """
     if not _has(database, "fleet_size <> 4 AND list_contains($configurations, configuration)", [FULL]):
         return None
     rows = [
@@ -123,7 +129,10 @@ def _sized(database: Database, table: Sequence[DialledRow]) -> list[Row]:
 
 
 def _lies(cell: Row) -> str | None:
-    """Where the printed number lies among ours at the two ends of the load, give or take a margin; None where the ends are one, or we have only one."""
+    """Return where the printed number lies among ours at the two ends of the load, give or take a margin.
+
+    None where the ends are one, or we have only one.
+    """
     if cell["mean"] is None or cell["one"] is None or cell["fleet_size"] == MAIN_FLEET_SIZE:
         return None
     low, high = sorted((cell["mean"], cell["one"]))
@@ -134,7 +143,10 @@ def _lies(cell: Row) -> str | None:
 
 
 def _judged(database: Database, name: Table, table: Sequence[DialledRow]) -> list[Row]:
-    """Each printed number of a table beside ours, judged unless the text leaves open what it depends on or the runs are not of the table's shape."""
+    """Return each printed number of a table beside ours.
+
+    It is judged unless the text leaves open what it depends on, or the runs are not of the table's shape.
+    """
     ours = {_place_of(name, row): row for row in table}
     runs = _runs(table)
     shares = _shares(database, name, [row for row in table if _place_of(name, row) in printed(name)], runs)
@@ -190,7 +202,10 @@ def _runs(table: Iterable[DialledRow]) -> dict[Shape, dict[str | None, int]]:
 def _shares(
     database: Database, name: Table, rows: Sequence[DialledRow], runs: Mapping[Shape, whole.Held]
 ) -> dict[Place, float]:
-    """How many of the experiments drawn from our runs print a number as far out; of no cell where they are fewer than one such experiment."""
+    """Return how many of the experiments drawn from our runs print a number as far out.
+
+    Of no cell where our runs are fewer than one such experiment.
+    """
     said = registration()
     cells = {place: paper for place, paper in printed(name).items() if said.said_of(name, place._asdict()).dial is None}
     held = {place: runs.get((place.architecture, place.configuration, place.fleet_size), {}) for place in cells}
@@ -267,7 +282,7 @@ def _interval(row: DialledRow) -> tuple[float, float] | None:
 
 def _as_printed(metric: str, paper: Printed) -> str:
     """The printed number in the report's unit, with as many digits as it has."""
-    scale = specs.metric(metric).scale
+    scale = metric_named(metric).factor
     return printing.number(paper.value * scale, max(0, -round(math.log10(paper.step * scale))))
 
 
@@ -289,7 +304,7 @@ def _wide(rows: Iterable[DialledRow]) -> tuple[Row, ...]:
     for row in sorted(rows, key=lambda row: row.encounter_mean_s or 0.0):
         line = found.setdefault(
             row.encounter_mean_s,
-            {"encounter_mean_s": row.encounter_mean_s, "n": 0, **{spec.name: None for spec in specs.metrics()}},
+            {"encounter_mean_s": row.encounter_mean_s, "n": 0, **{spec.name: None for spec in published_metrics()}},
         )
         line[row.metric] = row.mean
         line["n"] = max(line["n"], row.n)

@@ -27,7 +27,9 @@ def write_report(
     reads_every_way: bool = True,
     numbers_out: Path | None = None,
 ) -> None:
-    """The PDF about the ledger's present head, and about those of the ledgers beside it, is at `out`, complete or not at all; so are its numbers.
+    """Write the PDF about the ledger's present head, and about those of the ledgers beside it, and its numbers.
+
+    Each file is at its path complete or not at all.
 
     First every row of each is compared with its root. Same heads and versions, same bytes.
 
@@ -39,15 +41,17 @@ def write_report(
         workers: Processes that compare rows.
         progress: Told of segments compared, done and in all.
         pools_seeds: Whether the tables are of the runs of all seeds together.
-        sensitivity: The file of `fsar-ledger sensitivity`; the report has it if it is of these runs, else it says how to make it.
+        sensitivity: The file of `fsar-ledger sensitivity`; the report has it if it is of these runs, else it says how
+            to make it.
         reads_every_way: Whether the cells are shown under every reading of the text, too.
         numbers_out: Where the same numbers go for programs (`reproduction`); None: nowhere.
         demanded: The newest record of the ledger, if a whole look just saw it (`required_look`); None looks now.
 
     Raises:
-        UsageError: The ledger of workflows holds no workflow, one beside it nothing for the report, `out` lies inside a ledger or is `numbers_out`,
-            too, or `sensitivity` is something else.
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: The ledger cannot be read, or its rows are not those under its root.
+        UsageError: The ledger of workflows holds no workflow, one beside it nothing for the report, `out` lies inside a
+            ledger or is `numbers_out`, too, or `sensitivity` is something else.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: The ledger cannot be read, or its rows are not those under
+            its root.
         SequenceConflict: Somebody appended meanwhile.
         WriteFailed: `out` cannot be written.
     """

@@ -49,16 +49,6 @@ class Direction(msgspec.Struct, frozen=True):
     weights: dict[str, float] = {}
 
 
-class SwitchOff(msgspec.Struct, frozen=True):
-    """One experiment: a mechanism switched off, and a metric with and without it (stored units)."""
-
-    mechanism: str
-    metric: str
-    architecture: str
-    with_mechanism: float
-    without: float
-
-
 class Record(msgspec.Struct, frozen=True):
     """The whole record; lists are empty where the fit recorded nothing."""
 
@@ -71,7 +61,6 @@ class Record(msgspec.Struct, frozen=True):
     parameters: list[Parameter] = []
     residuals: list[Residual] = []
     directions: list[Direction] = []
-    switch_offs: list[SwitchOff] = []
 
 
 def recorded(folder: Traversable | None = None) -> Record | None:

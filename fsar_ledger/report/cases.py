@@ -10,7 +10,7 @@ Counts = Mapping[tuple[str, str], tuple[int, int]]
 
 
 def beside(claims: Iterable[Row]) -> tuple[Row, ...]:
-    """One row for each number of the paper: its words, ours in both readings, what was counted, and of which class it is.
+    """Return a row for each number of the paper: its words, ours in both readings, what was counted, and its class.
 
     `claims` are rows of `case_claims` of the runs that the report is of; those of several seeds are taken together.
     Empty where none of these runs is of the scenario of a case.

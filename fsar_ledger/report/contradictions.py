@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Mapping
 from typing import TypeAlias
 
+from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.report import arithmetic, specs
 from fsar_ledger.report.arithmetic import ARCHITECTURES, Variances
 
@@ -21,7 +22,7 @@ def _decimals(printed: str) -> int:
 
 def _results() -> dict[str, dict[str, dict[str, str]]]:
     """The rows of the paper's results table by metric (name in the queries) and architecture."""
-    named = {spec.result: spec.name for spec in specs.metrics()}
+    named = {spec.printed.results: spec.name for spec in published_metrics()}
     found: dict[str, dict[str, dict[str, str]]] = {}
     for row in specs.paper_table("results"):
         found.setdefault(named[row["metric"]], {})[row["architecture"]] = row
@@ -30,7 +31,7 @@ def _results() -> dict[str, dict[str, dict[str, str]]]:
 
 def _effects() -> dict[str, dict[frozenset[str], float]]:
     """The paper's Cohen's d by metric (name in the queries) and pair of architectures."""
-    named = {spec.significance: spec.name for spec in specs.metrics()}
+    named = {spec.printed.significance: spec.name for spec in published_metrics()}
     found: dict[str, dict[frozenset[str], float]] = {}
     for row in specs.paper_table("significance"):
         found.setdefault(named[row["metric"]], {})[frozenset(row["comparison"].split(" vs "))] = float(row["cohens_d"])
@@ -48,7 +49,7 @@ def variances() -> list[Variances]:
     """The variances that the published pairwise d imply, by metric."""
     results, effects = _results(), _effects()
     found = []
-    for spec in specs.metrics():
+    for spec in published_metrics():
         rows = results[spec.name]
         means = {one: float(rows[one]["mean"]) for one in ARCHITECTURES}
         found.append(
@@ -60,7 +61,10 @@ def variances() -> list[Variances]:
 
 
 def variance_rows() -> list[Row]:
-    """The table of implied variances: one row per metric, in squared printed units; `possible` says what rounding leaves."""
+    """Return the table of implied variances: a row per metric, in squared printed units.
+
+    `possible` says what rounding leaves.
+    """
     rows: list[Row] = []
     for one in variances():
         row: Row = {"metric": one.metric}
@@ -83,7 +87,7 @@ def interval_rows() -> list[Row]:
     results, effects = _results(), _effects()
     _, _, n = _design()
     rows: list[Row] = []
-    for spec in specs.metrics():
+    for spec in published_metrics():
         for first, second in (("FSAR", "CFC"), ("FSAR", "DHMA"), ("CFC", "DHMA")):
             a, b = results[spec.name][first], results[spec.name][second]
             difference, d = float(a["mean"]) - float(b["mean"]), effects[spec.name][frozenset((first, second))]
@@ -225,7 +229,7 @@ def _negative_variance() -> Facts:
             f"d_{key}": d,
             f"var_{key}": (abs(means[first] - means[second]) / d) ** 2,
         }
-    titles = {spec.name: spec.short.partition(" (")[0].lower() for spec in specs.metrics()}
+    titles = {spec.name: spec.short.partition(" (")[0].lower() for spec in published_metrics()}
     squared["variance"] = next(one for one in found if one.metric == "authority_conflicts").implied["FSAR"]
     squared["negative"] = _listed([titles[one.metric] for one in found if one.implied["FSAR"] < 0])
     squared["impossible"] = _listed([titles[one.metric] for one in found if one.largest["FSAR"] < 0])
@@ -251,15 +255,9 @@ def _two_full_systems() -> Facts:
     full = next(row for row in specs.paper_table("ablation") if row["configuration"] == "full")
     results = _results()
     pairs = []
-    columns = {
-        "success": "coordination_success",
-        "governance_locality": "governance_locality",
-        "recovery_containment": "recovery_containment",
-    }
-    columns |= {name: name for name in ("authority_conflicts", "policy_violations", "audit_attributability")}
-    for column, name in columns.items():
-        spec = specs.metric(name)
-        main = float(results[name]["FSAR"]["mean"]) / spec.scale
+    columns = {spec.printed.elsewhere: spec for spec in published_metrics() if spec.printed.elsewhere in full}
+    for column, spec in columns.items():
+        main = float(results[spec.name]["FSAR"]["mean"]) / spec.factor
         if round(main, 4) != round(float(full[column]), 4):
             pairs.append(f"{spec.title.partition(' (')[0].lower()} {main:.2f} and {float(full[column]):.2f}")
     return {"pairs": _listed(pairs), "count": len(pairs), "compared": len(columns)}

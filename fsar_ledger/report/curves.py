@@ -1,30 +1,20 @@
-"""The figures of the tables "Ablation" and "Scaling": bars beside the printed numbers, and curves over what the paper leaves open."""
+"""The figures of the tables "Ablation" and "Scaling".
+
+Bars beside the printed numbers, and curves over what the paper leaves open.
+"""
 
 import math
 from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any
 
+from fsar_ledger.metrics.definitions import Metric, metric_named
+from fsar_ledger.metrics.printed import printed
 from fsar_ledger.report import printing, specs
 from fsar_ledger.report.figures import COLOURS, DIAMOND, HEADROOM, Row, canvas, rendered
 
-ABLATED = (
-    "coordination_success",
-    "governance_locality",
-    "recovery_containment",
-    "authority_conflicts",
-    "policy_violations",
-    "audit_attributability",
-)
-"""The metrics of the ablation table, in its order."""
-SCALED = (
-    "coordination_success",
-    "governance_locality",
-    "recovery_containment",
-    "authority_conflicts",
-    "audit_attributability",
-)
-"""Those of the scaling table."""
+ABLATED, SCALED = (tuple(dict.fromkeys(place.metric for place in printed(table))) for table in ("ablation", "scaling"))
+"""The metrics of the ablation and the scaling table, in their order."""
 LETTERS = {
     "full": "full",
     "without-trust-evaluation": "− trust",
@@ -43,15 +33,18 @@ LARGEST = 16
 
 
 def ablation(rows: Sequence[Row], kind: str = "svg") -> bytes:
-    """The figure "Without one mechanism": six panels, five configurations, the paper's values marked. Rows: cells of the ablation table."""
+    """The figure "Without one mechanism": six panels, five configurations, the paper's values marked.
+
+    Rows: cells of the ablation table.
+    """
     from matplotlib.lines import Line2D
 
     with canvas(specs.figure("ablation"), 2, 3) as (figure, axes):
         for panel, metric in zip(axes.flat, ABLATED, strict=True):
-            spec = specs.metric(metric)
+            spec = metric_named(metric)
             found = [row for row in rows if row["metric"] == metric]
             for position, row in enumerate(found):
-                panel.plot(position + 0.3, row["paper"] * spec.scale, zorder=4, **DIAMOND)
+                panel.plot(position + 0.3, row["paper"] * spec.factor, zorder=4, **DIAMOND)
                 if row["mean"] is None:
                     panel.annotate(
                         "no value",
@@ -68,7 +61,7 @@ def ablation(rows: Sequence[Row], kind: str = "svg") -> bytes:
                 hatch = "///" if row["class"] in ("unspecified", "cannot follow") else None
                 panel.bar(
                     position - 0.08,
-                    row["mean"] * spec.scale,
+                    row["mean"] * spec.factor,
                     width=0.55,
                     color=colour,
                     hatch=hatch,
@@ -76,7 +69,7 @@ def ablation(rows: Sequence[Row], kind: str = "svg") -> bytes:
                     linewidth=0,
                     zorder=2,
                 )
-                _whisker(panel, position - 0.08, row["interval"], spec.scale)
+                _whisker(panel, position - 0.08, row["interval"], spec.factor)
             panel.set_title(spec.title)
             panel.set_xticks(
                 range(len(found)),
@@ -90,7 +83,7 @@ def ablation(rows: Sequence[Row], kind: str = "svg") -> bytes:
             _from_zero(
                 panel,
                 [
-                    value * spec.scale
+                    value * spec.factor
                     for row in found
                     for value in (row["paper"], row["mean"] or 0.0, *(row["interval"] or ()))
                 ],
@@ -104,7 +97,10 @@ def ablation(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
 
 def encounters(curve: Sequence[Row], printed: Sequence[Row], kind: str = "svg") -> bytes:
-    """The figure "Success without a registry": over how often robots meet, with a diamond where a curve has the paper's value."""
+    """Draw "Success without a registry": over how often robots meet.
+
+    A diamond stands where a curve has the paper's value.
+    """
     with canvas(specs.figure("encounters"), 1, 1) as (figure, axes):
         panel = axes[0, 0]
         for scenario, (colour, style, marker) in SCENARIO_STYLES.items():
@@ -130,11 +126,14 @@ def encounters(curve: Sequence[Row], printed: Sequence[Row], kind: str = "svg") 
 
 
 def scaling(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> bytes:
-    """The figure "Larger fleets": each metric over the number of robots, all teams working and one, the paper's points, no paper beyond 16."""
+    """Draw "Larger fleets": each metric over the number of robots, all teams working and one, and the paper's points.
+
+    The paper has none beyond 16.
+    """
     with canvas(specs.figure("scaling"), 2, 3) as (figure, axes):
         largest = max(row["fleet_size"] for row in curve)
         for panel, metric in zip(axes.flat, SCALED, strict=False):
-            spec = specs.metric(metric)
+            spec = metric_named(metric)
             if largest > LARGEST:
                 panel.axvspan(LARGEST * 1.19, largest * 1.19, color="#eeeeee", zorder=0)
             for architecture, colour in COLOURS.items():
@@ -142,12 +141,12 @@ def scaling(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> by
                 all_teams = [row for row in curve if row["teams_working"] == row["fleet_size"] // 4]
                 for style, rows in (("-", all_teams), ("--", [row for row in curve if row["teams_working"] == 1])):
                     points = points_of(rows, "fleet_size", **same)
-                    _line(panel, points, spec.scale, color=colour, linestyle=style, marker=MARKERS[architecture])
+                    _line(panel, points, spec.factor, color=colour, linestyle=style, marker=MARKERS[architecture])
                 for row in cells:
                     if (row["metric"], row["architecture"]) == (metric, architecture):
                         panel.plot(
                             row["fleet_size"],
-                            row["paper"] * spec.scale,
+                            row["paper"] * spec.factor,
                             zorder=5,
                             **{**DIAMOND, "markeredgecolor": colour},
                         )
@@ -162,20 +161,23 @@ def scaling(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> by
 
 
 def loads(curve: Sequence[Row], cells: Sequence[Row], kind: str = "svg") -> bytes:
-    """The figure "How much there is to do": each metric over the teams that work, at the paper's largest fleet, a diamond where a curve has its value."""
+    """Draw "How much there is to do": each metric over the teams that work, at the paper's largest fleet.
+
+    A diamond stands where a curve has the paper's value.
+    """
     with canvas(specs.figure("loads"), 2, 3) as (figure, axes):
         at_size = [row for row in curve if row["fleet_size"] == LARGEST]
         for panel, metric in zip(axes.flat, SCALED, strict=False):
-            spec = specs.metric(metric)
+            spec = metric_named(metric)
             for architecture, colour in COLOURS.items():
                 points = points_of(at_size, "teams_working", metric=metric, architecture=architecture)
-                _line(panel, points, spec.scale, color=colour, linestyle="-", marker=MARKERS[architecture])
+                _line(panel, points, spec.factor, color=colour, linestyle="-", marker=MARKERS[architecture])
                 for row in cells:
                     if (row["metric"], row["architecture"], row["fleet_size"]) == (metric, architecture, LARGEST):
-                        panel.axhline(row["paper"] * spec.scale, color=colour, linewidth=0.8, linestyle=":", zorder=1)
+                        panel.axhline(row["paper"] * spec.factor, color=colour, linewidth=0.8, linestyle=":", zorder=1)
                         for at in crossings(points, row["paper"]):
                             panel.plot(
-                                at, row["paper"] * spec.scale, zorder=5, **{**DIAMOND, "markeredgecolor": colour}
+                                at, row["paper"] * spec.factor, zorder=5, **{**DIAMOND, "markeredgecolor": colour}
                             )
             panel.set_xticks(sorted({row["teams_working"] for row in at_size}))
             _titled(panel, spec, "teams working")
@@ -231,7 +233,7 @@ def _from_zero(panel: Any, values: Sequence[float]) -> None:
     panel.set_axisbelow(True)
 
 
-def _titled(panel: Any, spec: specs.MetricSpec, dial: str) -> None:
+def _titled(panel: Any, spec: Metric, dial: str) -> None:
     panel.set_title(spec.title)
     panel.set_xlabel(dial)
     panel.set_ylim(bottom=0)

@@ -10,6 +10,7 @@ import msgspec
 import fsar_ledger
 from fsar_ledger import printable
 from fsar_ledger.constants import Constants, write_constants
+from fsar_ledger.metrics.definitions import metric_named, published_metrics
 from fsar_ledger.registration import registration
 from fsar_ledger.report import (
     contradictions,
@@ -32,13 +33,16 @@ from fsar_ledger.report.printing import Table, flat
 from fsar_ledger.report.reproduction import versions
 from fsar_ledger.report.sensitivity import Section
 
-POOLED = ("recovery_containment", "reassignment_latency_s")  # metrics that a run without failures does not define
+POOLED = tuple(one.name for one in published_metrics() if one.is_pooled)  # a run without failures does not define them
 MAX_DIFFERING = 2_000  # characters of what is said of a pair's worlds
 SHOWN_WEIGHTS = 3  # constants named for each direction of the fit
 
 
 def _source(findings: Findings, query: str | None) -> str:
-    """Where the numbers of a table come from: the file of the query, whose SHA-256 stands in the appendix; "" where no query is named."""
+    """Return the file of the query that a table's numbers come from; "" where none is named.
+
+    Its SHA-256 stands in the appendix.
+    """
     return f"queries/{query}.sql" if any(one.name == query for one in findings.sources) else ""
 
 
@@ -163,7 +167,10 @@ def _contradictions() -> list[dict[str, Any]]:
 
 
 def _changed(findings: Findings, record: Record | None) -> str | None:
-    """That the record of the fit is of another model than these runs, in words; None where it is of theirs, or there is nothing to say it of."""
+    """Say that the record of the fit is of another model than these runs.
+
+    None where it is of theirs, or there is nothing to say it of.
+    """
     versions = (
         [findings.model_version]
         if findings.model_version
@@ -201,7 +208,10 @@ def _fit(findings: Findings, record: Record | None) -> dict[str, Any] | None:
 
 
 def _background(findings: Findings) -> list[dict[str, str]]:
-    """How much of each architecture's decisions and records is routine, and of its losses absence, in percent; only where there is anything to share."""
+    """Return how much of each architecture's decisions and records is routine, and of its losses absence, in percent.
+
+    Only where there is anything to share.
+    """
     shares = {
         "decisions": "routine_share_of_decisions",
         "local": "routine_share_of_local_decisions",
@@ -217,12 +227,15 @@ def _background(findings: Findings) -> list[dict[str, str]]:
 
 
 def _misses(findings: Findings, record: Record | None) -> list[dict[str, Any]]:
-    """The cells whose printed number this model does not give, farthest first, with the reason on record if it is one for this model."""
+    """Return the cells whose printed number this model does not give, farthest first.
+
+    Each with the reason on record, if that is one for this model.
+    """
     reasons = {} if _changed(findings, record) else {passage.id: passage.text for passage in specs.passages("reasons")}
     missing = sorted((row for row in findings.cells if row["gives"] == "no"), key=lambda row: -abs(row["distance"]))
     return [
         {
-            "title": f"{specs.metric(row['metric']).title}, {row['architecture'].upper()}",
+            "title": f"{metric_named(row['metric']).title}, {row['architecture'].upper()}",
             "distance": printing.number(row["distance"], 1),
             "reason": reasons.get(f"{row['metric']}/{row['architecture']}"),
         }
@@ -231,7 +244,10 @@ def _misses(findings: Findings, record: Record | None) -> list[dict[str, Any]]:
 
 
 def counted(findings: Findings, record: Record | None) -> tuple[Row, ...]:
-    """Every printed number with its class and what became of it; none counts as fitted where the fit was of another model."""
+    """Return every printed number with its class and what became of it.
+
+    None counts as fitted where the fit was of another model.
+    """
     return numbers.numbers(findings, is_fitted=not _changed(findings, record))
 
 
@@ -297,7 +313,7 @@ def data(findings: Findings, record: Record | None, effects: Section | None = No
 
 def _sayable(numbers: Row) -> Row:
     """The answer with undefined cells named as the tables name them."""
-    undefined = [f"{specs.metric(name).title} of {architecture.upper()}" for name, architecture in numbers["undefined"]]
+    undefined = [f"{metric_named(name).title} of {architecture.upper()}" for name, architecture in numbers["undefined"]]
     share = numbers["table_share"]
     return numbers | {"undefined": undefined, "table_share": None if share is None else printing.probability(share)}
 

@@ -1,10 +1,14 @@
-"""The section "Every reading": the range of each cell over all readings of the text, which reading moves it most, and whether the ranking survives."""
+"""The section "Every reading" of the report.
+
+The range of each cell over all readings of the text, which reading moves it most, and whether the ranking survives.
+"""
 
 from collections.abc import Sequence
 from typing import Any
 
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.database import Database
+from fsar_ledger.metrics.definitions import metric_named, published_metrics
 from fsar_ledger.metrics.library import READINGS, library
 from fsar_ledger.metrics.multiverse import Chosen, Multiverse, Universe, cells, rankings, readings, universes
 from fsar_ledger.report import printing, specs
@@ -16,19 +20,21 @@ MAX_SETS = 2
 
 
 def every_way(database: Database, setting: Row, *, pools_seeds: bool = False) -> Multiverse | None:
-    """The multiverse of all metrics for the three architectures, over the runs of this setting alone; None where there are none.
+    """Return the multiverse of all metrics for the three architectures, over the runs of this setting alone.
+
+    None where there are none.
 
     Raises: as `Database.rows`.
     """
     found: list[Universe] = []
-    for spec in specs.metrics():
+    for spec in published_metrics():
         every = universes(database, spec.name, pools_seeds=pools_seeds)
         found += [
             one
             for one in every
             if one.architecture in ARCHITECTURES and all(getattr(one, name) == value for name, value in setting.items())
         ]
-    better = {spec.name: spec.better for spec in specs.metrics()}
+    better = {spec.name: spec.better for spec in published_metrics()}
     return Multiverse(readings(), tuple(cells(found)), tuple(rankings(found, better)), tuple(found)) if found else None
 
 
@@ -46,7 +52,10 @@ def tables(found: Multiverse | None) -> dict[str, Table]:
 
 
 def ranges(found: Multiverse) -> list[Row]:
-    """One row for each cell: printed, ours, lowest and highest, whether the printed number lies in between, give or take a margin, and what moves it most."""
+    """Return a row for each cell: printed, ours, lowest, highest, whether that range has it, what moves it most.
+
+    Between is give or take a margin.
+    """
     rows = []
     for cell in found.cells:
         margin = verdicts.MARGINS[cell.metric]
@@ -65,7 +74,10 @@ def ranges(found: Multiverse) -> list[Row]:
 
 
 def orders(found: Multiverse) -> list[Row]:
-    """One row for each metric: the order of the architectures under our readings, under how many combinations it is the same and FSAR the best one."""
+    """Return a row for each metric: the order of the architectures under our readings, and how often it survives.
+
+    Counted are the combinations under which it is the same, and those under which FSAR is the best one.
+    """
     return [
         {
             "metric": one.metric,
@@ -97,7 +109,11 @@ def _named(found: Multiverse, name: str) -> str:
 
 
 def said(found: Multiverse | None) -> dict[str, Any] | None:
-    """What the sentences count: readings, combinations, the metrics by which FSAR is the best under all, some and none of them, the orders that survive."""
+    """Return what the sentences count.
+
+    Readings, combinations, the metrics by which FSAR is the best under all, some and none of them, the orders that
+    survive.
+    """
     if found is None:
         return None
     judged = [one for one in found.rankings if one.fsar_best is not None]
@@ -123,4 +139,4 @@ def said(found: Multiverse | None) -> dict[str, Any] | None:
 
 
 def _title(metric: str) -> str:
-    return specs.metric(metric).title.partition(" (")[0].lower()
+    return metric_named(metric).title.partition(" (")[0].lower()

@@ -8,6 +8,7 @@ from typing import Any
 from unicodedata import combining
 
 from fsar_ledger import printable
+from fsar_ledger.metrics.definitions import Metric, published_metrics
 from fsar_ledger.report import specs
 
 Row = Mapping[str, Any]
@@ -42,7 +43,10 @@ HEADROOM = 1.1  # height of a panel, as a multiple of its highest value
 
 @contextmanager
 def canvas(spec: specs.FigureSpec, rows: int, columns: int, **grid: Any) -> Iterator[tuple[Any, Any]]:
-    """A figure of the spec's size and its panels, with what matplotlib calls the ratios of rows and columns. Only Agg draws, with these settings."""
+    """A figure of the spec's size and its panels, with what matplotlib calls the ratios of rows and columns.
+
+    Only Agg draws, with these settings.
+    """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -56,7 +60,10 @@ def canvas(spec: specs.FigureSpec, rows: int, columns: int, **grid: Any) -> Iter
 
 @contextmanager
 def plain_canvas(width_in: float, height_in: float) -> Iterator[tuple[Any, Any]]:
-    """A figure and its one panel: no axes, one unit is an inch, the origin is at the upper left. Only Agg draws, with these settings and no others."""
+    """A figure and its one panel: no axes, one unit is an inch, the origin is at the upper left.
+
+    Only Agg draws, with these settings and no others.
+    """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -73,7 +80,10 @@ def plain_canvas(width_in: float, height_in: float) -> Iterator[tuple[Any, Any]]
 
 
 def label(text: str, most: int) -> str:
-    """The text as a figure shows it, cut after `most` characters: escaped where the font has no picture of a character, or a reader would not see it."""
+    """Return the text as a figure shows it, cut after `most` characters.
+
+    Escaped is what the font has no picture of, and what a reader would not see.
+    """
     glyphs = _glyphs()
     return "".join(
         one if ord(one) in glyphs and not combining(one) else one.encode("unicode_escape").decode("ascii")
@@ -90,7 +100,10 @@ def _glyphs() -> frozenset[int]:
 
 
 def rendered(figure: Any, kind: str) -> bytes:
-    """The figure as a file of this kind (svg, png, pdf), without date or maker. To be called while its canvas is open."""
+    """The figure as a file of this kind (svg, png, pdf), without date or maker.
+
+    To be called while its canvas is open.
+    """
     buffer = io.BytesIO()
     if kind == "pdf":
         figure.savefig(buffer, format="pdf", metadata={"CreationDate": None, "Creator": None, "Producer": None})
@@ -101,12 +114,12 @@ def rendered(figure: Any, kind: str) -> bytes:
     return buffer.getvalue()
 
 
-def _panel(axes: Any, spec: specs.MetricSpec, rows: Sequence[Row]) -> None:
+def _panel(axes: Any, spec: Metric, rows: Sequence[Row]) -> None:
     """One metric: a bar with its 95 % interval for each architecture, the paper's value as a diamond."""
     for position, (architecture, colour) in enumerate(COLOURS.items()):
         found = [row for row in rows if (row["metric"], row["architecture"]) == (spec.name, architecture)]
         for row in found:
-            axes.plot(position + 0.27, row["paper"] * spec.scale, zorder=4, **DIAMOND)
+            axes.plot(position + 0.27, row["paper"] * spec.factor, zorder=4, **DIAMOND)
             if row["mean"] is None:
                 axes.annotate(
                     "no value",
@@ -119,9 +132,9 @@ def _panel(axes: Any, spec: specs.MetricSpec, rows: Sequence[Row]) -> None:
                     color="#777777",
                 )
                 continue
-            axes.bar(position - 0.08, row["mean"] * spec.scale, width=0.5, color=colour, alpha=0.75, zorder=2)
+            axes.bar(position - 0.08, row["mean"] * spec.factor, width=0.5, color=colour, alpha=0.75, zorder=2)
             if row["ci_low"] is not None:
-                low, high = row["ci_low"] * spec.scale, row["ci_high"] * spec.scale
+                low, high = row["ci_low"] * spec.factor, row["ci_high"] * spec.factor
                 # Around its own middle: at a share of 0 a Wilson interval may begin a rounding error above the mean.
                 axes.errorbar(
                     position - 0.08,
@@ -144,7 +157,7 @@ def _panel(axes: Any, spec: specs.MetricSpec, rows: Sequence[Row]) -> None:
         for key in ("paper", "mean", "ci_high")
         if row[key] is not None
     ]
-    axes.set_ylim(0, HEADROOM * spec.scale * max(drawn))
+    axes.set_ylim(0, HEADROOM * spec.factor * max(drawn))
     axes.grid(axis="y", color="#dddddd", linewidth=0.5, zorder=0)
     axes.set_axisbelow(True)
 
@@ -158,7 +171,7 @@ def evaluation_results(rows: Sequence[Row], kind: str = "svg") -> bytes:
     from matplotlib.patches import Patch
 
     with canvas(specs.figure("evaluation-results"), 2, 4) as (figure, axes):
-        for panel, spec in zip(axes.flat, specs.metrics(), strict=True):
+        for panel, spec in zip(axes.flat, published_metrics(), strict=True):
             _panel(panel, spec, rows)
         handles: list[Any] = [
             Patch(color=colour, alpha=0.75, label=f"{name.upper()}, this ledger") for name, colour in COLOURS.items()
@@ -177,7 +190,11 @@ def evaluation_results(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
 
 def effects(rows: Sequence[Row], kind: str = "svg") -> bytes:
-    """The figure "Effect sizes": Cohen's d of each pairwise test with its 95 % interval, and the paper's with the sign of its t. Paper: tab:significance.
+    """Draw "Effect sizes": Cohen's d of each pairwise test with its 95 % interval, and the paper's.
+
+    Paper: tab:significance.
+
+    The paper's have the sign of its t.
 
     Each row holds metric, comparison, cohens_d, d_ci_low, d_ci_high (None: no effect), paper_d and paper_t.
     """
@@ -185,7 +202,7 @@ def effects(rows: Sequence[Row], kind: str = "svg") -> bytes:
 
     with canvas(specs.figure("effects"), 1, 1) as (figure, axes):
         panel = axes[0, 0]
-        names = [spec.name for spec in specs.metrics()]
+        names = [spec.name for spec in published_metrics()]
         for at in range(1, len(names), 2):
             panel.axhspan(at - 0.5, at + 0.5, color="#f2f2f2", linewidth=0, zorder=0)
         panel.axvline(0, color="#999999", linewidth=0.7, zorder=1)
@@ -214,7 +231,7 @@ def effects(rows: Sequence[Row], kind: str = "svg") -> bytes:
         ticks = [tick for tick in (-20, -10, -5, -2, -1, -0.5, 0, 0.5, 1, 2, 5, 10, 20) if abs(tick) <= reach]
         panel.set_xticks(ticks, [f"{tick:g}".replace("-", "\u2212") for tick in ticks])
         panel.minorticks_off()
-        panel.set_yticks(range(len(names)), [spec.title for spec in specs.metrics()])
+        panel.set_yticks(range(len(names)), [spec.title for spec in published_metrics()])
         panel.set_ylim(len(names) - 0.5, -0.5)
         panel.tick_params(axis="y", length=0)
         panel.set_xlabel("effect in standard deviations, first minus second (linear up to 1, logarithmic beyond)")

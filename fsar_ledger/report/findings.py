@@ -32,9 +32,11 @@ class Source(msgspec.Struct, frozen=True):
 class Workflows(msgspec.Struct, frozen=True):
     """What one head of a ledger of the paper's workflows has to say.
 
-    coverage: one row per mechanism: its cell in the paper and ours for each workflow, and the verdict; None where nothing exercises it.
+    coverage: one row per mechanism: its cell in the paper and ours for each workflow, and the verdict; None where
+    nothing exercises it.
     others: runs of workflows that were made otherwise than most (seed, constants, model), and have no part in this.
-    story: the steps of the first request of the door relay; recovery: those of the first failure of the layered recovery; empty without such a run.
+    story: the steps of the first request of the door relay; recovery: those of the first failure of the layered
+    recovery; empty without such a run.
     """
 
     commits: int
@@ -48,7 +50,7 @@ class Workflows(msgspec.Struct, frozen=True):
 
 
 class Told(msgspec.Struct, frozen=True):
-    """Which head says it: commits, events and root, runs in all, whether what was planned is there, and the model of the runs."""
+    """Say which head it is: commits, events, root, runs in all, whether all planned is there, the model."""
 
     commits: int
     size: int
@@ -61,8 +63,9 @@ class Told(msgspec.Struct, frozen=True):
 class Ablation(msgspec.Struct, frozen=True):
     """What one head says of FSAR without some of its mechanisms; Paper: tab:ablation, sec:evaluation:ablation.
 
-    cells: the 30 cells of the table, text: the eight numbers of the text, in the paper's order; curve: means of the configuration without a shared
-    registry for each metric, for each scenario and all of them, by `encounter_mean_s`; rates: one row for each of these, with a column per metric.
+    cells: the 30 cells of the table, text: the eight numbers of the text, in the paper's order; curve: means of the
+    configuration without a shared registry for each metric, for each scenario and all of them, by `encounter_mean_s`;
+    rates: one row for each of these, with a column per metric.
     """
 
     told: Told
@@ -76,8 +79,8 @@ class Ablation(msgspec.Struct, frozen=True):
 class Scaling(msgspec.Struct, frozen=True):
     """What one head says of larger fleets; Paper: tab:scaling.
 
-    cells: the 45 cells of the table, with our means where all teams work and where one does; curve: our means for each metric, architecture, fleet size
-    and count of teams working.
+    cells: the 45 cells of the table, with our means where all teams work and where one does; curve: our means for each
+    metric, architecture, fleet size and count of teams working.
     """
 
     told: Told
@@ -88,9 +91,10 @@ class Scaling(msgspec.Struct, frozen=True):
 class Mechanisms(msgspec.Struct, frozen=True):
     """What one head says of every architecture in full and without one mechanism, on the same worlds.
 
-    rows: one per architecture, mechanism and metric, as `statistics/mechanism_differences` has it, with interval, is_marked (it excludes 0) and stands
-    (p adjusted over all these tests is below 0.05).
-    parameters_sha256: the SHA-256 of the constants as these runs record them, mostly one: runs whose constants have the same values stand together.
+    rows: one per architecture, mechanism and metric, as `statistics/mechanism_differences` has it, with interval,
+    is_marked (it excludes 0) and stands (p adjusted over all these tests is below 0.05).
+    parameters_sha256: the SHA-256 of the constants as these runs record them, mostly one: runs whose constants have the
+    same values stand together.
     """
 
     told: Told
@@ -101,27 +105,38 @@ class Mechanisms(msgspec.Struct, frozen=True):
 class Findings(msgspec.Struct, frozen=True):
     """All that one head of a ledger has to say.
 
-    cells: 24 rows metric x architecture: paper (stored units), paper_printed, mean, sd, n, ci_low, ci_high, denominator,
-        published_convention_mean, interval, difference (its 90 % interval), distance (in margins), gives, power, share and could (`verdicts.Comparison`);
-        None where the ledger has no runs.
-    tests: 24 rows metric x comparison: t, p, cohens_d, p_holm, wilcoxon_p, n and paper_t, paper_p, paper_d, paper_level; None likewise;
-        effect and effect_interval (d unsigned, its interval turned likewise), pooled_* and pooled_interval where the metric is pooled.
+    cells: 24 rows metric x architecture: paper (stored units), paper_printed, mean, sd, n, ci_low, ci_high,
+        denominator, published_convention_mean, interval, difference (its 90 % interval), distance (in margins), gives,
+        power, share and could (`verdicts.Comparison`); None where the ledger has no runs.
+    tests: 24 rows metric x comparison: t, p, cohens_d, p_holm, wilcoxon_p, n and paper_t, paper_p, paper_d,
+        paper_level; None likewise; effect and effect_interval (d unsigned, its interval turned likewise), pooled_* and
+        pooled_interval where the metric is pooled.
     scenarios: 24 rows metric x architecture with one mean per scenario and one over all of them.
-    rule: one row per metric: margin (stored units), and for each architecture the chance to find a number equivalent that is exactly the printed one.
-    table_share: how many of the experiments that are drawn from the runs print a table as far out as the paper's, None where none are drawn.
-    others: means of the runs that were made otherwise (configuration, fleet size, seed, kind, model, constants), one column per metric.
+    rule: one row per metric: margin (stored units), and for each architecture the chance to find a number equivalent
+    that is exactly the printed one.
+    table_share: how many of the experiments that are drawn from the runs print a table as far out as the paper's, None
+    where none are drawn.
+    others: means of the runs that were made otherwise (configuration, fleet size, seed, kind, model, constants), one
+    column per metric.
     runs: one row per architecture, configuration and fleet size: runs, scenarios, seeds, run_low, run_high.
-    parameters: the constants of the runs in the tables by dotted name, and their SHA-256 as the runs record it (`models` counts all sets of the ledger).
-    features: one row per architectural feature: the paper's grade and ours for each architecture, its grades of the systems that were not run, the verdict.
+    parameters: the constants of the runs in the tables by dotted name, and their SHA-256 as the runs record it
+    (`models` counts all sets of the ledger).
+    features: one row per architectural feature: the paper's grade and ours for each architecture, its grades of the
+    systems that were not run, the verdict.
     evidence: one row per feature and architecture: grade and what it rests on.
-    background: one row per architecture: how much of what is counted is routine, how much of what is not attributable is a supervisor off shift.
-    cases: one row per number of the paper's four cases: its words and number, ours in both readings; empty where no run is of their scenarios.
+    background: one row per architecture: how much of what is counted is routine, how much of what is not attributable
+    is a supervisor off shift.
+    cases: one row per number of the paper's four cases: its words and number, ours in both readings; empty where no run
+    is of their scenarios.
     completeness: whether all that was planned is there, as a clause.
-    workflows, ablation, scaling, mechanisms: what another ledger, or this one, says of the paper's workflows, of FSAR without a mechanism, of larger
-        fleets, and of what each mechanism of any architecture carries; None without one.
-    multiverse: the cells under every reading of the text; None where that was not asked for, or the runs are not those of the paper's tables.
-    model_version: that of the runs in the tables; shown: which runs these are, where the ledger holds others of their configuration and fleet size.
-    unjudged: in words, which numbers no verdict compares with the printed tables, since they are over other runs, and which these are; None where none are.
+    workflows, ablation, scaling, mechanisms: what another ledger, or this one, says of the paper's workflows, of FSAR
+        without a mechanism, of larger fleets, and of what each mechanism of any architecture carries; None without one.
+    multiverse: the cells under every reading of the text; None where that was not asked for, or the runs are not those
+    of the paper's tables.
+    model_version: that of the runs in the tables; shown: which runs these are, where the ledger holds others of their
+    configuration and fleet size.
+    unjudged: in words, which numbers no verdict compares with the printed tables, since they are over other runs, and
+    which these are; None where none are.
     differing: in words, the pairs of runs that are left out since they met different worlds.
     """
 
@@ -165,7 +180,10 @@ def significance_level(p: float) -> str:
 
 
 def with_agreement(test: Row, *, is_judged: bool = True) -> Row:
-    """The test with `sign_agrees`, `level` and `level_agrees` against the paper's row; None where the ledger has no test, or none that is judged."""
+    """Return the test with `sign_agrees`, `level` and `level_agrees` against the paper's row.
+
+    None where the ledger has no test, or none that is judged.
+    """
     if test["t"] is None or test["p"] is None or not is_judged:
         return test | {"sign_agrees": None, "level": None, "level_agrees": None}
     level = significance_level(test["p"])

@@ -15,12 +15,13 @@ import msgspec
 from fsar_ledger.metrics import verdicts
 from fsar_ledger.metrics.comparing import differing_worlds
 from fsar_ledger.metrics.database import Database, connect
+from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.models import models
 from fsar_ledger.metrics.multiverse import Multiverse
 from fsar_ledger.metrics.odds import Cell, Odds, odds
 from fsar_ledger.metrics.plans import completeness
 from fsar_ledger.metrics.results import MetricRow, StatisticRow, metric_rows, statistic_rows
-from fsar_ledger.report import cases, everyway, marks, printing, specs, whole
+from fsar_ledger.report import cases, everyway, grades, printing, specs, whole
 from fsar_ledger.report.findings import (
     ARCHITECTURES,
     COMPARISONS,
@@ -49,12 +50,15 @@ QUERIES = (
 )  # what the report reads; the rest is what these read
 
 Setting: TypeAlias = tuple[str | None, int | None, int | None, str, str | None, str | None, str | None]
-"""Configuration, fleet size, seed (None: all seeds), kind, source, model version and differing constants of runs that were made alike."""
+"""What runs that were made alike have in common.
+
+Configuration, fleet size, seed (None: all seeds), kind, source, model version and differing constants.
+"""
 
 SETTING = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
 """Its names in `CHOSEN_SQL`."""
 
-METRICS = tuple(spec.name for spec in specs.metrics())
+METRICS = tuple(spec.name for spec in published_metrics())
 
 MAX_SPANS = 20
 """Ranges of seeds that a cell of a table lists."""
@@ -127,7 +131,10 @@ def _setting(row: MetricRow | StatisticRow) -> Setting:
 
 
 def _main(rows: Iterable[MetricRow]) -> Setting | None:
-    """The setting of the report's tables: the full configuration with four robots, and of several such the one with most runs, the first of equals."""
+    """Return the setting of the report's tables: the full configuration with four robots.
+
+    Of several such the one with most runs, the first of equals.
+    """
     runs: Counter[Setting] = Counter()
     for row in rows:
         if (row.configuration, row.fleet_size) == (MAIN_CONFIGURATION, MAIN_FLEET_SIZE):
@@ -136,7 +143,7 @@ def _main(rows: Iterable[MetricRow]) -> Setting | None:
 
 
 def _otherwise(setting: Setting, main: Setting | None) -> str | None:
-    """In what other rows differ from the tables beside configuration and fleet size, in words; None where in nothing."""
+    """Say in what other rows differ from the tables beside configuration and fleet size; None where in nothing."""
     _, _, seed, kind, source, model_version, constants = setting
     said = (
         f"seed {seed}",
@@ -164,14 +171,14 @@ def _cells(rows: Iterable[MetricRow], apart: Collection[str], drawn: Odds[Cell] 
     }
     printed = {(row["metric"], row["architecture"]): row["mean"] for row in specs.paper_table("results")}
     cells = []
-    for spec in specs.metrics():
+    for spec in published_metrics():
         for architecture in ARCHITECTURES:
             key = (spec.name, architecture)
             row, paper = found.get(key), verdicts.published()[key].value
             cell = msgspec.structs.asdict(row) if row is not None else _blank(MetricRow)
             beside = {
                 "paper": paper,
-                "paper_printed": printed[spec.result, architecture.upper()],
+                "paper_printed": printed[spec.printed.results, architecture.upper()],
                 "interval": _interval(cell),
             }
             cells.append(cell | {"metric": spec.name, "architecture": architecture} | beside | _judged(judged.get(key)))
@@ -202,9 +209,9 @@ def _tests(rows: Iterable[StatisticRow], apart: Collection[str]) -> tuple[Row, .
     found = {(row.metric, row.comparison): row for row in rows}
     printed = {(row["metric"], row["comparison"]): row for row in specs.paper_table("significance")}
     tests = []
-    for spec in specs.metrics():
+    for spec in published_metrics():
         for comparison in COMPARISONS:
-            paper = printed[spec.significance, " vs ".join(comparison.upper().split("-"))]
+            paper = printed[spec.printed.significance, " vs ".join(comparison.upper().split("-"))]
             row = found.get((spec.name, comparison))
             test = msgspec.structs.asdict(row) if row is not None else _blank(StatisticRow)
             beside = {
@@ -238,25 +245,31 @@ def _scenarios(overall: Iterable[MetricRow], by_scenario: Iterable[MetricRow]) -
     return tuple(
         {"metric": spec.name, "architecture": architecture}
         | {name: means.get((spec.name, architecture, name)) for name in (*SCENARIOS, "mean")}
-        for spec in specs.metrics()
+        for spec in published_metrics()
         for architecture in ARCHITECTURES
     )
 
 
 def _rule(cells: tuple[Row, ...]) -> tuple[Row, ...]:
-    """Margin of every metric, and the chance of each cell that its number is found equivalent where it is exactly the printed one."""
+    """Return the margin of every metric, and for each cell the power of the verdict.
+
+    That is the chance that a number which is exactly the printed one is found equivalent.
+    """
     power = {(row["metric"], row["architecture"]): row["power"] for row in cells}
     return tuple(
         {"metric": spec.name, "margin": verdicts.MARGINS[spec.name]}
         | {name: power[spec.name, name] for name in ARCHITECTURES}
-        for spec in specs.metrics()
+        for spec in published_metrics()
     )
 
 
 def _odds(
     database: Database, main: Setting | None, runs_held: Mapping[str, Mapping[str | None, int]]
 ) -> Odds[Cell] | None:
-    """How likely the printed table is among experiments that are drawn from the main runs; None where they are fewer than one such experiment."""
+    """Return how likely the printed table is among experiments that are drawn from the main runs.
+
+    None where they are fewer than one such experiment.
+    """
     if main is None or any(count < PAPER_RUNS for held in runs_held.values() for count in held.values()):
         return None
     drawn: dict[Cell, list[float | None]] = {}
@@ -321,7 +334,10 @@ def _span(low: int, high: int) -> str:
 
 
 def _models(database: Database, main: Setting | None) -> tuple[tuple[Row, ...], dict[str, str], str | None]:
-    """The sets of constants in the ledger, that of the main runs (without any: of the first run that says some) by dotted name, and its SHA-256."""
+    """Return the sets of constants in the ledger, that of the main runs by dotted name, and its SHA-256.
+
+    Without main runs, that of the first run that says some.
+    """
     found = models(database)
     ours = [one for one in found if main is not None and (one.source, one.model_version, one.constants) == main[4:]]
     rows: tuple[Row, ...] = tuple(
@@ -354,12 +370,14 @@ def gather(
 ) -> Findings:
     """All that the ledger's present head has to say, and those of the ledgers beside it, that of workflows among them.
 
-    The tables are of one setting: configuration, fleet size, kind, model, constants and seed; of all seeds if they are asked for together.
-    Where a newest record is demanded, of no other head; `beside` says which of each other ledger, None: any.
-    `reads_every_way` asks for the multiverse of readings, too, which costs as much as all the rest of the results.
+    The tables are of one setting: configuration, fleet size, kind, model, constants and seed; of all seeds if they are
+    asked for together. Where a newest record is demanded, of no other head; `beside` says which of each other ledger,
+    None: any. `reads_every_way` asks for the multiverse of readings, too, which costs as much as all the rest of the
+    results.
 
     Raises:
-        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `fsar_ledger.metrics.database.connect`; SequenceConflict, too.
+        NotALedger, FormatVersionMismatch, LedgerCorrupted: As `fsar_ledger.metrics.database.connect`; SequenceConflict,
+            too.
         QueryFailed: A packaged query fails on this ledger's data.
     """
     told = others(
@@ -402,7 +420,7 @@ def gather(
                 for query in sorted(needed, key=lambda query: query.name)
                 if _is_file(query.name)
             ),
-            features=marks.features(graded, apart),
+            features=grades.features(graded, apart),
             evidence=tuple(graded),
             background=background,
             cases=cases.beside(_of_setting(database.rows(CASES_SQL), main)),
@@ -429,7 +447,10 @@ def _read(database: Database, main: Setting | None, *, pools_seeds: bool) -> Mul
 
 
 def _shown(main: Setting | None, others: tuple[Row, ...]) -> str | None:
-    """Which runs the tables are of, in words, where the ledger holds others of the same configuration and size; None where they are of all such."""
+    """Say which runs the tables are of, where the ledger holds others of the same configuration and size.
+
+    None where they are of all such.
+    """
     if main is None or not any((row["configuration"], row["fleet_size"]) == main[:2] for row in others):
         return None
     _, _, seed, kind, source, model_version, constants = main
@@ -460,11 +481,14 @@ def _held(
 def _of_main(
     ledger: Path, demanded: str | None, database: Database, main: Setting | None, *, alone: bool
 ) -> tuple[list[Row], tuple[Row, ...]]:
-    """The marks and the background of the runs that the tables are of; what else the ledger holds has no part in them, and of no tables there are none."""
+    """Return the grades and the background of the tables' runs; of no tables there are none.
+
+    What else the ledger holds has no part in them.
+    """
     if main is None:
         return [], ()
     if alone and main[2] is not None:
-        return marks.graded(database), _background(database.rows(BACKGROUND_SQL))
+        return grades.graded(database), _background(database.rows(BACKGROUND_SQL))
     chosen = database.table(CHOSEN_SQL, dict(zip(SETTING, main, strict=True)))
     with connect(ledger, demanded=demanded) as narrowed:
         narrowed.hold("chosen_runs", chosen)
@@ -474,4 +498,4 @@ def _of_main(
             "runs",
             f"SELECT {seed} FROM ({narrowed.library.find('staging/runs').sql}) WHERE run_id IN (SELECT run_id FROM chosen_runs)",
         )
-        return marks.graded(narrowed), _background(narrowed.rows(BACKGROUND_SQL))
+        return grades.graded(narrowed), _background(narrowed.rows(BACKGROUND_SQL))

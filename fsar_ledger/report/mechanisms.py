@@ -1,4 +1,7 @@
-"""Which mechanism carries which number: each architecture in full beside itself without one mechanism, on the same worlds, metric by metric."""
+"""Which mechanism carries which number.
+
+Each architecture in full beside itself without one mechanism, on the same worlds, metric by metric.
+"""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -7,8 +10,9 @@ import msgspec
 
 from fsar_ledger.events.configuration import EVERY_MECHANISM, MECHANISMS_OF, ON_RECORD_ALONE, lacks, without
 from fsar_ledger.metrics.database import Database
+from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.metrics.plans import completeness
-from fsar_ledger.report import printing, specs
+from fsar_ledger.report import printing
 from fsar_ledger.report.findings import ARCHITECTURES, MAIN_FLEET_SIZE, Findings, Mechanisms, Row, Told
 from fsar_ledger.report.sections import Sourced
 
@@ -26,6 +30,7 @@ ROWS_SQL = f"""
     SELECT *
     FROM {QUERY.partition("/")[2]}
     WHERE pools_seeds = $pooled AND fleet_size = $fleet_size AND list_contains($configurations, configuration)
+        AND metric IN (SELECT metric FROM metric_definitions WHERE is_published)
 """
 DIGESTS_SQL = """
     SELECT DISTINCT runs.parameters_sha256
@@ -37,7 +42,10 @@ DIGESTS_SQL = """
 
 
 def mechanisms_of(database: Database, *, pools_seeds: bool = False) -> Mechanisms | None:
-    """What each mechanism adds to each metric, in the setting with most of them; None where the ledger holds no architecture without one."""
+    """Return what each mechanism adds to each metric, in the setting with most of them.
+
+    None where the ledger holds no architecture without one.
+    """
     chosen: dict[str, Any] = {
         "fleet_size": MAIN_FLEET_SIZE,
         "configurations": [without([name]) for name in EVERY_MECHANISM],
@@ -59,7 +67,10 @@ def mechanisms_of(database: Database, *, pools_seeds: bool = False) -> Mechanism
 
 
 def _named(row: Row) -> Row:
-    """The row with its mechanism, its interval as one, whether that excludes 0, and whether the difference stands beside all others that are tested."""
+    """Return the row with its mechanism, its interval as one, whether that excludes 0, whether it stands.
+
+    It stands if it does beside all others that are tested.
+    """
     [mechanism] = lacks(row["configuration"])
     interval = None if row["ci_low"] is None or row["ci_high"] is None else (row["ci_low"], row["ci_high"])
     is_marked = interval is not None and not interval[0] <= 0 <= interval[1]
@@ -74,12 +85,13 @@ def _place(row: Row) -> tuple[int, int, int]:
 
 
 def carried(found: Mechanisms) -> list[Row]:
-    """One row for each cell of the results table: the mechanism that carries most of it, the further ones, and how many it was asked of.
+    """Return a row for each cell of the results table: what carries most of it, the further ones, how many were asked.
 
-    `mean` and `n` are of the pairs of that mechanism, or of the one with most pairs; a further one that is of another number of pairs says so.
+    `mean` and `n` are of the pairs of that mechanism, or of the one with most pairs; a further one that is of another
+    number of pairs says so.
     """
     cells = []
-    for spec in specs.metrics():
+    for spec in published_metrics():
         for architecture in ARCHITECTURES:
             asked = [row for row in found.rows if (row["metric"], row["architecture"]) == (spec.name, architecture)]
             bearing = sorted((row for row in asked if row["stands"]), key=lambda row: -abs(row["mean_difference"]))
@@ -100,7 +112,7 @@ def carried(found: Mechanisms) -> list[Row]:
 
 
 def _others(rows: Sequence[Row], pairs: int | None) -> str | None:
-    """The next mechanisms in words, with what they add, and over how many pairs where it is not over so many as the first."""
+    """Name the next mechanisms, with what they add, and over how many pairs where not over as many as the first."""
     told = []
     for row in rows[:MAX_OTHERS]:
         of = "" if row["n"] == pairs else f" (of {printing.integer(row['n'])} pairs)"
@@ -134,7 +146,10 @@ def tables(findings: Findings, sourced: Sourced) -> dict[str, printing.Table]:
 
 
 def _wide(rows: Iterable[Row], source: str) -> printing.Table:
-    """One row for each mechanism, with a column for each metric: what the mechanism adds, and below it the interval; strong where that excludes 0."""
+    """Return a row for each mechanism, with a column for each metric: what it adds, and below it the interval.
+
+    In bold where the interval excludes 0.
+    """
     lines: dict[tuple[str, str], dict[str, Any]] = {}
     for row in rows:
         line = lines.setdefault(
@@ -143,7 +158,7 @@ def _wide(rows: Iterable[Row], source: str) -> printing.Table:
         )
         line[row["metric"]] = row
         line["n"] = max(line["n"], row["n"])
-    blank = dict.fromkeys(spec.name for spec in specs.metrics())
+    blank = dict.fromkeys(spec.name for spec in published_metrics())
     plain = printing.table("mechanism-differences", [blank | line for line in lines.values()], source)
     return msgspec.structs.replace(plain, rows=tuple(tuple(map(_difference, row)) for row in plain.rows))
 

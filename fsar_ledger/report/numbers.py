@@ -1,8 +1,8 @@
-"""Every number that the paper's result tables print, with its class and what became of it: what the first page counts and shows.
+"""Every number that the paper's result tables print, with its class and what became of it, for the first page.
 
-Nothing is judged here: the answers are those of the tables (`gives`, the signs and levels of the tests), by the rules that were registered. A number
-that the paper's own text excludes does not stand, whatever the runs say; one that hangs on a dial that the text leaves open is not judged, but has the
-range that the dial gives.
+Nothing is judged here: the answers are those of the tables (`gives`, the signs and levels of the tests), by the rules
+that were registered. A number that the paper's own text excludes does not stand, whatever the runs say; one that hangs
+on a dial that the text leaves open is not judged, but has the range that the dial gives.
 """
 
 from collections import Counter
@@ -35,9 +35,10 @@ ALL = "all"
 def numbers(findings: Findings, *, is_fitted: bool = True) -> tuple[Row, ...]:
     """One row for each printed number of the tables whose runs are there, in the paper's order.
 
-    Columns: table, metric, architecture, configuration, fleet_size, scenario, comparison, case (None where they tell nothing), class, printed (as the
-    paper has it), paper, ours, n, interval, difference (90 %), margin, distance and reach (the 90 % interval, or what an open dial gives; both in
-    margins), gives, share, could, outcome. `is_fitted` False: the fit was of another model, so no number counts as fitted.
+    Columns: table, metric, architecture, configuration, fleet_size, scenario, comparison, case (None where they tell
+    nothing), class, printed (as the paper has it), paper, ours, n, interval, difference (90 %), margin, distance and
+    reach (the 90 % interval, or what an open dial gives; both in margins), gives, share, could, outcome. `is_fitted`
+    False: the fit was of another model, so no number counts as fitted.
     """
     rows = [
         _row("results", row, _class(row, is_fitted=is_fitted))
@@ -70,7 +71,10 @@ def _class(row: Row, *, is_fitted: bool) -> str:
 
 
 def _dialled(row: Row, curve: Iterable[Row], *further: str) -> list[float | None]:
-    """Our means of this number at every place of the dial that the text leaves open; `further` names what is the same all over the dial, beside the usual."""
+    """Return our means of this number at every place of the dial that the text leaves open.
+
+    `further` names what is the same all over the dial, beside the usual.
+    """
     same = ("metric", "architecture", "configuration", "scenario", *further)
     return [point["mean"] for point in curve if all(point[name] == row[name] for name in same)]
 
@@ -101,7 +105,10 @@ def _outcome(kind: str, gives: str | None) -> str:
 
 
 def _case(row: Row) -> Row:
-    """A number of a case: decided where a mechanism restates it, so that no chance is in it; for the others no margin was registered."""
+    """Return a number of a case: decided where a mechanism restates it, so that no chance is in it.
+
+    For the others no margin was registered.
+    """
     paper, ours = 1.0 if row["paper"] == ALL else float(row["paper"]), row["value"]
     is_exact = row["class"] == BY_CONSTRUCTION and ours is not None
     told = {name: row[name] for name in ("case", "architecture", "class")} | {
@@ -153,7 +160,7 @@ def missing(rows: Iterable[Row]) -> list[str]:
 
 
 def tally(rows: Sequence[Row]) -> list[Row]:
-    """One row for each table and class: how many numbers are printed, and what became of them; then one for all of them."""
+    """Return a row for each table and class, then one for all: how many numbers there are, what became of them."""
     counts: dict[tuple[str, str], Counter[str]] = {}
     for table in TABLES:
         for row in rows:
@@ -170,7 +177,10 @@ def _counted(counts: Mapping[str, int]) -> Row:
 
 
 def said(rows: Sequence[Row]) -> dict[str, Any]:
-    """What the three sentences of the first page count: what stands, what does not, what cannot be decided, by class; and what is not there."""
+    """Return what the three sentences of the first page count.
+
+    What stands, what does not, what cannot be decided, by class; and what is not there.
+    """
     of = {outcome: [row for row in rows if row["outcome"] == outcome] for outcome in OUTCOMES}
     outside = [row for row in of[OPEN] if row["reach"] is not None and (row["reach"][0] > 1 or row["reach"][1] < -1)]
     told = [row for row in of[OPEN] if row["reach"] is not None]

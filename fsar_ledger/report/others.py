@@ -1,4 +1,7 @@
-"""What other ledgers than that of the results have to say: each is asked what it holds, and gives the sections of the report that this makes."""
+"""What other ledgers than that of the results have to say.
+
+Each is asked what it holds, and gives the sections of the report that this makes.
+"""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -7,7 +10,7 @@ import msgspec
 
 from fsar_ledger.errors import UsageError
 from fsar_ledger.metrics.database import Database, connect
-from fsar_ledger.report import beside, marks, mechanisms
+from fsar_ledger.report import beside, grades, mechanisms
 from fsar_ledger.report.findings import Ablation, Mechanisms, Scaling, Workflows
 
 WORKFLOWS_SQL = "SELECT count(*) AS runs FROM runs WHERE list_contains($names, scenario)"
@@ -27,7 +30,7 @@ class Others(msgspec.Struct, frozen=True):
             *(beside.QUERIES if self.ablation or self.scaling else ()),
             *(mechanisms.QUERIES if self.mechanisms else ()),
         )
-        return (*(marks.QUERIES if self.workflows else ()), *further)
+        return (*(grades.QUERIES if self.workflows else ()), *further)
 
     def over(self, other: "Others") -> "Others":
         """These, and of the other ones what is missing here."""
@@ -35,7 +38,9 @@ class Others(msgspec.Struct, frozen=True):
 
 
 def others(ledgers: Mapping[Path, str | None], workflows: Path | None = None, *, pools_seeds: bool = False) -> Others:
-    """What these ledgers say, each at the newest record that is demanded of it (None: any); of two that hold the same, the first.
+    """Return what these ledgers say, each at the newest record that is demanded of it (None: any).
+
+    Of two that hold the same, the first.
 
     `workflows` is one of them, if any, and has to hold workflows.
 
@@ -46,13 +51,13 @@ def others(ledgers: Mapping[Path, str | None], workflows: Path | None = None, *,
     found = Others()
     for ledger, demanded in ledgers.items():
         if ledger == workflows:
-            found = found.over(Others(workflows=marks.workflows(ledger, demanded)))
+            found = found.over(Others(workflows=grades.workflows(ledger, demanded)))
             continue
         with connect(ledger, demanded=demanded) as database:
             here = held(database, pools_seeds=pools_seeds)
-            has_workflows = database.rows(WORKFLOWS_SQL, {"names": list(marks.WORKFLOWS)})[0]["runs"] > 0
+            has_workflows = database.rows(WORKFLOWS_SQL, {"names": list(grades.WORKFLOWS)})[0]["runs"] > 0
         if has_workflows:
-            here = Others(workflows=marks.workflows(ledger, demanded)).over(here)
+            here = Others(workflows=grades.workflows(ledger, demanded)).over(here)
         if here == Others():
             raise UsageError(
                 f"--with {ledger}: found no run of a workflow, without a mechanism, or of another fleet than of four robots, "

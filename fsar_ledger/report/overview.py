@@ -1,9 +1,13 @@
-"""The figure of the first page: every printed number that has a margin, at its distance from ours. Same rows, same bytes."""
+"""The figure of the first page: every printed number that has a margin, at its distance from ours.
+
+Same rows, same bytes.
+"""
 
 import math
 from collections.abc import Sequence
 from typing import Any
 
+from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.report import figures, specs
 from fsar_ledger.report.curves import MARKERS
 from fsar_ledger.report.findings import Row
@@ -28,7 +32,9 @@ SPREAD = 0.76
 
 
 def overview(rows: Sequence[Row], kind: str = "svg") -> bytes:
-    """One panel for each table that is there: a point for each number, in margins of its metric, with its 90 % interval, or the range of an open dial.
+    """Draw a panel for each table that is there: a point for each number, in margins of its metric.
+
+    With its 90 % interval, or the range of an open dial.
 
     Rows: those of `numbers.numbers`.
     """
@@ -41,7 +47,7 @@ def overview(rows: Sequence[Row], kind: str = "svg") -> bytes:
         for title, tables in PANELS.items()
     }
     shown = {title: found for title, found in shown.items() if found} or {next(iter(PANELS)): []}
-    metrics = [spec.name for spec in specs.metrics()]
+    metrics = [spec.name for spec in published_metrics()]
     with figures.canvas(specs.figure("overview"), 1, len(shown), sharey=True) as (figure, axes):
         for panel, (title, found) in zip(axes.flat, shown.items(), strict=True):
             _grounds(panel, len(metrics))
@@ -56,7 +62,7 @@ def overview(rows: Sequence[Row], kind: str = "svg") -> bytes:
             panel.minorticks_off()
             panel.set_ylim(len(metrics) - 0.5, -0.5)
             panel.tick_params(axis="y", length=0)
-        axes[0, 0].set_yticks(range(len(metrics)), [spec.short for spec in specs.metrics()])
+        axes[0, 0].set_yticks(range(len(metrics)), [spec.short for spec in published_metrics()])
         axes[0, len(shown) // 2].set_xlabel("(ours − paper) / margin: linear up to 1, logarithmic beyond")
         figure.legend(
             handles=_legend(), loc="outside lower center", ncols=7, frameon=False, handletextpad=0.4, columnspacing=1.3
@@ -73,7 +79,10 @@ def _grounds(panel: Any, lines: int) -> None:
 
 
 def _number(panel: Any, row: Row, height: float) -> None:
-    """A point and its interval; what an open dial gives is a range without a point. An arrow at the edge: the number, or its range, goes farther."""
+    """A point and its interval; what an open dial gives is a range without a point.
+
+    An arrow at the edge: the number, or its range, goes farther.
+    """
     colour = figures.COLOURS[row["architecture"]]
     ends = [*(row["reach"] or ()), *([] if row["outcome"] == OPEN else [row["distance"]])]
     for edge, caret in ((-REACH, CARETLEFTBASE), (REACH, CARETRIGHTBASE)):
@@ -109,7 +118,10 @@ def _number(panel: Any, row: Row, height: float) -> None:
 
 
 def _look(outcome: str, colour: str) -> dict[str, Any]:
-    """Filled where the number stands, hollow where it does not, grey where it is undecided: told apart without colour."""
+    """Return the style: filled where the number stands, hollow where it does not, grey where it is undecided.
+
+    They are told apart without colour.
+    """
     fill = {STANDS: colour, UNDECIDED: "#bbbbbb"}.get(outcome, "white")
     return {
         "markersize": 4.4,

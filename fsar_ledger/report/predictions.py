@@ -1,4 +1,7 @@
-"""What became of the predictions that were registered before they were run: `reports/comparison.json`, where it is of the report's model."""
+"""What became of the predictions that were registered before they were run.
+
+That is `reports/comparison.json`, where it is of the report's model.
+"""
 
 from collections.abc import Sequence
 from importlib.resources import files
@@ -13,7 +16,7 @@ from fsar_ledger.report.printing import flat
 
 
 class Record(msgspec.Struct, frozen=True):
-    """The model that the predictions were made and judged with, and what became of each, in the order of the registration."""
+    """The model that predictions were judged with, and what became of each, in the order of the registration."""
 
     model_version: str
     parameters: str
@@ -21,7 +24,9 @@ class Record(msgspec.Struct, frozen=True):
 
 
 def outcomes(findings: Findings, folder: Traversable | None = None) -> list[Row]:
-    """One row for each prediction; none where the record in this folder (default: the packaged one) is absent, or of another model or constants.
+    """Return a row for each prediction.
+
+    None where the record in this folder (default: the packaged one) is absent, or of another model or constants.
 
     Raises: FsarLedgerError when the file is there and is not such a record.
     """
@@ -44,7 +49,7 @@ def outcomes(findings: Findings, folder: Traversable | None = None) -> list[Row]
 
 
 def said(rows: Sequence[Row]) -> Row | None:
-    """How many hold, how many do not, and of how many it cannot be told, by name, in a sentence for the first page; None without predictions."""
+    """Say for the first page which hold, which do not, and of which it cannot be told; None without predictions."""
     if not rows:
         return None
     kept, failed, open_ones = (

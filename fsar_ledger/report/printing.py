@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 
 from fsar_ledger import printable
+from fsar_ledger.metrics.definitions import metric_named
 from fsar_ledger.report import specs
 
 NOTHING = "–"
@@ -73,8 +74,8 @@ def probability(value: float) -> str:
 
 def in_metric(name: str, value: float) -> str:
     """The value of a metric in its printed unit."""
-    spec = specs.metric(name)
-    return number(value * spec.scale, spec.decimals)
+    spec = metric_named(name)
+    return number(value * spec.factor, spec.decimals)
 
 
 def _interval(value: Sequence[float], name: str) -> str:
@@ -83,12 +84,15 @@ def _interval(value: Sequence[float], name: str) -> str:
 
 
 def _counted(value: float, name: str) -> str:
-    counted = specs.metric(name).counted
+    counted = metric_named(name).counted
     return f"{integer(value)} {counted.removesuffix('s') if value == 1 else counted}"
 
 
 def words(value: object, most: int = MAX_WORDS) -> str:
-    """The text as a page shows it: escaped but for the thin spaces of our numbers, and cut where it is longer than any of ours."""
+    """Return the text as a page shows it.
+
+    Escaped but for the thin spaces of our numbers, and cut where it is longer than any of ours.
+    """
     text = str(value)
     cut = text if len(text) <= most else f"{text[:most]}... ({len(text) - most:,} more)"
     return THIN_SPACE.join(printable.value(part, len(part)) for part in cut.split(THIN_SPACE))
@@ -106,8 +110,8 @@ FORMATS: Mapping[str, Formatter] = {
     "code": lambda value, _column, _row: words(value),
     "architecture": lambda value, _column, _row: words(value).upper(),
     "pair": lambda value, _column, _row: " vs ".join(words(value).upper().split("-")),
-    "title": lambda value, _column, _row: specs.metric(str(value)).title,
-    "short": lambda value, _column, _row: specs.metric(str(value)).short,
+    "title": lambda value, _column, _row: metric_named(str(value)).title,
+    "short": lambda value, _column, _row: metric_named(str(value)).short,
     "configuration": lambda value, _column, _row: configuration(words(value)),
     "scenario": lambda value, _column, _row: words(value).replace("-", " ").capitalize(),
     "number": lambda value, column, _row: number(value, column.digits),

@@ -20,7 +20,10 @@ GIVEN = "given"
 
 
 def origins() -> dict[str, str]:
-    """The word for each constant by dotted name, in the order of the file; "" where its type says none, or more than one."""
+    """Return the word for each constant by dotted name, in the order of the file.
+
+    "" where its type says none, or more than one.
+    """
     found: dict[str, str] = {}
     groups = {name: kind for name, kind in _hints(constants.Constants).items() if name not in constants.DESIGNS}
     for group, kind in groups.items():

@@ -1,4 +1,7 @@
-"""Everything that the report says in numbers, for programs: `reproduction.json` beside the PDF. Same heads and versions, same bytes."""
+"""Everything that the report says in numbers, for programs: `reproduction.json` beside the PDF.
+
+Same heads and versions, same bytes.
+"""
 
 import platform
 from collections.abc import Mapping, Sequence
@@ -21,7 +24,10 @@ def versions() -> dict[str, str]:
 
 
 def reproduction(findings: Findings, counted: Sequence[Row]) -> bytes:
-    """The file: heads, model, all printed numbers beside ours (`numbers.numbers`), the tests, the multiverse, the digests of the queries.
+    """Return the text of the file.
+
+    Heads, model, all printed numbers beside ours (`numbers.numbers`), the tests, the multiverse, the digests of the
+    queries.
 
     Values are in the units of the queries, shares in [0, 1]; null is what is undefined, not judged or not drawn.
     """

@@ -5,6 +5,7 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
+from fsar_ledger.metrics.definitions import metric_named
 from fsar_ledger.report import curves, printing, specs
 from fsar_ledger.report.findings import ARCHITECTURES, Findings, Row, Told
 from fsar_ledger.report.printing import Table
@@ -83,7 +84,10 @@ def _dialled(findings: Findings) -> list[Row]:
 
 
 def ablation(findings: Findings) -> dict[str, Any] | None:
-    """What the sentences on the ablations say: counts of answers, where the dial gives the printed numbers, what cannot follow and why."""
+    """Return what the sentences on the ablations say.
+
+    Counts of answers, where the dial gives the printed numbers, what cannot follow and why.
+    """
     found = findings.ablation
     if found is None:
         return None
@@ -114,7 +118,10 @@ def ablation(findings: Findings) -> dict[str, Any] | None:
 
 
 def scaling(findings: Findings) -> dict[str, Any] | None:
-    """What the sentences on larger fleets say: counts of answers, where the printed numbers lie between the ends of the load, and which load they need."""
+    """Return what the sentences on larger fleets say.
+
+    Counts of answers, where the printed numbers lie between the ends of the load, and which load they need.
+    """
     found = findings.scaling
     if found is None:
         return None
@@ -168,6 +175,6 @@ def _named(row: Row) -> dict[str, str]:
     """A cell in words: its metric, configuration and scenario, and the printed number."""
     where = "" if row["scenario"] is None else f", {row['scenario'].replace('-', ' ')}"
     return {
-        "title": f"{specs.metric(row['metric']).title}, {printing.configuration(row['configuration'])}{where}",
+        "title": f"{metric_named(row['metric']).title}, {printing.configuration(row['configuration'])}{where}",
         "paper": row["paper_printed"],
     }

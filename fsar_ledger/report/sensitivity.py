@@ -1,4 +1,4 @@
-"""The file that `fsar-ledger sensitivity` writes, for whoever reads it: its rows, which model it is of, the figure and the table of it."""
+"""The file that `fsar-ledger sensitivity` writes: its rows, which model it is of, the figure and the table of it."""
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 
 from fsar_ledger import printable
 from fsar_ledger.errors import UsageError
+from fsar_ledger.metrics.definitions import published_metrics
 from fsar_ledger.parameters import BadParameters, read_parameters
 from fsar_ledger.report import figures, printing, specs
 
@@ -25,12 +26,13 @@ MAX_NAMED = 5  # constants that differ, in a message
 
 
 class Effect(msgspec.Struct, frozen=True, kw_only=True):
-    """What one factor does to one cell when it goes over its whole range, `low` to `high`; a switch of two settings, from one to the other.
+    """What one factor does to one cell over its whole range, `low` to `high`; a switch, from one setting to the other.
 
-    `mu`, `mu_star`, `sigma` and `mu_star_conf` (half of the 95 % interval of `mu_star`) are in the metric's unit, over `effects` moves; `by_chance`
-    is what `mu_star` would be at most if nothing but chance moved the cell; the same divided by the metric's margin in the columns `_margins`.
-    `sobol_first` and `sobol_total` are parts of the cell's variance while the factors that matter most vary together, `emulator_r2` says how well
-    the polynomial that they come from predicts points it has not seen. None: the cell was undefined there, or the factor is none of those.
+    `mu`, `mu_star`, `sigma` and `mu_star_conf` (half of the 95 % interval of `mu_star`) are in the metric's unit, over
+    `effects` moves; `by_chance` is what `mu_star` would be at most if nothing but chance moved the cell; the same
+    divided by the metric's margin in the columns `_margins`. `sobol_first` and `sobol_total` are parts of the cell's
+    variance while the factors that matter most vary together, `emulator_r2` says how well the polynomial that they come
+    from predicts points it has not seen. None: the cell was undefined there, or the factor is none of those.
     """
 
     metric: str
@@ -83,7 +85,7 @@ class Sensitivity(msgspec.Struct, frozen=True):
 
 
 class Section(msgspec.Struct, frozen=True):
-    """What the report has to say: a sentence, and if there are effects of its runs the heat map (SVG) and the table of the dozen."""
+    """What the report has to say: a sentence, the heat map of its effects (SVG) and the table of the dozen."""
 
     sentence: str
     figure: bytes | None = None
@@ -103,7 +105,7 @@ def table_of(found: Sensitivity) -> pa.Table:
 
 
 def read_sensitivity(path: Path, model_version: str, parameters: str) -> Sensitivity:
-    """The effects in the file, which must be of this model around these constants (as `RunStarted.parameters` holds them).
+    """Read the effects in the file, of this model around these constants (as `RunStarted.parameters` holds them).
 
     Raises:
         UsageError: The file cannot be read, is another file, or of another model or other constants.
@@ -123,7 +125,10 @@ def read_sensitivity(path: Path, model_version: str, parameters: str) -> Sensiti
 
 
 def section(found: Sensitivity | None, model_version: str | None, digests: Collection[str]) -> Section:
-    """What a report about runs of this model has to say of how much hangs on what; their constants have one of these SHA-256, as a ledger records them."""
+    """Return what a report about runs of this model has to say of how much hangs on what.
+
+    Their constants have one of these SHA-256, as a ledger records them.
+    """
     if found is None:
         return Section(
             f"How much of each number hangs on each constant was not looked at for this report; {MADE_BY} does it, in most of an hour."
@@ -161,7 +166,7 @@ def open_effects(path: Path) -> Sensitivity:
         ) from error
     grid = {
         (spec.name, architecture, factor)
-        for spec in specs.metrics()
+        for spec in published_metrics()
         for architecture in ARCHITECTURES
         for factor in about.factors
     }
@@ -192,7 +197,10 @@ def _of_another_model(about: About, expected: str | None) -> str:
 
 
 def reach(found: Sensitivity) -> dict[str, float]:
-    """How far each factor moves the cell that it moves furthest, in margins: the largest first, the order of the file where they are alike."""
+    """Return how far each factor moves the cell that it moves furthest, in margins, the largest first.
+
+    Where they are alike, in the order of the file.
+    """
     furthest = dict.fromkeys(found.about.factors, 0.0)
     for effect in found.effects:
         furthest[effect.factor] = max(furthest[effect.factor], effect.mu_star_margins or 0.0)
@@ -200,7 +208,9 @@ def reach(found: Sensitivity) -> dict[str, float]:
 
 
 def that_matter(found: Sensitivity, most: int) -> tuple[str, ...]:
-    """So many factors: the one that moves each metric furthest, then those that move any cell furthest, in margins; by their reach, the furthest first.
+    """Return so many factors: the one that moves each metric furthest, then those that move any furthest.
+
+    They stand by their reach, the furthest first.
 
     Else a metric with a narrow margin would fill the list, and of the others nothing would be known.
     """
@@ -214,7 +224,7 @@ def that_matter(found: Sensitivity, most: int) -> tuple[str, ...]:
 
 
 def dozen(found: Sensitivity) -> list[dict[str, Any]]:
-    """One row for each of the factors that matter most: which cell it moves furthest, how far, and what it has of that cell's variance."""
+    """Return a row for each factor that matters most: which cell it moves furthest, how far, its variance."""
     rows: list[dict[str, Any]] = []
     for name in found.about.dozen:
         of_factor = [effect for effect in found.effects if effect.factor == name]
@@ -240,14 +250,16 @@ def dozen(found: Sensitivity) -> list[dict[str, Any]]:
 
 
 def heat_map(found: Sensitivity, kind: str = "svg") -> bytes:
-    """The figure cell x factor: how far the factor moves the cell, in margins; dark is far, also in grey. A dot: no further than chance may.
+    """The figure cell x factor: how far the factor moves the cell, in margins; dark is far, also in grey.
+
+    A dot: no further than chance may.
 
     A cell that was undefined is crossed out.
     """
     shown = [name for name, furthest in reach(found).items() if furthest >= SHOWN_FROM][:MAX_SHOWN] or list(
         found.about.factors[:1]
     )
-    columns = [(spec.name, architecture) for spec in specs.metrics() for architecture in ARCHITECTURES]
+    columns = [(spec.name, architecture) for spec in published_metrics() for architecture in ARCHITECTURES]
     at = {(effect.factor, effect.metric, effect.architecture): effect for effect in found.effects}
     spec = msgspec.structs.replace(specs.figure("sensitivity"), height_in=1.7 + 0.135 * len(shown))
     with figures.canvas(spec, 1, 1) as (figure, axes):
@@ -258,7 +270,7 @@ def heat_map(found: Sensitivity, kind: str = "svg") -> bytes:
             range(len(columns)), [architecture.upper() for _, architecture in columns], rotation=90, fontsize=6
         )
         top = panel.secondary_xaxis("top")
-        titles = [one.short for one in specs.metrics()]
+        titles = [one.short for one in published_metrics()]
         top.set_xticks([3 * number + 1 for number in range(len(titles))], titles, rotation=25, ha="left", fontsize=7)
         for axis in (panel, top):
             axis.tick_params(length=0)

@@ -1,8 +1,8 @@
 """The story of a request and the recovery of a failure, drawn from the rows of their queries. Same rows, same bytes.
 
-What a ledger says is drawn escaped and cut (`figures.label`), and so much of it that a figure stays below a megabyte; the rest is counted.
-`sequence` draws life lines and messages (`queries/audit/request_story.sql`), `ladder` the levels of recovery
-(`queries/audit/failure_story.sql`). Lengths are in inches; the figure grows with what it has to show.
+What a ledger says is drawn escaped and cut (`figures.label`), and so much of it that a figure stays below a megabyte;
+the rest is counted. `sequence` draws life lines and messages (`queries/audit/request_story.sql`), `ladder` the levels
+of recovery (`queries/audit/failure_story.sql`). Lengths are in inches; the figure grows with what it has to show.
 """
 
 import textwrap
@@ -45,7 +45,10 @@ NAMES = ("sender", "receiver", "decided_by", "level", "to_level")
 
 
 def drawable(rows: Sequence[Row]) -> tuple[list[dict[str, Any]], str]:
-    """The steps that are drawn, with their texts as a figure shows them, and a line that counts the others; empty if there are none."""
+    """Return the steps that are drawn, with their texts as a figure shows them, and a line that counts the others.
+
+    Empty if there are none.
+    """
     drawn: list[dict[str, Any]] = []
     letters = 0
     for row in rows[:MAX_STEPS]:
@@ -83,7 +86,9 @@ def lanes(rows: Sequence[Row]) -> list[str]:
 
 
 def sequence(rows: Sequence[Row], kind: str = "svg") -> bytes:
-    """The story as a sequence diagram: a life line for each principal, an arrow for each message, a box for each evaluation. Paper: fig:wf1.
+    """Draw the story as a sequence diagram. Paper: fig:wf1.
+
+    A life line for each principal, an arrow for each message, a box for each evaluation.
 
     Each row holds sender, receiver, kind, message, note, time_s, is_tied; at least one row.
     """
@@ -250,9 +255,12 @@ def rungs(rows: Sequence[Row]) -> list[Row]:
 
 
 def ladder(rows: Sequence[Row], kind: str = "svg") -> bytes:
-    """The recovery of the failures of one action, level below level: steps, results, times, why each level was left. Paper: fig:wf3.
+    """The recovery of the failures of one action, level below level: steps, results, times, why each level was left.
 
-    Each row holds failure, level_number, level, to_level, spent_s, time_s, until_s, what, result, achieved, budget_s, decided_by; at least one row.
+    Paper: fig:wf3.
+
+    Each row holds failure, level_number, level, to_level, spent_s, time_s, until_s, what, result, achieved, budget_s,
+    decided_by; at least one row.
     """
     with drawn_ladder(rows) as figure:
         return figures.rendered(figure, kind)

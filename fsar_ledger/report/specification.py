@@ -1,8 +1,12 @@
-"""The figure "Every reading": a specification curve for each metric, from the rows of `metrics/multiverse.py`. Same rows, same bytes."""
+"""The figure "Every reading": a specification curve for each metric, from the rows of `metrics/multiverse.py`.
+
+Same rows, same bytes.
+"""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from fsar_ledger.metrics.definitions import Metric, published_metrics
 from fsar_ledger.metrics.multiverse import CONDITIONS, Cell, Chosen, Multiverse, Reading, Universe
 from fsar_ledger.report import figures, specs
 
@@ -21,11 +25,12 @@ Column = tuple[Chosen, dict[str, float]]
 
 
 def curves(found: Multiverse, kind: str = "svg") -> bytes:
-    """One panel for each metric: the means of the architectures under every combination of readings, and which readings each is made of.
+    """Draw a panel for each metric: the architectures' means under each combination of readings, and which it is.
 
-    Drawn are the runs of the first setting, those of the paper's table where the ledger has them; combinations stand in the order of FSAR's lead.
+    Drawn are the runs of the first setting, those of the paper's table where the ledger has them; combinations stand in
+    the order of FSAR's lead.
     """
-    chosen = [spec for spec in specs.metrics() if any(one.metric == spec.name for one in found.universes)]
+    chosen = [spec for spec in published_metrics() if any(one.metric == spec.name for one in found.universes)]
     pairs = [chosen[at : at + COLUMNS] for at in range(0, len(chosen), COLUMNS)] or [[]]
     moving = {spec.name: [one for one in found.readings if spec.name in one.moves] for spec in chosen}
     ratios = [
@@ -52,8 +57,11 @@ def curves(found: Multiverse, kind: str = "svg") -> bytes:
         return figures.rendered(figure, kind)
 
 
-def ordered(universes: Sequence[Universe], spec: specs.MetricSpec) -> list[Column]:
-    """The combinations of the first setting of this metric with the means under each, from FSAR's worst lead to its best; ties by their readings."""
+def ordered(universes: Sequence[Universe], spec: Metric) -> list[Column]:
+    """Return the combinations of the metric's first setting with the means under each, FSAR's worst lead first.
+
+    Ties stand by their readings.
+    """
     mine = [one for one in universes if one.metric == spec.name]
     place = [getattr(mine[0], name) for name in CONDITIONS] if mine else []
     means: dict[Chosen, dict[str, float]] = {}
@@ -61,7 +69,7 @@ def ordered(universes: Sequence[Universe], spec: specs.MetricSpec) -> list[Colum
         if [getattr(one, name) for name in CONDITIONS] == place:
             found = means.setdefault(one.readings, {})
             if one.mean is not None and one.architecture in figures.COLOURS:
-                found[one.architecture] = one.mean * spec.scale
+                found[one.architecture] = one.mean * spec.factor
     return sorted(means.items(), key=lambda each: (lead(each[1], spec.better), len(each[0]), each[0]))
 
 
@@ -73,12 +81,12 @@ def lead(means: dict[str, float], better: str) -> float:
     return means["fsar"] - max(others) if better == "higher" else min(others) - means["fsar"]
 
 
-def printed(cells: Sequence[Cell], spec: specs.MetricSpec) -> dict[str, float]:
+def printed(cells: Sequence[Cell], spec: Metric) -> dict[str, float]:
     """What the paper prints for each architecture, where it prints something for the first setting of this metric."""
     mine = [one for one in cells if one.metric == spec.name]
     place = [getattr(mine[0], name) for name in CONDITIONS] if mine else []
     return {
-        one.architecture: one.paper * spec.scale
+        one.architecture: one.paper * spec.factor
         for one in mine
         if one.architecture is not None
         and one.paper is not None
@@ -86,8 +94,11 @@ def printed(cells: Sequence[Cell], spec: specs.MetricSpec) -> dict[str, float]:
     }
 
 
-def _curve(panel: Any, spec: specs.MetricSpec, columns: Sequence[Column], paper: Mapping[str, float]) -> None:
-    """The means of each architecture, the paper's on the line of our reading, and a ground for the combinations under which FSAR is the best one."""
+def _curve(panel: Any, spec: Metric, columns: Sequence[Column], paper: Mapping[str, float]) -> None:
+    """Draw the means of each architecture, and the paper's on the line of our reading.
+
+    The combinations under which FSAR is the best one have a ground.
+    """
     panel.set_visible(True)
     for (architecture, colour), marker in zip(figures.COLOURS.items(), MARKERS, strict=True):
         points = [(at, means[architecture]) for at, (_, means) in enumerate(columns) if architecture in means]

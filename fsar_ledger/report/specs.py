@@ -30,7 +30,7 @@ class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class TableSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One table: caption, columns, and the packaged query that its numbers come from (None: the paper alone, or a record)."""
+    """One table: caption, columns, and the packaged query behind its numbers (None: the paper alone, or a record)."""
 
     title: str
     caption: str
@@ -50,23 +50,6 @@ class FigureSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     width_in: float
     height_in: float
     paper: str | None = None
-
-
-class MetricSpec(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One metric: its names in the queries and in the paper's tables, and how its values are printed.
-
-    The printed number is the stored one times `scale`, with `decimals` decimals; `counted` is what its denominator counts.
-    """
-
-    name: str
-    title: str
-    short: str
-    result: str
-    significance: str
-    scale: int
-    decimals: int
-    counted: str
-    better: str
 
 
 class Passage(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -98,7 +81,7 @@ class Quote(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CaseCell(msgspec.Struct, frozen=True, forbid_unknown_fields=True, rename={"kind": "class"}):
-    """One number of the paper's four cases: which claim of `queries/cases` it is, the paper's words in short, and what it is counted over.
+    """One number of the paper's four cases: which claim of `queries/cases` it is, in which words, counted over what.
 
     `other` is the claim in its other reading, `of` the claim that says of how many, `kind` the class of the cell.
     """
@@ -122,18 +105,6 @@ def _toml(cls: type[T], *path: str) -> T:
     return msgspec.convert(tomllib.loads(text(*path)), cls)
 
 
-@cache
-def metrics() -> tuple[MetricSpec, ...]:
-    """The eight metrics, in the paper's order."""
-    return tuple(_toml(dict[str, list[MetricSpec]], "metrics.toml")["metric"])
-
-
-def metric(name: str) -> MetricSpec:
-    """The metric of this name in the queries. Raises: KeyError when there is none."""
-    found = {spec.name: spec for spec in metrics()}
-    return found[name]
-
-
 def table(name: str) -> TableSpec:
     """The spec of one table."""
     return _toml(TableSpec, "tables", f"{name}.toml")
@@ -151,7 +122,10 @@ def passages(name: str) -> tuple[Passage, ...]:
 
 @cache
 def labels(kind: str) -> dict[str, str]:
-    """How features, mechanisms and workflows are called in the report, and why some cells differ, by the names of the queries."""
+    """Return what features, mechanisms and workflows are called in the report, and why some cells differ.
+
+    By the names of the queries.
+    """
     return _toml(dict[str, dict[str, str]], "labels.toml")[kind]
 
 

@@ -56,14 +56,13 @@ Rewire = Callable[[Wiring], Wiring]
 
 
 class Switch(NamedTuple):
-    """One mechanism: its name, whose it is, the metrics that it was built for, and the decisions without it.
+    """One mechanism: its name, whose it is, and the decisions without it.
 
     `decides` replaces whole decisions; `rewire` changes the wiring in another way. A mechanism that the handlers know has neither.
     """
 
     name: str
     architecture: Architecture
-    metrics: tuple[str, ...]
     decides: Mapping[type[Command], Decide] = MappingProxyType({})
     rewire: Rewire | None = None
 
@@ -76,12 +75,6 @@ class Switch(NamedTuple):
     def configuration(self) -> Configuration:
         """The architecture without this mechanism alone."""
         return without([self.name])
-
-    def structure(self) -> Wiring:
-        """The architecture's wiring without the mechanism."""
-        from .simulation import wiring
-
-        return wiring(self.architecture, self.configuration)
 
     def taken_out(self, whole: Wiring) -> Wiring:
         """The wiring without the mechanism."""
@@ -361,30 +354,39 @@ _served_at_once = partial(_seeing, "fleet", _in_no_time("service_us"))
 _policy_now = partial(_seeing, "knowledge", _snapshots_of_now)
 
 SWITCHES: tuple[Switch, ...] = (
-    Switch("trust-evaluation", "fsar", ("policy_violations",)),
-    Switch("policy-composition", "fsar", ("policy_violations",)),
-    Switch("layered-recovery", "fsar", ("recovery_containment", "human_intervention")),
-    Switch("shared-registry", "fsar", ("coordination_success",)),
-    Switch("engine-closing", "fsar", ("governance_locality",), {CloseRequest: _closed_by_requester}),
-    Switch("boundary-revocation", "fsar", ("authority_conflicts",), {fsar_authority.Revoke: _nothing}),
+    Switch(
+        "trust-evaluation",
+        "fsar",
+    ),
+    Switch(
+        "policy-composition",
+        "fsar",
+    ),
+    Switch(
+        "layered-recovery",
+        "fsar",
+    ),
+    Switch(
+        "shared-registry",
+        "fsar",
+    ),
+    Switch("engine-closing", "fsar", {CloseRequest: _closed_by_requester}),
+    Switch("boundary-revocation", "fsar", {fsar_authority.Revoke: _nothing}),
     Switch(
         "start-recheck",
         "fsar",
-        ("policy_violations", "coordination_success"),
         rewire=_starting_unchecked(is_delegated=True),
     ),
     Switch(
         "own-work-check",
         "fsar",
-        ("policy_violations", "coordination_success"),
         {DecideRoutine: _moved_unchecked},
         _starting_unchecked(is_delegated=False),
     ),
-    Switch("safe-stop-claims", "cfc", ("authority_conflicts",), {cfc_execution.SafeStop: _nothing}),
+    Switch("safe-stop-claims", "cfc", {cfc_execution.SafeStop: _nothing}),
     Switch(
         "synced-copies",
         "cfc",
-        ("policy_violations", "authority_conflicts"),
         {
             cfc_coordinator.ProcessWork: _now(cfc_request.process),
             cfc_request.CommandReviewed: _now(cfc_request.command_reviewed),
@@ -394,7 +396,6 @@ SWITCHES: tuple[Switch, ...] = (
     Switch(
         "coordinator-queue",
         "cfc",
-        ("coordination_success", "reassignment_latency_s"),
         {
             cfc_coordinator.ReachCoordinator: _served_at_once(cfc_coordinator.reach_coordinator),
             cfc_recovery.GoOnWithoutHelp: _served_at_once(cfc_recovery.go_on_without_help),
@@ -403,50 +404,39 @@ SWITCHES: tuple[Switch, ...] = (
     Switch(
         "central-recovery",
         "cfc",
-        ("recovery_containment", "reassignment_latency_s", "human_intervention"),
         rewire=_recovering_alone,
     ),
-    Switch(
-        "unnamed-requests", "cfc", ("audit_attributability",), rewire=_everywhere(partial(_retold, _requester_named))
-    ),
-    Switch(
-        "central-decisions", "cfc", ("governance_locality",), rewire=_everywhere(partial(_retold, _decided_by_robots))
-    ),
-    Switch("acknowledged-handoffs", "dhma", ("authority_conflicts",), {dhma_authority.PassExecution: _passed_at_once}),
+    Switch("unnamed-requests", "cfc", rewire=_everywhere(partial(_retold, _requester_named))),
+    Switch("central-decisions", "cfc", rewire=_everywhere(partial(_retold, _decided_by_robots))),
+    Switch("acknowledged-handoffs", "dhma", {dhma_authority.PassExecution: _passed_at_once}),
     Switch(
         "planner-claims",
         "dhma",
-        ("authority_conflicts",),
         rewire=_leaving_out(AuthorityClaimed, dhma_agents.EngagePlanner),
     ),
     Switch(
         "recovery-disputes",
         "dhma",
-        ("recovery_containment", "reassignment_latency_s"),
         {dhma_recovery.Dispute: _nothing},
     ),
     Switch(
         "contract-questioning",
         "dhma",
-        ("coordination_success",),
         rewire=_leaving_out(ContractQuestioned, dhma_agents.EngagePlanner),
     ),
     Switch(
         "policy-snapshots",
         "dhma",
-        ("policy_violations",),
         {
             dhma_request.EvaluateBid: _policy_now(dhma_request.evaluate_bid),
             dhma_execution.PlanOwnStep: _policy_now(dhma_execution.plan_own_step),
             DecideRoutine: _policy_now(dhma_execution.decide_routine),
         },
     ),
-    Switch("hop-latency", "dhma", ("reassignment_latency_s", "coordination_success"), rewire=_talking_in_no_time),
-    Switch("handoff-records", "dhma", ("audit_attributability",), {dhma_talk.HandOver: _nothing}),
-    Switch("agent-decisions", "dhma", ("governance_locality",), rewire=_everywhere(partial(_retold, _decided_as_one))),
-    Switch(
-        "nested-queries", "dhma", ("policy_violations", "audit_attributability"), {dhma_authority.RunOutsider: _nothing}
-    ),
+    Switch("hop-latency", "dhma", rewire=_talking_in_no_time),
+    Switch("handoff-records", "dhma", {dhma_talk.HandOver: _nothing}),
+    Switch("agent-decisions", "dhma", rewire=_everywhere(partial(_retold, _decided_as_one))),
+    Switch("nested-queries", "dhma", {dhma_authority.RunOutsider: _nothing}),
 )
 assert {(one.architecture, one.name) for one in SWITCHES} == {
     (architecture, name) for architecture, names in MECHANISMS_OF.items() for name in names

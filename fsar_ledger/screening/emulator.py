@@ -1,8 +1,10 @@
 """Sobol indices of a few factors, from a polynomial that stands for the simulator.
 
-The polynomial is of degree three in each factor and has the product of each two. Its terms are orthonormal under the law of the design (each
-factor uniform over its range or its settings, independent of the others), so the squares of its coefficients are parts of the variance, and
-the indices are sums of them: nothing more is drawn. How well it stands for the simulator is told by predicting each point from all others.
+The polynomial is of degree three in each factor and has the product of each two. Its terms are orthonormal under the
+law of the design (each factor uniform over its range or its settings, independent of the others), so the squares of its
+coefficients are parts of the variance, and
+the indices are sums of them: nothing more is drawn. How well it stands for the simulator is told by predicting each
+point from all others.
 """
 
 from collections.abc import Sequence
@@ -23,9 +25,12 @@ LEAST_R2 = 0.8
 
 
 class Indices(msgspec.Struct, frozen=True):
-    """What each factor has of the variance of one cell: alone, and with others. `r2` is of points that the polynomial had not seen.
+    """What each factor has of the variance of one cell: alone, and with others.
 
-    None where the cell does not vary, is undefined at a point, or there are fewer points than terms; the indices also where R2 is below 0.8.
+    `r2` is of points that the polynomial had not seen.
+
+    None where the cell does not vary, is undefined at a point, or there are fewer points than terms; the indices also
+    where R2 is below 0.8.
     """
 
     r2: float | None
@@ -41,7 +46,7 @@ class Terms(msgspec.Struct, frozen=True):
 
 
 def design(points: int, names: Sequence[str]) -> Matrix:
-    """So many points of the unit cube, a position for each of these factors: a Sobol sequence, shifted by hashes of the names."""
+    """Return so many points of the unit cube, one position a factor: a Sobol sequence, shifted by hashes of names."""
     from scipy.stats import qmc
 
     if not points:
@@ -70,7 +75,10 @@ def terms(factors: Sequence[Factor], positions: Matrix) -> Terms:
 
 
 def _orthonormal(factor: Factor, positions: Vector) -> list[Vector]:
-    """Polynomials of the factor at these positions, with mean 0, variance 1 and no covariance under its law: as many as its settings tell apart."""
+    """Return polynomials of the factor at these positions, with mean 0, variance 1 and no covariance under its law.
+
+    As many as its settings tell apart.
+    """
     grid = _coordinates(factor, (np.arange(GRID) + 0.5) / GRID)
     here = _coordinates(factor, positions)
     degree = min(DEGREE, len(factor.settings) - 1) if factor.settings else DEGREE

@@ -1,7 +1,8 @@
 """What the simulator answers at a setting, and the file that keeps the answers until the study is finished.
 
-FILE.partial has a line for each evaluation that is finished, in whatever order they were. So an interrupted study loses what was under way and
-nothing else, and since the answers are looked up by what was asked, a finished one has the same bytes however often it was interrupted.
+FILE.partial has a line for each evaluation that is finished, in whatever order they were. So an interrupted study loses
+what was under way and nothing else, and since the answers are looked up by what was asked, a finished one has the same
+bytes however often it was interrupted.
 """
 
 import os
@@ -75,7 +76,7 @@ class _Header(msgspec.Struct, frozen=True):
 
 @cache
 def _program() -> str:
-    """A digest of all code and queries: an answer of yesterday's is none of today's, also while the model is being changed."""
+    """Return a digest of all code and queries: an answer of yesterday's is none of today's while the model changes."""
     digest = sha256()
     for package, kind in (("fsar_ledger", "py"), ("fsar_ledger.queries", "sql")):
         root = Path(str(files(package)))
@@ -165,7 +166,10 @@ class Answers:
 def answer_all(
     questions: Mapping[str, Question], answers: Answers, ask: Evaluate, workers: int, told: Callable[[], None]
 ) -> None:
-    """Each question, by its key, has an answer; `told` hears of each that was not known before. Raises: WriteFailed, WorkerDied."""
+    """Each question, by its key, has an answer; `told` hears of each that was not known before.
+
+    Raises: WriteFailed, WorkerDied.
+    """
     waiting = {key: question for key, question in questions.items() if key not in answers.found}
     if workers == 1 or len(waiting) < 2:
         for key, question in waiting.items():

@@ -1,8 +1,9 @@
-"""What is varied, and how far: every number of the world and of the structure, how much there is to do, and how large the fleet is.
+"""What is varied, and how far: every number of the world and the structure, the load, and the size of the fleet.
 
-One rule for all, whether the paper prints a constant, the fit found it or we chose it: a length, a rate or a range is halved to doubled, a
-share or a probability has its odds halved to doubled, so that it stays between 0 and 1, and a count takes every whole number from half to
-double. Load and fleet size have two settings each, the first of which is the base.
+One rule for all, whether the paper prints a constant, the fit found it or we chose it: a length, a rate or a range is
+halved to doubled, a share or a probability has its odds halved to doubled, so that it stays between 0 and 1, and a
+count takes every whole number from half to double. Load and fleet size have two settings each, the first of which is
+the base.
 
 Outages are no factors: their rates are 0 by default, and twice nothing is nothing.
 """
@@ -37,14 +38,20 @@ COUNTS = (
 )
 
 SETTINGS: dict[str, tuple[Any, Any]] = {"load.teams_working": (None, 1), "load.task_sets": (1, 2), "fleet.size": (4, 8)}
-"""Factors with two settings: all teams work, or one; each team has its tasks once, or twice; the fleet is of one team, or of two."""
+"""Return the factors with two settings.
+
+All teams work, or one; each team has its tasks once, or twice; the fleet is of one team, or of two.
+"""
 
 PPM = 1_000_000
 Kind = Literal["scaled", "share", "count", "settings"]
 
 
 class Factor(msgspec.Struct, frozen=True):
-    """One thing that is varied. `origin` is the word of `constants.py` for where its value is from; `value` is its base."""
+    """One thing that is varied.
+
+    `origin` is the word of `constants.py` for where its value is from; `value` is its base.
+    """
 
     name: str
     kind: Kind
@@ -92,12 +99,15 @@ class Setting(msgspec.Struct, frozen=True):
 
 
 def _like(base: float, value: float) -> Any:
-    """Six significant digits, so that no last bit of an exponential is in a ledger's parameters; a whole number where the base is one."""
+    """Round to six significant digits, and to a whole number where the base is one.
+
+    No last bit of an exponential is then in a ledger's parameters.
+    """
     return round(value) if isinstance(base, int) else float(f"{value:.6g}")
 
 
 def factors() -> tuple[Factor, ...]:
-    """All factors around the package's constants, in the order of `constants.py`; load and the size of the fleet come last."""
+    """Return all factors around the package's constants, in the order of `constants.py`; load and fleet come last."""
     base, words = Constants(), origins()
     found: list[Factor] = []
     for group in ("world", "structure"):
@@ -145,7 +155,10 @@ def setting(all_factors: Iterable[Factor], positions: Mapping[str, float]) -> Se
 
 
 def _without_unused(constants: Constants, fleet_size: int) -> Constants:
-    """The same world in its one form: no load where one team has its tasks once, no interval where there is but one set."""
+    """Return the same world in its one form.
+
+    No load where one team has its tasks once, no interval where there is but one set.
+    """
     load = constants.load
     assert load is not None
     teams = None if fleet_size == 4 else load.teams_working

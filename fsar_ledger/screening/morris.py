@@ -1,8 +1,9 @@
-"""Morris screening: trajectories through the unit cube on which one factor moves at a time, and the mean size of what that does.
+"""Morris screening: trajectories through the unit cube on which one factor moves at a time, and what that does.
 
-The definitions are those of Morris (1991) with the mean of absolute effects of Campolongo et al. (2007), as SALib has them; a test compares
-the numbers with SALib's. Two things are ours. Where a cell is not defined at a point, the two effects that touch the point are unknown, and
-the others stand. And the design is drawn from hashes: trajectory 5 is the same whatever the number of trajectories or the version of numpy.
+The definitions are those of Morris (1991) with the mean of absolute effects of Campolongo et al. (2007), as SALib has
+them; a test compares the numbers with SALib's. Two things are ours. Where a cell is not defined at a point, the two
+effects that touch the point are unknown, and the others stand. And the design is drawn from hashes: trajectory 5 is the
+same whatever the number of trajectories or the version of numpy.
 """
 
 import math
@@ -22,7 +23,9 @@ Matrix = np.ndarray[tuple[int, int], np.dtype[np.float64]]
 
 
 class Effects(msgspec.Struct, frozen=True):
-    """What moving one factor does to one cell: mean, mean size, standard deviation, half-width of the 95 % interval of the mean size.
+    """What moving one factor does to one cell.
+
+    Mean, mean size, standard deviation, half-width of the 95 % interval of the mean size.
 
     `count` effects are known; None where those are fewer than two.
     """
@@ -61,7 +64,8 @@ def _digest(text: str) -> int:
 def elementary_effects(path: Trajectory, outputs: Vector, is_switch: Sequence[bool]) -> Vector:
     """What moving each factor did on this trajectory, NaN where the cell is undefined before or after.
 
-    Per whole range of the factor, as if the effect went on beyond the step; of a switch, which has nothing beyond, per change.
+    Per whole range of the factor, as if the effect went on beyond the step; of a switch, which has nothing beyond, per
+    change.
     """
     effects = np.full(len(path.moved), math.nan)
     for step, factor in enumerate(path.moved):
@@ -74,7 +78,8 @@ def elementary_effects(path: Trajectory, outputs: Vector, is_switch: Sequence[bo
 def summary(effects: Vector) -> Effects:
     """The effects of one factor on one cell over all trajectories; NaN is unknown.
 
-    The interval is what SALib finds by drawing trajectories again and again, without drawing: 1.96 times the standard error that they have.
+    The interval is what SALib finds by drawing trajectories again and again, without drawing: 1.96 times the standard
+    error that they have.
     """
     known = effects[~np.isnan(effects)]
     if len(known) < LEAST_EFFECTS:
@@ -85,7 +90,9 @@ def summary(effects: Vector) -> Effects:
 
 
 def by_chance(deviation: float, *, is_switch: bool) -> float:
-    """The mean size of effects if nothing but chance moved the cell: of two independent means with this standard deviation.
+    """Return the mean size of effects if nothing but chance moved the cell.
+
+    That of two independent means with this standard deviation.
 
     An upper bound: points of a trajectory meet the same worlds, and much of the chance is common to them.
     """

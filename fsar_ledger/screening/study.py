@@ -1,7 +1,8 @@
 """The study: screen all factors, take the dozen that matter most, tell their parts of the variance, write it down.
 
-Every trajectory meets worlds of its own seed, the same at all its points, so what an effect owes to the worlds it was found in shows in the
-spread between trajectories. The polynomial is of one seed; all factors but the dozen are at their base there.
+Every trajectory meets worlds of its own seed, the same at all its points, so what an effect owes to the worlds it was
+found in shows in the spread between trajectories. The polynomial is of one seed; all factors but the dozen are at their
+base there.
 """
 
 import math
@@ -35,7 +36,10 @@ Progress = Callable[[int, int], None]
 
 
 class Size(msgspec.Struct, frozen=True):
-    """How much is done: trajectories, runs of each scenario and architecture at each point, points for the polynomial (0: no Sobol indices)."""
+    """How much is done: trajectories, runs of each scenario and architecture at each point, points for the polynomial.
+
+    With 0 points there are no Sobol indices.
+    """
 
     trajectories: int = 20
     runs: int = 10
@@ -133,7 +137,9 @@ def sensitivity(
     ask: Evaluate = evaluate,
     subject: tuple[Factor, ...] | None = None,
 ) -> Sensitivity:
-    """The effects are in the file, which is replaced if it exists, and returned. Takes long; what is finished is kept in FILE.partial meanwhile.
+    """The effects are in the file, which is replaced if it exists, and returned.
+
+    Takes long; what is finished is kept in FILE.partial meanwhile.
 
     Args:
         out: The Parquet file.

@@ -8,17 +8,7 @@
 -- Example: fsar-ledger query facts/judged_concerns LEDGER
 WITH judges (judges, context, looked_at) AS (
     VALUES
-    (['coordination_success'], ['task'], []::VARCHAR[]),
-    (['governance_locality'], ['request', 'policy', 'execution', 'recovery', 'supervision'], []),
-    (['recovery_containment', 'reassignment_latency_s'], ['recovery'], []),
-    (['authority_conflicts'], ['authority'], []),
-    (['policy_violations'], ['fleet', 'policy', 'execution', 'supervision'], []),
-    (['human_intervention'], ['supervision'], []),
-    (
-        ['audit_attributability', 'records with origin, executor and supervisor'],
-        ['registry', 'request', 'policy', 'execution', 'recovery', 'supervision', 'message'],
-        []
-    ),
+    (['records with origin, executor and supervisor'], ['registry', 'request', 'policy', 'execution', 'recovery', 'supervision', 'message'], []::VARCHAR[]),
     (
         ['i1_local_agent_coherence'], ['fleet'],
         ['registry', 'trust', 'policy', 'request', 'authority', 'execution', 'recovery', 'supervision', 'message']
@@ -123,3 +113,9 @@ SELECT
     unnest(context || looked_at) AS concern,
     list_contains(context, concern) AS is_context
 FROM named
+UNION ALL
+SELECT
+    judge,
+    concern,
+    TRUE AS is_context
+FROM metric_concerns

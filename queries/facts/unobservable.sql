@@ -5,7 +5,7 @@
 -- Units: none
 -- NULL: never; not_observed names the concerns, hides_offences is whether not even an offence could be told
 -- Example: fsar-ledger query facts/unobservable LEDGER
--- Stored: every metric, invariant and mark reads it
+-- Stored: every metric, invariant and grade reads it
 WITH sources AS (
     -- Few kinds of source, many runs.
     SELECT DISTINCT coalesce(observes, []) AS observes

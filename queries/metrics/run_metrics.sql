@@ -1,4 +1,4 @@
--- Title: The eight metrics of every run
+-- Title: The metrics of every run
 -- Paper: sec:evaluation:metrics
 -- Grain: one row per run and metric
 -- Key: run_id, metric
@@ -11,83 +11,6 @@
 --   not_observed names and is NULL otherwise
 -- Example: fsar-ledger query metrics/run_metrics LEDGER
 -- Stored: the summary and every statistic read it several times
-WITH measured AS (
-    SELECT
-        'coordination_success' AS metric,
-        run_id,
-        value,
-        numerator,
-        denominator,
-        not_observed
-    FROM coordination_success
-    UNION ALL BY NAME
-    SELECT
-        'governance_locality' AS metric,
-        run_id,
-        value,
-        numerator,
-        denominator,
-        value_without_routine,
-        not_observed
-    FROM governance_locality
-    UNION ALL BY NAME
-    SELECT
-        'recovery_containment' AS metric,
-        run_id,
-        value,
-        numerator,
-        denominator,
-        not_observed
-    FROM recovery_containment
-    UNION ALL BY NAME
-    SELECT
-        'authority_conflicts' AS metric,
-        run_id,
-        value,
-        numerator,
-        denominator,
-        not_observed
-    FROM authority_conflicts
-    UNION ALL BY NAME
-    SELECT
-        'policy_violations' AS metric,
-        run_id,
-        value,
-        numerator,
-        denominator,
-        value_without_routine,
-        not_observed
-    FROM policy_violations
-    UNION ALL BY NAME
-    SELECT
-        'reassignment_latency_s' AS metric,
-        run_id,
-        value,
-        numerator,
-        denominator,
-        not_observed
-    FROM reassignment_latency_s
-    UNION ALL BY NAME
-    SELECT
-        'human_intervention' AS metric,
-        run_id,
-        value,
-        numerator,
-        denominator,
-        not_observed
-    FROM human_intervention
-    UNION ALL BY NAME
-    SELECT
-        'audit_attributability' AS metric,
-        run_id,
-        value,
-        numerator,
-        denominator,
-        value_without_routine,
-        not_observed
-    FROM audit_attributability
-)
-
 SELECT
     runs.run_id,
     settings.kind,
@@ -114,5 +37,5 @@ SELECT
     measured.not_observed
 FROM runs
 INNER JOIN run_settings AS settings ON runs.run_id = settings.run_id
-INNER JOIN measured ON runs.run_id = measured.run_id
+INNER JOIN metric_measurements AS measured ON runs.run_id = measured.run_id
 INNER JOIN metric_definitions AS definitions ON measured.metric = definitions.metric

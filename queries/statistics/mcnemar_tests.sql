@@ -1,18 +1,19 @@
--- Title: Exact McNemar tests of the one metric that is 0 or 1 per run
+-- Title: Exact McNemar tests of the metrics that are 0 or 1 per run
 -- Paper: sec:evaluation:significance
 -- Grain: one row per test (as in paired_t_tests) with at least one pair
 -- Key: test
--- Units: mcnemar_first_only, mcnemar_second_only pairs in which only that architecture called the fleet supervisor
+-- Units: mcnemar_first_only, mcnemar_second_only pairs in which only that architecture has a 1
 -- NULL: never; mcnemar_p is 1 when no pair differs
 -- Example: fsar-ledger query statistics/mcnemar_tests LEDGER
 WITH discordant AS (
     SELECT
-        test,
-        count(*) FILTER (WHERE difference_ppb > 0)::BIGINT AS mcnemar_first_only,
-        count(*) FILTER (WHERE difference_ppb < 0)::BIGINT AS mcnemar_second_only
-    FROM paired_differences
-    WHERE metric = 'human_intervention'
-    GROUP BY test
+        differences.test,
+        count(*) FILTER (WHERE differences.difference_ppb > 0)::BIGINT AS mcnemar_first_only,
+        count(*) FILTER (WHERE differences.difference_ppb < 0)::BIGINT AS mcnemar_second_only
+    FROM paired_differences AS differences
+    INNER JOIN metric_definitions AS definitions ON differences.metric = definitions.metric
+    WHERE definitions.scale = 'yes-no'
+    GROUP BY differences.test
 )
 
 SELECT

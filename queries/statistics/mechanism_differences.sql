@@ -6,7 +6,7 @@
 -- Key: architecture, configuration, setting, seed?, pools_seeds, metric
 -- Units: first is in full and second without, so mean_difference is what the mechanism adds; n and all else as in
 --   side_differences, but p_holm over the family_tests tests of all mechanisms of all architectures, of one setting and
---   seed
+--   seed, for the paper's metrics together and each other one by itself
 -- NULL: seed for all seeds; the rest as in side_differences
 -- Example: fsar-ledger query statistics/mechanism_differences LEDGER
 WITH ablated AS (
@@ -22,6 +22,7 @@ WITH ablated AS (
         differences.seed,
         differences.position,
         differences.metric,
+        CASE WHEN NOT definitions.is_published THEN differences.metric END AS further,
         differences.n,
         differences.differing_pairs,
         differences.first_mean AS full_mean,
@@ -36,6 +37,7 @@ WITH ablated AS (
     INNER JOIN side_comparisons AS comparisons
         ON differences.first_side = comparisons.first_side AND differences.second_side = comparisons.second_side
     INNER JOIN sides ON differences.second_side = sides.side
+    INNER JOIN metric_definitions AS definitions ON differences.metric = definitions.metric
     WHERE
         comparisons.family LIKE 'ablations of %'
         AND comparisons.configuration NOT LIKE '%+%'
@@ -54,6 +56,7 @@ ranked AS (
         pools_seeds,
         seed,
         position,
+        further,
         metric,
         n,
         differing_pairs,
@@ -73,7 +76,7 @@ ranked AS (
         )
         * p AS bound
     FROM ablated
-    WINDOW family AS (PARTITION BY setting, pools_seeds, seed)
+    WINDOW family AS (PARTITION BY setting, pools_seeds, seed, further)
 )
 
 SELECT
@@ -106,7 +109,7 @@ SELECT
                     1,
                     max(bound)
                         OVER (
-                            PARTITION BY setting, pools_seeds, seed
+                            PARTITION BY setting, pools_seeds, seed, further
                             ORDER BY p NULLS LAST, architecture, configuration, position
                         )
                 )

@@ -6,7 +6,7 @@
 -- Key: test, first_run_id, second_run_id
 -- Units: first_value, second_value, difference (first minus second) in the metric's unit; difference_ppb billionths of
 --   it, an integer so that differences which are equal but for the last bits of a float tie in ranks; holm_family the
---   tests that Holm adjusts together
+--   tests that Holm adjusts together: those of the paper's metrics, or of one that it does not print
 -- NULL: seed for all seeds; constants as in run_settings (test names basis, comparison, setting, seed and metric in one
 --   text); pairs with an undefined value are left out, and tests in which no run of any pair has a value of its own
 -- Example: fsar-ledger query statistics/paired_differences LEDGER
@@ -54,7 +54,14 @@ SELECT
         coalesce(seeds.seed::VARCHAR, 'all'),
         firsts.metric
     ) AS test,
-    concat_ws('/', firsts.basis, seeds.family, firsts.setting, coalesce(seeds.seed::VARCHAR, 'all')) AS holm_family,
+    concat_ws(
+        '/',
+        firsts.basis,
+        seeds.family,
+        firsts.setting,
+        coalesce(seeds.seed::VARCHAR, 'all'),
+        CASE WHEN NOT definitions.is_published THEN firsts.metric END
+    ) AS holm_family,
     firsts.basis,
     seeds.family,
     seeds.configuration,
@@ -80,5 +87,6 @@ FROM seeds
 INNER JOIN measured AS firsts ON seeds.first_run_id = firsts.run_id
 INNER JOIN measured AS seconds
     ON seeds.second_run_id = seconds.run_id AND firsts.basis = seconds.basis AND firsts.metric = seconds.metric
+LEFT JOIN metric_definitions AS definitions ON firsts.metric = definitions.metric
 WHERE firsts.tested_value IS NOT NULL AND seconds.tested_value IS NOT NULL
 QUALIFY bool_or(firsts.value IS NOT NULL OR seconds.value IS NOT NULL) OVER (PARTITION BY test)

@@ -20,8 +20,14 @@ WITH pooled AS (
             coalesce(found.seed::VARCHAR, 'all'),
             found.metric
         ) AS test,
-        concat_ws('/', 'published', comparisons.family, comparisons.setting, coalesce(found.seed::VARCHAR, 'all'))
-            AS holm_family,
+        concat_ws(
+            '/',
+            'published',
+            comparisons.family,
+            comparisons.setting,
+            coalesce(found.seed::VARCHAR, 'all'),
+            CASE WHEN NOT definitions.is_published THEN found.metric END
+        ) AS holm_family,
         found.first_side,
         found.second_side,
         found.seed,

@@ -6,8 +6,8 @@
 -- Units: means and counts of pairs as in side_moments. 95 % interval: Student's t with differing_pairs - 1 degrees of
 --   freedom; of human_intervention after Bonett and Price. test is paired t, or sign (exact, of the pairs that differ):
 --   of human_intervention, where fewer than 25 pairs and less than half of all differ, and where all differ alike.
---   p_holm over the family_tests tests of the same sides, seed and scenario, or of all scenarios' rows. d_z in standard
---   deviations of what pairs contribute
+--   p_holm over the family_tests tests of the same sides, seed and scenario, or of all scenarios' rows, for the paper's
+--   metrics together and each other one by itself. d_z in standard deviations of what pairs contribute
 -- NULL: seed for all seeds; scenario for all scenarios; means as in side_moments; the interval of fewer than two pairs
 --   that differ, or that differ alike, or where one pair is all that a side counts; test, p where no pair differs; d_z
 --   where nothing varies
@@ -27,6 +27,8 @@ WITH tested AS (
         moments.mean_difference,
         moments.sd,
         definitions.position,
+        definitions.scale,
+        CASE WHEN NOT definitions.is_published THEN moments.metric END AS further,
         norm_quantile(0.975) AS z,
         (moments.above + 1) / (moments.n + 2) AS more,
         (moments.below + 1) / (moments.n + 2) AS less,
@@ -67,6 +69,7 @@ ranked AS (
         mean_difference,
         sd,
         position,
+        further,
         middle,
         half,
         most,
@@ -75,7 +78,7 @@ ranked AS (
         count(p) OVER family AS family_tests,
         (count(p) OVER family - row_number() OVER (family ORDER BY p NULLS LAST, scenario, position) + 1) * p AS bound
     FROM tested
-    WINDOW family AS (PARTITION BY first_side, second_side, pools_seeds, seed, scenario IS NULL)
+    WINDOW family AS (PARTITION BY first_side, second_side, pools_seeds, seed, scenario IS NULL, further)
 )
 
 SELECT
@@ -104,7 +107,7 @@ SELECT
                     1,
                     max(bound)
                         OVER (
-                            PARTITION BY first_side, second_side, pools_seeds, seed, scenario IS NULL
+                            PARTITION BY first_side, second_side, pools_seeds, seed, scenario IS NULL, further
                             ORDER BY p NULLS LAST, scenario, position
                         )
                 )

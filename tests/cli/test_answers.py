@@ -11,6 +11,7 @@ import polars as pl
 import pytest
 
 from fsar_ledger import __version__
+from fsar_ledger.metrics.definitions import metrics
 from tests.cli.conftest import SMALL, Call, Called, in_a_process
 
 HEAVY = {"duckdb", "pyarrow", "polars", "scipy", "numpy", "matplotlib", "pydantic", "typst", "msgspec"}
@@ -93,24 +94,24 @@ def test_metrics_have_the_agreed_columns_in_every_format(call: Call, ledger: Pat
         "published_convention_mean",
     }
     assert agreed <= set(answer["rows"][0])
-    assert len(answer["rows"]) == 24
+    assert len(answer["rows"]) == 3 * len(metrics())
     from_csv = rows_of(call("metrics", ledger, "--csv"))
     assert [float(row["mean"]) if row["mean"] else None for row in from_csv] == [row["mean"] for row in answer["rows"]]
     table = call("metrics", ledger).out.splitlines()
-    assert len(table) == 2 + 24
+    assert len(table) == 2 + 3 * len(metrics())
     assert table[0].split()[0] == "architecture"
 
 
 def test_metrics_by_scenario_have_a_row_for_each(call: Call, ledger: Path) -> None:
     rows = json.loads(call("metrics", ledger, "--by", "scenario", "--json").out)["rows"]
     assert {row["scenario"] for row in rows} == {"door-relay", "failure-recovery-chain"}
-    assert len(rows) == 48
+    assert len(rows) == 2 * 3 * len(metrics())
 
 
 def test_statistics_compare_every_pair(call: Call, ledger: Path) -> None:
     rows = json.loads(call("statistics", ledger, "--json").out)["rows"]
-    assert len(rows) == 24
-    assert len(rows_of(call("statistics", ledger, "--csv"))) == 24
+    assert len(rows) == 3 * len(metrics())
+    assert len(rows_of(call("statistics", ledger, "--csv"))) == 3 * len(metrics())
 
 
 def test_queries_are_listed_and_answer(call: Call, ledger: Path) -> None:
@@ -118,15 +119,15 @@ def test_queries_are_listed_and_answer(call: Call, ledger: Path) -> None:
     assert {"facts/failures", "metrics/run_metrics", "staging/request_issued"} <= set(names)
     assert [row["name"] for row in rows_of(call("query", "--list", "--csv"))] == names
     by_part = call("query", "run_metrics", ledger, "--csv")
-    assert len(rows_of(by_part)) == 12 * 8
+    assert len(rows_of(by_part)) == 12 * len(metrics())
     assert by_part == call("query", "metrics/run_metrics", ledger, "--csv")
 
 
 def test_a_long_table_is_cut_and_says_so(call: Call, ledger: Path) -> None:
     cut = call("query", "run_metrics", ledger, "--limit", "5").out.splitlines()
     assert len(cut) == 2 + 5 + 1
-    assert cut[-1].startswith("... 91 more rows")
-    assert len(call("query", "run_metrics", ledger, "--limit", "0").out.splitlines()) == 2 + 96
+    assert cut[-1].startswith(f"... {12 * len(metrics()) - 5} more rows")
+    assert len(call("query", "run_metrics", ledger, "--limit", "0").out.splitlines()) == 2 + 12 * len(metrics())
 
 
 def test_sql_answers_with_null_lists_and_text(call: Call, ledger: Path) -> None:
@@ -162,7 +163,7 @@ def test_export_writes_the_answer_of_a_query(call: Call, ledger: Path, tmp_path:
     out = tmp_path / "run_metrics.csv"
     assert call("export", ledger, "--query", "run_metrics", "--out", out).code == 0
     assert out.read_text().splitlines()[0].startswith("run_id,")
-    assert len(out.read_text().splitlines()) == 1 + 96
+    assert len(out.read_text().splitlines()) == 1 + 12 * len(metrics())
 
 
 def test_verify_says_what_was_checked(call: Call, ledger: Path) -> None:
@@ -226,7 +227,7 @@ def reproduced(call: Call, tmp_path: Path, *only: str) -> None:
         "report.pdf",
         "reproduction.json",
     }
-    assert len(said.out.splitlines()) == 2 + 24 + 3
+    assert len(said.out.splitlines()) == 2 + 3 * len(metrics()) + 3
     told = json.loads((tmp_path / "out" / "reproduction.json").read_text())
     assert told["ledgers"].keys() >= names  # of mechanisms too where an ablation is there
     for name in names:

@@ -8,6 +8,7 @@ import pytest
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.metrics.definitions import metrics
 from tests.cli.conftest import Call, one_message
 from tests.ledger.samples import append_all
 
@@ -64,7 +65,7 @@ def test_audit_tells_programs_null_and_why(call: Call, members: Path) -> None:
 
 def test_metrics_shows_no_number_but_how_many_runs_are_not_observed(call: Call, members: Path) -> None:
     rows = json.loads(call("metrics", members, "--json").out)["rows"]
-    assert len({row["metric"] for row in rows}) == len(rows) == 8
+    assert len({row["metric"] for row in rows}) == len(rows) == len(metrics())
     for row in rows:
         assert {
             row[name] for name in ("mean", "sd", "ci_low", "ci_high", "denominator", "published_convention_mean")

@@ -1,4 +1,4 @@
-"""Made-up runs, for tests that need rows but no robots; `python -m tests.ledger.samples` writes the pinned rows anew."""
+"""Made-up runs, for tests that need rows but no robots."""
 
 import random
 from collections.abc import Sequence
@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger.log.note import Signer
-from fsar_ledger.ledger.rows import canonical
 from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, STANDS_ALONE, Field, Layout
 from fsar_ledger.ledger.store.append import Writer, stage
@@ -118,29 +117,3 @@ def any_runs(draw: st.DrawFn) -> list[RunRecord]:
             RunRecord(run_id, times, [None, *(draw(st.integers(0, seq - 1)) for seq in range(1, len(events)))], events)
         )
     return runs
-
-
-# --- one row of each type, for the pinned bytes ---
-
-
-def pinned_row(layout: Layout) -> bytes:
-    """The canonical bytes of a row of this type in which every field has a value."""
-    samples: dict[str, object] = {"integer": 1_234_567, "boolean": True, "strings": ("robot/A1", 'a "quoted" é\n')}
-    values = {
-        field.name: sorted(field.values)[0]
-        if field.values
-        else f"{field.name}\tü/\\\u2028\x1f"
-        if field.kind == "string"
-        else samples[field.kind]
-        for field in layout.fields
-    }
-    columns: dict[str, Sequence[object]] = {name: [value] for name, value in values.items()}
-    columns |= {"run_id": ["run-1"], "seq": [7], "time_us": [2_500_000], "caused_by": [6], "type": [layout.tag]}
-    ((line,),) = canonical.lines(layout.tag, columns)
-    return line[1:]
-
-
-if __name__ == "__main__":
-    Path(__file__).with_name("canonical_rows.jsonl").write_bytes(
-        b"".join(pinned_row(layout) + b"\n" for layout in LAYOUTS.values())
-    )

@@ -17,9 +17,10 @@ from fsar_ledger.ledger.rows import canonical, schema, segment
 from fsar_ledger.ledger.rows.check import first_flaw
 from fsar_ledger.ledger.rows.codec import RunRecord, decode, encode, encode_hashed
 from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, COLUMNS, FINGERPRINT, LAYOUTS, MAX_INTEGER, SCHEMA
-from tests.ledger.samples import any_event_of, any_runs, made_up_batches, made_up_run, pinned_row
+from tests.ledger.pinned import ROWS, pinned_row
+from tests.ledger.samples import any_event_of, any_runs, made_up_batches, made_up_run
 
-PINNED = Path(__file__).with_name("canonical_rows.jsonl").read_bytes().splitlines()
+PINNED = ROWS.read_bytes().splitlines()
 LAYOUT_LIST = list(LAYOUTS.values())
 BY_MODULE = {
     module: list(layouts)
@@ -107,7 +108,7 @@ def test_coded_and_plain_strings_are_the_same_rows_and_the_same_segment(runs: li
 
 def test_the_bytes_of_one_row_of_each_type_are_pinned() -> None:
     assert [json.loads(line)["type"] for line in PINNED] == list(LAYOUTS), (
-        "run `python -m tests.ledger.samples`; that changes the format"
+        "run `python -m tests.ledger.pinned`; that changes the format"
     )
     assert [pinned_row(layout) for layout in LAYOUT_LIST] == PINNED
 

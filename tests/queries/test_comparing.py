@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from fsar_ledger.events.concerns import EVENTS_OF
+from fsar_ledger.events import CONCERN_OF
 from fsar_ledger.events.world import WorldEvent
 from fsar_ledger.metrics.comparing import (
     DifferingWorlds,
@@ -127,9 +127,7 @@ def test_a_world_that_was_not_observed_is_not_taken_for_the_same() -> None:
 
 
 def test_whose_source_records_the_world_records_every_fact_of_it() -> None:
-    concerns = {
-        concern for concern, names in EVENTS_OF.items() for fact in get_args(WorldEvent) if fact.__name__ in names
-    }
+    concerns = {CONCERN_OF[fact.__name__] for fact in get_args(WorldEvent)}
     runs = [
         of("fsar", 0, observes=sorted(concerns)),
         *(of("fsar", at, observes=sorted(concerns - {one})) for at, one in enumerate(concerns, 1)),

@@ -8,19 +8,14 @@ from pathlib import Path
 import duckdb
 import pytest
 
-from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.database import Database, from_rows
-from fsar_ledger.metrics.library import KEYS, REQUIRED_KEYS, Library, Query, library, parse, view_name
+from fsar_ledger.metrics.library import KEYS, REQUIRED_KEYS, Library, Query, generated, library, parse
 
 FILES = sorted(Path(str(files("fsar_ledger.queries"))).rglob("*.sql"))
-GENERATED = {
-    *(f"staging/{view_name(tag)}" for tag in LAYOUTS),
-    *(f"staging/{concern}_events" for concern in CONCERNS),
-    *("facts/event_concerns", "staging/world_facts"),
-}
+GENERATED = {query.name for query in generated()}
 CONSTANT = {
-    *("facts/event_classes", "facts/judged_concerns", "facts/message_words", "metrics/metric_definitions"),
+    *("facts/event_classes", "facts/judged_concerns", "facts/message_words"),
     *("statistics/comparisons", "cases/case_definitions", "readings/denials_are_records"),
     *("readings/failures_by_run", "readings/published_convention", "readings/tasks_are_pooled"),
 }

@@ -7,15 +7,13 @@ from itertools import combinations as pairs_of
 import pytest
 
 from fsar_ledger.metrics.database import Database, from_rows
+from fsar_ledger.metrics.definitions import metrics
 from fsar_ledger.metrics.library import library
 from fsar_ledger.metrics.multiverse import Multiverse, Reading, Relations, combinations, multiverse, readings
 from fsar_ledger.metrics.results import metric_rows
 from tests.queries.histories import Row, S, event, run
 
-METRICS = (
-    *("coordination_success", "governance_locality", "recovery_containment", "authority_conflicts"),
-    *("policy_violations", "reassignment_latency_s", "human_intervention", "audit_attributability"),
-)
+METRICS = tuple(one.name for one in metrics())
 WHOLE = {"requested_by": "robot/A1", "executed_by": "robot/B1", "supervised_by": "supervisor/B1"}
 DENIED = event(
     "RequestDenied",

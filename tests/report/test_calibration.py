@@ -34,15 +34,6 @@ WHOLE: dict[str, Any] = {
         {"metric": "governance_locality", "architecture": "fsar", "paper": 0.94, "ours": 0.947, "distance_margins": 0.8}
     ],
     "directions": [{"singular_value": 3.0, "identified": True, "weights": {"a": 0.1, "b": -0.9, "c": 0.3, "d": 0.01}}],
-    "switch_offs": [
-        {
-            "mechanism": "closing",
-            "metric": "governance_locality",
-            "architecture": "fsar",
-            "with_mechanism": 0.947,
-            "without": 0.991,
-        }
-    ],
     "a key of the future": [1],
 }
 

@@ -4,7 +4,8 @@ import re
 
 import pytest
 
-from fsar_ledger.report import figures, specs
+from fsar_ledger.metrics.definitions import published_metrics
+from fsar_ledger.report import figures
 from fsar_ledger.report.findings import Findings, Row
 
 
@@ -26,7 +27,7 @@ def words(svg: bytes) -> list[str]:
 
 def test_evaluation_figure_has_a_panel_for_every_metric(plain: bytes) -> None:
     assert len(re.findall(r'id="axes_\d+"', plain.decode())) == 8
-    for spec in specs.metrics():
+    for spec in published_metrics():
         assert spec.title in words(plain)
     assert [words(plain).count(name) for name in ("FSAR", "CFC", "DHMA")] == [8, 8, 8]
 
@@ -57,7 +58,7 @@ def test_effects_are_drawn_beside_the_papers_and_what_has_none_leaves_the_papers
     rows = [row | {"cohens_d": 1.5, "d_ci_low": 1.0, "d_ci_high": 2.0} for row in findings.tests]
     drawn = figures.effects(rows)
     assert drawn == figures.effects(rows)
-    assert all(spec.title in words(drawn) for spec in specs.metrics())
+    assert all(spec.title in words(drawn) for spec in published_metrics())
     assert {"FSAR \u2212 CFC", "FSAR \u2212 DHMA", "CFC \u2212 DHMA", "printed in the paper"} <= set(words(drawn))
     turned = [row | ({"paper_t": -row["paper_t"]} if row["metric"] == "governance_locality" else {}) for row in rows]
     assert figures.effects(turned) != drawn, "the paper's d has the sign of its t"

@@ -19,6 +19,7 @@ from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.request import ContractQuestioned, InternalHandoff
 from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import Database
+from fsar_ledger.metrics.definitions import metrics, published_metrics
 from fsar_ledger.report import document, mechanisms, specs, typeset
 from fsar_ledger.report.findings import SCENARIOS, Findings, Mechanisms
 from fsar_ledger.report.mechanisms import carried, mechanisms_of
@@ -152,7 +153,7 @@ def test_what_an_architecture_does_not_have_cannot_be_taken_out_of_it(
 def test_where_a_mechanism_has_nothing_to_do_every_difference_is_exactly_0() -> None:
     with played(of_cfc(CLAIMS, constants=Constants(CALM))) as calm:
         rows = calm.rows("SELECT * FROM mechanism_differences WHERE NOT pools_seeds")
-    assert len(rows) == 8
+    assert len(rows) == len(metrics())
     assert {(row["n"], row["differing_pairs"], row["mean_difference"]) for row in rows} == {(10, 0, 0.0)}
     assert {row["p"] for row in rows} == {None}
 
@@ -250,7 +251,7 @@ def test_the_section_has_both_tables_with_what_is_marked_in_bold(findings: Findi
     data: dict[str, Any] = json.loads(document.encoded(document.data(given, None)))
     rows = {row[1]["printed"]: row for row in data["tables"]["mechanism-differences"]["rows"]}
     assert list(rows) == ["safe stop claims", "synced copies", "unnamed requests"]
-    at = 3 + [spec.name for spec in specs.metrics()].index("audit_attributability")
+    at = 3 + [spec.name for spec in published_metrics()].index("audit_attributability")
     assert rows["unnamed requests"][at]["tone"] == "strong"
     assert rows["safe stop claims"][at]["printed"] == "0"
     said = data["carried"]

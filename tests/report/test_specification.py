@@ -5,8 +5,9 @@ import re
 import pytest
 
 from fsar_ledger.metrics.database import from_rows
+from fsar_ledger.metrics.definitions import metric_named, metrics
 from fsar_ledger.metrics.multiverse import Chosen, Multiverse, Universe, cells, readings
-from fsar_ledger.report import specification, specs
+from fsar_ledger.report import specification
 
 MEANS: dict[Chosen, tuple[float | None, float, float]] = {
     (): (0.07, 0.29, 0.2),
@@ -52,7 +53,7 @@ def words(svg: bytes) -> list[str]:
 
 
 def test_combinations_stand_in_the_order_of_fsars_lead_over_the_better_of_the_others() -> None:
-    columns = specification.ordered(found().universes, specs.metric("human_intervention"))
+    columns = specification.ordered(found().universes, metric_named("human_intervention"))
     assert [chosen for chosen, _ in columns] == [
         ("level_four_is_fleet",),
         ("level_four_is_fleet", "reviews_are_no_interventions"),
@@ -84,10 +85,10 @@ def test_the_figure_says_how_often_fsar_is_best_and_names_the_readings() -> None
 
 
 def test_the_papers_numbers_stand_on_the_line_of_our_reading() -> None:
-    assert specification.printed(found().cells, specs.metric("human_intervention")) == pytest.approx(
+    assert specification.printed(found().cells, metric_named("human_intervention")) == pytest.approx(
         {"fsar": 14, "cfc": 32, "dhma": 19}
     )
-    assert specification.printed(found(metric="policy_violations").cells, specs.metric("human_intervention")) == {}
+    assert specification.printed(found(metric="policy_violations").cells, metric_named("human_intervention")) == {}
 
 
 def test_the_figure_is_the_same_bytes_twice_and_shows_its_rows() -> None:
@@ -104,4 +105,4 @@ def test_nothing_to_draw_is_a_figure_without_panels() -> None:
 def test_which_way_is_better_is_the_same_in_the_queries_and_in_the_report() -> None:
     with from_rows([]) as database:
         asked = {row["metric"]: row["better"] for row in database.rows("SELECT metric, better FROM metric_definitions")}
-    assert asked == {spec.name: spec.better for spec in specs.metrics()}
+    assert asked == {spec.name: spec.better for spec in metrics()}

@@ -1,4 +1,4 @@
-"""The paper's two tables of marks in the report: ours beside the paper's, and what a difference is called."""
+"""The paper's two tables of grades in the report: ours beside the paper's, and what a difference is called."""
 
 import shutil
 from collections.abc import Callable
@@ -13,7 +13,7 @@ from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.metrics.database import connect, plain_rows
-from fsar_ledger.report import document, marks, specs, write_report
+from fsar_ledger.report import document, grades, specs, write_report
 from fsar_ledger.report.findings import Findings
 from fsar_ledger.report.gather import gather
 from fsar_ledger.runtime.experiment import simulate, workflow_experiment
@@ -45,7 +45,7 @@ def column(table: dict[str, Any], name: str, key: str, what: str = "value") -> l
 
 
 def test_the_papers_marks_are_printed_as_they_are() -> None:
-    rows = {row["feature"]: row for row in marks.features([])}
+    rows = {row["feature"]: row for row in grades.features([])}
     assert [row["feature"] for row in rows.values()] == [
         row["feature"] for row in specs.paper_table("architecture_features")
     ]
@@ -75,7 +75,7 @@ def test_a_feature_agrees_or_differs_where_the_ledger_shows_it(ours: tuple[str |
         {"feature": "single_agent_robot", "architecture": name, "grade": grade}
         for name, grade in zip(("fsar", "cfc", "dhma"), ours, strict=True)
     ]
-    assert marks.features(graded)[0]["verdict"] == verdict
+    assert grades.features(graded)[0]["verdict"] == verdict
 
 
 def test_workflows_of_another_seed_have_no_part_in_the_table(make_ledger: Make, tmp_path: Path) -> None:
@@ -85,7 +85,7 @@ def test_workflows_of_another_seed_have_no_part_in_the_table(make_ledger: Make, 
     other = RunRecord("another", (0,), (None,), [msgspec.structs.replace(kept.events[0], seed=43)])
     with Writer(several, "test") as writer:
         writer.append(stage(several, [other]))
-    alone, found = marks.workflows(ours), marks.workflows(several)
+    alone, found = grades.workflows(ours), grades.workflows(several)
     assert (alone.others, found.others, found.run_count) == (0, 1, 3)
     assert found.coverage == alone.coverage
     assert any(row["workflow-door-relay_ours"] for row in found.coverage)
@@ -134,10 +134,10 @@ def test_marks_are_the_papers_signs_and_a_mark_that_is_not_shown_is_a_dash(findi
 def test_every_feature_mechanism_and_difference_of_the_paper_has_its_words() -> None:
     assert list(specs.labels("feature")) == [row["feature"] for row in specs.paper_table("architecture_features")]
     assert list(specs.labels("mechanism")) == [row["mechanism"] for row in specs.paper_table("mechanism_coverage")]
-    assert set(specs.labels("workflow")) == set(marks.WORKFLOWS)
+    assert set(specs.labels("workflow")) == set(grades.WORKFLOWS)
     for name in specs.labels("difference"):
         workflow, mechanism, cell = name.split("/")
-        assert workflow in marks.WORKFLOWS
+        assert workflow in grades.WORKFLOWS
         assert mechanism in specs.labels("mechanism")
         assert cell
 
@@ -145,7 +145,7 @@ def test_every_feature_mechanism_and_difference_of_the_paper_has_its_words() -> 
 def test_every_cell_of_the_coverage_stands_beside_the_papers_and_agrees_or_has_its_reason(findings: Findings) -> None:
     assert findings.workflows is not None
     for row in findings.workflows.coverage:
-        differing = [name for name in marks.WORKFLOWS if row[f"{name}_paper"] != row[f"{name}_ours"]]
+        differing = [name for name in grades.WORKFLOWS if row[f"{name}_paper"] != row[f"{name}_ours"]]
         assert row["verdict"] == (
             f"differs: {', '.join(specs.labels('workflow')[name] for name in differing)}" if differing else "agrees"
         )

@@ -207,7 +207,7 @@ def without_saying_so(switch: Switch) -> Iterator[str | None]:
     for spec in (
         RunSpec(5, switch.architecture, "full", scenario, 4, run) for scenario in SCENARIOS for run in range(3)
     ):
-        difference = replay_run(simulate_run(spec, CONSTANTS, switch.structure()))
+        difference = replay_run(simulate_run(spec, CONSTANTS, wiring(switch.architecture, switch.configuration)))
         if difference is not None:
             yield difference.handler
 

@@ -10,8 +10,10 @@ from fsar_ledger.events.execution import ExecutionHeld, ExecutionQueued, Routine
 from fsar_ledger.events.knowledge import WorkQueued
 from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryAttemptFailed
 from fsar_ledger.events.request import RequestClosed
-from fsar_ledger.ledger.rows.codec import RunRecord
-from fsar_ledger.runtime.simulation import RunSpec, simulate_run
+from fsar_ledger.ledger.rows.codec import RunRecord, encode
+from fsar_ledger.metrics.database import from_table
+from fsar_ledger.metrics.results import metric_rows
+from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 from fsar_ledger.runtime.switches import _decided_by
 
 
@@ -98,3 +100,25 @@ def test_who_is_not_known_is_on_record_as_nobody_and_not_as_an_empty_name() -> N
     ]
     assert (unknown, no_path) == (None, ())
     assert (known, path) == ("robot/a", ("robot/a",))
+
+
+@pytest.mark.parametrize(
+    ("architecture", "configuration", "carried"),
+    [
+        ("fsar", "without-layered-recovery", ("recovery_containment", "human_intervention")),
+        ("cfc", "without-safe-stop-claims", ("authority_conflicts",)),
+    ],
+)
+def test_without_a_mechanism_the_numbers_that_it_carries_are_others(
+    architecture: Architecture, configuration: Configuration, carried: tuple[str, ...]
+) -> None:
+    def measured(configuration: Configuration) -> dict[str, float | None]:
+        specs = (
+            RunSpec(42, architecture, configuration, scenario, 4, run) for scenario in SCENARIOS for run in range(3)
+        )
+        with from_table(encode([simulate_run(spec, Constants()) for spec in specs]), threads=1) as database:
+            return {row.metric: row.mean for row in metric_rows(database)}
+
+    whole, without = measured("full"), measured(configuration)
+    for metric in carried:
+        assert whole[metric] != without[metric]

@@ -1,4 +1,4 @@
-"""The paper's two tables of marks, beside what the ledgers show: features of architectures, mechanisms of workflows.
+"""The paper's two tables of grades, beside what the ledgers show: features of architectures, mechanisms of workflows.
 
 Grades and cells come from `queries/tables/`; here they are only laid beside the printed ones.
 """
@@ -31,13 +31,22 @@ GROUPS = """
     GROUP BY made_alike
     ORDER BY count(*) DESC, min(run_id)
 """
-FIRST = "SELECT scenario, min(run_id) AS run_id FROM runs INNER JOIN run_groups USING (run_id) WHERE made_alike = $made_alike GROUP BY scenario"
+FIRST = """
+    SELECT scenario, min(run_id) AS run_id
+    FROM runs
+    INNER JOIN run_groups USING (run_id)
+    WHERE made_alike = $made_alike
+    GROUP BY scenario
+"""
 AGREES, DIFFERS = "agrees", "differs"
 NOT_OBSERVABLE = "not observable"  # the cell of a mechanism that the runs do not record
 
 
 def graded(database: Database) -> list[Row]:
-    """Feature, architecture, grade and evidence in the order of the paper's table; grade None where the ledger shows too little."""
+    """Return feature, architecture, grade and evidence in the order of the paper's table.
+
+    The grade is None where the ledger shows too little.
+    """
     rows = plain_rows(database.query("tables/architecture_features"))
     found = {(row["feature"], row["architecture"]): row for row in rows if row["configuration"] == MAIN_CONFIGURATION}
     return [
@@ -54,7 +63,10 @@ def graded(database: Database) -> list[Row]:
 
 
 def features(grades: Sequence[Row], apart: Collection[str] = ()) -> tuple[Row, ...]:
-    """The table "Architectural comparison" with our grades beside the paper's, no verdict on architectures apart. Paper: tab:baseline_context."""
+    """The table "Architectural comparison" with our grades beside the paper's, no verdict on architectures apart.
+
+    Paper: tab:baseline_context.
+    """
     ours = {(row["feature"], row["architecture"]): row["grade"] for row in grades}
     rows = []
     for printed in specs.paper_table("architecture_features"):
@@ -79,7 +91,7 @@ def verdict(pairs: Mapping[str, tuple[str | None, str | None]]) -> str | None:
 
 
 def workflows(ledger: Path, demanded: str | None = None) -> Workflows:
-    """What the head of a ledger of workflows says: coverage, the story of the door relay, the recovery of the layered recovery.
+    """Return what a ledger of workflows says: coverage, the door relay's story, the layered recovery's recovery.
 
     Raises:
         UsageError: it holds no run of a workflow.
@@ -106,7 +118,10 @@ def workflows(ledger: Path, demanded: str | None = None) -> Workflows:
 
 
 def _coverage(database: Database, main: str) -> tuple[Row, ...]:
-    """The table "FSAR mechanisms exercised by each workflow" with the cells of runs made alike beside the paper's. Paper: tab:coverage."""
+    """The table "FSAR mechanisms exercised by each workflow" with the cells of runs made alike beside the paper's.
+
+    Paper: tab:coverage.
+    """
     found = plain_rows(database.query("tables/mechanism_coverage"))
     ours = {(row["mechanism"], row["workflow"]): row["cell"] for row in found if row["made_alike"] == main}
     rows = []
