@@ -50,12 +50,12 @@ def founding(size: int) -> Iterator[Event]:
     for team in range(1, cells + 1):
         for role, capabilities in CAPABILITIES.items():
             robot = f"robot/{role}{team}"
-            yield RobotJoined(robot, role, team, None, cell(team - 1, cells))
+            yield RobotJoined(robot=robot, role=role, team=team, supervisor=None, domain=cell(team - 1, cells))
             for capability in (*capabilities, *((FAR,) if robot == last else ())):
-                yield CapabilityInstalled(robot, capability, "1.0.0")
-                yield CapabilityAdvertised(robot, capability)
-        yield TrustSet(f"robot/B{team}", f"robot/A{team}", "task")
-        yield TrustSet(last, f"robot/A{team}", "task")
+                yield CapabilityInstalled(robot=robot, capability=capability, version="1.0.0")
+                yield CapabilityAdvertised(robot=robot, capability=capability)
+        yield TrustSet(robot=f"robot/B{team}", peer=f"robot/A{team}", scope="task")
+        yield TrustSet(robot=last, peer=f"robot/A{team}", scope="task")
 
 
 def scanned(state: State, records: list[Advertisement], query: Query) -> str:
@@ -85,7 +85,7 @@ def median_us(work: Callable[[Query], str], queries: list[Query]) -> tuple[float
 def median_update_us(state: State, robots: list[str]) -> float:
     spent = []
     for robot in robots:
-        changed = AvailabilityChanged(robot, NEAR, "busy", "benchmark")
+        changed = AvailabilityChanged(robot=robot, capability=NEAR, availability="busy", reason="benchmark")
         began = time.perf_counter_ns()
         registry.evolve(state.registry, changed)
         spent.append(time.perf_counter_ns() - began)

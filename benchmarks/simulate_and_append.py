@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, get_args
 
 from fsar_ledger.events import EVENT_TYPES
-from fsar_ledger.events.envelope import Architecture, Scenario
+from fsar_ledger.events.envelope import Architecture, Scenario, flat
 from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.ledger.read import open_ledger
 from fsar_ledger.runtime.experiment import Experiment, simulate
@@ -118,7 +118,7 @@ def domain_events(run: RunRecord, classes: dict[type, type[Any]]) -> list[Any]:
             timestamp=now,
             caused_by=cause,
             time_us=time_us,
-            **{name: getattr(event, name) for name in event.__struct_fields__},
+            **flat(event),
         )
         for version, (event, cause, time_us) in enumerate(
             zip(run.events, run.caused_by, run.times_us, strict=True), start=1

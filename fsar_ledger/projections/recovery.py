@@ -57,7 +57,10 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
     """The open failures after the event."""
     match event:
         case ExecutionFailed():
-            return {**state, event.action_id: Recovery(event.robot, event.failure, event.cause, event.detected_us)}
+            return {
+                **state,
+                event.subject.action_id: Recovery(event.robot, event.failure, event.cause, event.detected_us),
+            }
         case RecoveryAttempted():
             changed = msgspec.structs.replace(
                 state[event.failed_action], number=event.number, deadline_us=event.deadline_us
@@ -77,18 +80,18 @@ def evolve(state: Recoveries, event: HANDLES) -> Recoveries:
             )
             return {**state, event.failed_action: asked}
         case AssistanceAdmitted() | AssistanceDeclined():
-            action_id = event.action_id or ""
+            action_id = event.subject.action_id or ""
             return (
                 {**state, action_id: msgspec.structs.replace(state[action_id], awaited=None)}
                 if action_id in state
                 else state
             )
         case SupervisorCalled():
-            called = state.get(event.action_id)
+            called = state.get(event.subject.action_id)
             if called is None or event.purpose != "recovery":
                 return state
-            return {**state, event.action_id: msgspec.structs.replace(called, calls=called.calls + 1)}
+            return {**state, event.subject.action_id: msgspec.structs.replace(called, calls=called.calls + 1)}
         case FailureResolved():
-            return {action: recovery for action, recovery in state.items() if action != event.action_id}
+            return {action: recovery for action, recovery in state.items() if action != event.subject.action_id}
         case _:
             assert_never(event)

@@ -36,21 +36,21 @@ def density(state: Supervision, robot: str) -> int:
 
 def is_asked(state: Supervision, action_id: str, purpose: Purpose) -> bool:
     """True while a supervisor is asked this about the action."""
-    return any((call.action_id, call.purpose) == (action_id, purpose) for call in state.calls.values())
+    return any((call.subject.action_id, call.purpose) == (action_id, purpose) for call in state.calls.values())
 
 
 def evolve(state: Supervision, event: HANDLES) -> Supervision:
     """Supervision after the event."""
     match event:
         case RequestAdmitted():
-            if event.executed_by is None:
+            if event.principals.executed_by is None:
                 return state
-            count = state.admissions.get(event.executed_by, 0) + 1
+            count = state.admissions.get(event.principals.executed_by, 0) + 1
             return Supervision(
                 state.approved,
                 state.calls,
                 state.review_every,
-                {**state.admissions, event.executed_by: count},
+                {**state.admissions, event.principals.executed_by: count},
                 state.called,
             )
         case SupervisorCalled():
@@ -60,17 +60,19 @@ def evolve(state: Supervision, event: HANDLES) -> Supervision:
             )
         case SupervisorResponded():
             approved = (
-                state.approved | {event.action_id} if event.purpose == "review" and event.approves else state.approved
+                state.approved | {event.subject.action_id}
+                if event.purpose == "review" and event.approves
+                else state.approved
             )
             return Supervision(
                 approved,
-                _without(state.calls, event.action_id, event.purpose),
+                _without(state.calls, event.subject.action_id, event.purpose),
                 state.review_every,
                 state.admissions,
                 state.called,
             )
         case FailureResolved():
-            calls = _without(state.calls, event.action_id, "recovery")
+            calls = _without(state.calls, event.subject.action_id, "recovery")
             return Supervision(state.approved, calls, state.review_every, state.admissions, state.called)
         case SupervisionDensitySet():
             return msgspec.structs.replace(state, review_every={**state.review_every, event.robot: event.review_every})
@@ -80,4 +82,6 @@ def evolve(state: Supervision, event: HANDLES) -> Supervision:
 
 def _without(calls: dict[int, SupervisorCalled], action_id: str, purpose: str) -> dict[int, SupervisorCalled]:
     """The calls that are open once this is settled: whoever answers first, answers for all who were asked the same."""
-    return {number: call for number, call in calls.items() if (call.action_id, call.purpose) != (action_id, purpose)}
+    return {
+        number: call for number, call in calls.items() if (call.subject.action_id, call.purpose) != (action_id, purpose)
+    }

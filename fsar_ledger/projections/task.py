@@ -39,9 +39,12 @@ def evolve(state: Tasks, event: HANDLES) -> Tasks:
     """The open tasks after the event."""
     match event:
         case StepBegan():
-            return {**state, event.task_id: _at(state[event.task_id], 0, event.attempt, event.action_id)}
+            return {
+                **state,
+                event.subject.task_id: _at(state[event.subject.task_id], 0, event.attempt, event.subject.action_id),
+            }
         case StepCompleted():
-            return {**state, event.task_id: _at(state[event.task_id], 1, 0, "")}
+            return {**state, event.subject.task_id: _at(state[event.subject.task_id], 1, 0, "")}
         case TaskArrived():
             about = (event.task_id, event.robot, event.team, event.steps, event.budget_us, event.due_us)
             return {

@@ -171,36 +171,38 @@ def _noted(state: Trust, event: Result) -> Trust:
     match event:
         case RequestIssued():
             if (
-                event.action_id is None
-                or event.requested_by is None
-                or event.executed_by is None
+                event.subject.action_id is None
+                or event.principals.requested_by is None
+                or event.principals.executed_by is None
                 or event.relay is not None
             ):
                 return state  # whoever needs a relay has no direct trust that could move
             return _asking(
-                state, event.action_id, (event.executed_by, event.requested_by, event.capability, event.task_id)
+                state,
+                event.subject.action_id,
+                (event.principals.executed_by, event.principals.requested_by, event.capability, event.subject.task_id),
             )
         case OutsiderRequestInjected():
             return _asking(state, event.task_id, (event.peer, event.robot, event.capability, event.task_id))
         case RequestDenied():
-            asked = state.asked.get(event.action_id or "")
+            asked = state.asked.get(event.subject.action_id or "")
             return _changed(
-                _closed(state, event.action_id),
+                _closed(state, event.subject.action_id),
                 (asked, False) if asked is not None and event.reason in VIOLATIONS else None,
             )
         case RequestClosed():
-            asked = state.asked.get(event.action_id)
+            asked = state.asked.get(event.subject.action_id)
             if asked is None:
                 return _changed(state)
-            executor, requester, capability, context = event.executed_by or asked[0], *asked[1:]
+            executor, requester, capability, context = event.principals.executed_by or asked[0], *asked[1:]
             of_executor = (
                 (requester, executor, capability, context),
                 {"success": True, "partial": None, "failure": False}[event.result],
             )
             of_requester = ((executor, requester, capability, context), True) if event.result == "success" else None
-            return _changed(_closed(state, event.action_id), of_executor, of_requester)
+            return _changed(_closed(state, event.subject.action_id), of_executor, of_requester)
         case ExecutionFailed():
-            asked = state.asked.get(event.action_id)
+            asked = state.asked.get(event.subject.action_id)
             return _changed(
                 state,
                 None if asked is None or asked[1] == event.robot else ((asked[1], event.robot, *asked[2:]), False),

@@ -183,7 +183,16 @@ def test_a_run_begins_with_its_start_and_has_no_other(path: Path) -> None:
 
 
 def test_what_stands_alone_is_in_no_run(path: Path) -> None:
-    plan = ExperimentPlanned(("fsar",), ("full",), ("door-relay",), 20, 42, 4, "2", "{}")
+    plan = ExperimentPlanned(
+        architectures=("fsar",),
+        configurations=("full",),
+        scenarios=("door-relay",),
+        run_count=20,
+        seed=42,
+        fleet_size=4,
+        model_version="2",
+        parameters="{}",
+    )
     assert stage(path, [RunRecord("plan", [0], [None], [plan])]).rows == 1
     refused(
         path,
@@ -394,9 +403,9 @@ def test_a_ledger_takes_no_more_commits_than_a_folder_holds_names(path: Path, mo
 def observing(*concerns: str) -> RunRecord:
     """A start that says so, two robots that join, and a task that is done."""
     events = [
-        RunStarted("foreign", concerns),
-        RobotJoined("robot/A1", "carrier", 1, None),
-        RobotJoined("robot/A2", "carrier", 1, None),
+        RunStarted(kind="foreign", observes=concerns),
+        RobotJoined(robot="robot/A1", role="carrier", team=1, supervisor=None),
+        RobotJoined(robot="robot/A2", role="carrier", team=1, supervisor=None),
         TaskCompleted("T1"),
     ]
     return RunRecord("seen", [0, 0, 0, 5], [None, 0, 0, 0], events)
@@ -434,7 +443,7 @@ def test_an_event_of_a_concern_that_its_run_does_not_observe_is_refused_and_cond
 
 def test_what_a_run_observes_it_may_hold_and_other_runs_may_hold_more(path: Path) -> None:
     append_all(path, [[RUN, observing("fleet", "task"), BATCHES[2][0]]])
-    quiet = RunRecord("quiet", [0], [None], [RunStarted("foreign", ())])
+    quiet = RunRecord("quiet", [0], [None], [RunStarted(kind="foreign", observes=())])
     append_all(path, [[quiet]])
     assert verify(path).ok
 
@@ -452,7 +461,7 @@ def test_what_a_run_observes_it_may_hold_and_other_runs_may_hold_more(path: Path
     ],
 )
 def test_parameters_that_nobody_can_read_are_refused(path: Path, text: str) -> None:
-    run = RunRecord("night", [0], [None], [RunStarted("live", ("fleet",), parameters=text)])
+    run = RunRecord("night", [0], [None], [RunStarted(kind="live", observes=("fleet",), parameters=text)])
     refused(
         path,
         [run],
@@ -464,6 +473,15 @@ def test_parameters_that_nobody_can_read_are_refused(path: Path, text: str) -> N
 def test_parameters_of_somebody_elses_are_any_json_object(path: Path, text: str | None) -> None:
     append_all(
         path,
-        [[RunRecord("night", [0], [None], [RunStarted("foreign", ("fleet",), source="example.org", parameters=text)])]],
+        [
+            [
+                RunRecord(
+                    "night",
+                    [0],
+                    [None],
+                    [RunStarted(kind="foreign", observes=("fleet",), source="example.org", parameters=text)],
+                )
+            ]
+        ],
     )
     assert verify(path).ok

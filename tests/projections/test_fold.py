@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.events.configuration import CONFIGURATIONS
-from fsar_ledger.events.envelope import Architecture, Workflow
+from fsar_ledger.events.envelope import Architecture, Parties, Subject, Workflow
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionWithdrawn
 from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections import execution, world
@@ -120,14 +120,27 @@ def test_the_policy_in_force_is_the_strictest_open_window(windows: list[tuple[in
             state = world.evolve(state, PolicyWindowClosed("robot/A1", "local", str(name)))
             del opened[name]
         else:
-            state = world.evolve(state, PolicyWindowOpened("robot/A1", "local", str(name), outcome))  # type: ignore[arg-type]
+            state = world.evolve(
+                state, PolicyWindowOpened(robot="robot/A1", scope="local", window=str(name), outcome=outcome)
+            )  # type: ignore[arg-type]
             opened[name] = outcome
     expected = "deny" if "deny" in opened.values() else "review" if opened else "allow"
     assert in_force(state.local, "robot/A1") == expected
 
 
 def queued(name: str, robot: str) -> ExecutionQueued:
-    return ExecutionQueued(name, name, None, None, None, robot, robot, "carry.package", 1, 1, False, False, True)
+    return ExecutionQueued(
+        subject=Subject(name, name),
+        principals=Parties(requested_by=None, executed_by=None, supervised_by=None),
+        robot=robot,
+        on_behalf_of=robot,
+        capability="carry.package",
+        step=1,
+        attempt=1,
+        is_delegated=False,
+        has_approach=False,
+        is_supervised=True,
+    )
 
 
 @given(st.lists(st.integers(0, 9), max_size=40))
@@ -142,10 +155,17 @@ def test_a_robot_serves_one_at_a_time_in_order_of_arrival(moves: list[int]) -> N
             state = execution.evolve(state, queued(name, "robot/A1"))
             model.append(name)
         elif move < 6:
-            state = execution.evolve(state, ExecutionFinished(model[0], model[0], None, None, None, "robot/A1"))
+            state = execution.evolve(
+                state,
+                ExecutionFinished(
+                    Subject(model[0], model[0]),
+                    Parties(requested_by=None, executed_by=None, supervised_by=None),
+                    "robot/A1",
+                ),
+            )
             model.pop(0)
         else:
-            state = execution.evolve(state, ExecutionWithdrawn(model[-1], model[-1], "robot/A1"))
+            state = execution.evolve(state, ExecutionWithdrawn(Subject(model[-1], model[-1]), "robot/A1"))
             model.pop()
         assert [*([state.current["robot/A1"]] if model else []), *state.queues.get("robot/A1", ())] == model
 

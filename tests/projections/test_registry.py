@@ -25,9 +25,9 @@ def populated() -> Registry:
     """Four robots in four domains, each with two modules."""
     state = registry.INITIAL
     for robot, domain in DOMAINS.items():
-        state = registry.evolve(state, RobotJoined(robot, robot[6], 1, None, domain))
+        state = registry.evolve(state, RobotJoined(robot=robot, role=robot[6], team=1, supervisor=None, domain=domain))
         for capability in ("lift", "open"):
-            state = registry.evolve(state, CapabilityInstalled(robot, capability, "1.0.0"))
+            state = registry.evolve(state, CapabilityInstalled(robot=robot, capability=capability, version="1.0.0"))
     return state
 
 
@@ -102,7 +102,7 @@ def assert_tidy(found: Offers) -> None:
 
 
 def test_the_registries_around_a_domain_go_outward_and_name_the_one_just_left() -> None:
-    state = evolved(populated(), *[CapabilityAdvertised(robot, "lift") for robot in DOMAINS])
+    state = evolved(populated(), *[CapabilityAdvertised(robot=robot, capability="lift") for robot in DOMAINS])
     levels = [
         (path, [record.robot for record in offers(level, "lift", but)])
         for path, level, but in enclosing(state.offers, "hall/cell")
@@ -111,14 +111,14 @@ def test_the_registries_around_a_domain_go_outward_and_name_the_one_just_left() 
 
 
 def test_a_domain_that_nobody_advertises_in_is_passed_over() -> None:
-    state = evolved(populated(), CapabilityAdvertised("robot/B1", "lift"))
+    state = evolved(populated(), CapabilityAdvertised(robot="robot/B1", capability="lift"))
     assert [path for path, _, _ in enclosing(state.offers, "hall/other/corner")] == ["hall", ""]
     assert [path for path, _, _ in enclosing(registry.INITIAL.offers, "hall")] == [""]
 
 
 def test_a_change_touches_only_the_registries_on_its_path() -> None:
-    before = evolved(populated(), *[CapabilityAdvertised(robot, "lift") for robot in DOMAINS])
-    after = evolved(before, AvailabilityChanged("robot/C1", "lift", "busy", "x"))
+    before = evolved(populated(), *[CapabilityAdvertised(robot=robot, capability="lift") for robot in DOMAINS])
+    after = evolved(before, AvailabilityChanged(robot="robot/C1", capability="lift", availability="busy", reason="x"))
     assert after.offers.below["yard"] is before.offers.below["yard"]
     assert after.offers.records is before.offers.records
     assert after.offers.ways is before.offers.ways
@@ -126,7 +126,9 @@ def test_a_change_touches_only_the_registries_on_its_path() -> None:
 
 
 def test_a_copy_keeps_what_was_offered_when_it_was_taken() -> None:
-    state = evolved(populated(), CapabilityAdvertised("robot/B1", "lift"), RegistryCached("robot/A1", 5))
+    state = evolved(
+        populated(), CapabilityAdvertised(robot="robot/B1", capability="lift"), RegistryCached("robot/A1", 5)
+    )
     state = evolved(state, CapabilityWithdrawn("robot/B1", "lift", "x"))
     assert list(offers(state.offers, "lift")) == []
     assert [record.robot for record in offers(state.caches["robot/A1"].offers, "lift")] == ["robot/B1"]
@@ -135,7 +137,9 @@ def test_a_copy_keeps_what_was_offered_when_it_was_taken() -> None:
 def test_what_was_never_advertised_can_be_withdrawn_deprecated_and_removed_without_effect() -> None:
     state = populated()
     after = evolved(
-        state, CapabilityWithdrawn("robot/D1", "lift", "x"), CapabilityDeprecated("robot/D1", "lift", "1.0.0")
+        state,
+        CapabilityWithdrawn("robot/D1", "lift", "x"),
+        CapabilityDeprecated(robot="robot/D1", capability="lift", version="1.0.0"),
     )
     assert advertisement(after, "robot/D1", "lift") is None
     assert list(offers(after.offers, "lift")) == []

@@ -3,6 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fsar_ledger.events.envelope import Principals, RequestSubject, Subject
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
 from fsar_ledger.events.trust import TrustSet, TrustThresholdsSet
@@ -24,19 +25,41 @@ def folded(*events: object, of: Trust | None = None) -> Trust:
 
 
 def issued(action: str = "t1/1", relay: str | None = None) -> RequestIssued:
-    return RequestIssued("t1", action, action, A, A, B, None, (A,), DOOR, "allow", relay)
+    return RequestIssued(
+        subject=RequestSubject("t1", action, action),
+        principals=Principals(decided_by=A, requested_by=A, executed_by=B, supervised_by=None, path=(A,)),
+        capability=DOOR,
+        carried_policy="allow",
+        relay=relay,
+    )
 
 
 def closed(action: str = "t1/1", result: str = "success", by: str | None = B) -> RequestClosed:
-    return RequestClosed("t1", action, action, "service/coordination", A, by, None, ("service/coordination",), result)  # type: ignore[arg-type]
+    return RequestClosed(
+        RequestSubject("t1", action, action),
+        Principals(
+            decided_by="service/coordination",
+            requested_by=A,
+            executed_by=by,
+            supervised_by=None,
+            path=("service/coordination",),
+        ),
+        result,
+    )  # type: ignore[arg-type]
 
 
 def denied(reason: str, action: str = "t1/1") -> RequestDenied:
-    return RequestDenied("t1", action, action, B, A, B, None, (B,), reason)
+    return RequestDenied(
+        RequestSubject("t1", action, action),
+        Principals(decided_by=B, requested_by=A, executed_by=B, supervised_by=None, path=(B,)),
+        reason,
+    )
 
 
 def failed(action: str = "t1/1", robot: str = B) -> ExecutionFailed:
-    return ExecutionFailed("t1", action, robot, 1, "obstruction", 0, 0)
+    return ExecutionFailed(
+        subject=Subject("t1", action), robot=robot, failure=1, cause="obstruction", remaining_us=0, detected_us=0
+    )
 
 
 @given(st.lists(st.tuples(ABOUT, SCOPE), max_size=9), ABOUT)
@@ -121,22 +144,42 @@ def test_without_thresholds_nothing_is_kept_and_without_them_again_it_is_forgott
 
 def test_what_is_set_begins_the_rows_that_it_is_about_again() -> None:
     state = folded(issued(), closed())
-    assert folded(TrustSet(B, A, "task", DOOR), of=state).records == {OF_EXECUTOR: Record(1, 0)}
-    assert folded(TrustSet(B, A, "task"), of=state).records == {OF_EXECUTOR: Record(1, 0)}
-    assert folded(TrustSet(B, A, "task", "carry.heavy"), of=state).records == state.records
+    assert folded(TrustSet(robot=B, peer=A, scope="task", capability=DOOR), of=state).records == {
+        OF_EXECUTOR: Record(1, 0)
+    }
+    assert folded(TrustSet(robot=B, peer=A, scope="task"), of=state).records == {OF_EXECUTOR: Record(1, 0)}
+    assert folded(TrustSet(robot=B, peer=A, scope="task", capability="carry.heavy"), of=state).records == state.records
 
 
 def test_results_count_for_the_trust_that_holds_in_their_context() -> None:
     of_context = (B, A, DOOR, "t1")
-    assert folded(TrustSet(B, A, "task", DOOR, "t1"), issued(), denied("trust")).records == {of_context: Record(0, 1)}
-    assert folded(TrustSet(B, A, "task", None, "t1"), issued(), denied("trust")).records == {of_context: Record(0, 1)}
     assert folded(
-        TrustSet(B, A, "task", None, "t1"), TrustSet(B, A, "task", DOOR), issued(), denied("trust")
+        TrustSet(robot=B, peer=A, scope="task", capability=DOOR, context="t1"), issued(), denied("trust")
+    ).records == {of_context: Record(0, 1)}
+    assert folded(
+        TrustSet(robot=B, peer=A, scope="task", capability=None, context="t1"), issued(), denied("trust")
+    ).records == {of_context: Record(0, 1)}
+    assert folded(
+        TrustSet(robot=B, peer=A, scope="task", capability=None, context="t1"),
+        TrustSet(robot=B, peer=A, scope="task", capability=DOOR),
+        issued(),
+        denied("trust"),
     ).records == {OF_REQUESTER: Record(0, 1)}
-    assert folded(TrustSet(B, A, "task", DOOR, "t2"), issued(), denied("trust")).records == {OF_REQUESTER: Record(0, 1)}
+    assert folded(
+        TrustSet(robot=B, peer=A, scope="task", capability=DOOR, context="t2"), issued(), denied("trust")
+    ).records == {OF_REQUESTER: Record(0, 1)}
 
 
 def test_what_is_set_for_one_context_leaves_the_rows_of_the_others() -> None:
-    state = folded(TrustSet(B, A, "task", DOOR, "t1"), issued(), closed())
-    assert folded(TrustSet(B, A, "task", DOOR), TrustSet(B, A, "task", DOOR, "t2"), of=state).records == state.records
-    assert folded(TrustSet(B, A, "session", None, "t1"), of=state).records == {OF_EXECUTOR: Record(1, 0)}
+    state = folded(TrustSet(robot=B, peer=A, scope="task", capability=DOOR, context="t1"), issued(), closed())
+    assert (
+        folded(
+            TrustSet(robot=B, peer=A, scope="task", capability=DOOR),
+            TrustSet(robot=B, peer=A, scope="task", capability=DOOR, context="t2"),
+            of=state,
+        ).records
+        == state.records
+    )
+    assert folded(TrustSet(robot=B, peer=A, scope="session", capability=None, context="t1"), of=state).records == {
+        OF_EXECUTOR: Record(1, 0)
+    }

@@ -92,33 +92,108 @@ def test_handlers_and_queries_find_the_same_rules_of_robot_role_domain_capabilit
     assert seen == {*OUTCOMES, None}
 
 
-OF_B = RolePolicyRuleSet("fleet", "B", "deny", "", DOOR)
+OF_B = RolePolicyRuleSet(scope="fleet", role="B", outcome="deny", domain="", capability=DOOR)
 NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
     "its role": ((OF_B,), "deny"),
-    "another role": ((RolePolicyRuleSet("fleet", "A", "deny"),), None),
-    "the robots' own": ((RolePolicyRuleSet("local", "B", "deny"),), None),
-    "the robot": ((OF_B, PolicyRuleSet("fleet", "robot/B1", DOOR, None, "allow", None)), "allow"),
-    "the robot before": ((PolicyRuleSet("fleet", "robot/B1", DOOR, None, "review", None), OF_B), "review"),
-    "another robot": ((OF_B, PolicyRuleSet("fleet", "robot/B2", DOOR, None, "allow", None)), "deny"),
-    "its own, not the fleet's": ((OF_B, PolicyRuleSet("local", "robot/B1", DOOR, None, "allow", None)), "deny"),
-    "about everything": ((OF_B, PolicyRuleSet("fleet", "robot/B1", None, None, "allow", None)), "deny"),
-    "in one context": ((OF_B, PolicyRuleSet("fleet", "robot/B1", DOOR, "t1", "allow", None)), "deny"),
-    "every robot": ((OF_B, PolicyRuleSet("fleet", None, DOOR, None, "allow", None)), "deny"),
-    "every robot before": (
-        (PolicyRuleSet("fleet", None, DOOR, None, "deny", None), RolePolicyRuleSet("fleet", "B", "allow", "", DOOR)),
+    "another role": ((RolePolicyRuleSet(scope="fleet", role="A", outcome="deny"),), None),
+    "the robots' own": ((RolePolicyRuleSet(scope="local", role="B", outcome="deny"),), None),
+    "the robot": (
+        (
+            OF_B,
+            PolicyRuleSet(
+                scope="fleet", robot="robot/B1", capability=DOOR, context=None, outcome="allow", decided_by=None
+            ),
+        ),
+        "allow",
+    ),
+    "the robot before": (
+        (
+            PolicyRuleSet(
+                scope="fleet", robot="robot/B1", capability=DOOR, context=None, outcome="review", decided_by=None
+            ),
+            OF_B,
+        ),
+        "review",
+    ),
+    "another robot": (
+        (
+            OF_B,
+            PolicyRuleSet(
+                scope="fleet", robot="robot/B2", capability=DOOR, context=None, outcome="allow", decided_by=None
+            ),
+        ),
         "deny",
     ),
-    "replaced": ((OF_B, RolePolicyRuleSet("fleet", "B", "review", "", DOOR)), "review"),
-    "its domain": ((OF_B, RolePolicyRuleSet("fleet", "B", "allow", "hall", DOOR)), "allow"),
-    "its domain before": ((RolePolicyRuleSet("fleet", "B", "allow", "hall/cell", DOOR), OF_B), "allow"),
-    "another domain": ((OF_B, RolePolicyRuleSet("fleet", "B", "allow", "yard", DOOR)), "deny"),
-    "half a name": ((OF_B, RolePolicyRuleSet("fleet", "B", "allow", "hal", DOOR)), "deny"),
+    "its own, not the fleet's": (
+        (
+            OF_B,
+            PolicyRuleSet(
+                scope="local", robot="robot/B1", capability=DOOR, context=None, outcome="allow", decided_by=None
+            ),
+        ),
+        "deny",
+    ),
+    "about everything": (
+        (
+            OF_B,
+            PolicyRuleSet(
+                scope="fleet", robot="robot/B1", capability=None, context=None, outcome="allow", decided_by=None
+            ),
+        ),
+        "deny",
+    ),
+    "in one context": (
+        (
+            OF_B,
+            PolicyRuleSet(
+                scope="fleet", robot="robot/B1", capability=DOOR, context="t1", outcome="allow", decided_by=None
+            ),
+        ),
+        "deny",
+    ),
+    "every robot": (
+        (
+            OF_B,
+            PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="allow", decided_by=None),
+        ),
+        "deny",
+    ),
+    "every robot before": (
+        (
+            PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="deny", decided_by=None),
+            RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="", capability=DOOR),
+        ),
+        "deny",
+    ),
+    "replaced": (
+        (OF_B, RolePolicyRuleSet(scope="fleet", role="B", outcome="review", domain="", capability=DOOR)),
+        "review",
+    ),
+    "its domain": (
+        (OF_B, RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="hall", capability=DOOR)),
+        "allow",
+    ),
+    "its domain before": (
+        (RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="hall/cell", capability=DOOR), OF_B),
+        "allow",
+    ),
+    "another domain": (
+        (OF_B, RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="yard", capability=DOOR)),
+        "deny",
+    ),
+    "half a name": (
+        (OF_B, RolePolicyRuleSet(scope="fleet", role="B", outcome="allow", domain="hal", capability=DOOR)),
+        "deny",
+    ),
 }
 """Rules of the fleet about robot/B1, which works in hall/cell, and what they make of the secure door in t1."""
 
 
 def test_a_rule_is_replaced_by_a_nearer_one_about_the_same_and_by_nothing_else() -> None:
-    runs = {name: (RobotJoined("robot/B1", "B", 1, None, "hall/cell"), *rules) for name, (rules, _) in NEARNESS.items()}
+    runs = {
+        name: (RobotJoined(robot="robot/B1", role="B", team=1, supervisor=None, domain="hall/cell"), *rules)
+        for name, (rules, _) in NEARNESS.items()
+    }
     expected = {name: outcome for name, (_, outcome) in NEARNESS.items()}
     assert {
         name: policy.ruled(folded(events), "fleet", "robot/B1", DOOR, "t1") for name, events in runs.items()
@@ -289,11 +364,21 @@ def test_in_a_commanded_run_the_role_is_ruled_the_exception_is_not_and_the_queri
 
 
 INTERVENTIONS = (
-    (2, RolePolicyRuleSet("fleet", "B", "deny", "", DOOR, None, H_F)),
-    (3, RolePolicyRuleSet("local", "A", "deny", "", "carry.package")),
-    (60 * S, PolicyRuleSet("fleet", B1, DOOR, None, "allow", H_F)),
-    (70 * S, RolePolicyRuleSet("fleet", "B", "deny", "", DOOR, None, H_F)),
-    (80 * S, RolePolicyRuleSet("local", "A", "allow", "", "carry.package")),
+    (
+        2,
+        RolePolicyRuleSet(
+            scope="fleet", role="B", outcome="deny", domain="", capability=DOOR, context=None, decided_by=H_F
+        ),
+    ),
+    (3, RolePolicyRuleSet(scope="local", role="A", outcome="deny", domain="", capability="carry.package")),
+    (60 * S, PolicyRuleSet(scope="fleet", robot=B1, capability=DOOR, context=None, outcome="allow", decided_by=H_F)),
+    (
+        70 * S,
+        RolePolicyRuleSet(
+            scope="fleet", role="B", outcome="deny", domain="", capability=DOOR, context=None, decided_by=H_F
+        ),
+    ),
+    (80 * S, RolePolicyRuleSet(scope="local", role="A", outcome="allow", domain="", capability="carry.package")),
 )
 
 

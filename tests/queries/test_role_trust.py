@@ -19,7 +19,13 @@ from tests.recycled import from_rows
 DOOR, LIFT = "door.open.secure", "carry.heavy"
 DOMAINS = ("", "hall", "hall/cell", "hall/cell/bay", "hallway", "yard")
 MEMBERS = [
-    RobotJoined(f"robot/{role}{team}", role, team, None, DOMAINS[(team * 3 + offset) % len(DOMAINS)])
+    RobotJoined(
+        robot=f"robot/{role}{team}",
+        role=role,
+        team=team,
+        supervisor=None,
+        domain=DOMAINS[(team * 3 + offset) % len(DOMAINS)],
+    )
     for team in (1, 2)
     for offset, role in enumerate("AB")
 ]
@@ -103,20 +109,59 @@ def test_handlers_and_queries_find_the_same_entry_of_pair_role_domain_capability
 @pytest.mark.parametrize(
     ("entries", "scope"),
     [
-        ((RoleTrustSet("B", "A", "task"),), "task"),
-        ((RoleTrustSet("A", "B", "task"),), "none"),
-        ((TrustSet("robot/B1", "robot/A1", "none"), RoleTrustSet("B", "A", "task")), "none"),
-        ((TrustSet("robot/B1", "robot/A1", "none", LIFT), RoleTrustSet("B", "A", "task")), "task"),
-        ((RoleTrustSet("B", "A", "session", "hall"), RoleTrustSet("B", "A", "task", "", DOOR, "t1")), "session"),
-        ((RoleTrustSet("B", "A", "session", "yard"), RoleTrustSet("B", "A", "task")), "task"),
-        ((RoleTrustSet("B", "A", "session", "hal"), RoleTrustSet("B", "A", "task")), "task"),
-        ((RoleTrustSet("B", "A", "task", "", DOOR), RoleTrustSet("B", "A", "none")), "task"),
+        ((RoleTrustSet(role="B", peer_role="A", scope="task"),), "task"),
+        ((RoleTrustSet(role="A", peer_role="B", scope="task"),), "none"),
+        (
+            (
+                TrustSet(robot="robot/B1", peer="robot/A1", scope="none"),
+                RoleTrustSet(role="B", peer_role="A", scope="task"),
+            ),
+            "none",
+        ),
+        (
+            (
+                TrustSet(robot="robot/B1", peer="robot/A1", scope="none", capability=LIFT),
+                RoleTrustSet(role="B", peer_role="A", scope="task"),
+            ),
+            "task",
+        ),
+        (
+            (
+                RoleTrustSet(role="B", peer_role="A", scope="session", domain="hall"),
+                RoleTrustSet(role="B", peer_role="A", scope="task", domain="", capability=DOOR, context="t1"),
+            ),
+            "session",
+        ),
+        (
+            (
+                RoleTrustSet(role="B", peer_role="A", scope="session", domain="yard"),
+                RoleTrustSet(role="B", peer_role="A", scope="task"),
+            ),
+            "task",
+        ),
+        (
+            (
+                RoleTrustSet(role="B", peer_role="A", scope="session", domain="hal"),
+                RoleTrustSet(role="B", peer_role="A", scope="task"),
+            ),
+            "task",
+        ),
+        (
+            (
+                RoleTrustSet(role="B", peer_role="A", scope="task", domain="", capability=DOOR),
+                RoleTrustSet(role="B", peer_role="A", scope="none"),
+            ),
+            "task",
+        ),
     ],
 )
 def test_the_pair_goes_before_its_roles_and_the_smaller_domain_before_the_larger(
     entries: tuple[Event, ...], scope: str
 ) -> None:
-    joined = (RobotJoined("robot/A1", "A", 1, None, "hall/cell"), RobotJoined("robot/B1", "B", 1, None, "hall"))
+    joined = (
+        RobotJoined(robot="robot/A1", role="A", team=1, supervisor=None, domain="hall/cell"),
+        RobotJoined(robot="robot/B1", role="B", team=1, supervisor=None, domain="hall"),
+    )
     state = folded([*joined, *entries])
     assert trust.scope_of(state, "robot/B1", "robot/A1", DOOR, "t1") == scope
     rows = run(*(row(one) for one in (*joined, *entries)))
@@ -126,7 +171,13 @@ def test_the_pair_goes_before_its_roles_and_the_smaller_domain_before_the_larger
 
 
 def test_a_robot_that_is_no_member_is_trusted_only_by_name() -> None:
-    state = folded([MEMBERS[0], RoleTrustSet("A", "A", "task"), TrustSet("robot/A1", "robot/X9", "session")])
+    state = folded(
+        [
+            MEMBERS[0],
+            RoleTrustSet(role="A", peer_role="A", scope="task"),
+            TrustSet(robot="robot/A1", peer="robot/X9", scope="session"),
+        ]
+    )
     assert trust.scope_of(state, "robot/A1", "robot/X9") == "session"
     assert trust.scope_of(state, "robot/A1", "robot/X8") == "none"
     assert trust.scope_of(state, "robot/X9", "robot/A1") == "none"
@@ -159,9 +210,9 @@ def test_no_trust_is_in_force_before_both_robots_are_members() -> None:
 
 def test_a_robot_that_is_recorded_as_joining_twice_is_one_member_as_in_the_state() -> None:
     joined = [
-        RobotJoined("robot/B1", "A", 1, None, "hall"),
-        RobotJoined("robot/A1", "A", 1, None),
-        RobotJoined("robot/B1", "B", 2, None, "yard"),
+        RobotJoined(robot="robot/B1", role="A", team=1, supervisor=None, domain="hall"),
+        RobotJoined(robot="robot/A1", role="A", team=1, supervisor=None),
+        RobotJoined(robot="robot/B1", role="B", team=2, supervisor=None, domain="yard"),
     ]
     state = fold(joined)
     rows = run(*(row(one, number) for number, one in enumerate(joined)))

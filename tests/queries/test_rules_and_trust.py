@@ -393,12 +393,21 @@ def test_the_absence_that_excuses_is_that_of_the_robots_own_supervisor(
 
 GOVERNANCE = (
     (2, TrustThresholdsSet(2, 1, H_F)),
-    (3, SupervisionDensitySet(None, 2, H_F, "start-up")),
-    (4, PolicyRuleSet("fleet", None, DOOR, None, "allow", H_F)),
-    (5, PolicyRuleSet("local", "robot/B1", DOOR, None, "deny", H_B)),
-    (50_000_000, PolicyRuleSet("local", "robot/B1", DOOR, None, "review", H_B)),
-    (90_000_000, PolicyRuleSet("fleet", "robot/B1", None, None, "deny", H_F)),
-    (110_000_000, PolicyRuleSet("fleet", "robot/B1", None, None, "allow", H_F)),
+    (3, SupervisionDensitySet(robot=None, review_every=2, decided_by=H_F, reason="start-up")),
+    (4, PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="allow", decided_by=H_F)),
+    (5, PolicyRuleSet(scope="local", robot="robot/B1", capability=DOOR, context=None, outcome="deny", decided_by=H_B)),
+    (
+        50_000_000,
+        PolicyRuleSet(scope="local", robot="robot/B1", capability=DOOR, context=None, outcome="review", decided_by=H_B),
+    ),
+    (
+        90_000_000,
+        PolicyRuleSet(scope="fleet", robot="robot/B1", capability=None, context=None, outcome="deny", decided_by=H_F),
+    ),
+    (
+        110_000_000,
+        PolicyRuleSet(scope="fleet", robot="robot/B1", capability=None, context=None, outcome="allow", decided_by=H_F),
+    ),
 )
 
 

@@ -9,7 +9,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.configuration import Configuration
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Architecture, RecoveryLevel, Scenario
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Architecture, Principals, RecoveryLevel, Scenario, Subject
 from fsar_ledger.events.execution import ExecutionFailed, OwnStepDecided, RoutinePerformed
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.recovery import FailureResolved
@@ -64,9 +64,7 @@ def _events(
         for claimant in ("robot/A1", "coordinator"):
             yield (
                 3,
-                AuthorityClaimed(
-                    task_id="t1", action_id=action, dimension="override", claimant=claimant, reason="execution"
-                ),
+                AuthorityClaimed(Subject("t1", action), dimension="override", claimant=claimant, reason="execution"),
             )
     yield 4, PolicyWindowOpened(robot="robot/A1", scope="local", window="w1", outcome="deny")
     for _ in range(bad):
@@ -75,8 +73,7 @@ def _events(
         yield (
             6,
             ExecutionFailed(
-                task_id="t1",
-                action_id="t1/1",
+                subject=Subject("t1", "t1/1"),
                 robot="robot/A1",
                 failure=1,
                 cause="obstruction",
@@ -87,12 +84,12 @@ def _events(
         level: RecoveryLevel = "local" if bad < 2 else "human"
         yield (
             6 + (1 + bad) * 700_000,
-            FailureResolved(task_id="t1", action_id="t1/1", robot="robot/A1", failure=1, level=level),
+            FailureResolved(Subject("t1", "t1/1"), robot="robot/A1", failure=1, level=level),
         )
     if bad > 2:
         yield (
             9_000_000,
-            SupervisorCalled(task_id="t1", action_id="t1/1", supervisor=FLEET_SUPERVISOR, purpose="recovery"),
+            SupervisorCalled(subject=Subject("t1", "t1/1"), supervisor=FLEET_SUPERVISOR, purpose="recovery"),
         )
     if bad < 3:
         yield 10_000_000, TaskCompleted(task_id="t1")
@@ -101,24 +98,23 @@ def _events(
 def _decision(action: str, decided_by: str, path: tuple[str, ...]) -> Event:
     origin = "robot/A1" if decided_by == "robot/A1" else None
     return OwnStepDecided(
-        task_id="t1",
-        action_id=action,
-        decided_by=decided_by,
-        requested_by=origin,
-        executed_by="robot/A1",
-        supervised_by="supervisor/A1",
-        path=path,
+        Subject("t1", action),
+        Principals(
+            decided_by=decided_by, requested_by=origin, executed_by="robot/A1", supervised_by="supervisor/A1", path=path
+        ),
         capability="navigate.indoor",
     )
 
 
 def _motion() -> Event:
     return RoutinePerformed(
-        decided_by="robot/A1",
-        requested_by="robot/A1",
-        executed_by="robot/A1",
-        supervised_by=None,
-        path=("robot/A1",),
+        Principals(
+            decided_by="robot/A1",
+            requested_by="robot/A1",
+            executed_by="robot/A1",
+            supervised_by=None,
+            path=("robot/A1",),
+        ),
         robot="robot/A1",
         operation="motion",
     )

@@ -92,20 +92,43 @@ def founding(
     """
     names = [f"robot/{role}{team}" for role, team, *_ in fleet]
     parameters = msgspec.json.encode(Constants(), order="deterministic").decode()
-    events: list[Event] = [RunStarted("live", CONCERNS, "fsar", "full", fleet_size=len(fleet), parameters=parameters)]
+    events: list[Event] = [
+        RunStarted(
+            kind="live",
+            observes=CONCERNS,
+            architecture="fsar",
+            configuration="full",
+            fleet_size=len(fleet),
+            parameters=parameters,
+        )
+    ]
     for name, (role, team, has_supervisor, domain, _) in zip(names, fleet, strict=True):
-        events.append(RobotJoined(name, role, team, f"supervisor/{role}{team}" if has_supervisor else None, domain))
+        events.append(
+            RobotJoined(
+                robot=name,
+                role=role,
+                team=team,
+                supervisor=f"supervisor/{role}{team}" if has_supervisor else None,
+                domain=domain,
+            )
+        )
     for name, (*_, capabilities) in zip(names, fleet, strict=True):
         for capability in sorted(capabilities):
-            events += [CapabilityInstalled(name, capability, "1.0.0"), CapabilityAdvertised(name, capability)]
+            events += [
+                CapabilityInstalled(robot=name, capability=capability, version="1.0.0"),
+                CapabilityAdvertised(robot=name, capability=capability),
+            ]
     for one, other, scope in trust:
         if one % len(names) != other % len(names):
-            events.append(TrustSet(names[one % len(names)], names[other % len(names)], scope))
+            events.append(TrustSet(robot=names[one % len(names)], peer=names[other % len(names)], scope=scope))
     if has_helper:
-        events.append(RobotJoined(HELPER, "F", 1, "supervisor/F1"))
+        events.append(RobotJoined(robot=HELPER, role="F", team=1, supervisor="supervisor/F1"))
         for capability in (*CAPABILITIES, "fly"):
-            events += [CapabilityInstalled(HELPER, capability, "1.0.0"), CapabilityAdvertised(HELPER, capability)]
-        events += [TrustSet(HELPER, name, "persistent") for name in names]
+            events += [
+                CapabilityInstalled(robot=HELPER, capability=capability, version="1.0.0"),
+                CapabilityAdvertised(robot=HELPER, capability=capability),
+            ]
+        events += [TrustSet(robot=HELPER, peer=name, scope="persistent") for name in names]
     return tuple(events)
 
 

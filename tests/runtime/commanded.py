@@ -46,4 +46,4 @@ COMMANDS: list[tuple[int, Command]] = [
 
 def commanded() -> Kernel:
     """The finished run."""
-    return played(COMMANDS, CapabilityAdvertised("robot/B1", DOOR, override_allowed="hard-preempt"))
+    return played(COMMANDS, CapabilityAdvertised(robot="robot/B1", capability=DOOR, override_allowed="hard-preempt"))

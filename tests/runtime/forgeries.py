@@ -10,6 +10,7 @@ import msgspec
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Subject
 from fsar_ledger.events.execution import (
     ExecutionFailed,
     ExecutionFinished,
@@ -157,7 +158,10 @@ FORGERIES = {
         restated(TRUST, scope="persistent"), TRUST, "scope", "world.scenarios.founding"
     ),
     "a robot trusts one robot more at the founding": Forgery(
-        added(HONEST, TRUST, TrustSet("robot/A1", "robot/C1", "task"), 0, 0), TRUST, "type", "world.scenarios.founding"
+        added(HONEST, TRUST, TrustSet(robot="robot/A1", peer="robot/C1", scope="task"), 0, 0),
+        TRUST,
+        "type",
+        "world.scenarios.founding",
     ),
     "an execution starts early": Forgery(
         changed(HONEST, STARTED, time_us=HONEST.times_us[STARTED] - 1), STARTED, "time_us", "fsar.execution.start"
@@ -198,7 +202,18 @@ FORGERIES = {
     ),
     "a task is begun that did not arrive": Forgery(
         added(
-            HONEST, DUE, StepBegan("A9-1", "A9-1/1.1", "robot/A1", 1, 1, "carry.package", None), HONEST.times_us[DUE], 0
+            HONEST,
+            DUE,
+            StepBegan(
+                subject=Subject("A9-1", "A9-1/1.1"),
+                robot="robot/A1",
+                step=1,
+                attempt=1,
+                capability="carry.package",
+                target_role=None,
+            ),
+            HONEST.times_us[DUE],
+            0,
         ),
         DUE,
         "type",

@@ -8,6 +8,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Parties, Subject
 from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.registry import (
     AvailabilityChanged,
@@ -39,7 +40,14 @@ from fsar_ledger.runtime.handlers.commands import Command
 from tests.runtime.histories import given, types
 
 DOOR = ("robot/B1", "door.open.secure")
-GRIP = CapabilityInstalled("robot/B1", "grasp", "1.4.0", ("object.seen",), ("object.held", "object.level"), ("arm",))
+GRIP = CapabilityInstalled(
+    robot="robot/B1",
+    capability="grasp",
+    version="1.4.0",
+    preconditions=("object.seen",),
+    postconditions=("object.held", "object.level"),
+    resources=("arm",),
+)
 
 
 def advertise(**fields: Any) -> AdvertiseCapability:
@@ -167,7 +175,11 @@ EMPTY = [
         ((), UpgradeCapability(*DOOR, "1.0.0"), "not newer"),
         ((), UpgradeCapability(*DOOR, "new"), "no version"),
         ((), UpgradeCapability(*DOOR, "2.0.0", preconditions=("lit", "not lit")), "contradict"),
-        ((AvailabilityChanged("robot/B1", None, "offline", "x"),), UpgradeCapability(*DOOR, "2.0.0"), "is offline"),
+        (
+            (AvailabilityChanged(robot="robot/B1", capability=None, availability="offline", reason="x"),),
+            UpgradeCapability(*DOOR, "2.0.0"),
+            "is offline",
+        ),
         (
             (AvailabilityChanged(*DOOR, "restricted", "roll-out of 2.0.0"),),
             UpgradeCapability(*DOOR, "3.0.0"),
@@ -176,7 +188,16 @@ EMPTY = [
         (
             (
                 ExecutionQueued(
-                    "t", "t/1", None, None, None, "robot/B1", "robot/A1", "door.open.secure", 1, 1, True, True, True
+                    subject=Subject("t", "t/1"),
+                    principals=Parties(requested_by=None, executed_by=None, supervised_by=None),
+                    robot="robot/B1",
+                    on_behalf_of="robot/A1",
+                    capability="door.open.secure",
+                    step=1,
+                    attempt=1,
+                    is_delegated=True,
+                    has_approach=True,
+                    is_supervised=True,
                 ),
             ),
             UpgradeCapability(*DOOR, "2.0.0"),
@@ -256,13 +277,23 @@ def test_an_upgrade_puts_nothing_on_the_surface_that_was_not_there() -> None:
         (AvailabilityChanged(*DOOR, "degraded", "actuator"), None, "degraded"),
         (AvailabilityChanged(*DOOR, "busy", "tour"), None, "busy"),
         (
-            AvailabilityChanged("robot/B1", "door.open.basic", "degraded", "actuator"),
+            AvailabilityChanged(
+                robot="robot/B1", capability="door.open.basic", availability="degraded", reason="actuator"
+            ),
             None,
             "ready",
         ),  # that is another capability
         (ActuatorDegraded("robot/B1"), None, "ready"),  # nobody has noticed yet
-        (None, AvailabilityChanged("robot/B1", None, "ready", "all well"), "ready"),
-        (None, AvailabilityChanged("robot/B1", None, "offline", "charging"), "offline"),
+        (
+            None,
+            AvailabilityChanged(robot="robot/B1", capability=None, availability="ready", reason="all well"),
+            "ready",
+        ),
+        (
+            None,
+            AvailabilityChanged(robot="robot/B1", capability=None, availability="offline", reason="charging"),
+            "offline",
+        ),
     ],
 )
 def test_a_new_version_is_as_available_as_the_robot_has_said(

@@ -8,7 +8,7 @@ import pytest
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted, AuthorityReleased, AuthorityRevoked
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST, Principals, Subject
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
@@ -38,8 +38,22 @@ DOOR = "door.open.secure"
 H_F, H_A, H_B = FLEET_SUPERVISOR, "supervisor/A1", "supervisor/B1"
 ASK = RequestCapability("robot/A1", "robot/B1", DOOR, "visit", "q1")
 NEXT = msgspec.structs.replace(ASK, action_id="q2")
-GRANTED = AuthorityGranted("robot/A1", "robot/B1", DOOR, "visit", "soft-priority", H_F)
-REVOKED = AuthorityRevoked("robot/A1", "robot/B1", None, None, "human override", H_F)
+GRANTED = AuthorityGranted(
+    requested_by="robot/A1",
+    executed_by="robot/B1",
+    capability=DOOR,
+    context="visit",
+    override="soft-priority",
+    decided_by=H_F,
+)
+REVOKED = AuthorityRevoked(
+    requested_by="robot/A1",
+    executed_by="robot/B1",
+    capability=None,
+    context=None,
+    reason="human override",
+    decided_by=H_F,
+)
 
 
 def play(state: State, *commands: Command) -> tuple[Any, ...]:
@@ -65,9 +79,23 @@ def scheduled(state: State, event: Event) -> list[Command]:
 
 def test_a_supervisor_grants_authority_and_it_is_on_record_who() -> None:
     [granted] = decided(given("fsar"), GrantAuthority(H_F, "robot/C1", None, "emergency-only"))
-    assert granted == AuthorityGranted("robot/C1", None, None, None, "emergency-only", H_F)
+    assert granted == AuthorityGranted(
+        requested_by="robot/C1",
+        executed_by=None,
+        capability=None,
+        context=None,
+        override="emergency-only",
+        decided_by=H_F,
+    )
     [own] = decided(given("fsar"), GrantAuthority(H_B, "robot/A1", "robot/B1", "hard-preempt", DOOR, "visit"))
-    assert own == AuthorityGranted("robot/A1", "robot/B1", DOOR, "visit", "hard-preempt", H_B)
+    assert own == AuthorityGranted(
+        requested_by="robot/A1",
+        executed_by="robot/B1",
+        capability=DOOR,
+        context="visit",
+        override="hard-preempt",
+        decided_by=H_B,
+    )
 
 
 @pytest.mark.parametrize(
@@ -105,7 +133,14 @@ def test_a_right_that_nobody_may_give_or_take_is_rejected_and_changes_nothing(co
 @pytest.mark.parametrize("supervisor", [H_F, H_A, H_B])
 def test_either_robots_supervisor_may_revoke(supervisor: str) -> None:
     [revoked] = decided(given("fsar"), RevokeAuthority(supervisor, "robot/A1", "robot/B1", DOOR))
-    assert revoked == AuthorityRevoked("robot/A1", "robot/B1", DOOR, None, "human override", supervisor)
+    assert revoked == AuthorityRevoked(
+        requested_by="robot/A1",
+        executed_by="robot/B1",
+        capability=DOOR,
+        context=None,
+        reason="human override",
+        decided_by=supervisor,
+    )
 
 
 def test_a_revocation_takes_effect_at_the_next_request_and_leaves_alone_what_was_admitted() -> None:
@@ -158,20 +193,41 @@ def test_a_later_grant_lifts_a_revocation() -> None:
 def test_what_the_relay_may_ask_does_not_lift_a_revocation_of_the_requester() -> None:
     assert verdict(relayed(), "A1-1/2.1") == ("accept", None)
     for robot in ("robot/D1", "robot/A1"):
-        assert verdict(relayed(AuthorityRevoked(robot, "robot/B1", None, None, "human override", H_F)), "A1-1/2.1") == (
+        assert verdict(
+            relayed(
+                AuthorityRevoked(
+                    requested_by=robot,
+                    executed_by="robot/B1",
+                    capability=None,
+                    context=None,
+                    reason="human override",
+                    decided_by=H_F,
+                )
+            ),
+            "A1-1/2.1",
+        ) == (
             "reject",
             "authority",
         )
 
 
 def test_a_context_that_ends_ends_the_rights_that_were_given_for_it_and_no_others() -> None:
-    broad = AuthorityGranted("robot/A1", "robot/B1", None, None, "none", H_F)
+    broad = AuthorityGranted(
+        requested_by="robot/A1", executed_by="robot/B1", capability=None, context=None, override="none", decided_by=H_F
+    )
     for over in (TaskCompleted("visit"), TaskAbandoned("visit")):
         state = given("fsar", broad, GRANTED)
         [command] = [one for one in scheduled(state, over) if not isinstance(one, EndClaims)]
         assert command == ExpireContext("visit")
         [revoked] = play(state, command)
-        assert revoked == AuthorityRevoked("robot/A1", "robot/B1", DOOR, "visit", "context expired", TRUST)
+        assert revoked == AuthorityRevoked(
+            requested_by="robot/A1",
+            executed_by="robot/B1",
+            capability=DOOR,
+            context="visit",
+            reason="context expired",
+            decided_by=TRUST,
+        )
         assert play(state, command) == ()
 
 
@@ -190,36 +246,49 @@ def test_a_context_without_rights_ends_without_a_word() -> None:
 def test_trust_that_falls_below_what_is_required_revokes_what_the_peer_holds_admitted() -> None:
     state = given("fsar")
     play(state, ASK, EvaluateRequest("q1"))
-    assert scheduled(state, TrustSet("robot/B1", "robot/A1", "capability")) == [], "enough"
-    assert scheduled(state, TrustSet("robot/B1", "robot/D1", "none")) == [], "somebody else"
+    assert scheduled(state, TrustSet(robot="robot/B1", peer="robot/A1", scope="capability")) == [], "enough"
+    assert scheduled(state, TrustSet(robot="robot/B1", peer="robot/D1", scope="none")) == [], "somebody else"
     [command] = [
-        one for one in scheduled(state, TrustSet("robot/B1", "robot/A1", "none")) if isinstance(one, RevokeDistrusted)
+        one
+        for one in scheduled(state, TrustSet(robot="robot/B1", peer="robot/A1", scope="none"))
+        if isinstance(one, RevokeDistrusted)
     ]
     [revoked] = play(state, command)
-    assert revoked == AuthorityRevoked("robot/A1", "robot/B1", DOOR, "visit", "trust downgrade", TRUST)
+    assert revoked == AuthorityRevoked(
+        requested_by="robot/A1",
+        executed_by="robot/B1",
+        capability=DOOR,
+        context="visit",
+        reason="trust downgrade",
+        decided_by=TRUST,
+    )
     assert play(state, command) == (), "once"
     assert "RequestAccepted" in types(play(state, TakeTurn("q1"))), "what was admitted goes on"
-    apply(state, TrustSet("robot/B1", "robot/A1", "task"))
+    apply(state, TrustSet(robot="robot/B1", peer="robot/A1", scope="task"))
     assert evaluated(state).reason == "authority", "trust regained does not give back what was revoked"
 
 
 def test_trust_of_the_roles_that_falls_revokes_what_their_pairs_hold_admitted() -> None:
     state = given("fsar")
     play(state, ASK, EvaluateRequest("q1"))
-    assert scheduled(state, RoleTrustSet("B", "A", "none", "hall")) == [], "they are in no hall"
-    assert scheduled(state, RoleTrustSet("B", "D", "none")) == [], "others"
-    state = given("fsar", TrustSet("robot/B1", "robot/A1", "task"))
+    assert scheduled(state, RoleTrustSet(role="B", peer_role="A", scope="none", domain="hall")) == [], (
+        "they are in no hall"
+    )
+    assert scheduled(state, RoleTrustSet(role="B", peer_role="D", scope="none")) == [], "others"
+    state = given("fsar", TrustSet(robot="robot/B1", peer="robot/A1", scope="task"))
     play(state, ASK, EvaluateRequest("q1"))
-    assert scheduled(state, RoleTrustSet("B", "A", "none")) == [], "the pair is an exception"
+    assert scheduled(state, RoleTrustSet(role="B", peer_role="A", scope="none")) == [], "the pair is an exception"
     state = given("fsar")
     play(state, ASK, EvaluateRequest("q1"))
-    assert scheduled(state, RoleTrustSet("B", "A", "none")) == [RevokeDistrusted("robot/B1", "robot/A1")]
+    assert scheduled(state, RoleTrustSet(role="B", peer_role="A", scope="none")) == [
+        RevokeDistrusted("robot/B1", "robot/A1")
+    ]
 
 
 def test_trust_that_falls_while_nothing_is_admitted_revokes_nothing() -> None:
     state = given("fsar")
     play(state, ASK)
-    assert scheduled(state, TrustSet("robot/B1", "robot/A1", "none")) == []
+    assert scheduled(state, TrustSet(robot="robot/B1", peer="robot/A1", scope="none")) == []
 
 
 def test_a_claim_is_released_by_who_holds_it_and_execution_not_before_its_end() -> None:
@@ -229,7 +298,7 @@ def test_a_claim_is_released_by_who_holds_it_and_execution_not_before_its_end() 
     assert isinstance(held, CommandRejected)
     assert "has yet to finish it" in held.reason
     [released] = play(state, ReleaseAuthority("robot/B1", "q1", "override"))
-    assert released == AuthorityReleased("visit", "q1", "override", "robot/B1", "acceptance")
+    assert released == AuthorityReleased(Subject("visit", "q1"), "override", "robot/B1", "acceptance")
     for command in (
         ReleaseAuthority("robot/B1", "q1", "override"),
         ReleaseAuthority("robot/A1", "q1", "execution"),
@@ -238,11 +307,15 @@ def test_a_claim_is_released_by_who_holds_it_and_execution_not_before_its_end() 
         [rejected] = decided(state, command)
         assert isinstance(rejected, CommandRejected)
         assert "expected an open claim" in rejected.reason
-    apply(state, AuthorityClaimed("visit", "q1", "audit", H_F, "watch"))
+    apply(state, AuthorityClaimed(Subject("visit", "q1"), "audit", H_F, "watch"))
     assert types(decided(state, ReleaseAuthority(H_F, "q1", "audit"))) == ["AuthorityReleased"]
 
 
-APPROVAL = SupervisorResponded("visit", "q1", H_F, "robot/A1", "robot/B1", H_F, (H_F,), "review")
+APPROVAL = SupervisorResponded(
+    Subject("visit", "q1"),
+    Principals(decided_by=H_F, requested_by="robot/A1", executed_by="robot/B1", supervised_by=H_F, path=(H_F,)),
+    "review",
+)
 
 
 def approved(*before: Event) -> State:
@@ -254,7 +327,7 @@ def approved(*before: Event) -> State:
 
 
 def opened(name: str, outcome: Any) -> PolicyWindowOpened:
-    return PolicyWindowOpened("robot/B1", "local", name, outcome)
+    return PolicyWindowOpened(robot="robot/B1", scope="local", window=name, outcome=outcome)
 
 
 START = StartAction("q1", drawn=5)
@@ -262,11 +335,11 @@ START = StartAction("q1", drawn=5)
 
 def test_an_approval_lifts_no_rule_that_denies_by_then() -> None:
     """Whether the review was wanted by policy or by density alone, the executor does not act against a rule; a mandate against it is escalated."""
-    mandate = PolicyRuleSet("fleet", None, DOOR, None, "allow", H_F)
-    own = PolicyRuleSet("local", "robot/B1", DOOR, None, "deny", H_B)
-    fleets = PolicyRuleSet("fleet", None, DOOR, None, "deny", H_F)
+    mandate = PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="allow", decided_by=H_F)
+    own = PolicyRuleSet(scope="local", robot="robot/B1", capability=DOOR, context=None, outcome="deny", decided_by=H_B)
+    fleets = PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="deny", decided_by=H_F)
     heard = FleetRuleLearned("robot/B1", "deny", 1)
-    dense = SupervisionDensitySet("robot/B1", 1, H_B, "")
+    dense = SupervisionDensitySet(robot="robot/B1", review_every=1, decided_by=H_B, reason="")
     cases: list[tuple[Event, tuple[Event, ...], list[str]]] = [
         (opened("w1", "review"), (own,), ["RequestDenied"]),
         (opened("w1", "review"), (fleets,), ["RequestDenied"]),
@@ -298,9 +371,13 @@ def test_an_approval_stands_while_a_window_denies_and_the_start_waits_for_it_to_
 def test_what_was_approved_and_then_held_by_a_rule_starts_when_the_rule_is_lifted_although_the_approved_one_stands() -> (
     None
 ):
-    rule = PolicyRuleSet("local", "robot/B1", DOOR, None, "review", H_B)
+    rule = PolicyRuleSet(
+        scope="local", robot="robot/B1", capability=DOOR, context=None, outcome="review", decided_by=H_B
+    )
     state = approved(rule)
-    broad = PolicyRuleSet("local", "robot/B1", None, None, "deny", H_B)
+    broad = PolicyRuleSet(
+        scope="local", robot="robot/B1", capability=None, context=None, outcome="deny", decided_by=H_B
+    )
     apply(state, broad)
     assert types(play(state, START)) == ["ExecutionHeld"]
     assert scheduled(state, msgspec.structs.replace(broad, outcome="review")) == []
@@ -326,7 +403,9 @@ def test_a_window_of_the_executors_own_that_opens_after_the_approval_holds_the_s
 
 
 def test_a_rule_that_is_set_after_the_approval_holds_the_start_and_one_set_before_does_not() -> None:
-    rule = PolicyRuleSet("local", "robot/B1", DOOR, None, "review", H_B)
+    rule = PolicyRuleSet(
+        scope="local", robot="robot/B1", capability=DOOR, context=None, outcome="review", decided_by=H_B
+    )
     assert types(play(approved(rule), START)) == ["ExecutionStarted"]
     state = approved(rule)
     apply(state, msgspec.structs.replace(rule, outcome="deny"))
@@ -337,8 +416,10 @@ def test_a_rule_that_is_set_after_the_approval_holds_the_start_and_one_set_befor
 
 
 def test_a_rule_of_the_role_that_is_set_after_the_approval_holds_the_start_unless_the_robot_is_an_exception() -> None:
-    own = PolicyRuleSet("local", "robot/B1", DOOR, None, "review", H_B)
-    of_role = RolePolicyRuleSet("local", "B", "review", "", DOOR)
+    own = PolicyRuleSet(
+        scope="local", robot="robot/B1", capability=DOOR, context=None, outcome="review", decided_by=H_B
+    )
+    of_role = RolePolicyRuleSet(scope="local", role="B", outcome="review", domain="", capability=DOOR)
     assert types(play(approved(of_role), START)) == ["ExecutionStarted"], "known when it was given"
     cases: list[tuple[Event, Event, str]] = [
         (opened("w1", "review"), of_role, "ExecutionHeld"),

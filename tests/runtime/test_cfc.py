@@ -1,7 +1,7 @@
 """CFC's handlers: given events, when a command, then events."""
 
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR
+from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, Subject
 from fsar_ledger.events.knowledge import CopySynced, WorkQueued
 from fsar_ledger.events.request import CommandIssued, GapDetected, RequestDenied
 from fsar_ledger.events.world import ActuatorDegraded, ObstructionAppeared
@@ -124,7 +124,7 @@ def test_a_second_command_for_a_robot_not_seen_busy_disputes_the_running_action(
     state = running()
     second_delegation(state)
     claim, called = receive_command(state, ReceiveCommand("A1-2/2.1", "robot/B1"))
-    assert claim == AuthorityClaimed("A1-1", ACTION, "execution", "robot/A1", "assigned again: A1-2/2.1")
+    assert claim == AuthorityClaimed(Subject("A1-1", ACTION), "execution", "robot/A1", "assigned again: A1-2/2.1")
     assert called.purpose == "ordering"  # type: ignore[attr-defined]
     apply(state, claim)
     assert types(queue_ordered(state, QueueOrdered("A1-2/2.1"))) == ["AuthorityReleased", "ExecutionQueued"]
@@ -148,7 +148,7 @@ def test_a_context_change_of_either_party_claims_override_against_the_coordinato
     state = running()
     for robot in ("robot/A1", "robot/B1"):
         [claim] = safe_stop(state, SafeStop(robot, None))
-        assert claim == AuthorityClaimed("A1-1", ACTION, "override", robot, "safe stop")
+        assert claim == AuthorityClaimed(Subject("A1-1", ACTION), "override", robot, "safe stop")
     assert safe_stop(state, SafeStop("robot/C1", None)) == ()
 
 
@@ -236,7 +236,7 @@ def test_the_next_sync_is_never_now() -> None:
 
 def test_a_step_given_up_before_the_coordinator_comes_to_it_is_denied_by_the_coordinator() -> None:
     for begun in (DELEGATED_STEP, OWN_STEP):
-        state = given("cfc", ARRIVED, begun, WorkQueued("A1-9", "A1-9/1.1", "step", 900_000_000))
+        state = given("cfc", ARRIVED, begun, WorkQueued(Subject("A1-9", "A1-9/1.1"), "step", 900_000_000))
         made = reach_coordinator(state, ReachCoordinator(begun.action_id, "step", now_us=2_000_000))
         denied = [event for event in made if isinstance(event, RequestDenied)]
         assert len(denied) == 1

@@ -5,6 +5,7 @@ from itertools import permutations
 import pytest
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Parties, Subject
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestAdmitted, RequestDenied
@@ -21,9 +22,18 @@ from tests.runtime.histories import given, types, window
 from tests.runtime.live import decided, of, played
 
 DOOR, B = "door.open.secure", "robot/B1"
-TRUSTED = tuple(TrustSet(B, f"robot/{name}1", "session") for name in "ACD")
+TRUSTED = tuple(TrustSet(robot=B, peer=f"robot/{name}1", scope="session") for name in "ACD")
 ARRIVED = tuple(
-    TaskArrived(f"{name}-1", f"robot/{name}1", 1, (f"{name} {DOOR} B",), 600_000_000, 900_000_000, None, name == "D")
+    TaskArrived(
+        task_id=f"{name}-1",
+        robot=f"robot/{name}1",
+        team=1,
+        steps=(f"{name} {DOOR} B",),
+        budget_us=600_000_000,
+        due_us=900_000_000,
+        checkpoints=None,
+        is_time_critical=name == "D",
+    )
     for name in "ACD"
 )
 NAMES = [f"{name}-1/1.1" for name in "ACD"]
@@ -32,8 +42,26 @@ URGENT = "D-1/1.1"
 
 def competing() -> State:
     """A, C and D have all asked B for its door; D's task is time-critical, and no request has been evaluated."""
-    began = [StepBegan(f"{name}-1", f"{name}-1/1.1", f"robot/{name}1", 1, 1, DOOR, "B") for name in "ACD"]
-    shown = [RegistryQueried(f"{name}-1", f"{name}-1/1.1", f"robot/{name}1", B, None, DOOR, (B,)) for name in "ACD"]
+    began = [
+        StepBegan(
+            subject=Subject(f"{name}-1", f"{name}-1/1.1"),
+            robot=f"robot/{name}1",
+            step=1,
+            attempt=1,
+            capability=DOOR,
+            target_role="B",
+        )
+        for name in "ACD"
+    ]
+    shown = [
+        RegistryQueried(
+            subject=Subject(f"{name}-1", f"{name}-1/1.1"),
+            principals=Parties(requested_by=f"robot/{name}1", executed_by=B, supervised_by=None),
+            capability=DOOR,
+            candidates=(B,),
+        )
+        for name in "ACD"
+    ]
     return given("fsar", *TRUSTED, *ARRIVED, *began, *shown)
 
 
@@ -84,7 +112,7 @@ def test_a_denial_of_the_one_that_goes_first_lets_the_others_go_on() -> None:
     evaluated(state, *NAMES)
     answered(state, "A-1/1.1")
     answered(state, "C-1/1.1")
-    apply(state, TrustSet(B, "robot/D1", "none"))
+    apply(state, TrustSet(robot=B, peer="robot/D1", scope="none"))
     denied = decided(state, EvaluateRequest(URGENT))
     assert isinstance(denied[0], RequestDenied)
     assert sorted(again(state, *denied)) == ["A-1/1.1", "C-1/1.1"]
@@ -127,8 +155,21 @@ def test_a_request_that_has_its_result_is_no_rival(is_closed: bool) -> None:
         assert "CommandRejected" not in types(events)
         for event in events:
             apply(state, event)
-    apply(state, StepBegan("C-1", "C-1/1.1", "robot/C1", 1, 1, DOOR, "B"))
-    apply(state, RegistryQueried("C-1", "C-1/1.1", "robot/C1", B, None, DOOR, (B,)))
+    apply(
+        state,
+        StepBegan(
+            subject=Subject("C-1", "C-1/1.1"), robot="robot/C1", step=1, attempt=1, capability=DOOR, target_role="B"
+        ),
+    )
+    apply(
+        state,
+        RegistryQueried(
+            subject=Subject("C-1", "C-1/1.1"),
+            principals=Parties(requested_by="robot/C1", executed_by=B, supervised_by=None),
+            capability=DOOR,
+            candidates=(B,),
+        ),
+    )
     assert evaluated(state, "C-1/1.1") == ["RequestAdmitted", "ExecutionQueued"]
 
 

@@ -2,6 +2,7 @@
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed
+from fsar_ledger.events.envelope import Parties, Subject
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.knowledge import BidReceived, PlannerEngaged, SnapshotTaken
 from fsar_ledger.events.registry import RegistryQueried
@@ -61,12 +62,17 @@ ACTION = "A1-1/2.1"
 CALLED = (
     ARRIVED,
     DELEGATED_STEP,
-    RegistryQueried("A1-1", ACTION, "robot/A1", None, None, "door.open.secure", ("robot/B1",)),
+    RegistryQueried(
+        subject=Subject("A1-1", ACTION),
+        principals=Parties(requested_by="robot/A1", executed_by=None, supervised_by=None),
+        capability="door.open.secure",
+        candidates=("robot/B1",),
+    ),
 )
 AWARDED = (
     *CALLED,
-    BidReceived("A1-1", ACTION, "robot/B1", "allow"),
-    AwardMade("A1-1", "robot/A1", None, None, "robot/B1"),
+    BidReceived(Subject("A1-1", ACTION), "robot/B1", "allow"),
+    AwardMade("A1-1", Parties(requested_by="robot/A1", executed_by=None, supervised_by=None), "robot/B1"),
 )
 
 
@@ -110,7 +116,7 @@ def test_a_snapshot_is_the_policy_of_its_moment() -> None:
 
 
 def test_a_bid_under_review_goes_to_the_fleet_supervisor_first() -> None:
-    state = given("dhma", *CALLED, BidReceived("A1-1", ACTION, "robot/B1", "review"))
+    state = given("dhma", *CALLED, BidReceived(Subject("A1-1", ACTION), "robot/B1", "review"))
     assert types(award(state, Award(ACTION))) == ["SupervisorCalled"]
 
 
@@ -129,7 +135,10 @@ def test_execution_goes_from_agent_to_agent_and_overlaps_until_acknowledged() ->
 def test_another_tasks_action_at_the_executor_is_double_booking_until_settled() -> None:
     state = running()
     other = "A1-2/2.1"
-    for event in (*SECOND, AwardMade("A1-2", "robot/A1", None, None, "robot/B1")):
+    for event in (
+        *SECOND,
+        AwardMade("A1-2", Parties(requested_by="robot/A1", executed_by=None, supervised_by=None), "robot/B1"),
+    ):
         apply(state, event)
     booked = accept_award(state, AcceptAward(other))
     assert "RequestDeferred" in types(booked)
@@ -208,14 +217,21 @@ def test_a_disputed_recovery_has_one_attempt_and_then_loops() -> None:
 
 
 def test_an_outsider_runs_unchecked_and_nobody_is_on_record() -> None:
-    injected = OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.private_zone")
+    injected = OutsiderRequestInjected(
+        task_id="injected-1-1", robot="robot/D1", peer="robot/C1", capability="inspect.private_zone"
+    )
     events = run_outsider(given("dhma", injected), RunOutsider("injected-1-1"))
     assert types(events) == ["RequestIssued", "RequestAdmitted", "ExecutionQueued"]
     assert all(event.executed_by is None and event.supervised_by is None for event in events)  # type: ignore[attr-defined]
 
 
 def test_an_outsider_has_no_contract_to_be_questioned_or_voided() -> None:
-    state = given("dhma", OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.private_zone"))
+    state = given(
+        "dhma",
+        OutsiderRequestInjected(
+            task_id="injected-1-1", robot="robot/D1", peer="robot/C1", capability="inspect.private_zone"
+        ),
+    )
     for event in run_outsider(state, RunOutsider("injected-1-1")):
         apply(state, event)
     for robot in ("robot/C1", "robot/D1"):

@@ -102,7 +102,7 @@ class Federation(RuleBasedStateMachine):
             and isinstance(command, JoinFleet)
             and any(isinstance(event, RobotJoined) for event in events)
         ):
-            self.live.happen(TrustSet(HELPER, command.robot, "persistent"))
+            self.live.happen(TrustSet(robot=HELPER, peer=command.robot, scope="persistent"))
 
     @rule(data=st.data(), override=st.sampled_from(get_args(OverrideLevel)), urgent=st.booleans())
     def ask_whom_one_trusts(self, data: st.DataObject, override: OverrideLevel, urgent: bool) -> None:
@@ -194,7 +194,9 @@ class Federation(RuleBasedStateMachine):
 
     @rule(data=st.data(), scope=st.sampled_from(["local", "fleet"]), outcome=st.sampled_from(["deny", "review"]))
     def open_window(self, data: st.DataObject, scope: Any, outcome: Any) -> None:
-        self.live.happen(PolicyWindowOpened(self.robot(data), scope, self.new("window"), outcome))
+        self.live.happen(
+            PolicyWindowOpened(robot=self.robot(data), scope=scope, window=self.new("window"), outcome=outcome)
+        )
 
     @rule(data=st.data())
     def close_window(self, data: st.DataObject) -> None:

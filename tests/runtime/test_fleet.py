@@ -4,6 +4,7 @@ import pytest
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Parties, Principals, Subject
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionResumed, ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.recovery import AssistanceAdmitted, RecoveryEscalated
@@ -28,14 +29,16 @@ def decided(command: Command, *events: Event) -> tuple[Event, ...]:
 
 def test_a_robot_joins_and_neither_possesses_nor_trusts_anything_yet() -> None:
     [joined] = decided(JoinFleet("robot/E1", "E", 1, "supervisor/E1", "hall/cell"))
-    assert joined == RobotJoined("robot/E1", "E", 1, "supervisor/E1", "hall/cell")
+    assert joined == RobotJoined(robot="robot/E1", role="E", team=1, supervisor="supervisor/E1", domain="hall/cell")
     state = given("fsar", joined)
     assert state.fleet.robots["robot/E1"].domain == "hall/cell"
     assert (list(surface(state.registry, "robot/E1")), execution_state(state, "robot/E1")) == ([], "idle")
 
 
 def test_the_teams_of_robots_that_join_later_are_as_far_away_as_their_numbers_say() -> None:
-    state = given("fsar", *(RobotJoined(f"robot/E{team}", "E", team, None) for team in (2, 3, 4)))
+    state = given(
+        "fsar", *(RobotJoined(robot=f"robot/E{team}", role="E", team=team, supervisor=None) for team in (2, 3, 4))
+    )
     near = ["robot/B1", "robot/E2", "robot/E3", "robot/E4"]
     assert nearest_first(state, near, "robot/E3") == ("robot/E3", "robot/E4", "robot/B1", "robot/E2")
 
@@ -46,7 +49,14 @@ def test_a_robot_without_a_supervisor_of_its_own_may_join() -> None:
 
 def test_an_installed_capability_is_possessed_and_advertised_to_nobody() -> None:
     [installed] = decided(InstallCapability("robot/B1", "lift", "0.1.0", ("seen",), ("held",), ("arm",)))
-    assert installed == CapabilityInstalled("robot/B1", "lift", "0.1.0", ("seen",), ("held",), ("arm",))
+    assert installed == CapabilityInstalled(
+        robot="robot/B1",
+        capability="lift",
+        version="0.1.0",
+        preconditions=("seen",),
+        postconditions=("held",),
+        resources=("arm",),
+    )
     state = given("fsar", installed)
     assert possesses(state.registry, "robot/B1", "lift")
     assert advertisement(state.registry, "robot/B1", "lift") is None
@@ -61,7 +71,16 @@ def test_a_removed_capability_is_neither_possessed_nor_advertised() -> None:
 
 
 QUEUED = ExecutionQueued(
-    "t", "t/1", "robot/A1", "robot/B1", None, "robot/B1", "robot/A1", "door.open.secure", 1, 1, True, True, True
+    subject=Subject("t", "t/1"),
+    principals=Parties(requested_by="robot/A1", executed_by="robot/B1", supervised_by=None),
+    robot="robot/B1",
+    on_behalf_of="robot/A1",
+    capability="door.open.secure",
+    step=1,
+    attempt=1,
+    is_delegated=True,
+    has_approach=True,
+    is_supervised=True,
 )
 
 
@@ -98,11 +117,30 @@ def test_what_is_unknown_doubled_or_impossible_is_rejected(
     assert reason in rejection.reason  # type: ignore[attr-defined]
 
 
-STARTED = ExecutionStarted("t", "t/1", "robot/A1", "robot/B1", None, "robot/B1", "robot/A1", "door.open.secure", 9)
-FAILED = ExecutionFailed("t", "t/1", "robot/B1", 1, "obstruction", 4, 5)
-WEAK = ExecutionFailed("t", "t/1", "robot/B1", 1, "degradation", 4, 5)
-OUTWARD = RecoveryEscalated("t", "t/1", None, None, None, None, (), "robot/B1", 1, "local", "peer", "t/1")
-RESUMED = ExecutionResumed("t", "t/1", "robot/B1", 12)
+STARTED = ExecutionStarted(
+    subject=Subject("t", "t/1"),
+    principals=Parties(requested_by="robot/A1", executed_by="robot/B1", supervised_by=None),
+    robot="robot/B1",
+    on_behalf_of="robot/A1",
+    capability="door.open.secure",
+    ends_us=9,
+)
+FAILED = ExecutionFailed(
+    subject=Subject("t", "t/1"), robot="robot/B1", failure=1, cause="obstruction", remaining_us=4, detected_us=5
+)
+WEAK = ExecutionFailed(
+    subject=Subject("t", "t/1"), robot="robot/B1", failure=1, cause="degradation", remaining_us=4, detected_us=5
+)
+OUTWARD = RecoveryEscalated(
+    subject=Subject("t", "t/1"),
+    principals=Principals(decided_by=None, requested_by=None, executed_by=None, supervised_by=None, path=()),
+    robot="robot/B1",
+    failure=1,
+    level="local",
+    to_level="peer",
+    failed_action="t/1",
+)
+RESUMED = ExecutionResumed(Subject("t", "t/1"), "robot/B1", 12)
 
 
 @pytest.mark.parametrize(
@@ -119,9 +157,30 @@ RESUMED = ExecutionResumed("t", "t/1", "robot/B1", 12)
         ((ActuatorDegraded("robot/B1"), QUEUED, STARTED), "degraded"),
         ((ActuatorDegraded("robot/B1"), QUEUED, STARTED, WEAK), "failed"),
         ((ActuatorDegraded("robot/B1"), ActuatorServiced("robot/B1")), "idle"),
-        ((AvailabilityChanged("robot/B1", "door.open.basic", "degraded", "worn"),), "degraded"),
-        ((AvailabilityChanged("robot/B1", None, "offline", "charging"),), "idle"),
-        ((AssistanceAdmitted("t", "t/9", None, None, None, None, (), "robot/A1", "robot/B1", 1, "peer"),), "executing"),
+        (
+            (
+                AvailabilityChanged(
+                    robot="robot/B1", capability="door.open.basic", availability="degraded", reason="worn"
+                ),
+            ),
+            "degraded",
+        ),
+        ((AvailabilityChanged(robot="robot/B1", capability=None, availability="offline", reason="charging"),), "idle"),
+        (
+            (
+                AssistanceAdmitted(
+                    subject=Subject("t", "t/9"),
+                    principals=Principals(
+                        decided_by=None, requested_by=None, executed_by=None, supervised_by=None, path=()
+                    ),
+                    robot="robot/A1",
+                    helper="robot/B1",
+                    failure=1,
+                    level="peer",
+                ),
+            ),
+            "executing",
+        ),
     ],
 )
 def test_a_robot_is_failed_before_degraded_before_executing_before_idle(events: tuple[Event, ...], state: str) -> None:
@@ -133,7 +192,7 @@ def test_a_failure_of_the_actuator_is_reported_and_an_obstruction_is_not() -> No
     [word] = REPORTS[ExecutionFailed](state, WEAK, 5)
     assert word.command == ReportActuator("robot/B1", True)
     assert report_actuator(state, ReportActuator("robot/B1", True)) == (
-        AvailabilityChanged("robot/B1", None, "degraded", "actuator"),
+        AvailabilityChanged(robot="robot/B1", capability=None, availability="degraded", reason="actuator"),
     )
     assert REPORTS[ExecutionFailed](state, FAILED, 5) == ()
 
@@ -148,12 +207,14 @@ def test_what_was_reported_is_not_reported_again_and_a_serviced_robot_is_ready()
     apply(state, serviced)
     [word] = REPORTS[ActuatorServiced](state, serviced, 5)
     assert FSAR.decides[ReportActuator](state, word.command) == (
-        AvailabilityChanged("robot/B1", None, "ready", "actuator"),
+        AvailabilityChanged(robot="robot/B1", capability=None, availability="ready", reason="actuator"),
     )
 
 
 def test_word_of_the_actuator_lifts_no_restriction() -> None:
-    held_back = AvailabilityChanged("robot/B1", "door.open.secure", "restricted", "inspection")
+    held_back = AvailabilityChanged(
+        robot="robot/B1", capability="door.open.secure", availability="restricted", reason="inspection"
+    )
     state = given("fsar", held_back, ActuatorDegraded("robot/B1"))
     words = report_actuator(state, ReportActuator("robot/B1", True))
     assert [event.capability for event in words] == ["navigate.indoor", "door.open.basic"]  # type: ignore[attr-defined]

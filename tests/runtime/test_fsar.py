@@ -4,6 +4,7 @@ import msgspec
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
+from fsar_ledger.events.envelope import Parties, Subject
 from fsar_ledger.events.execution import ApproachStarted, ExecutionHeld, ExecutionStarted
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.recovery import AssistanceEnded, FailureResolved
@@ -59,7 +60,12 @@ from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, g
 REQUESTED = (
     ARRIVED,
     DELEGATED_STEP,
-    RegistryQueried("A1-1", "A1-1/2.1", "robot/A1", "robot/B1", None, "door.open.secure", ("robot/B1",)),
+    RegistryQueried(
+        subject=Subject("A1-1", "A1-1/2.1"),
+        principals=Parties(requested_by="robot/A1", executed_by="robot/B1", supervised_by=None),
+        capability="door.open.secure",
+        candidates=("robot/B1",),
+    ),
 )
 
 
@@ -172,7 +178,12 @@ def test_a_busy_executor_defers() -> None:
     state, _ = executing()
     for event in (
         *SECOND,
-        RegistryQueried("A1-2", "A1-2/2.1", "robot/A1", "robot/B1", None, "door.open.secure", ("robot/B1",)),
+        RegistryQueried(
+            subject=Subject("A1-2", "A1-2/2.1"),
+            principals=Parties(requested_by="robot/A1", executed_by="robot/B1", supervised_by=None),
+            capability="door.open.secure",
+            candidates=("robot/B1",),
+        ),
     ):
         apply(state, event)
     assert types(evaluate_request(state, EvaluateRequest("A1-2/2.1"))) == [
@@ -200,7 +211,7 @@ def test_acceptance_claims_execution_and_override_for_the_executor() -> None:
 def test_a_revocation_claims_override_once_until_the_boundary() -> None:
     state, action_id = executing()
     [claim] = revoke(state, Revoke("robot/A1"))
-    assert claim == AuthorityClaimed("A1-1", action_id, "override", "robot/A1", "revocation")
+    assert claim == AuthorityClaimed(Subject("A1-1", action_id), "override", "robot/A1", "revocation")
     apply(state, claim)
     assert revoke(state, Revoke("robot/A1")) == ()
     assert {
@@ -311,7 +322,9 @@ def test_without_layered_recovery_the_fleet_supervisor_is_called_at_once() -> No
 
 
 def test_an_outsider_finds_nothing_and_is_denied_by_the_federation() -> None:
-    injected = OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.private_zone")
+    injected = OutsiderRequestInjected(
+        task_id="injected-1-1", robot="robot/D1", peer="robot/C1", capability="inspect.private_zone"
+    )
     query, denied = answer_outsider(given("fsar", injected), AnswerOutsider("injected-1-1"))
     assert isinstance(query, RegistryQueried)
     assert (query.candidates, query.executed_by, query.rejected, query.rejected_by) == (
@@ -324,7 +337,9 @@ def test_an_outsider_finds_nothing_and_is_denied_by_the_federation() -> None:
 
 
 def test_without_trust_evaluation_the_outsider_runs_under_contested_audit() -> None:
-    injected = OutsiderRequestInjected("injected-1-1", "robot/D1", "robot/C1", "inspect.private_zone")
+    injected = OutsiderRequestInjected(
+        task_id="injected-1-1", robot="robot/D1", peer="robot/C1", capability="inspect.private_zone"
+    )
     events = answer_outsider(
         given("fsar", injected, configuration="without-trust-evaluation"), AnswerOutsider("injected-1-1")
     )
@@ -336,7 +351,12 @@ def test_without_trust_evaluation_the_outsider_runs_under_contested_audit() -> N
 def test_an_execution_that_starts_in_the_way_of_something_finishes_if_that_goes_at_once() -> None:
     state, action_id = executing(ObstructionAppeared("robot/B1", "o"))
     started = ExecutionStarted(
-        "A1-1", action_id, None, None, None, "robot/B1", "robot/A1", "door.open.secure", 11_000_000
+        subject=Subject("A1-1", action_id),
+        principals=Parties(requested_by=None, executed_by=None, supervised_by=None),
+        robot="robot/B1",
+        on_behalf_of="robot/A1",
+        capability="door.open.secure",
+        ends_us=11_000_000,
     )
     scheduled = [type(one.command).__name__ for one in _on_running(state, started, 9_000_000)]
     assert scheduled == ["DetectObstruction", "FinishAttempt"]
@@ -345,10 +365,10 @@ def test_an_execution_that_starts_in_the_way_of_something_finishes_if_that_goes_
 
 
 def test_a_local_recovery_clears_nothing_but_what_was_clear() -> None:
-    resolved = FailureResolved("A1-1", "A1-1/1.1", "robot/A1", 1, "local")
-    taken_over = FailureResolved("A1-1", "A1-1/1.1", "robot/A1", 1, "fleet")
-    helped = AssistanceEnded("A1-1", "A1-1/1.1", "robot/A1", "robot/B1", 1)
-    cleared_by_hand = FailureResolved("A1-1", "A1-1/1.1", "robot/A1", 1, "human")
+    resolved = FailureResolved(Subject("A1-1", "A1-1/1.1"), "robot/A1", 1, "local")
+    taken_over = FailureResolved(Subject("A1-1", "A1-1/1.1"), "robot/A1", 1, "fleet")
+    helped = AssistanceEnded(Subject("A1-1", "A1-1/1.1"), "robot/A1", "robot/B1", 1)
+    cleared_by_hand = FailureResolved(Subject("A1-1", "A1-1/1.1"), "robot/A1", 1, "human")
     in_the_way = ObstructionAppeared("robot/A1", "o")
     assert given("fsar", in_the_way, resolved).world.obstructions["robot/A1"] == ("o",)
     assert given("fsar", in_the_way, taken_over).world.obstructions["robot/A1"] == ("o",)
@@ -358,8 +378,17 @@ def test_a_local_recovery_clears_nothing_but_what_was_clear() -> None:
 
 def test_the_relay_is_the_nearest_teams() -> None:
     spec = RunSpec(1, "fsar", "full", "door-relay", 8, 0)
-    step = StepBegan("D2-1", "D2-1/1.1", "robot/D2", 1, 1, "door.open.secure", "B")
-    arrived = TaskArrived("D2-1", "robot/D2", 2, ("D door.open.secure B",), 1, 1)
+    step = StepBegan(
+        subject=Subject("D2-1", "D2-1/1.1"),
+        robot="robot/D2",
+        step=1,
+        attempt=1,
+        capability="door.open.secure",
+        target_role="B",
+    )
+    arrived = TaskArrived(
+        task_id="D2-1", robot="robot/D2", team=2, steps=("D door.open.secure B",), budget_us=1, due_us=1
+    )
     state = fold((run_started(spec, Constants()), *founding(8), arrived, step))
     [answer] = query_registry(state, QueryRegistry("D2-1/1.1"))
     assert (answer.candidates, answer.relay) == (("robot/B2",), "robot/A2")  # type: ignore[attr-defined]
@@ -367,7 +396,7 @@ def test_the_relay_is_the_nearest_teams() -> None:
 
 def test_a_second_approach_for_an_action_is_another_way() -> None:
     state, action_id = failed()
-    way = ApproachStarted("A1-1", action_id, "robot/B1")
+    way = ApproachStarted(Subject("A1-1", action_id), "robot/B1")
     again = start_after_approach(state, way, 0)[0].draws[0].key
     first = start_after_approach(executing()[0], way, 0)[0].draws[0].key
     assert (first, again) == (action_id, f"{action_id}/1")

@@ -168,8 +168,10 @@ def test_the_founding_of_a_thousand_robots_grows_with_the_robots_and_not_with_th
 
 
 def test_the_rules_of_a_thousand_robots_are_as_many_as_its_roles_and_exceptions() -> None:
-    exception = PolicyRuleSet("fleet", "robot/B7", None, None, "allow", None)
-    state = fold((RolePolicyRuleSet("fleet", "B", "deny"), *founding(1024), exception))
+    exception = PolicyRuleSet(
+        scope="fleet", robot="robot/B7", capability=None, context=None, outcome="allow", decided_by=None
+    )
+    state = fold((RolePolicyRuleSet(scope="fleet", role="B", outcome="deny"), *founding(1024), exception))
     assert (len(state.policy.of_roles), len(state.policy.rules)) == (1, 1)
     outcomes = Counter(ruled(state.policy, "fleet", robot, "door.open.secure", None) for robot in state.fleet.robots)
     assert outcomes == {None: 768, "deny": 255, "allow": 1}

@@ -10,6 +10,7 @@ import pytest
 
 from fsar_ledger.constants import Constants, WorldConstants
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.request import InternalHandoff
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.runtime.architectures.dhma import talk
@@ -128,7 +129,7 @@ def test_every_agent_on_a_path_but_the_last_has_handed_the_work_on() -> None:
             if isinstance(event, InternalHandoff)
         )
         for time, event in zip(one.times_us, one.events, strict=True):
-            path = getattr(event, "path", ())
+            path = flat(event).get("path", ())
             for sender, receiver in pairwise(path):
                 seen += 1
                 assert any(hops[sender, receiver, time + later] for later in range(2)) or _injected(event), (
@@ -140,4 +141,4 @@ def test_every_agent_on_a_path_but_the_last_has_handed_the_work_on() -> None:
 
 def _injected(event: Event) -> bool:
     """An outsider's request, whose way to the other robot comes after the hop."""
-    return str(getattr(event, "task_id", "")).startswith("injected")
+    return str(flat(event).get("task_id", "")).startswith("injected")

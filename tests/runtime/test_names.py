@@ -6,6 +6,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.events.command import CommandRejected
+from fsar_ledger.events.envelope import Parties, Subject
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.projections.fold import State, apply
@@ -38,7 +39,17 @@ def refusal(state: State, command: Command) -> str:
 
 def test_a_result_that_is_none_is_rejected() -> None:
     state = after(ASK, EvaluateRequest("q1"), TakeTurn("q1"))
-    apply(state, ExecutionStarted("visit", "q1", "robot/A1", "robot/B1", None, "robot/B1", "robot/A1", DOOR, 9_000_000))
+    apply(
+        state,
+        ExecutionStarted(
+            subject=Subject("visit", "q1"),
+            principals=Parties(requested_by="robot/A1", executed_by="robot/B1", supervised_by=None),
+            robot="robot/B1",
+            on_behalf_of="robot/A1",
+            capability=DOOR,
+            ends_us=9_000_000,
+        ),
+    )
     wrong: Any = "weird"
     assert (
         refusal(state, ReportResult("robot/B1", "q1", wrong))

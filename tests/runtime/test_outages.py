@@ -48,8 +48,8 @@ ARCHITECTURES: tuple[Architecture, ...] = get_args(Architecture)
 EVERY = pytest.mark.parametrize("architecture", ARCHITECTURES)
 A, B, DOOR, S = "robot/A1", "robot/B1", "door.open.secure", 1_000_000
 MIXED = Outages(0.02, 8.0, 0.03, 6.0, 0.002)
-OWN = TaskArrived("A1-1", A, 1, ("A navigate.indoor",), 60 * S, 61 * S)
-DELEGATED = TaskArrived("A1-1", A, 1, (f"A {DOOR} B",), 60 * S, 61 * S)
+OWN = TaskArrived(task_id="A1-1", robot=A, team=1, steps=("A navigate.indoor",), budget_us=60 * S, due_us=61 * S)
+DELEGATED = TaskArrived(task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B",), budget_us=60 * S, due_us=61 * S)
 
 
 def nameless(one: Wiring) -> set[type[Command]]:
@@ -190,7 +190,7 @@ def test_who_waits_for_a_robot_that_never_comes_back_gives_up(architecture: Arch
 
 
 def test_the_coordinator_sees_a_silent_robot_as_it_was() -> None:
-    window = PolicyWindowOpened(A, "local", "local/A1/0", "deny")
+    window = PolicyWindowOpened(robot=A, scope="local", window="local/A1/0", outcome="deny")
     for outage, end in ((LinkWentDown(A), LinkCameUp(A)), (RobotWentOff(A), RobotCameBack(A))):
         run = ran("cfc", [(1, SyncPhaseSet(500_000)), (2, outage), (3, window), (12 * S, end)])
         copies = [

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted, AuthorityReleased
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, OverrideLevel
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, OverrideLevel, Parties, Principals, Subject
 from fsar_ledger.events.execution import (
     ApproachStarted,
     ExecutionFailed,
@@ -45,9 +45,18 @@ from tests.runtime.histories import given, types
 from tests.runtime.live import decided, of, played
 
 DOOR = "door.open.secure"
-OPEN = msgspec.structs.replace(CapabilityAdvertised("robot/B1", DOOR), override_allowed="emergency-only")
+OPEN = msgspec.structs.replace(
+    CapabilityAdvertised(robot="robot/B1", capability=DOOR), override_allowed="emergency-only"
+)
 ASK = RequestCapability("robot/A1", "robot/B1", DOOR, "visit", "q1")
-GRANT = AuthorityGranted("robot/C1", None, None, None, "emergency-only", FLEET_SUPERVISOR)
+GRANT = AuthorityGranted(
+    requested_by="robot/C1",
+    executed_by=None,
+    capability=None,
+    context=None,
+    override="emergency-only",
+    decided_by=FLEET_SUPERVISOR,
+)
 
 
 def urgent(level: OverrideLevel, name: str = "q2") -> RequestCapability:
@@ -97,7 +106,7 @@ def test_hard_preempt_takes_the_robot_and_the_preempted_action_keeps_its_rest_it
     play(state, urgent("none", "q0"), EvaluateRequest("q0"))
     admitted, preempted, queued = play(state, urgent("hard-preempt"), EvaluateRequest("q2", now_us=1_500_000))
     assert isinstance(admitted, RequestAdmitted)
-    assert preempted == ExecutionPreempted("visit", "q1", "robot/B1", "q2", 1_500_000)
+    assert preempted == ExecutionPreempted(Subject("visit", "q1"), "robot/B1", "q2", 1_500_000)
     assert isinstance(queued, ExecutionQueued)
     assert (state.execution.current["robot/B1"], state.execution.queues["robot/B1"]) == ("q2", ("q1", "q0"))
     kept = state.authority.claims["q1"]
@@ -108,9 +117,16 @@ def test_hard_preempt_takes_the_robot_and_the_preempted_action_keeps_its_rest_it
     ]
     assert state.authority.claims["q1"] == kept != ()
     assert play(state, ResumeAction("q1")) == (), "not before the robot is free"
-    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    apply(
+        state,
+        ExecutionFinished(
+            Subject("rounds", "q2"),
+            Parties(requested_by="robot/C1", executed_by="robot/B1", supervised_by=None),
+            "robot/B1",
+        ),
+    )
     [resumed] = play(state, ResumeAction("q1", now_us=4_000_000))
-    assert resumed == ExecutionResumed("visit", "q1", "robot/B1", 5_500_000)
+    assert resumed == ExecutionResumed(Subject("visit", "q1"), "robot/B1", 5_500_000)
 
 
 def test_what_was_preempted_on_its_way_is_on_its_way_again_and_is_accepted_once() -> None:
@@ -118,7 +134,14 @@ def test_what_was_preempted_on_its_way_is_on_its_way_again_and_is_accepted_once(
     _, preempted, _ = play(state, urgent("hard-preempt"), EvaluateRequest("q2"))
     assert preempted.remaining_us is None
     assert play(state, StartAction("q1", drawn=5)) == (), "it is not there"
-    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    apply(
+        state,
+        ExecutionFinished(
+            Subject("rounds", "q2"),
+            Parties(requested_by="robot/C1", executed_by="robot/B1", supervised_by=None),
+            "robot/B1",
+        ),
+    )
     assert play(state, StartAction("q1", drawn=5)) == (), "the way back comes first"
     assert types(play(state, TakeTurn("q1"))) == ["ApproachStarted"]
     assert len(state.authority.claims["q1"]) == 2
@@ -129,7 +152,14 @@ def test_what_was_preempted_before_its_turn_is_accepted_at_its_turn() -> None:
     state = busy(stage="queued")
     play(state, urgent("hard-preempt"), EvaluateRequest("q2"))
     assert play(state, TakeTurn("q1")) == ()
-    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    apply(
+        state,
+        ExecutionFinished(
+            Subject("rounds", "q2"),
+            Parties(requested_by="robot/C1", executed_by="robot/B1", supervised_by=None),
+            "robot/B1",
+        ),
+    )
     assert types(play(state, TakeTurn("q1"))) == [
         "RequestAccepted",
         "AuthorityClaimed",
@@ -156,7 +186,18 @@ def test_emergency_without_a_supervisors_grant_is_no_override_at_all() -> None:
 
 def test_a_robot_that_helps_another_is_not_interrupted() -> None:
     help_given = AssistanceAdmitted(
-        "t", "t/1", "robot/B1", "robot/A1", "robot/A1", None, ("robot/B1",), "robot/A1", "robot/B1", 1, "peer"
+        subject=Subject("t", "t/1"),
+        principals=Principals(
+            decided_by="robot/B1",
+            requested_by="robot/A1",
+            executed_by="robot/A1",
+            supervised_by=None,
+            path=("robot/B1",),
+        ),
+        robot="robot/A1",
+        helper="robot/B1",
+        failure=1,
+        level="peer",
     )
     state = given("fsar", OPEN, help_given)
     events = play(state, urgent("hard-preempt"), EvaluateRequest("q2"))
@@ -165,11 +206,18 @@ def test_a_robot_that_helps_another_is_not_interrupted() -> None:
 
 def test_what_was_replanning_keeps_its_rest_and_no_early_plan_takes_the_robot_back() -> None:
     state = busy()
-    apply(state, ExecutionPaused("visit", "q1", "robot/B1", 700_000))
+    apply(state, ExecutionPaused(Subject("visit", "q1"), "robot/B1", 700_000))
     _, preempted, _ = play(state, urgent("hard-preempt"), EvaluateRequest("q2", now_us=1_900_000))
     assert preempted.remaining_us == 700_000
     assert play(state, ResumeAction("q1", now_us=2_300_000)) == ()
-    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    apply(
+        state,
+        ExecutionFinished(
+            Subject("rounds", "q2"),
+            Parties(requested_by="robot/C1", executed_by="robot/B1", supervised_by=None),
+            "robot/B1",
+        ),
+    )
     [resumed] = play(state, ResumeAction("q1", now_us=4_000_000))
     assert resumed.ends_us == 4_700_000
 
@@ -186,21 +234,49 @@ def test_a_failure_is_first_handled_by_the_executors_own_recovery() -> None:
 
 
 def test_an_own_step_that_was_preempted_while_policy_held_it_does_not_start_behind_the_other() -> None:
-    own = StepBegan("B1-1", "B1-1/1.1", "robot/B1", 1, 1, "navigate.indoor")
-    arrived = TaskArrived("B1-1", "robot/B1", 1, ("B navigate.indoor",), 60_000_000, 65_000_000)
-    rule = PolicyRuleSet("local", "robot/B1", "navigate.indoor", None, "deny", "supervisor/B1")
+    own = StepBegan(
+        subject=Subject("B1-1", "B1-1/1.1"), robot="robot/B1", step=1, attempt=1, capability="navigate.indoor"
+    )
+    arrived = TaskArrived(
+        task_id="B1-1", robot="robot/B1", team=1, steps=("B navigate.indoor",), budget_us=60_000_000, due_us=65_000_000
+    )
+    rule = PolicyRuleSet(
+        scope="local",
+        robot="robot/B1",
+        capability="navigate.indoor",
+        context=None,
+        outcome="deny",
+        decided_by="supervisor/B1",
+    )
     state = given("fsar", OPEN, rule, arrived, own)
     assert types(play(state, DecideOwnStep("B1-1/1.1"), StartAction("B1-1/1.1", drawn=5))) == ["ExecutionHeld"]
     assert "ExecutionPreempted" in types(play(state, urgent("hard-preempt"), EvaluateRequest("q2")))
     apply(state, msgspec.structs.replace(rule, outcome="allow"))
     assert play(state, StartAction("B1-1/1.1", drawn=5)) == ()
-    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    apply(
+        state,
+        ExecutionFinished(
+            Subject("rounds", "q2"),
+            Parties(requested_by="robot/C1", executed_by="robot/B1", supervised_by=None),
+            "robot/B1",
+        ),
+    )
     assert types(play(state, StartAction("B1-1/1.1", drawn=5))) == ["ExecutionStarted"]
 
 
 def entry(name: str, level: OverrideLevel) -> ExecutionQueued:
     return ExecutionQueued(
-        "t", name, "robot/A1", "robot/B1", None, "robot/B1", "robot/A1", DOOR, 1, 1, True, True, True, level
+        subject=Subject("t", name),
+        principals=Parties(requested_by="robot/A1", executed_by="robot/B1", supervised_by=None),
+        robot="robot/B1",
+        on_behalf_of="robot/A1",
+        capability=DOOR,
+        step=1,
+        attempt=1,
+        is_delegated=True,
+        has_approach=True,
+        is_supervised=True,
+        override=level,
     )
 
 
@@ -247,17 +323,22 @@ def test_the_queue_is_that_of_a_plain_model_and_nothing_is_lost_or_doubled(
             name = f"q{ordinal}"
             gone = model.arrives(name, level)
             if gone is not None:
-                state = execution.evolve(state, ExecutionPreempted("t", gone, "robot/B1", name, None))
+                state = execution.evolve(state, ExecutionPreempted(Subject("t", gone), "robot/B1", name, None))
             state = execution.evolve(state, entry(name, level))
             alive.add(name)
         elif move == 4 or not model.waiting:
             name = model.serving
             model.ends()
-            state = execution.evolve(state, ExecutionFinished("t", name, None, None, None, "robot/B1"))
+            state = execution.evolve(
+                state,
+                ExecutionFinished(
+                    Subject("t", name), Parties(requested_by=None, executed_by=None, supervised_by=None), "robot/B1"
+                ),
+            )
             alive.discard(name)
         else:
             name = model.leaves(ordinal % len(model.waiting))
-            state = execution.evolve(state, ExecutionWithdrawn("t", name, "robot/B1"))
+            state = execution.evolve(state, ExecutionWithdrawn(Subject("t", name), "robot/B1"))
             alive.discard(name)
         assert state.current.get("robot/B1") == model.serving
         assert state.queues.get("robot/B1", ()) == tuple(name for name, _, _ in model.waiting)
@@ -315,10 +396,27 @@ def test_in_a_whole_run_what_was_interrupted_on_its_way_begins_once() -> None:
 
 def test_an_action_that_policy_holds_and_is_preempted_is_held_again_when_it_is_back() -> None:
     state = busy(stage="approaching")
-    apply(state, PolicyRuleSet("local", "robot/B1", DOOR, "visit", "deny", "supervisor/B1"))
+    apply(
+        state,
+        PolicyRuleSet(
+            scope="local",
+            robot="robot/B1",
+            capability=DOOR,
+            context="visit",
+            outcome="deny",
+            decided_by="supervisor/B1",
+        ),
+    )
     assert types(play(state, StartAction("q1", drawn=5))) == ["ExecutionHeld"]
     assert "ExecutionPreempted" in types(play(state, urgent("hard-preempt"), EvaluateRequest("q2")))
-    apply(state, ExecutionFinished("rounds", "q2", "robot/C1", "robot/B1", None, "robot/B1"))
+    apply(
+        state,
+        ExecutionFinished(
+            Subject("rounds", "q2"),
+            Parties(requested_by="robot/C1", executed_by="robot/B1", supervised_by=None),
+            "robot/B1",
+        ),
+    )
     assert types(play(state, TakeTurn("q1"), StartAction("q1", drawn=5))) == ["ExecutionHeld"]
 
 
@@ -352,7 +450,7 @@ def test_in_any_run_every_request_is_executed_once_one_at_a_time(wanted: list[tu
 
 
 OFFERS = [
-    msgspec.structs.replace(CapabilityAdvertised(robot, capability), override_allowed="emergency-only")
+    msgspec.structs.replace(CapabilityAdvertised(robot=robot, capability=capability), override_allowed="emergency-only")
     for robot, capability in (("robot/A1", "carry.package"), ("robot/B1", DOOR), ("robot/D1", "carry.heavy"))
 ]
 PAIRS = (

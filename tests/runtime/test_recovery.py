@@ -5,6 +5,7 @@ import pytest
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityRevoked
+from fsar_ledger.events.envelope import Parties, Subject
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued
 from fsar_ledger.events.policy import PolicyRuleSet
 from fsar_ledger.events.recovery import (
@@ -86,7 +87,7 @@ def test_a_robots_own_budget_replaces_the_fleets() -> None:
             A,
             "carry.package",
             ObstructionAppeared(A, "o"),
-            RecoveryBudgetSet(A, "local", 30_000_000, 1, "supervisor/A1"),
+            RecoveryBudgetSet(robot=A, level="local", t_max_us=30_000_000, n_max=1, decided_by="supervisor/A1"),
         )
     )
     taken(state, start_recovery(state, StartRecovery(ACTION, now_us=2_000_001)))
@@ -135,7 +136,16 @@ def test_a_peer_with_a_task_scope_clears_the_way() -> None:
         (
             B,
             "door.open.basic",
-            (AuthorityRevoked(B, None, None, None, "human override", "supervisor/B1"),),
+            (
+                AuthorityRevoked(
+                    requested_by=B,
+                    executed_by=None,
+                    capability=None,
+                    context=None,
+                    reason="human override",
+                    decided_by="supervisor/B1",
+                ),
+            ),
             "authority",
         ),
         (B, "door.open.basic", (window(A),), "policy"),
@@ -150,7 +160,18 @@ def test_a_peer_level_that_has_nothing_to_try_says_why(
 
 def test_a_busy_peer_does_not_help() -> None:
     state = failed(executing(B, "door.open.basic"), "peer")
-    busy = ExecutionQueued("A1-2", "A1-2/1.1", A, A, None, A, A, "carry.package", 1, 1, False, False, True)
+    busy = ExecutionQueued(
+        subject=Subject("A1-2", "A1-2/1.1"),
+        principals=Parties(requested_by=A, executed_by=A, supervised_by=None),
+        robot=A,
+        on_behalf_of=A,
+        capability="carry.package",
+        step=1,
+        attempt=1,
+        is_delegated=False,
+        has_approach=False,
+        is_supervised=True,
+    )
     apply(state, busy)
     assert escalation(asked(state)) == ("peer", "fleet", "peer busy")
 
@@ -166,7 +187,10 @@ def test_the_answer_says_why_a_peer_of_the_family_is_no_help() -> None:
     query, _ = asked(failed(executing(D, "carry.heavy"), "peer", "degradation"))
     assert isinstance(query, RegistryQueried)
     assert (query.rejected, query.rejected_by) == ((A,), ("contract",))
-    untrusting = (CapabilityInstalled(C, "carry.heavy", "1.0.0"), CapabilityAdvertised(C, "carry.heavy"))
+    untrusting = (
+        CapabilityInstalled(robot=C, capability="carry.heavy", version="1.0.0"),
+        CapabilityAdvertised(robot=C, capability="carry.heavy"),
+    )
     query, outward = asked(failed(executing(D, "carry.heavy", *untrusting), "peer", "degradation"))
     assert isinstance(query, RegistryQueried)
     assert (query.rejected, query.rejected_by) == ((A, C), ("contract", "trust"))
@@ -174,7 +198,7 @@ def test_the_answer_says_why_a_peer_of_the_family_is_no_help() -> None:
 
 
 def test_a_robot_that_is_offline_neither_helps_nor_takes_over() -> None:
-    offline = AvailabilityChanged(D, None, "offline", "charging")
+    offline = AvailabilityChanged(robot=D, capability=None, availability="offline", reason="charging")
     query, outward = asked(failed(executing(A, "carry.package", offline), "peer", "degradation"))
     assert isinstance(query, RegistryQueried)
     assert (query.rejected, query.rejected_by) == ((D,), ("availability",))
@@ -208,7 +232,7 @@ def test_a_spent_peer_budget_ends_the_peer_level() -> None:
         "fleet",
         "budget exhausted",
     )
-    closed = RecoveryBudgetSet(B, "peer", 30_000_000, 0, "supervisor/B1")
+    closed = RecoveryBudgetSet(robot=B, level="peer", t_max_us=30_000_000, n_max=0, decided_by="supervisor/B1")
     assert escalation(asked(failed(executing(B, "door.open.basic", closed), "peer"))) == (
         "peer",
         "fleet",
@@ -242,7 +266,9 @@ def test_a_step_is_handed_over_at_its_checkpoint_with_the_state_of_the_task() ->
     decided, _, _, transferred, queued = events
     assert isinstance(decided, ReassignmentDecided)
     assert (decided.helper, decided.checkpoint, decided.reason) == (D, "A1-1/2", None)
-    assert transferred == TaskStateTransferred("A1-1", ACTION, A, D, "A1-1/2", ("A navigate.indoor",))
+    assert transferred == TaskStateTransferred(
+        subject=Subject("A1-1", ACTION), robot=A, helper=D, checkpoint="A1-1/2", completed=("A navigate.indoor",)
+    )
     assert isinstance(queued, ExecutionQueued)
     assert (queued.robot, queued.on_behalf_of, queued.requested_by) == (D, A, A)
 
@@ -259,12 +285,35 @@ def test_without_a_declared_checkpoint_nobody_takes_over() -> None:
     [
         (D, "grasp.robust", (), "no capable robot"),
         (A, "navigate.indoor", (), "the robot's own way"),
-        (A, "carry.package", (TrustSet(D, A, "none"),), "no trusted robot"),
-        (A, "carry.package", (AuthorityRevoked(A, D, None, None, "human override", "supervisor/fleet"),), "authority"),
+        (A, "carry.package", (TrustSet(robot=D, peer=A, scope="none"),), "no trusted robot"),
         (
             A,
             "carry.package",
-            (AuthorityRevoked(D, A, None, None, "human override", "supervisor/fleet"),),
+            (
+                AuthorityRevoked(
+                    requested_by=A,
+                    executed_by=D,
+                    capability=None,
+                    context=None,
+                    reason="human override",
+                    decided_by="supervisor/fleet",
+                ),
+            ),
+            "authority",
+        ),
+        (
+            A,
+            "carry.package",
+            (
+                AuthorityRevoked(
+                    requested_by=D,
+                    executed_by=A,
+                    capability=None,
+                    context=None,
+                    reason="human override",
+                    decided_by="supervisor/fleet",
+                ),
+            ),
             "",
         ),  # the other way round
         (A, "carry.package", (window(D),), "policy"),
@@ -282,12 +331,26 @@ def test_a_robot_takes_over_nothing_that_it_may_not_do(
 
 def test_a_busy_robot_takes_nothing_over() -> None:
     state = failed(executing(), "fleet")
-    apply(state, ExecutionQueued("D1-2", "D1-2/1.1", D, D, None, D, D, "carry.heavy", 1, 1, False, False, True))
+    apply(
+        state,
+        ExecutionQueued(
+            subject=Subject("D1-2", "D1-2/1.1"),
+            principals=Parties(requested_by=D, executed_by=D, supervised_by=None),
+            robot=D,
+            on_behalf_of=D,
+            capability="carry.heavy",
+            step=1,
+            attempt=1,
+            is_delegated=False,
+            has_approach=False,
+            is_supervised=True,
+        ),
+    )
     assert escalation(considered(state)) == ("fleet", "human", "no feasible reassignment: robot busy")
 
 
 def test_a_spent_fleet_budget_ends_the_fleet_level() -> None:
-    closed = RecoveryBudgetSet(A, "fleet", 30_000_000, 0, "supervisor/A1")
+    closed = RecoveryBudgetSet(robot=A, level="fleet", t_max_us=30_000_000, n_max=0, decided_by="supervisor/A1")
     events = considered(failed(executing(A, "carry.package", closed), "fleet"))
     assert types(events) == ["RecoveryEscalated", "SupervisorCalled"]
     assert escalation(events) == ("fleet", "human", "budget exhausted")
@@ -307,12 +370,56 @@ HEAVY = (D, "carry.heavy")
         (CapabilityAdvertised(*HEAVY, policy_required=("A1-1",)), "", None),
         (CapabilityWithdrawn(*HEAVY, "jammed"), "no capable", None),
         (AvailabilityChanged(*HEAVY, "restricted", "inspection"), "no capable", "availability"),
-        (TrustSet(D, A, "none", "carry.heavy"), "no trusted", "trust"),
-        (TrustSet(D, A, "none", "carry.package"), "no trusted", "trust"),
-        (PolicyRuleSet("local", D, "carry.heavy", None, "deny", "supervisor/D1"), "policy", "policy"),
-        (PolicyRuleSet("local", A, "carry.heavy", None, "review", "supervisor/A1"), "policy", None),
-        (PolicyRuleSet("fleet", None, "carry.heavy", None, "deny", "supervisor/fleet"), "policy", None),
-        (AuthorityRevoked(A, D, "carry.heavy", None, "human override", "supervisor/fleet"), "authority", None),
+        (TrustSet(robot=D, peer=A, scope="none", capability="carry.heavy"), "no trusted", "trust"),
+        (TrustSet(robot=D, peer=A, scope="none", capability="carry.package"), "no trusted", "trust"),
+        (
+            PolicyRuleSet(
+                scope="local",
+                robot=D,
+                capability="carry.heavy",
+                context=None,
+                outcome="deny",
+                decided_by="supervisor/D1",
+            ),
+            "policy",
+            "policy",
+        ),
+        (
+            PolicyRuleSet(
+                scope="local",
+                robot=A,
+                capability="carry.heavy",
+                context=None,
+                outcome="review",
+                decided_by="supervisor/A1",
+            ),
+            "policy",
+            None,
+        ),
+        (
+            PolicyRuleSet(
+                scope="fleet",
+                robot=None,
+                capability="carry.heavy",
+                context=None,
+                outcome="deny",
+                decided_by="supervisor/fleet",
+            ),
+            "policy",
+            None,
+        ),
+        (
+            AuthorityRevoked(
+                requested_by=A,
+                executed_by=D,
+                capability="carry.heavy",
+                context=None,
+                reason="human override",
+                decided_by="supervisor/fleet",
+            ),
+            "authority",
+            None,
+        ),
     ],
 )
 def test_a_substitute_is_asked_for_its_own_capability_on_its_own_terms(
@@ -336,17 +443,17 @@ def test_a_robot_with_the_same_capability_is_asked_on_the_terms_of_its_advertise
         ({"policy_required": ("other",)}, "policy"),
     ):
         owned = (
-            CapabilityInstalled(B, "carry.heavy", "1.0.0"),
+            CapabilityInstalled(robot=B, capability="carry.heavy", version="1.0.0"),
             CapabilityAdvertised(B, "carry.heavy", **terms),
-            TrustSet(B, D, "session"),
+            TrustSet(robot=B, peer=D, scope="session"),
         )
         assert escalation(asked(failed(executing(D, "carry.heavy", *owned), "peer", "degradation")))[2] == reason
 
 
 def test_where_one_capability_does_not_suit_another_of_the_same_robot_may() -> None:
     owned = (
-        CapabilityInstalled(D, "carry.package", "1.0.0"),
-        CapabilityAdvertised(D, "carry.package", trust_required="persistent"),
+        CapabilityInstalled(robot=D, capability="carry.package", version="1.0.0"),
+        CapabilityAdvertised(robot=D, capability="carry.package", trust_required="persistent"),
     )
     query, *helped = asked(failed(executing(A, "carry.package", *owned), "peer", "degradation"))
     assert isinstance(query, RegistryQueried)
@@ -375,11 +482,11 @@ def test_a_supervisor_who_is_off_shift_is_not_called() -> None:
 
 def test_a_supervisor_who_does_not_answer_in_time_is_followed_by_the_fleets_once() -> None:
     state = failed(executing(D, "grasp.robust", owner=D), "human")
-    apply(state, SupervisorCalled("A1-1", ACTION, "supervisor/D1", "recovery"))
+    apply(state, SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor="supervisor/D1", purpose="recovery"))
     late = [
         one
         for react in wiring("fsar").reacts[SupervisorCalled]
-        for one in react(state, SupervisorCalled("A1-1", ACTION, "", "recovery"), 0)
+        for one in react(state, SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor="", purpose="recovery"), 0)
     ]
     assert [(one.command, one.after_us) for one in late if isinstance(one.command, CallNext)] == [
         (CallNext(ACTION, 1, 1), 120_000_000)
@@ -387,14 +494,17 @@ def test_a_supervisor_who_does_not_answer_in_time_is_followed_by_the_fleets_once
     assert called(taken(state, call_next(state, CallNext(ACTION, 1, 1)))) == "supervisor/fleet"
     assert call_next(state, CallNext(ACTION, 1, 1)) == ()
     assert call_next(state, CallNext(ACTION, 1, 2)) == ()
-    apply(state, FailureResolved("A1-1", ACTION, D, 1, "human"))
+    apply(state, FailureResolved(Subject("A1-1", ACTION), D, 1, "human"))
     assert call_next(state, CallNext(ACTION, 1, 2)) == ()
 
 
 def test_a_failure_creates_no_authority() -> None:
     state = failed(
         executing(
-            D, "carry.heavy", CapabilityInstalled(C, "carry.heavy", "1.0.0"), CapabilityAdvertised(C, "carry.heavy")
+            D,
+            "carry.heavy",
+            CapabilityInstalled(robot=C, capability="carry.heavy", version="1.0.0"),
+            CapabilityAdvertised(robot=C, capability="carry.heavy"),
         )
     )
     trust, rights = state.trust, state.authority
@@ -432,10 +542,14 @@ def test_a_slipping_grip_achieves_part_of_its_contract_and_is_lost_after_it() ->
     state = failed(executing(D, "grasp.robust", ActuatorDegraded(D, "slipping")), cause="degradation")
     taken(state, start_recovery(state, StartRecovery(ACTION, now_us=2_000_001)))
     first, _ = taken(state, end_attempt(state, EndAttempt(ACTION, 1, now_us=4_000_000, drawn=1)))
-    assert first == RecoveryAttemptFailed("A1-1", ACTION, D, 1, 1, "partial", ("load.gripped",))
+    assert first == RecoveryAttemptFailed(
+        subject=Subject("A1-1", ACTION), robot=D, failure=1, number=1, result="partial", achieved=("load.gripped",)
+    )
     assert state.world.degraded == {D: "lost"}
     second, _ = taken(state, end_attempt(state, EndAttempt(ACTION, 2, now_us=6_000_000, drawn=1)))
-    assert second == RecoveryAttemptFailed("A1-1", ACTION, D, 1, 2, "failure", ())
+    assert second == RecoveryAttemptFailed(
+        subject=Subject("A1-1", ACTION), robot=D, failure=1, number=2, result="failure", achieved=()
+    )
     apply(state, ActuatorServiced(D))
     assert state.world.degraded == {}
 
@@ -444,7 +558,7 @@ def test_an_unreliable_actuator_that_fails_is_not_worn_by_it() -> None:
     state = failed(executing(D, "grasp.robust", ActuatorDegraded(D)), cause="degradation")
     taken(state, start_recovery(state, StartRecovery(ACTION, now_us=2_000_001)))
     ended, _ = taken(state, end_attempt(state, EndAttempt(ACTION, 1, now_us=4_000_000, drawn=0)))
-    assert ended == RecoveryAttemptFailed("A1-1", ACTION, D, 1, 1)
+    assert ended == RecoveryAttemptFailed(subject=Subject("A1-1", ACTION), robot=D, failure=1, number=1)
     assert state.world.degraded == {D: "unreliable"}
 
 

@@ -3,6 +3,7 @@
 import pytest
 
 from fsar_ledger.events.command import CommandRejected
+from fsar_ledger.events.envelope import Subject
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.recovery import RecoveryBudgetSet
 from fsar_ledger.runtime.architectures.fsar.recovery import StartRecovery
@@ -15,7 +16,7 @@ from tests.runtime.histories import given
 @pytest.mark.parametrize("issued_by", ["supervisor/A1", "supervisor/fleet"])
 def test_a_supervisor_in_charge_sets_a_recovery_budget(issued_by: str) -> None:
     assert set_recovery_budget(given("fsar"), SetRecoveryBudget(issued_by, A, "peer", 5_000_000, 0)) == (
-        RecoveryBudgetSet(A, "peer", 5_000_000, 0, issued_by),
+        RecoveryBudgetSet(robot=A, level="peer", t_max_us=5_000_000, n_max=0, decided_by=issued_by),
     )
 
 
@@ -43,7 +44,14 @@ def test_an_impossible_budget_is_rejected(command: SetRecoveryBudget, reason: st
 def test_a_reported_failure_is_recovered_like_any_other() -> None:
     state = executing(B, "door.open.basic")
     [event] = taken(state, report_failure(state, ReportFailure(B, ACTION, "obstruction", now_us=2_000_000)))
-    assert event == ExecutionFailed("A1-1", ACTION, B, 1, "obstruction", 1_000_000, 2_000_000)
+    assert event == ExecutionFailed(
+        subject=Subject("A1-1", ACTION),
+        robot=B,
+        failure=1,
+        cause="obstruction",
+        remaining_us=1_000_000,
+        detected_us=2_000_000,
+    )
     [scheduled] = [
         one.command for react in wiring("fsar").reacts[ExecutionFailed] for one in react(state, event, 2_000_000)
     ]

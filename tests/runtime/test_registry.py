@@ -8,6 +8,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Parties, Subject
 from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import PolicyRuleSet
@@ -71,18 +72,47 @@ def test_the_requester_itself_is_neither_candidate_nor_rejected() -> None:
     ("events", "asked", "by"),
     [
         ((offered(visible_to=("C",)),), {}, "visibility"),
-        ((offered(visibility="trust-gated"), TrustSet("robot/B1", "robot/A1", "none")), {}, "visibility"),
+        (
+            (offered(visibility="trust-gated"), TrustSet(robot="robot/B1", peer="robot/A1", scope="none")),
+            {},
+            "visibility",
+        ),
         ((), {"version": "^2.0"}, "version"),
         ((offered(preconditions=("badge.shown",)),), {"provides": ()}, "contract"),
         ((offered(resources=("arm",)),), {"resources": ("gripper",)}, "contract"),
         ((), {"needs": ("door.opened",)}, "contract"),
-        ((TrustSet("robot/B1", "robot/A1", "none"),), {}, "trust"),
+        ((TrustSet(robot="robot/B1", peer="robot/A1", scope="none"),), {}, "trust"),
         ((offered(trust_required="session"),), {}, "trust"),
         ((offered(policy_required=("delivery",)),), {}, "policy"),
-        ((PolicyRuleSet("local", "robot/B1", "door.open.secure", None, "deny", "supervisor/B1"),), {}, "policy"),
+        (
+            (
+                PolicyRuleSet(
+                    scope="local",
+                    robot="robot/B1",
+                    capability="door.open.secure",
+                    context=None,
+                    outcome="deny",
+                    decided_by="supervisor/B1",
+                ),
+            ),
+            {},
+            "policy",
+        ),
         ((), {"override": "emergency-only"}, "authority"),
-        ((AvailabilityChanged("robot/B1", None, "offline", "charging"),), {}, "availability"),
-        ((AvailabilityChanged("robot/B1", "door.open.secure", "restricted", "roll-out"),), {}, "availability"),
+        (
+            (AvailabilityChanged(robot="robot/B1", capability=None, availability="offline", reason="charging"),),
+            {},
+            "availability",
+        ),
+        (
+            (
+                AvailabilityChanged(
+                    robot="robot/B1", capability="door.open.secure", availability="restricted", reason="roll-out"
+                ),
+            ),
+            {},
+            "availability",
+        ),
         ((), {"embodiment": ("arm",)}, "embodiment"),
     ],
 )
@@ -102,12 +132,43 @@ def test_each_filter_rejects_and_is_named(events: tuple[Event, ...], asked: dict
         ((offered(postconditions=("door.opened", "door.logged")),), {"needs": ("door.opened",)}),
         ((offered(trust_required="task"),), {}),
         ((offered(policy_required=("delivery",)),), {"context": "delivery"}),
-        ((PolicyRuleSet("local", "robot/B1", "door.open.secure", None, "review", "supervisor/B1"),), {}),
-        ((PolicyRuleSet("local", "robot/B1", "door.open.basic", None, "deny", "supervisor/B1"),), {}),
+        (
+            (
+                PolicyRuleSet(
+                    scope="local",
+                    robot="robot/B1",
+                    capability="door.open.secure",
+                    context=None,
+                    outcome="review",
+                    decided_by="supervisor/B1",
+                ),
+            ),
+            {},
+        ),
+        (
+            (
+                PolicyRuleSet(
+                    scope="local",
+                    robot="robot/B1",
+                    capability="door.open.basic",
+                    context=None,
+                    outcome="deny",
+                    decided_by="supervisor/B1",
+                ),
+            ),
+            {},
+        ),
         ((window("robot/B1"),), {}),
         ((), {"override": "hard-preempt"}),
         ((offered(override_allowed="soft-priority"),), {"override": "emergency-only"}),
-        ((AvailabilityChanged("robot/B1", "door.open.basic", "offline", "jammed"),), {}),
+        (
+            (
+                AvailabilityChanged(
+                    robot="robot/B1", capability="door.open.basic", availability="offline", reason="jammed"
+                ),
+            ),
+            {},
+        ),
         ((offered(embodiment=("arm", "wheels")),), {"embodiment": ("arm",)}),
     ],
 )
@@ -116,15 +177,15 @@ def test_what_no_filter_rejects_is_a_candidate(events: tuple[Event, ...], asked:
 
 
 def test_of_several_filters_the_first_in_their_order_is_named() -> None:
-    distrust = TrustSet("robot/B1", "robot/A1", "none")
-    offline = AvailabilityChanged("robot/B1", None, "offline", "charging")
+    distrust = TrustSet(robot="robot/B1", peer="robot/A1", scope="none")
+    offline = AvailabilityChanged(robot="robot/B1", capability=None, availability="offline", reason="charging")
     assert why_not(distrust, offline, version="^2") == ("version",)
     assert why_not(distrust, offline) == ("trust",)
     assert why_not(offline) == ("availability",)
 
 
 def test_without_trust_evaluation_nobody_hides_and_nobody_distrusts() -> None:
-    events = (offered(visible_to=("C",)), TrustSet("robot/B1", "robot/A1", "none"))
+    events = (offered(visible_to=("C",)), TrustSet(robot="robot/B1", peer="robot/A1", scope="none"))
     assert candidates(given("fsar", *events, configuration="without-trust-evaluation"), ASKING).candidates == (
         "robot/B1",
     )
@@ -133,15 +194,26 @@ def test_without_trust_evaluation_nobody_hides_and_nobody_distrusts() -> None:
 def second(robot: str = "robot/E1", version: str = "1.0.0", domain: str = "", **fields: Any) -> tuple[Event, ...]:
     """Another robot that can open the door and trusts A1."""
     return (
-        RobotJoined(robot, "B", 1, None, domain),
-        CapabilityInstalled(robot, "door.open.secure", version),
+        RobotJoined(robot=robot, role="B", team=1, supervisor=None, domain=domain),
+        CapabilityInstalled(robot=robot, capability="door.open.secure", version=version),
         offered(robot, version=version, **fields),
-        TrustSet(robot, "robot/A1", "task"),
+        TrustSet(robot=robot, peer="robot/A1", scope="task"),
     )
 
 
 def busy(robot: str) -> ExecutionQueued:
-    return ExecutionQueued("t", "t/1", None, None, None, robot, robot, "navigate.indoor", 1, 1, False, False, True)
+    return ExecutionQueued(
+        subject=Subject("t", "t/1"),
+        principals=Parties(requested_by=None, executed_by=None, supervised_by=None),
+        robot=robot,
+        on_behalf_of=robot,
+        capability="navigate.indoor",
+        step=1,
+        attempt=1,
+        is_delegated=False,
+        has_approach=False,
+        is_supervised=True,
+    )
 
 
 def test_ready_robots_come_before_busy_ones_before_degraded_ones() -> None:
@@ -149,14 +221,21 @@ def test_ready_robots_come_before_busy_ones_before_degraded_ones() -> None:
     assert candidates(given("fsar", *both), ASKING).candidates == ("robot/B1", "robot/E1")
     assert candidates(given("fsar", *both, busy("robot/B1")), ASKING).candidates == ("robot/E1", "robot/B1")
     assert candidates(
-        given("fsar", *both, AvailabilityChanged("robot/B1", None, "busy", "charging")), ASKING
+        given(
+            "fsar",
+            *both,
+            AvailabilityChanged(robot="robot/B1", capability=None, availability="busy", reason="charging"),
+        ),
+        ASKING,
     ).candidates == ("robot/E1", "robot/B1")
-    degraded = AvailabilityChanged("robot/E1", None, "degraded", "actuator")
+    degraded = AvailabilityChanged(robot="robot/E1", capability=None, availability="degraded", reason="actuator")
     assert candidates(given("fsar", *both, busy("robot/B1"), degraded), ASKING).candidates == ("robot/B1", "robot/E1")
 
 
 def test_a_deprecated_version_is_shown_only_when_no_other_satisfies_the_query() -> None:
-    deprecated = CapabilityDeprecated("robot/B1", "door.open.secure", "1.0.0", "2.0.0")
+    deprecated = CapabilityDeprecated(
+        robot="robot/B1", capability="door.open.secure", version="1.0.0", successor="2.0.0"
+    )
     alone = candidates(given("fsar", deprecated), ASKING)
     assert alone.candidates == ("robot/B1",)
     beside = candidates(given("fsar", *second(version="2.0.0"), deprecated), ASKING)
@@ -189,14 +268,14 @@ def test_a_robot_that_one_filter_leaves_out_for_one_capability_may_be_a_candidat
 
 
 def test_of_a_group_what_is_deprecated_gives_way_and_comes_last() -> None:
-    ageing = CapabilityDeprecated("robot/B1", "door.open.basic", "1.0.0")
+    ageing = CapabilityDeprecated(robot="robot/B1", capability="door.open.basic", version="1.0.0")
     assert candidates(given("fsar", ageing), Query("robot/A1", "door.*")).capabilities == ("door.open.secure",)
     events = (ageing, CapabilityWithdrawn("robot/B1", "door.open.secure", "jammed"), *second())
     assert candidates(given("fsar", *events), Query("robot/A1", "door.*")).candidates == ("robot/E1", "robot/B1")
 
 
 def test_a_limited_search_goes_on_past_what_is_deprecated() -> None:
-    events = (*second(), CapabilityDeprecated("robot/B1", "door.open.secure", "1.0.0"))
+    events = (*second(), CapabilityDeprecated(robot="robot/B1", capability="door.open.secure", version="1.0.0"))
     answer = candidates(given("fsar", *events), Query("robot/A1", "door.open.secure", limit=1))
     assert (answer.candidates, answer.rejected_by) == (("robot/E1",), ("version",))
 
@@ -208,14 +287,17 @@ HALL = (
 )
 
 
-MEMBER = RobotJoined("robot/A1", "A", 1, "supervisor/A1")
+MEMBER = RobotJoined(robot="robot/A1", role="A", team=1, supervisor="supervisor/A1")
 
 
 def from_domain(domain: str, *events: Event) -> State:
     """The fleet of four and the hall, where A1 is in this domain."""
     founding = started("fsar")
     moved = [
-        RobotJoined("robot/A1", "A", 1, "supervisor/A1", domain) if event == MEMBER else event for event in founding
+        RobotJoined(robot="robot/A1", role="A", team=1, supervisor="supervisor/A1", domain=domain)
+        if event == MEMBER
+        else event
+        for event in founding
     ]
     assert moved.count(MEMBER) == (not domain)
     return fold((*moved, *HALL, *events))
@@ -240,7 +322,7 @@ def test_the_nearest_registry_around_the_requester_that_has_a_candidate_answers(
 
 
 def test_a_registry_without_a_candidate_hands_the_query_on_with_its_rejections() -> None:
-    distrust = TrustSet("robot/F1", "robot/A1", "none")
+    distrust = TrustSet(robot="robot/F1", peer="robot/A1", scope="none")
     answer = candidates(from_domain("hall/north/cell", distrust), ASKING)
     assert (answer.domain, answer.candidates, answer.rejected, answer.rejected_by) == (
         "hall/north",
@@ -276,8 +358,10 @@ def test_a_limited_search_ends_at_so_many_that_are_ready() -> None:
     assert limited(2) == (("robot/E1", "robot/F1"), ())
     assert limited(9) == (("robot/E1", "robot/F1", "robot/G1"), ())
     assert limited(1, busy("robot/E1")) == (("robot/F1",), ())
-    assert limited(1, TrustSet("robot/E1", "robot/A1", "none")) == (("robot/F1",), ("robot/E1",))
-    assert limited(1, TrustSet("robot/G1", "robot/A1", "none")) == (("robot/E1",), ()), "G1 was not looked at"
+    assert limited(1, TrustSet(robot="robot/E1", peer="robot/A1", scope="none")) == (("robot/F1",), ("robot/E1",))
+    assert limited(1, TrustSet(robot="robot/G1", peer="robot/A1", scope="none")) == (("robot/E1",), ()), (
+        "G1 was not looked at"
+    )
 
 
 def test_a_copy_answers_with_the_offers_of_its_time_and_says_how_old_it_is() -> None:
@@ -287,7 +371,7 @@ def test_a_copy_answers_with_the_offers_of_its_time_and_says_how_old_it_is() -> 
     assert candidates(state, ASKING).candidates == ()
     copied = candidates(state, ASKING, "robot/A1")
     assert (copied.candidates, copied.as_of_us) == (("robot/B1",), 5_000_000)
-    apply(state, TrustSet("robot/B1", "robot/A1", "none"))
+    apply(state, TrustSet(robot="robot/B1", peer="robot/A1", scope="none"))
     assert candidates(state, ASKING, "robot/A1").rejected_by == ("trust",), "trust is that of now"
 
 
@@ -301,13 +385,21 @@ def test_a_query_from_outside_is_answered_and_recorded_with_its_rejections() -> 
     state = given("fsar", *second(trust_required="persistent"))
     [answer] = consult_registry(state, ConsultRegistry(ASKING))
     assert answer == RegistryConsulted(
-        "robot/A1", "door.open.secure", ("robot/B1",), ("robot/E1",), ("trust",), "", None
+        requested_by="robot/A1",
+        capability="door.open.secure",
+        candidates=("robot/B1",),
+        rejected=("robot/E1",),
+        rejected_by=("trust",),
+        domain="",
+        as_of_us=None,
     )
 
 
 def test_that_nobody_offers_it_is_an_answer() -> None:
     [answer] = consult_registry(given("fsar"), ConsultRegistry(Query("robot/A1", "teleport")))
-    assert answer == RegistryConsulted("robot/A1", "teleport", (), (), ())
+    assert answer == RegistryConsulted(
+        requested_by="robot/A1", capability="teleport", candidates=(), rejected=(), rejected_by=()
+    )
 
 
 def test_a_copy_is_taken_and_asked() -> None:
@@ -385,14 +477,15 @@ DOMAINS = st.dictionaries(st.sampled_from(ROBOTS), st.sampled_from(("", "hall", 
 def populated(changes: list[Event], domains: dict[str, str]) -> State:
     """A1 and ten more robots, each in its domain, after these changes."""
     joined = [
-        RobotJoined(robot, robot[6], int(robot[7]), None, domains.get(robot, "")) for robot in ("robot/A1", *ROBOTS)
+        RobotJoined(robot=robot, role=robot[6], team=int(robot[7]), supervisor=None, domain=domains.get(robot, ""))
+        for robot in ("robot/A1", *ROBOTS)
     ]
     modules = [
-        CapabilityInstalled(robot, name, "1.0.0")
+        CapabilityInstalled(robot=robot, capability=name, version="1.0.0")
         for robot in ROBOTS
         for name in ("door.open.secure", "door.open.wide", "lift")
     ]
-    trusted = [TrustSet(robot, "robot/A1", "task") for robot in ROBOTS]
+    trusted = [TrustSet(robot=robot, peer="robot/A1", scope="task") for robot in ROBOTS]
     return fold((started("fsar")[0], *joined, *modules, *trusted, *changes))
 
 

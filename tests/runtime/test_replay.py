@@ -246,7 +246,7 @@ def test_a_handler_that_was_changed_since_decides_otherwise(monkeypatch: pytest.
 
 
 def test_a_decision_from_outside_is_not_a_fact_of_the_world() -> None:
-    one = governed.governed("door-relay", (30_000_000, TrustSet("robot/A1", "robot/C1", "task")))
+    one = governed.governed("door-relay", (30_000_000, TrustSet(robot="robot/A1", peer="robot/C1", scope="task")))
     difference = replay_run(governed.record(one))
     assert difference is not None
     assert (difference.seq, difference.field, difference.actual) == (
@@ -309,9 +309,15 @@ def test_a_run_that_cannot_be_replayed_is_a_doubt_and_says_why(tmp_path: Path, n
 
 ODD_FACTS: dict[str, Event] = {
     "an unknown robot": RoutineDue("robot/Z9", "sensing"),
-    "a step that is none": TaskArrived("odd", "robot/A1", 1, ("nonsense",), 10, 10),
-    "a step of an unknown robot": TaskArrived("odd", "robot/A1", 1, ("Z navigate.indoor",), 10, 10),
-    "a capability without a duration": TaskArrived("odd", "robot/A1", 1, ("A fly",), 10**9, LATE + 10**9),
+    "a step that is none": TaskArrived(
+        task_id="odd", robot="robot/A1", team=1, steps=("nonsense",), budget_us=10, due_us=10
+    ),
+    "a step of an unknown robot": TaskArrived(
+        task_id="odd", robot="robot/A1", team=1, steps=("Z navigate.indoor",), budget_us=10, due_us=10
+    ),
+    "a capability without a duration": TaskArrived(
+        task_id="odd", robot="robot/A1", team=1, steps=("A fly",), budget_us=10**9, due_us=LATE + 10**9
+    ),
 }
 
 

@@ -8,7 +8,7 @@ import pytest
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityGranted, AuthorityReleased, AuthorityRevoked
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, OverrideLevel
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, OverrideLevel, Parties, Principals, RequestSubject, Subject
 from fsar_ledger.events.execution import (
     ExecutionFinished,
     ExecutionQueued,
@@ -52,7 +52,9 @@ RUNNING = ("RequestAdmitted", "ExecutionQueued")
 
 def offered(level: OverrideLevel, **changes: Any) -> CapabilityAdvertised:
     """B1 lets requests for its door carry this override level."""
-    return msgspec.structs.replace(CapabilityAdvertised("robot/B1", DOOR), override_allowed=level, **changes)
+    return msgspec.structs.replace(
+        CapabilityAdvertised(robot="robot/B1", capability=DOOR), override_allowed=level, **changes
+    )
 
 
 def asked(
@@ -106,7 +108,7 @@ def test_an_admissible_request_is_accepted_with_its_trust_and_its_authority() ->
 
 BUSY = (ARRIVED, OWN_STEP)
 EXPIRED = TaskCompleted("visit")
-DISTRUST = TrustSet("robot/B1", "robot/A1", "none")
+DISTRUST = TrustSet(robot="robot/B1", peer="robot/A1", scope="none")
 
 
 @pytest.mark.parametrize(
@@ -123,9 +125,26 @@ DISTRUST = TrustSet("robot/B1", "robot/A1", "none")
         ((window("robot/B1"),), {}, "policy"),
         ((offered("none", policy_required=("rounds",)),), {}, "policy"),
         ((), {"directives": ("plan",)}, "local-execution"),
-        ((AvailabilityChanged("robot/B1", None, "offline", "battery"),), {}, "local-execution"),
+        (
+            (AvailabilityChanged(robot="robot/B1", capability=None, availability="offline", reason="battery"),),
+            {},
+            "local-execution",
+        ),
         ((EXPIRED,), {}, "authority"),
-        ((AuthorityRevoked("robot/A1", "robot/B1", None, None, "human override", FLEET_SUPERVISOR),), {}, "authority"),
+        (
+            (
+                AuthorityRevoked(
+                    requested_by="robot/A1",
+                    executed_by="robot/B1",
+                    capability=None,
+                    context=None,
+                    reason="human override",
+                    decided_by=FLEET_SUPERVISOR,
+                ),
+            ),
+            {},
+            "authority",
+        ),
         ((DISTRUST, window("robot/B1"), EXPIRED), {"directives": ("policy",)}, "trust"),
         ((window("robot/B1"), EXPIRED), {"directives": ("recovery",)}, "policy"),
         ((EXPIRED,), {"directives": ("plan",)}, "local-execution"),
@@ -175,7 +194,15 @@ def test_what_was_approved_is_still_denied_when_trust_is_gone_by_then() -> None:
     apply(
         state,
         SupervisorResponded(
-            "visit", "q1", FLEET_SUPERVISOR, "robot/A1", "robot/B1", FLEET_SUPERVISOR, (FLEET_SUPERVISOR,), "review"
+            Subject("visit", "q1"),
+            Principals(
+                decided_by=FLEET_SUPERVISOR,
+                requested_by="robot/A1",
+                executed_by="robot/B1",
+                supervised_by=FLEET_SUPERVISOR,
+                path=(FLEET_SUPERVISOR,),
+            ),
+            "review",
         ),
     )
     request = state.request["q1"]
@@ -196,22 +223,30 @@ def test_a_busy_executor_defers_and_the_request_is_served_in_its_turn() -> None:
     ]
 
 
-RELAYED = RegistryQueried("A1-1", "A1-1/2.1", "robot/D1", "robot/B1", None, DOOR, ("robot/B1",), "robot/A1")
-D_STEP = StepBegan("A1-1", "A1-1/2.1", "robot/D1", 2, 1, DOOR, "B")
+RELAYED = RegistryQueried(
+    subject=Subject("A1-1", "A1-1/2.1"),
+    principals=Parties(requested_by="robot/D1", executed_by="robot/B1", supervised_by=None),
+    capability=DOOR,
+    candidates=("robot/B1",),
+    relay="robot/A1",
+)
+D_STEP = StepBegan(
+    subject=Subject("A1-1", "A1-1/2.1"), robot="robot/D1", step=2, attempt=1, capability=DOOR, target_role="B"
+)
 
 
 def relayed(*after: Event) -> State:
     """D1's request to B1 has been issued and stands before its relay A1."""
     issued = RequestIssued(
-        "A1-1",
-        "A1-1/2.1",
-        "A1-1/2.1",
-        "robot/D1",
-        "robot/D1",
-        "robot/B1",
-        None,
-        ("robot/D1",),
-        DOOR,
+        subject=RequestSubject("A1-1", "A1-1/2.1", "A1-1/2.1"),
+        principals=Principals(
+            decided_by="robot/D1",
+            requested_by="robot/D1",
+            executed_by="robot/B1",
+            supervised_by=None,
+            path=("robot/D1",),
+        ),
+        capability=DOOR,
         carried_policy="allow",
         relay="robot/A1",
     )
@@ -224,7 +259,9 @@ def test_each_link_of_a_relayed_request_rests_on_its_own_trust() -> None:
     admitted, _ = evaluate_request(state, EvaluateRequest("A1-1/2.1"))
     assert isinstance(admitted, RequestAdmitted)
     assert admitted.trust == "task", "of B1 in A1; B1 does not trust D1"
-    [denied] = relay_request(relayed(TrustSet("robot/A1", "robot/D1", "none")), RelayRequest("A1-1/2.1"))
+    [denied] = relay_request(
+        relayed(TrustSet(robot="robot/A1", peer="robot/D1", scope="none")), RelayRequest("A1-1/2.1")
+    )
     assert isinstance(denied, RequestDenied)
     assert (denied.reason, denied.decided_by) == ("trust", "robot/A1")
     assert verdict(relayed(DISTRUST), "A1-1/2.1") == ("reject", "trust")
@@ -233,8 +270,22 @@ def test_each_link_of_a_relayed_request_rests_on_its_own_trust() -> None:
 def test_rights_along_a_chain_never_add_up_to_a_right_of_its_first_at_its_last() -> None:
     """A1 may ask B1 and B1 may ask C1; A1 at C1 has no trust whatever was granted along the way, and C1 judges B1 alone."""
     grants = (
-        AuthorityGranted("robot/A1", "robot/B1", None, None, "none", FLEET_SUPERVISOR),
-        AuthorityGranted("robot/B1", "robot/C1", None, None, "none", FLEET_SUPERVISOR),
+        AuthorityGranted(
+            requested_by="robot/A1",
+            executed_by="robot/B1",
+            capability=None,
+            context=None,
+            override="none",
+            decided_by=FLEET_SUPERVISOR,
+        ),
+        AuthorityGranted(
+            requested_by="robot/B1",
+            executed_by="robot/C1",
+            capability=None,
+            context=None,
+            override="none",
+            decided_by=FLEET_SUPERVISOR,
+        ),
     )
     state = served(asked(*grants), EvaluateRequest("q1"))
     onward = RequestCapability("robot/B1", "robot/C1", "inspect.visual", "visit", "q2", parent="q1")
@@ -246,7 +297,7 @@ def test_rights_along_a_chain_never_add_up_to_a_right_of_its_first_at_its_last()
     for event in decided(state, direct):
         apply(state, event)
     assert verdict(state, "q3") == ("reject", "trust")
-    apply(state, TrustSet("robot/C1", "robot/B1", "none"))
+    apply(state, TrustSet(robot="robot/C1", peer="robot/B1", scope="none"))
     assert verdict(state, "q2") == ("reject", "trust"), "the parent's admission does not carry its link"
 
 
@@ -271,7 +322,17 @@ def test_rights_along_a_chain_never_add_up_to_a_right_of_its_first_at_its_last()
 def test_a_request_that_names_something_unknown_over_or_impossible_is_rejected_and_changes_nothing(
     changes: dict[str, Any], found: str
 ) -> None:
-    finished = RequestDenied("visit", "old", "old", "robot/B1", "robot/A1", "robot/B1", None, ("robot/B1",), "policy")
+    finished = RequestDenied(
+        RequestSubject("visit", "old", "old"),
+        Principals(
+            decided_by="robot/B1",
+            requested_by="robot/A1",
+            executed_by="robot/B1",
+            supervised_by=None,
+            path=("robot/B1",),
+        ),
+        "policy",
+    )
     first = msgspec.structs.replace(ASK, action_id="old")
     state = asked(ARRIVED, DELEGATED_STEP, TaskCompleted("A1-9"), command=first, after=(finished,))
     before = {slot: getattr(state, slot) for slot in State.__slots__}
@@ -297,7 +358,14 @@ def test_an_executor_asked_for_more_override_than_it_allows_offers_what_it_allow
 
 
 def test_a_grant_of_less_than_the_executor_allows_is_the_limit() -> None:
-    grant = AuthorityGranted("robot/A1", "robot/B1", DOOR, None, "soft-priority", FLEET_SUPERVISOR)
+    grant = AuthorityGranted(
+        requested_by="robot/A1",
+        executed_by="robot/B1",
+        capability=DOOR,
+        context=None,
+        override="soft-priority",
+        decided_by=FLEET_SUPERVISOR,
+    )
     assert countered("hard-preempt", "hard-preempt", grant).request["q1"].offered == "soft-priority"
 
 
@@ -376,7 +444,17 @@ def test_an_answer_to_no_open_offer_is_rejected(command: AnswerOffer, found: str
 def executing(result_of: str = "q1") -> State:
     """The request is being executed."""
     state = served(asked(), EvaluateRequest(result_of), TakeTurn(result_of))
-    apply(state, ExecutionStarted("visit", "q1", "robot/A1", "robot/B1", None, "robot/B1", "robot/A1", DOOR, 9_000_000))
+    apply(
+        state,
+        ExecutionStarted(
+            subject=Subject("visit", "q1"),
+            principals=Parties(requested_by="robot/A1", executed_by="robot/B1", supervised_by=None),
+            robot="robot/B1",
+            on_behalf_of="robot/A1",
+            capability=DOOR,
+            ends_us=9_000_000,
+        ),
+    )
     return state
 
 

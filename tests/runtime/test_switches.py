@@ -5,7 +5,7 @@ import pytest
 
 from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.events.configuration import Configuration
-from fsar_ledger.events.envelope import Architecture, Scenario
+from fsar_ledger.events.envelope import Architecture, Principals, RequestSubject, Scenario
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionQueued, RoutineWithheld
 from fsar_ledger.events.knowledge import WorkQueued
 from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryAttemptFailed
@@ -91,7 +91,12 @@ def test_without_the_queue_nothing_waits_for_the_coordinator_not_even_what_no_he
 
 
 def test_who_is_not_known_is_on_record_as_nobody_and_not_as_an_empty_name() -> None:
-    closed = RequestClosed("task", "action", "action", "coordination", None, None, None, ("coordination",))
+    closed = RequestClosed(
+        RequestSubject("task", "action", "action"),
+        Principals(
+            decided_by="coordination", requested_by=None, executed_by=None, supervised_by=None, path=("coordination",)
+        ),
+    )
     [(unknown, no_path), (known, path)] = [
         (one.decided_by, one.path)  # type: ignore[attr-defined]
         for one in (_decided_by(closed, name) for name in (None, "robot/a"))

@@ -7,7 +7,7 @@ import pytest
 from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Workflow
+from fsar_ledger.events.envelope import Parties, Principals, RequestSubject, Subject, Workflow
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted
 from fsar_ledger.events.recovery import (
     FailureResolved,
@@ -192,10 +192,38 @@ def competing(is_critical: tuple[bool, bool] = (True, False), *before: Event) ->
     """B and D have both asked A for carry.package, and neither request has been evaluated."""
     tasks = (("B1-1", B, is_critical[0]), ("D1-2", D, is_critical[1]))
     arrived = [
-        TaskArrived(task, robot, 1, STEP, 60_000_000, 65_000_000, None, critical) for task, robot, critical in tasks
+        TaskArrived(
+            task_id=task,
+            robot=robot,
+            team=1,
+            steps=STEP,
+            budget_us=60_000_000,
+            due_us=65_000_000,
+            checkpoints=None,
+            is_time_critical=critical,
+        )
+        for task, robot, critical in tasks
     ]
-    began = [StepBegan(task, f"{task}/1.1", robot, 1, 1, "carry.package", "A") for task, robot, _ in tasks]
-    shown = [RegistryQueried(task, f"{task}/1.1", robot, A, None, "carry.package", (A,)) for task, robot, _ in tasks]
+    began = [
+        StepBegan(
+            subject=Subject(task, f"{task}/1.1"),
+            robot=robot,
+            step=1,
+            attempt=1,
+            capability="carry.package",
+            target_role="A",
+        )
+        for task, robot, _ in tasks
+    ]
+    shown = [
+        RegistryQueried(
+            subject=Subject(task, f"{task}/1.1"),
+            principals=Parties(requested_by=robot, executed_by=A, supervised_by=None),
+            capability="carry.package",
+            candidates=(A,),
+        )
+        for task, robot, _ in tasks
+    ]
     return given("fsar", *before, *arrived, *began, *shown)
 
 
@@ -262,7 +290,14 @@ def test_a_request_that_has_not_come_holds_nobody_up() -> None:
 
 def test_a_denied_request_competes_no_more() -> None:
     state = competing()
-    apply(state, RequestDenied("B1-1", "B1-1/1.1", "B1-1/1.1", A, B, A, None, (A,), "policy"))
+    apply(
+        state,
+        RequestDenied(
+            RequestSubject("B1-1", "B1-1/1.1", "B1-1/1.1"),
+            Principals(decided_by=A, requested_by=B, executed_by=A, supervised_by=None, path=(A,)),
+            "policy",
+        ),
+    )
     assert types(evaluated(state, "D1-2/1.1")) == ["RequestAdmitted", "ExecutionQueued"]
 
 

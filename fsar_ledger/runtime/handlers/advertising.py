@@ -107,19 +107,19 @@ def advertise_capability(state: State, command: AdvertiseCapability) -> tuple[Ev
         return rejected(command, capability, wrong, command.issued_by)
     return (
         CapabilityAdvertised(
-            robot,
-            capability,
-            command.visible_to,
-            command.version,
-            contract.preconditions,
-            contract.postconditions,
-            contract.resources,
-            command.trust_required,
-            command.policy_required,
-            command.override_allowed,
-            command.availability,
-            command.embodiment,
-            command.visibility,
+            robot=robot,
+            capability=capability,
+            visible_to=command.visible_to,
+            version=command.version,
+            preconditions=contract.preconditions,
+            postconditions=contract.postconditions,
+            resources=contract.resources,
+            trust_required=command.trust_required,
+            policy_required=command.policy_required,
+            override_allowed=command.override_allowed,
+            availability=command.availability,
+            embodiment=command.embodiment,
+            visibility=command.visibility,
         ),
     )
 
@@ -144,7 +144,11 @@ def report_availability(state: State, command: ReportAvailability) -> tuple[Even
         wrong = f'"{NO_ANSWER}" is what others say of a silent robot, expected a reason of its own'
     if wrong is not None:
         return rejected(command, capability or robot, wrong, command.issued_by)
-    return (AvailabilityChanged(robot, capability, command.availability, command.reason),)
+    return (
+        AvailabilityChanged(
+            robot=robot, capability=capability, availability=command.availability, reason=command.reason
+        ),
+    )
 
 
 def deprecate_capability(state: State, command: DeprecateCapability) -> tuple[Event, ...]:
@@ -162,7 +166,9 @@ def deprecate_capability(state: State, command: DeprecateCapability) -> tuple[Ev
             wrong = _not_newer(command.successor, command.version)
     if wrong is not None:
         return rejected(command, capability, wrong, command.issued_by)
-    return (CapabilityDeprecated(robot, capability, command.version, command.successor),)
+    return (
+        CapabilityDeprecated(robot=robot, capability=capability, version=command.version, successor=command.successor),
+    )
 
 
 def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event, ...]:
@@ -181,11 +187,21 @@ def upgrade_capability(state: State, command: UpgradeCapability) -> tuple[Event,
     if wrong is not None:
         return rejected(command, capability, wrong, command.issued_by)
     installed = CapabilityInstalled(
-        robot, capability, command.version, contract.preconditions, contract.postconditions, contract.resources
+        robot=robot,
+        capability=capability,
+        version=command.version,
+        preconditions=contract.preconditions,
+        postconditions=contract.postconditions,
+        resources=contract.resources,
     )
     if record is None:
         return (installed,)
-    return (installed, AvailabilityChanged(robot, capability, "restricted", f"roll-out of {command.version}"))
+    return (
+        installed,
+        AvailabilityChanged(
+            robot=robot, capability=capability, availability="restricted", reason=f"roll-out of {command.version}"
+        ),
+    )
 
 
 def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
@@ -199,19 +215,19 @@ def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
     module = state.registry.modules[command.robot][command.capability]
     return (
         CapabilityAdvertised(
-            record.robot,
-            record.capability,
-            record.visible_to,
-            module.version,
-            module.contract.preconditions,
-            module.contract.postconditions,
-            module.contract.resources,
-            record.trust_required,
-            record.policy_required,
-            record.override_allowed,
-            command.availability if record.availability == "restricted" else record.availability,
-            record.embodiment,
-            record.visibility,
+            robot=record.robot,
+            capability=record.capability,
+            visible_to=record.visible_to,
+            version=module.version,
+            preconditions=module.contract.preconditions,
+            postconditions=module.contract.postconditions,
+            resources=module.contract.resources,
+            trust_required=record.trust_required,
+            policy_required=record.policy_required,
+            override_allowed=record.override_allowed,
+            availability=command.availability if record.availability == "restricted" else record.availability,
+            embodiment=record.embodiment,
+            visibility=record.visibility,
         ),
     )
 

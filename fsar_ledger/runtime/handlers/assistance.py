@@ -21,10 +21,9 @@ def end_assistance(state: State, command: EndAssistance, level: RecoveryLevel) -
             cause = _hindrance(state, recovery, command)
             if cause is not None:
                 return (_failed(action, recovery, command.helper, cause),)
-            about = (action.task_id, action.action_id, action.robot)
             return (
-                AssistanceEnded(*about, command.helper, recovery.failure),
-                FailureResolved(*about, recovery.failure, level),
+                AssistanceEnded(action.subject, action.robot, command.helper, recovery.failure),
+                FailureResolved(action.subject, action.robot, recovery.failure, level),
             )
         case _:
             return ()
@@ -41,8 +40,8 @@ def stop_assistance(state: State, command: StopAssistance) -> tuple[Event, ...]:
 
 def end_of(event: AssistanceAdmitted, after_us: int, draws: tuple[Draw, ...] = ()) -> Scheduled:
     """The end of the help that was admitted; a helper whose actuator is degraded meets the same draw under every architecture."""
-    ask = Draw("reliability", f"assist/{event.action_id}/{event.failure}/{event.helper}")
-    return Scheduled(EndAssistance(event.action_id, event.helper, event.failure), after_us, draws, ask)
+    ask = Draw("reliability", f"assist/{event.subject.action_id}/{event.failure}/{event.helper}")
+    return Scheduled(EndAssistance(event.subject.action_id, event.helper, event.failure), after_us, draws, ask)
 
 
 def _helped(state: State, action_id: str, who: str) -> tuple[Action, Recovery] | None:
@@ -60,12 +59,18 @@ def _hindrance(state: State, recovery: Recovery, command: EndAssistance) -> Fail
 
 
 def _failed(action: Action, recovery: Recovery, who: str, cause: FailureCause) -> AssistanceFailed:
-    return AssistanceFailed(action.task_id, action.action_id, action.robot, who, recovery.failure, cause)
+    return AssistanceFailed(
+        subject=action.subject,
+        robot=action.robot,
+        helper=who,
+        failure=recovery.failure,
+        cause=cause,
+    )
 
 
 def _on_assistance(state: State, event: AssistanceAdmitted, _now_us: int) -> tuple[Scheduled, ...]:
     return (
-        (Scheduled(StopAssistance(event.action_id, event.helper)),)
+        (Scheduled(StopAssistance(event.subject.action_id, event.helper)),)
         if state.world.obstructions.get(event.helper)
         else ()
     )

@@ -1,8 +1,6 @@
 """Which supervisor a record can name, and small readings of the state that several handlers need."""
 
-from typing import Any
-
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties
 from fsar_ledger.projections.execution import Action
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import offers, surface
@@ -29,13 +27,13 @@ def supervisor_of(state: State, action: Action) -> str | None:
     return FLEET_SUPERVISOR if action.supervised_by == FLEET_SUPERVISOR else on_shift(state, action.robot)
 
 
-def principals(state: State, action: Action) -> dict[str, Any]:
-    """The keywords with which a record names the principals of an execution."""
-    return {
-        "requested_by": action.requested_by,
-        "executed_by": action.executed_by,
-        "supervised_by": supervisor_of(state, action),
-    }
+def parties(state: State, action: Action) -> Parties:
+    """Return whom a record of the execution names."""
+    return Parties(
+        requested_by=action.requested_by,
+        executed_by=action.executed_by,
+        supervised_by=supervisor_of(state, action),
+    )
 
 
 def is_injected(action: Action) -> bool:

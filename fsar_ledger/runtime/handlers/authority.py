@@ -15,7 +15,7 @@ from fsar_ledger.events.authority import (
     AuthorityRevoked,
     RevocationReason,
 )
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST, Dimension, OverrideLevel
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST, Dimension, OverrideLevel, Subject
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.trust import RoleTrustSet, TrustSet
 from fsar_ledger.projections.authority import LEVELS, Right
@@ -75,7 +75,9 @@ class RevokeDistrusted(Command):
 def released(claims: Iterable[AuthorityClaimed]) -> tuple[AuthorityReleased, ...]:
     """Each of these claims ends."""
     return tuple(
-        AuthorityReleased(claim.task_id, claim.action_id, claim.dimension, claim.claimant, claim.reason)
+        AuthorityReleased(
+            Subject(claim.subject.task_id, claim.subject.action_id), claim.dimension, claim.claimant, claim.reason
+        )
         for claim in claims
     )
 
@@ -97,8 +99,16 @@ def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
         reason = f"{FLEET_SUPERVISOR} has revoked it, expected {FLEET_SUPERVISOR} to lift that"
     if reason is not None:
         return rejected(command, command.requester, reason, command.supervisor)
-    about = (command.requester, command.executor, command.capability, command.context)
-    return (AuthorityGranted(*about, command.override, command.supervisor),)
+    return (
+        AuthorityGranted(
+            requested_by=command.requester,
+            executed_by=command.executor,
+            capability=command.capability,
+            context=command.context,
+            override=command.override,
+            decided_by=command.supervisor,
+        ),
+    )
 
 
 def revoke_authority(state: State, command: RevokeAuthority) -> tuple[Event, ...]:
@@ -113,8 +123,16 @@ def revoke_authority(state: State, command: RevokeAuthority) -> tuple[Event, ...
         reason = "it is revoked already, expected a right that stands"
     if reason is not None:
         return rejected(command, command.requester, reason, command.supervisor)
-    about = (command.requester, command.executor, command.capability, command.context)
-    return (AuthorityRevoked(*about, command.reason, command.supervisor),)
+    return (
+        AuthorityRevoked(
+            requested_by=command.requester,
+            executed_by=command.executor,
+            capability=command.capability,
+            context=command.context,
+            reason=command.reason,
+            decided_by=command.supervisor,
+        ),
+    )
 
 
 def release_authority(state: State, command: ReleaseAuthority) -> tuple[Event, ...]:
@@ -137,7 +155,12 @@ def expire_context(state: State, command: ExpireContext) -> tuple[AuthorityRevok
     """Rights that were granted for the context are over with it. Paper: sec:model:authority (context expiration)."""
     return tuple(
         AuthorityRevoked(
-            right.requested_by, right.executed_by, right.capability, right.context, "context expired", TRUST
+            requested_by=right.requested_by,
+            executed_by=right.executed_by,
+            capability=right.capability,
+            context=right.context,
+            reason="context expired",
+            decided_by=TRUST,
         )
         for right in _in_context(state, command.context)
     )
@@ -147,7 +170,14 @@ def revoke_distrusted(state: State, command: RevokeDistrusted) -> tuple[Authorit
     """The peer may not ask again what it is no longer trusted with; what was admitted goes on. Paper: sec:model:authority (trust downgrade)."""
     about = {(action.capability, action.task_id): None for action in _distrusted(state, command.robot, command.peer)}
     revoked = (
-        AuthorityRevoked(command.peer, command.robot, capability, context, "trust downgrade", TRUST)
+        AuthorityRevoked(
+            requested_by=command.peer,
+            executed_by=command.robot,
+            capability=capability,
+            context=context,
+            reason="trust downgrade",
+            decided_by=TRUST,
+        )
         for capability, context in about
     )
     return tuple(right for right in revoked if not isinstance(_latest(state, right), AuthorityRevoked))

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Operation, Robot
 from fsar_ledger.projections.fold import State
 
 
@@ -180,5 +181,5 @@ class StopAssistance(Command):
 class DecideRoutine(Command):
     """A routine operation is due."""
 
-    robot: str
-    operation: str
+    robot: Robot
+    operation: Operation

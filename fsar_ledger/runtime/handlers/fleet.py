@@ -92,7 +92,16 @@ def join_fleet(state: State, command: JoinFleet) -> tuple[Event, ...]:
         wrong = "an empty place, expected a name such as floor/2, or none for a fleet of one place"
     if wrong is not None:
         return rejected(command, robot, wrong, command.issued_by)
-    return (RobotJoined(robot, command.role, command.team, command.supervisor, command.domain, command.place),)
+    return (
+        RobotJoined(
+            robot=robot,
+            role=command.role,
+            team=command.team,
+            supervisor=command.supervisor,
+            domain=command.domain,
+            place=command.place,
+        ),
+    )
 
 
 def _is_robots_name(name: str) -> bool:
@@ -117,7 +126,12 @@ def install_capability(state: State, command: InstallCapability) -> tuple[Event,
         return rejected(command, capability, wrong, command.issued_by)
     return (
         CapabilityInstalled(
-            robot, capability, command.version, contract.preconditions, contract.postconditions, contract.resources
+            robot=robot,
+            capability=capability,
+            version=command.version,
+            preconditions=contract.preconditions,
+            postconditions=contract.postconditions,
+            resources=contract.resources,
         ),
     )
 

@@ -3,7 +3,7 @@
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import POLICY, PolicyOutcome, PolicyScope
+from fsar_ledger.events.envelope import POLICY, PolicyOutcome, PolicyScope, Principals, Subject
 from fsar_ledger.events.policy import PolicyConflictEscalated, PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import ruled
@@ -90,7 +90,17 @@ def conflict(
     supervisor = supervisor_for(state, executor, is_cross_robot=requester != executor)
     return (
         PolicyConflictEscalated(
-            task_id, action_id, POLICY, requester, executor, supervisor, (POLICY,), capability, own, fleet
+            Subject(task_id, action_id),
+            Principals(
+                decided_by=POLICY,
+                requested_by=requester,
+                executed_by=executor,
+                supervised_by=supervisor,
+                path=(POLICY,),
+            ),
+            capability,
+            own,
+            fleet,
         ),
     )
 
@@ -107,7 +117,12 @@ def set_policy_rule(state: State, command: SetPolicyRule) -> tuple[Event, ...]:
         return rejected(command, command.robot or "fleet", refused, command.issued_by)
     return (
         PolicyRuleSet(
-            command.scope, command.robot, command.capability, command.context, command.outcome, command.issued_by
+            scope=command.scope,
+            robot=command.robot,
+            capability=command.capability,
+            context=command.context,
+            outcome=command.outcome,
+            decided_by=command.issued_by,
         ),
     )
 
@@ -123,8 +138,17 @@ def set_role_policy_rule(state: State, command: SetRolePolicyRule) -> tuple[Even
     refused = refused or unknown_word("outcome", command.outcome, get_args(PolicyOutcome))
     if refused is not None:
         return rejected(command, command.role, refused, command.issued_by)
-    about = (command.domain, command.capability, command.context, command.issued_by)
-    return (RolePolicyRuleSet("fleet", command.role, command.outcome, *about),)
+    return (
+        RolePolicyRuleSet(
+            scope="fleet",
+            role=command.role,
+            outcome=command.outcome,
+            domain=command.domain,
+            capability=command.capability,
+            context=command.context,
+            decided_by=command.issued_by,
+        ),
+    )
 
 
 def _unfit(state: State, command: SetPolicyRule) -> str | None:

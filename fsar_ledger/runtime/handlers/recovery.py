@@ -62,7 +62,15 @@ def set_recovery_budget(state: State, command: SetRecoveryBudget) -> tuple[Event
     if refused is not None:
         return rejected(command, command.robot, refused, command.issued_by)
     level = next(level for level in LEVELS if level == command.level)
-    return (RecoveryBudgetSet(command.robot, level, command.t_max_us, command.n_max, command.issued_by),)
+    return (
+        RecoveryBudgetSet(
+            robot=command.robot,
+            level=level,
+            t_max_us=command.t_max_us,
+            n_max=command.n_max,
+            decided_by=command.issued_by,
+        ),
+    )
 
 
 def _impossible(command: SetRecoveryBudget) -> str | None:
@@ -92,7 +100,12 @@ def report_failure(state: State, command: ReportFailure) -> tuple[Event, ...]:
     remaining_us = max(0, action.ends_us - command.now_us)
     return (
         ExecutionFailed(
-            action.task_id, action.action_id, action.robot, action.failures + 1, cause, remaining_us, command.now_us
+            subject=action.subject,
+            robot=action.robot,
+            failure=action.failures + 1,
+            cause=cause,
+            remaining_us=remaining_us,
+            detected_us=command.now_us,
         ),
     )
 

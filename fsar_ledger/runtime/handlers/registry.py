@@ -9,7 +9,7 @@ from typing import Literal, get_args
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import OverrideLevel
+from fsar_ledger.events.envelope import OverrideLevel, Parties, Subject
 from fsar_ledger.events.registry import RegistryCached, RegistryConsulted, RegistryQueried
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import ruled
@@ -223,18 +223,19 @@ def queried(
 ) -> RegistryQueried:
     """The record that the registry has answered; the executor is the robot that the answer leads to, if it leads to one."""
     return RegistryQueried(
-        task_id,
-        action_id,
-        query.requester,
-        answer.candidates[0] if answer.candidates else None,
-        on_shift(state, query.requester),
-        query.capability,
-        answer.candidates,
-        relay,
-        answer.rejected,
-        answer.rejected_by,
-        answer.domain,
-        answer.as_of_us,
+        subject=Subject(task_id, action_id),
+        principals=Parties(
+            requested_by=query.requester,
+            executed_by=answer.candidates[0] if answer.candidates else None,
+            supervised_by=on_shift(state, query.requester),
+        ),
+        capability=query.capability,
+        candidates=answer.candidates,
+        relay=relay,
+        rejected=answer.rejected,
+        rejected_by=answer.rejected_by,
+        domain=answer.domain,
+        as_of_us=answer.as_of_us,
     )
 
 
@@ -262,13 +263,13 @@ def consult_registry(state: State, command: ConsultRegistry) -> tuple[Event, ...
     found = candidates(state, query, command.cache_holder)
     return (
         RegistryConsulted(
-            query.requester,
-            query.capability,
-            found.candidates,
-            found.rejected,
-            found.rejected_by,
-            found.domain,
-            found.as_of_us,
+            requested_by=query.requester,
+            capability=query.capability,
+            candidates=found.candidates,
+            rejected=found.rejected,
+            rejected_by=found.rejected_by,
+            domain=found.domain,
+            as_of_us=found.as_of_us,
         ),
     )
 

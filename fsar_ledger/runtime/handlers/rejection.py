@@ -11,7 +11,7 @@ from .commands import Command
 
 def rejected(command: Command, subject: str, reason: str, issued_by: str | None = None) -> tuple[CommandRejected]:
     """The one event of a command that named something unknown, over or impossible."""
-    return (CommandRejected(type(command).__name__, subject, reason, issued_by),)
+    return (CommandRejected(command=type(command).__name__, subject=subject, reason=reason, issued_by=issued_by),)
 
 
 def unknown_robot(state: State, *robots: str | None) -> str | None:

@@ -88,13 +88,13 @@ def set_trust(state: State, command: SetTrust) -> tuple[Event, ...]:
         return rejected(command, command.robot, refused, command.issued_by)
     return (
         TrustSet(
-            command.robot,
-            command.peer,
-            command.scope,
-            command.capability,
-            command.context,
-            command.issued_by,
-            command.reason,
+            robot=command.robot,
+            peer=command.peer,
+            scope=command.scope,
+            capability=command.capability,
+            context=command.context,
+            decided_by=command.issued_by,
+            reason=command.reason,
         ),
     )
 
@@ -112,8 +112,18 @@ def set_role_trust(state: State, command: SetRoleTrust) -> tuple[Event, ...]:
     refused = refused or unknown_word("scope", command.scope, SCOPES)
     if refused is not None:
         return rejected(command, command.role, refused, command.issued_by)
-    about = (command.capability, command.context, command.issued_by, command.reason)
-    return (RoleTrustSet(command.role, command.peer_role, command.scope, command.domain, *about),)
+    return (
+        RoleTrustSet(
+            role=command.role,
+            peer_role=command.peer_role,
+            scope=command.scope,
+            domain=command.domain,
+            capability=command.capability,
+            context=command.context,
+            decided_by=command.issued_by,
+            reason=command.reason,
+        ),
+    )
 
 
 def set_trust_thresholds(state: State, command: SetTrustThresholds) -> tuple[Event, ...]:
@@ -138,20 +148,46 @@ def assess_trust(state: State, command: AssessTrust) -> tuple[Event, ...]:
         moved = SCOPES[SCOPES.index(scope) + 1]
     else:
         return ()
-    return (TrustSet(command.robot, command.peer, moved, command.capability, command.context, TRUST, "record"),)
+    return (
+        TrustSet(
+            robot=command.robot,
+            peer=command.peer,
+            scope=moved,
+            capability=command.capability,
+            context=command.context,
+            decided_by=TRUST,
+            reason="record",
+        ),
+    )
 
 
 def expire_trust(state: State, command: ExpireTrust) -> tuple[Event, ...]:
     """Task-scoped trust that was given in the context of the finished task has ended. Paper: sec:model:trust."""
-    ended = (command.task_id, TRUST, "context expired")
     of_pairs = [
-        TrustSet(robot, peer, "none", capability, *ended)
+        TrustSet(
+            robot=robot,
+            peer=peer,
+            scope="none",
+            capability=capability,
+            context=command.task_id,
+            decided_by=TRUST,
+            reason="context expired",
+        )
         for (robot, peer), entries in state.trust.entries.items()
         for (capability, context), scope in entries.items()
         if context == command.task_id and scope == "task"
     ]
     of_roles = [
-        RoleTrustSet(role, peer_role, "none", domain, capability, *ended)
+        RoleTrustSet(
+            role=role,
+            peer_role=peer_role,
+            scope="none",
+            domain=domain,
+            capability=capability,
+            context=command.task_id,
+            decided_by=TRUST,
+            reason="context expired",
+        )
         for (role, peer_role, domain), entries in state.trust.of_roles.items()
         for (capability, context), scope in entries.items()
         if context == command.task_id and scope == "task"

@@ -40,7 +40,7 @@ def withdraw_task(state: State, command: WithdrawTask) -> tuple[Event, ...]:
     ended = _claims(state, command.task_id, {action.action_id for action in withdrawn})
     return (
         *released(ended),
-        *(ExecutionWithdrawn(action.task_id, action.action_id, action.robot) for action in withdrawn),
+        *(ExecutionWithdrawn(action.subject, action.robot) for action in withdrawn),
     )
 
 
@@ -67,7 +67,7 @@ def _claims(state: State, task_id: str, actions: set[str]) -> list[AuthorityClai
         for name, claims in state.authority.claims.items()
         if name in actions
         for claim in claims
-        if claim.task_id == task_id
+        if claim.subject.task_id == task_id
     ]
 
 

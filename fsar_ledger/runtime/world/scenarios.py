@@ -145,25 +145,37 @@ def founding(fleet_size: int, floor_teams: int = FLOOR_TEAMS) -> tuple[Event, ..
     has_floors = fleet_size > 4 * floor_teams
     joined: list[Event] = [
         RobotJoined(
-            name,
-            role,
-            team,
-            local_supervisor(name),
+            robot=name,
+            role=role,
+            team=team,
+            supervisor=local_supervisor(name),
             place=f"floor/{floor_of(team, floor_teams)}" if has_floors else None,
         )
         for name, role, team in members
     ]
     possessed = [(name, capability) for name, role, _ in members for capability in CAPABILITIES[role]]
     joined += [
-        CapabilityInstalled(name, capability, "1.0.0", (), POSTCONDITIONS.get(capability, ()))
+        CapabilityInstalled(
+            robot=name,
+            capability=capability,
+            version="1.0.0",
+            preconditions=(),
+            postconditions=POSTCONDITIONS.get(capability, ()),
+        )
         for name, capability in possessed
     ]
     joined += [
         CapabilityAdvertised(
-            name, capability, VISIBLE_TO.get(capability, ()), postconditions=POSTCONDITIONS.get(capability, ())
+            robot=name,
+            capability=capability,
+            visible_to=VISIBLE_TO.get(capability, ()),
+            postconditions=POSTCONDITIONS.get(capability, ()),
         )
         for name, capability in possessed
     ]
     for one, other, scope in TRUST:
-        joined += [RoleTrustSet(one, other, scope), RoleTrustSet(other, one, scope)]
+        joined += [
+            RoleTrustSet(role=one, peer_role=other, scope=scope),
+            RoleTrustSet(role=other, peer_role=one, scope=scope),
+        ]
     return tuple(joined)

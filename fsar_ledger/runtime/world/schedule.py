@@ -158,7 +158,7 @@ def _window(
     outcome: PolicyOutcome = "review" if stream.uniform() < world.review_share else "deny"
     closed_us = opened_us + stream.exponential_us(world.window_mean_s)
     return [
-        (opened_us, PolicyWindowOpened(robot, scope, name, outcome)),
+        (opened_us, PolicyWindowOpened(robot=robot, scope=scope, window=name, outcome=outcome)),
         (closed_us, PolicyWindowClosed(robot, scope, name)),
     ]
 
@@ -302,7 +302,12 @@ def _tasks(world: WorldConstants, key: bytes, scenario: Scenario, team: int, loa
             (
                 arrival_us,
                 TaskArrived(
-                    task_id, f"robot/{script.owner}{team}", team, script.steps, budget_us, arrival_us + budget_us
+                    task_id=task_id,
+                    robot=f"robot/{script.owner}{team}",
+                    team=team,
+                    steps=script.steps,
+                    budget_us=budget_us,
+                    due_us=arrival_us + budget_us,
                 ),
             )
         )
@@ -311,7 +316,14 @@ def _tasks(world: WorldConstants, key: bytes, scenario: Scenario, team: int, loa
             name = f"injected-{team}-{ordinal}"
             time_us = Stream(key, f"injection/{name}").within_us(world.injection)
             requester, target = f"robot/{injection.requester}{team}", f"robot/{injection.target}{team}"
-            facts.append((time_us, OutsiderRequestInjected(name, requester, target, injection.capability)))
+            facts.append(
+                (
+                    time_us,
+                    OutsiderRequestInjected(
+                        task_id=name, robot=requester, peer=target, capability=injection.capability
+                    ),
+                )
+            )
     roles = DEGRADABLE.get(scenario, ())
     if roles:
         stream = Stream(key, f"degradation/{team}")

@@ -74,8 +74,17 @@ def workflow_facts(world: WorldConstants, key: bytes, workflow: Workflow) -> lis
             + world.budget_own_s * (len(plan.steps) - delegated)
         )
         budget_us = round(budget_s * 1e6)
-        about = (f"{plan.owner}1-{ordinal}", f"robot/{plan.owner}1", 1, plan.steps, budget_us, arrival_us + budget_us)
-        facts.append((arrival_us, TaskArrived(*about, plan.checkpoints, plan.is_time_critical)))
+        arrived = TaskArrived(
+            task_id=f"{plan.owner}1-{ordinal}",
+            robot=f"robot/{plan.owner}1",
+            team=1,
+            steps=plan.steps,
+            budget_us=budget_us,
+            due_us=arrival_us + budget_us,
+            checkpoints=plan.checkpoints,
+            is_time_critical=plan.is_time_critical,
+        )
+        facts.append((arrival_us, arrived))
     facts += [
         (arrival_us + WEAR_AFTER_US, ActuatorDegraded(f"robot/{wear.robot}1", wear.grade)) for wear in script.wear
     ]

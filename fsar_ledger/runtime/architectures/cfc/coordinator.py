@@ -1,8 +1,15 @@
 """CFC: one coordinator serves all work in order of arrival and reads periodically synced copies. Paper: sec:evaluation:baselines."""
 
-from typing import Any
-
-from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, PolicyOutcome
+from fsar_ledger.events.envelope import (
+    COORDINATOR,
+    FLEET_SUPERVISOR,
+    Parties,
+    PolicyOutcome,
+    Principals,
+    RequestSubject,
+    Robot,
+    Subject,
+)
 from fsar_ledger.events.knowledge import CopySynced, WorkQueued
 from fsar_ledger.events.request import GapDetected, RequestDenied
 from fsar_ledger.events.task import TaskAbandoned
@@ -35,9 +42,9 @@ class ProcessWork(Command):
     item: str
 
 
-def by_coordinator() -> dict[str, Any]:
-    """The keywords of what the coordinator decides before an action is commanded: it records no requester."""
-    return {"decided_by": COORDINATOR, "requested_by": None, "supervised_by": FLEET_SUPERVISOR, "path": (COORDINATOR,)}
+def by_coordinator(executor: Robot | None) -> Principals:
+    """Return the principals of what the coordinator decides before an action is commanded: it records no requester."""
+    return Parties(requested_by=None, executed_by=executor, supervised_by=FLEET_SUPERVISOR).decided(COORDINATOR)
 
 
 def to_coordinator(action_id: str, item: str, draw: Draw) -> Scheduled:
@@ -88,12 +95,12 @@ def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
 
     return (
         CopySynced(
-            shown(copy.local_deny, [robot for robot in robots if local.get(robot) == "deny"]),
-            shown(copy.local_review, [robot for robot in robots if local.get(robot) == "review"]),
-            shown(copy.fleet_deny, [robot for robot in robots if fleet.get(robot) == "deny"]),
-            shown(copy.fleet_review, [robot for robot in robots if fleet.get(robot) == "review"]),
-            shown(copy.busy, [robot for robot in robots if not is_idle(state, robot)]),
-            shown(copy.degraded, [robot for robot in robots if robot in state.world.degraded]),
+            local_deny=shown(copy.local_deny, [robot for robot in robots if local.get(robot) == "deny"]),
+            local_review=shown(copy.local_review, [robot for robot in robots if local.get(robot) == "review"]),
+            fleet_deny=shown(copy.fleet_deny, [robot for robot in robots if fleet.get(robot) == "deny"]),
+            fleet_review=shown(copy.fleet_review, [robot for robot in robots if fleet.get(robot) == "review"]),
+            busy=shown(copy.busy, [robot for robot in robots if not is_idle(state, robot)]),
+            degraded=shown(copy.degraded, [robot for robot in robots if robot in state.world.degraded]),
         ),
     )
 
@@ -122,13 +129,20 @@ def reach_coordinator(
         is_matching and task is not None and ready_us > given_up_us(task, state.fleet.structure.expiry_budgets)
     )
     queued: tuple[WorkQueued | RequestDenied | TaskAbandoned, ...] = (
-        WorkQueued(task_id, command.action_id, command.item, ready_us),
+        WorkQueued(Subject(task_id, command.action_id), command.item, ready_us),
     )
     if is_hopeless:
-        denied = RequestDenied(task_id, None, None, **by_coordinator(), executed_by=None, reason=NO_TIME)
+        denied = RequestDenied(RequestSubject(task_id, None, None), by_coordinator(None), NO_TIME)
         queued = (denied, TaskAbandoned(task_id))
     if command.item == "step" and request is not None and request.is_delegated:
-        return (GapDetected(task_id, None, None, None, FLEET_SUPERVISOR, request.capability), *queued)
+        return (
+            GapDetected(
+                Subject(task_id, None),
+                Parties(requested_by=None, executed_by=None, supervised_by=FLEET_SUPERVISOR),
+                request.capability,
+            ),
+            *queued,
+        )
     return queued
 
 
@@ -144,7 +158,7 @@ def _next_sync(state: State, _event: CopySynced, now_us: int) -> tuple[Scheduled
 
 
 def _on_work(_state: State, event: WorkQueued, now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(ProcessWork(event.action_id, event.item), max(1, event.ready_us - now_us)),)
+    return (Scheduled(ProcessWork(event.subject.action_id, event.item), max(1, event.ready_us - now_us)),)
 
 
 DECIDES: Decides = {Sync: sync, ReachCoordinator: reach_coordinator}

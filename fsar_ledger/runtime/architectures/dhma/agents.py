@@ -65,7 +65,7 @@ def engage_planner(state: State, command: EngagePlanner) -> tuple[Event, ...]:
             and robot in (request.requester, request.target)
             and not _has_started(state, request)
         ):
-            made.append(ContractQuestioned(request.task_id, request.action_id, robot))
+            made.append(ContractQuestioned(request.subject, robot))
     return tuple(made)
 
 
@@ -87,7 +87,7 @@ def claims(
         (claim.dimension, claim.claimant, claim.reason) for claim in state.authority.claims.get(action.action_id, ())
     }
     return [
-        AuthorityClaimed(action.task_id, action.action_id, dimension, claimant, reason)
+        AuthorityClaimed(action.subject, dimension, claimant, reason)
         for claimant in claimants
         if (dimension, claimant, reason) not in known
     ]

@@ -1,6 +1,7 @@
 """FSAR: a robot that lacks a capability asks the registry, or the peers it met, who could help. Paper: sec:model:request, phases 1 and 2."""
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Parties, Principals
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import GapDetected, PeerSought, RequestUnanswered
 from fsar_ledger.events.task import StepBegan
@@ -94,16 +95,13 @@ def detect_gap(state: State, command: DetectGap) -> tuple[Event, ...]:
         peers, relay = _among_met(state, request, command.now_us)
         if not peers:
             if request.attempt > 1:
-                return (PeerSought(request.task_id, request.action_id, request.requester),)
+                return (PeerSought(request.subject, request.requester),)
             return (unanswered(state, request),)
         found = (_met(state, request, peers, relay),)
     return (
         GapDetected(
-            request.task_id,
-            request.action_id,
-            request.requester,
-            None,
-            on_shift(state, request.requester),
+            request.subject,
+            Parties(requested_by=request.requester, executed_by=None, supervised_by=on_shift(state, request.requester)),
             request.capability,
         ),
         *found,
@@ -140,7 +138,9 @@ def unanswered(state: State, request: Request, executor: str | None = None) -> R
     robot = request.requester
     supervisor = on_shift(state, robot)
     return RequestUnanswered(
-        request.task_id, request.action_id, robot, robot, executor, supervisor, (robot,), request.capability
+        request.subject,
+        Principals(decided_by=robot, requested_by=robot, executed_by=executor, supervised_by=supervisor, path=(robot,)),
+        request.capability,
     )
 
 
@@ -162,18 +162,24 @@ def query_registry(state: State, command: QueryRegistry) -> tuple[Event, ...]:
 
 
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
-    return (Scheduled(DetectGap(event.action_id)),) if event.target_role is not None else ()
+    return (Scheduled(DetectGap(event.subject.action_id)),) if event.target_role is not None else ()
 
 
 def _on_gap(state: State, event: GapDetected, _now_us: int) -> tuple[Scheduled, ...]:
     if (
         "shared-registry" in state.fleet.without
-        or event.task_id not in state.task
-        or event.action_id not in state.request
+        or event.subject.task_id not in state.task
+        or event.subject.action_id not in state.request
     ):
         return ()  # a request that is no step names whom it asks
-    assert event.action_id is not None
-    return (Scheduled(QueryRegistry(event.action_id), 0, (message(event.requested_by, event.action_id, 0),)),)
+    assert event.subject.action_id is not None
+    return (
+        Scheduled(
+            QueryRegistry(event.subject.action_id),
+            0,
+            (message(event.principals.requested_by, event.subject.action_id, 0),),
+        ),
+    )
 
 
 DECIDES: Decides = {DetectGap: detect_gap, QueryRegistry: query_registry}

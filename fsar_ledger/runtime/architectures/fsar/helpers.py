@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityRevoked
-from fsar_ledger.events.envelope import PolicyOutcome
+from fsar_ledger.events.envelope import Parties, PolicyOutcome
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.projections.authority import right_of
 from fsar_ledger.projections.execution import Action
@@ -80,13 +80,12 @@ def peer_query(state: State, action: Action, recovery: Recovery) -> tuple[Event,
             left_out.setdefault(one.robot, one.left_out_by)
     return (
         RegistryQueried(
-            action.task_id,
-            action.action_id,
-            action.robot,
-            action.executed_by,
-            on_shift(state, action.robot),
-            family(action.capability),
-            fit,
+            subject=action.subject,
+            principals=Parties(
+                requested_by=action.robot, executed_by=action.executed_by, supervised_by=on_shift(state, action.robot)
+            ),
+            capability=family(action.capability),
+            candidates=fit,
             rejected=tuple(left_out),
             rejected_by=tuple(left_out.values()),
         ),
