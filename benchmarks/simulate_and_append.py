@@ -23,6 +23,7 @@ from fsar_ledger.events import EVENT_TYPES
 from fsar_ledger.events.envelope import Architecture, Scenario, flat
 from fsar_ledger.ledger.codec import RunRecord
 from fsar_ledger.ledger.read import open_ledger
+from fsar_ledger.ledger.schema import layout
 from fsar_ledger.runtime.experiment import Experiment, simulate
 
 EVENTS_PER_SAVE = 150
@@ -96,7 +97,7 @@ def domain_classes() -> dict[type, type[Any]]:
     metaclass: Any = type(DomainEvent)
     made: dict[type, type[Any]] = {}
     for kind in EVENT_TYPES:
-        fields = dict.fromkeys(("caused_by", "time_us", *kind.__struct_fields__), Any)
+        fields = dict.fromkeys(("caused_by", "time_us", *(field.name for field in layout(kind).fields)), Any)
         made[kind] = metaclass(
             kind.__name__,
             (DomainEvent,),

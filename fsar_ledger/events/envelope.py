@@ -52,7 +52,7 @@ def flat(event: Event) -> dict[str, Any]:
     return found
 
 
-def changed(event: _Event, **columns: object) -> _Event:
+def with_columns(event: _Event, **columns: object) -> _Event:
     """Return the event with other values in these columns. Raises: TypeError for a column that it does not have."""
     fields: dict[str, object] = {}
     for name, value in msgspec.structs.asdict(event).items():

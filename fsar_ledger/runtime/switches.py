@@ -15,7 +15,7 @@ from fsar_ledger.constants import Structure
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.configuration import MECHANISMS_OF, Configuration, lacks, without
-from fsar_ledger.events.envelope import COORDINATOR, Architecture, Parties, Robot, changed, flat, robot_of
+from fsar_ledger.events.envelope import COORDINATOR, Architecture, Parties, Robot, flat, robot_of, with_columns
 from fsar_ledger.events.execution import ExecutionFailed, RoutinePerformed
 from fsar_ledger.events.recovery import FailureResolved, RecoveryAttempted, RecoveryAttemptFailed
 from fsar_ledger.events.request import ContractQuestioned, RequestClosed
@@ -85,8 +85,8 @@ class Switch(NamedTuple):
 
     def taken_out(self, whole: Wiring) -> Wiring:
         """The wiring without the mechanism."""
-        changed = whole if self.rewire is None else self.rewire(whole)
-        return Wiring({**changed.decides, **self.decides}, changed.reacts, changed.actors)
+        with_columns = whole if self.rewire is None else self.rewire(whole)
+        return Wiring({**with_columns.decides, **self.decides}, with_columns.reacts, with_columns.actors)
 
 
 def switched(whole: Wiring, architecture: Architecture, configuration: Configuration) -> Wiring:
@@ -97,14 +97,14 @@ def switched(whole: Wiring, architecture: Architecture, configuration: Configura
     return whole
 
 
-# --- how decisions are changed ---
+# --- how decisions are with_columns ---
 
 
 def _nothing(_state: State, _command: Command) -> tuple[Event, ...]:
     return ()
 
 
-def _seeing(slot: str, changed: Callable[[State], Any], decide: Callable[..., Any]) -> Callable[..., Any]:
+def _seeing(slot: str, with_columns: Callable[[State], Any], decide: Callable[..., Any]) -> Callable[..., Any]:
     """The same decision, or reaction, on a state of which one slot is another."""
 
     @wraps(decide)
@@ -112,18 +112,20 @@ def _seeing(slot: str, changed: Callable[[State], Any], decide: Callable[..., An
         other = State.__new__(State)
         for name in State.__slots__:
             setattr(other, name, getattr(state, name))
-        setattr(other, slot, changed(state))
+        setattr(other, slot, with_columns(state))
         return decide(other, *about)
 
     return seen
 
 
 def _retold(change: Callable[[State, Event], Event | None], decide: Decide) -> Decide:
-    """The same decision, with its events changed one by one, or left out."""
+    """The same decision, with its events with_columns one by one, or left out."""
 
     @wraps(decide)
     def retold(state: State, command: Command) -> tuple[Event, ...]:
-        return tuple(changed for event in decide(state, command) if (changed := change(state, event)) is not None)
+        return tuple(
+            with_columns for event in decide(state, command) if (with_columns := change(state, event)) is not None
+        )
 
     return retold
 
@@ -148,7 +150,7 @@ def _leaving_out(kind: type[Event], command: type[Command]) -> Rewire:
 
 
 def _decided_by(event: Event, robot: Robot | None) -> Event:
-    return changed(event, decided_by=robot, path=() if robot is None else (robot,))
+    return with_columns(event, decided_by=robot, path=() if robot is None else (robot,))
 
 
 @lru_cache(maxsize=4)
@@ -312,7 +314,7 @@ def _requester_named(state: State, event: Event) -> Event:
     values = flat(event)
     task = state.task.get(values.get("task_id") or "")
     if task is not None and values.get("requested_by", "") in (None, COORDINATOR):
-        return changed(event, requested_by=task.robot)
+        return with_columns(event, requested_by=task.robot)
     return event
 
 

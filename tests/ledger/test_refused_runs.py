@@ -14,6 +14,7 @@ import pytest
 
 from fsar_ledger.errors import InvalidRun, LedgerCorrupted, SequenceConflict, UsageError, WriteFailed
 from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events.envelope import with_columns
 from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.task import TaskCompleted
@@ -54,7 +55,7 @@ def seq_with(condition: Callable[[str, Layout], bool]) -> tuple[int, str]:
         (seq, name)
         for seq, layout in layouts
         if seq > 0
-        for name in layout.cls.__struct_fields__
+        for name in (field.name for field in layout.fields)
         if condition(name, layout)
     )
 
@@ -94,7 +95,7 @@ EACH = [(kind, value) for kind, (_, values) in WRONG.items() for value in values
 @pytest.mark.parametrize(("kind", "value"), EACH, ids=[f"{kind}: {value!a:.20}" for kind, value in EACH])
 def test_a_value_that_its_field_cannot_hold_is_refused(path: Path, kind: str, value: object) -> None:
     (seq, field), _ = WRONG[kind]
-    run = with_event(RUN, seq, msgspec.structs.replace(RUN.events[seq], **{field: value}))
+    run = with_event(RUN, seq, with_columns(RUN.events[seq], **{field: value}))
     refused(
         path,
         [BATCHES[2][0], run],
@@ -108,7 +109,7 @@ def test_closed_lists_are_the_same_for_writer_and_verifier() -> None:
     for layout, field in closed:
         event = next(event for event in RUN.events if type(event) is layout.cls)
         values = sorted(field.values or ())
-        events = [msgspec.structs.replace(event, **{field.name: value}) for value in values]
+        events = [with_columns(event, **{field.name: value}) for value in values]
         good = RunRecord("r", range(len(events)), [None, *range(len(events) - 1)], events)
         table = encode([good])
         assert first_flaw(table) is None
@@ -116,7 +117,7 @@ def test_closed_lists_are_the_same_for_writer_and_verifier() -> None:
             InvalidRun,
             match=re.escape(expected := f"seq 0, field {field.name}: found 'perhaps', expected one of {values}"),
         ):
-            encode([with_event(good, 0, msgspec.structs.replace(event, **{field.name: "perhaps"}))])
+            encode([with_event(good, 0, with_columns(event, **{field.name: "perhaps"}))])
         assert expected in str(first_flaw(changed(table, field.name, 0, "perhaps")))
 
 

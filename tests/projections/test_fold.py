@@ -121,8 +121,14 @@ def test_the_policy_in_force_is_the_strictest_open_window(windows: list[tuple[in
             del opened[name]
         else:
             state = world.evolve(
-                state, PolicyWindowOpened(robot="robot/A1", scope="local", window=str(name), outcome=outcome)
-            )  # type: ignore[arg-type]
+                state,
+                PolicyWindowOpened(
+                    robot="robot/A1",
+                    scope="local",
+                    window=str(name),
+                    outcome=outcome,  # type: ignore[arg-type]
+                ),
+            )
             opened[name] = outcome
     expected = "deny" if "deny" in opened.values() else "review" if opened else "allow"
     assert in_force(state.local, "robot/A1") == expected

@@ -39,18 +39,18 @@ def evolved(state: Registry, *events: registry.HANDLES) -> Registry:
 
 NAMES, CAPABILITIES = st.sampled_from(sorted(DOMAINS)), st.sampled_from(("lift", "open"))
 CHANGES = st.one_of(
-    st.builds(CapabilityAdvertised, NAMES, CAPABILITIES, version=st.sampled_from(("1.0.0", "2.0.0"))),
+    st.builds(CapabilityAdvertised, robot=NAMES, capability=CAPABILITIES, version=st.sampled_from(("1.0.0", "2.0.0"))),
     st.builds(CapabilityWithdrawn, NAMES, CAPABILITIES, st.just("x")),
     st.builds(CapabilityRemoved, NAMES, CAPABILITIES),
-    st.builds(CapabilityInstalled, NAMES, CAPABILITIES, st.just("1.0.0")),
+    st.builds(CapabilityInstalled, robot=NAMES, capability=CAPABILITIES, version=st.just("1.0.0")),
     st.builds(
         AvailabilityChanged,
-        NAMES,
-        st.one_of(st.none(), CAPABILITIES),
-        st.sampled_from(("busy", "offline")),
-        st.just("x"),
+        robot=NAMES,
+        capability=st.one_of(st.none(), CAPABILITIES),
+        availability=st.sampled_from(("busy", "offline")),
+        reason=st.just("x"),
     ),
-    st.builds(CapabilityDeprecated, NAMES, CAPABILITIES, st.sampled_from(("1.0.0", "2.0.0"))),
+    st.builds(CapabilityDeprecated, robot=NAMES, capability=CAPABILITIES, version=st.sampled_from(("1.0.0", "2.0.0"))),
 )
 
 
@@ -68,7 +68,8 @@ def test_the_records_are_those_of_a_plain_table(changes: list[Any]) -> None:
                 installed.add(key)
             case CapabilityAdvertised():
                 table[key] = (event.version, "ready", False)
-                state, installed = registry.evolve(state, CapabilityInstalled(*key, event.version)), installed | {key}
+                again = CapabilityInstalled(robot=event.robot, capability=event.capability, version=event.version)
+                state, installed = registry.evolve(state, again), installed | {key}
             case CapabilityWithdrawn():
                 table.pop(key, None)
             case CapabilityRemoved():

@@ -44,8 +44,8 @@ def closed(action: str = "t1/1", result: str = "success", by: str | None = B) ->
             supervised_by=None,
             path=("service/coordination",),
         ),
-        result,
-    )  # type: ignore[arg-type]
+        result,  # type: ignore[arg-type]
+    )
 
 
 def denied(reason: str, action: str = "t1/1") -> RequestDenied:
@@ -66,7 +66,13 @@ def failed(action: str = "t1/1", robot: str = B) -> ExecutionFailed:
 def test_the_most_specific_entry_holds_and_of_one_entry_the_last_word(
     entries: list[tuple[tuple[str | None, str | None], str]], asked: tuple[str, str]
 ) -> None:
-    state = folded(*[TrustSet(A, B, scope, *about) for about, scope in entries], of=INITIAL)  # type: ignore[arg-type]
+    state = folded(
+        *[
+            TrustSet(robot=A, peer=B, scope=scope, capability=about[0], context=about[1])  # type: ignore[arg-type]
+            for about, scope in entries
+        ],
+        of=INITIAL,
+    )
     last = dict(entries)
     capability, context = asked
     expected = next(

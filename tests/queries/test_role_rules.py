@@ -41,9 +41,27 @@ def history(seed: int) -> list[Event]:
         scope, outcome = draw.choice(SCOPES), draw.choice(OUTCOMES)
         about = (draw.choice((None, None, DOOR, LIFT)), draw.choice((None, None, "t1", "t2")))
         if draw.random() < 0.3:
-            events.append(PolicyRuleSet(scope, draw.choice((*ROBOTS, None)), *about, outcome, None))
+            events.append(
+                PolicyRuleSet(
+                    scope=scope,
+                    robot=draw.choice((*ROBOTS, None)),
+                    capability=about[0],
+                    context=about[1],
+                    outcome=outcome,
+                    decided_by=None,
+                )
+            )
         else:
-            events.append(RolePolicyRuleSet(scope, draw.choice("AB"), outcome, draw.choice(DOMAINS), *about))
+            events.append(
+                RolePolicyRuleSet(
+                    scope=scope,
+                    role=draw.choice("AB"),
+                    outcome=outcome,
+                    domain=draw.choice(DOMAINS),
+                    capability=about[0],
+                    context=about[1],
+                )
+            )
     for member in MEMBERS:
         events.insert(draw.randint(0, len(events)), member)
     return events
@@ -346,8 +364,8 @@ def offences(database: Database) -> dict[tuple[str, str], int]:
 
 def test_in_a_commanded_run_the_role_is_ruled_the_exception_is_not_and_the_queries_agree_at_every_moment() -> None:
     one = played(COMMANDS)
-    began = {event.action_id for _, event in of(one, ExecutionStarted)}  # type: ignore[attr-defined]
-    denied = {(event.action_id, event.reason) for _, event in of(one, RequestDenied)}  # type: ignore[attr-defined]
+    began = {event.subject.action_id for _, event in of(one, ExecutionStarted)}  # type: ignore[attr-defined]
+    denied = {(event.subject.action_id, event.reason) for _, event in of(one, RequestDenied)}  # type: ignore[attr-defined]
     assert began == {"excepted", "of the yard"}
     assert denied == {("of the role", "policy"), ("of the visit", "policy"), ("no longer excepted", "policy")}
     with from_table(encode([RunRecord("r1", one.times_us, one.caused_by, one.events)]), threads=1) as database:

@@ -3,11 +3,10 @@
 from itertools import permutations
 from random import Random
 
-import msgspec
 import pytest
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import TrustScope
+from fsar_ledger.events.envelope import TrustScope, flat
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.trust import RoleTrustSet, TrustSet
 from fsar_ledger.projections import trust
@@ -43,7 +42,7 @@ def row(one: Event, time_us: int = 0) -> Row:
     return event(
         type(one).__name__,
         time_us,
-        **{name: value for name, value in msgspec.structs.asdict(one).items() if value is not None},
+        **{name: value for name, value in flat(one).items() if value is not None},
     )
 
 
@@ -56,9 +55,18 @@ def history(seed: int) -> list[Event]:
         about = (draw.choice((None, None, DOOR, LIFT)), draw.choice((None, None, "t1", "t2")))
         if draw.random() < 0.3:
             robot, peer = draw.sample(ROBOTS, 2)
-            events.append(TrustSet(robot, peer, scope, *about))
+            events.append(TrustSet(robot=robot, peer=peer, scope=scope, capability=about[0], context=about[1]))
         else:
-            events.append(RoleTrustSet(draw.choice("AB"), draw.choice("AB"), scope, draw.choice(DOMAINS), *about))
+            events.append(
+                RoleTrustSet(
+                    role=draw.choice("AB"),
+                    peer_role=draw.choice("AB"),
+                    scope=scope,
+                    domain=draw.choice(DOMAINS),
+                    capability=about[0],
+                    context=about[1],
+                )
+            )
     for member in MEMBERS:
         events.insert(draw.randint(0, len(events)), member)
     return events

@@ -72,11 +72,11 @@ def failed(state: State, level: RecoveryLevel = "local", cause: str = "obstructi
             subject=Subject("A1-1", ACTION),
             robot=action.robot,
             failure=1,
-            cause=cause,
+            cause=cause,  # type: ignore[arg-type]
             remaining_us=1_000_000,
             detected_us=2_000_000,
         ),
-    )  # type: ignore[arg-type]
+    )
     state.recovery = {ACTION: msgspec.structs.replace(state.recovery[ACTION], level=level)}
     return state
 

@@ -6,11 +6,9 @@ A forger who owns the writer can give such a run hashes that agree; only the han
 from itertools import count
 from typing import Any, NamedTuple
 
-import msgspec
-
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Subject
+from fsar_ledger.events.envelope import Subject, with_columns
 from fsar_ledger.events.execution import (
     ExecutionFailed,
     ExecutionFinished,
@@ -87,15 +85,14 @@ def seq_of(kind: type[Event], after: int = 0, record: RunRecord = HONEST) -> int
 
 def restated(seq: int, /, **fields: Any) -> RunRecord:
     """The honest record, with other values in one event."""
-    return changed(HONEST, seq, msgspec.structs.replace(HONEST.events[seq], **fields))
+    return changed(HONEST, seq, with_columns(HONEST.events[seq], **fields))
 
 
 def denied(seq: int) -> RequestDenied:
     """A refusal in the place of this admission."""
     admitted = HONEST.events[seq]
     assert isinstance(admitted, RequestAdmitted)
-    envelope = {name: getattr(admitted, name) for name in RequestDenied.__struct_fields__ if name != "reason"}
-    return RequestDenied(**envelope, reason="policy")
+    return RequestDenied(admitted.subject, admitted.principals, "policy")
 
 
 class Forgery(NamedTuple):
@@ -183,7 +180,7 @@ FORGERIES = {
         restated(FINISHED, result="partial"), FINISHED, "result", "handlers.execution.finish_attempt"
     ),
     "a withheld routine is performed": Forgery(
-        changed(HONEST, WITHHELD, RoutinePerformed(*msgspec.structs.astuple(withheld))),
+        changed(HONEST, WITHHELD, RoutinePerformed(withheld.principals, withheld.robot, withheld.operation)),
         WITHHELD,
         "type",
         "fsar.execution.decide_routine",

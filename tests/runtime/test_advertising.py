@@ -121,7 +121,7 @@ def test_what_cannot_be_advertised_is_refused(command: AdvertiseCapability, reas
 
 def test_a_withdrawn_capability_is_off_the_surface_and_still_possessed() -> None:
     [event] = withdraw_capability(given("fsar"), WithdrawCapability(*DOOR, "jammed"))
-    assert event == CapabilityWithdrawn(*DOOR, "jammed")
+    assert event == CapabilityWithdrawn(DOOR[0], DOOR[1], "jammed")
     state = given("fsar", event)
     assert advertisement(state.registry, *DOOR) is None
     assert possesses(state.registry, *DOOR)
@@ -141,13 +141,13 @@ def test_a_robot_reports_the_availability_of_one_capability_or_of_all() -> None:
 
 def test_a_deprecated_version_names_its_successor() -> None:
     [event] = deprecate_capability(given("fsar"), DeprecateCapability(*DOOR, "1.0.0", "2.0.0"))
-    assert event == CapabilityDeprecated(*DOOR, "1.0.0", "2.0.0")
+    assert event == CapabilityDeprecated(robot=DOOR[0], capability=DOOR[1], version="1.0.0", successor="2.0.0")
     record = advertisement(given("fsar", event).registry, *DOOR)
     assert record is not None
     assert (record.is_deprecated, record.successor) == (True, "2.0.0")
 
 
-WITHDRAWN = CapabilityWithdrawn(*DOOR, "jammed")
+WITHDRAWN = CapabilityWithdrawn(DOOR[0], DOOR[1], "jammed")
 EMPTY = [
     CapabilityWithdrawn("robot/B1", name, "jammed")
     for name in ("navigate.indoor", "door.open.basic", "door.open.secure")
@@ -167,7 +167,11 @@ EMPTY = [
         ((), DeprecateCapability("robot/Z9", "door.open.secure", "1.0.0"), "unknown robot"),
         ((WITHDRAWN,), DeprecateCapability(*DOOR, "1.0.0"), "does not advertise"),
         ((), DeprecateCapability(*DOOR, "2.0.0"), "expected 1.0.0"),
-        ((CapabilityDeprecated(*DOOR, "1.0.0"),), DeprecateCapability(*DOOR, "1.0.0"), "already"),
+        (
+            (CapabilityDeprecated(robot=DOOR[0], capability=DOOR[1], version="1.0.0"),),
+            DeprecateCapability(*DOOR, "1.0.0"),
+            "already",
+        ),
         ((), DeprecateCapability(*DOOR, "1.0.0", "0.9.0"), "not newer"),
         ((), DeprecateCapability(*DOOR, "1.0.0", "next"), "no version"),
         ((), UpgradeCapability("robot/Z9", "door.open.secure", "2.0.0"), "unknown robot"),
@@ -181,7 +185,11 @@ EMPTY = [
             "is offline",
         ),
         (
-            (AvailabilityChanged(*DOOR, "restricted", "roll-out of 2.0.0"),),
+            (
+                AvailabilityChanged(
+                    robot=DOOR[0], capability=DOOR[1], availability="restricted", reason="roll-out of 2.0.0"
+                ),
+            ),
             UpgradeCapability(*DOOR, "3.0.0"),
             "in no other roll-out",
         ),
@@ -230,7 +238,13 @@ def rolling_out(state: State, events: tuple[Event, ...]) -> FinishRollOut:
 
 def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on_its_terms() -> None:
     terms = CapabilityAdvertised(
-        *DOOR, ("A",), trust_required="task", override_allowed="soft-priority", visibility="domain", embodiment=("arm",)
+        robot=DOOR[0],
+        capability=DOOR[1],
+        visible_to=("A",),
+        trust_required="task",
+        override_allowed="soft-priority",
+        visibility="domain",
+        embodiment=("arm",),
     )
     state = given("fsar", terms)
     events = upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0", postconditions=("door.opened",)))
@@ -242,13 +256,12 @@ def test_a_roll_out_restricts_the_old_version_until_the_new_one_is_advertised_on
     assert begun == FinishRollOut(*DOOR)
     [shown] = finish_roll_out(state, begun)
     assert shown == CapabilityAdvertised(
-        *DOOR,
-        ("A",),
-        "2.0.0",
-        (),
-        ("door.opened",),
-        (),
-        "task",
+        robot=DOOR[0],
+        capability=DOOR[1],
+        visible_to=("A",),
+        version="2.0.0",
+        postconditions=("door.opened",),
+        trust_required="task",
         override_allowed="soft-priority",
         embodiment=("arm",),
         visibility="domain",
@@ -274,8 +287,12 @@ def test_an_upgrade_puts_nothing_on_the_surface_that_was_not_there() -> None:
     ("before", "meanwhile", "shown"),
     [
         (None, None, "ready"),
-        (AvailabilityChanged(*DOOR, "degraded", "actuator"), None, "degraded"),
-        (AvailabilityChanged(*DOOR, "busy", "tour"), None, "busy"),
+        (
+            AvailabilityChanged(robot=DOOR[0], capability=DOOR[1], availability="degraded", reason="actuator"),
+            None,
+            "degraded",
+        ),
+        (AvailabilityChanged(robot=DOOR[0], capability=DOOR[1], availability="busy", reason="tour"), None, "busy"),
         (
             AvailabilityChanged(
                 robot="robot/B1", capability="door.open.basic", availability="degraded", reason="actuator"
@@ -311,7 +328,7 @@ def test_a_new_version_is_as_available_as_the_robot_has_said(
 def test_an_upgrade_during_a_roll_out_is_shown_once() -> None:
     state = given("fsar")
     first = rolling_out(state, upgrade_capability(state, UpgradeCapability(*DOOR, "2.0.0")))
-    apply(state, AvailabilityChanged(*DOOR, "ready", "in haste"))
+    apply(state, AvailabilityChanged(robot=DOOR[0], capability=DOOR[1], availability="ready", reason="in haste"))
     second = rolling_out(state, upgrade_capability(state, UpgradeCapability(*DOOR, "3.0.0")))
     [advertised] = finish_roll_out(state, first)
     apply(state, advertised)

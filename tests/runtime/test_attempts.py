@@ -34,7 +34,8 @@ ARRIVED = TaskArrived(
     task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B", "A navigate.indoor"), budget_us=60_000_000, due_us=61_000_000
 )
 FIRST, SECOND = "A1-1/1.1", "A1-1/1.2"
-ENVELOPE = ("A1-1", FIRST, FIRST, B, A, B, None, (B,))
+SUBJECT = RequestSubject("A1-1", FIRST, FIRST)
+PARTIES = Parties(requested_by=A, executed_by=B, supervised_by=None)
 
 
 def began(action_id: str, attempt: int = 1, target: str | None = "B") -> StepBegan:
@@ -51,7 +52,7 @@ def asked() -> State:
         capability=DOOR,
         candidates=(B,),
     )
-    issued = RequestIssued(*ENVELOPE[:3], A, A, B, None, (A,), DOOR, "allow")
+    issued = RequestIssued(subject=SUBJECT, principals=PARTIES.decided(A), capability=DOOR, carried_policy="allow")
     return given("fsar", ARRIVED, began(FIRST), shown, issued)
 
 
@@ -125,7 +126,7 @@ def test_a_request_that_was_executed_is_not_admitted_again_before_it_is_closed(c
 
 def test_nobody_asks_in_the_service_of_a_request_that_was_refused() -> None:
     state = asked()
-    apply(state, RequestDenied(*ENVELOPE, "policy"))
+    apply(state, RequestDenied(SUBJECT, PARTIES.decided(B), "policy"))
     [refused] = decided(state, RequestCapability(B, A, "carry.package", "visit", "q1", parent=FIRST))
     assert f"the parent {FIRST} is over" in refused.reason  # type: ignore[attr-defined]
 
@@ -136,16 +137,16 @@ def test_nobody_asks_in_the_service_of_a_request_that_was_refused() -> None:
 @pytest.mark.parametrize(
     "event",
     [
-        RequestDenied(*ENVELOPE, "policy"),
+        RequestDenied(SUBJECT, PARTIES.decided(B), "policy"),
         RequestUnanswered(
             Subject("A1-1", FIRST),
             Principals(decided_by=A, requested_by=A, executed_by=None, supervised_by=None, path=(A,)),
             DOOR,
         ),
         PeerSought(Subject("A1-1", FIRST), A),
-        OfferAnswered(*ENVELOPE[:3], A, A, B, None, (A,), 1, False, None),
-        RequestClosed(*ENVELOPE, "failure"),
-        RequestClosed(*ENVELOPE, "partial"),
+        OfferAnswered(SUBJECT, PARTIES.decided(A), 1, False, None),
+        RequestClosed(SUBJECT, PARTIES.decided(B), "failure"),
+        RequestClosed(SUBJECT, PARTIES.decided(B), "partial"),
     ],
     ids=lambda event: type(event).__name__,
 )

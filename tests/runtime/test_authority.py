@@ -158,8 +158,8 @@ def test_in_a_whole_run_a_running_action_outlives_its_revocation() -> None:
     run = played(
         [(1_000_000, ASK), (began_us + 1_000, RevokeAuthority(H_F, "robot/A1", "robot/B1")), (began_us + 2_000, NEXT)]
     )
-    assert [event.action_id for _, event in of(run, RequestClosed)] == ["q1"]  # type: ignore[attr-defined]
-    assert [(event.action_id, event.reason) for _, event in of(run, RequestDenied)] == [("q2", "authority")]  # type: ignore[attr-defined]
+    assert [event.subject.action_id for _, event in of(run, RequestClosed)] == ["q1"]  # type: ignore[attr-defined]
+    assert [(event.subject.action_id, event.reason) for _, event in of(run, RequestDenied)] == [("q2", "authority")]  # type: ignore[attr-defined]
     assert run.state == fold(run.events)
 
 
@@ -175,7 +175,17 @@ def test_in_a_whole_run_a_running_action_outlives_its_revocation() -> None:
     ],
 )
 def test_a_revocation_is_about_what_it_names(about: tuple[str | None, str | None, str | None], is_denied: bool) -> None:
-    state = given("fsar", AuthorityRevoked("robot/A1", *about, "human override", H_F))
+    state = given(
+        "fsar",
+        AuthorityRevoked(
+            requested_by="robot/A1",
+            executed_by=about[0],
+            capability=about[1],
+            context=about[2],
+            reason="human override",
+            decided_by=H_F,
+        ),
+    )
     assert isinstance(evaluated(state), RequestDenied if is_denied else RequestAdmitted)
     assert isinstance(
         evaluated(state, RequestCapability("robot/C1", "robot/B1", DOOR, "visit", "q3")), RequestAdmitted

@@ -61,7 +61,12 @@ def running(*before) -> State:  # type: ignore[no-untyped-def]
 def test_the_coordinator_records_a_gap_without_saying_whose() -> None:
     gap, queued = reach_coordinator(given("cfc", *DELEGATED), ReachCoordinator(ACTION, "step", now_us=1_000_000))
     assert isinstance(gap, GapDetected)
-    assert (gap.action_id, gap.requested_by, gap.executed_by, gap.supervised_by) == (None, None, None, FLEET_SUPERVISOR)
+    assert (
+        gap.subject.action_id,
+        gap.principals.requested_by,
+        gap.principals.executed_by,
+        gap.principals.supervised_by,
+    ) == (None, None, None, FLEET_SUPERVISOR)
     assert isinstance(queued, WorkQueued)
 
 
@@ -110,7 +115,7 @@ def test_the_gate_reads_the_fleet_rule_live_and_the_requesters_policy_not_at_all
 def test_an_own_step_leaves_one_decision_without_requester() -> None:
     events = process(given("cfc", ARRIVED, OWN_STEP), ProcessWork("A1-1/1.1", "step"))
     assert types(events) == ["OwnStepDecided", "AuthorityClaimed", "AuthorityClaimed"]
-    assert events[0].requested_by is None  # type: ignore[attr-defined]
+    assert events[0].principals.requested_by is None  # type: ignore[attr-defined]
 
 
 def second_delegation(state: State) -> None:
@@ -237,10 +242,10 @@ def test_the_next_sync_is_never_now() -> None:
 def test_a_step_given_up_before_the_coordinator_comes_to_it_is_denied_by_the_coordinator() -> None:
     for begun in (DELEGATED_STEP, OWN_STEP):
         state = given("cfc", ARRIVED, begun, WorkQueued(Subject("A1-9", "A1-9/1.1"), "step", 900_000_000))
-        made = reach_coordinator(state, ReachCoordinator(begun.action_id, "step", now_us=2_000_000))
+        made = reach_coordinator(state, ReachCoordinator(begun.subject.action_id, "step", now_us=2_000_000))
         denied = [event for event in made if isinstance(event, RequestDenied)]
         assert len(denied) == 1
-        assert (denied[0].decided_by, denied[0].path, denied[0].reason) == (
+        assert (denied[0].principals.decided_by, denied[0].principals.path, denied[0].reason) == (
             "coordinator",
             ("coordinator",),
             "no time left",

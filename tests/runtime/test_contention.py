@@ -91,7 +91,7 @@ def again(state: State, *events: Event) -> list[str]:
 
 
 def answered(state: State, action_id: str) -> list[str]:
-    [number] = [number for number, call in state.supervision.calls.items() if call.action_id == action_id]
+    [number] = [number for number, call in state.supervision.calls.items() if call.subject.action_id == action_id]
     return again(state, *decided(state, Respond(number)))
 
 
@@ -127,12 +127,12 @@ def test_in_a_run_with_three_rivals_the_urgent_one_is_executed_before_all_that_c
     tasks = [(number * 100_000, arrived[f"robot/{name}1"]) for number, name in enumerate(order, start=1)]
     run = played([], *TRUSTED, facts=tasks)
     rivals = {
-        event.action_id
+        event.subject.action_id
         for _, event in of(run, SupervisorCalled)
         if isinstance(event, SupervisorCalled) and event.purpose == "ordering"
     }
     preferred = {event.preferred for _, event in of(run, SupervisorResponded) if isinstance(event, SupervisorResponded)}
-    admitted = [event.action_id for _, event in of(run, RequestAdmitted) if isinstance(event, RequestAdmitted)]
+    admitted = [event.subject.action_id for _, event in of(run, RequestAdmitted) if isinstance(event, RequestAdmitted)]
     assert preferred == {URGENT}
     assert all(admitted.index(URGENT) < admitted.index(name) for name in rivals - {URGENT})
     assert len(of(run, TaskCompleted)) == 3

@@ -99,7 +99,7 @@ def claimants(state: State, dimension: str) -> set[str]:
 def test_a_call_names_no_executor_before_the_award() -> None:
     events = call_for_proposals(given("dhma", ARRIVED, DELEGATED_STEP), CallForProposals(ACTION))
     assert types(events) == ["RegistryQueried", "RequestIssued"]
-    assert [event.executed_by for event in events] == [None, None]  # type: ignore[attr-defined]
+    assert [event.principals.executed_by for event in events] == [None, None]  # type: ignore[attr-defined]
 
 
 def test_a_bid_follows_the_planners_snapshot_and_not_the_true_policy() -> None:
@@ -173,19 +173,19 @@ def test_a_context_change_during_execution_leaves_the_contract_standing() -> Non
 
 def test_an_own_step_is_the_planners_decision() -> None:
     [decided] = plan_own_step(given("dhma", ARRIVED, OWN_STEP), PlanOwnStep("A1-1/1.1"))
-    assert decided.path == ("agent/A1/planning",)  # type: ignore[attr-defined]
+    assert decided.principals.path == ("agent/A1/planning",)  # type: ignore[attr-defined]
 
 
 def test_a_motion_is_two_half_records_and_engages_the_planner() -> None:
     performed, reported, engaged = decide_routine(given("dhma"), DecideRoutine("robot/A1", "motion", now_us=1_000_000))
-    assert (performed.requested_by, performed.executed_by) == ("robot/A1", None)  # type: ignore[attr-defined]
-    assert (reported.requested_by, reported.executed_by) == (None, "robot/A1")  # type: ignore[attr-defined]
+    assert (performed.principals.requested_by, performed.principals.executed_by) == ("robot/A1", None)  # type: ignore[attr-defined]
+    assert (reported.principals.requested_by, reported.principals.executed_by) == (None, "robot/A1")  # type: ignore[attr-defined]
     assert isinstance(engaged, PlannerEngaged)
 
 
 def test_sensing_is_one_agents_and_completely_recorded() -> None:
     [performed] = decide_routine(given("dhma"), DecideRoutine("robot/A1", "sensing"))
-    assert performed.path == ("robot/A1",)  # type: ignore[attr-defined]
+    assert performed.principals.path == ("robot/A1",)  # type: ignore[attr-defined]
 
 
 def failed() -> State:
@@ -222,7 +222,7 @@ def test_an_outsider_runs_unchecked_and_nobody_is_on_record() -> None:
     )
     events = run_outsider(given("dhma", injected), RunOutsider("injected-1-1"))
     assert types(events) == ["RequestIssued", "RequestAdmitted", "ExecutionQueued"]
-    assert all(event.executed_by is None and event.supervised_by is None for event in events)  # type: ignore[attr-defined]
+    assert all(event.principals.executed_by is None and event.principals.supervised_by is None for event in events)  # type: ignore[attr-defined]
 
 
 def test_an_outsider_has_no_contract_to_be_questioned_or_voided() -> None:
@@ -244,7 +244,10 @@ def test_every_outsider_runs_in_every_world() -> None:
         for run in range(20):
             events = simulate_run(RunSpec(seed, "dhma", "full", "mixed-trust-inspection", 4, run), Constants()).events
             injected = {event.task_id for event in events if isinstance(event, OutsiderRequestInjected)}
-            assert injected == {event.action_id for event in events if isinstance(event, ExecutionStarted)} & injected
+            assert (
+                injected
+                == {event.subject.action_id for event in events if isinstance(event, ExecutionStarted)} & injected
+            )
 
 
 def test_claims_end_with_the_execution() -> None:

@@ -166,7 +166,7 @@ class Federation(RuleBasedStateMachine):
         """Whoever is asked something answers: an offer, a call, a result."""
         state = self.live.state
         answers: list[Command] = [
-            RespondToCall(call.supervisor, call.action_id, approves)
+            RespondToCall(call.supervisor, call.subject.action_id, approves)
             for call in state.supervision.calls.values()
             for approves in (True, False)
         ]
@@ -204,7 +204,8 @@ class Federation(RuleBasedStateMachine):
         opened = [(robot, "local", name) for robot, held in world.local.items() for name, _ in held]
         opened += [(robot, "fleet", name) for robot, held in world.fleet.items() for name, _ in held]
         if opened:
-            self.live.happen(PolicyWindowClosed(*data.draw(st.sampled_from(opened))))  # type: ignore[arg-type]
+            robot, scope, window = data.draw(st.sampled_from(opened))
+            self.live.happen(PolicyWindowClosed(robot, scope, window))  # type: ignore[arg-type]
 
     @rule(data=st.data())
     def change_context(self, data: st.DataObject) -> None:
@@ -222,7 +223,8 @@ class Federation(RuleBasedStateMachine):
     def clear(self, data: st.DataObject) -> None:
         inside = [(robot, name) for robot, names in self.live.state.world.obstructions.items() for name in names]
         if inside:
-            self.live.happen(ObstructionCleared(*data.draw(st.sampled_from(inside))))
+            robot, obstruction = data.draw(st.sampled_from(inside))
+            self.live.happen(ObstructionCleared(robot, obstruction))
 
     @rule(data=st.data())
     def leave(self, data: st.DataObject) -> None:
@@ -262,9 +264,9 @@ class Federation(RuleBasedStateMachine):
             unattributed = database.rows("SELECT action_id, found FROM i5_audit_attributability")
         if not self.has_helper:  # a request that finds nobody has no execution principal, and I5 says so
             asked = {
-                event.action_id
+                event.subject.action_id
                 for event in self.bench.events
-                if isinstance(event, (RequestIssued, RegistryQueried)) and event.executed_by
+                if isinstance(event, (RequestIssued, RegistryQueried)) and event.principals.executed_by
             }
             assert [
                 row

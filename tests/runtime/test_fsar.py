@@ -90,12 +90,12 @@ def executing(*before, own: bool = False):  # type: ignore[no-untyped-def]
 
 def test_a_gap_is_on_record_with_its_requester_and_supervisor() -> None:
     [gap] = detect_gap(given("fsar", ARRIVED, DELEGATED_STEP), DetectGap("A1-1/2.1"))
-    assert (gap.requested_by, gap.supervised_by) == ("robot/A1", "supervisor/A1")  # type: ignore[attr-defined]
+    assert (gap.principals.requested_by, gap.principals.supervised_by) == ("robot/A1", "supervisor/A1")  # type: ignore[attr-defined]
 
 
 def test_a_supervisor_who_is_off_shift_is_not_named() -> None:
     [gap] = detect_gap(given("fsar", ARRIVED, DELEGATED_STEP, SupervisorLeft("supervisor/A1")), DetectGap("A1-1/2.1"))
-    assert gap.supervised_by is None  # type: ignore[attr-defined]
+    assert gap.principals.supervised_by is None  # type: ignore[attr-defined]
 
 
 def test_the_registry_shows_only_trusted_robots() -> None:
@@ -105,14 +105,28 @@ def test_the_registry_shows_only_trusted_robots() -> None:
 
 
 def test_a_robot_without_direct_trust_is_reached_through_a_doubly_trusted_peer() -> None:
-    step = DELEGATED_STEP.__class__("A1-1", "A1-1/2.1", "robot/D1", 2, 1, "door.open.secure", "B")
+    step = StepBegan(
+        subject=DELEGATED_STEP.subject,
+        robot="robot/D1",
+        step=2,
+        attempt=1,
+        capability="door.open.secure",
+        target_role="B",
+    )
     [answer] = query_registry(given("fsar", ARRIVED, step), QueryRegistry("A1-1/2.1"))
     assert isinstance(answer, RegistryQueried)
     assert (answer.candidates, answer.relay) == (("robot/B1",), "robot/A1")
 
 
 def test_a_private_zone_is_hidden_from_those_who_may_not_see_it() -> None:
-    step = DELEGATED_STEP.__class__("A1-1", "A1-1/2.1", "robot/D1", 2, 1, "inspect.private_zone", "C")
+    step = StepBegan(
+        subject=DELEGATED_STEP.subject,
+        robot="robot/D1",
+        step=2,
+        attempt=1,
+        capability="inspect.private_zone",
+        target_role="C",
+    )
     [answer] = query_registry(given("fsar", ARRIVED, step), QueryRegistry("A1-1/2.1"))
     assert isinstance(answer, RegistryQueried)
     assert answer.candidates == ()
@@ -139,7 +153,7 @@ def test_an_admissible_request_is_admitted_and_queued() -> None:
 def test_the_executors_own_denial_rejects_the_request() -> None:
     [denied] = evaluate_request(given("fsar", *REQUESTED, window("robot/B1")), EvaluateRequest("A1-1/2.1"))
     assert isinstance(denied, RequestDenied)
-    assert (denied.decided_by, denied.path) == ("robot/B1", ("robot/B1",))
+    assert (denied.principals.decided_by, denied.principals.path) == ("robot/B1", ("robot/B1",))
 
 
 def test_the_fleet_rule_counts_as_it_was_heard() -> None:
@@ -223,7 +237,7 @@ def test_a_revocation_claims_override_once_until_the_boundary() -> None:
 
 def test_an_own_step_is_the_robots_own_decision() -> None:
     [decided, queued] = decide_own_step(given("fsar", ARRIVED, OWN_STEP), DecideOwnStep("A1-1/1.1"))
-    assert decided.path == ("robot/A1",)  # type: ignore[attr-defined]
+    assert decided.principals.path == ("robot/A1",)  # type: ignore[attr-defined]
     assert not queued.is_delegated  # type: ignore[attr-defined]
 
 
@@ -235,10 +249,10 @@ def test_a_start_waits_for_the_robots_own_policy() -> None:
     apply(queued, window("robot/A1"))
     [held] = start(queued, StartAction("A1-1/1.1", now_us=5, drawn=7))
     assert isinstance(held, ExecutionHeld)
-    assert held.path == ("robot/A1",)
+    assert held.principals.path == ("robot/A1",)
     apply(queued, held)
     [again] = start(queued, StartAction("A1-1/1.1", now_us=9, drawn=7))
-    assert again.path == ()  # type: ignore[attr-defined]
+    assert again.principals.path == ()  # type: ignore[attr-defined]
     assert state.execution.actions["A1-1/1.1"].stage == "running"
 
 
@@ -295,7 +309,7 @@ def test_a_spent_time_budget_ends_local_recovery() -> None:
 
 
 def test_a_failed_carry_is_reassigned_to_a_trusted_substitute() -> None:
-    step = OWN_STEP.__class__("A1-1", "A1-1/1.1", "robot/A1", 1, 1, "carry.package")
+    step = StepBegan(subject=OWN_STEP.subject, robot="robot/A1", step=1, attempt=1, capability="carry.package")
     state = given("fsar", ARRIVED, step, ObstructionAppeared("robot/A1", "o"))
     for event in decide_own_step(state, DecideOwnStep("A1-1/1.1")):
         apply(state, event)
@@ -327,13 +341,13 @@ def test_an_outsider_finds_nothing_and_is_denied_by_the_federation() -> None:
     )
     query, denied = answer_outsider(given("fsar", injected), AnswerOutsider("injected-1-1"))
     assert isinstance(query, RegistryQueried)
-    assert (query.candidates, query.executed_by, query.rejected, query.rejected_by) == (
+    assert (query.candidates, query.principals.executed_by, query.rejected, query.rejected_by) == (
         (),
         "robot/C1",
         ("robot/C1",),
         ("visibility",),
     )
-    assert denied.decided_by == "service/registry"  # type: ignore[attr-defined]
+    assert denied.principals.decided_by == "service/registry"  # type: ignore[attr-defined]
 
 
 def test_without_trust_evaluation_the_outsider_runs_under_contested_audit() -> None:

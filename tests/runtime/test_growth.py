@@ -10,7 +10,7 @@ from fsar_ledger.constants import Constants, Load, WorldConstants
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import CONFIGURATIONS
-from fsar_ledger.events.envelope import Architecture, Scenario
+from fsar_ledger.events.envelope import Architecture, Scenario, flat
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.task import TaskAbandoned
@@ -52,12 +52,7 @@ def made(
 
 
 def list_values(record: RunRecord) -> int:
-    return sum(
-        len(value)
-        for event in record.events
-        for name in event.__struct_fields__
-        if isinstance(value := getattr(event, name), tuple)
-    )
+    return sum(len(value) for event in record.events for value in flat(event).values() if isinstance(value, tuple))
 
 
 # --- places ---

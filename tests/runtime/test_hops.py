@@ -82,7 +82,7 @@ def kinds(event: InternalHandoff) -> tuple[str, str]:
 
 def drawn(events: list[Event], hops: set[str]) -> Iterator[tuple[str, str, str]]:
     """Each hop that was drawn: its phase, and which agent talks to which in it."""
-    own = {event.action_id for event in events if isinstance(event, StepBegan) and event.target_role is None}
+    own = {event.subject.action_id for event in events if isinstance(event, StepBegan) and event.target_role is None}
     for key in hops:
         match = HOP.match(key)
         assert match is not None
@@ -111,10 +111,10 @@ def test_in_every_phase_each_hop_is_on_record_between_the_agents_that_it_went_be
 def test_a_handoff_names_no_origin_and_stays_in_one_robot() -> None:
     for spec in SPECS:
         for event in handoffs(played(spec)[0].events):
-            assert event.requested_by is None
-            assert event.executed_by is not None
+            assert event.principals.requested_by is None
+            assert event.principals.executed_by is not None
             assert {name.rpartition("/")[0] for name in (event.sender, event.receiver)} == {
-                event.executed_by.replace("robot/", "agent/")
+                event.principals.executed_by.replace("robot/", "agent/")
             }
 
 

@@ -15,7 +15,7 @@ import pytest
 
 from fsar_ledger.constants import DURATIONS, Constants, Load, Outages, Range, Structure, WorldConstants, write_constants
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.events.envelope import Architecture, flat, with_columns
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.world import (
     ActuatorDegraded,
@@ -206,8 +206,8 @@ def altered(draw: random.Random, record: RunRecord, seq: int) -> RunRecord:
             return dropped(record, seq)
         case 1:
             return changed(record, seq, time_us=record.times_us[seq] + draw.choice((-1, 1)))
-    name = draw.choice(event.__struct_fields__)
-    return changed(record, seq, msgspec.structs.replace(event, **{name: OTHERS[type(getattr(event, name))]}))
+    name, value = draw.choice(list(flat(event).items()))
+    return changed(record, seq, with_columns(event, **{name: OTHERS[type(value)]}))
 
 
 def test_any_single_fact_of_any_run_that_is_missing_or_another_is_found_at_its_place() -> None:

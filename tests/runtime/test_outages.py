@@ -11,7 +11,7 @@ import pytest
 from fsar_ledger.constants import Constants, Outages, Range, WorldConstants, read_constants, write_constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
-from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.events.envelope import Architecture, flat
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionHalted, ExecutionResumed, ExecutionStarted
 from fsar_ledger.events.knowledge import CopySynced
 from fsar_ledger.events.registry import RegistryQueried
@@ -95,11 +95,7 @@ def ran(architecture: Architecture, facts: Sequence[Fact]) -> Kernel:
 def when(run: Kernel, kind: type[Event], **fields: object) -> list[int]:
     """The times of the events of this kind with these fields."""
     pairs = zip(run.times_us, run.events, strict=True)
-    return [
-        time_us
-        for time_us, event in pairs
-        if isinstance(event, kind) and all(getattr(event, name) == value for name, value in fields.items())
-    ]
+    return [time_us for time_us, event in pairs if isinstance(event, kind) and flat(event).items() >= fields.items()]
 
 
 @EVERY

@@ -51,12 +51,12 @@ REQUESTED = (
 OUTCOME = st.sampled_from(["allow", "deny", "review"])
 RULE = st.builds(
     PolicyRuleSet,
-    st.sampled_from(["local", "fleet"]),
-    st.sampled_from([None, A, B]),
-    st.sampled_from([None, DOOR, "carry.package"]),
-    st.sampled_from([None, "A1-1", "A1-2"]),
-    OUTCOME,
-    st.just(H_F),
+    scope=st.sampled_from(["local", "fleet"]),
+    robot=st.sampled_from([None, A, B]),
+    capability=st.sampled_from([None, DOOR, "carry.package"]),
+    context=st.sampled_from([None, "A1-1", "A1-2"]),
+    outcome=OUTCOME,
+    decided_by=st.just(H_F),
 )
 
 
@@ -64,8 +64,13 @@ def rule(
     outcome: str, robot: str | None = B, capability: str | None = None, context: str | None = None, scope: str = "local"
 ) -> PolicyRuleSet:
     return PolicyRuleSet(
-        scope=scope, robot=robot, capability=capability, context=context, outcome=outcome, decided_by=H_F
-    )  # type: ignore[arg-type]
+        scope=scope,  # type: ignore[arg-type]
+        robot=robot,
+        capability=capability,
+        context=context,
+        outcome=outcome,  # type: ignore[arg-type]
+        decided_by=H_F,
+    )
 
 
 def refusal(events: tuple[Event, ...]) -> str:
@@ -213,7 +218,7 @@ def test_a_mandate_against_the_executors_own_denial_is_denied_and_escalated() ->
 def test_a_matter_of_one_robot_alone_is_escalated_to_its_own_supervisor() -> None:
     state = given("fsar", window(B), rule("allow", scope="fleet"))
     [escalated] = conflict(state, None, None, B, B, DOOR)
-    assert escalated.supervised_by == H_B
+    assert escalated.principals.supervised_by == H_B
 
 
 def test_a_mandate_against_a_denial_that_holds_the_start_is_escalated_at_every_hold() -> None:
@@ -359,8 +364,10 @@ def test_in_a_run_a_mandate_is_escalated_with_denials_and_nothing_is_overridden(
     one = governed(
         "door-relay", (1_500_000, rule("deny", capability=DOOR)), (1_600_000, rule("allow", robot=None, scope="fleet"))
     )
-    denied = {event.action_id for event in one.events if isinstance(event, RequestDenied) and event.reason == "policy"}
-    escalated = {event.action_id for event in one.events if isinstance(event, PolicyConflictEscalated)}
+    denied = {
+        event.subject.action_id for event in one.events if isinstance(event, RequestDenied) and event.reason == "policy"
+    }
+    escalated = {event.subject.action_id for event in one.events if isinstance(event, PolicyConflictEscalated)}
     assert escalated
     assert escalated < denied, "while the fleet denies as well there is no conflict"
     assert not any(isinstance(event, ExecutionStarted) and event.capability == DOOR for event in one.events)

@@ -102,7 +102,13 @@ def test_a_robots_own_budget_replaces_the_fleets() -> None:
 
 @pytest.mark.parametrize("spent", [(0, 2), (30_000_000, 0)])
 def test_a_level_without_budget_is_recorded_and_left_at_once(spent: tuple[int, int]) -> None:
-    state = failed(executing(A, "carry.package", RecoveryBudgetSet(A, "local", *spent, "supervisor/A1")))
+    state = failed(
+        executing(
+            A,
+            "carry.package",
+            RecoveryBudgetSet(robot=A, level="local", t_max_us=spent[0], n_max=spent[1], decided_by="supervisor/A1"),
+        )
+    )
     outward = start_recovery(state, StartRecovery(ACTION, now_us=2_000_001))
     assert types(outward) == ["RecoveryEscalated"]
     assert escalation(outward) == ("local", "peer", "budget exhausted")
@@ -126,7 +132,7 @@ def test_a_peer_with_a_task_scope_clears_the_way() -> None:
     requested, admitted = asked(failed(executing(B, "door.open.basic"), "peer"))
     assert isinstance(requested, AssistanceRequested)
     assert isinstance(admitted, AssistanceAdmitted)
-    assert (requested.decided_by, admitted.decided_by, admitted.helper) == (B, A, A)
+    assert (requested.principals.decided_by, admitted.principals.decided_by, admitted.helper) == (B, A, A)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +185,7 @@ def test_a_busy_peer_does_not_help() -> None:
 def test_a_degraded_robot_asks_the_registry_for_the_family_of_its_capability() -> None:
     query, outward = asked(failed(executing(D, "grasp.robust"), "peer", "degradation"))
     assert isinstance(query, RegistryQueried)
-    assert (query.requested_by, query.capability, query.candidates, query.rejected) == (D, "grasp.*", (), ())
+    assert (query.principals.requested_by, query.capability, query.candidates, query.rejected) == (D, "grasp.*", (), ())
     assert escalation((outward,)) == ("peer", "fleet", "no capable peer")
 
 
@@ -270,7 +276,7 @@ def test_a_step_is_handed_over_at_its_checkpoint_with_the_state_of_the_task() ->
         subject=Subject("A1-1", ACTION), robot=A, helper=D, checkpoint="A1-1/2", completed=("A navigate.indoor",)
     )
     assert isinstance(queued, ExecutionQueued)
-    assert (queued.robot, queued.on_behalf_of, queued.requested_by) == (D, A, A)
+    assert (queued.robot, queued.on_behalf_of, queued.principals.requested_by) == (D, A, A)
 
 
 def test_without_a_declared_checkpoint_nobody_takes_over() -> None:
@@ -363,13 +369,17 @@ HEAVY = (D, "carry.heavy")
 @pytest.mark.parametrize(
     ("before", "reason", "left_out_by"),
     [
-        (CapabilityAdvertised(*HEAVY, trust_required="persistent"), "no trusted", "trust"),
-        (CapabilityAdvertised(*HEAVY, visible_to=("Z",)), "no capable", "visibility"),
-        (CapabilityAdvertised(*HEAVY, visibility="trust-gated"), "", None),
-        (CapabilityAdvertised(*HEAVY, policy_required=("other",)), "policy", "policy"),
-        (CapabilityAdvertised(*HEAVY, policy_required=("A1-1",)), "", None),
-        (CapabilityWithdrawn(*HEAVY, "jammed"), "no capable", None),
-        (AvailabilityChanged(*HEAVY, "restricted", "inspection"), "no capable", "availability"),
+        (CapabilityAdvertised(robot=D, capability="carry.heavy", trust_required="persistent"), "no trusted", "trust"),
+        (CapabilityAdvertised(robot=D, capability="carry.heavy", visible_to=("Z",)), "no capable", "visibility"),
+        (CapabilityAdvertised(robot=D, capability="carry.heavy", visibility="trust-gated"), "", None),
+        (CapabilityAdvertised(robot=D, capability="carry.heavy", policy_required=("other",)), "policy", "policy"),
+        (CapabilityAdvertised(robot=D, capability="carry.heavy", policy_required=("A1-1",)), "", None),
+        (CapabilityWithdrawn(D, "carry.heavy", "jammed"), "no capable", None),
+        (
+            AvailabilityChanged(robot=D, capability="carry.heavy", availability="restricted", reason="inspection"),
+            "no capable",
+            "availability",
+        ),
         (TrustSet(robot=D, peer=A, scope="none", capability="carry.heavy"), "no trusted", "trust"),
         (TrustSet(robot=D, peer=A, scope="none", capability="carry.package"), "no trusted", "trust"),
         (
@@ -444,7 +454,7 @@ def test_a_robot_with_the_same_capability_is_asked_on_the_terms_of_its_advertise
     ):
         owned = (
             CapabilityInstalled(robot=B, capability="carry.heavy", version="1.0.0"),
-            CapabilityAdvertised(B, "carry.heavy", **terms),
+            CapabilityAdvertised(robot=B, capability="carry.heavy", **terms),
             TrustSet(robot=B, peer=D, scope="session"),
         )
         assert escalation(asked(failed(executing(D, "carry.heavy", *owned), "peer", "degradation")))[2] == reason

@@ -41,7 +41,7 @@ ASKING = Query("robot/A1", "door.open.secure", "A1-1")
 
 def offered(robot: str = "robot/B1", capability: str = "door.open.secure", **fields: Any) -> CapabilityAdvertised:
     """Another advertisement of what the robot offers."""
-    return CapabilityAdvertised(robot, capability, **fields)
+    return CapabilityAdvertised(robot=robot, capability=capability, **fields)
 
 
 def why_not(*events: Event, **fields: Any) -> tuple[str, ...]:
@@ -453,10 +453,16 @@ RECORDS = st.builds(
 CHANGES = st.one_of(
     RECORDS,
     st.builds(
-        TrustSet, st.sampled_from(ROBOTS), st.just("robot/A1"), st.sampled_from(("none", "capability", "persistent"))
+        TrustSet,
+        robot=st.sampled_from(ROBOTS),
+        peer=st.just("robot/A1"),
+        scope=st.sampled_from(("none", "capability", "persistent")),
     ),
     st.builds(
-        CapabilityDeprecated, st.sampled_from(ROBOTS), st.just("door.open.secure"), st.sampled_from(("1.0.0", "1.4.0"))
+        CapabilityDeprecated,
+        robot=st.sampled_from(ROBOTS),
+        capability=st.just("door.open.secure"),
+        version=st.sampled_from(("1.0.0", "1.4.0")),
     ),
     st.builds(CapabilityWithdrawn, st.sampled_from(ROBOTS), st.just("door.open.secure"), st.just("jammed")),
     st.sampled_from(ROBOTS).map(busy),

@@ -17,7 +17,7 @@ from fsar_ledger.constants import Constants, Range, Structure, WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
-from fsar_ledger.events.envelope import Architecture
+from fsar_ledger.events.envelope import Architecture, flat, with_columns
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import ContextChanged, RoutineDue, TaskArrived, WorldEvent
 from fsar_ledger.ledger.append import Writer, stage
@@ -130,10 +130,10 @@ def test_every_field_of_every_decision_counts() -> None:
     tried = set()
     for seq in DECIDED:
         event = HONEST.events[seq]
-        for name in event.__struct_fields__:
+        for name, value in flat(event).items():
             if (type(event), name) not in tried:
                 tried.add((type(event), name))
-                other = msgspec.structs.replace(event, **{name: others[type(getattr(event, name))]})
+                other = with_columns(event, **{name: others[type(value)]})
                 difference = replay_run(changed(HONEST, seq, other))
                 assert difference is not None
                 assert (difference.seq, difference.field) == (seq, name)

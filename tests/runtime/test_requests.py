@@ -85,7 +85,13 @@ def test_a_request_says_who_asks_whom_for_what_in_which_context() -> None:
     gap, issued = decided(given("fsar"), ASK)
     assert type(gap).__name__ == "GapDetected"
     assert isinstance(issued, RequestIssued)
-    assert (issued.requested_by, issued.executed_by, issued.capability, issued.task_id, issued.supervised_by) == (
+    assert (
+        issued.principals.requested_by,
+        issued.principals.executed_by,
+        issued.capability,
+        issued.subject.task_id,
+        issued.principals.supervised_by,
+    ) == (
         "robot/A1",
         "robot/B1",
         DOOR,
@@ -263,7 +269,7 @@ def test_each_link_of_a_relayed_request_rests_on_its_own_trust() -> None:
         relayed(TrustSet(robot="robot/A1", peer="robot/D1", scope="none")), RelayRequest("A1-1/2.1")
     )
     assert isinstance(denied, RequestDenied)
-    assert (denied.reason, denied.decided_by) == ("trust", "robot/A1")
+    assert (denied.reason, denied.principals.decided_by) == ("trust", "robot/A1")
     assert verdict(relayed(DISTRUST), "A1-1/2.1") == ("reject", "trust")
 
 
@@ -352,7 +358,7 @@ def test_an_executor_asked_for_more_override_than_it_allows_offers_what_it_allow
     state = asked(offered("soft-priority"), command=msgspec.structs.replace(ASK, override="hard-preempt"))
     [counter] = evaluate_request(state, EvaluateRequest("q1"))
     assert isinstance(counter, RequestCountered)
-    assert (counter.round, counter.override, counter.decided_by) == (1, "soft-priority", "robot/B1")
+    assert (counter.round, counter.override, counter.principals.decided_by) == (1, "soft-priority", "robot/B1")
     apply(state, counter)
     assert evaluate_request(state, EvaluateRequest("q1")) == (), "it waits for the answer"
 
@@ -464,7 +470,7 @@ def test_a_reported_result_ends_the_execution_and_the_closing_carries_it_on(
 ) -> None:
     [finished] = decided(executing(), ReportResult("robot/B1", "q1", result, achieved))
     assert isinstance(finished, ExecutionFinished)
-    assert (finished.result, finished.achieved, finished.executed_by) == (result, achieved, "robot/B1")
+    assert (finished.result, finished.achieved, finished.principals.executed_by) == (result, achieved, "robot/B1")
     started = of(played([(1_000_000, ASK)]), ExecutionStarted)[0][0]
     run = played([(1_000_000, ASK), (started + 1_000, ReportResult("robot/B1", "q1", result, achieved))])
     [(_, closed)] = of(run, RequestClosed)
@@ -528,7 +534,7 @@ def test_a_step_whose_result_is_no_success_is_asked_for_again() -> None:
     run = played([(started + 1_000, ReportResult("robot/B1", "A1-1/2.1", "failure"))], *begun)
     attempts = [event.attempt for _, event in of(run, StepBegan) if isinstance(event, StepBegan) and event.step == 2]
     assert attempts == [1, 2]
-    assert [event.action_id for _, event in of(run, StepCompleted) if isinstance(event, StepCompleted)] == [
+    assert [event.subject.action_id for _, event in of(run, StepCompleted) if isinstance(event, StepCompleted)] == [
         "A1-1/1.1",
         "A1-1/2.2",
     ]
@@ -539,15 +545,15 @@ def test_a_request_by_itself_in_the_context_of_a_task_leaves_the_task_alone() ->
     ask = msgspec.structs.replace(ASK, context="A1-1", action_id="q1")
     denied = msgspec.structs.replace(ASK, context="A1-1", action_id="q2", directives=("plan",))
     run = played([(1_000, ask), (1_001, denied)], ARRIVED)
-    assert [event.action_id for _, event in of(run, StepCompleted) if isinstance(event, StepCompleted)] == [
+    assert [event.subject.action_id for _, event in of(run, StepCompleted) if isinstance(event, StepCompleted)] == [
         "A1-1/1.1",
         "A1-1/2.1",
     ]
-    assert {event.action_id for _, event in of(run, RequestClosed) if isinstance(event, RequestClosed)} == {
+    assert {event.subject.action_id for _, event in of(run, RequestClosed) if isinstance(event, RequestClosed)} == {
         "q1",
         "A1-1/2.1",
     }
-    assert [event.action_id for _, event in of(run, RegistryQueried) if isinstance(event, RegistryQueried)] == [
+    assert [event.subject.action_id for _, event in of(run, RegistryQueried) if isinstance(event, RegistryQueried)] == [
         "A1-1/2.1"
     ]
     assert run.state == fold(run.events)

@@ -118,7 +118,7 @@ def test_the_registry_has_a_silent_robot_offline_until_it_has_reported_back() ->
     for ends, begins in ((RobotWentOff, RobotCameBack), (LinkWentDown, LinkCameUp)):
         run = ran("fsar", [(1, ends(B)), (S, TASK), (30 * S, later), (60 * S, begins(B)), (61 * S, last)])
         asked = [
-            (event.action_id, event.executed_by)
+            (event.subject.action_id, event.principals.executed_by)
             for _, event in of(run, RequestIssued)
             if isinstance(event, RequestIssued)
         ]
@@ -157,7 +157,11 @@ def test_a_command_that_nobody_confirmed_is_taken_back_and_not_carried_out_later
     assert commanded == [B, B2]
     [(late_us, late)] = of(run, RequestUnanswered)
     assert isinstance(late, RequestUnanswered)
-    assert (late.decided_by, late.executed_by, late.requested_by) == ("coordinator", B, None)
+    assert (late.principals.decided_by, late.principals.executed_by, late.principals.requested_by) == (
+        "coordinator",
+        B,
+        None,
+    )
     assert late_us - of(run, CommandIssued)[0][0] == ANSWER_US
     assert [
         event.dimension
@@ -187,7 +191,7 @@ def test_a_contract_whose_award_is_not_accepted_is_awarded_anew() -> None:
     run = ran("dhma", [(S, TASK), (awarded_us + 1, RobotWentOff(first.robot)), (60 * S, RobotCameBack(first.robot))])
     [(late_us, late)] = of(run, RequestUnanswered)
     assert isinstance(late, RequestUnanswered)
-    assert (late_us, late.executed_by) == (awarded_us + ANSWER_US, first.robot)
+    assert (late_us, late.principals.executed_by) == (awarded_us + ANSWER_US, first.robot)
     assert [event.robot for _, event in of(run, AwardMade) if isinstance(event, AwardMade)] == [
         first.robot,
         ({B, B2} - {first.robot}).pop(),
@@ -327,7 +331,7 @@ def test_where_the_relay_is_silent_the_relay_is_named_and_heard_when_its_word_co
         (late_us, late), *_ = of(run, RequestUnanswered)
         assert isinstance(asked, RequestIssued)
         assert isinstance(late, RequestUnanswered)
-        assert (asked.relay, asked.executed_by, late.executed_by) == (A, B, A)
+        assert (asked.relay, asked.principals.executed_by, late.principals.executed_by) == (A, B, A)
         assert late_us - asked_us == ANSWER_US
     words = [
         (event.robot, event.availability)

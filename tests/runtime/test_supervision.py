@@ -145,7 +145,7 @@ def test_the_supervisor_who_was_called_approves_a_review_or_not(approves: bool) 
 def test_a_disapproved_request_is_denied_by_the_executor_for_the_review() -> None:
     [denied] = admit_reviewed(given("fsar", *REQUESTED), AdmitReviewed(ACTION, False))
     assert isinstance(denied, RequestDenied)
-    assert (denied.decided_by, denied.reason) == (B, "review")
+    assert (denied.principals.decided_by, denied.reason) == (B, "review")
 
 
 def test_a_coordinator_too_does_not_command_what_was_disapproved() -> None:
@@ -219,7 +219,10 @@ def test_an_answer_is_that_of_the_supervisor_who_gave_it_even_when_another_was_c
     state = failing(LOCAL, FLEETS)
     first, *_ = respond(state, Respond(1))
     second, *_ = respond(state, Respond(2))
-    assert [(event.decided_by, event.supervised_by) for event in (first, second)] == [(H_B, H_B), (H_F, H_F)]  # type: ignore[attr-defined]
+    assert [(event.principals.decided_by, event.principals.supervised_by) for event in (first, second)] == [
+        (H_B, H_B),
+        (H_F, H_F),
+    ]  # type: ignore[attr-defined]
     for event in respond(state, Respond(1)):
         apply(state, event)
     assert respond(state, Respond(2)) == ()
@@ -325,13 +328,17 @@ def test_density_changes_while_a_run_goes_on() -> None:
     )
     timed = list(zip(one.times_us, one.events, strict=True))
     reviewed = {
-        event.action_id for event in one.events if isinstance(event, SupervisorCalled) and event.purpose == "review"
+        event.subject.action_id
+        for event in one.events
+        if isinstance(event, SupervisorCalled) and event.purpose == "review"
     }
     early = {
-        event.action_id for _, event in timed if isinstance(event, RequestAdmitted) and event.action_id in reviewed
+        event.subject.action_id
+        for _, event in timed
+        if isinstance(event, RequestAdmitted) and event.subject.action_id in reviewed
     }
     unreviewed = [
-        time for time, event in timed if isinstance(event, RequestAdmitted) and event.action_id not in reviewed
+        time for time, event in timed if isinstance(event, RequestAdmitted) and event.subject.action_id not in reviewed
     ]
     assert early
     assert unreviewed

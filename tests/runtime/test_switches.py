@@ -38,9 +38,13 @@ def test_the_check_again_of_delegated_work_and_the_one_check_of_own_work_are_two
     configuration: str, expected: set[str]
 ) -> None:
     events = played("fsar", configuration, "door-relay", 3).events
-    is_delegated = {event.action_id: event.is_delegated for event in events if isinstance(event, ExecutionQueued)}
+    is_delegated = {
+        event.subject.action_id: event.is_delegated for event in events if isinstance(event, ExecutionQueued)
+    }
     held = {
-        "delegated" if is_delegated[event.action_id] else "own" for event in events if isinstance(event, ExecutionHeld)
+        "delegated" if is_delegated[event.subject.action_id] else "own"
+        for event in events
+        if isinstance(event, ExecutionHeld)
     }
     assert held | {"motion" for event in events if isinstance(event, RoutineWithheld)} == expected
 
@@ -56,7 +60,7 @@ def of_recovery(attempts: int, budget_us: int) -> tuple[list[tuple[int, str | No
         2,
         msgspec.structs.replace(given, structure=structure),
     ).events
-    tried = [(event.number, event.decided_by) for event in events if isinstance(event, RecoveryAttempted)]
+    tried = [(event.number, event.principals.decided_by) for event in events if isinstance(event, RecoveryAttempted)]
     failed = [event.number for event in events if isinstance(event, RecoveryAttemptFailed)]
     return (
         tried,
@@ -98,7 +102,7 @@ def test_who_is_not_known_is_on_record_as_nobody_and_not_as_an_empty_name() -> N
         ),
     )
     [(unknown, no_path), (known, path)] = [
-        (one.decided_by, one.path)  # type: ignore[attr-defined]
+        (one.principals.decided_by, one.principals.path)  # type: ignore[attr-defined]
         for one in (_decided_by(closed, name) for name in (None, "robot/a"))
     ]
     assert (unknown, no_path) == (None, ())

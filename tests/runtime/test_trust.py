@@ -49,8 +49,12 @@ def results(*outcomes: str, promote: int = 0, downgrade: int = 0) -> State:
     """A state in which A asked B for the door so many times, and each time got this."""
     state = given("fsar", TrustThresholdsSet(promote, downgrade, H_F))
     for ordinal, outcome in enumerate(outcomes):
-        ids = ("t1", f"t1/{ordinal}", f"t1/{ordinal}")
-        apply(state, RequestIssued(*ids, A, A, B, None, (A,), DOOR, "allow"))
+        subject = RequestSubject("t1", f"t1/{ordinal}", f"t1/{ordinal}")
+        parties = Parties(requested_by=A, executed_by=B, supervised_by=None)
+        apply(
+            state,
+            RequestIssued(subject=subject, principals=parties.decided(A), capability=DOOR, carried_policy="allow"),
+        )
         if outcome == "failed":
             apply(
                 state,
@@ -79,9 +83,9 @@ def results(*outcomes: str, promote: int = 0, downgrade: int = 0) -> State:
                 ),
             )
         elif outcome == "success":
-            apply(state, RequestClosed(*ids, "service/coordination", A, B, None, ("service/coordination",)))
+            apply(state, RequestClosed(subject, parties.decided("service/coordination")))
         else:
-            apply(state, RequestDenied(*ids, B, A, B, None, (B,), outcome))
+            apply(state, RequestDenied(subject, parties.decided(B), outcome))
     return state
 
 
