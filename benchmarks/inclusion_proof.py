@@ -23,11 +23,11 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
-from fsar_ledger.ledger.derived import read_checkpoint
-from fsar_ledger.ledger.merkle import HASH_BYTES, leaf_hash, root_of_inclusion
-from fsar_ledger.ledger.note import Checkpoint, checkpoint_of, parse_note
-from fsar_ledger.ledger.proof import prove_inclusion
-from fsar_ledger.ledger.tiles import WIDTH, Edge, Tile, partial_tiles
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, leaf_hash, root_of_inclusion
+from fsar_ledger.ledger.log.note import Checkpoint, checkpoint_of, parse_note
+from fsar_ledger.ledger.log.tiles import WIDTH, Edge, Tile, partial_tiles
+from fsar_ledger.ledger.store.derived import read_checkpoint
+from fsar_ledger.ledger.store.proof import prove_inclusion
 
 BATCH = 1 << 16
 LIMIT_MS = 50

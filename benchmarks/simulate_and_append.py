@@ -21,9 +21,9 @@ from typing import Any, NamedTuple, get_args
 
 from fsar_ledger.events import EVENT_TYPES
 from fsar_ledger.events.envelope import Architecture, Scenario, flat
-from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.schema import layout
+from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.schema import layout
+from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.runtime.experiment import Experiment, simulate
 
 EVENTS_PER_SAVE = 150

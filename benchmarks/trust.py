@@ -19,11 +19,12 @@ import pyarrow.parquet as pq
 sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from benchmarks.metrics import experiment
-from fsar_ledger.ledger import append, canonical, codec
-from fsar_ledger.ledger.read import LedgerView, open_ledger
-from fsar_ledger.ledger.segment import read_table
-from fsar_ledger.ledger.tiles import Edge
-from fsar_ledger.ledger.verify import Asked, verify
+from fsar_ledger.ledger.log.tiles import Edge
+from fsar_ledger.ledger.rows import canonical, codec
+from fsar_ledger.ledger.rows.segment import read_table
+from fsar_ledger.ledger.store import append
+from fsar_ledger.ledger.store.read import LedgerView, open_ledger
+from fsar_ledger.ledger.verify.verify import Asked, verify
 from fsar_ledger.runtime.experiment import simulate
 
 

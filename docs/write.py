@@ -24,20 +24,22 @@ from pathlib import Path
 
 import msgspec
 
-from fsar_ledger.cli import run
+from fsar_ledger.cli.app import run
 from fsar_ledger.constants import Constants, Load, Outages
 from fsar_ledger.events.configuration import MECHANISMS_OF
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
-from fsar_ledger.ledger import canonical, merkle
-from fsar_ledger.ledger.append import Writer, stage_rows
-from fsar_ledger.ledger.codec import RunRecord, encode_hashed
-from fsar_ledger.ledger.note import Signer
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.record import commit_path
-from fsar_ledger.ledger.releases import FINGERPRINTS
-from fsar_ledger.ledger.schema import CONCERNED, SCHEMA, STANDS_ALONE, STORED
-from fsar_ledger.ledger.tiles import node_of, tile_reader
+from fsar_ledger.ledger.log import merkle
+from fsar_ledger.ledger.log.note import Signer
+from fsar_ledger.ledger.log.tiles import node_of
+from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.rows.codec import RunRecord, encode_hashed
+from fsar_ledger.ledger.rows.releases import FINGERPRINTS
+from fsar_ledger.ledger.rows.schema import CONCERNED, SCHEMA, STANDS_ALONE, STORED
+from fsar_ledger.ledger.store.append import Writer, stage_rows
+from fsar_ledger.ledger.store.derived import tile_reader
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.store.record import commit_path
 from fsar_ledger.metrics.library import Query, library
 from fsar_ledger.metrics.multiverse import readings
 from fsar_ledger.report.printing import flat

@@ -7,7 +7,7 @@ import sys
 from types import TracebackType
 
 from . import __version__, printable
-from .commands.terminal import Enough, say, say_failure, show
+from .cli.terminal import Enough, say, say_failure, show
 from .errors import WriteFailed
 
 
@@ -31,7 +31,7 @@ def main() -> None:
     )  # nothing here multiplies matrices that are worth a thread, and each takes its time to start
     gc.set_threshold(50_000, 20, 100)  # libraries make many objects as they are imported, and no garbage
     try:
-        from .cli import run
+        from .cli.app import run
     except KeyboardInterrupt:
         say("interrupted; nothing was changed")
         sys.exit(130)

@@ -21,8 +21,8 @@ import numpy as np
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.configuration import FULL
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.ledger.codec import encode
-from fsar_ledger.ledger.place import require_outside
+from fsar_ledger.ledger.rows.codec import encode
+from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import connect, from_table
 from fsar_ledger.metrics.results import MetricRow, metric_rows
 from fsar_ledger.metrics.verdicts import published

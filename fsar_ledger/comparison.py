@@ -16,7 +16,7 @@ from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.errors import FsarLedgerError, UsageError
 from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.ledger.place import require_outside
+from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.printed import Place, Table, printed
 from fsar_ledger.metrics.results import MetricRow
 from fsar_ledger.metrics.verdicts import MARGINS, Answer, judge

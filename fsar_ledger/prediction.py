@@ -16,7 +16,7 @@ import msgspec
 from fsar_ledger.constants import Constants, Load, write_constants
 from fsar_ledger.events.configuration import CONFIGURATIONS, MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.ledger.place import require_outside
+from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.database import Database, connect
 from fsar_ledger.metrics.results import MetricRow, metric_rows, typed
 from fsar_ledger.recording import require_writable, write_record

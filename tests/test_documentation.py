@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 import typer
 
-from fsar_ledger.cli import app, run
-from fsar_ledger.ledger.note import parse_note, read_verifier
+from fsar_ledger.cli.app import app, run
+from fsar_ledger.ledger.log.note import parse_note
+from fsar_ledger.ledger.store.keys import read_verifier
 from fsar_ledger.metrics.library import library
 from fsar_ledger.witness.cosignature import Cosigner
 from tests.cli.conftest import SMALL

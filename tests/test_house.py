@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger.schema import LAYOUTS
+from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.library import view_name
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -88,7 +88,7 @@ PRINTING = {
     ),
 }
 PRINTERS = {"rich", "click", "logging", "curses", "readline", "pdb", "faulthandler"}
-MAY_PRINT = ("commands/terminal.py", "commands/progress.py")
+MAY_PRINT = ("cli/terminal.py", "cli/progress.py")
 
 
 def prints(root: Path) -> list[str]:
@@ -251,9 +251,9 @@ def test_only_the_terminal_prints() -> None:
     ],
 )
 def test_printing_around_the_terminal_is_found(tmp_path: Path, line: str) -> None:
-    (tmp_path / "fsar_ledger" / "commands").mkdir(parents=True)
+    (tmp_path / "fsar_ledger" / "cli").mkdir(parents=True)
     (tmp_path / "fsar_ledger" / "fixture.py").write_text(f"{line}\n")
-    (tmp_path / "fsar_ledger" / "commands" / "terminal.py").write_text("print(1)\n")
+    (tmp_path / "fsar_ledger" / "cli" / "terminal.py").write_text("print(1)\n")
     assert {place.partition(":")[0] for place in prints(tmp_path)} == {"fsar_ledger/fixture.py"}
 
 
@@ -347,7 +347,13 @@ def test_imports_go_one_way(tree: Path) -> None:
             "import fsar_ledger.projections",
             "fsar_ledger.report is not allowed to import fsar_ledger.projections",
         ),
-        ("ledger/fixture.py", "import duckdb", "fsar_ledger.ledger.fixture imports duckdb"),
+        ("ledger/rows/fixture.py", "import duckdb", "fsar_ledger.ledger.rows.fixture imports duckdb"),
+        (
+            "ledger/rows/fixture.py",
+            "import fsar_ledger.ledger.store",
+            "fsar_ledger.ledger.rows is not allowed to import fsar_ledger.ledger.store",
+        ),
+        ("ledger/log/fixture.py", "import os", "fsar_ledger.ledger.log.fixture imports os"),
         ("fixture.py", "", "The following modules are not listed as layers"),
     ],
 )
@@ -394,7 +400,7 @@ def installed_queries(place: Path) -> set[str]:
     """Names of the query files that the package in `place/site` finds; the work tree's own editable install is kept out of its sight."""
     code = (
         "import sys; sys.meta_path[:] = [one for one in sys.meta_path if 'Editable' not in getattr(one, '__name__', '')];"
-        "import fsar_ledger; from fsar_ledger.cli import run; print(fsar_ledger.__file__); sys.exit(run(['query', '--list', '--json']))"
+        "import fsar_ledger; from fsar_ledger.cli.app import run; print(fsar_ledger.__file__); sys.exit(run(['query', '--list', '--json']))"
     )
     environment = {**os.environ, "PYTHONPATH": str(place / "site")}
     done = subprocess.run(

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger import printable
-from fsar_ledger.commands.terminal import ON, folded
+from fsar_ledger.cli.terminal import ON, folded
 from tests.terminal import PAINT, painted
 
 ANY = st.text(st.characters(codec="utf-8"), max_size=12)

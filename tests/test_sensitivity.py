@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import fsar_ledger
-from fsar_ledger.cli import run
+from fsar_ledger.cli.app import run
 from fsar_ledger.constants import Constants, negatives, write_constants
 from fsar_ledger.errors import UsageError, WriteFailed
 from fsar_ledger.report.provenance import origins

@@ -15,10 +15,10 @@ import pyarrow as pa
 
 from fsar_ledger import memory
 from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted, LimitReached, QueryFailed
-from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.read import Head
-from fsar_ledger.ledger.schema import SCHEMA
-from fsar_ledger.ledger.segment import read_table
+from fsar_ledger.ledger.rows.schema import SCHEMA
+from fsar_ledger.ledger.rows.segment import read_table
+from fsar_ledger.ledger.store.opening import open_for_answers
+from fsar_ledger.ledger.store.read import Head
 
 from . import relation
 from .functions import register

@@ -23,7 +23,7 @@ import msgspec
 from fsar_ledger.errors import UnknownQuery
 from fsar_ledger.events.concerns import EVENTS_OF
 from fsar_ledger.events.world import WorldEvent
-from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, LAYOUTS, Kind
+from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, LAYOUTS, Kind
 
 REQUIRED_KEYS = ("Title", "Paper", "Grain", "Units", "NULL", "Example")
 READINGS = "readings/"

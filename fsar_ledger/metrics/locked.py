@@ -17,7 +17,7 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 
 from fsar_ledger.errors import LedgerCorrupted, QueryFailed
-from fsar_ledger.ledger.schema import SCHEMA
+from fsar_ledger.ledger.rows.schema import SCHEMA
 
 from .database import FAULTS_OF_SQL, OUT_OF_MEMORY, Database
 from .relation import hold_dataset

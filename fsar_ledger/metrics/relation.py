@@ -13,10 +13,10 @@ import pyarrow as pa
 
 from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
 from fsar_ledger.events import ADDITIONS
-from fsar_ledger.ledger.codec import upcast_rows
-from fsar_ledger.ledger.releases import FINGERPRINTS, RELEASE, SCHEMAS
-from fsar_ledger.ledger.schema import COLUMNS, LAYOUTS, RETIRED
-from fsar_ledger.ledger.segment import read_table
+from fsar_ledger.ledger.rows.codec import upcast_rows
+from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE, SCHEMAS
+from fsar_ledger.ledger.rows.schema import COLUMNS, LAYOUTS, RETIRED
+from fsar_ledger.ledger.rows.segment import read_table
 
 from .library import SQL_TYPES
 

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from fsar_ledger.errors import QueryFailed
-from fsar_ledger.ledger.arrow import numbers, validity, whole
+from fsar_ledger.ledger.rows.arrow import numbers, validity, whole
 
 from .database import Database
 

@@ -20,10 +20,10 @@ import msgspec
 
 from fsar_ledger import __version__
 from fsar_ledger.errors import LedgerCorrupted, SequenceConflict, UsageError
-from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.place import require_outside
-from fsar_ledger.ledger.read import LedgerView
-from fsar_ledger.ledger.verify import Asked, VerifyReport, verify
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.ledger.store.read import LedgerView
+from fsar_ledger.ledger.verify.verify import Asked, VerifyReport, verify
 
 _BY_OTHERS = stat.S_IWGRP | stat.S_IWOTH
 

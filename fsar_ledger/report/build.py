@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from fsar_ledger.ledger.place import require_outside
+from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.verified import required_look
 from fsar_ledger.recording import require_another
 from fsar_ledger.report import document, figures, typeset

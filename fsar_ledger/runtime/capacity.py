@@ -10,7 +10,7 @@ from typing import NamedTuple
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.configuration import Configuration, lacks
 from fsar_ledger.events.envelope import Architecture, Scenario, Workflow
-from fsar_ledger.ledger.bounds import MAX_LIST_VALUES, MAX_ROWS
+from fsar_ledger.ledger.rows.bounds import MAX_LIST_VALUES, MAX_ROWS
 
 from .world.scenarios import TASKS
 from .world.schedule import arrivals_expected, teams_working

@@ -16,10 +16,10 @@ from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events.configuration import EVERY_MECHANISM, FULL, MECHANISMS_OF, Configuration, is_known, lacks, rank
 from fsar_ledger.events.envelope import Architecture, Scenario, Workflow
 from fsar_ledger.events.experiment import ExperimentPlanned
-from fsar_ledger.ledger.append import Staged, Writer, stage
-from fsar_ledger.ledger.bounds import MAX_LIST_VALUES, MAX_ROWS
-from fsar_ledger.ledger.note import Signer
-from fsar_ledger.ledger.read import Head
+from fsar_ledger.ledger.log.note import Signer
+from fsar_ledger.ledger.rows.bounds import MAX_LIST_VALUES, MAX_ROWS
+from fsar_ledger.ledger.store.append import Staged, Writer, stage
+from fsar_ledger.ledger.store.read import Head
 from fsar_ledger.printable import some
 from fsar_ledger.runtime.plan import plan_record
 from fsar_ledger.runtime.simulation import MODEL_VERSION, RunSpec, run_id, run_started, simulate_run

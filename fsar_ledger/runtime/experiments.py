@@ -13,7 +13,7 @@ import msgspec
 
 from fsar_ledger.constants import Constants, Load
 from fsar_ledger.events.configuration import CONFIGURATIONS, FULL, MECHANISMS, MECHANISMS_OF, Configuration, without
-from fsar_ledger.ledger.note import Signer
+from fsar_ledger.ledger.log.note import Signer
 
 from .experiment import ORIGIN, WORKFLOWS_ORIGIN, Experiment, workflow_experiment
 from .simulation import ARCHITECTURES, SCENARIOS

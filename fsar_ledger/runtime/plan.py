@@ -5,7 +5,7 @@ from hashlib import sha256
 import msgspec
 
 from fsar_ledger.events.experiment import ExperimentPlanned
-from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import RunRecord
 
 
 def plan_id(planned: ExperimentPlanned) -> str:

@@ -35,10 +35,10 @@ from fsar_ledger.events import ALONE, Event
 from fsar_ledger.events.envelope import flat
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.world import WorldEvent
-from fsar_ledger.ledger import segment
-from fsar_ledger.ledger.codec import RunRecord, decode
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.verify import MAX_PROBLEMS
+from fsar_ledger.ledger.rows import segment
+from fsar_ledger.ledger.rows.codec import RunRecord, decode
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.verify.verify import MAX_PROBLEMS
 from fsar_ledger.parameters import BadParameters
 from fsar_ledger.projections.fold import State
 from fsar_ledger.workers import WorkerPool

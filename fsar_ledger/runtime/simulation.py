@@ -13,7 +13,7 @@ from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.configuration import FULL, MECHANISMS, Configuration, lacks
 from fsar_ledger.events.envelope import Architecture, Scenario, Workflow
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.projections.fold import State, fold
 
 from .architectures.wiring import Wiring

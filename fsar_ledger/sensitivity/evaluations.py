@@ -17,7 +17,7 @@ import msgspec
 import fsar_ledger
 from fsar_ledger.constants import write_constants
 from fsar_ledger.errors import UsageError, WriteFailed
-from fsar_ledger.ledger.codec import encode
+from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.metrics.verdicts import MARGINS

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 
 from fsar_ledger.constants import Constants, write_constants
 from fsar_ledger.errors import UsageError, WriteFailed
-from fsar_ledger.ledger.place import require_outside
+from fsar_ledger.ledger.store.paths import require_outside
 from fsar_ledger.metrics.verdicts import MARGINS
 from fsar_ledger.report.sensitivity import About, Effect, Sensitivity, table_of, that_matter
 from fsar_ledger.runtime.simulation import MODEL_VERSION

@@ -6,11 +6,11 @@ from pathlib import Path
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
-from fsar_ledger.ledger.derived import read_checkpoint
-from fsar_ledger.ledger.merkle import consistency_proof
-from fsar_ledger.ledger.note import Note, Signature
-from fsar_ledger.ledger.read import LedgerView, open_ledger
-from fsar_ledger.ledger.tiles import node_of, tile_reader
+from fsar_ledger.ledger.log.merkle import consistency_proof
+from fsar_ledger.ledger.log.note import Note, Signature
+from fsar_ledger.ledger.log.tiles import node_of
+from fsar_ledger.ledger.store.derived import read_checkpoint, tile_reader
+from fsar_ledger.ledger.store.read import LedgerView, open_ledger
 from fsar_ledger.witness.client import Silent, ask, ask_all
 from fsar_ledger.witness.cosignature import parse_cosigned
 from fsar_ledger.witness.policy import Policy, Witness

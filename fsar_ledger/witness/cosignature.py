@@ -21,8 +21,7 @@ from pathlib import Path
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
-from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.note import (
+from fsar_ledger.ledger.log.note import (
     MAX_SIGNATURES,
     Checkpoint,
     Note,
@@ -32,6 +31,7 @@ from fsar_ledger.ledger.note import (
     is_name,
     parse_note,
 )
+from fsar_ledger.ledger.store import disk
 
 _COSIGNATURE = b"\x04"
 _ED25519 = b"\x01"

@@ -12,9 +12,9 @@ from pathlib import Path
 import msgspec
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
-from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.note import Note, VerifierKey
-from fsar_ledger.ledger.verify_notes import Anchor
+from fsar_ledger.ledger.log.note import Note, VerifierKey
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.verify.notes import Anchor
 from fsar_ledger.witness.client import Silent, ask, ask_all
 from fsar_ledger.witness.cosignature import parse_cosigned
 from fsar_ledger.witness.policy import Policy, Witness

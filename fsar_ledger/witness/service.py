@@ -5,7 +5,7 @@ from http import HTTPStatus
 from threading import Lock
 
 from fsar_ledger.errors import WriteFailed
-from fsar_ledger.ledger.note import Note, VerifierKey
+from fsar_ledger.ledger.log.note import Note, VerifierKey
 from fsar_ledger.witness.protocol import Answer, judge, name_of, parse_request
 from fsar_ledger.witness.state import State
 

@@ -20,9 +20,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError, WriteFailed
-from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.ed25519 import KEY_BYTES
-from fsar_ledger.ledger.note import Note, is_name
+from fsar_ledger.ledger.log.ed25519 import KEY_BYTES
+from fsar_ledger.ledger.log.note import Note, is_name
+from fsar_ledger.ledger.store import disk
 from fsar_ledger.witness.cosignature import Cosigner, WitnessKey, parse_cosigned, parse_secret, secret_text
 from fsar_ledger.witness.protocol import name_of
 

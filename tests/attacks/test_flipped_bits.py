@@ -13,7 +13,7 @@ import duckdb
 import pyarrow.parquet as pq
 import pytest
 
-from fsar_ledger.ledger.record import segment_path
+from fsar_ledger.ledger.store.record import segment_path
 from tests.ledger.damage import only_problem
 from tests.ledger.flips import write_runs
 from tests.ledger.forgery import changed, forge_segment, table_of

@@ -21,9 +21,10 @@ from fsar_ledger.events.world import (
     PolicyWindowClosed,
     PolicyWindowOpened,
 )
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.ledger.note import Signer, new_key, read_signer
+from fsar_ledger.ledger.log.note import Signer
+from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.keys import new_key, read_signer
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import (

@@ -7,8 +7,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pytest
 
-from fsar_ledger.ledger import segment
-from fsar_ledger.ledger.schema import SCHEMA
+from fsar_ledger.ledger.rows import segment
+from fsar_ledger.ledger.rows.schema import SCHEMA
 from tests.attacks.conftest import Attack
 from tests.cli.conftest import Called
 from tests.ledger.forgery import forge_segment, table_of

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.witness.cosign import cosign
 from fsar_ledger.witness.policy import read_policy
 from fsar_ledger.witness.state import new_state

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import pytest
 
-from fsar_ledger import cli
+from fsar_ledger.cli import app
 
 
 class Called(NamedTuple):
@@ -50,7 +50,7 @@ def call(capsys: pytest.CaptureFixture[str]) -> Call:
 
     def run(*arguments: object) -> Called:
         capsys.readouterr()
-        code = cli.run([str(argument) for argument in arguments])
+        code = app.run([str(argument) for argument in arguments])
         captured = capsys.readouterr()
         return Called(code, captured.out, captured.err)
 

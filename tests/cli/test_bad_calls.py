@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from fsar_ledger import cli
-from fsar_ledger.ledger.append import Writer
+from fsar_ledger.cli import app
+from fsar_ledger.ledger.store.append import Writer
 from fsar_ledger.runtime.experiment import ORIGIN
 from tests.cli.conftest import SMALL, Call, one_message
 
@@ -135,7 +135,7 @@ def test_after_ctrl_c_each_command_says_what_is_left(call: Call, monkeypatch: py
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "_commands", lambda: SimpleNamespace(main=interrupted))
+    monkeypatch.setattr(app, "_commands", lambda: SimpleNamespace(main=interrupted))
     left = {
         "simulate": "the same command continues there",
         "reproduce": "the same command continues there",

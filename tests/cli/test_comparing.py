@@ -9,7 +9,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment
 from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.simulation import RunSpec, founding_of, run_id, run_started, simulate_run, wiring

@@ -9,15 +9,15 @@ from typing import Any
 import msgspec
 import pytest
 
-from fsar_ledger.commands.plans import MAX_COUNTS, MAX_RUNS, Shown, reproducing
-from fsar_ledger.commands.simulated import before, beyond
+from fsar_ledger.cli.plans import MAX_COUNTS, MAX_RUNS, Shown, reproducing
+from fsar_ledger.cli.simulated import before, beyond
 from fsar_ledger.constants import Constants, Load, WorldConstants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.ledger.note import read_signer
-from fsar_ledger.ledger.read import EMPTY_HEAD, open_ledger
+from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.keys import read_signer
+from fsar_ledger.ledger.store.read import EMPTY_HEAD, open_ledger
 from fsar_ledger.runtime import experiment as module
 from fsar_ledger.runtime.experiment import ORIGIN, Experiment, Made, simulate
 from fsar_ledger.runtime.experiments import named

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger import memory
-from fsar_ledger.commands.memory import (
+from fsar_ledger.cli.memory import (
     BASE_BYTES,
     PER_BYTE,
     PER_WORKER_BYTES,
@@ -17,9 +17,9 @@ from fsar_ledger.commands.memory import (
     default_bytes,
     readers_of,
 )
-from fsar_ledger.commands.options import workers_of
+from fsar_ledger.cli.options import workers_of
 from fsar_ledger.errors import LimitReached, UsageError
-from fsar_ledger.ledger.problem import unexpected
+from fsar_ledger.ledger.store.problem import unexpected
 from fsar_ledger.metrics.database import from_rows
 from tests.ledger.bomb_trial import cost_of
 
@@ -30,7 +30,7 @@ HUNGRY = """
 import sys
 from pathlib import Path
 from fsar_ledger import memory
-from fsar_ledger.commands.memory import bounded
+from fsar_ledger.cli.memory import bounded
 Path("part").touch()
 memory.unfinished.add(Path("part"))
 with bounded(256, Path("ledger")):
@@ -65,7 +65,7 @@ def test_what_takes_more_is_ended_with_one_message_and_leaves_no_half_file(tmp_p
 def test_the_processes_that_it_starts_count_too(tmp_path: Path) -> None:
     grow = "kept = bytearray(b'x') * (400 << 20); import time; time.sleep(60)"
     within = f"import subprocess, sys\nwith bounded(256, Path('ledger')):\n    subprocess.run([sys.executable, '-c', {grow!r}])\n"
-    code = f"from pathlib import Path\nfrom fsar_ledger.commands.memory import bounded\n{within}"
+    code = f"from pathlib import Path\nfrom fsar_ledger.cli.memory import bounded\n{within}"
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False, timeout=60
     )
@@ -74,7 +74,7 @@ def test_the_processes_that_it_starts_count_too(tmp_path: Path) -> None:
 
 
 def test_what_is_asked_for_at_once_is_refused_by_the_system(tmp_path: Path) -> None:
-    code = "from pathlib import Path\nfrom fsar_ledger.commands.memory import bounded\nwith bounded(256, Path('ledger')):\n    bytearray(64 << 30)\n"
+    code = "from pathlib import Path\nfrom fsar_ledger.cli.memory import bounded\nwith bounded(256, Path('ledger')):\n    bytearray(64 << 30)\n"
     done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert "LimitReached: memory: this needs more than 256 MiB" in done.stderr
 

@@ -7,7 +7,7 @@ import pytest
 
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
-from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import RunRecord
 from tests.cli.conftest import Call, one_message
 from tests.ledger.samples import append_all
 

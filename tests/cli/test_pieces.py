@@ -5,10 +5,10 @@ from itertools import pairwise
 
 import pytest
 
-from fsar_ledger.commands.output import Row, answer_text
-from fsar_ledger.commands.pieces import KEPT_BYTES, Kept, answer_pieces
+from fsar_ledger.cli.output import Row, answer_text
+from fsar_ledger.cli.pieces import KEPT_BYTES, Kept, answer_pieces
 from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.read import Head
+from fsar_ledger.ledger.store.read import Head
 from fsar_ledger.printable import Shown
 
 HEAD = Head(3, 1000, "ab" * 32)

@@ -25,7 +25,7 @@ LAST = "segments/000000000003.parquet"
 @pytest.fixture(scope="session")
 def many(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A ledger of a plan and three commits that tests may read but not change."""
-    from fsar_ledger.cli import run
+    from fsar_ledger.cli.app import run
 
     path = tmp_path_factory.mktemp("recover") / "ledger"
     assert run(["simulate", str(path), *MANY]) == 0

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.record import segment_path
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.record import segment_path
 from tests.ledger.damage import flips
 from tests.ledger.forgery import changed, forge_segment, table_of
 from tests.metrics.conftest import record

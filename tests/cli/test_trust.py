@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger.note import read_verifier
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.record import segment_path
+from fsar_ledger.ledger.store.keys import read_verifier
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.store.record import segment_path
 from tests.cli.conftest import SMALL, Call, Called, in_a_process, one_message
 
 RUN = "fsar.full.door-relay.n4.s7.r0000"
@@ -371,7 +371,7 @@ def test_a_file_that_proves_nothing_ends_with_3(call: Call, tmp_path: Path, data
 def test_a_public_key_under_another_name_verifies_what_the_same_secret_signed_under_it(
     call: Call, tmp_path: Path
 ) -> None:
-    from fsar_ledger.ledger.note import read_signer
+    from fsar_ledger.ledger.store.keys import read_signer
     from fsar_ledger.runtime.experiment import Experiment, simulate
 
     assert call("key", "new", tmp_path / "arm.key", "--name", "example.org/arm").code == 0

@@ -17,17 +17,17 @@ from fsar_ledger.errors import NotALedger
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.task import TaskCompleted
-from fsar_ledger.ledger import canonical, segment
-from fsar_ledger.ledger.append import Writer
-from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.ledger.merkle import Frontier
-from fsar_ledger.ledger.note import Note, Signer, VerifierKey, checkpoint_of
-from fsar_ledger.ledger.problem import Problem
-from fsar_ledger.ledger.record import CommitRecord, commit_path, segment_path, sha256_hex
-from fsar_ledger.ledger.schema import SCHEMA, Field
-from fsar_ledger.ledger.tiles import WIDTH, Edge, Tile
-from fsar_ledger.ledger.verify import Asked, verify
-from fsar_ledger.ledger.verify_notes import read_anchor
+from fsar_ledger.ledger.log.merkle import Frontier
+from fsar_ledger.ledger.log.note import Note, Signer, VerifierKey, checkpoint_of
+from fsar_ledger.ledger.log.tiles import WIDTH, Edge, Tile
+from fsar_ledger.ledger.rows import canonical, segment
+from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.schema import SCHEMA, Field
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.record import CommitRecord, commit_path, segment_path, sha256_hex
+from fsar_ledger.ledger.verify.notes import read_anchor
+from fsar_ledger.ledger.verify.verify import Asked, verify
 from tests.ledger.hostile import stage_anything
 from tests.ledger.samples import IN_RUNS, ORIGIN, made_up_run
 

@@ -12,12 +12,13 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from fsar_ledger.ledger.merkle import Frontier
-from fsar_ledger.ledger.note import Note, Signature, checkpoint_of
-from fsar_ledger.ledger.record import commit_path, segment_path, sha256_hex
-from fsar_ledger.ledger.schema import COLUMNS, ENVELOPE, LAYOUTS, SCHEMA
-from fsar_ledger.ledger.segment import to_parquet
-from fsar_ledger.ledger.tiles import WIDTH, partial_tiles, tile_reader
+from fsar_ledger.ledger.log.merkle import Frontier
+from fsar_ledger.ledger.log.note import Note, Signature, checkpoint_of
+from fsar_ledger.ledger.log.tiles import WIDTH, partial_tiles
+from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, LAYOUTS, SCHEMA
+from fsar_ledger.ledger.rows.segment import to_parquet
+from fsar_ledger.ledger.store.derived import tile_reader
+from fsar_ledger.ledger.store.record import commit_path, segment_path, sha256_hex
 from tests.ledger.agreement import (
     KEY,
     OTHER_VERSION,

@@ -10,11 +10,12 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from fsar_ledger.ledger.grammar import path_of
-from fsar_ledger.ledger.merkle import Frontier
-from fsar_ledger.ledger.record import segment_path, staged_path
-from fsar_ledger.ledger.schema import COLUMNS
-from fsar_ledger.ledger.tiles import partial_tiles, tile_reader
+from fsar_ledger.ledger.log.merkle import Frontier
+from fsar_ledger.ledger.log.tiles import partial_tiles
+from fsar_ledger.ledger.rows.grammar import path_of
+from fsar_ledger.ledger.rows.schema import COLUMNS
+from fsar_ledger.ledger.store.derived import tile_reader
+from fsar_ledger.ledger.store.record import segment_path, staged_path
 from tests.ledger.agreement import (
     KEY,
     OTHER_VERSION,

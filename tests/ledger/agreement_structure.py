@@ -3,8 +3,8 @@
 import random
 from pathlib import Path
 
-from fsar_ledger.ledger.record import segment_path
-from fsar_ledger.ledger.segment import to_parquet
+from fsar_ledger.ledger.rows.segment import to_parquet
+from fsar_ledger.ledger.store.record import segment_path
 from tests.ledger.agreement import OTHER_VERSION, VERSION, Case, Make, tables_of, unchained, with_value
 from tests.ledger.agreement_damage import forged_segment
 from tests.ledger.parquet_damage import DAMAGED

@@ -12,11 +12,11 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from fsar_ledger.ledger import canonical, segment
-from fsar_ledger.ledger.merkle import Frontier
-from fsar_ledger.ledger.note import Note, checkpoint_of
-from fsar_ledger.ledger.record import commit_path, segment_path, sha256_hex
-from fsar_ledger.ledger.schema import CODED_SCHEMA, MAX_INTEGER
+from fsar_ledger.ledger.log.merkle import Frontier
+from fsar_ledger.ledger.log.note import Note, checkpoint_of
+from fsar_ledger.ledger.rows import canonical, segment
+from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, MAX_INTEGER
+from fsar_ledger.ledger.store.record import commit_path, segment_path, sha256_hex
 from tests.ledger.forgery import record_of
 from tests.ledger.hostile import documents, written
 from tests.ledger.samples import ORIGIN, append_all

@@ -14,12 +14,13 @@ import pyarrow as pa
 import pytest
 
 from fsar_ledger.errors import FsarLedgerError
-from fsar_ledger.ledger import append, segment
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.codec import encode, encode_hashed
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.record import MANIFEST, commit_path, sha256_hex
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.rows import segment
+from fsar_ledger.ledger.rows.codec import encode, encode_hashed
+from fsar_ledger.ledger.store import append
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.store.record import MANIFEST, commit_path, sha256_hex
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.faults import Fault, FaultyOs, Killed, in_place_of_os
 from tests.ledger.forgery import Examined, examined_once
 from tests.ledger.power import Choice, Disk

@@ -6,12 +6,12 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from fsar_ledger.errors import FsarLedgerError, NotALedger, SequenceConflict
-from fsar_ledger.ledger import codec
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.ledger.read import LedgerView, open_ledger
-from fsar_ledger.ledger.record import MANIFEST
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.rows import codec
+from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.read import LedgerView, open_ledger
+from fsar_ledger.ledger.store.record import MANIFEST
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.samples import ORIGIN, made_up_run
 
 NAMES = ("anna", "bela", "carl", "dora", "emil", "fred", "gina", "hugo")

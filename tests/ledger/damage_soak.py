@@ -16,8 +16,8 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
-from fsar_ledger.ledger.verify import Asked, verify
-from fsar_ledger.ledger.verify_notes import read_anchor
+from fsar_ledger.ledger.verify.notes import read_anchor
+from fsar_ledger.ledger.verify.verify import Asked, verify
 from tests.ledger.damage import SIGNER, cases, files_of, flips, is_placed, kind_of, write_ledger
 from tests.ledger.forgery import examined_once
 

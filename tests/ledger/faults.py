@@ -17,7 +17,7 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.ledger import disk
+from fsar_ledger.ledger.store import disk
 from tests.ledger.power import Disk, Node
 
 COUNTED = ("open", "read", "write", "fsync", "link", "rename", "replace", "unlink", "mkdir", "rmdir", "close")
@@ -42,7 +42,10 @@ HARMLESS = frozenset(
 NEED_ROOM = ("write", "link", "rename", "replace", "mkdir", "fsync")
 """What a full disk refuses, beside creating a file."""
 
-ONLY_READS = ("fsar_ledger.ledger.verify", "fsar_ledger.ledger.read")
+ONLY_READS = (
+    "fsar_ledger.ledger.store.read",
+    *(f"fsar_ledger.ledger.verify.{name}" for name in ("verify", "commits", "derived", "notes", "segment")),
+)
 
 REFUSED = {"no-space": errno.ENOSPC, "io-error": errno.EIO, "quota": errno.EDQUOT}
 KINDS = (

@@ -7,10 +7,10 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import NamedTuple, get_args
 
-from fsar_ledger import cli
+from fsar_ledger.cli import app
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.envelope import Architecture, Scenario
-from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.ledger.damage import files_of, kind_of
 
@@ -78,7 +78,7 @@ def answered(path: Path, out: Path, verb: str) -> Answer:
     """What this command says of the ledger now."""
     text = io.StringIO()
     with redirect_stdout(text), redirect_stderr(io.StringIO()):
-        code = cli.run([word.replace("LEDGER", str(path)).replace("OUT", str(out)) for word in VERBS[verb]])
+        code = app.run([word.replace("LEDGER", str(path)).replace("OUT", str(out)) for word in VERBS[verb]])
     written = sorted(out.iterdir())
     data = written[0].read_bytes() if written else None
     for file in written:
@@ -89,7 +89,7 @@ def answered(path: Path, out: Path, verb: str) -> Answer:
 def undamaged(path: Path, out: Path, verbs: Iterable[str] = VERBS) -> dict[str, Answer]:
     """What these commands say of the ledger as it is, after a look that found it right."""
     with redirect_stdout(io.StringIO()):
-        assert cli.run(["verify", str(path), "--workers", "1"]) == 0
+        assert app.run(["verify", str(path), "--workers", "1"]) == 0
     good = {verb: answered(path, out, verb) for verb in verbs}
     assert all(answer.out and answer.code in (0, 1) for answer in good.values()), good
     return good

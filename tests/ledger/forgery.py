@@ -9,11 +9,13 @@ from unittest.mock import patch
 import msgspec
 import pyarrow as pa
 
-from fsar_ledger.ledger import canonical, disk, recover_prefix, segment
-from fsar_ledger.ledger import verify as verification
-from fsar_ledger.ledger.record import CommitRecord, commit_path, segment_path, sha256_hex
-from fsar_ledger.ledger.schema import SCHEMA
-from fsar_ledger.ledger.verify_segment import SecondReader, SegmentFacts, examine
+from fsar_ledger.ledger.rows import canonical, segment
+from fsar_ledger.ledger.rows.schema import SCHEMA
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.record import CommitRecord, commit_path, segment_path, sha256_hex
+from fsar_ledger.ledger.verify import trusted_prefix as recover_prefix
+from fsar_ledger.ledger.verify import verify as verification
+from fsar_ledger.ledger.verify.segment import SecondReader, SegmentFacts, examine
 
 
 def record_of(path: Path, number: int) -> CommitRecord:

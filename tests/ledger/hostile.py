@@ -9,12 +9,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from fsar_ledger.events.envelope import flat, with_columns
-from fsar_ledger.ledger import canonical, segment
-from fsar_ledger.ledger.append import Staged, Writer, stage, stage_rows
-from fsar_ledger.ledger.codec import RunRecord, encode_hashed
-from fsar_ledger.ledger.held import HeldRuns
-from fsar_ledger.ledger.record import CommitRecord
-from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, LAYOUTS, MAX_INTEGER, SCHEMA
+from fsar_ledger.ledger.rows import canonical, segment
+from fsar_ledger.ledger.rows.codec import RunRecord, encode_hashed
+from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, COLUMNS, LAYOUTS, MAX_INTEGER, SCHEMA
+from fsar_ledger.ledger.store.append import Staged, Writer, stage, stage_rows
+from fsar_ledger.ledger.store.held import HeldRuns
+from fsar_ledger.ledger.store.record import CommitRecord
 from tests.ledger.samples import ORIGIN
 
 MIB = 1 << 20

@@ -13,10 +13,10 @@ import msgspec
 
 import fsar_ledger
 from fsar_ledger.constants import Constants
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.note import Signer
-from fsar_ledger.ledger.releases import RELEASE
-from fsar_ledger.ledger.schema import LAYOUTS, SCHEMA, Field, Layout, described
+from fsar_ledger.ledger.log.note import Signer
+from fsar_ledger.ledger.rows.releases import RELEASE
+from fsar_ledger.ledger.rows.schema import LAYOUTS, SCHEMA, Field, Layout, described
+from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.plan import plan_record
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
@@ -24,7 +24,7 @@ from tests.ledger.samples import run_of_every_type
 
 ROOT = Path(__file__).resolve().parents[2]
 LEDGERS = ROOT / "tests" / "ledgers"
-COLUMNS = ROOT / "fsar_ledger" / "ledger" / "columns"
+COLUMNS = ROOT / "fsar_ledger" / "ledger" / "rows" / "columns"
 
 ORIGIN = "example.org/kept"
 SECRET = bytes(

@@ -76,7 +76,7 @@ EDITS = (
     ("events/retired.py", "] = (RunStartedV1,)\n", "] = (RunStartedV1, StepBeganV1, StepBeganV2)\n"),
     ("events/retired.py", "] = (adding(RunStartedV1", f"] = ({UPCASTERS}, adding(RunStartedV1"),
     ("events/fleet.py", '    domain: str = ""\n', '    domain: str = ""\n    depot: str | None = None\n'),
-    ("ledger/releases.py", 'RELEASE = "0.3.0"', f'RELEASE = "{RELEASE}"'),
+    ("ledger/rows/releases.py", 'RELEASE = "0.3.0"', f'RELEASE = "{RELEASE}"'),
     ("queries/facts/cross_robot_records.sql", "'StepBegan.v1'", "'StepBegan.v3'"),
 )
 
@@ -84,7 +84,7 @@ EDITS = (
 SERVE = """
 import io, json, sys, traceback
 from contextlib import redirect_stderr, redirect_stdout
-from fsar_ledger.cli import run
+from fsar_ledger.cli.app import run
 
 for line in sys.stdin:
     code, words = json.loads(line)

@@ -11,21 +11,22 @@ import fsar_ledger
 PACKAGE = Path(fsar_ledger.__file__).parent
 
 CHECKED: dict[str, tuple[str, ...] | None] = {
-    "verify.py": None,
-    "verify_commits.py": None,
-    "verify_segment.py": None,
-    "verify_derived.py": None,
-    "verify_notes.py": None,
-    "check.py": None,
-    "record.py": None,
-    "segment.py": ("_read",),
-    "bounds.py": None,
-    "layout.py": None,
-    "footer.py": ("read_struct", "_value", "_values", "_varint", "_count", "_struct", "_list", "_text"),
-    "disk.py": ("read_document",),
-    "note.py": ("__post_init__", "is_name", "has_signed", "parse_note", "_parse_signature"),
-    "proof.py": ("parse_proof", "check_proof", "_event"),
-    "read.py": ("open_ledger", "_count", "segment", "_require_folders"),
+    "verify/verify.py": None,
+    "verify/commits.py": None,
+    "verify/segment.py": None,
+    "verify/derived.py": None,
+    "verify/notes.py": None,
+    "rows/check.py": None,
+    "store/record.py": None,
+    "rows/segment.py": ("_read",),
+    "rows/bounds.py": None,
+    "rows/layout.py": None,
+    "rows/footer.py": ("read_struct", "_value", "_values", "_varint", "_count", "_struct", "_list", "_text"),
+    "store/disk.py": ("read_document",),
+    "log/note.py": ("__post_init__", "is_name", "has_signed", "parse_note", "_parse_signature", "doubt", "names"),
+    "store/derived.py": ("check_checkpoint",),
+    "store/proof.py": ("parse_proof", "check_proof", "_event"),
+    "store/read.py": ("open_ledger", "_count", "segment", "_require_folders"),
 }
 """The files that make checks, and in them the functions; None: all."""
 
@@ -68,7 +69,7 @@ def _mutants_of(path: Path, tree: ast.Module, function: ast.FunctionDef) -> Iter
             same = next(one for one in _functions(mutated) if one.lineno == function.lineno)
             change(list(ast.walk(same))[number])
             yield Mutant(
-                f"{path.name}, {function.name}: {what}",
+                f"{path.parent.name}/{path.name}, {function.name}: {what}",
                 getattr(node, "lineno", function.lineno),
                 path,
                 ast.fix_missing_locations(mutated),

@@ -42,7 +42,8 @@ PARALLEL = len(os.sched_getaffinity(0))
 LIMIT_S = 600
 
 EQUIVALENT: dict[str, str] = {
-    "check.py, _envelope: columns[name].null_count < len(columns[name]) (in COLUMNS[name] == 'integer' and columns[name].null_count < len(columns[name]))": (
+    "rows/check.py, _envelope: columns[name].null_count < len(columns[name]) "
+    "(in COLUMNS[name] == 'integer' and columns[name].null_count < len(columns[name]))": (
         "it saves the look at columns that are all NULL, where no integer is too large"
     ),
 }

@@ -22,8 +22,8 @@ from typing import Any
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from fsar_ledger.ledger import layout, segment
-from fsar_ledger.ledger.codec import encode
+from fsar_ledger.ledger.rows import layout, segment
+from fsar_ledger.ledger.rows.codec import encode
 from tests.ledger.mutations import KINDS, Template, mutated
 from tests.ledger.samples import made_up_run, run_of_every_type
 

@@ -8,12 +8,12 @@ from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.ledger import canonical
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.ledger.note import Signer
-from fsar_ledger.ledger.read import Head
-from fsar_ledger.ledger.schema import LAYOUTS, MAX_INTEGER, STANDS_ALONE, Field, Layout
+from fsar_ledger.ledger.log.note import Signer
+from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, STANDS_ALONE, Field, Layout
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.read import Head
 
 ORIGIN = "example.org/fsar-test"
 IN_RUNS = {tag: layout for tag, layout in LAYOUTS.items() if tag not in STANDS_ALONE}

@@ -7,7 +7,7 @@ from zlib import crc32
 import pyarrow as pa
 import pytest
 
-from fsar_ledger.ledger.record import segment_path
+from fsar_ledger.ledger.store.record import segment_path
 from tests.ledger.agreement import OTHER_VERSION, VERSION, by_package, judged, plain, tables_of, unchained, write
 from tests.ledger.agreement_damage import forged_segment
 from tests.ledger.agreement_structure import a_segment_with_two_faces

@@ -17,13 +17,14 @@ from fsar_ledger.errors import (
     UsageError,
     WriteFailed,
 )
-from fsar_ledger.ledger import canonical, merkle, segment
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.codec import encode_hashed
-from fsar_ledger.ledger.note import Note, checkpoint_of
-from fsar_ledger.ledger.read import EMPTY_HEAD, open_ledger
-from fsar_ledger.ledger.record import Manifest, commit_path, segment_path, sha256_hex
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.log import merkle
+from fsar_ledger.ledger.log.note import Note, checkpoint_of
+from fsar_ledger.ledger.rows import canonical, segment
+from fsar_ledger.ledger.rows.codec import encode_hashed
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.read import EMPTY_HEAD, open_ledger
+from fsar_ledger.ledger.store.record import Manifest, commit_path, segment_path, sha256_hex
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.forgery import changed, forge_segment, table_of
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run
 

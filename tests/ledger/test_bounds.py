@@ -8,12 +8,12 @@ import pyarrow.parquet as pq
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger import bounds, segment
-from fsar_ledger.ledger.bounds import text_bytes
-from fsar_ledger.ledger.codec import encode
-from fsar_ledger.ledger.grammar import path_of
-from fsar_ledger.ledger.layout import check_bounds
-from fsar_ledger.ledger.schema import COLUMNS
+from fsar_ledger.ledger.rows import bounds, segment
+from fsar_ledger.ledger.rows.bounds import text_bytes
+from fsar_ledger.ledger.rows.codec import encode
+from fsar_ledger.ledger.rows.grammar import path_of
+from fsar_ledger.ledger.rows.layout import check_bounds
+from fsar_ledger.ledger.rows.schema import COLUMNS
 from tests.ledger.hostile import lying_pages, written
 from tests.ledger.parts import Parts
 from tests.ledger.samples import made_up_run

@@ -13,10 +13,11 @@ from hypothesis import strategies as st
 from fsar_ledger.errors import InvalidRun, LedgerCorrupted, UnknownEventTag
 from fsar_ledger.events import Event
 from fsar_ledger.events.envelope import flat, with_columns
-from fsar_ledger.ledger import canonical, merkle, schema, segment
-from fsar_ledger.ledger.check import first_flaw
-from fsar_ledger.ledger.codec import RunRecord, decode, encode, encode_hashed
-from fsar_ledger.ledger.schema import CODED_SCHEMA, COLUMNS, FINGERPRINT, LAYOUTS, MAX_INTEGER, SCHEMA
+from fsar_ledger.ledger.log import merkle
+from fsar_ledger.ledger.rows import canonical, schema, segment
+from fsar_ledger.ledger.rows.check import first_flaw
+from fsar_ledger.ledger.rows.codec import RunRecord, decode, encode, encode_hashed
+from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, COLUMNS, FINGERPRINT, LAYOUTS, MAX_INTEGER, SCHEMA
 from tests.ledger.samples import any_event_of, any_runs, made_up_batches, made_up_run, pinned_row
 
 PINNED = Path(__file__).with_name("canonical_rows.jsonl").read_bytes().splitlines()

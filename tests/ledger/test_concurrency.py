@@ -10,10 +10,11 @@ from typing import Any
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger import append, disk, place, verify
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.read import LedgerView, open_ledger
-from fsar_ledger.ledger.verify_commits import read_commits
+from fsar_ledger.ledger.store import append, disk, paths
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.read import LedgerView, open_ledger
+from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.verify.commits import read_commits
 from tests.ledger.crash_writer import Nursery, Order
 from tests.ledger.crowd import NAMES, batch_of, judge
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
@@ -79,7 +80,7 @@ def test_of_two_processes_that_create_a_ledger_the_slower_one_opens_it(
     if moment == "gives the manifest its name":
         monkeypatch.setattr(os, "link", after_the_quicker_one(os.link))
     else:
-        monkeypatch.setattr(append, "is_unfinished", after_the_quicker_one(place.is_unfinished))
+        monkeypatch.setattr(append, "is_unfinished", after_the_quicker_one(paths.is_unfinished))
     with Writer(path, ORIGIN) as writer:
         assert writer.head.commits == 1
 

@@ -13,8 +13,8 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.errors import FsarLedgerError, WriteFailed
-from fsar_ledger.ledger import append
-from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.store import append
+from fsar_ledger.ledger.store.append import Writer, stage
 from tests.ledger.crash_trials import BATCHES, COMMITS, INTERRUPTED, Laboratory, Session, append_with
 from tests.ledger.crash_writer import Nursery, Order
 from tests.ledger.crowd import NAMES, judge

@@ -5,10 +5,10 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 
-from fsar_ledger.ledger.record import segment_path
-from fsar_ledger.ledger.verify import Asked, verify
-from fsar_ledger.ledger.verify_derived import BEHIND, LEFT_OVER
-from fsar_ledger.ledger.verify_notes import read_anchor
+from fsar_ledger.ledger.store.record import segment_path
+from fsar_ledger.ledger.verify.derived import BEHIND, LEFT_OVER
+from fsar_ledger.ledger.verify.notes import read_anchor
+from fsar_ledger.ledger.verify.verify import Asked, verify
 from tests.ledger.damage import SIGNER, cases, files_of, is_placed, kind_of, write_ledger
 from tests.ledger.forgery import examined_once, forge_segment
 from tests.ledger.samples import append_all, contents, made_up_batches

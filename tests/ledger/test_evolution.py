@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger import cli
+from fsar_ledger.cli import app
 from fsar_ledger.errors import FormatVersionMismatch, UnknownEventTag
-from fsar_ledger.ledger.append import Writer
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.releases import FINGERPRINTS, RELEASE
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.rows.releases import FINGERPRINTS, RELEASE
+from fsar_ledger.ledger.store.append import Writer
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger import later_release
 from tests.ledger.forgery import changed, forge_segment, table_of
 from tests.ledger.keep_release import LEDGERS, ORIGIN
@@ -27,7 +27,7 @@ import json, sys
 from pathlib import Path
 import fsar_ledger
 from fsar_ledger.events.envelope import flat
-from fsar_ledger.ledger.read import open_ledger
+from fsar_ledger.ledger.store.read import open_ledger
 events = [event for run in open_ledger(Path(sys.argv[1])).runs() for event in run.events if type(event).__name__.startswith("StepBegan")]
 found = [{**flat(event), "type": type(event).__struct_config__.tag} for event in events]
 print(json.dumps({"package": fsar_ledger.__file__, "events": found}))
@@ -84,7 +84,7 @@ def test_metrics_and_queries_over_retired_types_give_the_same_answers(
         ("query", "facts/cross_robot_records", OLD),
         ("query", "facts/policy_decisions", OLD),
     ):
-        assert cli.run([*map(str, question), "--json"]) == 0
+        assert app.run([*map(str, question), "--json"]) == 0
         assert later.call(*question, "--json").out == capsys.readouterr().out
 
 
@@ -146,7 +146,7 @@ def test_a_ledger_of_this_release_is_exported_as_it_is_stored(later: LaterReleas
 
 
 def test_the_records_of_each_commit_name_its_release(later: LaterRelease, mixed: Path) -> None:
-    code = "import json, sys; from pathlib import Path; from fsar_ledger.ledger.read import open_ledger\n"
+    code = "import json, sys; from pathlib import Path; from fsar_ledger.ledger.store.read import open_ledger\n"
     records = later.run(
         code + "print(json.dumps([[r.release, r.schema_sha256] for r in open_ledger(Path(sys.argv[1])).records]))",
         mixed,
@@ -188,7 +188,7 @@ def test_each_command_says_which_version_is_needed(
     mixed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], code: int, call: tuple[str, ...]
 ) -> None:
     places = {"LEDGER": str(mixed), "OUT": str(tmp_path / "events.csv")}
-    assert cli.run([places.get(word, word) for word in call]) == code
+    assert app.run([places.get(word, word) for word in call]) == code
     printed = "".join(capsys.readouterr())
     assert "read it with fsar-ledger 0.4.0 or later" in printed
     assert "Traceback" not in printed
@@ -205,7 +205,7 @@ def test_an_unknown_event_type_is_refused_with_its_place_and_what_to_do(
         match=rf"000000000001\.parquet: commit 1: {place}; read it with the version that wrote it, or restore the segment",
     ):
         list(open_ledger(tmp_path / "ledger").runs())
-    assert cli.run(["verify", str(tmp_path / "ledger")]) == 3
+    assert app.run(["verify", str(tmp_path / "ledger")]) == 3
     printed = "".join(capsys.readouterr())
     assert "'RobotFlew.v1'" in printed
     assert "Traceback" not in printed
@@ -216,7 +216,7 @@ def test_a_newer_format_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture
     path = shutil.copytree(OLD, tmp_path / "ledger")
     manifest = path / "ledger.json"
     manifest.write_bytes(manifest.read_bytes().replace(b'"version":1', b'"version":2'))
-    assert cli.run([command, str(path)]) == code
+    assert app.run([command, str(path)]) == code
     printed = "".join(capsys.readouterr())
     assert "found format version 2, expected 1; read it with the version that wrote it" in printed
     assert "Traceback" not in printed

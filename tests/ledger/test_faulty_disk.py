@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.append import Writer
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.append import Writer
 from tests.ledger.crash_trials import append_with
 from tests.ledger.faults import Fault, FaultyOs, faults_at, in_place_of_os
 from tests.ledger.power import Choice

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger.read import LedgerView
+from fsar_ledger.ledger.store.read import LedgerView
 from tests.ledger.flips import Answer, chosen, outcomes, undamaged, write_runs
 
 SAMPLED = ("metrics", "explain", "prove")

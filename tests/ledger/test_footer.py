@@ -7,10 +7,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from fsar_ledger.ledger import segment
-from fsar_ledger.ledger.codec import encode
-from fsar_ledger.ledger.footer import explain_footer, explain_page, read_struct
-from fsar_ledger.ledger.schema import SCHEMA
+from fsar_ledger.ledger.rows import segment
+from fsar_ledger.ledger.rows.codec import encode
+from fsar_ledger.ledger.rows.footer import explain_footer, explain_page, read_struct
+from fsar_ledger.ledger.rows.schema import SCHEMA
 from tests.ledger import thrift
 from tests.ledger.hostile import written
 from tests.ledger.parts import Parts

@@ -12,12 +12,12 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from fsar_ledger import cli
+from fsar_ledger.cli import app
 from fsar_ledger.errors import FsarLedgerError, LedgerCorrupted
-from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.record import commit_path, segment_path
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.record import commit_path, segment_path
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.forgery import examined_once, forge, forge_segment, record_of, table_of
 from tests.ledger.hostile import documents, lying_pages, parquets, records
 from tests.ledger.samples import ORIGIN, append_all, made_up_batches, made_up_run
@@ -52,7 +52,7 @@ def arguments_of(command: tuple[str, ...], path: Path) -> list[str]:
 def refused(capsys: pytest.CaptureFixture[str], command: tuple[str, ...], path: Path) -> str:
     """The command, in this process, ended with exit code 2 or 3 and a message, and showed nothing else."""
     capsys.readouterr()
-    code = cli.run(arguments_of(command, path))
+    code = app.run(arguments_of(command, path))
     captured = capsys.readouterr()
     assert code in ((3,) if command[0] == "verify" else (2, 3)), (command, code, captured)
     assert captured.err.startswith("fsar-ledger: ")

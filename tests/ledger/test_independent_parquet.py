@@ -10,10 +10,10 @@ import pyarrow.parquet as pq
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger import segment
-from fsar_ledger.ledger.codec import encode
-from fsar_ledger.ledger.layout import check_layout
-from fsar_ledger.ledger.schema import COLUMNS
+from fsar_ledger.ledger.rows import segment
+from fsar_ledger.ledger.rows.codec import encode
+from fsar_ledger.ledger.rows.layout import check_layout
+from fsar_ledger.ledger.rows.schema import COLUMNS
 from tests.ledger import thrift
 from tests.ledger.agreement import independent, odd_run, with_value
 from tests.ledger.parquet_damage import DAMAGED, in_footer, to

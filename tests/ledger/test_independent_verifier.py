@@ -11,8 +11,8 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.ledger.releases import FINGERPRINTS
-from fsar_ledger.ledger.schema import COLUMNS, STORED
+from fsar_ledger.ledger.rows.releases import FINGERPRINTS
+from fsar_ledger.ledger.rows.schema import COLUMNS, STORED
 from tests.ledger.agreement import (
     KEY,
     ROOT,

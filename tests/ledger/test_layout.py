@@ -11,10 +11,10 @@ import pyarrow as pa
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger import grammar, layout, segment
-from fsar_ledger.ledger.codec import encode
-from fsar_ledger.ledger.layout import check_bounds, check_layout, read_layout
-from fsar_ledger.ledger.schema import SCHEMA
+from fsar_ledger.ledger.rows import grammar, layout, segment
+from fsar_ledger.ledger.rows.codec import encode
+from fsar_ledger.ledger.rows.layout import check_bounds, check_layout, read_layout
+from fsar_ledger.ledger.rows.schema import SCHEMA
 from tests.ledger.keep_release import LEDGERS
 from tests.ledger.parts import Page, Parts, two_faced
 from tests.ledger.samples import made_up_run

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fsar_ledger.ledger.merkle import (
+from fsar_ledger.ledger.log.merkle import (
     EMPTY_ROOT,
     Frontier,
     consistency_proof,

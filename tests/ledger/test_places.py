@@ -7,11 +7,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from fsar_ledger.ledger import segment, verify_commits, verify_segment
-from fsar_ledger.ledger import verify as verification
-from fsar_ledger.ledger.record import commit_path, segment_path, staged_path
-from fsar_ledger.ledger.verify import verify
-from fsar_ledger.ledger.verify_derived import BEHIND
+from fsar_ledger.ledger.rows import segment
+from fsar_ledger.ledger.store.record import commit_path, segment_path, staged_path
+from fsar_ledger.ledger.verify import commits as verify_commits
+from fsar_ledger.ledger.verify import segment as verify_segment
+from fsar_ledger.ledger.verify import verify as verification
+from fsar_ledger.ledger.verify.derived import BEHIND
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger import thrift
 from tests.ledger.damage import only_problem
 from tests.ledger.forgery import forge, forge_segment, record_of, table_of

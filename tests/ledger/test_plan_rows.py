@@ -7,8 +7,8 @@ import pytest
 from fsar_ledger.events import Event
 from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.events.task import TaskCompleted
-from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged, write
 
 PLAN = ExperimentPlanned(

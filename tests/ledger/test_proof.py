@@ -7,12 +7,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
-from fsar_ledger.ledger import canonical, codec
-from fsar_ledger.ledger.merkle import leaf_hash
-from fsar_ledger.ledger.note import Checkpoint, Note, Signer
-from fsar_ledger.ledger.proof import Proof, Value, blocks, check_proof, parse_proof, prove, prove_inclusion, read_proof
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.record import segment_path, sha256_hex
+from fsar_ledger.ledger.log.merkle import leaf_hash
+from fsar_ledger.ledger.log.note import Checkpoint, Note, Signer
+from fsar_ledger.ledger.rows import canonical, codec
+from fsar_ledger.ledger.store.proof import (
+    Proof,
+    Value,
+    blocks,
+    check_proof,
+    parse_proof,
+    prove,
+    prove_inclusion,
+    read_proof,
+)
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.store.record import segment_path, sha256_hex
 from tests.ledger.forgery import changed, forge_segment, table_of
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.opening import open_for_answers
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.record import segment_path, staged_path
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.opening import open_for_answers
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.store.record import segment_path, staged_path
 from tests.ledger.samples import ORIGIN, made_up_run
 
 
@@ -44,7 +44,7 @@ def test_the_first_segment_that_is_not_as_committed_is_named(path: Path) -> None
 
 def test_many_bytes_are_hashed_in_threads_with_the_same_result(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     alone = open_ledger(path).segments()
-    monkeypatch.setattr("fsar_ledger.ledger.read._WORTH_THREADS_BYTES", 0)
+    monkeypatch.setattr("fsar_ledger.ledger.store.read._WORTH_THREADS_BYTES", 0)
     assert open_ledger(path).segments() == alone
     for number in (1, 2):
         flip(segment_path(path, number))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger import layout
+from fsar_ledger.ledger.rows import layout
 from tests.ledger import readers_soak
 from tests.ledger.mutations import KINDS, Template, mutated
 from tests.ledger.readers_soak import Readers, difference, is_accepted, segments

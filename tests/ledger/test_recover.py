@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.errors import NotALedger, UsageError, WriteFailed
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.record import commit_path, segment_path, sha256_hex
-from fsar_ledger.ledger.recover import recover
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.store.record import commit_path, segment_path, sha256_hex
+from fsar_ledger.ledger.verify.recover import recover
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.faults import Fault, FaultyOs, Killed, calls_of, in_place_of_os
 from tests.ledger.forgery import examined_once
 from tests.ledger.power import Disk, choices

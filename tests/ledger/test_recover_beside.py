@@ -7,11 +7,11 @@ from threading import Thread
 import pytest
 
 from fsar_ledger.errors import WriteFailed
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.read import LedgerView, open_ledger
-from fsar_ledger.ledger.recover import recover
-from fsar_ledger.ledger.recover_derived import Redo, SetAside, derive
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.read import LedgerView, open_ledger
+from fsar_ledger.ledger.verify.recover import recover
+from fsar_ledger.ledger.verify.rederive import Redo, SetAside, derive
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches
 
 BATCHES = made_up_batches(4, runs=2, size=60)
@@ -55,7 +55,7 @@ def test_a_writer_that_opens_while_the_description_is_made_again_waits_for_the_e
         commits.append(len(list((path / "commits").iterdir())))
         return derive(view, redo, set_aside)
 
-    monkeypatch.setattr("fsar_ledger.ledger.recover.derive", derive_beside_a_writer)
+    monkeypatch.setattr("fsar_ledger.ledger.verify.recover.derive", derive_beside_a_writer)
     assert recover(path).outcome == "mended"
     writer.join(20)
     assert commits == [3]

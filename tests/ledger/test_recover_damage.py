@@ -9,16 +9,16 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.errors import LedgerCorrupted, UsageError
-from fsar_ledger.ledger import canonical
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.ledger.note import Signer
-from fsar_ledger.ledger.read import EMPTY_HEAD, open_ledger
-from fsar_ledger.ledger.record import CommitRecord, commit_path, segment_path, sha256_hex
-from fsar_ledger.ledger.recover import Recovery, recover
-from fsar_ledger.ledger.recover_prefix import FITS, NO_RECORD, NO_SEGMENT
-from fsar_ledger.ledger.verify import Asked, verify
-from fsar_ledger.ledger.verify_notes import read_anchor
+from fsar_ledger.ledger.log.note import Signer
+from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.read import EMPTY_HEAD, open_ledger
+from fsar_ledger.ledger.store.record import CommitRecord, commit_path, segment_path, sha256_hex
+from fsar_ledger.ledger.verify.notes import read_anchor
+from fsar_ledger.ledger.verify.recover import Recovery, recover
+from fsar_ledger.ledger.verify.trusted_prefix import FITS, NO_RECORD, NO_SEGMENT
+from fsar_ledger.ledger.verify.verify import Asked, verify
 from tests.ledger.forgery import examined_once
 from tests.ledger.hostile import append_again
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches

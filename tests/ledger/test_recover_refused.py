@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.errors import FsarLedgerError, WriteFailed
-from fsar_ledger.ledger.recover import recover
+from fsar_ledger.ledger.verify.recover import recover
 from tests.ledger.crash_trials import BATCHES, encoded_once
 from tests.ledger.faults import Fault, FaultyOs, Killed, calls_of, in_place_of_os
 from tests.ledger.samples import append_all, contents

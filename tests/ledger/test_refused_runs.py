@@ -18,14 +18,14 @@ from fsar_ledger.events.envelope import with_columns
 from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.task import TaskCompleted
-from fsar_ledger.ledger import disk
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.check import first_flaw
-from fsar_ledger.ledger.codec import RunRecord, encode
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.record import segment_path, staged_path
-from fsar_ledger.ledger.schema import CONCERNED, LAYOUTS, OPENINGS, STANDS_ALONE, STORED, Layout
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.rows.check import first_flaw
+from fsar_ledger.ledger.rows.codec import RunRecord, encode
+from fsar_ledger.ledger.rows.schema import CONCERNED, LAYOUTS, OPENINGS, STANDS_ALONE, STORED, Layout
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.store.record import segment_path, staged_path
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.agreement import Case, judged
 from tests.ledger.forgery import changed
 from tests.ledger.hostile import append_again, stage_anything

@@ -9,17 +9,17 @@ import msgspec
 import pytest
 
 import fsar_ledger
-from fsar_ledger.commands.audit import audit
-from fsar_ledger.commands.contents import contents
+from fsar_ledger.cli.audit import audit
+from fsar_ledger.cli.contents import contents
 from fsar_ledger.errors import LedgerCorrupted
 from fsar_ledger.events import ALONE, EVENT_TYPES
 from fsar_ledger.events.fleet import RunStarted
-from fsar_ledger.ledger.codec import RunRecord, encode, encode_hashed
-from fsar_ledger.ledger.note import read_verifier
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.releases import RELEASE, parse_columns
-from fsar_ledger.ledger.schema import LAYOUTS, RETIRED, SCHEMA, described
-from fsar_ledger.ledger.verify import Asked, verify
+from fsar_ledger.ledger.rows.codec import RunRecord, encode, encode_hashed
+from fsar_ledger.ledger.rows.releases import RELEASE, parse_columns
+from fsar_ledger.ledger.rows.schema import LAYOUTS, RETIRED, SCHEMA, described
+from fsar_ledger.ledger.store.keys import read_verifier
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.verify.verify import Asked, verify
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.library import staging_sql, view_name
 from fsar_ledger.metrics.untrusted import run_untrusted
@@ -234,7 +234,7 @@ def test_other_event_types_have_another_release() -> None:
     is_kept = RELEASE in VERSIONS
     is_same = kept_types(newest) == stored_types(LAYOUTS.values())
     assert is_same == is_kept, (
-        f"event types differ from release {newest}: set RELEASE in fsar_ledger/ledger/releases.py to the release to come"
+        f"event types differ from release {newest}: set RELEASE in fsar_ledger/ledger/rows/releases.py to the release to come"
     )
 
 

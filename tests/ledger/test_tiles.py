@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger.merkle import (
+from fsar_ledger.ledger.log.merkle import (
     HASH_BYTES,
     Frontier,
     inclusion_proof,
@@ -14,7 +14,8 @@ from fsar_ledger.ledger.merkle import (
     root_of_inclusion,
     tree_root,
 )
-from fsar_ledger.ledger.tiles import HEIGHT, WIDTH, Edge, Tile, edge_at, node_of, partial_tiles, tile_reader
+from fsar_ledger.ledger.log.tiles import HEIGHT, WIDTH, Edge, Tile, node_of, partial_tiles
+from fsar_ledger.ledger.store.derived import edge_at, tile_reader
 
 LEAVES = b"".join(leaf_hash(b"%d" % number) for number in range(1000))
 

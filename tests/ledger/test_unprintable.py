@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.events.envelope import flat, with_columns
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.verify.verify import verify
 from tests.ledger.hostile import relabelled, stage_anything
 from tests.ledger.samples import ORIGIN, contents, run_of_every_type
 

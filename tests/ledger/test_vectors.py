@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.ledger.merkle import EMPTY_ROOT, is_consistent, root_of_inclusion
-from fsar_ledger.ledger.note import VerifierKey, parse_note
-from fsar_ledger.ledger.tiles import Edge, Tile, partial_tiles
+from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, is_consistent, root_of_inclusion
+from fsar_ledger.ledger.log.note import VerifierKey, parse_note
+from fsar_ledger.ledger.log.tiles import Edge, Tile, partial_tiles
 
 VECTORS = Path(__file__).resolve().parents[1] / "vectors"
 

@@ -12,12 +12,13 @@ from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
 from fsar_ledger.errors import NotALedger
-from fsar_ledger.ledger import canonical, codec, merkle
-from fsar_ledger.ledger.note import Note, checkpoint_of
-from fsar_ledger.ledger.problem import Problem
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.record import CommitRecord, Manifest, commit_path, segment_path
-from fsar_ledger.ledger.verify import MAX_PROBLEMS, verify
+from fsar_ledger.ledger.log import merkle
+from fsar_ledger.ledger.log.note import Note, checkpoint_of
+from fsar_ledger.ledger.rows import canonical, codec
+from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.store.record import CommitRecord, Manifest, commit_path, segment_path
+from fsar_ledger.ledger.verify.verify import MAX_PROBLEMS, verify
 from tests.ledger.forgery import changed, examined_once, forge, forge_segment, record_of, table_of
 from tests.ledger.hostile import append_again
 from tests.ledger.samples import ORIGIN, append_all, made_up_batches, made_up_run

@@ -11,17 +11,18 @@ import pyarrow.parquet as pq
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger import disk, layout, releases, segment
-from fsar_ledger.ledger import verify as verification
-from fsar_ledger.ledger.grammar import Footer
-from fsar_ledger.ledger.merkle import HASH_BYTES, Frontier
-from fsar_ledger.ledger.note import Note, checkpoint_of
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.record import segment_path, staged_path
-from fsar_ledger.ledger.schema import SCHEMA, fingerprint
-from fsar_ledger.ledger.verify import Asked, verify
-from fsar_ledger.ledger.verify_derived import BEHIND
-from fsar_ledger.ledger.verify_notes import read_anchor
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.note import Note, checkpoint_of
+from fsar_ledger.ledger.rows import layout, releases, segment
+from fsar_ledger.ledger.rows.grammar import Footer
+from fsar_ledger.ledger.rows.schema import SCHEMA, fingerprint
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.store.record import segment_path, staged_path
+from fsar_ledger.ledger.verify import verify as verification
+from fsar_ledger.ledger.verify.derived import BEHIND
+from fsar_ledger.ledger.verify.notes import read_anchor
+from fsar_ledger.ledger.verify.verify import Asked, verify
 from tests.ledger.damage import SIGNER, only_problem
 from tests.ledger.forgery import forge, forge_segment, record_of, table_of
 from tests.ledger.samples import ORIGIN

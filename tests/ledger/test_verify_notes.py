@@ -6,15 +6,16 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.ledger.merkle import EMPTY_ROOT, tree_root
-from fsar_ledger.ledger.note import Checkpoint, Note, Signature, Signer
-from fsar_ledger.ledger.record import segment_path
-from fsar_ledger.ledger.tiles import node_of, tile_reader
-from fsar_ledger.ledger.verify import Asked, VerifyReport, verify
-from fsar_ledger.ledger.verify_derived import BEHIND
-from fsar_ledger.ledger.verify_notes import Anchor, read_anchor
+from fsar_ledger.ledger.log.merkle import EMPTY_ROOT, tree_root
+from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature, Signer
+from fsar_ledger.ledger.log.tiles import node_of
+from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.derived import tile_reader
+from fsar_ledger.ledger.store.record import segment_path
+from fsar_ledger.ledger.verify.derived import BEHIND
+from fsar_ledger.ledger.verify.notes import Anchor, read_anchor
+from fsar_ledger.ledger.verify.verify import Asked, VerifyReport, verify
 from tests.ledger.forgery import changed, examined_once, forge, forge_segment, record_of, table_of
 from tests.ledger.samples import ORIGIN, append_all, contents, made_up_batches, made_up_run
 

@@ -6,9 +6,10 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.ed25519 import flaw_of
-from fsar_ledger.ledger.merkle import Frontier
-from fsar_ledger.ledger.note import Signer, VerifierKey, checkpoint_of, read_signer, read_verifier
+from fsar_ledger.ledger.log.ed25519 import flaw_of
+from fsar_ledger.ledger.log.merkle import Frontier
+from fsar_ledger.ledger.log.note import Signer, VerifierKey, checkpoint_of
+from fsar_ledger.ledger.store.keys import read_signer, read_verifier
 from tests import independent_ed25519
 from tests.ledger.agreement import independent
 from tests.ledger.samples import ORIGIN

@@ -18,11 +18,11 @@ from fsar_ledger.errors import InvalidRun
 from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.envelope import flat, with_columns
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.schema import LAYOUTS, MAX_INTEGER
-from fsar_ledger.ledger.verify import Asked, verify
+from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.verify.verify import Asked, verify
 from tests.ledger.samples import ORIGIN, contents, made_up_run
 
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
 
-from fsar_ledger.ledger.note import Checkpoint, Signature, Signer
+from fsar_ledger.ledger.log.note import Checkpoint, Signature, Signer
 
 L = 2**252 + 27742317777372353535851937790883648493
 

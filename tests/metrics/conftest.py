@@ -7,8 +7,8 @@ import pytest
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.store.append import Writer, stage
 
 
 def record(architecture: str, number: int) -> RunRecord:

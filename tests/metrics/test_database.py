@@ -7,7 +7,7 @@ import pytest
 
 from fsar_ledger.errors import LedgerCorrupted, NotALedger, QueryFailed, UnknownQuery
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.ledger.schema import LAYOUTS, SCHEMA
+from fsar_ledger.ledger.rows.schema import LAYOUTS, SCHEMA
 from fsar_ledger.metrics.database import Database, Value, connect, from_rows, from_table, plain_rows, table_of
 from fsar_ledger.metrics.library import REQUIRED_KEYS, Library, Query, staging_sql, view_name
 from fsar_ledger.metrics.untrusted import run_untrusted
@@ -24,7 +24,7 @@ def test_events_are_the_committed_rows_with_all_columns(ledger: Path) -> None:
 
 
 def test_a_reader_keeps_its_head_while_another_commits(ledger: Path) -> None:
-    from fsar_ledger.ledger.append import Writer, stage
+    from fsar_ledger.ledger.store.append import Writer, stage
 
     with connect(ledger) as database:
         with Writer(ledger, "test") as writer:

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pytest
 
 from fsar_ledger.errors import QueryFailed
-from fsar_ledger.ledger.append import Writer, stage
+from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.metrics.database import from_rows
 from fsar_ledger.metrics.locked import Limits
 from fsar_ledger.metrics.untrusted import ENVIRONMENT, NEEDED, run_untrusted

@@ -5,13 +5,14 @@ import pyarrow as pa
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted
-from fsar_ledger.ledger import layout, segment, verify_segment
-from fsar_ledger.ledger.codec import encode
-from fsar_ledger.ledger.layout import Layout, check_layout, read_file, read_layout
-from fsar_ledger.ledger.record import segment_path
-from fsar_ledger.ledger.schema import SCHEMA
-from fsar_ledger.ledger.segment import read_coded
-from fsar_ledger.ledger.verify import Asked, verify
+from fsar_ledger.ledger.rows import layout, segment
+from fsar_ledger.ledger.rows.codec import encode
+from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_file, read_layout
+from fsar_ledger.ledger.rows.schema import SCHEMA
+from fsar_ledger.ledger.rows.segment import read_coded
+from fsar_ledger.ledger.store.record import segment_path
+from fsar_ledger.ledger.verify import segment as verify_segment
+from fsar_ledger.ledger.verify.verify import Asked, verify
 from fsar_ledger.metrics.second_reader import read_again
 from tests.ledger.forgery import changed, forge_segment
 from tests.ledger.parts import two_faced

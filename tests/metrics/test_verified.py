@@ -9,9 +9,9 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.errors import LedgerCorrupted, SequenceConflict
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.verify import Asked, verify
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.verify.verify import Asked, verify
 from fsar_ledger.metrics import verified
 from fsar_ledger.metrics.database import connect, from_rows
 from fsar_ledger.metrics.verified import is_remembered, required_look, whole_look

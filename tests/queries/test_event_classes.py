@@ -1,6 +1,6 @@
 """The one table that says what each event type is to a judge fits the event types."""
 
-from fsar_ledger.ledger.schema import LAYOUTS
+from fsar_ledger.ledger.rows.schema import LAYOUTS
 from tests.queries.histories import answer
 
 PRINCIPALS = {"requested_by", "executed_by", "supervised_by"}

@@ -8,7 +8,7 @@ from pathlib import Path
 import duckdb
 import pytest
 
-from fsar_ledger.ledger.schema import LAYOUTS
+from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.database import Database, from_rows
 from fsar_ledger.metrics.library import KEYS, REQUIRED_KEYS, Library, Query, library, parse, view_name
 

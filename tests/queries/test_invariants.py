@@ -10,7 +10,7 @@ import pytest
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.configuration import Configuration
 from fsar_ledger.events.envelope import Architecture, Scenario
-from fsar_ledger.ledger.codec import encode
+from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.invariants import audit_rows, chosen, invariants
 from fsar_ledger.runtime.architectures.wiring import Wiring
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run

@@ -10,7 +10,7 @@ from fsar_ledger.events.envelope import Architecture, Scenario, with_columns
 from fsar_ledger.events.execution import ExecutionStarted, RoutinePerformed, RoutineWithheld
 from fsar_ledger.events.recovery import RecoveryEscalated
 from fsar_ledger.events.request import RequestAccepted
-from fsar_ledger.ledger.codec import encode
+from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.invariants import audit_rows, chosen, invariants
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.execution import start as start_as_fsar

@@ -10,8 +10,8 @@ import pytest
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import EVENT_TYPES, RETIRED_TYPES
 from fsar_ledger.events.concerns import CONCERNS, EVENTS_OF
-from fsar_ledger.ledger.codec import encode
-from fsar_ledger.ledger.schema import LAYOUTS
+from fsar_ledger.ledger.rows.codec import encode
+from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.invariants import audit_rows, invariants
 from fsar_ledger.metrics.library import library

@@ -6,7 +6,7 @@ import pytest
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.registry import RegistryQueried
-from fsar_ledger.ledger.codec import encode
+from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.projections.registry import surface

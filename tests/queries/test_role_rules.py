@@ -11,7 +11,7 @@ from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.request import RequestDenied
-from fsar_ledger.ledger.codec import RunRecord, encode
+from fsar_ledger.ledger.rows.codec import RunRecord, encode
 from fsar_ledger.metrics.database import Database, from_rows, from_table
 from fsar_ledger.metrics.invariants import chosen
 from fsar_ledger.projections import policy

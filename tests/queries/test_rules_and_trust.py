@@ -8,7 +8,7 @@ from fsar_ledger.events.envelope import POLICY
 from fsar_ledger.events.policy import PolicyRuleSet
 from fsar_ledger.events.supervision import SupervisionDensitySet
 from fsar_ledger.events.trust import TrustThresholdsSet
-from fsar_ledger.ledger.codec import encode
+from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.metrics.invariants import audit_rows, chosen, invariants
 from fsar_ledger.runtime.architectures.fsar import FSAR

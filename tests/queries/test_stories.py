@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from fsar_ledger.ledger.schema import LAYOUTS
+from fsar_ledger.ledger.rows.schema import LAYOUTS
 from fsar_ledger.metrics.database import plain_rows
 from tests.queries.histories import Row, S, event, run
 from tests.recycled import from_rows

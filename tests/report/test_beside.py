@@ -10,7 +10,7 @@ import pytest
 from fsar_ledger.constants import Constants, Load
 from fsar_ledger.errors import UsageError
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.ledger.codec import encode
+from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.metrics.results import dialled_rows
 from fsar_ledger.report import curves, document, specs

@@ -9,7 +9,7 @@ import msgspec
 import pytest
 from scipy import stats
 
-from fsar_ledger.commands.options import experiment_of
+from fsar_ledger.cli.options import experiment_of
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import Event
@@ -18,7 +18,7 @@ from fsar_ledger.events.configuration import MECHANISMS, MECHANISMS_OF, ON_RECOR
 from fsar_ledger.events.envelope import flat, with_columns
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.request import ContractQuestioned, InternalHandoff
-from fsar_ledger.ledger.codec import encode
+from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import Database
 from fsar_ledger.report import document, mechanisms, specs, typeset
 from fsar_ledger.report.findings import SCENARIOS, Findings, Mechanisms

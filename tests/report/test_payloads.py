@@ -11,8 +11,8 @@ import msgspec
 import pyarrow as pa
 import pyarrow.csv as pa_csv
 
-from fsar_ledger.commands import output
-from fsar_ledger.commands.files import _write_tables
+from fsar_ledger.cli import output
+from fsar_ledger.cli.files import _write_tables
 from fsar_ledger.report import document, printing, sequence, typeset
 from fsar_ledger.report.findings import Findings
 from tests.report.test_sequence import STORY, told

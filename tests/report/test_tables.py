@@ -9,9 +9,9 @@ import msgspec
 import pytest
 
 from fsar_ledger.errors import UsageError
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.ledger.read import open_ledger
+from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.read import open_ledger
 from fsar_ledger.metrics.database import connect, plain_rows
 from fsar_ledger.report import document, marks, specs, write_report
 from fsar_ledger.report.findings import Findings

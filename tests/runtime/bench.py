@@ -17,7 +17,7 @@ from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled
 from fsar_ledger.events.trust import TrustSet
-from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.projections.fold import State, apply, fold
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.handlers.commands import Command, PublicCommand

@@ -22,7 +22,7 @@ from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, Request
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.trust import RoleTrustSet, TrustSet
 from fsar_ledger.events.world import ObstructionAppeared, RoutineDue
-from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.runtime.simulation import RunSpec, run_id, simulate_run
 
 HONEST = simulate_run(RunSpec(42, "fsar", "full", "failure-recovery-chain", 4, 59), Constants())

@@ -19,7 +19,7 @@ from fsar_ledger.events.execution import (
     RoutinePerformed,
 )
 from fsar_ledger.events.recovery import AssistanceEnded
-from fsar_ledger.ledger.codec import RunRecord, encode
+from fsar_ledger.ledger.rows.codec import RunRecord, encode
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.commands.options import experiment_of
+from fsar_ledger.cli.options import experiment_of
 from fsar_ledger.constants import Constants
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events.configuration import CONFIGURATIONS, FULL, MECHANISMS, is_known, lacks, without
-from fsar_ledger.ledger.codec import encode
+from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.database import from_table
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.experiment import Experiment

@@ -7,7 +7,7 @@ import pytest
 
 from fsar_ledger.constants import Constants, Structure, WorldConstants
 from fsar_ledger.events.envelope import Architecture
-from fsar_ledger.ledger.codec import encode
+from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 from tests.recycled import from_table

@@ -8,8 +8,8 @@ import pytest
 
 from fsar_ledger.constants import Constants, Outages, Range, Structure, WorldConstants
 from fsar_ledger.errors import InvalidExperiment, NotALedger, SequenceConflict
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.runtime.experiment import BATCH_RUNS, Experiment, carry_out, simulate
 from fsar_ledger.runtime.simulation import ARCHITECTURES, SCENARIOS, RunSpec, run_id, run_started
 

@@ -34,7 +34,7 @@ from fsar_ledger.events.world import (
     SupervisorLeft,
     SupervisorReturned,
 )
-from fsar_ledger.ledger.codec import encode
+from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.invariants import audit_rows, chosen
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.registry import surface

@@ -16,9 +16,9 @@ from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.events.task import TaskAbandoned
 from fsar_ledger.events.trust import RoleTrustSet
 from fsar_ledger.events.world import ObstructionAppeared, PeersMet, RoutineDue, TaskArrived
-from fsar_ledger.ledger import append
-from fsar_ledger.ledger.bounds import MAX_LIST_VALUES, MAX_ROWS
-from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.rows.bounds import MAX_LIST_VALUES, MAX_ROWS
+from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.store import append
 from fsar_ledger.projections.fold import fold
 from fsar_ledger.projections.policy import ruled
 from fsar_ledger.runtime.capacity import expected

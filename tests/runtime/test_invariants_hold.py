@@ -9,7 +9,7 @@ from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.events.configuration import MECHANISMS, Configuration, without
 from fsar_ledger.events.envelope import Workflow
 from fsar_ledger.events.request import RequestUnanswered
-from fsar_ledger.ledger.codec import encode
+from fsar_ledger.ledger.rows.codec import encode
 from fsar_ledger.metrics.invariants import audit_rows, chosen
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 from tests.recycled import from_table

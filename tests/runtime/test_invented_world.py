@@ -29,7 +29,7 @@ from fsar_ledger.events.world import (
     TaskArrived,
     WorldEvent,
 )
-from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.metrics.naming import default_of, unlike_ours
 from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.kernel import Kernel

@@ -30,7 +30,7 @@ from fsar_ledger.events.world import (
     TaskArrived,
     WorldEvent,
 )
-from fsar_ledger.ledger.codec import RunRecord, decode, encode
+from fsar_ledger.ledger.rows.codec import RunRecord, decode, encode
 from fsar_ledger.parameters import BadParameters
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.world import World, evolve

@@ -28,7 +28,7 @@ from fsar_ledger.events.registry import CapabilityAdvertised
 from fsar_ledger.events.request import RequestAccepted, RequestAdmitted, RequestClosed, RequestDenied
 from fsar_ledger.events.task import StepBegan, TaskAbandoned
 from fsar_ledger.events.world import ObstructionAppeared, TaskArrived
-from fsar_ledger.ledger.codec import RunRecord, encode
+from fsar_ledger.ledger.rows.codec import RunRecord, encode
 from fsar_ledger.metrics.database import plain_rows
 from fsar_ledger.metrics.library import library
 from fsar_ledger.projections import execution

@@ -10,10 +10,10 @@ import pytest
 from fsar_ledger.constants import Constants, WorldConstants
 from fsar_ledger.events.envelope import Architecture
 from fsar_ledger.events.experiment import ExperimentPlanned
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.ledger.read import Head, open_ledger
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.store.read import Head, open_ledger
+from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.metrics.results import metric_rows, statistic_rows
 from fsar_ledger.runtime import experiment as module

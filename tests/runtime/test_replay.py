@@ -20,9 +20,9 @@ from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
 from fsar_ledger.events.envelope import Architecture, flat, with_columns
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import ContextChanged, RoutineDue, TaskArrived, WorldEvent
-from fsar_ledger.ledger.append import Writer, stage
-from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.store.append import Writer, stage
+from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.projections.fold import State
 from fsar_ledger.runtime.architectures.fsar import FSAR
 from fsar_ledger.runtime.architectures.fsar.request import EvaluateRequest

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.verify.verify import verify
 
 RUNS = ["--runs", "5", "--seed", "9"]
 PINNED = "2157cbb864921c4a48bee5eea6fea6ced75a1d0d1e7ab02e39fdc53dc4e838bb"

@@ -16,7 +16,7 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
 from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.events.world import LinkCameUp, LinkWentDown, RobotCameBack, RobotWentOff
-from fsar_ledger.ledger.codec import RunRecord, decode, encode
+from fsar_ledger.ledger.rows.codec import RunRecord, decode, encode
 from fsar_ledger.projections.fold import State, fold
 from fsar_ledger.runtime.architectures.fsar.execution import decide_routine
 from fsar_ledger.runtime.architectures.wiring import Wiring

@@ -16,7 +16,7 @@ from fsar_ledger.events.envelope import Architecture, Scenario
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.task import TaskCompleted
 from fsar_ledger.events.world import WorldEvent
-from fsar_ledger.ledger.codec import RunRecord, encode
+from fsar_ledger.ledger.rows.codec import RunRecord, encode
 from fsar_ledger.metrics.results import metric_rows
 from fsar_ledger.runtime.architectures.wiring import Wiring
 from fsar_ledger.runtime.handlers.commands import StartAction, TakeTurn

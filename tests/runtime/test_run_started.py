@@ -10,10 +10,10 @@ from fsar_ledger.events import UPCASTS
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.retired import RunStartedV1
-from fsar_ledger.ledger.codec import RunRecord
-from fsar_ledger.ledger.read import open_ledger
-from fsar_ledger.ledger.schema import LAYOUTS
-from fsar_ledger.ledger.verify import verify
+from fsar_ledger.ledger.rows.codec import RunRecord
+from fsar_ledger.ledger.rows.schema import LAYOUTS
+from fsar_ledger.ledger.store.read import open_ledger
+from fsar_ledger.ledger.verify.verify import verify
 from fsar_ledger.metrics.database import connect
 from fsar_ledger.projections import fleet
 from fsar_ledger.runtime.simulation import RunSpec, run_id, run_started, simulate_run

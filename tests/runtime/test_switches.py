@@ -10,7 +10,7 @@ from fsar_ledger.events.execution import ExecutionHeld, ExecutionQueued, Routine
 from fsar_ledger.events.knowledge import WorkQueued
 from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryAttemptFailed
 from fsar_ledger.events.request import RequestClosed
-from fsar_ledger.ledger.codec import RunRecord
+from fsar_ledger.ledger.rows.codec import RunRecord
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from fsar_ledger.runtime.switches import _decided_by
 

@@ -14,7 +14,7 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from typing import NamedTuple
 
-from fsar_ledger.ledger.note import Checkpoint, Note
+from fsar_ledger.ledger.log.note import Checkpoint, Note
 from fsar_ledger.witness.cosignature import Cosigner
 from fsar_ledger.witness.protocol import parse_request
 

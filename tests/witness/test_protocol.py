@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from fsar_ledger.ledger.merkle import EMPTY_ROOT
-from fsar_ledger.ledger.note import Checkpoint, Note, Signature, Signer
+from fsar_ledger.ledger.log.merkle import EMPTY_ROOT
+from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature, Signer
 from fsar_ledger.witness.protocol import MAX_BODY_BYTES, Answer, Request, judge, parse_request, path_of
 from tests.witness.conftest import LOG, ORIGIN, STRANGER, Log
 

@@ -1,0 +1,151 @@
+"""Files that a command writes for other tools: CSV and Parquet. A file is whole or not there.
+
+Each is written under a temporary name beside its place and renamed when it is complete, so that neither
+Ctrl-C nor a full disk leaves half of one.
+"""
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import msgspec
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
+
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError, WriteFailed
+from fsar_ledger.ledger.rows.schema import SCHEMA
+from fsar_ledger.ledger.store.opening import open_for_answers
+from fsar_ledger.ledger.store.paths import require_outside
+from fsar_ledger.memory import unfinished
+from fsar_ledger.metrics.verified import is_verified
+
+from .answering import answering, demanded_head, warn
+
+
+def export_events(ledger: Path, out: Path, *, raw: bool = False, verified: bool = False) -> int:
+    """Every event of the ledger is in the file as it is stored, retired types too, in commit order; returns how many.
+
+    Text in CSV is as `printable.field` makes it, unless `raw`.
+
+    Raises:
+        UsageError: the name of the file ends in neither .csv nor .parquet, or it lies inside a ledger.
+        WriteFailed: the file cannot be written.
+    """
+    _check(out)
+    demanded = demanded_head(ledger, verified=verified)
+    view = open_for_answers(ledger)
+    rows_verified = is_verified(view, demanded)
+    rows = _write_tables(out, SCHEMA, view.tables(), raw=raw)
+    warn(ledger, rows_verified=rows_verified)
+    return rows
+
+
+def export_query(
+    ledger: Path, name: str, parameters: Mapping[str, str], out: Path, *, raw: bool = False, verified: bool = False
+) -> int:
+    """The answer of the named query is in the file, text as in `export_events`; returns its number of rows.
+
+    Raises:
+        UsageError: the name of the file ends in neither .csv nor .parquet, or it lies inside a ledger.
+        UnknownQuery: there is no query of that name.
+        WriteFailed: the file cannot be written.
+    """
+    _check(out)
+    with answering(ledger, verified=verified) as database:
+        table = database.query(name, parameters)
+    return _write_tables(out, table.schema, [table], raw=raw)
+
+
+def write_text(out: Path, text: str) -> None:
+    """The file holds the text, in UTF-8.
+
+    Raises:
+        WriteFailed: the file cannot be written.
+    """
+    with _whole_file(out) as temporary:
+        temporary.write_text(text, encoding="utf-8", newline="\n")
+
+
+def _check(out: Path) -> None:
+    """The file may be written. Before any reading: a wrong name should not cost minutes."""
+    _format_of(out)
+    require_outside(out, f"--out {out}")
+
+
+def _format_of(out: Path) -> str:
+    if out.suffix not in (".csv", ".parquet"):
+        raise UsageError(
+            f"{out}: found a file name that ends in {out.suffix or 'nothing'!r}, expected .csv or .parquet; choose one of them"
+        )
+    return out.suffix
+
+
+def _write_tables(out: Path, schema: pa.Schema, tables: Iterable[pa.Table], *, raw: bool) -> int:
+    """The tables stand one after the other in the file; memory holds one of them at a time."""
+    rows = 0
+    with _whole_file(out) as temporary, _writer(out, temporary, schema, raw=raw) as write:
+        for table in tables:
+            write(table)
+            rows += table.num_rows
+    return rows
+
+
+@contextmanager
+def _writer(out: Path, temporary: Path, schema: pa.Schema, *, raw: bool) -> Iterator[Callable[[pa.Table], None]]:
+    if _format_of(out) == ".parquet":
+        with pq.ParquetWriter(temporary, schema, compression="zstd") as writer:
+            yield lambda table: writer.write_table(table)
+    else:
+        # Text stands in quotes and NULL does not, so that an empty text can be told from NULL; names of columns need no quotes.
+        options = pa_csv.WriteOptions(quoting_header="none")
+        with pa_csv.CSVWriter(temporary, _flat(schema.empty_table()).schema, write_options=options) as writer:
+            yield lambda table: writer.write_table(_flat(table) if raw else _harmless(_flat(table)))
+
+
+def _flat(table: pa.Table) -> pa.Table:
+    """The same table with each list as JSON text, because a CSV field holds no list."""
+    for at, field in enumerate(table.schema):
+        if pa.types.is_nested(field.type):
+            texts = [
+                None if value is None else printable.ascii_json(msgspec.json.encode(value).decode())
+                for value in table.column(at).to_pylist()
+            ]
+            table = table.set_column(at, field.name, pa.array(texts, pa.string()))
+    return table
+
+
+def _harmless(table: pa.Table) -> pa.Table:
+    """The same table with each text as `printable.field` makes it: looked at once, however many rows hold it."""
+    for at, field in enumerate(table.schema):
+        if pa.types.is_string(field.type):
+            chunks = [_harmless_chunk(chunk) for chunk in table.column(at).chunks]
+            table = table.set_column(at, field, pa.chunked_array(chunks, field.type))
+    return table
+
+
+def _harmless_chunk(texts: pa.Array) -> pa.Array:
+    coded = texts.dictionary_encode()
+    found = coded.dictionary.to_pylist()
+    shown = [None if text is None else printable.field(text) for text in found]
+    return texts if shown == found else pa.array(shown, texts.type).take(coded.indices)
+
+
+@contextmanager
+def _whole_file(out: Path) -> Iterator[Path]:
+    temporary = out.with_name(f".{out.name}.{os.getpid()}.part")
+    unfinished.add(temporary)
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        os.replace(temporary, out)
+    except OSError as problem:
+        raise WriteFailed(
+            f"{out}: cannot be written ({problem.strerror or problem}); the file is as it was before: make room or choose another place"
+        ) from problem
+    finally:
+        with suppress(OSError):  # where it could not be made, it cannot be taken away either
+            temporary.unlink(missing_ok=True)
+        unfinished.discard(temporary)

@@ -1,0 +1,104 @@
+"""How much memory a command that reads ledgers may take, and what is said when that is not enough."""
+
+import inspect
+import os
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+from fsar_ledger import memory
+from fsar_ledger.errors import LimitReached, UsageError
+
+from .options import ReadingMemoryOption, workers_of
+from .terminal import say
+
+LEAST_MIB = 256
+BASE_BYTES = 576 << 20
+PER_BYTE = 16
+"""By default a command may take so much, and so many bytes for each that the segments take on disk: `audit` needs 300 MiB and 10, and no other more."""
+
+PER_WORKER_BYTES = 192 << 20
+"""And so much for each core or worker beyond two, which have processes or threads with buffers of their own: `verify` takes 150 MiB for each."""
+
+MACHINE_SHARE = 0.8
+WORTH_BYTES = 400 << 10
+"""Bytes of segments that are verified in about the time that a process takes to start (0.4 s)."""
+
+
+def reading(command: Callable[..., None]) -> Callable[..., None]:
+    """The command with the option --memory, and never with more memory than that."""
+
+    @wraps(command)
+    def limited(memory: int | None, **given: Any) -> None:
+        ledgers = (given["ledger"], given.get("other"), given.get("workflows"), *(given.get("beside") or ()))
+        with bounded(memory, *ledgers, workers=given.get("workers")):
+            command(**given)
+
+    option = inspect.Parameter("memory", inspect.Parameter.KEYWORD_ONLY, default=None, annotation=ReadingMemoryOption)
+    signature = inspect.signature(command)
+    limited.__signature__ = signature.replace(parameters=[*signature.parameters.values(), option])  # type: ignore[attr-defined]
+    limited.__annotations__ = {**command.__annotations__, "memory": ReadingMemoryOption}
+    return limited
+
+
+@contextmanager
+def bounded(asked_mib: int | None, *ledgers: Path | None, workers: int | None = None) -> Iterator[None]:
+    """Within, the command takes no more memory than was asked for, or than ledgers of this size need; else it ends with one message and exit code 2.
+
+    Raises:
+        UsageError: It asks for less than a command needs to begin.
+        LimitReached: The system, or a library that counts for itself, gave no more.
+    """
+    if asked_mib is not None and asked_mib < LEAST_MIB:
+        raise UsageError(f"--memory {asked_mib}: expected at least {LEAST_MIB} (MiB)")
+    most = default_bytes(*ledgers, workers=workers) if asked_mib is None else asked_mib << 20
+
+    def end() -> None:
+        say(memory.too_little())
+        for child in memory.children():
+            with suppress(OSError):
+                os.kill(int(child), signal.SIGKILL)
+        for path in tuple(memory.unfinished):
+            with suppress(OSError):
+                path.unlink()
+        os._exit(LimitReached.exit_code)
+
+    with memory.held(most, end):
+        try:
+            yield
+        except MemoryError as error:
+            raise LimitReached(memory.too_little()) from error
+
+
+def default_bytes(*ledgers: Path | None, workers: int | None = None) -> int:
+    """What a command over these ledgers may take, given its workers: in proportion to what their segments take on disk, and never all of the machine."""
+    more = max(0, (workers_of(None) if workers is None else workers) - 2)
+    return min(
+        BASE_BYTES + PER_WORKER_BYTES * more + PER_BYTE * stored(*ledgers), int(MACHINE_SHARE * memory.installed())
+    )
+
+
+def readers_of(asked: int | None, *ledgers: Path | None) -> int:
+    """The number of processes that read these ledgers: as asked, else one for each core, but no more than have enough to do. Raises: as `workers_of`."""
+    return workers_of(asked, stored(*ledgers) // WORTH_BYTES)
+
+
+def stored(*ledgers: Path | None) -> int:
+    """The bytes that the segments of these ledgers take, staged ones too."""
+    from fsar_ledger.ledger.store.record import SEGMENTS, STAGING
+
+    return sum(_stored(ledger / folder) for ledger in ledgers if ledger is not None for folder in (SEGMENTS, STAGING))
+
+
+def _stored(folder: Path) -> int:
+    """The bytes that the files in the folder take; a sparse file takes what it holds."""
+    size = 0
+    with suppress(OSError), os.scandir(folder) as entries:
+        for entry in entries:
+            with suppress(OSError):
+                status = entry.stat(follow_symlinks=False)
+                size += min(status.st_size, status.st_blocks * 512)
+    return size

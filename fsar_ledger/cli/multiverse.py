@@ -1,0 +1,157 @@
+"""The command `multiverse`: the results table under every reading of the paper that its text allows."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fsar_ledger import printable
+
+from .options import (
+    CsvOption,
+    JsonOption,
+    LedgerArgument,
+    PoolOption,
+    RawOption,
+    SvgOption,
+    VerifiedOption,
+    examples,
+    known,
+    pools_seeds,
+)
+from .terminal import show
+
+if TYPE_CHECKING:
+    from fsar_ledger.metrics.multiverse import Chosen, Multiverse, Ranking
+
+    from .output import Row
+
+MULTIVERSE = examples(
+    "fsar-ledger multiverse out/ledger",
+    "fsar-ledger multiverse out/ledger --metric authority_conflicts --json",
+    "fsar-ledger multiverse out/ledger --metric human_intervention --svg out/multiverse.svg",
+)
+OURS = "our reading"
+CELL = ("metric", "architecture", "paper", "ours", "lowest", "highest", "combinations", "most_moving", "moved_by")
+RANKING = (
+    "metric",
+    "better",
+    "order",
+    "combinations",
+    "same_order",
+    "changed_under",
+    "fsar_best",
+    "fsar_not_best_under",
+)
+WHERE_TELLING = ("configuration", "fleet_size", "seed", "kind", "source", "model_version", "constants")
+"""Columns that a table for people has only where they tell rows apart."""
+WHERE_ANY = ("undefined", "runs_not_observed")
+"""Columns that it has only where a row has something other than 0."""
+
+MetricOption = Annotated[
+    list[str] | None,
+    typer.Option("--metric", metavar="NAME", help="Only this metric; may be repeated.", show_default="all eight"),
+]
+
+
+def multiverse(
+    ledger: LedgerArgument,
+    metric: MetricOption = None,
+    pool: PoolOption = None,
+    svg: SvgOption = None,
+    verified: VerifiedOption = False,
+    as_json: JsonOption = False,
+    as_csv: CsvOption = False,
+    raw: RawOption = False,
+) -> None:
+    """Read a ledger in every way that the paper's text allows.
+
+    For each cell of the results table: what the paper prints, ours, the lowest and the highest mean over all combinations of readings, and the
+    reading that moves it most when it alone replaces ours. For each metric: whether the order of the architectures is the same under all of them,
+    under how many FSAR is the best one, and the smallest combinations under which it is not so. Nothing is simulated again. --json has the mean
+    under each combination, too.
+    """
+    from fsar_ledger.ledger.store.paths import require_outside
+    from fsar_ledger.metrics.multiverse import Cell
+    from fsar_ledger.metrics.multiverse import multiverse as read
+
+    from .answering import answering, of_plans, warn_of_missing
+    from .output import check_form, csv_text, json_text, plain
+
+    pooled = pools_seeds(pool)
+    check_form(as_json=as_json, as_csv=as_csv, raw=raw)
+    if svg is not None:
+        require_outside(svg, f"--svg {svg}")
+    with answering(ledger, verified=verified) as database:
+        names = tuple(row["metric"] for row in database.rows("SELECT metric FROM metric_definitions ORDER BY position"))
+        found = read(database, known("metric", metric, names), pools_seeds=pooled)
+        if as_json:
+            answer = {name: getattr(found, name) for name in found.__struct_fields__}
+            show(json_text(database.head, {**of_plans(database), **answer}, database.rows_verified))
+        elif as_csv:
+            show(csv_text(plain(found.cells), Cell.__struct_fields__, raw=raw), raw=raw)
+        else:
+            show(printable.joined(*_told(found)))
+        _draw(svg, found)
+        warn_of_missing(ledger, database)
+
+
+def _told(found: "Multiverse") -> "Iterator[printable.Shown]":
+    """The ranges, the rankings, and what the readings say, for people."""
+    from .output import plain, table_text
+
+    if not found.cells:
+        yield printable.line("no runs to read")
+        return
+    cells, rankings = plain(found.cells), [_named(row) for row in found.rankings]
+    readings: list[Row] = [{"name": one.name, "instead of": one.reading, "says": one.title} for one in found.readings]
+    for number, (rows, columns) in enumerate(((cells, CELL), (rankings, RANKING), (readings, tuple(readings[0])))):
+        if number:
+            yield printable.line("")
+        yield table_text(rows, _columns(rows, columns))
+        if rows is rankings:
+            yield printable.lines("", *_verdicts(found.rankings))
+
+
+def _verdicts(rankings: "Sequence[Ranking]") -> Iterator[str]:
+    """In words: by how many rankings FSAR is the best one, and how many survive."""
+    for what, counted in (
+        ("FSAR is the best one", "fsar_best"),
+        ("the order of the architectures is ours", "same_order"),
+    ):
+        judged = [row for row in rankings if getattr(row, counted) is not None]
+        always = sum(getattr(row, counted) == row.combinations for row in judged)
+        never = sum(getattr(row, counted) == 0 for row in judged)
+        some = len(judged) - always - never
+        if judged:
+            yield f"{what} under every combination in {always} of {printable.counted(len(judged), 'ranking')}, under some in {some}, under none in {never}"
+        else:
+            yield f"whether {what}: nothing to rank; that takes means of two architectures{', one of them FSAR' if counted == 'fsar_best' else ''}"
+
+
+def _columns(rows: "Sequence[Row]", columns: tuple[str, ...]) -> list[str]:
+    """The columns, with those of the setting that tell rows apart behind the first, and those that are not 0 throughout at the end."""
+    telling = [name for name in WHERE_TELLING if name in rows[0] and len({row[name] for row in rows}) > 1]
+    return [columns[0], *telling, *columns[1:], *(name for name in WHERE_ANY if any(row.get(name) for row in rows))]
+
+
+def _named(row: "Ranking") -> "Row":
+    """The ranking with combinations of readings as text."""
+    from .output import plain
+
+    (told,) = plain([row])
+    return {**told, "changed_under": _texts(row.changed_under), "fsar_not_best_under": _texts(row.fsar_not_best_under)}
+
+
+def _texts(sets: "tuple[Chosen, ...] | None") -> str | None:
+    """The combinations as people read them; None where nothing can be said, or there are none."""
+    return "; ".join(" + ".join(names) or OURS for names in sets) if sets else None
+
+
+def _draw(path: Path | None, found: "Multiverse") -> None:
+    if path is None:
+        return
+    from fsar_ledger.report import specification, typeset
+
+    typeset.publish(path, specification.curves(found))

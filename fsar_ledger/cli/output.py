@@ -1,0 +1,233 @@
+"""Answers as text: a table for people, JSON and CSV for programs. Nothing here prints.
+
+A row is a mapping from column to value; all rows of an answer have the same columns. NULL is `-` in a
+table, `null` in JSON and an empty field in CSV. Lists are JSON text in CSV and in tables.
+
+Text of a ledger is escaped where it becomes a cell, a field or a line (`printable`): what is returned can be shown.
+"""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+import msgspec
+from msgspec import to_builtins
+
+from fsar_ledger import printable
+from fsar_ledger.errors import UsageError
+from fsar_ledger.printable import Shown, counted
+
+if TYPE_CHECKING:
+    from fsar_ledger.ledger.verify.verify import VerifyReport
+
+Row = Mapping[str, object]
+
+
+class HeadLike(Protocol):
+    """The tree head that an answer was given for: number of events and root hash, in hexadecimal."""
+
+    @property
+    def size(self) -> int: ...  # noqa: D102
+    @property
+    def root(self) -> str: ...  # noqa: D102
+
+
+def table_text(rows: Sequence[Row], columns: Sequence[str], limit: int = 0) -> Shown:
+    """The rows aligned under their columns, numbers to the right; after `limit` rows (0: all) the rest is only counted."""
+    if not columns:
+        return Shown("")
+    shown = rows[:limit] if limit else rows
+    names = [printable.cell(column) for column in columns]
+    cells = [[_cell(row[column]) for column in columns] for row in shown]
+    is_number = [all(isinstance(row[column], int | float | None) for row in shown) for column in columns]
+    widths = [
+        max(len(name), *(len(line[at]) for line in cells)) if cells else len(name) for at, name in enumerate(names)
+    ]
+
+    def line_of(texts: Sequence[str]) -> str:
+        return "  ".join(
+            text.rjust(width) if right else text.ljust(width)
+            for text, width, right in zip(texts, widths, is_number, strict=True)
+        ).rstrip()
+
+    lines = [line_of(names), line_of(["-" * width for width in widths]), *map(line_of, cells)]
+    rest = [more_text(len(rows) - len(shown))] if len(shown) < len(rows) else [] if rows else [Shown("(no rows)\n")]
+    return printable.joined(Shown("\n".join(lines) + "\n"), *rest)
+
+
+def more_text(count: int) -> Shown:
+    """The line that says how many rows are not shown."""
+    return printable.line(f"... {count:,} more rows; --limit 0 shows all, --csv and --json always do")
+
+
+def json_text(head: HeadLike | None, answer: Mapping[str, object], rows_verified: bool | None = None) -> Shown:
+    """One JSON object: the head (size, root) that the answer holds for, null where there is none to speak of, then the answer.
+
+    Of an answer from rows, `rows_verified` says whether they were compared with that root.
+    """
+    standing = {} if rows_verified is None else {"rows_verified": rows_verified}
+    return _pretty({"head": head and {"size": head.size, "root": head.root}, **standing, **answer})
+
+
+def csv_text(rows: Sequence[Row], columns: Sequence[str], *, raw: bool = False) -> Shown:
+    """The rows as comma-separated values under one line of column names; text is harmless for terminals and spreadsheets unless `raw`."""
+    text = io.StringIO()
+    writer, quoting = (
+        csv.writer(text, lineterminator="\n"),
+        csv.writer(text, lineterminator="\n", quoting=csv.QUOTE_ALL),
+    )
+    for fields in (
+        [*map(partial(_field, raw=raw), columns)],
+        *([_field(row[column], raw=raw) for column in columns] for row in rows),
+    ):
+        (quoting if any("\r" in field for field in fields) else writer).writerow(
+            fields
+        )  # a bare CR ends a row for some readers
+    return Shown(text.getvalue())
+
+
+def verdict_lines(ledger: Path, report: "VerifyReport") -> list[str]:
+    """What `verify` found, for people: one line for each problem, or that there is none and what that covers."""
+    if not report.ok:
+        count = f"{counted(len(report.problems), 'problem')}{' at a quick look' if report.is_quick else ''}"
+        return [
+            *map(str, report.problems),
+            f"{ledger}: {count}; do not rely on this ledger, restore it from a copy that verifies",
+        ]
+    of_runs = "" if report.is_quick else f" of {counted(report.runs, 'run')}"
+    counts = f"{counted(report.events, 'event')}{of_runs} in {counted(report.commits, 'commit')}"
+    looked = "consistent at a quick look, which reads no rows" if report.is_quick else "consistent"
+    lines = [f"{ledger}: {looked}, {signature_text(report.signature, report.signer)}: {counts}", f"root {report.root}"]
+    lines += [f"signed commits: {report.signed:,} of {report.commits:,}"] if report.signed else []
+    lines += (
+        [f"only grew since the anchor's {report.anchored:,} events"]
+        if report.anchored is not None and not report.is_quick
+        else []
+    )  # there a remark says it
+    return [*lines, *report.remarks]
+
+
+def signature_text(state: str, signer: str | None) -> str:
+    """What the signature of a note is worth, for people: `signer` is the trusted key that made it, or whom the note names."""
+    if signer is None:
+        return "unsigned"
+    return (
+        f"signed by {printable.value(signer)}"
+        if state == "signed"
+        else f"signed, signer not checked (it names {printable.value(signer)})"
+    )
+
+
+def verdict_json(report: "VerifyReport", **more: object) -> Shown:
+    """What `verify` found, for programs: the head is the one that the rows themselves give, its root null where some cannot be read."""
+    return _pretty({"head": {"size": report.events, "root": report.root}, **to_builtins(report), **more})
+
+
+def plain(rows: Sequence[msgspec.Struct]) -> list[Row]:
+    """The typed rows as mappings."""
+    return [msgspec.structs.asdict(row) for row in rows]
+
+
+def answer_text(
+    head: HeadLike | None,
+    rows: Sequence[Row],
+    columns: Sequence[str] = (),
+    *,
+    rows_verified: bool | None,
+    as_json: bool,
+    as_csv: bool,
+    raw: bool = False,
+    limit: int = 0,
+    more: Mapping[str, object] | None = None,
+) -> Shown:
+    """The rows as a table for people, or as what --json or --csv asks for; `more` is for JSON.
+
+    Raises:
+        UsageError: Both are asked for, or --raw without --csv.
+    """
+    check_form(as_json=as_json, as_csv=as_csv, raw=raw)
+    names = columns or (list(rows[0]) if rows else ())
+    if as_json:
+        return json_text(head, {**(more or {}), "rows": rows}, rows_verified)
+    return csv_text(rows, names, raw=raw) if as_csv else table_text(rows, names, limit) or Shown("(no rows)\n")
+
+
+def check_form(*, as_json: bool, as_csv: bool, raw: bool) -> None:
+    """Raises: UsageError when an answer cannot have the form that was asked for."""
+    if as_json and as_csv:
+        raise UsageError("found --json and --csv, expected one of them")
+    if raw and not as_csv:
+        raise UsageError(
+            "found --raw without --csv, expected both or neither; --json always gives the values themselves"
+        )
+
+
+def queries_text(*, as_json: bool, as_csv: bool, raw: bool = False) -> Shown:
+    """Every packaged query with its title and parameters. Raises: as `answer_text`."""
+    check_form(as_json=as_json, as_csv=as_csv, raw=raw)
+    from fsar_ledger.metrics.library import library
+
+    columns = ("name", "title", "parameters")
+    rows: list[Row] = [
+        {
+            "name": query.name,
+            "title": query.header["Title"],
+            "parameters": " ".join(f"{name}={value or ''}" for name, value in query.parameters.items()),
+        }
+        for query in library().queries.values()
+    ]
+    if as_json:
+        return json_text(None, {"queries": rows})
+    return (
+        csv_text(rows, columns, raw=raw)
+        if as_csv
+        else table_text([{**row, "title": str(row["title"]).partition(". ")[0]} for row in rows], columns)
+    )
+
+
+def _pretty(document: object) -> Shown:
+    """The document as JSON in ASCII; a name of a file that is not UTF-8 has each such byte escaped, `\\udcff` for ff."""
+    return printable.ascii_json(
+        msgspec.json.format(msgspec.json.encode(_encodable(to_builtins(document))), indent=2).decode() + "\n"
+    )
+
+
+def _encodable(value: object) -> object:
+    if isinstance(value, str):
+        return value if value.isascii() else value.encode("utf-8", "backslashreplace").decode()
+    if isinstance(value, dict):
+        return {_encodable(name): _encodable(one) for name, one in value.items()}
+    return [_encodable(one) for one in value] if isinstance(value, list | tuple) else value
+
+
+def _cell(value: object) -> str:
+    """The value in a table, as people see it."""
+    if isinstance(value, str):
+        return printable.cell(value)
+    if value is None:
+        return "-"
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    shown = _field(value, raw=False)
+    return (
+        shown
+        if len(shown) <= printable.MAX_VALUE
+        else f"{shown[: printable.MAX_VALUE]}... ({len(shown) - printable.MAX_VALUE:,} more)"
+    )
+
+
+def _field(value: object, *, raw: bool) -> str:
+    """The value in CSV."""
+    if isinstance(value, str):
+        return value if raw else printable.field(value)
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, list | tuple | dict):
+        text = msgspec.json.encode(_encodable(value)).decode()
+        return text if raw else printable.ascii_json(text)
+    return repr(value) if isinstance(value, float) else str(value)

@@ -1,0 +1,154 @@
+"""The plans of a ledger for people: what each names, in a few words, and the call that goes on with it."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, get_args
+
+from fsar_ledger import printable
+from fsar_ledger.errors import InvalidExperiment, UsageError
+from fsar_ledger.events.envelope import Architecture, Scenario, Workflow
+from fsar_ledger.ledger.store.read import LedgerView
+from fsar_ledger.metrics.plans import EXPERIMENTS
+
+from .options import RUNS, experiment_of
+from .simulated import runs
+
+if TYPE_CHECKING:
+    from fsar_ledger.metrics.database import Database
+
+MAX_RUNS = 9999  # of an experiment
+MAX_COUNTS = 32
+"""Of runs that `reproduce` may have been called with, which are tried, the largest first: each costs two milliseconds. `info` shows ledgers of others, too."""
+PARAMETERS = "SELECT run_id, parameters FROM experiment_planned"
+
+
+class Shown(NamedTuple):
+    """The ledger as the user named it, and what is in it."""
+
+    path: Path
+    view: LedgerView
+
+
+def plans(database: "Database", ledger: Shown) -> list[dict[str, Any]]:
+    """Every plan, the largest first, with the call that goes on with it where runs are missing and this version can make them, else None."""
+    rows = database.rows(EXPERIMENTS)
+    constants = (
+        {row["run_id"]: row["parameters"] for row in database.rows(PARAMETERS)}
+        if any(row["missing_count"] for row in rows)
+        else {}
+    )
+    reproduced = reproducing([row["run_count"] for row in rows], ledger) if constants else {}
+
+    def call(row: Mapping[str, Any]) -> str | None:
+        return reproduced.get(row["plan"]) or continues_with(row, constants[row["plan"]], ledger)
+
+    return [{**row, "continues_with": call(row) if row["missing_count"] else None} for row in rows]
+
+
+def reproducing(counts: Iterable[int], ledger: Shown) -> dict[str, str]:
+    """By plan the call of `reproduce` that goes on with a ledger beside the results, which it made; no key signs that one under its own name.
+
+    `counts` are the runs that the ledger's plans name: `reproduce` was called with one of these, or with none.
+    """
+    from fsar_ledger.runtime.experiments import NAMES, SEED, named
+    from fsar_ledger.runtime.plan import plan_id
+
+    path = ledger.path if ledger.path.name else ledger.path.resolve()
+    name = next((one for one in NAMES if one == path.name), NAMES[0])
+    if name == NAMES[0] or not ledger.view.manifest.origin.endswith(f"/{name}"):
+        return {}
+    found: dict[str, str] = {}
+    possible = sorted({count for count in counts if 1 <= count <= MAX_RUNS}, reverse=True)
+    for many in (None, *possible[:MAX_COUNTS]):
+        asked = ["--out", printable.word(path.parent), "--only", name, *([] if many is None else ["--runs", str(many)])]
+        call = " ".join(("fsar-ledger reproduce", *asked, *(["--key KEY"] if _is_signed(ledger.view) else [])))
+        for part in named(name, SEED, many).parts:
+            found.setdefault(plan_id(part.plan()), call)
+    return found
+
+
+def _is_signed(view: LedgerView) -> bool:
+    return bool(view.records and view.records[-1].signed_note().signatures)
+
+
+def shape(plan: Mapping[str, Any]) -> str:
+    """What a plan names: `door-relay x 20 runs x fsar, cfc (full), seed 42, 4 robots`."""
+    parts = (
+        _some(plan["scenarios"], "scenarios"),
+        runs(plan["run_count"]),
+        _some(plan["architectures"], "architectures"),
+    )
+    configurations = (
+        "" if plan["configurations"] == ["full"] else f" ({_some(plan['configurations'], 'configurations')})"
+    )
+    return f"{' x '.join(parts)}{configurations}, seed {plan['seed']}, {plan['fleet_size']} robots"
+
+
+def _some(names: list[str], what: str) -> str:
+    return ", ".join(map(printable.value, names)) if len(names) < printable.NAMED else f"{len(names):,} {what}"
+
+
+def continues_with(plan: Mapping[str, Any], parameters: str, ledger: Shown) -> str | None:
+    """The call that makes what is missing; None where no call of this version has this plan: another model, other constants, other names."""
+    from fsar_ledger.runtime.plan import plan_id
+
+    asked = _asked(plan, parameters)
+    try:
+        if asked is None or plan_id(experiment_of(**asked).plan()) != plan["plan"]:
+            return None
+    except (InvalidExperiment, UsageError):
+        return None
+    return " ".join(("fsar-ledger simulate", printable.word(ledger.path), *_options(asked), *_name(ledger.view)))
+
+
+def _asked(plan: Mapping[str, Any], parameters: str) -> dict[str, Any] | None:
+    """What `experiment_of` has to be given for such a plan, None where the default serves; None where its constants are not as they are written."""
+    from fsar_ledger.constants import Load, read_constants
+    from fsar_ledger.parameters import BadParameters
+
+    try:
+        load = read_constants(parameters).load or Load()
+    except BadParameters:
+        return None
+    scenarios, architectures, configurations = (
+        set(plan[name]) for name in ("scenarios", "architectures", "configurations")
+    )
+    is_workflow, is_ablated = scenarios <= set(get_args(Workflow)), configurations != {"full"}
+    every_architecture, every_scenario = set(get_args(Architecture)), set(get_args(Scenario))
+    default = {"fsar"} if is_workflow or is_ablated else every_architecture
+    return {
+        "architectures": None if architectures == default else sorted(architectures),
+        "scenarios": None if is_workflow or scenarios == every_scenario else sorted(scenarios),
+        "workflows": sorted(name.removeprefix("workflow-") for name in scenarios) if is_workflow else None,
+        "without": sorted(name.removeprefix("without-") for name in configurations) if is_ablated else None,
+        "runs": None if plan["run_count"] == (1 if is_workflow else RUNS) else plan["run_count"],
+        "seed": plan["seed"],
+        "fleet_size": plan["fleet_size"],
+        "load": (load.teams_working, load.task_sets),
+    }
+
+
+def _options(asked: Mapping[str, Any]) -> Iterator[str]:
+    """The options of `simulate` that ask for this, those with their default left out."""
+    for option, name in (
+        ("--architecture", "architectures"),
+        ("--scenario", "scenarios"),
+        ("--workflow", "workflows"),
+        ("--without", "without"),
+    ):
+        yield from (f"{option} {printable.word(one)}" for one in asked[name] or ())
+    working, sets = asked["load"]
+    numbers = (("--runs", asked["runs"], None), ("--seed", asked["seed"], 42), ("--fleet-size", asked["fleet_size"], 4))
+    for option, value, usual in (*numbers, ("--teams-working", working, None), ("--task-sets", sets, 1)):
+        if value != usual:
+            yield f"{option} {value}"
+
+
+def _name(view: LedgerView) -> Iterator[str]:
+    """The options that let this ledger be written to: a key where the newest commit is signed, else the origin where it is not the usual one."""
+    from fsar_ledger.runtime.experiment import ORIGIN
+
+    if _is_signed(view):
+        yield "--key KEY"
+    elif view.manifest.origin != ORIGIN:
+        yield f"--origin {printable.word(view.manifest.origin)}"

@@ -1,0 +1,79 @@
+"""The command `sensitivity`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from fsar_ledger import printable
+
+from .options import WorkersOption, examples, workers_of
+from .progress import Progress
+from .terminal import show
+
+if TYPE_CHECKING:
+    from fsar_ledger.report.sensitivity import Sensitivity
+
+SENSITIVITY = examples(
+    "fsar-ledger sensitivity --out out/sensitivity.parquet --svg out/sensitivity.svg",
+    "fsar-ledger sensitivity --out out/short.parquet --trajectories 2 --runs 1 --points 0",
+)
+AFTER_INTERRUPTION = {"sensitivity": "what is finished is kept beside --out, and the same command goes on from there"}
+
+
+def sensitivity(
+    out: Annotated[
+        Path,
+        typer.Option(
+            "--out", metavar="FILE", help="The effects, as Parquet; replaced if it exists.", show_default=False
+        ),
+    ],
+    trajectories: Annotated[int, typer.Option(metavar="N", help="Times that each factor is moved.")] = 20,
+    runs: Annotated[int, typer.Option(metavar="N", help="Runs per scenario and architecture of each evaluation.")] = 10,
+    points: Annotated[
+        int, typer.Option(metavar="N", help="Evaluations for the Sobol indices; 0: none, only the screening.")
+    ] = 512,
+    svg: Annotated[
+        Path | None,
+        typer.Option(
+            "--svg", metavar="FILE", help="Draw them, too, as SVG; replaced if it exists.", show_default=False
+        ),
+    ] = None,
+    workers: WorkersOption = None,
+) -> None:
+    """Tell how much of each number hangs on each constant; takes most of an hour on two cores.
+
+    Every constant of the world and of the structure, the load and the size of the fleet are varied (Morris screening); of the dozen that move a
+    number furthest also what part of its variance is theirs (Sobol indices). Interrupted, it goes on where it stopped.
+    """
+    from fsar_ledger.ledger.store.paths import require_outside
+    from fsar_ledger.report.sensitivity import heat_map
+    from fsar_ledger.report.typeset import publish
+    from fsar_ledger.sensitivity.study import Size
+    from fsar_ledger.sensitivity.study import sensitivity as study
+
+    size = Size(trajectories, runs, points)
+    if svg is not None:
+        require_outside(svg, f"--svg {svg}")
+    with Progress("evaluated", "points") as progress:
+        found = study(out, size, workers_of(workers), progress)
+    _tell(found)
+    show(printable.line(f"{out}"))
+    if svg is not None:
+        publish(svg, heat_map(found))
+        show(printable.line(f"{svg}"))
+
+
+def _tell(found: "Sensitivity") -> None:
+    from fsar_ledger.report.sensitivity import dozen, reach
+
+    from .output import table_text
+
+    rows = dozen(found)
+    still = sum(furthest == 0 for furthest in reach(found).values())
+    head = f"{len(found.about.factors)} factors, {found.about.evaluations:,} evaluations; {still} factors move nothing; in margins of the cell moved furthest:"
+    show(
+        printable.joined(
+            printable.line(head), table_text(rows, list(rows[0])) if rows else printable.line("none moves anything")
+        )
+    )

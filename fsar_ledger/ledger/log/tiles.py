@@ -1,0 +1,113 @@
+"""The hashes of the Merkle tree as files, in the layout of C2SP tlog-tiles: `tile/<level>/<number>[.p/<width>]`.
+
+A tile holds up to 256 hashes: leaves at level 0, above it the roots of the full tiles one level below. Tiles are derived
+from the events and can be made again; they spare whoever proves something about one event the reading of all others.
+"""
+
+from collections.abc import Callable
+
+import msgspec
+
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier, Node, parents
+
+TILE = "tile"
+HEIGHT = 8
+WIDTH = 1 << HEIGHT
+_TILE_BYTES = WIDTH * HASH_BYTES
+
+
+class Tile(msgspec.Struct, frozen=True, order=True):
+    """Which tile of a tree: its level, its number within it, and how many hashes it holds, 256 if it is full."""
+
+    level: int
+    number: int
+    width: int = WIDTH
+
+    @property
+    def name(self) -> str:
+        """Its file within the ledger, by C2SP tlog-tiles: the number in groups of three digits, all but the last after an x."""
+        digits = f"{self.number:03d}"
+        digits = digits.zfill(-len(digits) // 3 * -3)
+        groups = [digits[at : at + 3] for at in range(0, len(digits), 3)]
+        number = "/".join([*("x" + group for group in groups[:-1]), groups[-1]])
+        return f"{TILE}/{self.level}/{number}" + ("" if self.width == WIDTH else f".p/{self.width}")
+
+
+def partial_tiles(size: int) -> tuple[Tile, ...]:
+    """The partial tiles of a tree of this size, one a level at most."""
+    widths = ((level, size >> HEIGHT * level) for level in range((size.bit_length() + HEIGHT - 1) // HEIGHT))
+    return tuple(Tile(level, count // WIDTH, count % WIDTH) for level, count in widths if count % WIDTH)
+
+
+class Edge(msgspec.Struct, frozen=True):
+    """What must be kept of a tree in order to go on writing its tiles: the hashes in the partial tile of each level.
+
+    `partial` holds them packed, leaves first; empty where the level has no partial tile.
+    """
+
+    size: int = 0
+    partial: tuple[bytes, ...] = ()
+
+    def extend(self, leaves: bytes) -> tuple["Edge", dict[Tile, bytes]]:
+        """The edge after these leaf hashes, packed, and every tile that is new then, full or partial. Costs one hash a leaf."""
+        made: dict[Tile, bytes] = {}
+        partial: list[bytes] = []
+        added, level = leaves, 0
+        while added or level < len(self.partial):
+            before = self.partial[level] if level < len(self.partial) else b""
+            if not added:
+                partial.append(before)
+            else:
+                first = (self.size >> HEIGHT * level) // WIDTH
+                hashes = before + added
+                full = len(hashes) // _TILE_BYTES
+                made |= {
+                    Tile(level, first + at): hashes[at * _TILE_BYTES : (at + 1) * _TILE_BYTES] for at in range(full)
+                }
+                rest = hashes[full * _TILE_BYTES :]
+                if rest:
+                    made[Tile(level, first + full, len(rest) // HASH_BYTES)] = rest
+                partial.append(rest)
+                added = _tile_roots(hashes[: full * _TILE_BYTES])
+            level += 1
+        return Edge(self.size + len(leaves) // HASH_BYTES, tuple(partial)), made
+
+    def frontier(self) -> Frontier:
+        """The roots of the tree's complete subtrees, largest first."""
+        found: list[bytes] = []
+        for hashes in reversed(self.partial):
+            at = 0
+            for height in reversed(range(HEIGHT)):
+                size = HASH_BYTES << height
+                if len(hashes) & size:
+                    found.append(_subtree_root(hashes[at : at + size]))
+                    at += size
+        return Frontier(self.size, tuple(found))
+
+
+def _tile_roots(hashes: bytes) -> bytes:
+    """The root of each full tile, packed."""
+    for _ in range(HEIGHT):
+        hashes = parents(hashes)
+    return hashes
+
+
+def _subtree_root(hashes: bytes) -> bytes:
+    """The root of a complete subtree over these hashes."""
+    while len(hashes) > HASH_BYTES:
+        hashes = parents(hashes)
+    return hashes
+
+
+def node_of(read: Callable[[Tile], bytes], size: int) -> Node:
+    """The roots of complete subtrees of a tree of this size (see `merkle.Node`), out of its tiles."""
+
+    def node(height: int, number: int) -> bytes:
+        level, above = divmod(height, HEIGHT)
+        first = number << above
+        count = size >> HEIGHT * level
+        place, start = divmod(first, WIDTH)
+        tile = Tile(level, place, min(WIDTH, count - place * WIDTH))
+        return _subtree_root(read(tile)[start * HASH_BYTES : (start + (1 << above)) * HASH_BYTES])
+
+    return node

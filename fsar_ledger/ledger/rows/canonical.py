@@ -1,0 +1,156 @@
+"""The bytes of one stored row that are hashed: RFC 8785 JSON of the row, keys sorted, NULL columns left out.
+
+Two independent producers make them: `lines` from structs when events are appended, `from_table` from
+columns when a ledger is verified. Tests hold them equal.
+"""
+
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import islice, repeat
+from typing import Any, TypeAlias
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+
+from fsar_ledger.ledger.rows.arrow import coded, numbers, places, validity, whole
+from fsar_ledger.ledger.rows.bounds import has_more_text_than, text_bytes
+from fsar_ledger.ledger.rows.schema import COLUMNS, ENVELOPE, SCHEMA, STORED, Layout
+
+_ENCODER = msgspec.json.Encoder()
+_SORTING_ENCODER = msgspec.json.Encoder(order="sorted")
+_MOST_ROWS, _MOST_TEXT = (
+    1 << 16,
+    1 << 26,
+)  # of a segment, at once; a commit of 25 runs has some ten thousand rows and 10 MB of text
+_ROWS_AT_ONCE = 256
+_PIVOT = "run_id"  # a column that is never NULL, so the commas can lean on it
+
+
+Rows: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
+
+
+def document(value: object) -> bytes:
+    """The RFC 8785 JSON of a document of strings, integers, booleans, None, lists and structs with ASCII names."""
+    return _SORTING_ENCODER.encode(value)
+
+
+def _row_type(layout: Layout) -> tuple[type[msgspec.Struct], tuple[str, ...]]:
+    """A struct of all columns of this event type in sorted order, which JSON leaves out where they are None."""
+    names = tuple(sorted([field.name for field in (*ENVELOPE, *layout.fields)]))
+    row = msgspec.defstruct(
+        layout.cls.__name__ + "Row", [(name, Any, None) for name in names], omit_defaults=True, gc=False
+    )
+    return row, names
+
+
+_ROW_TYPES = {tag: _row_type(layout) for tag, layout in STORED.items()}
+
+
+def lines(tag: str, columns: Mapping[str, Sequence[object]]) -> Iterator[list[bytes]]:
+    """The canonical bytes of rows of one event type, each after the 0x00 that RFC 6962 puts before a leaf.
+
+    They come in lists of a few hundred rows, which the processor's caches hold while they are hashed.
+
+    Args:
+        tag: The stored type of the events.
+        columns: Every column of this type, envelope included, as Python values.
+    """
+    row, names = _ROW_TYPES[tag]
+    rows = map(row, *[columns[name] for name in names])
+    while encoded := _ENCODER.encode_lines(islice(rows, _ROWS_AT_ONCE)):
+        yield (b"\x00" + encoded[:-1].replace(b"\n", b"\n\x00")).split(b"\n")  # JSON holds no raw line feed
+
+
+class _Members:
+    """One column as members of JSON objects, `"name":value` with a comma; nothing where it is NULL.
+
+    A row leans on `run_id`, which is never NULL: members before it end with a comma, those behind it begin with one.
+    """
+
+    def __init__(self, name: str, column: pa.Array) -> None:
+        self._before = f'"{name}":'.encode() if name <= _PIVOT else f',"{name}":'.encode()
+        self._after = b"," if name < _PIVOT else b""
+        self._column, self._kind = column, COLUMNS[name]
+        self.is_valid = validity(column)
+        if self._kind == "string":  # strings repeat, so each is written once
+            texts = coded(column)
+            self._texts = self._members([*map(_ENCODER.encode, texts.dictionary.to_pylist())])
+            self._places = places(texts)
+        elif self._kind == "boolean":
+            self._texts = self._members([b"false", b"true"])
+            self._places = column.cast(pa.int8()).fill_null(2).to_numpy()
+        elif self._kind == "integer":
+            self._numbers = np.where(self.is_valid, numbers(column), 0)
+            least, most = int(self._numbers.min()), int(self._numbers.max())
+            if most - least < len(column):  # so do these
+                self._kind = "string"
+                self._texts = self._members([b"%d" % number for number in range(least, most + 1)])
+                self._places = np.where(self.is_valid, self._numbers - least, most - least + 1)
+
+    def _members(self, values: Sequence[bytes]) -> "np.ndarray[tuple[int], np.dtype[np.object_]]":
+        """The member for each value, and behind them the nothing of NULL."""
+        texts = np.empty(len(values) + 1, object)
+        texts[:] = [*(self._before + value + self._after for value in values), b""]
+        return texts
+
+    def of(self, rows: Rows) -> list[bytes]:
+        """The members of these rows."""
+        match self._kind:
+            case "string" | "boolean":
+                texts: list[bytes] = self._texts[self._places[rows]].tolist()
+                return texts
+            case "integer":
+                pattern = self._before + b"%d" + self._after
+                found = [pattern % number for number in self._numbers[rows].tolist()]
+            case "strings":
+                values = self._column.take(pa.array(rows)).to_pylist()
+                found = [self._before + _ENCODER.encode(value) + self._after for value in values]
+        is_valid = self.is_valid[rows]
+        return (
+            found
+            if is_valid.all()
+            else [member if valid else b"" for member, valid in zip(found, is_valid.tolist(), strict=True)]
+        )
+
+
+def from_table(table: pa.Table) -> list[bytes]:
+    """The canonical bytes of every row, each after the 0x00 that RFC 6962 puts before a leaf.
+
+    Rows are taken by type, for a type has a tenth of the columns. Columns of strings may be dictionaries.
+    """
+    columns = {name: whole(table.column(name)) for name in sorted(table.column_names)}
+    members = [_Members(name, column) for name, column in columns.items() if column.null_count < len(column)]
+    codes = places(coded(columns["type"]))
+    order = np.argsort(codes, kind="stable")
+    starts = np.flatnonzero(np.diff(codes[order], prepend=-1))
+    is_there = [
+        np.logical_or.reduceat(column.is_valid[order], starts).tolist() for column in members
+    ]  # by column, whether rows of each type have it
+    found = np.empty(len(table), object)
+    for type_, rows in enumerate(np.split(order, starts[1:])):
+        pieces = [column.of(rows) for column, is_in in zip(members, is_there, strict=True) if is_in[type_]]
+        found[rows] = list(
+            map(b"".join, zip(repeat(b"\x00{", len(rows)), *pieces, repeat(b"}", len(rows)), strict=True))
+        )
+    lines: list[bytes] = found.tolist()
+    return lines
+
+
+def hashes(rows: Sequence[bytes]) -> list[bytes]:
+    """The RFC 6962 leaf hash of each row, given after its 0x00."""
+    sha256 = hashlib.sha256
+    return [sha256(row).digest() for row in rows]
+
+
+def leaves(table: pa.Table) -> bytes:
+    """The packed RFC 6962 leaf hashes of the rows, of which only so many are written out at once as a batch of runs has."""
+    if len(table) <= _MOST_ROWS and not has_more_text_than(table, _MOST_TEXT):
+        return b"".join(hashes(from_table(table)))
+    most = max(1, min(_MOST_ROWS, _MOST_TEXT * len(table) // (text_bytes(table) + 1)))
+    plain = pa.schema(
+        [SCHEMA.field(name) for name in table.column_names]
+    )  # a part of a dictionary would come with all of it
+    return b"".join(
+        b"".join(hashes(from_table(table.slice(at, most).cast(plain)))) for at in range(0, len(table), most)
+    )

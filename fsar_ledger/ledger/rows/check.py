@@ -1,0 +1,275 @@
+"""What every stored row must be: checked by column, the first flaw named with run, seq and field."""
+
+from typing import TypeAlias
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.ledger.rows.arrow import Mask, coded, numbers, places, validity, whole
+from fsar_ledger.ledger.rows.runs import Flaw
+from fsar_ledger.ledger.rows.schema import (
+    CODED_SCHEMA,
+    COLUMNS,
+    CONCERNED,
+    ENVELOPE,
+    MAX_INTEGER,
+    OPENINGS,
+    PAYLOAD,
+    SCHEMA,
+    STANDS_ALONE,
+    STORED,
+    Field,
+)
+
+Integers: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
+
+_TAGS = tuple(STORED)
+_UNKNOWN = len(_TAGS)  # the code of every type that is not in STORED
+_FIELDS = tuple({field.name: field for field in layout.fields} for layout in STORED.values())
+
+
+def _holders(name: str, *, required: bool) -> Mask:
+    """For each type code, whether events of this type have the column, or (`required`) must have a value in it."""
+    holds = [name in own and not (required and own[name].is_nullable) for own in _FIELDS]
+    return np.array([*holds, False])
+
+
+_ALLOWED = {name: _holders(name, required=False) for name in PAYLOAD}
+_REQUIRED = {name: _holders(name, required=True) for name in PAYLOAD}
+_LITERALS: dict[str, list[tuple[int, Field]]] = {
+    name: [(code, own[name]) for code, own in enumerate(_FIELDS) if name in own and own[name].values is not None]
+    for name in PAYLOAD
+}
+
+
+def first_flaw(table: pa.Table) -> Flaw | None:
+    """The flaw in the earliest row, or None if every row is as an event of its type, retired or not, is stored. Columns of strings may be dictionaries."""
+    if not table.schema.equals(SCHEMA) and not table.schema.equals(CODED_SCHEMA):
+        return Flaw(
+            -1,
+            None,
+            None,
+            None,
+            f"columns {table.schema.names!r:.300}",
+            "the columns of the ledger; the rows come from another version",
+        )
+    try:
+        table.validate(full=True)
+    except pa.ArrowInvalid as error:
+        return Flaw(-1, None, None, None, f"{error!s:.300}", "valid Arrow data")
+    if not table.num_rows:
+        return None
+    columns = {name: whole(table.column(name)) for name in COLUMNS}
+    valid = {name: validity(column) for name, column in columns.items()}
+    suspects = [*_envelope(columns, valid), *_payload(columns, valid), *_company(columns), *_unobserved(columns)]
+    first = min(suspects, key=lambda suspect: suspect[0], default=None)
+    if first is None:
+        return None
+    row, field, expected = first
+    found = columns[field][row].as_py()
+    return Flaw(
+        row,
+        columns["run_id"][row].as_py(),
+        columns["seq"][row].as_py(),
+        field,
+        "NULL" if found is None else f"{found!r:.80}",
+        expected,
+    )
+
+
+def unprintable(table: pa.Table) -> Flaw | None:
+    """A text that no writer stores: one with a character that is not printed, such as a control or a bidirectional one. None if there is none.
+
+    Readers accept it, because 0.1.0 stored it, and show it escaped. The table has the columns of `CODED_SCHEMA`; each different text is looked at once.
+    """
+    for name, kind in COLUMNS.items():
+        if kind not in ("string", "strings"):
+            continue
+        column = whole(table.column(name))
+        if column.null_count == len(column):  # most columns of a short run
+            continue
+        texts = (column.dictionary if kind == "string" else column.flatten().unique()).to_pylist()
+        if "".join(filter(None, texts)).isprintable():
+            continue
+        bad = {text for text in texts if text is not None and not text.isprintable()}
+        held = ([value] if kind == "string" else value or () for value in column.to_pylist())
+        row, found = next((at, text) for at, values in enumerate(held) for text in values if text in bad)
+        return Flaw(
+            row,
+            table.column("run_id")[row].as_py(),
+            table.column("seq")[row].as_py(),
+            name,
+            f"{found!r:.80}",
+            "characters that can be printed",
+        )
+    return None
+
+
+def disordered(table: pa.Table) -> Flaw | None:
+    """An order of events that no writer stores: a run that does not begin as one does, or begins again; time that runs backwards. None if there is none.
+
+    Readers accept both, because 0.1.0 stored them; what stands alone in company, or is unobserved, they do not. The rows have the columns of
+    `CODED_SCHEMA`, each run in one block.
+    """
+    columns = {name: whole(table.column(name)) for name in ("run_id", "type", "time_us", "observes")}
+    is_first = np.zeros(len(table), bool)
+    is_first[run_starts(columns["run_id"])] = True
+    types, times_us = columns["type"], numbers(columns["time_us"])
+    is_opening = np.array([tag in OPENINGS for tag in types.dictionary.to_pylist()])[numbers(types.indices)]
+    suspects = [
+        *_first(is_first & ~is_opening, "type", f"one of {sorted(OPENINGS)}, with which a run begins"),
+        *_first(is_opening & ~is_first, "type", "no second beginning of a run"),
+        *_first(
+            (np.diff(times_us, prepend=times_us[:1]) < 0) & ~is_first, "time_us", "no less than at the event before"
+        ),
+        *_company(columns),
+        *_unobserved(columns),
+    ]
+    if not suspects:
+        return None
+    row, field, expected = min(suspects, key=lambda suspect: suspect[0])
+    return Flaw(
+        row,
+        columns["run_id"][row].as_py(),
+        table.column("seq")[row].as_py(),
+        field,
+        f"{columns[field][row].as_py()!r:.80}",
+        expected,
+    )
+
+
+def run_starts(run_ids: pa.Array) -> Integers:
+    """The rows at which another run begins than in the row before."""
+    codes = places(coded(run_ids))
+    return np.flatnonzero(np.concatenate([np.ones(min(1, len(codes)), bool), codes[1:] != codes[:-1]]))
+
+
+def standing_alone(types: pa.Array) -> Mask:
+    """Which rows have a type that is the only event of its run."""
+    tags = coded(types)
+    found: Mask = np.array([*(tag in STANDS_ALONE for tag in tags.dictionary.to_pylist()), False])[places(tags)]
+    return found
+
+
+def _first(bad: Mask, field: str, expected: str) -> list[tuple[int, str, str]]:
+    """Nothing, or the first bad row as a suspect."""
+    return [(int(np.argmax(bad)), field, expected)] if bad.any() else []
+
+
+def _envelope(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tuple[int, str, str]]:
+    suspects = [
+        suspect
+        for field in ENVELOPE
+        if not field.is_nullable
+        for suspect in _first(~valid[field.name], field.name, "a value")
+    ]
+    if suspects:
+        return suspects
+    starts = run_starts(columns["run_id"])
+    sizes = np.diff(starts, append=len(columns["run_id"]))
+    expected_seqs = np.arange(len(columns["run_id"])) - np.repeat(starts, sizes)
+    seqs = columns["seq"].to_numpy()
+    is_wrong = seqs != expected_seqs
+    if is_wrong.any():
+        suspects += _first(is_wrong, "seq", f"{expected_seqs[np.argmax(is_wrong)]}")
+    seen: set[str] = set()
+    for start in starts.tolist():
+        run = columns["run_id"][start].as_py()
+        if run in seen:
+            suspects.append((start, "run_id", "each run in one block of rows"))
+            break
+        seen.add(run)
+    causes = columns["caused_by"].fill_null(-1).to_numpy()
+    suspects += _first(valid["caused_by"] != (expected_seqs > 0), "caused_by", "NULL at seq 0 and only there")
+    suspects += _first(
+        valid["caused_by"] & ((causes < 0) | (causes >= expected_seqs)) & (expected_seqs > 0),
+        "caused_by",
+        "the seq of an earlier event",
+    )
+    for name in COLUMNS:
+        if COLUMNS[name] == "integer" and columns[name].null_count < len(columns[name]):
+            values = columns[name].fill_null(0).to_numpy()
+            suspects += _first(
+                (values > MAX_INTEGER) | (values < -MAX_INTEGER), name, "an integer of at most 2^53 - 1 in size"
+            )
+    return suspects
+
+
+def _company(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
+    """The rows of types that stand alone in their run, where there is another row in it."""
+    is_alone = standing_alone(columns["type"])
+    if not is_alone.any():
+        return []
+    sizes = np.diff(run_starts(columns["run_id"]), append=len(is_alone))
+    has_company = np.repeat(sizes > 1, sizes)
+    return _first(is_alone & has_company, "type", "the only event of its run, as this type is")
+
+
+def _unobserved(columns: dict[str, pa.Array]) -> list[tuple[int, str, str]]:
+    """The rows that name a concern which there is not; those of a concern that their run, as it says at seq 0, does not observe."""
+    observes, types = columns["observes"], coded(columns["type"])
+    if observes.null_count == len(observes):
+        return []
+    sizes: Integers = observes.value_lengths().fill_null(0).to_numpy().astype(np.int64)
+    names: Integers = (
+        pc.index_in(observes.flatten(), pa.array(CONCERNS, pa.string())).fill_null(-1).to_numpy().astype(np.int64)
+    )
+    rows = np.repeat(np.arange(len(observes)), sizes)
+    suspects = [(int(rows[np.argmax(names < 0)]), "observes", f"some of {list(CONCERNS)}")] if (names < 0).any() else []
+    starts = run_starts(columns["run_id"])
+    run_of: Integers = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(observes)))
+    is_first = np.zeros(len(observes), bool)
+    is_first[starts] = True
+    said = is_first[rows]
+    is_observed = np.zeros((len(starts), len(CONCERNS) + 1), bool)
+    is_observed[run_of[rows[said]], names[said]] = True
+    is_observed[~validity(observes)[starts]] = True  # it says nothing about it
+    is_observed[:, -1] = True  # what has no concern
+    if is_observed.all():
+        return suspects
+    concerns = [CONCERNS.index(CONCERNED[tag]) if tag in CONCERNED else -1 for tag in types.dictionary.to_pylist()]
+    is_bad = ~is_observed[run_of, np.array([*concerns, -1])[places(types)]]
+    return [*suspects, *_first(is_bad, "type", "an event of a concern that its run observes, as event 0 says")]
+
+
+def _payload(columns: dict[str, pa.Array], valid: dict[str, Mask]) -> list[tuple[int, str, str]]:
+    types = coded(columns["type"])
+    known: Integers = (
+        pc.index_in(types.dictionary, pa.array(_TAGS, pa.string())).fill_null(_UNKNOWN).to_numpy().astype(np.int64)
+    )
+    codes = np.append(known, _UNKNOWN)[places(types)]
+    suspects = _first(codes == _UNKNOWN, "type", "an event type that this version of fsar-ledger knows")
+    is_known = codes != _UNKNOWN
+    rows = np.bincount(codes, minlength=_UNKNOWN + 1)
+    for name in PAYLOAD:
+        filled = (
+            np.bincount(codes[valid[name]], minlength=_UNKNOWN + 1)
+            if columns[name].null_count < len(codes)
+            else np.zeros_like(rows)
+        )
+        if (filled < rows)[_REQUIRED[name]].any():
+            suspects += _first(_REQUIRED[name][codes] & ~valid[name], name, "a value")
+        if filled[:_UNKNOWN][~_ALLOWED[name][:_UNKNOWN]].any():
+            suspects += _first(
+                valid[name] & ~_ALLOWED[name][codes] & is_known, name, "NULL, as its type has no such field"
+            )
+        if filled.any():
+            suspects += _literals(name, columns[name], codes)
+    return suspects
+
+
+def _literals(name: str, column: pa.Array, codes: Integers) -> list[tuple[int, str, str]]:
+    """The rows of types whose field takes only certain values, where another is found."""
+    suspects: list[tuple[int, str, str]] = []
+    if not _LITERALS[name]:
+        return suspects
+    texts = coded(column)
+    values = texts.dictionary.to_pylist()
+    for code, field in _LITERALS[name]:
+        assert field.values is not None
+        is_other = np.array([value not in field.values for value in values] + [False])
+        if is_other.any():
+            suspects += _first((codes == code) & is_other[places(texts)], name, f"one of {sorted(field.values)}")
+    return suspects

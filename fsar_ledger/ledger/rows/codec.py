@@ -1,0 +1,336 @@
+"""Runs of events to one Arrow table and back; the inverse pair is `encode` and `decode`.
+
+Only current types are encoded; decoded events of retired types are upcast, so nobody else meets them.
+Events are taken by type and by column, never row by row: that is what makes it fast.
+"""
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import chain, count, pairwise
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from fsar_ledger.errors import InvalidRun, LedgerCorrupted, UnknownEventTag
+from fsar_ledger.events import EVENT_TYPES, UPCASTS
+from fsar_ledger.ledger.log.merkle import HASH_BYTES
+from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.rows.check import first_flaw, run_starts
+from fsar_ledger.ledger.rows.runs import (
+    ALLOWED,
+    CAUSE,
+    TIME,
+    RunRecord,
+    are_allowed,
+    first_unfit,
+    refusal,
+    require_runs,
+)
+from fsar_ledger.ledger.rows.schema import (
+    ARROW_TYPES,
+    CODED_SCHEMA,
+    COLUMNS,
+    ENVELOPE,
+    LAYOUTS,
+    MAX_INTEGER,
+    PAYLOAD,
+    RETIRED,
+    SCHEMA,
+    STORED,
+    Layout,
+)
+
+__all__ = ["SCHEMA", "RunRecord", "decode", "encode", "encode_hashed", "upcast_rows"]
+
+Positions: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int64]]"
+Codes: TypeAlias = "np.ndarray[tuple[int], np.dtype[np.int32]]"
+Values: TypeAlias = "np.ndarray[tuple[int], np.dtype[Any]]"
+
+_LAYOUTS = tuple(LAYOUTS.values())
+_CODES = {cls: code for code, cls in enumerate(EVENT_TYPES)}
+_TAGS = tuple(LAYOUTS)
+_PLACE = frozenset(
+    field.name for field in ENVELOPE if field.name != "type"
+)  # where an event stands, whatever its version
+
+
+class _Part(NamedTuple):
+    """What the events of one type put in one column: values, and the rows that they belong to."""
+
+    at: Positions
+    values: Sequence[object]
+
+
+class _Texts:
+    """The strings of all columns, each held once and coded by a number from 1; the code of None is 0."""
+
+    def __init__(self) -> None:
+        self._codes: defaultdict[object, int] = defaultdict(count(1).__next__, {None: 0})
+
+    def codes(self, texts: Iterable[object], size: int) -> Codes:
+        """The codes of so many strings."""
+        return np.fromiter(map(self._codes.__getitem__, texts), np.int32, size)
+
+    def sorted(self) -> tuple[Values, Codes]:
+        """All strings in order, behind a None, and for each code the place of its string there; 0 for None."""
+        _, *texts = self._codes
+        order = sorted(range(len(texts)), key=texts.__getitem__)  # type: ignore[arg-type]
+        places = np.zeros(len(texts) + 1, np.int32)
+        places[1:][order] = np.arange(1, len(texts) + 1)
+        return np.array([None, *[texts[at] for at in order]], object), places
+
+
+class _Rows:
+    """The rows of several runs, envelope in order and events sorted by type. Raises: InvalidRun, or another error for a value that `first_unfit` names."""
+
+    def __init__(self, runs: Sequence[RunRecord]):
+        require_runs(runs)
+        self.sizes = [len(run.events) for run in runs]
+        self.size = sum(self.sizes)
+        self.runs = [run.run_id for run in runs]
+        self.times_us = list(chain.from_iterable(run.times_us for run in runs))
+        self.causes = list(chain.from_iterable(run.caused_by for run in runs))
+        if not are_allowed(self.times_us, TIME) or not are_allowed(self.causes, CAUSE):
+            raise ValueError("found times or causes that are no integers, expected integers")
+        self.seqs = np.concatenate([np.empty(0, np.int64), *map(np.arange, self.sizes)])
+        events = list(chain.from_iterable(run.events for run in runs))
+        self.codes = np.fromiter(map(_CODES.__getitem__, map(type, events)), np.uint16, self.size)
+        self.order = np.argsort(self.codes, kind="stable")  # position of each row when rows are sorted by type
+        events = list(map(events.__getitem__, self.order.tolist()))
+        self.blocks: list[tuple[Layout, slice, tuple[Sequence[object], ...]]] = []
+        start = 0
+        for layout, rows in zip(_LAYOUTS, np.bincount(self.codes, minlength=len(_LAYOUTS)).tolist(), strict=True):
+            if rows:
+                block = slice(start, start + rows)
+                columns = layout.columns(events[block])
+                if not all(map(are_allowed, columns, ALLOWED[layout.tag])):
+                    raise ValueError(
+                        f"found values in events {layout.tag} that no row can hold, expected those of its fields"
+                    )
+                self.blocks.append((layout, block, columns))
+                start += rows
+
+    def table(self) -> pa.Table:
+        """The rows with the columns of `CODED_SCHEMA`."""
+        parts: dict[str, list[_Part]] = {name: [] for name in PAYLOAD}
+        for layout, block, columns in self.blocks:
+            at = self.order[block]
+            for field, values in zip(layout.fields, columns, strict=True):
+                parts[field.name].append(_Part(at, values))
+        arrays = self._strings({name: parts[name] for name in PAYLOAD if COLUMNS[name] == "string"})
+        arrays |= {name: self._lists(parts[name]) for name in PAYLOAD if COLUMNS[name] == "strings"}
+        arrays |= {
+            name: self._numbers(name, parts[name]) for name in PAYLOAD if COLUMNS[name] in ("integer", "boolean")
+        }
+        arrays |= self._integers()
+        return pa.Table.from_arrays([arrays[name] for name in COLUMNS], schema=CODED_SCHEMA)
+
+    def _integers(self) -> dict[str, pa.Array]:
+        """The integers of the envelope. Raises: ValueError unless every event but the first of a run was caused by an earlier one."""
+        times_us, causes = pa.array(self.times_us, pa.int64()), pa.array(self.causes, pa.int64())
+        numbers = causes.fill_null(-1).to_numpy()
+        _require_exact("time_us", times_us.to_numpy())
+        if np.where(self.seqs == 0, np.asarray(causes.is_valid()), (numbers < 0) | (numbers >= self.seqs)).any():
+            raise ValueError("found causes that are no earlier events, expected None at seq 0, else an earlier seq")
+        return {"seq": pa.array(self.seqs), "time_us": times_us, "caused_by": causes}
+
+    def _strings(self, columns: dict[str, list[_Part]]) -> dict[str, pa.DictionaryArray]:
+        """The columns of strings, those of the envelope too, each with a sorted dictionary of what is in it."""
+        texts = _Texts()
+        everywhere: Positions = np.arange(self.size)
+        found = {"run_id": (everywhere, np.repeat(texts.codes(self.runs, len(self.runs)), self.sizes))}
+        found["type"] = (everywhere, texts.codes(_TAGS, len(_TAGS))[self.codes])
+        for name, parts in columns.items():
+            at = _positions(parts)
+            found[name] = (at, texts.codes(chain.from_iterable(part.values for part in parts), len(at)))
+        dictionary, places = texts.sorted()
+        return {name: self._coded(at, places[codes], dictionary) for name, (at, codes) in found.items()}
+
+    def _coded(self, at: Positions, places: Codes, dictionary: Values) -> pa.DictionaryArray:
+        """A column of strings, given by their places in the sorted dictionary of all columns, where place 0 is NULL."""
+        is_used = np.zeros(len(dictionary), bool)
+        is_used[places] = True
+        is_used[0] = False
+        codes = np.cumsum(is_used, dtype=np.int32) - 1  # -1 at place 0, as nothing used lies before it
+        indices = np.full(self.size, -1, np.int32)
+        indices[at] = codes[places]
+        used = pa.array(dictionary[is_used], pa.string())
+        return pa.DictionaryArray.from_arrays(
+            _array(indices, indices >= 0), used, safe=False
+        )  # each code is less than the number of used places
+
+    def _numbers(self, name: str, parts: list[_Part]) -> pa.Array:
+        """A column of integers or booleans, NULL where the event type has no such field."""
+        at, column = _joined(parts, ARROW_TYPES[COLUMNS[name]])
+        values, is_valid = np.zeros(self.size, column.type.to_pandas_dtype()), np.zeros(self.size, bool)
+        is_valid[at] = column.is_valid() if column.null_count else True
+        values[at] = (column.fill_null(values.dtype.type(0)) if column.null_count else column).to_numpy(
+            zero_copy_only=False
+        )
+        if COLUMNS[name] == "integer":
+            _require_exact(name, values)
+        return _array(values, is_valid)
+
+    def _lists(self, parts: list[_Part]) -> pa.Array:
+        """A column of lists of strings, NULL where the event type has no such field."""
+        at, column = _joined(parts, ARROW_TYPES["strings"])
+        order = np.argsort(at, kind="stable")
+        at, column = at[order], column.take(pa.array(order))
+        ends, is_valid = np.zeros(self.size + 1, np.int32), np.zeros(self.size, bool)
+        ends[at + 1] = np.diff(column.offsets.to_numpy())
+        is_valid[at] = column.is_valid() if column.null_count else True
+        np.cumsum(ends, out=ends)
+        return pa.Array.from_buffers(
+            column.type, self.size, [_bits(is_valid), pa.py_buffer(ends)], children=[column.flatten()]
+        )
+
+    def leaves(self) -> bytes:
+        """The packed RFC 6962 leaf hashes in row order."""
+        order = self.order.tolist()
+        times_us, causes = (list(map(rows.__getitem__, order)) for rows in (self.times_us, self.causes))
+        run_ids = list(
+            map(self.runs.__getitem__, np.repeat(np.arange(len(self.runs)), self.sizes)[self.order].tolist())
+        )
+        seqs = self.seqs[self.order].tolist()
+        hashed: list[bytes] = []
+        for layout, block, values in self.blocks:
+            columns = {field.name: column for field, column in zip(layout.fields, values, strict=True)}
+            columns |= {
+                "run_id": run_ids[block],
+                "seq": seqs[block],
+                "time_us": times_us[block],
+                "caused_by": causes[block],
+            }
+            columns["type"] = [layout.tag] * (block.stop - block.start)
+            hashed += [b"".join(canonical.hashes(lines)) for lines in canonical.lines(layout.tag, columns)]
+        packed = np.empty((self.size, HASH_BYTES), np.uint8)
+        packed[self.order] = np.frombuffer(b"".join(hashed), np.uint8).reshape(-1, HASH_BYTES)
+        return packed.tobytes()
+
+
+def _positions(parts: list[_Part]) -> Positions:
+    """The rows of all parts, one part after the other."""
+    return np.concatenate([part.at for part in parts]) if parts else np.empty(0, np.int64)
+
+
+def _joined(parts: list[_Part], kind: pa.DataType) -> tuple[Positions, pa.Array]:
+    """The rows and the values of all parts."""
+    return _positions(parts), pa.array(list(chain.from_iterable(part.values for part in parts)), kind)
+
+
+def _bits(is_set: Values) -> pa.Buffer:
+    """Booleans as Arrow holds them, without going through its slower conversion of a mask of bytes."""
+    return pa.py_buffer(np.packbits(is_set, bitorder="little"))
+
+
+def _array(values: Values, is_valid: Values) -> pa.Array:
+    """An Arrow array of int32, int64 or bool, NULL where it is not valid."""
+    data = _bits(values) if values.dtype == bool else pa.py_buffer(values)
+    return pa.Array.from_buffers(pa.from_numpy_dtype(values.dtype), len(values), [_bits(is_valid), data])
+
+
+def _require_exact(name: str, numbers: Values) -> None:
+    """Raises: ValueError for an integer beyond 2^53 - 1, which JSON readers may round."""
+    least, most = int(numbers.min(initial=0)), int(numbers.max(initial=0))
+    if least < -MAX_INTEGER or most > MAX_INTEGER:
+        raise ValueError(f"column {name}: found integers from {least} to {most}, expected at most 2^53 - 1 in size")
+
+
+@contextmanager
+def _refusals(runs: Sequence[RunRecord]) -> Iterator[None]:
+    """What goes wrong inside becomes InvalidRun and names the first value that is at fault; it stays as it is if there is none."""
+    try:
+        yield
+    except InvalidRun:
+        raise
+    except (LookupError, TypeError, ValueError, OverflowError) as error:
+        flaw = first_unfit(runs)
+        if flaw is None:
+            raise
+        raise refusal(flaw) from error
+
+
+def encode(runs: Sequence[RunRecord]) -> pa.Table:
+    """The rows of these runs in order (run, seq), with the columns of `SCHEMA`.
+
+    Raises:
+        InvalidRun: A run has no events, or not as many times and causes as events, or is there twice; an event other than the first is not
+            caused by an earlier one; an event is of no type of today; a value is not exactly of the class of its field (msgspec constructors
+            do not check), not in its closed list, an integer beyond 2^53 - 1, or text with surrogates.
+    """
+    with _refusals(runs):
+        return _Rows(runs).table().cast(SCHEMA)
+
+
+def encode_hashed(runs: Sequence[RunRecord]) -> tuple[pa.Table, bytes]:
+    """As `encode`, but with the columns of `CODED_SCHEMA`, and with the packed RFC 6962 leaf hash of each row."""
+    with _refusals(runs):
+        rows = _Rows(runs)
+        return rows.table(), rows.leaves()
+
+
+def decode(table: pa.Table) -> Iterator[RunRecord]:
+    """Every run of the table, in order, events of retired types upcast; the inverse of `encode`.
+
+    Raises:
+        UnknownEventTag: A row has a type that this version does not know.
+        LedgerCorrupted: The columns are not those of `SCHEMA`; a row lacks a value that its type must have, has one
+            that it cannot have, or a seq that does not follow the one before it.
+    """
+    _require_valid(table)
+    events = _events(table)
+    run_ids = table.column("run_id").combine_chunks()
+    times_us = table.column("time_us").to_pylist()
+    causes = table.column("caused_by").to_pylist()
+    for start, end in pairwise([*run_starts(run_ids).tolist(), table.num_rows]):
+        yield RunRecord(run_ids[start].as_py(), times_us[start:end], causes[start:end], events[start:end].tolist())
+
+
+def upcast_rows(table: pa.Table, tags: Sequence[str] = tuple(RETIRED)) -> pa.Table | None:
+    """Only the rows of these retired types, as their newest version would be stored; None if there are none. Raises: as `decode`."""
+    stored = table.filter(pc.is_in(table.column("type"), pa.array(tags, pa.string())))
+    if not stored.num_rows:
+        return None
+    _require_valid(table)
+    times_us, causes = (
+        range(stored.num_rows),
+        [None, *range(stored.num_rows - 1)],
+    )  # a place for each row, until it has its own again
+    rows = encode([RunRecord("", times_us, causes, _events(stored).tolist())])
+    return pa.Table.from_arrays(
+        [(stored if name in _PLACE else rows).column(name) for name in SCHEMA.names], schema=SCHEMA
+    )
+
+
+def _require_valid(table: pa.Table) -> None:
+    """Raises: as `decode`."""
+    flaw = first_flaw(table)
+    if flaw is not None:
+        if flaw.field == "type":
+            raise UnknownEventTag(f"{flaw}; read it with the version that wrote it, or restore the segment")
+        raise LedgerCorrupted(f"{flaw}; restore the segment")
+
+
+def _events(table: pa.Table) -> "np.ndarray[tuple[int], np.dtype[np.object_]]":
+    """The events of all rows, which were checked, as their newest versions."""
+    events = np.empty(table.num_rows, object)
+    tags = table.column("type").combine_chunks().dictionary_encode()
+    codes = tags.indices.to_numpy()
+    for code, tag in enumerate(tags.dictionary.to_pylist()):
+        at = np.flatnonzero(codes == code)
+        layout = STORED[tag]
+        columns = []
+        for field in layout.fields:
+            values = table.column(field.name).take(pa.array(at)).to_pylist()
+            columns.append(
+                [None if value is None else tuple(value) for value in values] if field.kind == "strings" else values
+            )
+        made = layout.events(columns, len(at))
+        for change in UPCASTS.get(layout.cls, ()):
+            made = list(map(change, made))
+        for position, event in zip(at.tolist(), made, strict=True):
+            events[position] = event
+    return events

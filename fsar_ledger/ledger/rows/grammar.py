@@ -1,0 +1,224 @@
+"""The bytes of a segment's footer and page headers, spelled out as regular expressions: what they do not match is no segment.
+
+A footer is Thrift (compact protocol), which can say one thing in many ways, and some things twice. Libraries choose differently among
+them, so that one file may have two contents. Here each struct is spelled out field by field, as the only writer that there is makes it
+(Apache Arrow's, called as `segment.to_parquet` calls it). Unknown, missing, repeated and reordered fields, negative counts, and numbers
+longer than they need be are then no matter of checks: they cannot be said. It takes microseconds besides.
+
+| struct | in this order, fields by their numbers in Parquet's own definition; those in brackets may be left out |
+|---|---|
+| FileMetaData | 1 version = 2, 2 schema (exactly as `schema_bytes` has it), 3 num_rows, 4 one row group, 6 created_by, 7 column_orders, all TYPE_ORDER |
+| RowGroup | 1 columns, one a column of the schema, 2 total_byte_size, 3 num_rows, 5 file_offset = 4, 6 total_compressed_size |
+| ColumnChunk | 2 file_offset = 0, 3 meta_data |
+| ColumnMetaData | 1 type, 2 encodings, 3 path_in_schema, 4 codec = ZSTD, 5 num_values, 6 total_uncompressed_size, 7 total_compressed_size, |
+| | 9 data_page_offset, 11 dictionary_page_offset (strings only), [12 statistics: `run_id`, `seq`, `time_us` only], 13 encoding_stats, [16 size_statistics] |
+| Statistics | integers: 1 max, 2 min, 3 null_count = 0, 5 max_value = max, 6 min_value = min, [7, 8 exact: true]; `run_id`: the same without 1 and 2, |
+| | and without 5 to 8 where the bounds are too long |
+| SizeStatistics | 1 unencoded_byte_array_data_bytes (strings only), 2 and 3 the histograms of levels, which have as many numbers as there are levels |
+| PageHeader, dictionary | 1 type = 2, 2 uncompressed_page_size, 3 compressed_page_size, 4 crc, 7: 1 num_values, 2 encoding = PLAIN, 3 is_sorted = false |
+| PageHeader, data | 1 type = 0, 2 uncompressed_page_size, 3 compressed_page_size, 4 crc, 5: 1 num_values, 2 encoding, 3 and 4 levels in RLE, 5 statistics |
+
+Statistics of a page stand there empty, or as those of the column chunk. Encodings: strings and lists of strings PLAIN (dictionary, and data once the
+dictionary is full) and RLE_DICTIONARY; integers DELTA_BINARY_PACKED; booleans PLAIN. `encodings` and `encoding_stats` say what the pages say.
+"""
+
+import re
+from functools import cache
+from typing import NamedTuple
+
+import pyarrow as pa
+
+from fsar_ledger.ledger.rows.schema import COLUMNS, Kind
+
+MAGIC = b"PAR1"
+HAS_STATISTICS = ("run_id", "seq", "time_us")
+"""The columns that may have statistics: those of other columns spare no reader any work."""
+_TYPES: dict[Kind, int] = {"boolean": 0, "integer": 2, "string": 6, "strings": 6}
+_ENCODINGS: dict[Kind, bytes] = {
+    "boolean": b"\x25\x06\x00",
+    "integer": b"\x25\x06\x0a",
+    "string": b"\x35\x00\x06\x10",
+    "strings": b"\x35\x00\x06\x10",
+}
+_EVEN = b"".join(re.escape(bytes([byte])) for byte in range(0, 0x80, 2))
+_EVEN_ON = b"".join(re.escape(bytes([byte])) for byte in range(0x80, 0x100, 2))
+_N = (
+    rb"(?:[" + _EVEN_ON + rb"][\x80-\xff]{0,3}+[\x01-\x7f]|[" + _EVEN + rb"])"
+)  # a number from 0 to 2^34 - 1, zigzag, as short as it can be
+_SUM = rb"(?:[\x80-\xff]{4}[\x01-\x0f]|[\x80-\xff]{0,3}+[\x01-\x7f]|\x00)"  # any 32 bits
+_IS_EXACT = rb"(?:\x11\x11)?"
+_INTEGER_BOUNDS = rb"\x18\x08(.{8})\x18\x08(.{8})\x16\x00\x28\x08(.{8})\x18\x08(.{8})" + _IS_EXACT + rb"\x00"
+_WITHOUT_GROUPS = _INTEGER_BOUNDS.replace(b"(.{8})", b".{8}")
+
+INTEGER_BOUNDS = re.compile(_INTEGER_BOUNDS, re.DOTALL)
+"""The statistics of integers: most, least, most, least."""
+_LENGTH = rb"([\x80-\xff][\x01-\x7f]|[\x00-\x7f])"
+MOST = re.compile(rb"[\x1c]\x36\x00\x28" + _LENGTH, re.DOTALL)
+LEAST = re.compile(rb"\x18" + _LENGTH, re.DOTALL)
+BOUNDS_END = re.compile(_IS_EXACT + rb"\x00", re.DOTALL)
+"""The statistics of strings: each length is that of the bound which follows."""
+UNBOUNDED = b"\x1c\x36\x00\x00"
+"""The statistics of strings that are too long for bounds: no NULL."""
+
+_SIZES = rb"\x15(%b)\x15(%b)\x15(%b)" % (_N, _N, _SUM)  # unpacked, stored, checksum
+DICTIONARY_PAGE = re.compile(rb"\x15\x04" + _SIZES + rb"\x3c\x15(%b)\x15\x00\x12\x00\x00" % _N, re.DOTALL)
+"""The header of a dictionary: unpacked bytes, stored bytes, checksum, values."""
+
+
+def _data_page(encodings: bytes, end: bytes) -> re.Pattern[bytes]:
+    """The header of a data page: unpacked bytes, stored bytes, checksum, values, encoding; and nothing where statistics of text follow."""
+    return re.compile(
+        rb"\x15\x00" + _SIZES + rb"\x1c\x15(%b)\x15([%b])\x15\x06\x15\x06\x1c" % (_N, encodings) + end, re.DOTALL
+    )
+
+
+_DATA_PAGES: dict[Kind, re.Pattern[bytes]] = {
+    "boolean": _data_page(rb"\x00", rb"()\x00\x00\x00"),
+    "integer": _data_page(rb"\x0a", rb"()\x00\x00\x00"),
+    "string": _data_page(rb"\x10\x00", rb"()\x00\x00\x00"),
+    "strings": _data_page(rb"\x10\x00", rb"()\x00\x00\x00"),
+}
+_RUN_ID_PAGE = _data_page(rb"\x10\x00", rb"(\x00\x00\x00)?")
+_BOUNDED_PAGE = _data_page(rb"\x0a", rb"()(?:(%b)|\x00)\x00\x00" % _WITHOUT_GROUPS)
+
+
+def number(value: int) -> bytes:
+    """A Thrift number that is not negative, zigzag."""
+    return length(value << 1)
+
+
+def length(value: int) -> bytes:
+    """A Thrift length."""
+    found = bytearray()
+    while value > 0x7F:
+        found.append(value & 0x7F | 0x80)
+        value >>= 7
+    return bytes([*found, value])
+
+
+def text(value: bytes) -> bytes:
+    """A Thrift string."""
+    return length(len(value)) + value
+
+
+def listed(count: int, kind: int) -> bytes:
+    """The beginning of a Thrift list of so many values of one kind."""
+    return bytes([count << 4 | kind]) if count < 15 else bytes([0xF0 | kind]) + length(count)
+
+
+def schema_bytes(schema: pa.Schema) -> bytes:
+    """The list of schema elements of these columns of ours: all that Thrift writes of it."""
+    names = schema.names
+    elements = [b"\x35\x00\x18\x06schema\x15" + number(len(names)) + b"\x00"]
+    for field in schema:
+        kind, repetition = COLUMNS[field.name], b"\x02" if field.nullable else b"\x00"
+        if kind == "strings":
+            elements += [
+                b"\x35" + repetition + b"\x18" + text(field.name.encode()) + b"\x15\x02\x15\x06\x4c\x3c\x00\x00\x00",
+                b"\x35\x04\x18\x04list\x15\x02\x00",
+                _leaf(b"element", "string", b"\x00"),
+            ]
+        else:
+            elements.append(_leaf(field.name.encode(), kind, repetition))
+    return listed(len(elements), 12) + b"".join(elements)
+
+
+def _leaf(name: bytes, kind: Kind, repetition: bytes) -> bytes:
+    is_text = b"\x25\x00\x4c\x1c\x00\x00" if kind == "string" else b""
+    return b"\x15" + number(_TYPES[kind]) + b"\x25" + repetition + b"\x18" + text(name) + is_text + b"\x00"
+
+
+def path_of(name: str) -> str:
+    """The Parquet path of a column: that of its elements for a list."""
+    return f"{name}.list.element" if COLUMNS[name] == "strings" else name
+
+
+class Column(NamedTuple):
+    """How a column stands in a segment.
+
+    `about` is its chunk in the footer up to its numbers; `chunk` matches these (values, unpacked bytes, stored bytes, place of the first data
+    page, place of the dictionary or nothing) and, but for `run_id`, all else (statistics or None, encoding and size statistics); `page` the header of a page.
+    """
+
+    name: str
+    kind: Kind
+    about: bytes
+    chunk: re.Pattern[bytes]
+    page: re.Pattern[bytes]
+
+
+class Footer:
+    """The footer of segments with these columns: `begin` up to the number of rows, `groups` that number, the columns, `end` all after them."""
+
+    def __init__(self, schema: pa.Schema) -> None:
+        self.schema = schema
+        self.columns = tuple(_column(field) for field in schema)
+        count = listed(len(self.columns), 12)
+        self.begin = b"\x15\x04\x19" + schema_bytes(schema) + b"\x16"
+        self.group = b"\x19\x1c\x19" + count
+        self.orders = b"\x19" + count + b"\x1c\x00\x00" * len(self.columns) + b"\x00"
+
+
+ROWS = re.compile(rb"(%b)" % _N, re.DOTALL)
+"""The number of rows."""
+GROUP_END = re.compile(
+    rb"\x16(%b)\x16(%b)\x26\x08\x16(%b)\x00\x28(.)(parquet-cpp-arrow version [-.0-9A-Za-z]{1,40}+)" % (_N, _N, _N),
+    re.DOTALL,
+)
+"""After the columns: unpacked bytes, rows, stored bytes; length of the writer's name, and that name."""
+
+
+def _column(field: pa.Field) -> Column:
+    kind = COLUMNS[field.name]
+    parts = path_of(field.name).encode().split(b".")
+    path = listed(len(parts), 8) + b"".join(map(text, parts))
+    about = b"\x26\x00\x1c\x15" + number(_TYPES[kind]) + b"\x19" + _ENCODINGS[kind] + b"\x19" + path + b"\x15\x0c"
+    if field.name == "run_id":
+        return Column(field.name, kind, about, _numbers(kind, b""), _RUN_ID_PAGE)
+    is_bounded = field.name in HAS_STATISTICS
+    end = _bounds(kind, is_bounded=is_bounded) + _rest(kind, is_nullable=field.nullable)
+    return Column(field.name, kind, about, _numbers(kind, end), _BOUNDED_PAGE if is_bounded else _DATA_PAGES[kind])
+
+
+@cache
+def _numbers(kind: Kind, end: bytes) -> re.Pattern[bytes]:
+    dictionary = rb"\x26(%b)" % _N if kind in ("string", "strings") else rb"()"
+    return re.compile(rb"\x16(%b)\x16(%b)\x16(%b)\x26(%b)" % (_N, _N, _N, _N) + dictionary + end, re.DOTALL)
+
+
+def _bounds(kind: Kind, *, is_bounded: bool) -> bytes:
+    """The statistics of a column chunk, with the beginning of the next field."""
+    if is_bounded:
+        return rb"(?:\x3c(%b)\x19|\x49)" % _WITHOUT_GROUPS
+    return rb"()\x29" if kind in ("string", "strings") else rb"()\x49"
+
+
+def _rest(kind: Kind, *, is_nullable: bool) -> bytes:
+    """The rest of a column chunk: encoding and size statistics."""
+    is_list, is_text = kind == "strings", kind in ("string", "strings")
+    one = rb"\x15[\x00\x04]\x15[\x00\x0a\x10]\x15%b\x00" % _N
+    repetitions = rb"\x26%b%b" % (_N, _N) if is_list else rb"\x06"
+    levels = is_nullable + is_list
+    definitions = bytes([(levels + 1) << 4 | 6]) if levels else b"\x06"
+    histograms = repetitions + rb"\x19" + re.escape(definitions) + _N * (levels + 1 if levels else 0)
+    sizes = (rb"\x16%b\x19" % _N if is_text else rb"\x29") + histograms
+    return rb"([\x1c\x2c\x3c](?:%b){1,3})((?:\x3c%b\x00)?)\x00\x00" % (one, sizes)
+
+
+RUN_ID_REST = re.compile(_rest("string", is_nullable=False), re.DOTALL)
+"""What follows the statistics of `run_id`: encoding statistics, size statistics."""
+
+
+@cache
+def encoding_statistics(kind: Kind, dictionary: int, plain: int) -> bytes:
+    """What the encoding statistics say of a column with so many data pages whose values stand in a dictionary or not (integers: all count as `dictionary`)."""
+    if kind in ("string", "strings"):
+        counts = [(2, 0, 1), (0, 0, plain), (0, 8, dictionary)]
+    else:
+        counts = [(0, 5, dictionary)] if kind == "integer" else [(0, 0, dictionary)]
+    found = [
+        b"\x15%b\x15%b\x15%b\x00" % (number(page), number(encoding), number(count))
+        for page, encoding, count in counts
+        if count
+    ]
+    return listed(len(found), 12) + b"".join(found)

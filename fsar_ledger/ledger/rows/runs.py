@@ -1,0 +1,185 @@
+"""Runs as they are handed to a writer, and what none of them may hold: the first such value is named with run, seq and field.
+
+msgspec constructors do not check types, so an event may hold anything. The codec finds out by column that something is wrong with a batch;
+here it is looked for value by value, which nobody waits for twice.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import chain
+from typing import NamedTuple
+
+import msgspec
+
+from fsar_ledger import printable
+from fsar_ledger.errors import InvalidRun
+from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import flat
+from fsar_ledger.ledger.rows.schema import LAYOUTS, MAX_INTEGER, Field, Kind
+from fsar_ledger.parameters import BadParameters, read_parameters
+
+
+class RunRecord(msgspec.Struct, frozen=True):
+    """One finished run in memory, columns beside structs. The seq of an event is its position."""
+
+    run_id: str
+    times_us: Sequence[int]
+    caused_by: Sequence[int | None]
+    events: Sequence[Event]
+
+
+class Flaw(msgspec.Struct, frozen=True):
+    """The first thing that is wrong with some rows. `row` counts from 0 within the table; -1 is the table as a whole."""
+
+    row: int
+    run: str | None
+    seq: int | None
+    field: str | None
+    found: str
+    expected: str
+
+    def __str__(self) -> str:
+        place = [f"run {printable.value(self.run)}, seq {self.seq}"] if self.run is not None else []
+        place += [f"field {self.field}"] if self.field is not None else []
+        return f"{', '.join(place) or 'table'}: found {self.found}, expected {self.expected}"
+
+
+class Allowed(NamedTuple):
+    """What a field of an event may hold: values of exactly this type, in a tuple exactly strings, perhaps None; of a closed list only those in it."""
+
+    type: type
+    is_nullable: bool
+    values: frozenset[str | None] | None
+
+
+TIME, CAUSE = Allowed(int, False, None), Allowed(int, True, None)
+_ONLY_STRINGS = frozenset({str})
+_TYPES: dict[Kind, type] = {"string": str, "integer": int, "boolean": bool, "strings": tuple}
+
+
+def _allowed(field: Field) -> Allowed:
+    return Allowed(
+        _TYPES[field.kind], field.is_nullable, None if field.values is None else frozenset({*field.values, None})
+    )
+
+
+ALLOWED: dict[str, tuple[Allowed, ...]] = {
+    layout.tag: tuple(map(_allowed, layout.fields)) for layout in LAYOUTS.values()
+}
+"""For each event type what its fields may hold, in the order of its constructor: from the structs, as all that `check` expects of stored rows."""
+
+
+def are_allowed(values: Sequence[object], allowed: Allowed) -> bool:
+    """Whether a field may hold each of these values, but for the size of integers and for surrogates in strings, which the columns find out."""
+    kind, is_nullable, closed = allowed
+    types = list(map(type, values))  # the quickest way to look at each
+    if (found := types.count(kind)) != len(types) and not (
+        is_nullable and found + types.count(type(None)) == len(types)
+    ):
+        return False
+    if kind is tuple and not _are_strings(chain.from_iterable(filter(None, values))):  # type: ignore[arg-type]
+        return False
+    return closed is None or closed.issuperset(values)
+
+
+def _are_strings(values: Iterable[object]) -> bool:
+    return set(map(type, values)) <= _ONLY_STRINGS
+
+
+def require_runs(runs: Sequence[RunRecord]) -> None:
+    """Raises: InvalidRun if a run has no events or other numbers of times or causes, if its name is no text, or if two runs have the same one."""
+    seen: set[str] = set()
+    for run in runs:
+        if type(run.run_id) is not str:
+            raise InvalidRun(f"field run_id: found {run.run_id!r:.80}, expected a string; give each run a name")
+        if not _is_unicode(run.run_id):
+            raise InvalidRun(
+                f"field run_id: found {run.run_id!r:.80}, expected text without surrogates; give each run a name that can be stored"
+            )
+        sizes = len(run.events), len(run.times_us), len(run.caused_by)
+        if not sizes[0] == sizes[1] == sizes[2] or not sizes[0]:
+            found = "{} events, {} times and {} causes".format(*sizes)
+            raise InvalidRun(
+                f"run {printable.value(run.run_id)}: found {found}, expected as many of each, at least 1; append finished runs only"
+            )
+        if run.run_id in seen:
+            raise refusal(Flaw(-1, run.run_id, 0, "run_id", "the run twice in one batch", "each run once"))
+        seen.add(run.run_id)
+
+
+def refusal(flaw: Flaw) -> InvalidRun:
+    """The error that says so."""
+    return InvalidRun(f"{flaw}; nothing was written: correct the run")
+
+
+def first_unfit(runs: Sequence[RunRecord]) -> Flaw | None:
+    """The first value that no row can hold, run by run and event by event."""
+    return next(
+        (
+            Flaw(-1, run.run_id, seq, *unfit)
+            for run in runs
+            for seq in range(len(run.events))
+            for unfit in _unfit(run, seq)
+        ),
+        None,
+    )
+
+
+def unreadable(runs: Sequence[RunRecord]) -> Flaw | None:
+    """The first run whose parameters nobody could read as constants. Readers accept it, because 0.1.0 and 0.2.0 stored any text."""
+    for run in runs:
+        text = getattr(run.events[0], "parameters", None)
+        try:
+            if text is not None:
+                read_parameters(text)
+        except BadParameters:
+            return Flaw(-1, run.run_id, 0, "parameters", f"{text!r:.80}", "constants as a JSON object, or None")
+    return None
+
+
+def _unfit(run: RunRecord, seq: int) -> Iterator[tuple[str, str, str]]:
+    """What is wrong with this event: field, found, expected."""
+    for name, value, allowed in (("time_us", run.times_us[seq], TIME), ("caused_by", run.caused_by[seq], CAUSE)):
+        yield from _unfit_value(name, value, allowed)
+    cause, event = run.caused_by[seq], run.events[seq]
+    if cause is not None and seq == 0:
+        yield "caused_by", f"{cause!r:.80}", "None, as nothing came before"
+    if seq > 0 and (cause is None or not 0 <= cause < seq):
+        yield "caused_by", f"{cause!r:.80}", "the seq of an earlier event"
+    tag = str(event.__struct_config__.tag) if isinstance(event, Event) else ""
+    if tag not in LAYOUTS or type(event) is not LAYOUTS[tag].cls:
+        yield "type", f"{type(event).__name__} {tag}".strip(), "an event of a type that is written today"
+        return
+    for member in LAYOUTS[tag].members:
+        part = getattr(event, member.name)
+        if member.part is not None and type(part) is not member.part:
+            yield member.name, f"{part!r:.80}", f"a value: {member.part.__name__}, and no other class"
+            return
+    values = flat(event)
+    for field, allowed in zip(LAYOUTS[tag].fields, ALLOWED[tag], strict=True):
+        yield from _unfit_value(field.name, values[field.name], allowed)
+
+
+def _unfit_value(name: str, value: object, allowed: Allowed) -> Iterator[tuple[str, str, str]]:
+    kind, is_nullable, closed = allowed
+    found = f"{value!r:.80}"
+    if type(value) is not kind and not (value is None and is_nullable):
+        yield name, found, f"a value: {kind.__name__}{' or None' * is_nullable}, and no other class"
+    elif closed is not None and value not in closed:
+        yield name, found, f"one of {sorted(filter(None, closed))}"
+    elif isinstance(value, int) and abs(value) > MAX_INTEGER:
+        yield name, found, "at most 2^53 - 1 in size"
+    else:
+        texts = value if isinstance(value, tuple) else (value,) if isinstance(value, str) else ()
+        for text in texts:
+            if type(text) is not str:
+                yield name, found, "strings in the tuple, and no other class"
+            elif not _is_unicode(text):
+                yield name, found, "text without surrogates"
+
+
+def _is_unicode(text: str) -> bool:
+    try:
+        text.encode()
+    except UnicodeEncodeError:
+        return False
+    return True

@@ -1,0 +1,112 @@
+"""One batch of runs as one Parquet file: the same rows give the same bytes on one version of pyarrow."""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger.rows.bounds import MAX_TEXT_BYTES, has_more_text_than, text_bytes
+from fsar_ledger.ledger.rows.grammar import HAS_STATISTICS, path_of
+from fsar_ledger.ledger.rows.layout import Layout, check_layout, read_file
+from fsar_ledger.ledger.rows.releases import widened
+from fsar_ledger.ledger.rows.schema import CODED_SCHEMA, COLUMNS, SCHEMA
+
+_FEW_ROWS, _FEW_COLUMNS = 1 << 17, 8
+
+
+def to_parquet(table: pa.Table) -> pa.Buffer:
+    """The bytes of a segment: one row group, zstd-3, a dictionary for each column of strings, a checksum on each page.
+
+    Args:
+        table: Rows with the columns of one release, plain or, ready to be written, as `CODED_SCHEMA` has them. Both give the same bytes.
+    """
+    sink = pa.BufferOutputStream()
+    pq.write_table(
+        coded(table),
+        sink,
+        row_group_size=max(1, table.num_rows),
+        compression="zstd",
+        compression_level=3,
+        use_dictionary=[path_of(name) for name in table.column_names if COLUMNS[name] in ("string", "strings")],
+        column_encoding={
+            name: "DELTA_BINARY_PACKED" for name in table.column_names if COLUMNS[name] == "integer"
+        },  # most grow row by row, so differences are small
+        write_statistics=list(HAS_STATISTICS),
+        write_page_checksum=True,
+        store_schema=False,
+        version="2.6",
+        write_batch_size=1 << 16,
+    )
+    return sink.getvalue()
+
+
+def coded(table: pa.Table) -> pa.Table:
+    """The table with its columns of strings as `CODED_SCHEMA` has them."""
+    schema = pa.schema([CODED_SCHEMA.field(name) for name in table.column_names])
+    if table.schema.equals(schema):
+        return table
+    arrays = [_coded(column.combine_chunks()) if column.type == pa.string() else column for column in table.columns]
+    return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def _coded(strings: pa.Array) -> pa.DictionaryArray:
+    """The strings as codes into a sorted dictionary of them."""
+    found = strings.dictionary_encode()
+    order = pc.sort_indices(found.dictionary).to_numpy()
+    places = np.empty(len(order), np.int32)
+    places[order] = np.arange(len(order))
+    return pa.DictionaryArray.from_arrays(pa.array(places).take(found.indices), found.dictionary.take(pa.array(order)))
+
+
+def read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
+    """The rows of a segment, after its layout was checked, with these columns of `SCHEMA` (all: None); NULL in those that came later.
+
+    Raises:
+        LedgerCorrupted: The file cannot be read, asks for more memory than a batch of runs needs, or lies otherwise than a segment does (see `layout`).
+    """
+    try:
+        data = read_file(path)
+    except OSError as error:
+        raise LedgerCorrupted(
+            f"{path}: the segment cannot be read ({error.strerror}); permit reading or restore it"
+        ) from error
+    return _read(path, data, check_layout(path, data), columns, SCHEMA)
+
+
+def read_coded(path: Path, data: bytes, layout: Layout) -> pa.Table:
+    """As `read_table`, given the file's bytes and layout, but with the columns of `CODED_SCHEMA`, as the file holds them: that spares strings one by one."""
+    return _read(path, data, layout, None, CODED_SCHEMA)
+
+
+def _read(path: Path, data: bytes, layout: Layout, columns: list[str] | None, target: pa.Schema) -> pa.Table:
+    strings = [path_of(name) for name in layout.schema.names if COLUMNS[name] in ("string", "strings")]
+    try:
+        with pq.ParquetFile(pa.BufferReader(data), page_checksum_verification=True, read_dictionary=strings) as file:
+            found = _columns(file, columns or layout.schema.names, layout.rows)
+        if has_more_text_than(found, MAX_TEXT_BYTES):
+            raise LedgerCorrupted(
+                f"{path}: found strings of {text_bytes(found)} bytes in {found.num_rows} rows, expected at most {MAX_TEXT_BYTES}; restore the file"
+            )
+        found = found.cast(pa.schema([target.field(name) for name in found.column_names]))
+        return widened(found, columns or SCHEMA.names, target)
+    except pa.ArrowMemoryError:
+        raise  # the machine's fault
+    except (OSError, pa.ArrowException) as error:
+        raise LedgerCorrupted(
+            f"{path}: the segment cannot be read ({error}); expected a Parquet file with valid page checksums; restore it"
+        ) from error
+
+
+def _columns(file: pq.ParquetFile, names: list[str], rows: int) -> pa.Table:
+    """These columns of the file, a few at a time where there are many rows: what a column takes while it is decoded is then free for the next."""
+    if rows <= _FEW_ROWS:
+        return file.read(columns=names, use_threads=False)
+    parts = [
+        file.read(columns=names[first : first + _FEW_COLUMNS], use_threads=False)
+        for first in range(0, len(names), _FEW_COLUMNS)
+    ]
+    columns = [column for part in parts for column in part.columns]
+    return pa.Table.from_arrays(columns, schema=pa.schema([field for part in parts for field in part.schema]))

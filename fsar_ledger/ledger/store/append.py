@@ -1,0 +1,414 @@
+"""Appending: a batch of runs is committed whole, and is on the disk when `append` returns, or not at all.
+
+Order of steps, each durable before the next; a reader or a crash between any two sees a whole ledger:
+1. `stage` (any number of workers): the segment is in `staging/` under its SHA-256.
+2. `append` (one parent): the record is written in `staging/` and linked to its number in `commits/`. This is the commit.
+3. The segment moves to `segments/`. A crash before this is mended by the next Writer; readers look in staging meanwhile.
+4. The tiles and the checkpoint follow (see `derived.py`); the next Writer mends these as well.
+
+Writers take turns: 2 to 4 happen under an exclusive lock on `commits/`. A Writer also holds a shared lock on the ledger's folder. Leftovers in
+`staging/` that no record names are harmless; a Writer that finds itself alone removes them when it opens.
+"""
+
+import fcntl
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import TracebackType
+
+import msgspec
+import pyarrow as pa
+
+from fsar_ledger.errors import InvalidRun, NotALedger, SequenceConflict, UsageError, WriteFailed
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, Frontier
+from fsar_ledger.ledger.log.note import Note, Signer, VerifierKey, checkpoint_of, doubt, is_name
+from fsar_ledger.ledger.log.tiles import Tile
+from fsar_ledger.ledger.rows import canonical, segment
+from fsar_ledger.ledger.rows.bounds import MAX_NAME_BYTES, MAX_ROWS, MAX_SEGMENT_BYTES, MAX_TEXT_BYTES, text_bytes
+from fsar_ledger.ledger.rows.check import disordered, unprintable
+from fsar_ledger.ledger.rows.codec import RunRecord, encode_hashed
+from fsar_ledger.ledger.rows.layout import read_file, read_layout
+from fsar_ledger.ledger.rows.releases import RELEASE
+from fsar_ledger.ledger.rows.runs import Flaw, refusal, unreadable
+from fsar_ledger.ledger.rows.schema import FINGERPRINT
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.derived import catch_up, check_folders, write_derived
+from fsar_ledger.ledger.store.held import Held, HeldRuns, runs_of
+from fsar_ledger.ledger.store.paths import is_unfinished, require_outside
+from fsar_ledger.ledger.store.read import Head, LedgerView, commit_names, open_ledger, read_manifest
+from fsar_ledger.ledger.store.record import (
+    COMMITS,
+    FORMAT,
+    MANIFEST,
+    SEGMENTS,
+    STAGING,
+    VERSION,
+    CommitRecord,
+    Manifest,
+    commit_path,
+    parse_manifest,
+    segment_path,
+    sha256_hex,
+    staged_path,
+)
+
+
+class Staged(msgspec.Struct, frozen=True):
+    """A segment that waits to be committed: what the parent must know of it.
+
+    Units: `segment_bytes` bytes, `rows` events. `leaves` are the packed RFC 6962 leaf hashes, 32 bytes a row.
+    """
+
+    segment_sha256: str
+    segment_bytes: int
+    rows: int
+    first_run: str
+    last_run: str
+    leaves: bytes
+
+
+def stage(ledger: Path, runs: Sequence[RunRecord]) -> Staged:
+    """The rows of these runs are in the ledger's staging folder, durably, and not yet part of the ledger.
+
+    Needs no lock and no order: workers may stage at the same time, while a Writer is open; one that is alone when it opens
+    removes what is staged and not committed. The same runs give the same file.
+
+    Raises:
+        InvalidRun: There are no runs, or more than one commit may hold (see `bounds`), or one of them cannot be encoded (see `codec.encode`),
+            has a name that cannot be printed (see `check.unprintable`), events in another order (see `check.disordered`) or parameters that nobody can read
+            (see `runs.unreadable`). Nothing was written.
+        WriteFailed: The disk refused; nothing is left behind.
+    """
+    if not runs:
+        raise InvalidRun("found no runs to stage, expected at least 1")
+    table, leaves = encode_hashed(runs)
+    if flaw := unprintable(table):
+        raise InvalidRun(f"{flaw}; give it another name")
+    if flaw := disordered(table) or unreadable(runs):
+        raise refusal(flaw)
+    return stage_rows(ledger, runs, table, leaves)
+
+
+def stage_rows(ledger: Path, runs: Sequence[RunRecord], table: pa.Table, leaves: bytes) -> Staged:
+    """As `stage`, of runs that were encoded, whatever their names and their order; what 0.1.0 staged. Raises: as `stage`."""
+    data = segment.to_parquet(table)
+    for found, most, what in (
+        (table.num_rows, MAX_ROWS, "events"),
+        (data.size, MAX_SEGMENT_BYTES, "bytes"),
+        (text_bytes(table), MAX_TEXT_BYTES, "bytes of text"),
+    ):
+        if found > most:
+            raise InvalidRun(
+                f"found {found} {what} in {len(runs)} runs, expected at most {most} in one commit; commit fewer runs at once"
+            )
+    for run in runs:
+        if len(run.run_id.encode()) > MAX_NAME_BYTES:
+            raise refusal(
+                Flaw(
+                    -1,
+                    run.run_id,
+                    0,
+                    "run_id",
+                    f"a name of {len(run.run_id.encode())} bytes",
+                    f"at most {MAX_NAME_BYTES}",
+                )
+            )
+    try:
+        read_layout(data.to_pybytes())
+    except ValueError as error:
+        raise InvalidRun(
+            f"found {error} in a segment of {len(runs)} runs, so no reader would take it; commit fewer runs at once"
+        ) from error
+    staged = Staged(sha256_hex(data), data.size, table.num_rows, runs[0].run_id, runs[-1].run_id, leaves)
+    path = staged_path(ledger, staged.segment_sha256)
+    with disk.refusals(path, "writing a segment"):
+        disk.write_durably(path, memoryview(data))
+    return staged
+
+
+class Writer:
+    """Appends to one ledger, which it creates if there is none. Use as a context manager.
+
+    Args:
+        signer: The key that signs the notes of new commits, whose name must be the origin; without one they are unsigned.
+        adopts: The signer vouches for what it did not sign: the newest commit is unsigned, or signed by another key.
+
+    Raises:
+        NotALedger: The path is a file, a folder with other things in it, or a ledger of another origin; it is left as it was.
+        FormatVersionMismatch: The ledger was written in another format.
+        LedgerCorrupted: Its records contradict each other, or a segment is missing.
+        UsageError: The key is that of another origin; or it did not sign the newest commit and does not adopt it; or the path lies in another ledger.
+        WriteFailed: The disk refused.
+    """
+
+    def __init__(self, ledger: Path, origin: str, signer: Signer | None = None, *, adopts: bool = False):
+        if signer is not None and signer.verifier.name != origin:
+            raise UsageError(
+                f"found a key named {signer.verifier.name}, expected {origin}, the ledger's origin; make one with fsar-ledger key new FILE --name {origin}"
+            )
+        if len(origin.encode(errors="replace")) > MAX_NAME_BYTES:
+            raise ValueError(f"found an origin of {len(origin)} characters, expected at most {MAX_NAME_BYTES} bytes")
+        if not is_name(origin):
+            raise ValueError(f"found origin {origin!r}, expected a printable name without spaces and plus signs")
+        if not os.path.lexists(ledger / MANIFEST):
+            _create(ledger, origin)
+        manifest = parse_manifest(ledger / MANIFEST, read_manifest(ledger))
+        if manifest.origin != origin:
+            raise NotALedger(
+                f"{ledger / MANIFEST}: found a ledger of origin {manifest.origin!r}, expected {origin!r}; give another path, or that origin with --origin"
+            )
+        self._lock, is_alone = _lock(ledger)
+        try:
+            if is_alone:
+                _clean(open_ledger(ledger))
+            with suppress(OSError):  # the file system has no locks
+                fcntl.flock(self._lock, fcntl.LOCK_SH)
+            with disk.turn(ledger / COMMITS):
+                view = open_ledger(ledger)
+                if signer is not None and not adopts:
+                    _require_own(view, signer.verifier)
+                _confirm(view)
+                _roll_forward(view)
+                self._edge = catch_up(view)
+        except BaseException:
+            self.close()
+            raise
+        self._path, self._origin, self._signer, self._head = ledger, origin, signer, view.head
+        self._last = view.records[-1] if view.records else None
+        self._previous = sha256_hex(canonical.document(self._last)) if self._last else view.manifest_sha256
+        self._opened = view
+        self._held: HeldRuns | None = None  # read when the first batch is appended
+        self._is_broken = False
+
+    @property
+    def head(self) -> Head:
+        """How far the ledger goes."""
+        return self._head
+
+    def __enter__(self) -> "Writer":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """The lock is released. What was appended stays."""
+        if self._lock >= 0:
+            disk.close(self._lock)
+            self._lock = -1
+
+    def held(self) -> Held:
+        """The runs and the plans that the ledger holds, read row by row, before anything is appended. Raises: LedgerCorrupted if they cannot be read."""
+        assert self._held is None, "the writer has appended, or was asked before"
+        self._held = HeldRuns(self._opened, by_row=True)
+        return self._held.told()
+
+    def append(self, staged: Staged) -> Head:
+        """The staged segment is part of the ledger, durably. Appending the newest segment once more changes nothing.
+
+        Raises:
+            InvalidRun: The ledger holds one of the runs; what was staged is gone, and the ledger as it was.
+            SequenceConflict: Another writer took the number, or has gone on after the same commit; open the ledger again and append what it lacks.
+            LedgerCorrupted: A folder of the tiles is a link.
+            WriteFailed: The disk refused. The ledger is as it was, unless the message says otherwise.
+        """
+        if self._is_broken or self._lock < 0:
+            raise WriteFailed(
+                f"{self._path}: this writer is {'broken' if self._is_broken else 'closed'}; open the ledger again and append what it lacks"
+            )
+        if self._last and self._last.segment_sha256 == staged.segment_sha256:
+            disk.remove(staged_path(self._path, staged.segment_sha256))
+            return self._head
+        number = self._head.commits
+        if number >= disk.MAX_NAMES:
+            raise WriteFailed(
+                f"{self._path}: found {number} commits, expected at most {disk.MAX_NAMES}; begin another ledger"
+            )
+        if self._held is None:
+            self._held = HeldRuns(self._opened)
+        held = self._held
+        runs = self._new_runs(staged, held)
+        edge, tiles = self._edge.extend(staged.leaves)
+        check_folders(self._path, tiles)
+        record = self._record(staged, number, edge.frontier())
+        data = canonical.document(record)
+        self._is_broken = True  # unless everything below succeeds
+        with disk.turn(self._path / COMMITS):
+            self._publish(staged, number, data)
+            self._settle(staged, number)
+            self._derive(record, tiles)
+        self._is_broken = False
+        self._last, self._edge, self._previous = record, edge, sha256_hex(data)
+        self._head = Head(number + 1, edge.size, record.tree_root, record.last_run)
+        held.add(number, segment_path(self._path, number), staged.rows, runs)
+        return self._head
+
+    def _new_runs(self, staged: Staged, held: HeldRuns) -> list[str] | None:
+        """The runs of what was staged, none of which the ledger holds; None if it is there no more, as where another writer made this very commit.
+
+        Raises:
+            InvalidRun, LedgerCorrupted, WriteFailed: As `append`.
+        """
+        path = staged_path(self._path, staged.segment_sha256)
+        with disk.refusals(path, "reading what was staged"):
+            try:
+                data = read_file(path)
+            except FileNotFoundError:
+                return None
+        if (
+            sha256_hex(data) != staged.segment_sha256
+            or len(data) != staged.segment_bytes
+            or staged.rows * HASH_BYTES != len(staged.leaves)
+        ):
+            raise WriteFailed(
+                f"{path}: found another file than was staged, expected {staged.segment_bytes} bytes of that SHA-256; stage it again"
+            )
+        runs = runs_of(path, staged.rows, data)
+        if (again := held.first_of(runs)) is not None:
+            disk.remove(path)
+            run, number = again
+            raise refusal(Flaw(-1, run, 0, "run_id", f"a run that commit {number} holds", "each run in one commit"))
+        return runs
+
+    def _record(self, staged: Staged, number: int, tree: Frontier) -> CommitRecord:
+        checkpoint = checkpoint_of(self._origin, tree)
+        return CommitRecord(
+            number=number,
+            previous_sha256=self._previous,
+            release=RELEASE,
+            schema_sha256=FINGERPRINT,
+            segment_sha256=staged.segment_sha256,
+            segment_bytes=staged.segment_bytes,
+            rows=staged.rows,
+            first_run=staged.first_run,
+            last_run=staged.last_run,
+            tree_size=tree.size,
+            tree_root=checkpoint.root.hex(),
+            frontier=tuple(subtree.hex() for subtree in tree.subtrees),
+            note=str(Note(checkpoint, (self._signer.sign(checkpoint),) if self._signer else ())),
+        )
+
+    def _publish(self, staged: Staged, number: int, data: bytes) -> None:
+        """The record has its number and is the newest. Raises: SequenceConflict if another has the number, or others have gone on from the same record."""
+        path = commit_path(self._path, number)
+        source = staged_path(self._path, staged.segment_sha256)
+        temporary = disk.temporary_name(self._path / STAGING / path.name)
+        with disk.refusals(path, "writing a commit record"):
+            if not path.exists():
+                if source.stat().st_size != staged.segment_bytes or staged.rows * HASH_BYTES != len(staged.leaves):
+                    raise WriteFailed(
+                        f"{source}: found another file than was staged, expected {staged.segment_bytes} bytes; stage it again"
+                    )
+                disk.write_temporary(temporary, data)
+                with suppress(FileExistsError):
+                    disk.link_new(temporary, path)
+                    return
+            if disk.read_document(path) != data:
+                raise SequenceConflict(
+                    f"{path}: found a commit of another writer, expected number {number} to be free; open the ledger again and append what it lacks"
+                )
+            newest = len(commit_names(self._path)) - 1
+        if newest > number:  # what would be derived from this commit now is older than what is there
+            raise SequenceConflict(
+                f"{self._path}: found commits up to {newest} of another writer, expected {number} to be the newest; "
+                "open the ledger again and append what it lacks, or run the same command again"
+            )
+
+    def _settle(self, staged: Staged, number: int) -> None:
+        """The record and its segment are in place, durably. Raises: WriteFailed if the disk refuses; the commit may stand."""
+        with _unfinished(self._path, number):
+            disk.sync_folder(self._path / COMMITS)
+            disk.move(staged_path(self._path, staged.segment_sha256), segment_path(self._path, number))
+
+    def _derive(self, record: CommitRecord, tiles: Mapping[Tile, bytes]) -> None:
+        """What is derived from the commit is there too, durably. Raises: as `_settle`."""
+        with _unfinished(self._path, record.number):
+            write_derived(self._path, self._edge, tiles, record)
+
+
+@contextmanager
+def _unfinished(ledger: Path, number: int) -> Iterator[None]:
+    """What the disk refuses inside, after the record had its number, becomes WriteFailed."""
+    try:
+        yield
+    except OSError as error:
+        raise WriteFailed(
+            f"{ledger}: commit {number} was made, but the disk refused before it was safe ({error.strerror}); "
+            "the next writer finishes it or finds it gone: run the same command again"
+        ) from error
+
+
+def _lock(ledger: Path) -> tuple[int, bool]:
+    """A handle of the ledger's folder, and whether it holds the only lock on it; False where another writer is or the file system has no locks."""
+    with disk.refusals(ledger, "locking"):
+        handle = os.open(ledger, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return handle, False
+    return handle, True
+
+
+def _require_own(view: LedgerView, key: VerifierKey) -> None:
+    """The key has signed the newest commit, if there is one: its next signature covers all before. Raises: UsageError if it has not."""
+    if view.records and (found := doubt(view.records[-1].signed_note(), key)) is not None:
+        raise UsageError(
+            f"{commit_path(view.path, view.records[-1].number)}: found a newest checkpoint with {found}, expected one of {key.key}; "
+            "its next signature would vouch for all that is there: verify the ledger, and say --adopt to sign on from here"
+        )
+
+
+def _confirm(view: LedgerView) -> None:
+    """Every commit that the view shows is on the disk: whoever made it may have been killed before it was."""
+    for folder in (view.path, view.path / COMMITS):
+        with disk.refusals(folder, "syncing a folder"):
+            disk.sync_folder(folder)
+
+
+def _clean(view: LedgerView) -> None:
+    """Staging holds only committed segments that are not yet in place. Only for a writer that is alone: others may be staging."""
+    places = [view.place(number) for number in range(len(view.records))]
+    kept = {path.name for path in places if path.parent.name == STAGING}
+    with disk.refusals(view.path / STAGING, "cleaning up"):
+        disk.make_folder(view.path / STAGING)
+        leftovers = [
+            entry.path
+            for entry in list(os.scandir(view.path / STAGING))
+            if entry.name not in kept and entry.is_file(follow_symlinks=False)
+        ]
+    for leftover in leftovers:
+        disk.remove(Path(leftover))
+
+
+def _roll_forward(view: LedgerView) -> None:
+    """Every committed segment is in place. Raises: LedgerCorrupted if one is missing, WriteFailed if the disk refuses."""
+    for number in range(len(view.records)):
+        path, target = view.place(number), segment_path(view.path, number)
+        if path != target:
+            with disk.refusals(target, "moving a committed segment into place"):
+                disk.move(path, target)
+
+
+def _create(ledger: Path, origin: str) -> None:
+    """There is an empty ledger. A creation that was interrupted is finished; anything else there is left alone."""
+    if os.path.lexists(ledger) and not os.path.isdir(ledger):
+        raise NotALedger(f"{ledger}: found a file, expected a ledger or a free path; give another path")
+    require_outside(ledger.parent, str(ledger))
+    manifest = Manifest(FORMAT, origin, VERSION)
+    temporary = disk.temporary_name(ledger / STAGING / MANIFEST)
+    with disk.refusals(ledger, "creating a ledger"):
+        if os.path.isdir(ledger) and not is_unfinished(ledger):
+            if os.path.lexists(ledger / MANIFEST):  # another writer was quicker
+                return
+            raise NotALedger(
+                f"{ledger}: found a folder with other things in it, expected a ledger or a free path; give another path"
+            )
+        for folder in (ledger, ledger / COMMITS, ledger / SEGMENTS, ledger / STAGING):
+            disk.make_folder(folder)
+        disk.write_temporary(temporary, canonical.document(manifest))
+        with suppress(FileExistsError):  # another writer was quicker
+            disk.link_new(temporary, ledger / MANIFEST)
+        disk.sync_folder(ledger)

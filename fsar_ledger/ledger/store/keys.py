@@ -1,0 +1,111 @@
+"""Keys as files: the secret half, which only its owner may read, and the public half beside it in `.pub`."""
+
+import base64
+import binascii
+import os
+import stat
+from pathlib import Path
+
+from fsar_ledger.errors import UsageError
+from fsar_ledger.ledger.log.ed25519 import KEY_BYTES, flaw_of
+from fsar_ledger.ledger.log.note import ED25519, Signer, VerifierKey, is_name
+from fsar_ledger.ledger.store import disk
+
+_SECRET = "PRIVATE+KEY"
+
+
+def new_key(path: Path, name: str) -> VerifierKey:
+    """There is a new key: its secret half in the file, which only its owner may read, its public half in the same name with `.pub`.
+
+    Raises:
+        UsageError: The name cannot be that of a key, or one of the files exists; it is left as it is.
+        WriteFailed: The disk refused; there is no key.
+    """
+    if not is_name(name):
+        raise UsageError(f"--name {name!r}: expected a printable name without spaces and plus signs")
+    public = path.parent / (path.name + ".pub")
+    for file in (path, public):
+        if os.path.lexists(file):
+            raise UsageError(f"{file}: found a file, expected a free name; a key is never overwritten")
+    secret = os.urandom(KEY_BYTES)
+    verifier = Signer(name, secret).verifier
+    text = f"{_SECRET}+{verifier.key}+{base64.b64encode(ED25519 + secret).decode()}\n"
+    with disk.refusals(path, "writing a key"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        try:
+            disk.write_secret(path, text.encode())
+            disk.write_durably(public, f"{verifier}\n".encode())
+        except FileExistsError:  # another was quicker; it is that one's
+            raise
+        except BaseException:
+            disk.remove(path)
+            raise
+    return verifier
+
+
+def read_signer(path: Path) -> Signer:
+    """The key in this file. Raises: UsageError if it cannot be read, is none, or is open to others."""
+    text = _read_key(path)
+    parts = text.removeprefix(_SECRET + "+").split("+", 2)
+    expected = f"{path}: found no secret key, expected the file that `fsar-ledger key new` wrote"
+    if not text.startswith(_SECRET + "+") or len(parts) != 3:
+        raise UsageError(expected)
+    name, key_id, data = parts
+    secret = _key_bytes(data)
+    if secret is None or not is_name(name):
+        raise UsageError(expected)
+    mode = stat.S_IMODE(path.stat().st_mode)
+    if mode & 0o077:
+        raise UsageError(
+            f"{path}: found a secret key with mode {mode:o}, which others may read, expected 600; run chmod 600 on it, or make a new key"
+        )
+    signer = Signer(name, secret)
+    if signer.verifier.key_id.hex() != key_id:
+        raise UsageError(
+            f"{path}: found key id {key_id}, expected {signer.verifier.key_id.hex()} for this key; it was altered, restore it"
+        )
+    return signer
+
+
+def read_verifier(key: str) -> VerifierKey:
+    """The public key that this is, or that is in the file of this name. Raises: UsageError if it is none."""
+    is_text = key.count("+") >= 2 and not os.path.lexists(key)
+    text = key if is_text else _read_key(Path(key))
+    name, _, rest = text.partition("+")
+    key_id, _, data = rest.partition("+")
+    public = _key_bytes(data)
+    where = "--trusted-key" if is_text else f"--trusted-key {key}"
+    if name == "PRIVATE" or public is None or not is_name(name):  # the text is not shown: it may be the secret half
+        raise UsageError(
+            f"{where}: found no public key, expected one as `fsar-ledger key new` prints, or its .pub file"
+        )
+    if (flaw := flaw_of(public)) is not None:
+        raise UsageError(
+            f"{where}: found {flaw}, expected an Ed25519 public key of prime order; no signature of it would prove anything, get another key"
+        )
+    verifier = VerifierKey(name, public)
+    if verifier.key_id.hex() != key_id:
+        raise UsageError(
+            f"--trusted-key: found key id {key_id:.40}, expected {verifier.key_id.hex()} for this key; it was altered, get it again"
+        )
+    return verifier
+
+
+def _read_key(path: Path) -> str:
+    try:
+        return disk.read_document(Path(os.path.realpath(path))).decode().removesuffix("\n")
+    except (OSError, ValueError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "not text"
+        raise UsageError(
+            f"{path}: the key cannot be read ({reason}); give the file that `fsar-ledger key new` wrote"
+        ) from error
+
+
+def _key_bytes(data: str) -> bytes | None:
+    """The 32 bytes of an Ed25519 key; None if it is none."""
+    try:
+        key = base64.b64decode(data, validate=True)
+    except (binascii.Error, ValueError):
+        return None
+    is_right = key[:1] == ED25519 and len(key) == 1 + KEY_BYTES and base64.b64encode(key).decode() == data
+    return key[1:] if is_right else None

@@ -1,0 +1,223 @@
+"""Proof that one event is in a ledger, in one file that is checked without the ledger: a C2SP tlog-proof.
+
+```
+c2sp.org/tlog-proof@v1
+extra eyJhY3Rpb25faWQiOiJBMS0xLzIuMSIs...    the canonical bytes of the event; leaf = SHA-256(0x00 || bytes)
+index 1234                                   its place in the ledger, from 0
+gSKyXoYZUgZ6jduWYrkDOARinOMGJveXjgMkBTcdPlQ=   the inclusion proof: the leaf's sibling first, a hash a line
+...
+
+fsar-ledger/simulated                        the checkpoint, signed or not
+...
+```
+"""
+
+import base64
+import os
+from bisect import bisect_right
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+import pyarrow.compute as pc
+
+from fsar_ledger.errors import LedgerCorrupted, UsageError
+from fsar_ledger.ledger.log.merkle import HASH_BYTES, inclusion_proof, leaf_hash, root_of_inclusion
+from fsar_ledger.ledger.log.note import Checkpoint, Note, Signed, VerifierKey, doubt, parse_note, signers_of
+from fsar_ledger.ledger.log.tiles import node_of
+from fsar_ledger.ledger.rows import canonical
+from fsar_ledger.ledger.rows.schema import MAX_INTEGER
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.derived import read_checkpoint, tile_reader
+from fsar_ledger.ledger.store.read import LedgerView
+from fsar_ledger.ledger.store.record import CommitRecord
+
+TITLE = "c2sp.org/tlog-proof@v1"
+SUFFIX = ".tlog-proof"
+
+Value = str | int | bool | list[str]
+"""What a field of an event can hold."""
+
+
+class Proof(msgspec.Struct, frozen=True):
+    """An event (its canonical bytes), its index in the ledger, the hashes from it to the root, and a checkpoint with that root."""
+
+    event: bytes
+    index: int
+    hashes: tuple[bytes, ...]
+    note: Note
+
+    def __str__(self) -> str:
+        lines = [TITLE, f"extra {_base64(self.event)}", f"index {self.index}", *map(_base64, self.hashes), ""]
+        return "\n".join(lines) + f"\n{self.note}"
+
+
+class Proven(msgspec.Struct, frozen=True):
+    """What a proof shows: the event as it is stored, and whose ledger it is in, as far as the signature says.
+
+    `index` and `size` count events, `root` is hex; `signer` is the trusted key (`name+id`), else whom the note names.
+    """
+
+    event: dict[str, Value]
+    index: int
+    size: int
+    root: str
+    origin: str
+    signature: Signed
+    signer: str | None
+
+
+class Block(msgspec.Struct, frozen=True):
+    """The events of one run: the index of its first in the ledger, and how many."""
+
+    run: str
+    first: int
+    events: int
+
+
+def prove(view: LedgerView, index: int) -> Proof:
+    """The proof that the ledger holds this event, of those from 0; it leads to the root of the newest commit whose tiles are there.
+
+    Raises:
+        ValueError: There is no such event.
+        LedgerCorrupted: The row, the tiles and the root do not agree, or one of them cannot be read.
+    """
+    if not 0 <= index < view.head.size:
+        raise ValueError(f"found index {index}, expected one of {view.head.size} events")
+    number = bisect_right(view.records, index, key=lambda record: record.tree_size)
+    event = view.row(number, index - (view.records[number - 1].tree_size if number else 0))
+    note = _published(view, index).signed_note()
+    leaf, hashes = prove_inclusion(view.path, note.checkpoint, index)
+    if leaf_hash(event) != leaf:
+        raise LedgerCorrupted(
+            f"{view.segment(number)}: event {index} has leaf hash {leaf_hash(event).hex()}, expected {leaf.hex()} as the ledger's root says: "
+            "the row was altered; run fsar-ledger verify"
+        )
+    return Proof(event, index, hashes, note)
+
+
+def prove_inclusion(ledger: Path, tree: Checkpoint, index: int) -> tuple[bytes, tuple[bytes, ...]]:
+    """The leaf hash at this index and its inclusion proof, read from the tiles alone; they lead to the root of the checkpoint.
+
+    Raises:
+        ValueError: The tree has no such leaf.
+        LedgerCorrupted: A tile is missing, or the tiles do not lead to that root.
+    """
+    node = node_of(tile_reader(ledger), tree.size)
+    hashes = inclusion_proof(node, index, tree.size)
+    leaf = node(0, index)
+    found = root_of_inclusion(leaf, index, tree.size, hashes)
+    if found != tree.root:
+        raise LedgerCorrupted(
+            f"{ledger}: the tiles lead from event {index} to the root {found.hex() if found else 'of no tree'}, expected {tree.root.hex()} of {tree.size} "
+            "events; run fsar-ledger verify, and fsar-ledger recover if only tiles are damaged"
+        )
+    return leaf, hashes
+
+
+def _published(view: LedgerView, index: int) -> CommitRecord:
+    """The newest commit; the one before it if that has the event and a writer has not yet written the newest one's tiles."""
+    *_, before, newest = (None, *view.records)
+    is_behind = before is not None and index < before.tree_size and read_checkpoint(view.path) == before.note
+    return before if before is not None and is_behind else newest
+
+
+def blocks(view: LedgerView) -> Iterator[Block]:
+    """The runs of the ledger, in order. Raises: LedgerCorrupted for a segment that cannot be read."""
+    for number, table in enumerate(view.tables(["run_id"])):
+        first = view.records[number - 1].tree_size if number else 0
+        runs = pc.run_end_encode(table.column("run_id").combine_chunks())
+        start = 0
+        for run, end in zip(runs.values.to_pylist(), runs.run_ends.to_pylist(), strict=True):
+            yield Block(run, first + start, end - start)
+            start = end
+
+
+def read_proof(path: Path) -> Proof:
+    """The proof in this file. Raises: UsageError if there is no such file, LedgerCorrupted if it is no proof."""
+    try:
+        return parse_proof(str(path), disk.read_document(Path(os.path.realpath(path))).decode())
+    except FileNotFoundError as error:
+        raise UsageError(f"{path}: found no file, expected a proof that `fsar-ledger prove` wrote") from error
+    except (OSError, UnicodeDecodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "it is not UTF-8"
+        raise LedgerCorrupted(
+            f"{path}: the proof cannot be read ({reason}), expected what `fsar-ledger prove` wrote; get it again"
+        ) from error
+
+
+def parse_proof(where: str, text: str) -> Proof:
+    """The proof in this text, which it gives back to the byte; an error calls it `where`. Nothing of it is checked yet.
+
+    Raises:
+        LedgerCorrupted: It is not written as C2SP says, or without the event.
+    """
+    head, _, note = text.partition("\n\n")
+    try:
+        _, extra, index, *hashes = head.split("\n")
+        event, *decoded = [base64.b64decode(line, validate=True) for line in (extra.removeprefix("extra "), *hashes)]
+        proof = Proof(event, int(index.removeprefix("index ")), tuple(decoded), parse_note(where, note))
+    except ValueError as error:
+        raise LedgerCorrupted(
+            f"{where}: found no C2SP tlog-proof ({error!s:.80}), expected what `fsar-ledger prove` wrote; get it again"
+        ) from error
+    if str(proof) != text or proof.index < 0 or any(len(one) != HASH_BYTES for one in proof.hashes):
+        raise LedgerCorrupted(
+            f"{where}: found {head!r:.80}, expected a C2SP tlog-proof (title, extra, index, hashes of 32 bytes, an empty line, checkpoint); get it again"
+        )
+    return proof
+
+
+def check_proof(where: str, proof: Proof, trusted: VerifierKey | None = None) -> Proven:
+    """The event is in the ledger of the proof's checkpoint, which the trusted key, if there is one, signed; an error calls the proof `where`.
+
+    Raises:
+        LedgerCorrupted: The hashes do not lead to the root, the event is not written canonically, or the key did not sign.
+    """
+    tree = proof.note.checkpoint
+    found = root_of_inclusion(leaf_hash(proof.event), proof.index, tree.size, proof.hashes)
+    if found != tree.root:
+        led = (
+            f"a way to root {found.hex()}"
+            if found
+            else f"{len(proof.hashes)} hashes for event {proof.index} of {tree.size}, which lead nowhere"
+        )
+        raise LedgerCorrupted(
+            f"{where}: found {led}, expected one to {tree.root.hex()}: the event is not proven; get the proof again"
+        )
+    event = _event(where, proof.event)
+    if trusted is not None and (why := doubt(proof.note, trusted)) is not None:
+        raise LedgerCorrupted(
+            f"{where}: found {why}, expected one of {trusted.key}, the trusted key; rely on nothing in it"
+        )
+    signers = signers_of(proof.note)
+    state: Signed = "signed" if trusted else "signer not checked" if signers else "unsigned"
+    return Proven(
+        event, proof.index, tree.size, tree.root.hex(), tree.origin, state, trusted.key if trusted else signers
+    )
+
+
+def _event(where: str, data: bytes) -> dict[str, Value]:
+    """The fields in these bytes. Raises: LedgerCorrupted unless they are the RFC 8785 JSON of a row with run, seq and type."""
+    try:
+        row = msgspec.json.decode(data, type=dict[str, Value])
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise LedgerCorrupted(
+            f"{where}: found an event that is no flat JSON object ({error}), expected a row of a ledger; get the proof again"
+        ) from error
+    numbers = [value for value in row.values() if isinstance(value, int)]
+    is_row = isinstance(row.get("run_id"), str) and isinstance(row.get("type"), str) and type(row.get("seq")) is int
+    is_canonical = (
+        all(map(str.isascii, row))
+        and all(abs(number) <= MAX_INTEGER for number in numbers)
+        and canonical.document(row) == data
+    )
+    if not is_row or not is_canonical:
+        raise LedgerCorrupted(
+            f"{where}: found event {data!r:.80}, expected the RFC 8785 JSON of a row with run_id, seq and type; get the proof again"
+        )
+    return row
+
+
+def _base64(data: bytes) -> str:
+    return base64.b64encode(data).decode()

@@ -1,0 +1,155 @@
+"""Who signed a ledger, and whether it only grew since an earlier checkpoint: a part of `verify`."""
+
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from fsar_ledger.errors import LedgerCorrupted, UsageError
+from fsar_ledger.ledger.log.merkle import consistency_proof, is_consistent
+from fsar_ledger.ledger.log.note import Checkpoint, Note, Signed, VerifierKey, doubt, names, parse_note, signers_of
+from fsar_ledger.ledger.log.tiles import TILE, node_of
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.derived import tile_reader
+from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.record import COMMITS, MANIFEST, CommitRecord
+
+
+class Signatures(msgspec.Struct, frozen=True):
+    """Who signed: the state of the newest note, the key (`name+id`) that it names, and how many commits that key signed, or any if none is trusted."""
+
+    state: Signed
+    signer: str | None = None
+    commits: int = 0
+
+
+class Anchor(msgspec.Struct, frozen=True):
+    """An earlier checkpoint, kept elsewhere: the file it was in, and the note, None with the reason where it is none."""
+
+    file: str
+    note: Note | None
+    reason: str = ""
+
+
+def read_anchor(path: Path) -> Anchor:
+    """The checkpoint in this file. Raises: UsageError if there is no such file."""
+    try:
+        return Anchor(str(path), parse_note("anchor", disk.read_document(Path(os.path.realpath(path))).decode()))
+    except FileNotFoundError as error:
+        raise UsageError(
+            f"--anchor {path}: found no file, expected a checkpoint of this ledger that was kept elsewhere"
+        ) from error
+    except (OSError, UnicodeDecodeError, LedgerCorrupted) as error:
+        return Anchor(str(path), None, (error.strerror or str(error)) if isinstance(error, OSError) else str(error))
+
+
+def check_signatures(records: list[CommitRecord], trusted: VerifierKey | None) -> tuple[list[Problem], Signatures]:
+    """The newest note is signed by the trusted key, and no note pretends to be; without a key, whether the newest is signed at all."""
+    notes = [record.signed_note() for record in records]
+    signers = signers_of(notes[-1]) if notes else None
+    if trusted is None:
+        return [], Signatures(
+            "signer not checked" if signers else "unsigned", signers, sum(1 for note in notes if note.signatures)
+        )
+    if not notes:
+        return [Problem(MANIFEST, "no commit, so no note", f"one signed by {trusted.key}")], Signatures("unsigned")
+    problems = [
+        Problem(
+            f"{COMMITS}/{record.number:012d}.json",
+            found,
+            f"one of {trusted.key}, the trusted key",
+            commit=record.number,
+            field="note",
+        )
+        for record, note in zip(records, notes, strict=True)
+        if (found := doubt(note, trusted)) is not None and (note is notes[-1] or names(note, trusted))
+    ]
+    if problems:
+        return problems, Signatures("signer not checked" if signers else "unsigned", signers)
+    return [], Signatures("signed", trusted.key, sum(1 for note in notes if names(note, trusted)))
+
+
+class ByTiles(msgspec.Struct, frozen=True):
+    """What the tiles prove of an anchor: its root, None if nothing; the events of the tree that begins with it; the tile that was missing."""
+
+    root: bytes | None = None
+    size: int = 0
+    missing: str = ""
+
+
+def root_by_tiles(ledger: Path, then: Checkpoint, records: Sequence[CommitRecord]) -> ByTiles:
+    """The root of an earlier checkpoint, where the tiles prove that the tree of one of these records, the first with tiles, begins with its events.
+
+    There are some such events. The proof counts, not the tiles: whoever rewrote history may have left old tiles in place.
+    """
+    missing = ""
+    for record in records:
+        size, root = record.tree_size, bytes.fromhex(record.tree_root)
+        if then.size > size:
+            continue
+        try:
+            proof = consistency_proof(node_of(tile_reader(ledger), size), then.size, size)
+        except LedgerCorrupted as error:
+            missing = str(error).removeprefix(f"{ledger}/").partition(", expected")[0]
+            continue
+        return ByTiles(then.root, size) if is_consistent(then.size, then.root, size, root, proof) else ByTiles()
+    return ByTiles(missing=missing)
+
+
+def check_anchor(
+    anchor: Anchor,
+    origin: str | None,
+    size: int,
+    root_then: bytes | None,
+    trusted: VerifierKey | None,
+    missing: str = "",
+) -> list[Problem]:
+    """The ledger, of this origin and size, begins with the events of the anchor.
+
+    Args:
+        anchor: The earlier checkpoint.
+        origin: The ledger's.
+        size: The ledger's, in events.
+        root_then: The root of the ledger's first so many events as the anchor counts; None if it cannot be known.
+        trusted: The key that must have signed the anchor too.
+        missing: The tile for want of which that root is not known, and nothing worse.
+    """
+    if anchor.note is None:
+        return [Problem(anchor.file, anchor.reason, "a checkpoint of this ledger")]
+    then = anchor.note.checkpoint
+    if then.origin != origin:
+        return [Problem(anchor.file, f"a checkpoint of {then.origin}", f"one of {origin}, this ledger's origin")]
+    if trusted is not None and not trusted.has_signed(anchor.note):
+        return [
+            Problem(
+                anchor.file,
+                f"a checkpoint with {doubt(anchor.note, trusted)}",
+                f"one signed by {trusted.key}, the trusted key",
+            )
+        ]
+    if then.size > size:
+        return [
+            Problem(COMMITS, f"{size} events", f"at least {then.size}, as {anchor.file} says: the newest were removed")
+        ]
+    if missing:
+        expected = f"those from the {then.size} events of {anchor.file} to the ledger's {size}; run fsar-ledger recover, or verify without --quick"
+        return [Problem(TILE, f"one that cannot be read ({missing})", expected)]
+    if root_then is None:
+        found = f"no way from its {then.size} events to the ledger's {size}"
+        return [
+            Problem(
+                anchor.file,
+                found,
+                "a ledger that begins with them: history was rewritten, or rows or tiles were damaged",
+            )
+        ]
+    if root_then != then.root:
+        return [
+            Problem(
+                COMMITS,
+                f"root {root_then.hex()} over the first {then.size} events",
+                f"{then.root.hex()}, as {anchor.file} says: history was rewritten",
+            )
+        ]
+    return []

@@ -1,0 +1,291 @@
+"""Recovery: what a crash left is finished or set aside, what was altered is explained, and nothing is ever deleted.
+
+1. What can be trusted is found first, without changing anything (`trusted_prefix.py`).
+2. If that is the whole ledger: committed segments move into place, and what only stands beside the commits (ledger.json, tiles, checkpoint)
+   is made again from them where it is wrong. Whatever else is there is set aside: it moves to `LEDGER.set-aside/NNN/` under the same name.
+   Every step may be the last one before a crash; the next recovery goes on from there.
+3. If it is not, the ledger stays as it is, as evidence; `into` copies the trusted commits to a new ledger, byte for byte.
+"""
+
+import fcntl
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from itertools import count
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+
+from fsar_ledger.errors import LedgerCorrupted, NotALedger, UsageError, WriteFailed
+from fsar_ledger.ledger.log.tiles import TILE
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.read import Head, open_ledger
+from fsar_ledger.ledger.store.record import COMMITS, MANIFEST, SEGMENTS, STAGING, commit_path, segment_path
+from fsar_ledger.ledger.verify.rederive import Redo, derive, is_tile, put
+from fsar_ledger.ledger.verify.trusted_prefix import Later, Prefix, find_prefix
+from fsar_ledger.ledger.verify.verify import Asked, Progress, VerifyReport, verify
+
+Outcome = Literal["whole", "mended", "damaged", "continued"]
+
+
+class Step(msgspec.Struct, frozen=True):
+    """One thing that was done: to which file of the ledger, and where it is now."""
+
+    did: Literal["moved into place", "made again", "set aside"]
+    file: str
+    to: str
+
+
+class Recovery(msgspec.Struct, frozen=True):
+    """What `recover` found and did.
+
+    `outcome`: the ledger was *whole* already, or is so again (*mended*); or it is *damaged* and was not touched, with the trusted commits in
+    a new ledger (*continued*) if that was asked for. `head` is that of the trusted commits; `problems` are those of the first commit after
+    them, `later` each commit after them on its own. `anchored` counts those of their events that the anchor vouches for, None if it cannot or
+    none was given. `report` is what `verify` says about the mended or the new ledger.
+    """
+
+    outcome: Outcome
+    head: Head
+    steps: tuple[Step, ...] = ()
+    problems: tuple[Problem, ...] = ()
+    later: tuple[Later, ...] = ()
+    anchored: int | None = None
+    report: VerifyReport | None = None
+
+
+def recover(
+    path: Path, workers: int = 1, progress: Progress | None = None, asked: Asked | None = None, into: Path | None = None
+) -> Recovery:
+    """The ledger verifies, or it is as it was and the answer says what of it can be trusted.
+
+    Args:
+        path: The directory of the ledger.
+        workers: Processes that read segments.
+        progress: Called with (segments done, segments in all), once for each time that they are read.
+        asked: A key that must have signed, an earlier checkpoint.
+        into: Where the trusted commits of a damaged ledger go; nothing is there yet.
+
+    Raises:
+        NotALedger, FormatVersionMismatch: There is no ledger that this version reads, or its creation was interrupted before anything was in it.
+        UsageError: There is something at `into` already, or it is within the ledger, or the anchor is none.
+        LedgerCorrupted: No commit can be trusted, so there is nothing to copy; or files changed while they were read.
+        WriteFailed: Another writer is at work, or the disk refused; what was done so far stays, and the next recovery goes on.
+    """
+    asked = asked or Asked()
+    _require_ledger(path)
+    _require_free(path, into)
+    if asked.anchor is not None and asked.anchor.note is None:
+        raise UsageError(
+            f"--anchor {asked.anchor.file}: found {asked.anchor.reason}, expected a checkpoint of this ledger"
+        )
+    with _alone(path):
+        prefix = find_prefix(path, workers, progress, asked)
+        if not prefix.problems:
+            return _mend(path, prefix, workers, progress, asked)
+        report = _copy(path, prefix, into, workers, progress, asked) if into is not None else None
+        return Recovery(
+            "damaged" if into is None else "continued",
+            prefix.head,
+            (),
+            prefix.problems,
+            prefix.later,
+            prefix.anchored,
+            report,
+        )
+
+
+def _require_ledger(path: Path) -> None:
+    names = set(os.listdir(path)) if os.path.isdir(path) else set()
+    if not names & {MANIFEST, COMMITS, SEGMENTS}:
+        raise NotALedger(
+            f"{path}: found no ledger there, expected its directory; give the path that `fsar-ledger simulate` wrote to"
+        )
+    if names <= {COMMITS, SEGMENTS, STAGING} and not any(
+        os.listdir(path / name) for name in names - {STAGING} if os.path.isdir(path / name)
+    ):
+        raise NotALedger(
+            f"{path}: found a ledger whose creation was interrupted before anything was in it, expected one with {MANIFEST}; "
+            "run the command that creates it again"
+        )
+
+
+def _require_free(path: Path, into: Path | None) -> None:
+    if into is None:
+        return
+    if os.path.lexists(into):
+        raise UsageError(f"--into {into}: found something there, expected a free path; give another one")
+    if path.resolve() in into.resolve().parents:
+        raise UsageError(f"--into {into}: found a path within {path}, expected one outside of it; give another one")
+
+
+@contextmanager
+def _alone(path: Path) -> Iterator[None]:
+    """No writer has the ledger open or opens it meanwhile, where the file system has locks. Raises: WriteFailed if one has, or it cannot be opened."""
+    with disk.refusals(path, "locking"):
+        handle = os.open(
+            path, os.O_RDONLY | os.O_DIRECTORY
+        )  # ledger.json may be missing, and another file once it is made again
+    try:
+        _lock(path, handle)
+        yield
+    finally:
+        disk.close(handle)
+
+
+def _lock(path: Path, handle: int) -> None:
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError as error:
+        raise WriteFailed(
+            f"{path}: found a writer at work, expected none; wait until it ends, or end it, and run it again"
+        ) from error
+    except OSError:  # the file system has no locks
+        return
+
+
+# --- a ledger that can be trusted as a whole ---
+
+
+def _mend(path: Path, prefix: Prefix, workers: int, progress: Progress | None, asked: Asked) -> Recovery:
+    """The ledger verifies again."""
+    mending = _Mending(path)
+    with disk.refusals(path, "mending"):
+        mending.make_room(prefix)
+        mending.settle(prefix)
+        mending.make_again(prefix)
+        mending.set_strays_aside(prefix)
+        mending.confirm()
+    report = verify(path, workers, progress, asked)
+    outcome: Outcome = "damaged" if not report.ok else "mended" if mending.steps else "whole"
+    return Recovery(
+        outcome, prefix.head, tuple(mending.steps), report.problems, anchored=prefix.anchored, report=report
+    )
+
+
+class _Mending:
+    """The steps on one ledger. Each may be the last before a crash, and doing all of them again is as good."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.steps: list[Step] = []
+        self._aside: Path | None = None
+
+    def make_room(self, prefix: Prefix) -> None:
+        """Nothing stands in the place of a file of the ledger, and there are folders for all of them."""
+        for name in prefix.strays:
+            if not is_tile(name):
+                self._set_aside(name)
+        self._remove_empty_folders(prefix)
+        for name in (COMMITS, SEGMENTS):
+            if not (self.path / name).is_dir():
+                disk.make_folder(self.path / name)
+
+    def set_strays_aside(self, prefix: Prefix) -> None:
+        """There is nothing but the ledger's own files. Tiles of an earlier tree go last: until the later ones are there, the next writer needs them."""
+        for name in prefix.strays:
+            if is_tile(name):
+                self._set_aside(name)
+        self._remove_empty_folders(prefix)
+
+    def _remove_empty_folders(self, prefix: Prefix) -> None:
+        for folder in sorted((self.path / TILE).rglob("*"), reverse=True) if prefix.strays or prefix.redo else ():
+            if folder.is_dir() and not any(folder.iterdir()):
+                os.rmdir(folder)
+
+    def settle(self, prefix: Prefix) -> None:
+        """Every committed segment is in place, after its record is on the disk for certain."""
+        for number, name in enumerate(prefix.files):
+            place = segment_path(self.path, number)
+            if self.path / name != place:
+                disk.sync_folder(self.path / COMMITS)
+                disk.move(self.path / name, place)
+                self.steps.append(Step("moved into place", name, str(place.relative_to(self.path))))
+
+    def make_again(self, prefix: Prefix) -> None:
+        """What can be told from the commits is as they tell it: ledger.json, the tiles, the checkpoint."""
+        made = put(self.path, {MANIFEST: prefix.manifest or b""}, self._set_aside)
+        made += derive(open_ledger(self.path), prefix.redo, self._set_aside)
+        self.steps += [Step("made again", name, name) for name in made]
+
+    def confirm(self) -> None:
+        """If anything was done, all that is there is on the disk: whoever made it may have been killed before it was."""
+        for folder in (self.path, self.path / COMMITS, self.path / SEGMENTS) if self.steps else ():
+            disk.sync_folder(folder)
+
+    def _set_aside(self, name: str) -> None:
+        """The file is beside the ledger now, durably, under the same name below the first free number."""
+        if self._aside is None:
+            self._aside = _new_folder(self.path)
+        target = self._aside / name
+        disk.make_folder(target.parent)
+        disk.move(self.path / name, target)
+        self.steps.append(Step("set aside", name, str(target)))
+
+
+def _new_folder(ledger: Path) -> Path:
+    """A new folder beside the ledger, durably."""
+    real = ledger.resolve() if ledger.is_symlink() or ledger.name in ("", "..") else ledger
+    top = real.with_name(f"{real.name}.set-aside")
+    disk.make_folder(top)
+    for number in count():
+        with suppress(FileExistsError):
+            os.mkdir(top / f"{number:03d}")
+            disk.sync_folder(top)
+            return top / f"{number:03d}"
+    raise AssertionError("count() never ends")
+
+
+# --- a ledger of which a part can be trusted ---
+
+
+def _copy(
+    path: Path, prefix: Prefix, into: Path, workers: int, progress: Progress | None, asked: Asked
+) -> VerifyReport:
+    """There is a new ledger with the trusted commits, byte for byte, which verifies; or nothing is there."""
+    if not prefix.records:
+        raise LedgerCorrupted(
+            f"{prefix.problems[0]}\n{path}: found no commit that can be trusted, expected one to copy to {into}; begin a new ledger there"
+        )
+    work = disk.temporary_name(into)
+    if (
+        asked.anchor is not None
+        and asked.anchor.note is not None
+        and asked.anchor.note.checkpoint.size > prefix.head.size
+    ):
+        asked = msgspec.structs.replace(asked, anchor=None)
+    try:
+        with disk.refusals(into, "copying the trusted commits"):
+            disk.make_folder(into.parent)
+            _write_copy(path, prefix, work)
+        report = verify(work, workers, progress, asked)
+        if not report.ok:
+            raise LedgerCorrupted(
+                f"{report.problems[0]}\n{path}: found other files than a moment ago, expected nobody else to write; run it again"
+            )
+        with disk.refusals(into, "naming the new ledger"):
+            os.rename(work, into)
+            disk.sync_folder(into.absolute().parent)
+    except BaseException:
+        shutil.rmtree(work, ignore_errors=True)
+        raise
+    return report
+
+
+def _write_copy(path: Path, prefix: Prefix, work: Path) -> None:
+    """The new folder holds a ledger of the trusted commits, durably. Raises: OSError."""
+    for folder in (work, work / COMMITS, work / SEGMENTS, work / STAGING):
+        folder.mkdir()
+    for number, (name, document) in enumerate(zip(prefix.files, prefix.documents, strict=True)):
+        with open(path / name, "rb") as source, open(segment_path(work, number), "xb") as target:
+            shutil.copyfileobj(source, target)
+            target.flush()
+            os.fsync(target.fileno())
+        disk.write_temporary(commit_path(work, number), document)
+    disk.write_temporary(work / MANIFEST, prefix.manifest or b"")
+    derive(open_ledger(work), Redo(0), os.unlink)
+    for folder in (work / COMMITS, work / SEGMENTS, work / STAGING, work):
+        disk.sync_folder(folder)

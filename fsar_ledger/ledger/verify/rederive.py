@@ -1,0 +1,225 @@
+"""The tiles and the checkpoint against rows that were verified: what is wrong, what gives away removed commits, and how they are derived again.
+
+A part of `recover`.
+"""
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+import msgspec
+
+from fsar_ledger.errors import LedgerCorrupted
+from fsar_ledger.ledger.log.merkle import consistency_proof, is_consistent
+from fsar_ledger.ledger.log.note import Checkpoint, Note, parse_note
+from fsar_ledger.ledger.log.tiles import HEIGHT, TILE, WIDTH, Edge, Tile, node_of
+from fsar_ledger.ledger.store import disk
+from fsar_ledger.ledger.store.derived import CHECKPOINT, read_checkpoint, tile_reader
+from fsar_ledger.ledger.store.problem import Problem
+from fsar_ledger.ledger.store.read import Head, LedgerView
+from fsar_ledger.ledger.store.record import STAGING
+
+SetAside = Callable[[str], None]
+"""Takes the file of this name within the ledger out of it, to where nothing is lost."""
+
+
+class Redo(msgspec.Struct, frozen=True):
+    """From which commit on tiles must be derived again, and the edge of the tree before it."""
+
+    commit: int
+    before: Edge = Edge()
+
+
+class _Made(msgspec.Struct, frozen=True):
+    """A tile, and the commit that made it."""
+
+    tile: Tile
+    data: bytes
+    by: Redo
+
+
+class TilePlan:
+    """Compares tiles with those of a tree that grows commit by commit."""
+
+    def __init__(self, ledger: Path) -> None:
+        self._ledger = ledger
+        self._wrong: list[Redo] = []
+        self._partial: dict[tuple[int, int], list[_Made]] = {}  # those that no full tile has followed
+
+    def add(self, by: Redo, made: Mapping[Tile, bytes]) -> list[_Made]:
+        """The commit made these tiles; the full ones."""
+        full = []
+        for tile, data in made.items():
+            if tile.width < WIDTH:
+                self._partial.setdefault((tile.level, tile.number), []).append(_Made(tile, data, by))
+                continue
+            self._partial.pop((tile.level, tile.number), None)
+            full.append(_Made(tile, data, by))
+        return full
+
+    def compare(self, made: list[_Made]) -> None:
+        """Those that are not on the disk as they are here count as wrong."""
+        self._wrong += [one.by for one in made if not is_as(self._ledger, one.tile.name, one.data)]
+
+    def redo(self) -> Redo | None:
+        """Where to begin so that all is right afterwards; None if all is right."""
+        return min(self._wrong, key=lambda by: by.commit, default=None)
+
+    def partial(self) -> list[_Made]:
+        """The partial tiles that must be there."""
+        return [one for made in self._partial.values() for one in made]
+
+
+def is_as(ledger: Path, name: str, data: bytes) -> bool:
+    """Whether the file of this name is there with these bytes, in the ledger itself and not behind a link."""
+    try:
+        return (
+            os.path.realpath(ledger / name) == os.path.join(os.path.realpath(ledger), name)
+            and disk.read_document(ledger / name) == data
+        )
+    except OSError:
+        return False
+
+
+def derive(view: LedgerView, redo: Redo | None, set_aside: SetAside) -> list[str]:
+    """The tiles from `redo` on and the checkpoint are as the rows give them, durably; the names of those that were written.
+
+    Each is written after the rows gave the tree of their commit record. What is there instead is set aside, unless it is an older
+    note, which a commit record holds too.
+
+    Raises:
+        LedgerCorrupted: The rows are not those that were verified.
+        OSError: The disk refused; what is missing can be derived again.
+    """
+    written: list[str] = []
+    plan = TilePlan(view.path)
+    edge = redo.before if redo else Edge()
+    for number in range(redo.commit if redo else len(view.records), len(view.records)):
+        after, made = edge.extend(view.leaves(number))
+        if after.frontier() != view.records[number].tree():
+            raise LedgerCorrupted(
+                f"{view.segment(number)}: commit {number}: found other rows than a moment ago, expected nobody else to write; run it again"
+            )
+        written += put(view.path, {one.tile.name: one.data for one in plan.add(Redo(number, edge), made)}, set_aside)
+        edge = after
+    written += put(view.path, {one.tile.name: one.data for one in plan.partial()}, set_aside)
+    if not view.records:
+        return written
+    *older, newest = [record.note for record in view.records]
+    is_older = _checkpoint(view.path) in older
+    return written + put(view.path, {CHECKPOINT: newest.encode()}, _leave if is_older else set_aside)
+
+
+def _leave(name: str) -> None:
+    """What is there is replaced: nothing is lost by it."""
+
+
+def put(ledger: Path, files: Mapping[str, bytes], set_aside: SetAside) -> list[str]:
+    """Each file is there with these bytes, durably; the names of those that had to be written. Raises: OSError."""
+    wrong = {name: data for name, data in files.items() if not is_as(ledger, name, data)}
+
+    def make_way(path: Path) -> None:
+        if os.path.lexists(path):
+            set_aside(str(path.relative_to(ledger)))
+
+    if wrong:
+        disk.make_folder(ledger / STAGING)
+    disk.write_files({ledger / name: data for name, data in wrong.items()}, ledger / STAGING, make_way)
+    return list(wrong)
+
+
+def begins_with(ledger: Path, then: Checkpoint, head: Head) -> bool:
+    """Whether the tiles prove that the tree of a checkpoint begins with the events of this head, not none. The proof counts, not the tiles."""
+    if not 0 < head.size <= then.size:
+        return False
+    try:
+        proof = consistency_proof(node_of(tile_reader(ledger), then.size), head.size, then.size)
+    except LedgerCorrupted:
+        return False
+    return is_consistent(head.size, bytes.fromhex(head.root), then.size, then.root, proof)
+
+
+# --- what the tree must not have ---
+
+
+def tile_strays(ledger: Path, head: Head, partial: list[_Made]) -> list[str]:
+    """Every file below `tile/` that is no tile of this tree, outgrown partial tiles among them; links and other things are files."""
+    expected = {one.tile.name for one in partial}
+    return [name for name in _files(ledger) if name not in expected and not _is_full(_tile(name), head.size)]
+
+
+def is_tile(name: str) -> bool:
+    """Whether a tile of some tree has this name: then nothing else of a ledger can have its place."""
+    return name.startswith(f"{TILE}/") and _tile(name) is not None
+
+
+def grown_beyond(ledger: Path, head: Head, origin: str) -> Iterator[Problem]:
+    """What can be there only if the ledger had more commits than it has: they were made durable before anything was derived from them."""
+    expected = (
+        f"nothing of a tree of more than the {head.size} events that are committed: the newest commits were removed"
+    )
+    note = checkpoint_note(ledger)
+    if (
+        note is not None
+        and (note.checkpoint.origin, note.checkpoint.root.hex()) != (origin, head.root)
+        and note.checkpoint.size > head.size
+    ):
+        yield Problem(CHECKPOINT, f"a checkpoint of {note.checkpoint.size} events", expected, commit=head.commits)
+    beyond = [
+        name
+        for name in _files(ledger)
+        if (tile := _tile(name)) is not None and tile.number * WIDTH + tile.width > head.size >> HEIGHT * tile.level
+    ]
+    if beyond:
+        yield Problem(
+            beyond[0],
+            f"a tile{f' (and {len(beyond) - 1} more)' if len(beyond) > 1 else ''}",
+            expected,
+            commit=head.commits,
+        )
+
+
+def checkpoint_note(ledger: Path) -> Note | None:
+    """The note in the file `checkpoint`; None if there is none."""
+    text = _checkpoint(ledger)
+    try:
+        return None if text is None else parse_note(CHECKPOINT, text)
+    except LedgerCorrupted:
+        return None
+
+
+def _checkpoint(ledger: Path) -> str | None:
+    try:
+        return read_checkpoint(ledger)
+    except LedgerCorrupted:
+        return None
+
+
+def _files(ledger: Path) -> Iterator[str]:
+    folders = [TILE] if (ledger / TILE).is_dir() and not (ledger / TILE).is_symlink() else []
+    while folders:
+        for entry in sorted(os.scandir(ledger / folders.pop()), key=lambda entry: entry.name):
+            name = os.path.relpath(entry.path, ledger)
+            if entry.is_dir(follow_symlinks=False):
+                folders.append(name)
+            else:
+                yield name
+
+
+def _tile(name: str) -> Tile | None:
+    """The tile whose file has this name; None if no tile has."""
+    _, level, *groups = name.split("/")
+    width = str(WIDTH)
+    if len(groups) > 1 and groups[-2].endswith(".p"):
+        width = groups.pop()
+        groups[-1] = groups[-1].removesuffix(".p")
+    digits = "".join(group.removeprefix("x") for group in groups)
+    if not all(part.isascii() and part.isdecimal() and len(part) <= 18 for part in (level, digits, width)):
+        return None
+    tile = Tile(int(level), int(digits), int(width))
+    return tile if tile.name == name and 0 < tile.width <= WIDTH and tile.level <= 64 // HEIGHT else None
+
+
+def _is_full(tile: Tile | None, size: int) -> bool:
+    """Whether this is a full tile of a tree of this size."""
+    return tile is not None and tile.width == WIDTH and (tile.number + 1) * WIDTH <= size >> HEIGHT * tile.level
