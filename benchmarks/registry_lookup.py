@@ -19,6 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityInstalled
 from fsar_ledger.events.trust import TrustSet
@@ -54,8 +55,8 @@ def founding(size: int) -> Iterator[Event]:
             for capability in (*capabilities, *((FAR,) if robot == last else ())):
                 yield CapabilityInstalled(robot=robot, capability=capability, version="1.0.0")
                 yield CapabilityAdvertised(robot=robot, capability=capability)
-        yield TrustSet(robot=f"robot/B{team}", peer=f"robot/A{team}", scope="task")
-        yield TrustSet(robot=last, peer=f"robot/A{team}", scope="task")
+        yield TrustSet(robot=Robot(f"robot/B{team}"), peer=Robot(f"robot/A{team}"), scope="task")
+        yield TrustSet(robot=last, peer=Robot(f"robot/A{team}"), scope="task")
 
 
 def scanned(state: State, records: list[Advertisement], query: Query) -> str:
@@ -103,7 +104,7 @@ def main() -> int:
         state = fold(founding(size))
         teams = [1 + number * 7919 % (size // 4) for number in range(options.lookups)]
         near, far = (
-            [Query(f"robot/A{team}", capability, "t", limit=1) for team in teams] for capability in (NEAR, FAR)
+            [Query(Robot(f"robot/A{team}"), capability, "t", limit=1) for team in teams] for capability in (NEAR, FAR)
         )
         records = [record for robot in state.fleet.robots for record in registry.surface(state.registry, robot)]
         near_us, found = median_us(partial(looked_up, state), near)

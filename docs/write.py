@@ -27,6 +27,7 @@ import msgspec
 from fsar_ledger.cli.app import run
 from fsar_ledger.constants import Constants, Load, Outages
 from fsar_ledger.events.configuration import MECHANISMS_OF
+from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.ledger.log import merkle
@@ -229,7 +230,7 @@ EXAMPLE_RUNS = (
         [
             TaskArrived(
                 task_id="T1",
-                robot="robot/A1",
+                robot=Robot("robot/A1"),
                 team=1,
                 steps=(),
                 budget_us=9,

@@ -28,7 +28,7 @@ class AuthorityReleased(Event, frozen=True):
 class AuthorityGranted(Event, frozen=True, kw_only=True):
     """`requested_by` may ask (of None: anyone) up to this override level, by role or a supervisor's word; lifts a revocation. Paper: eq:auth, eq:override."""
 
-    requested_by: Principal
+    requested_by: Robot
     executed_by: Robot | None
     capability: str | None
     context: str | None
@@ -39,7 +39,7 @@ class AuthorityGranted(Event, frozen=True, kw_only=True):
 class AuthorityRevoked(Event, frozen=True, kw_only=True):
     """`requested_by` may no longer ask this, from the next request boundary on: what executes already goes on. Paper: sec:model:authority."""
 
-    requested_by: Principal
+    requested_by: Robot
     executed_by: Robot | None
     capability: str | None
     context: str | None

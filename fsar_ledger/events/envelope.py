@@ -10,15 +10,18 @@ A principal is None when the record does not name one; it is never defaulted. Ti
 microseconds of run time, shares are parts per million; no event holds a float.
 """
 
-from typing import Any, Generic, Literal, TypeAlias, TypeVar
+from typing import Any, Generic, Literal, NewType, TypeAlias, TypeVar
 
 import msgspec
 
-Principal: TypeAlias = str
-Robot: TypeAlias = str
-Supervisor: TypeAlias = str
-Service: TypeAlias = str
-Agent: TypeAlias = str
+Robot = NewType("Robot", str)
+Supervisor = NewType("Supervisor", str)
+Service = NewType("Service", str)
+Agent = NewType("Agent", str)
+Coordinator = NewType("Coordinator", str)
+Principal: TypeAlias = Robot | Supervisor | Service | Agent | Coordinator
+"""Whoever can be on record for something."""
+
 TaskId: TypeAlias = str
 ActionId: TypeAlias = str
 RequestId: TypeAlias = str
@@ -105,18 +108,23 @@ class Principals(Part, frozen=True, kw_only=True):
     path: tuple[Principal, ...]
 
 
-COORDINATOR = "coordinator"
-FLEET_SUPERVISOR = "supervisor/fleet"
-REGISTRY = "service/registry"
-COORDINATION = "service/coordination"
-RECOVERY = "service/recovery"
-POLICY = "service/policy"
-TRUST = "service/trust"
+COORDINATOR = Coordinator("coordinator")
+FLEET_SUPERVISOR = Supervisor("supervisor/fleet")
+REGISTRY = Service("service/registry")
+COORDINATION = Service("service/coordination")
+RECOVERY = Service("service/recovery")
+POLICY = Service("service/policy")
+TRUST = Service("service/trust")
 
 
 def local_supervisor(robot: Robot) -> Supervisor:
     """The principal of the robot's own supervisor H_i: `robot/A1` is supervised by `supervisor/A1`."""
-    return "supervisor/" + robot[6:]
+    return Supervisor("supervisor/" + robot[6:])
+
+
+def robot_named(role: str, team: int) -> Robot:
+    """Return the principal of a simulated robot: `robot/A1` is the robot of role A in team 1."""
+    return Robot(f"robot/{role}{team}")
 
 
 AgentKind = Literal["planning", "execution", "communication", "recovery"]
@@ -124,12 +132,17 @@ AgentKind = Literal["planning", "execution", "communication", "recovery"]
 
 def agent(robot: Robot, kind: AgentKind) -> Agent:
     """The principal of one of the four agents into which DHMA splits a robot: `agent/A1/planning`."""
-    return f"agent/{robot[6:]}/{kind}"
+    return Agent(f"agent/{robot[6:]}/{kind}")
 
 
 def robot_of(agent: Agent) -> Robot:
     """Return the robot that an agent belongs to: `agent/A1/planning` to `robot/A1`."""
-    return "robot/" + agent.split("/")[1]
+    return Robot("robot/" + agent.split("/")[1])
+
+
+def as_robot(requester: Principal) -> Robot:
+    """Return the requester of a record of which only a robot is the requester, as the robot that it is."""
+    return Robot(requester)
 
 
 # What can be simulated; an event holds any text there (`RunStarted`), and the experiment checks it.

@@ -5,7 +5,7 @@ from typing import assert_never
 import msgspec
 
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted, AuthorityReleased, AuthorityRevoked
-from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome
+from fsar_ledger.events.envelope import OverrideLevel, PolicyOutcome, Robot
 from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
@@ -41,7 +41,7 @@ class Later(msgspec.Struct, frozen=True, gc=False):
 
     windows: frozenset[str] = frozenset()
     rules: frozenset[Rule | RoleRule] = frozenset()
-    heard: dict[str, PolicyOutcome] = {}
+    heard: dict[Robot, PolicyOutcome] = {}
 
 
 class Authority(msgspec.Struct, frozen=True, gc=False):
@@ -60,7 +60,7 @@ def rank(level: OverrideLevel) -> int:
     return LEVELS.index(level)
 
 
-def right_of(state: Authority, requester: str, executor: str, capability: str, context: str) -> Right | None:
+def right_of(state: Authority, requester: Robot, executor: Robot, capability: str, context: str) -> Right | None:
     """The last grant or revocation that concerns this request, or None when nobody has said anything. Paper: sec:model:authority."""
     for right in reversed(state.rights):
         if (

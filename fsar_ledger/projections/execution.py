@@ -4,7 +4,7 @@ from typing import Literal, assert_never
 
 import msgspec
 
-from fsar_ledger.events.envelope import ActionId, OverrideLevel, Subject, Supervisor, TaskId
+from fsar_ledger.events.envelope import ActionId, OverrideLevel, Principal, Robot, Subject, Supervisor, TaskId
 from fsar_ledger.events.execution import (
     ApproachStarted,
     ExecutionFailed,
@@ -55,10 +55,10 @@ class Action(msgspec.Struct, frozen=True, gc=False):
 
     task_id: str
     action_id: str
-    requested_by: str | None
-    executed_by: str | None
-    robot: str
-    on_behalf_of: str
+    requested_by: Principal | None
+    executed_by: Robot | None
+    robot: Robot
+    on_behalf_of: Robot
     capability: str
     step: int
     attempt: int
@@ -85,8 +85,8 @@ class Action(msgspec.Struct, frozen=True, gc=False):
 class Execution(msgspec.Struct, frozen=True, gc=False):
     """`current`: robot -> action or assistance that holds it; `queues`: robot -> actions waiting."""
 
-    current: dict[str, str] = {}
-    queues: dict[str, tuple[str, ...]] = {}
+    current: dict[Robot, str] = {}
+    queues: dict[Robot, tuple[str, ...]] = {}
     actions: dict[str, Action] = {}
 
 
@@ -215,7 +215,7 @@ def _staged(
     return Execution(state.current, state.queues, {**state.actions, action_id: changed})
 
 
-def _freed(state: Execution, robot: str) -> Execution:
+def _freed(state: Execution, robot: Robot) -> Execution:
     """The robot turns to the next in its queue, if there is one."""
     queue = state.queues.get(robot, ())
     if queue:

@@ -4,7 +4,7 @@ from typing import assert_never
 
 import msgspec
 
-from fsar_ledger.events.envelope import FailureCause, RecoveryLevel
+from fsar_ledger.events.envelope import FailureCause, RecoveryLevel, Robot
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
@@ -35,17 +35,17 @@ class Recovery(msgspec.Struct, frozen=True, gc=False):
     whoever was asked for help last.
     """
 
-    robot: str
+    robot: Robot
     failure: int
     cause: FailureCause
     detected_us: int
     level: RecoveryLevel = "local"
     number: int = 0
     deadline_us: int = 0
-    tried: tuple[str, ...] = ()
+    tried: tuple[Robot, ...] = ()
     calls: int = 0
     since_us: int = 0
-    awaited: str | None = None
+    awaited: Robot | None = None
 
 
 Recoveries = dict[str, Recovery]  # action -> open failure

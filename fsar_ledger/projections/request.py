@@ -11,8 +11,10 @@ from fsar_ledger.events.envelope import (
     RequestId,
     RequestSubject,
     Result,
+    Robot,
     Subject,
     TaskId,
+    as_robot,
 )
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued
 from fsar_ledger.events.knowledge import BidReceived
@@ -78,18 +80,18 @@ class Request(msgspec.Struct, frozen=True, gc=False):
 
     task_id: str
     action_id: str
-    requester: str
+    requester: Robot
     capability: str
     step: int
     attempt: int
     is_delegated: bool
-    candidates: tuple[str, ...] = ()
-    relay: str | None = None
+    candidates: tuple[Robot, ...] = ()
+    relay: Robot | None = None
     carried: PolicyOutcome = "allow"
-    target: str | None = None
+    target: Robot | None = None
     seen_busy: bool = False
-    bidders: tuple[str, ...] = ()
-    bids: tuple[tuple[str, PolicyOutcome], ...] = ()
+    bidders: tuple[Robot, ...] = ()
+    bids: tuple[tuple[Robot, PolicyOutcome], ...] = ()
     is_accepted: bool = False
     is_questioned: bool = False
     round: int = 0
@@ -106,7 +108,7 @@ class Request(msgspec.Struct, frozen=True, gc=False):
     is_heard: bool = False
     is_received: bool = False
     is_unanswered: bool = False
-    silent: tuple[str, ...] = ()
+    silent: tuple[Robot, ...] = ()
 
     @property
     def subject(self) -> Subject[TaskId, ActionId]:
@@ -235,7 +237,9 @@ def _issued(state: Requests, event: RequestIssued) -> Requests:
     carried = event.carried_policy or "allow"
     if action_id in state or task_id is None or action_id is None or robot is None or executor is None:
         return _changed(state, action_id, carried=carried, relay=event.relay, override=event.override)
-    begun = Request(task_id, action_id, robot, event.capability, 1, 1, True, (executor,), event.relay, carried)
+    begun = Request(
+        task_id, action_id, as_robot(robot), event.capability, 1, 1, True, (executor,), event.relay, carried
+    )
     asked = {
         "override": event.override,
         "parent": event.parent,

@@ -4,6 +4,7 @@ from typing import assert_never
 
 import msgspec
 
+from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.request import RequestAdmitted
 from fsar_ledger.events.supervision import Purpose, SupervisionDensitySet, SupervisorCalled, SupervisorResponded
@@ -21,15 +22,15 @@ class Supervision(msgspec.Struct, frozen=True, gc=False):
 
     approved: frozenset[str] = frozenset()
     calls: dict[int, SupervisorCalled] = {}
-    review_every: dict[str | None, int] = {}
-    admissions: dict[str, int] = {}
+    review_every: dict[Robot | None, int] = {}
+    admissions: dict[Robot, int] = {}
     called: int = 0
 
 
 INITIAL = Supervision()
 
 
-def density(state: Supervision, robot: str) -> int:
+def density(state: Supervision, robot: Robot) -> int:
     """One in so many admissions of the robot is put before a supervisor; its own density before every robot's; 0 is none."""
     return state.review_every.get(robot, state.review_every.get(None, 0))
 

@@ -5,6 +5,7 @@ from typing import assert_never
 import msgspec
 
 from fsar_ledger.constants import END_US
+from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
 
@@ -18,7 +19,7 @@ class Task(msgspec.Struct, frozen=True, gc=False):
     """
 
     task_id: str
-    robot: str
+    robot: Robot
     team: int
     steps: tuple[str, ...]
     budget_us: int

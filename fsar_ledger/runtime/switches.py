@@ -15,7 +15,17 @@ from fsar_ledger.constants import Structure
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.configuration import MECHANISMS_OF, Configuration, lacks, without
-from fsar_ledger.events.envelope import COORDINATOR, Architecture, Parties, Robot, flat, robot_of, with_columns
+from fsar_ledger.events.envelope import (
+    COORDINATOR,
+    Agent,
+    Architecture,
+    Parties,
+    Robot,
+    as_robot,
+    flat,
+    robot_of,
+    with_columns,
+)
 from fsar_ledger.events.execution import ExecutionFailed, RoutinePerformed
 from fsar_ledger.events.recovery import FailureResolved, RecoveryAttempted, RecoveryAttemptFailed
 from fsar_ledger.events.request import ContractQuestioned, RequestClosed
@@ -169,7 +179,9 @@ def _in_no_time(name: str) -> Callable[[State], Any]:
 def _closed_by_requester(state: State, command: CloseRequest) -> tuple[Event, ...]:
     events = fsar_request.close_request(state, command)
     return tuple(
-        _decided_by(event, event.principals.requested_by) if isinstance(event, RequestClosed) else event
+        _decided_by(event, as_robot(event.principals.requested_by))
+        if isinstance(event, RequestClosed) and event.principals.requested_by is not None
+        else event
         for event in events
     )
 
@@ -355,8 +367,10 @@ def _talking_in_no_time(whole: Wiring) -> Wiring:
 
 
 def _decided_as_one(_state: State, event: Event) -> Event:
-    decided_by = flat(event).get("decided_by") or ""
-    return _decided_by(event, robot_of(decided_by)) if decided_by.startswith("agent/") else event
+    decided_by: Agent | None = flat(event).get("decided_by")
+    if decided_by is None or not decided_by.startswith("agent/"):
+        return event
+    return _decided_by(event, robot_of(decided_by))
 
 
 _now = partial(_seeing, "knowledge", _copy_of_now)

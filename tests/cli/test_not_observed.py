@@ -6,6 +6,7 @@ from pathlib import Path
 import pytest
 
 from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.ledger.rows.codec import RunRecord
 from tests.cli.conftest import Call, one_message
@@ -17,7 +18,9 @@ def members(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A live run that observes membership, and three robots that join."""
     path = tmp_path_factory.mktemp("members") / "ledger"
     joined = [
-        RobotJoined(robot=f"robot/A{number}", role="A", team=number, supervisor=f"supervisor/A{number}")
+        RobotJoined(
+            robot=Robot(f"robot/A{number}"), role="A", team=number, supervisor=Supervisor(f"supervisor/A{number}")
+        )
         for number in (1, 2, 3)
     ]
     append_all(
@@ -39,7 +42,9 @@ def test_audit_says_of_each_of_the_ten_that_it_is_not_observable_and_passes_none
 
 def test_an_invariant_without_a_case_is_no_pass_although_all_is_observed(call: Call, tmp_path: Path) -> None:
     joined = [
-        RobotJoined(robot=f"robot/A{number}", role="A", team=number, supervisor=f"supervisor/A{number}")
+        RobotJoined(
+            robot=Robot(f"robot/A{number}"), role="A", team=number, supervisor=Supervisor(f"supervisor/A{number}")
+        )
         for number in (1, 2, 3)
     ]
     append_all(

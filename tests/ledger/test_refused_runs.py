@@ -14,7 +14,7 @@ import pytest
 
 from fsar_ledger.errors import InvalidRun, LedgerCorrupted, SequenceConflict, UsageError, WriteFailed
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.events.envelope import with_columns
+from fsar_ledger.events.envelope import Robot, with_columns
 from fsar_ledger.events.experiment import ExperimentPlanned
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.task import TaskCompleted
@@ -405,8 +405,8 @@ def observing(*concerns: str) -> RunRecord:
     """A start that says so, two robots that join, and a task that is done."""
     events = [
         RunStarted(kind="foreign", observes=concerns),
-        RobotJoined(robot="robot/A1", role="carrier", team=1, supervisor=None),
-        RobotJoined(robot="robot/A2", role="carrier", team=1, supervisor=None),
+        RobotJoined(robot=Robot("robot/A1"), role="carrier", team=1, supervisor=None),
+        RobotJoined(robot=Robot("robot/A2"), role="carrier", team=1, supervisor=None),
         TaskCompleted("T1"),
     ]
     return RunRecord("seen", [0, 0, 0, 5], [None, 0, 0, 0], events)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.events import EVENT_TYPES, Event
 from fsar_ledger.events.configuration import CONFIGURATIONS
-from fsar_ledger.events.envelope import Architecture, Parties, Subject, Workflow
+from fsar_ledger.events.envelope import Architecture, Parties, Robot, Subject, Workflow
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionWithdrawn
 from fsar_ledger.events.world import PolicyWindowClosed, PolicyWindowOpened
 from fsar_ledger.projections import execution, world
@@ -117,13 +117,13 @@ def test_the_policy_in_force_is_the_strictest_open_window(windows: list[tuple[in
     opened: dict[int, str] = {}
     for name, outcome in windows:
         if name in opened:
-            state = world.evolve(state, PolicyWindowClosed("robot/A1", "local", str(name)))
+            state = world.evolve(state, PolicyWindowClosed(Robot("robot/A1"), "local", str(name)))
             del opened[name]
         else:
             state = world.evolve(
                 state,
                 PolicyWindowOpened(
-                    robot="robot/A1",
+                    robot=Robot("robot/A1"),
                     scope="local",
                     window=str(name),
                     outcome=outcome,  # type: ignore[arg-type]
@@ -131,10 +131,10 @@ def test_the_policy_in_force_is_the_strictest_open_window(windows: list[tuple[in
             )
             opened[name] = outcome
     expected = "deny" if "deny" in opened.values() else "review" if opened else "allow"
-    assert in_force(state.local, "robot/A1") == expected
+    assert in_force(state.local, Robot("robot/A1")) == expected
 
 
-def queued(name: str, robot: str) -> ExecutionQueued:
+def queued(name: str, robot: Robot) -> ExecutionQueued:
     return ExecutionQueued(
         subject=Subject(name, name),
         principals=Parties(requested_by=None, executed_by=None, supervised_by=None),
@@ -158,7 +158,7 @@ def test_a_robot_serves_one_at_a_time_in_order_of_arrival(moves: list[int]) -> N
     for ordinal, move in enumerate(moves):
         name = f"task-{ordinal}"
         if move % 2 == 0 or not model:
-            state = execution.evolve(state, queued(name, "robot/A1"))
+            state = execution.evolve(state, queued(name, Robot("robot/A1")))
             model.append(name)
         elif move < 6:
             state = execution.evolve(
@@ -166,14 +166,14 @@ def test_a_robot_serves_one_at_a_time_in_order_of_arrival(moves: list[int]) -> N
                 ExecutionFinished(
                     Subject(model[0], model[0]),
                     Parties(requested_by=None, executed_by=None, supervised_by=None),
-                    "robot/A1",
+                    Robot("robot/A1"),
                 ),
             )
             model.pop(0)
         else:
-            state = execution.evolve(state, ExecutionWithdrawn(Subject(model[-1], model[-1]), "robot/A1"))
+            state = execution.evolve(state, ExecutionWithdrawn(Subject(model[-1], model[-1]), Robot("robot/A1")))
             model.pop()
-        assert [*([state.current["robot/A1"]] if model else []), *state.queues.get("robot/A1", ())] == model
+        assert [*([state.current[Robot("robot/A1")]] if model else []), *state.queues.get("robot/A1", ())] == model
 
 
 def test_events_are_immutable_to_the_leaves() -> None:

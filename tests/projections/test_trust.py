@@ -3,13 +3,13 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fsar_ledger.events.envelope import Principals, RequestSubject, Subject
+from fsar_ledger.events.envelope import Principals, RequestSubject, Robot, Service, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
 from fsar_ledger.events.trust import TrustSet, TrustThresholdsSet
 from fsar_ledger.projections.trust import INITIAL, SCOPES, Record, Trust, covers, evolve, scope_of
 
-A, B = "robot/A1", "robot/B1"
+A, B = Robot("robot/A1"), Robot("robot/B1")
 DOOR = "door.open.secure"
 ABOUT = st.tuples(st.sampled_from([None, DOOR, "door.open.basic"]), st.sampled_from([None, "t1", "t2"]))
 SCOPE = st.sampled_from(SCOPES)
@@ -18,13 +18,13 @@ OF_REQUESTER, OF_EXECUTOR = (B, A, DOOR, None), (A, B, DOOR, None)
 
 def folded(*events: object, of: Trust | None = None) -> Trust:
     """Trust after these events, with thresholds set unless a state is given."""
-    state = evolve(INITIAL, TrustThresholdsSet(3, 3, "supervisor/fleet")) if of is None else of
+    state = evolve(INITIAL, TrustThresholdsSet(3, 3, Supervisor("supervisor/fleet"))) if of is None else of
     for event in events:
         state = evolve(state, event)  # type: ignore[arg-type]
     return state
 
 
-def issued(action: str = "t1/1", relay: str | None = None) -> RequestIssued:
+def issued(action: str = "t1/1", relay: Robot | None = None) -> RequestIssued:
     return RequestIssued(
         subject=RequestSubject("t1", action, action),
         principals=Principals(decided_by=A, requested_by=A, executed_by=B, supervised_by=None, path=(A,)),
@@ -34,15 +34,15 @@ def issued(action: str = "t1/1", relay: str | None = None) -> RequestIssued:
     )
 
 
-def closed(action: str = "t1/1", result: str = "success", by: str | None = B) -> RequestClosed:
+def closed(action: str = "t1/1", result: str = "success", by: Robot | None = B) -> RequestClosed:
     return RequestClosed(
         RequestSubject("t1", action, action),
         Principals(
-            decided_by="service/coordination",
+            decided_by=Service("service/coordination"),
             requested_by=A,
             executed_by=by,
             supervised_by=None,
-            path=("service/coordination",),
+            path=(Service("service/coordination"),),
         ),
         result,  # type: ignore[arg-type]
     )
@@ -56,7 +56,7 @@ def denied(reason: str, action: str = "t1/1") -> RequestDenied:
     )
 
 
-def failed(action: str = "t1/1", robot: str = B) -> ExecutionFailed:
+def failed(action: str = "t1/1", robot: Robot = B) -> ExecutionFailed:
     return ExecutionFailed(
         subject=Subject("t1", action), robot=robot, failure=1, cause="obstruction", remaining_us=0, detected_us=0
     )
@@ -140,7 +140,7 @@ def test_success_after_a_reassignment_is_that_of_the_robot_that_executed() -> No
 
 
 def test_results_through_a_relay_count_for_nobody() -> None:
-    assert folded(issued(relay="robot/C1"), closed()).records == {}
+    assert folded(issued(relay=Robot("robot/C1")), closed()).records == {}
 
 
 def test_without_thresholds_nothing_is_kept_and_without_them_again_it_is_forgotten() -> None:

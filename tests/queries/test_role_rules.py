@@ -6,7 +6,7 @@ from itertools import product
 from random import Random
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope
+from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Robot, Supervisor
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
@@ -119,7 +119,7 @@ NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
         (
             OF_B,
             PolicyRuleSet(
-                scope="fleet", robot="robot/B1", capability=DOOR, context=None, outcome="allow", decided_by=None
+                scope="fleet", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="allow", decided_by=None
             ),
         ),
         "allow",
@@ -127,7 +127,7 @@ NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
     "the robot before": (
         (
             PolicyRuleSet(
-                scope="fleet", robot="robot/B1", capability=DOOR, context=None, outcome="review", decided_by=None
+                scope="fleet", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="review", decided_by=None
             ),
             OF_B,
         ),
@@ -137,7 +137,7 @@ NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
         (
             OF_B,
             PolicyRuleSet(
-                scope="fleet", robot="robot/B2", capability=DOOR, context=None, outcome="allow", decided_by=None
+                scope="fleet", robot=Robot("robot/B2"), capability=DOOR, context=None, outcome="allow", decided_by=None
             ),
         ),
         "deny",
@@ -146,7 +146,7 @@ NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
         (
             OF_B,
             PolicyRuleSet(
-                scope="local", robot="robot/B1", capability=DOOR, context=None, outcome="allow", decided_by=None
+                scope="local", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="allow", decided_by=None
             ),
         ),
         "deny",
@@ -155,7 +155,7 @@ NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
         (
             OF_B,
             PolicyRuleSet(
-                scope="fleet", robot="robot/B1", capability=None, context=None, outcome="allow", decided_by=None
+                scope="fleet", robot=Robot("robot/B1"), capability=None, context=None, outcome="allow", decided_by=None
             ),
         ),
         "deny",
@@ -164,7 +164,7 @@ NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
         (
             OF_B,
             PolicyRuleSet(
-                scope="fleet", robot="robot/B1", capability=DOOR, context="t1", outcome="allow", decided_by=None
+                scope="fleet", robot=Robot("robot/B1"), capability=DOOR, context="t1", outcome="allow", decided_by=None
             ),
         ),
         "deny",
@@ -209,12 +209,12 @@ NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
 
 def test_a_rule_is_replaced_by_a_nearer_one_about_the_same_and_by_nothing_else() -> None:
     runs = {
-        name: (RobotJoined(robot="robot/B1", role="B", team=1, supervisor=None, domain="hall/cell"), *rules)
+        name: (RobotJoined(robot=Robot("robot/B1"), role="B", team=1, supervisor=None, domain="hall/cell"), *rules)
         for name, (rules, _) in NEARNESS.items()
     }
     expected = {name: outcome for name, (_, outcome) in NEARNESS.items()}
     assert {
-        name: policy.ruled(folded(events), "fleet", "robot/B1", DOOR, "t1") for name, events in runs.items()
+        name: policy.ruled(folded(events), "fleet", Robot("robot/B1"), DOOR, "t1") for name, events in runs.items()
     } == expected
     with from_rows([one for name, events in runs.items() for one in run(*map(row, events), run_id=name)]) as database:
         found = in_force(database, 5, DOOR, "t1")
@@ -333,11 +333,11 @@ def test_a_refusal_against_a_mandate_of_the_role_is_a_conflict_unless_the_robot_
 
 # --- runs ---
 
-A1, B1, B2 = "robot/A1", "robot/B1", "robot/B2"
+A1, B1, B2 = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/B2")
 COMMANDS = (
     (1 * S, SetRolePolicyRule(H_F, "B", "deny", capability=DOOR)),
     (2 * S, SetPolicyRule(H_F, "fleet", B1, DOOR, None, "allow")),
-    (3 * S, JoinFleet(B2, "B", 2, "supervisor/B2", "yard")),
+    (3 * S, JoinFleet(B2, "B", 2, Supervisor("supervisor/B2"), "yard")),
     (3 * S, InstallCapability(B2, DOOR, "1.0.0")),
     (4 * S, AdvertiseCapability(B2, DOOR, "1.0.0")),
     (5 * S, RequestCapability(A1, B1, DOOR, "visit", "excepted")),

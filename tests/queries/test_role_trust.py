@@ -6,7 +6,7 @@ from random import Random
 import pytest
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import TrustScope, flat
+from fsar_ledger.events.envelope import Robot, TrustScope, flat
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.trust import RoleTrustSet, TrustSet
 from fsar_ledger.projections import trust
@@ -19,7 +19,7 @@ DOOR, LIFT = "door.open.secure", "carry.heavy"
 DOMAINS = ("", "hall", "hall/cell", "hall/cell/bay", "hallway", "yard")
 MEMBERS = [
     RobotJoined(
-        robot=f"robot/{role}{team}",
+        robot=Robot(f"robot/{role}{team}"),
         role=role,
         team=team,
         supervisor=None,
@@ -121,14 +121,14 @@ def test_handlers_and_queries_find_the_same_entry_of_pair_role_domain_capability
         ((RoleTrustSet(role="A", peer_role="B", scope="task"),), "none"),
         (
             (
-                TrustSet(robot="robot/B1", peer="robot/A1", scope="none"),
+                TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="none"),
                 RoleTrustSet(role="B", peer_role="A", scope="task"),
             ),
             "none",
         ),
         (
             (
-                TrustSet(robot="robot/B1", peer="robot/A1", scope="none", capability=LIFT),
+                TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="none", capability=LIFT),
                 RoleTrustSet(role="B", peer_role="A", scope="task"),
             ),
             "task",
@@ -167,11 +167,11 @@ def test_the_pair_goes_before_its_roles_and_the_smaller_domain_before_the_larger
     entries: tuple[Event, ...], scope: str
 ) -> None:
     joined = (
-        RobotJoined(robot="robot/A1", role="A", team=1, supervisor=None, domain="hall/cell"),
-        RobotJoined(robot="robot/B1", role="B", team=1, supervisor=None, domain="hall"),
+        RobotJoined(robot=Robot("robot/A1"), role="A", team=1, supervisor=None, domain="hall/cell"),
+        RobotJoined(robot=Robot("robot/B1"), role="B", team=1, supervisor=None, domain="hall"),
     )
     state = folded([*joined, *entries])
-    assert trust.scope_of(state, "robot/B1", "robot/A1", DOOR, "t1") == scope
+    assert trust.scope_of(state, Robot("robot/B1"), Robot("robot/A1"), DOOR, "t1") == scope
     rows = run(*(row(one) for one in (*joined, *entries)))
     with from_rows(rows) as database:
         found = database.query("audit/trust_at", {"robot": "robot/B1", "capability": DOOR, "context": "t1"}).to_pylist()
@@ -183,12 +183,12 @@ def test_a_robot_that_is_no_member_is_trusted_only_by_name() -> None:
         [
             MEMBERS[0],
             RoleTrustSet(role="A", peer_role="A", scope="task"),
-            TrustSet(robot="robot/A1", peer="robot/X9", scope="session"),
+            TrustSet(robot=Robot("robot/A1"), peer=Robot("robot/X9"), scope="session"),
         ]
     )
-    assert trust.scope_of(state, "robot/A1", "robot/X9") == "session"
-    assert trust.scope_of(state, "robot/A1", "robot/X8") == "none"
-    assert trust.scope_of(state, "robot/X9", "robot/A1") == "none"
+    assert trust.scope_of(state, Robot("robot/A1"), Robot("robot/X9")) == "session"
+    assert trust.scope_of(state, Robot("robot/A1"), Robot("robot/X8")) == "none"
+    assert trust.scope_of(state, Robot("robot/X9"), Robot("robot/A1")) == "none"
 
 
 @pytest.mark.parametrize("fleet_size", [4, 16])
@@ -218,9 +218,9 @@ def test_no_trust_is_in_force_before_both_robots_are_members() -> None:
 
 def test_a_robot_that_is_recorded_as_joining_twice_is_one_member_as_in_the_state() -> None:
     joined = [
-        RobotJoined(robot="robot/B1", role="A", team=1, supervisor=None, domain="hall"),
-        RobotJoined(robot="robot/A1", role="A", team=1, supervisor=None),
-        RobotJoined(robot="robot/B1", role="B", team=2, supervisor=None, domain="yard"),
+        RobotJoined(robot=Robot("robot/B1"), role="A", team=1, supervisor=None, domain="hall"),
+        RobotJoined(robot=Robot("robot/A1"), role="A", team=1, supervisor=None),
+        RobotJoined(robot=Robot("robot/B1"), role="B", team=2, supervisor=None, domain="yard"),
     ]
     state = fold(joined)
     rows = run(*(row(one, number) for number, one in enumerate(joined)))

@@ -9,7 +9,18 @@ from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.configuration import Configuration
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Architecture, Principals, RecoveryLevel, Scenario, Subject
+from fsar_ledger.events.envelope import (
+    FLEET_SUPERVISOR,
+    Architecture,
+    Coordinator,
+    Principal,
+    Principals,
+    RecoveryLevel,
+    Robot,
+    Scenario,
+    Subject,
+    Supervisor,
+)
 from fsar_ledger.events.execution import ExecutionFailed, OwnStepDecided, RoutinePerformed
 from fsar_ledger.events.fleet import RunStarted
 from fsar_ledger.events.recovery import FailureResolved
@@ -50,23 +61,23 @@ def _events(
         1,
         TaskArrived(
             task_id="t1",
-            robot="robot/A1",
+            robot=Robot("robot/A1"),
             team=1,
             steps=("A navigate.indoor",),
             budget_us=60_000_000,
             due_us=60_000_001,
         ),
     )
-    yield 2, _decision("t1/1", "robot/A1", ("robot/A1",))
+    yield 2, _decision("t1/1", Robot("robot/A1"), (Robot("robot/A1"),))
     for number in range(bad):
         action = f"t1/{number + 2}"
-        yield 3, _decision(action, "coordinator", ("robot/A1", "coordinator"))
+        yield 3, _decision(action, Coordinator("coordinator"), (Robot("robot/A1"), Coordinator("coordinator")))
         for claimant in ("robot/A1", "coordinator"):
             yield (
                 3,
                 AuthorityClaimed(Subject("t1", action), dimension="override", claimant=claimant, reason="execution"),
             )
-    yield 4, PolicyWindowOpened(robot="robot/A1", scope="local", window="w1", outcome="deny")
+    yield 4, PolicyWindowOpened(robot=Robot("robot/A1"), scope="local", window="w1", outcome="deny")
     for _ in range(bad):
         yield 5, _motion()
     if scenario != "door-relay":  # containment and latency stay undefined there
@@ -74,7 +85,7 @@ def _events(
             6,
             ExecutionFailed(
                 subject=Subject("t1", "t1/1"),
-                robot="robot/A1",
+                robot=Robot("robot/A1"),
                 failure=1,
                 cause="obstruction",
                 remaining_us=1_000_000,
@@ -84,7 +95,7 @@ def _events(
         level: RecoveryLevel = "local" if bad < 2 else "human"
         yield (
             6 + (1 + bad) * 700_000,
-            FailureResolved(Subject("t1", "t1/1"), robot="robot/A1", failure=1, level=level),
+            FailureResolved(Subject("t1", "t1/1"), robot=Robot("robot/A1"), failure=1, level=level),
         )
     if bad > 2:
         yield (
@@ -95,12 +106,16 @@ def _events(
         yield 10_000_000, TaskCompleted(task_id="t1")
 
 
-def _decision(action: str, decided_by: str, path: tuple[str, ...]) -> Event:
+def _decision(action: str, decided_by: Principal, path: tuple[Principal, ...]) -> Event:
     origin = "robot/A1" if decided_by == "robot/A1" else None
     return OwnStepDecided(
         Subject("t1", action),
         Principals(
-            decided_by=decided_by, requested_by=origin, executed_by="robot/A1", supervised_by="supervisor/A1", path=path
+            decided_by=decided_by,
+            requested_by=origin,
+            executed_by=Robot("robot/A1"),
+            supervised_by=Supervisor("supervisor/A1"),
+            path=path,
         ),
         capability="navigate.indoor",
     )
@@ -109,13 +124,13 @@ def _decision(action: str, decided_by: str, path: tuple[str, ...]) -> Event:
 def _motion() -> Event:
     return RoutinePerformed(
         Principals(
-            decided_by="robot/A1",
-            requested_by="robot/A1",
-            executed_by="robot/A1",
+            decided_by=Robot("robot/A1"),
+            requested_by=Robot("robot/A1"),
+            executed_by=Robot("robot/A1"),
             supervised_by=None,
-            path=("robot/A1",),
+            path=(Robot("robot/A1"),),
         ),
-        robot="robot/A1",
+        robot=Robot("robot/A1"),
         operation="motion",
     )
 

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from fsar_ledger.constants import DURATIONS, Constants, Range, WorldConstants
 from fsar_ledger.events import AnyEvent, Event
 from fsar_ledger.events.concerns import CONCERNS
+from fsar_ledger.events.envelope import Robot, Supervisor
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled
 from fsar_ledger.events.trust import TrustSet
@@ -25,7 +26,7 @@ from fsar_ledger.runtime.kernel import Kernel
 from fsar_ledger.runtime.world.draws import Draws, run_key
 
 CAPABILITIES = ("navigate.indoor", "carry.package", "door.open.secure", "grasp.robust", "carry.heavy")
-HELPER = "robot/F1"
+HELPER = Robot("robot/F1")
 WORLD = WorldConstants(durations=(*DURATIONS, ("fly", Range(1.0, 2.0))))  # a robot may be given what no scenario knows
 PUBLIC: tuple[type[Command], ...] = tuple(
     sorted((kind for kind in FSAR.decides if issubclass(kind, PublicCommand)), key=lambda kind: kind.__name__)
@@ -108,7 +109,7 @@ def founding(
                 robot=name,
                 role=role,
                 team=team,
-                supervisor=f"supervisor/{role}{team}" if has_supervisor else None,
+                supervisor=Supervisor(f"supervisor/{role}{team}") if has_supervisor else None,
                 domain=domain,
             )
         )
@@ -122,7 +123,7 @@ def founding(
         if one % len(names) != other % len(names):
             events.append(TrustSet(robot=names[one % len(names)], peer=names[other % len(names)], scope=scope))
     if has_helper:
-        events.append(RobotJoined(robot=HELPER, role="F", team=1, supervisor="supervisor/F1"))
+        events.append(RobotJoined(robot=HELPER, role="F", team=1, supervisor=Supervisor("supervisor/F1")))
         for capability in (*CAPABILITIES, "fly"):
             events += [
                 CapabilityInstalled(robot=HELPER, capability=capability, version="1.0.0"),

@@ -3,7 +3,7 @@
 import msgspec
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Parties, RecoveryLevel, Subject
+from fsar_ledger.events.envelope import Parties, RecoveryLevel, Robot, Subject
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionStarted
 from fsar_ledger.events.task import StepBegan
 from fsar_ledger.events.world import TaskArrived
@@ -16,11 +16,11 @@ ACTION = "A1-1/2.1"
 
 
 def executing(
-    robot: str = A,
+    robot: Robot = A,
     capability: str = "carry.package",
     *before: Event,
-    owner: str = A,
-    behalf: str | None = None,
+    owner: Robot = A,
+    behalf: Robot | None = None,
     checkpoints: tuple[str, ...] | None = None,
     configuration: str = "full",
 ) -> State:

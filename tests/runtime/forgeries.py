@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Subject, with_columns
+from fsar_ledger.events.envelope import Robot, Subject, with_columns
 from fsar_ledger.events.execution import (
     ExecutionFailed,
     ExecutionFinished,
@@ -155,7 +155,7 @@ FORGERIES = {
         restated(TRUST, scope="persistent"), TRUST, "scope", "world.scenarios.founding"
     ),
     "a robot trusts one robot more at the founding": Forgery(
-        added(HONEST, TRUST, TrustSet(robot="robot/A1", peer="robot/C1", scope="task"), 0, 0),
+        added(HONEST, TRUST, TrustSet(robot=Robot("robot/A1"), peer=Robot("robot/C1"), scope="task"), 0, 0),
         TRUST,
         "type",
         "world.scenarios.founding",
@@ -203,7 +203,7 @@ FORGERIES = {
             DUE,
             StepBegan(
                 subject=Subject("A9-1", "A9-1/1.1"),
-                robot="robot/A1",
+                robot=Robot("robot/A1"),
                 step=1,
                 attempt=1,
                 capability="carry.package",
@@ -220,7 +220,7 @@ FORGERIES = {
         dropped(HONEST, DUE), DUE, "type", "world.schedule.schedule"
     ),
     "a fact of the world is added, without its consequence": Forgery(
-        added(HONEST, LAST + 1, RoutineDue("robot/A1", "sensing"), LATE, 0), LAST + 1, "type", None
+        added(HONEST, LAST + 1, RoutineDue(Robot("robot/A1"), "sensing"), LATE, 0), LAST + 1, "type", None
     ),
     "a robot fails without a cause in the world": Forgery(
         added(HONEST, STARTED + 1, HONEST.events[FAILED], HONEST.times_us[STARTED] + 1, STARTED),

@@ -1,7 +1,7 @@
 """A helper's work is work: what stops it, and what recovery does then."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FailureCause, Subject
+from fsar_ledger.events.envelope import FailureCause, Robot, Subject, Supervisor
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
     AssistanceFailed,
@@ -24,12 +24,12 @@ from tests.runtime.histories import types
 
 DOOR = "door.open.basic"
 D_TOO = TrustSet(
-    robot=D, peer=B, scope="session", capability=None, context=None, decided_by="supervisor/D1", reason=""
+    robot=D, peer=B, scope="session", capability=None, context=None, decided_by=Supervisor("supervisor/D1"), reason=""
 )  # D's body could help B as well
 
 
 def helped(
-    *before: Event, robot: str = B, capability: str = DOOR, cause: FailureCause = "obstruction"
+    *before: Event, robot: Robot = B, capability: str = DOOR, cause: FailureCause = "obstruction"
 ) -> tuple[State, str]:
     """A failure with which a peer is helping now, and that peer."""
     state = failed(executing(robot, capability, *before), "peer", cause)
@@ -40,7 +40,7 @@ def helped(
     return state, admitted.helper
 
 
-def ended(state: State, helper: str, drawn: int = 1) -> tuple[Event, ...]:
+def ended(state: State, helper: Robot, drawn: int = 1) -> tuple[Event, ...]:
     return end_assistance(state, EndAssistance(ACTION, helper, 1, drawn=drawn))
 
 
@@ -112,7 +112,9 @@ def test_help_ends_once() -> None:
 
 
 def test_a_peer_that_could_not_help_is_not_asked_again() -> None:
-    more = RecoveryBudgetSet(robot=B, level="peer", t_max_us=30_000_000, n_max=3, decided_by="supervisor/B1")
+    more = RecoveryBudgetSet(
+        robot=B, level="peer", t_max_us=30_000_000, n_max=3, decided_by=Supervisor("supervisor/B1")
+    )
     state, helper = helped(more)
     assert helper == A
     escalated = asked_again(state)[0]
@@ -121,7 +123,9 @@ def test_a_peer_that_could_not_help_is_not_asked_again() -> None:
 
 
 def test_the_next_peer_is_asked_as_long_as_the_budget_lasts() -> None:
-    more = RecoveryBudgetSet(robot=B, level="peer", t_max_us=30_000_000, n_max=3, decided_by="supervisor/B1")
+    more = RecoveryBudgetSet(
+        robot=B, level="peer", t_max_us=30_000_000, n_max=3, decided_by=Supervisor("supervisor/B1")
+    )
     requested, _ = asked_again(helped(more, D_TOO)[0])
     assert isinstance(requested, AssistanceRequested)
     assert (requested.helper, requested.since_us) == (D, 2_500_000)

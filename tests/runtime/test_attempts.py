@@ -3,7 +3,7 @@
 import pytest
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Architecture, Parties, Principals, RequestSubject, Subject
+from fsar_ledger.events.envelope import Architecture, Parties, Principals, RequestSubject, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.events.registry import RegistryQueried
@@ -29,7 +29,7 @@ from fsar_ledger.runtime.handlers.task import begin_step
 from tests.runtime.histories import given, types, window
 from tests.runtime.live import decided
 
-A, B, DOOR, H_F = "robot/A1", "robot/B1", "door.open.secure", "supervisor/fleet"
+A, B, DOOR, H_F = Robot("robot/A1"), Robot("robot/B1"), "door.open.secure", Supervisor("supervisor/fleet")
 ARRIVED = TaskArrived(
     task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B", "A navigate.indoor"), budget_us=60_000_000, due_us=61_000_000
 )

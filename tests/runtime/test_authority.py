@@ -8,7 +8,7 @@ import pytest
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityGranted, AuthorityReleased, AuthorityRevoked
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST, Principals, Subject
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST, Principals, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
 from fsar_ledger.events.knowledge import FleetRuleLearned
 from fsar_ledger.events.policy import PolicyRuleSet, RolePolicyRuleSet
@@ -35,20 +35,20 @@ from tests.runtime.live import decided, of, played
 from tests.runtime.test_requests import relayed, verdict
 
 DOOR = "door.open.secure"
-H_F, H_A, H_B = FLEET_SUPERVISOR, "supervisor/A1", "supervisor/B1"
-ASK = RequestCapability("robot/A1", "robot/B1", DOOR, "visit", "q1")
+H_F, H_A, H_B = FLEET_SUPERVISOR, Supervisor("supervisor/A1"), Supervisor("supervisor/B1")
+ASK = RequestCapability(Robot("robot/A1"), Robot("robot/B1"), DOOR, "visit", "q1")
 NEXT = msgspec.structs.replace(ASK, action_id="q2")
 GRANTED = AuthorityGranted(
-    requested_by="robot/A1",
-    executed_by="robot/B1",
+    requested_by=Robot("robot/A1"),
+    executed_by=Robot("robot/B1"),
     capability=DOOR,
     context="visit",
     override="soft-priority",
     decided_by=H_F,
 )
 REVOKED = AuthorityRevoked(
-    requested_by="robot/A1",
-    executed_by="robot/B1",
+    requested_by=Robot("robot/A1"),
+    executed_by=Robot("robot/B1"),
     capability=None,
     context=None,
     reason="human override",
@@ -78,19 +78,21 @@ def scheduled(state: State, event: Event) -> list[Command]:
 
 
 def test_a_supervisor_grants_authority_and_it_is_on_record_who() -> None:
-    [granted] = decided(given("fsar"), GrantAuthority(H_F, "robot/C1", None, "emergency-only"))
+    [granted] = decided(given("fsar"), GrantAuthority(H_F, Robot("robot/C1"), None, "emergency-only"))
     assert granted == AuthorityGranted(
-        requested_by="robot/C1",
+        requested_by=Robot("robot/C1"),
         executed_by=None,
         capability=None,
         context=None,
         override="emergency-only",
         decided_by=H_F,
     )
-    [own] = decided(given("fsar"), GrantAuthority(H_B, "robot/A1", "robot/B1", "hard-preempt", DOOR, "visit"))
+    [own] = decided(
+        given("fsar"), GrantAuthority(H_B, Robot("robot/A1"), Robot("robot/B1"), "hard-preempt", DOOR, "visit")
+    )
     assert own == AuthorityGranted(
-        requested_by="robot/A1",
-        executed_by="robot/B1",
+        requested_by=Robot("robot/A1"),
+        executed_by=Robot("robot/B1"),
         capability=DOOR,
         context="visit",
         override="hard-preempt",
@@ -101,22 +103,31 @@ def test_a_supervisor_grants_authority_and_it_is_on_record_who() -> None:
 @pytest.mark.parametrize(
     ("command", "found"),
     [
-        (GrantAuthority(H_F, "robot/Z9", None, "none"), "unknown robot robot/Z9"),
-        (GrantAuthority(H_F, "robot/A1", "robot/Z9", "none"), "unknown robot robot/Z9"),
-        (GrantAuthority("supervisor/Z9", "robot/A1", "robot/B1", "none"), "unknown supervisor supervisor/Z9"),
-        (GrantAuthority(H_A, "robot/A1", "robot/B1", "none"), "supervisor/A1 does not supervise robot/B1"),
-        (GrantAuthority(H_A, "robot/A1", None, "none"), "does not supervise every robot"),
-        (GrantAuthority(H_F, "robot/A1", "robot/A1", "none"), "to ask itself"),
-        (GrantAuthority(H_F, "robot/A1", "robot/B1", "none", "fly"), "unknown capability fly"),
-        (GrantAuthority(H_F, "robot/A1", "robot/B1", "none", DOOR, "rounds"), "rounds is over"),
-        (GrantAuthority(H_B, "robot/A1", "robot/B1", "none", DOOR), "supervisor/fleet has revoked it"),
+        (GrantAuthority(H_F, Robot("robot/Z9"), None, "none"), "unknown robot robot/Z9"),
+        (GrantAuthority(H_F, Robot("robot/A1"), Robot("robot/Z9"), "none"), "unknown robot robot/Z9"),
+        (
+            GrantAuthority(Supervisor("supervisor/Z9"), Robot("robot/A1"), Robot("robot/B1"), "none"),
+            "unknown supervisor supervisor/Z9",
+        ),
+        (
+            GrantAuthority(H_A, Robot("robot/A1"), Robot("robot/B1"), "none"),
+            "supervisor/A1 does not supervise robot/B1",
+        ),
+        (GrantAuthority(H_A, Robot("robot/A1"), None, "none"), "does not supervise every robot"),
+        (GrantAuthority(H_F, Robot("robot/A1"), Robot("robot/A1"), "none"), "to ask itself"),
+        (GrantAuthority(H_F, Robot("robot/A1"), Robot("robot/B1"), "none", "fly"), "unknown capability fly"),
+        (GrantAuthority(H_F, Robot("robot/A1"), Robot("robot/B1"), "none", DOOR, "rounds"), "rounds is over"),
+        (GrantAuthority(H_B, Robot("robot/A1"), Robot("robot/B1"), "none", DOOR), "supervisor/fleet has revoked it"),
         (GrantAuthority(H_F, "robot/A1", "robot/B1", "absolute"), "unknown override level absolute"),  # type: ignore[arg-type]
-        (RevokeAuthority(H_F, "robot/Z9", None), "unknown robot robot/Z9"),
-        (RevokeAuthority("supervisor/Z9", "robot/A1", None), "unknown supervisor supervisor/Z9"),
-        (RevokeAuthority("supervisor/C1", "robot/A1", "robot/B1"), "supervises neither robot"),
-        (RevokeAuthority(H_F, "robot/A1", "robot/B1", "fly"), "unknown capability fly"),
-        (RevokeAuthority(H_F, "robot/A1", "robot/B1"), "it is revoked already"),
-        (RevokeAuthority(H_B, "robot/A1", "robot/B1", DOOR), "it is revoked already"),
+        (RevokeAuthority(H_F, Robot("robot/Z9"), None), "unknown robot robot/Z9"),
+        (RevokeAuthority(Supervisor("supervisor/Z9"), Robot("robot/A1"), None), "unknown supervisor supervisor/Z9"),
+        (
+            RevokeAuthority(Supervisor("supervisor/C1"), Robot("robot/A1"), Robot("robot/B1")),
+            "supervises neither robot",
+        ),
+        (RevokeAuthority(H_F, Robot("robot/A1"), Robot("robot/B1"), "fly"), "unknown capability fly"),
+        (RevokeAuthority(H_F, Robot("robot/A1"), Robot("robot/B1")), "it is revoked already"),
+        (RevokeAuthority(H_B, Robot("robot/A1"), Robot("robot/B1"), DOOR), "it is revoked already"),
         (RevokeAuthority(H_F, "robot/A1", "robot/C1", reason="boredom"), "unknown reason boredom"),  # type: ignore[arg-type]
     ],
 )
@@ -131,11 +142,11 @@ def test_a_right_that_nobody_may_give_or_take_is_rejected_and_changes_nothing(co
 
 
 @pytest.mark.parametrize("supervisor", [H_F, H_A, H_B])
-def test_either_robots_supervisor_may_revoke(supervisor: str) -> None:
-    [revoked] = decided(given("fsar"), RevokeAuthority(supervisor, "robot/A1", "robot/B1", DOOR))
+def test_either_robots_supervisor_may_revoke(supervisor: Supervisor) -> None:
+    [revoked] = decided(given("fsar"), RevokeAuthority(supervisor, Robot("robot/A1"), Robot("robot/B1"), DOOR))
     assert revoked == AuthorityRevoked(
-        requested_by="robot/A1",
-        executed_by="robot/B1",
+        requested_by=Robot("robot/A1"),
+        executed_by=Robot("robot/B1"),
         capability=DOOR,
         context=None,
         reason="human override",
@@ -145,7 +156,7 @@ def test_either_robots_supervisor_may_revoke(supervisor: str) -> None:
 
 def test_a_revocation_takes_effect_at_the_next_request_and_leaves_alone_what_was_admitted() -> None:
     state = given("fsar")
-    play(state, ASK, EvaluateRequest("q1"), RevokeAuthority(H_F, "robot/A1", "robot/B1"))
+    play(state, ASK, EvaluateRequest("q1"), RevokeAuthority(H_F, Robot("robot/A1"), Robot("robot/B1")))
     assert "RequestAccepted" in types(play(state, TakeTurn("q1"))), "queued, and goes on"
     assert types(play(state, StartAction("q1", drawn=5))) == ["ExecutionStarted"]
     denied = evaluated(state)
@@ -156,7 +167,11 @@ def test_a_revocation_takes_effect_at_the_next_request_and_leaves_alone_what_was
 def test_in_a_whole_run_a_running_action_outlives_its_revocation() -> None:
     [(began_us, _)] = of(played([(1_000_000, ASK)]), ExecutionStarted)
     run = played(
-        [(1_000_000, ASK), (began_us + 1_000, RevokeAuthority(H_F, "robot/A1", "robot/B1")), (began_us + 2_000, NEXT)]
+        [
+            (1_000_000, ASK),
+            (began_us + 1_000, RevokeAuthority(H_F, Robot("robot/A1"), Robot("robot/B1"))),
+            (began_us + 2_000, NEXT),
+        ]
     )
     assert [event.subject.action_id for _, event in of(run, RequestClosed)] == ["q1"]  # type: ignore[attr-defined]
     assert [(event.subject.action_id, event.reason) for _, event in of(run, RequestDenied)] == [("q2", "authority")]  # type: ignore[attr-defined]
@@ -178,7 +193,7 @@ def test_a_revocation_is_about_what_it_names(about: tuple[str | None, str | None
     state = given(
         "fsar",
         AuthorityRevoked(
-            requested_by="robot/A1",
+            requested_by=Robot("robot/A1"),
             executed_by=about[0],
             capability=about[1],
             context=about[2],
@@ -188,7 +203,7 @@ def test_a_revocation_is_about_what_it_names(about: tuple[str | None, str | None
     )
     assert isinstance(evaluated(state), RequestDenied if is_denied else RequestAdmitted)
     assert isinstance(
-        evaluated(state, RequestCapability("robot/C1", "robot/B1", DOOR, "visit", "q3")), RequestAdmitted
+        evaluated(state, RequestCapability(Robot("robot/C1"), Robot("robot/B1"), DOOR, "visit", "q3")), RequestAdmitted
     ), "of another requester"
 
 
@@ -207,7 +222,7 @@ def test_what_the_relay_may_ask_does_not_lift_a_revocation_of_the_requester() ->
             relayed(
                 AuthorityRevoked(
                     requested_by=robot,
-                    executed_by="robot/B1",
+                    executed_by=Robot("robot/B1"),
                     capability=None,
                     context=None,
                     reason="human override",
@@ -223,7 +238,12 @@ def test_what_the_relay_may_ask_does_not_lift_a_revocation_of_the_requester() ->
 
 def test_a_context_that_ends_ends_the_rights_that_were_given_for_it_and_no_others() -> None:
     broad = AuthorityGranted(
-        requested_by="robot/A1", executed_by="robot/B1", capability=None, context=None, override="none", decided_by=H_F
+        requested_by=Robot("robot/A1"),
+        executed_by=Robot("robot/B1"),
+        capability=None,
+        context=None,
+        override="none",
+        decided_by=H_F,
     )
     for over in (TaskCompleted("visit"), TaskAbandoned("visit")):
         state = given("fsar", broad, GRANTED)
@@ -231,8 +251,8 @@ def test_a_context_that_ends_ends_the_rights_that_were_given_for_it_and_no_other
         assert command == ExpireContext("visit")
         [revoked] = play(state, command)
         assert revoked == AuthorityRevoked(
-            requested_by="robot/A1",
-            executed_by="robot/B1",
+            requested_by=Robot("robot/A1"),
+            executed_by=Robot("robot/B1"),
             capability=DOOR,
             context="visit",
             reason="context expired",
@@ -256,17 +276,21 @@ def test_a_context_without_rights_ends_without_a_word() -> None:
 def test_trust_that_falls_below_what_is_required_revokes_what_the_peer_holds_admitted() -> None:
     state = given("fsar")
     play(state, ASK, EvaluateRequest("q1"))
-    assert scheduled(state, TrustSet(robot="robot/B1", peer="robot/A1", scope="capability")) == [], "enough"
-    assert scheduled(state, TrustSet(robot="robot/B1", peer="robot/D1", scope="none")) == [], "somebody else"
+    assert scheduled(state, TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="capability")) == [], (
+        "enough"
+    )
+    assert scheduled(state, TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/D1"), scope="none")) == [], (
+        "somebody else"
+    )
     [command] = [
         one
-        for one in scheduled(state, TrustSet(robot="robot/B1", peer="robot/A1", scope="none"))
+        for one in scheduled(state, TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="none"))
         if isinstance(one, RevokeDistrusted)
     ]
     [revoked] = play(state, command)
     assert revoked == AuthorityRevoked(
-        requested_by="robot/A1",
-        executed_by="robot/B1",
+        requested_by=Robot("robot/A1"),
+        executed_by=Robot("robot/B1"),
         capability=DOOR,
         context="visit",
         reason="trust downgrade",
@@ -274,7 +298,7 @@ def test_trust_that_falls_below_what_is_required_revokes_what_the_peer_holds_adm
     )
     assert play(state, command) == (), "once"
     assert "RequestAccepted" in types(play(state, TakeTurn("q1"))), "what was admitted goes on"
-    apply(state, TrustSet(robot="robot/B1", peer="robot/A1", scope="task"))
+    apply(state, TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="task"))
     assert evaluated(state).reason == "authority", "trust regained does not give back what was revoked"
 
 
@@ -285,34 +309,34 @@ def test_trust_of_the_roles_that_falls_revokes_what_their_pairs_hold_admitted() 
         "they are in no hall"
     )
     assert scheduled(state, RoleTrustSet(role="B", peer_role="D", scope="none")) == [], "others"
-    state = given("fsar", TrustSet(robot="robot/B1", peer="robot/A1", scope="task"))
+    state = given("fsar", TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="task"))
     play(state, ASK, EvaluateRequest("q1"))
     assert scheduled(state, RoleTrustSet(role="B", peer_role="A", scope="none")) == [], "the pair is an exception"
     state = given("fsar")
     play(state, ASK, EvaluateRequest("q1"))
     assert scheduled(state, RoleTrustSet(role="B", peer_role="A", scope="none")) == [
-        RevokeDistrusted("robot/B1", "robot/A1")
+        RevokeDistrusted(Robot("robot/B1"), Robot("robot/A1"))
     ]
 
 
 def test_trust_that_falls_while_nothing_is_admitted_revokes_nothing() -> None:
     state = given("fsar")
     play(state, ASK)
-    assert scheduled(state, TrustSet(robot="robot/B1", peer="robot/A1", scope="none")) == []
+    assert scheduled(state, TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="none")) == []
 
 
 def test_a_claim_is_released_by_who_holds_it_and_execution_not_before_its_end() -> None:
     state = given("fsar")
     play(state, ASK, EvaluateRequest("q1"), TakeTurn("q1"))
-    [held] = decided(state, ReleaseAuthority("robot/B1", "q1", "execution"))
+    [held] = decided(state, ReleaseAuthority(Robot("robot/B1"), "q1", "execution"))
     assert isinstance(held, CommandRejected)
     assert "has yet to finish it" in held.reason
-    [released] = play(state, ReleaseAuthority("robot/B1", "q1", "override"))
-    assert released == AuthorityReleased(Subject("visit", "q1"), "override", "robot/B1", "acceptance")
+    [released] = play(state, ReleaseAuthority(Robot("robot/B1"), "q1", "override"))
+    assert released == AuthorityReleased(Subject("visit", "q1"), "override", Robot("robot/B1"), "acceptance")
     for command in (
-        ReleaseAuthority("robot/B1", "q1", "override"),
-        ReleaseAuthority("robot/A1", "q1", "execution"),
-        ReleaseAuthority("robot/B1", "q9", "audit"),
+        ReleaseAuthority(Robot("robot/B1"), "q1", "override"),
+        ReleaseAuthority(Robot("robot/A1"), "q1", "execution"),
+        ReleaseAuthority(Robot("robot/B1"), "q9", "audit"),
     ):
         [rejected] = decided(state, command)
         assert isinstance(rejected, CommandRejected)
@@ -323,7 +347,9 @@ def test_a_claim_is_released_by_who_holds_it_and_execution_not_before_its_end() 
 
 APPROVAL = SupervisorResponded(
     Subject("visit", "q1"),
-    Principals(decided_by=H_F, requested_by="robot/A1", executed_by="robot/B1", supervised_by=H_F, path=(H_F,)),
+    Principals(
+        decided_by=H_F, requested_by=Robot("robot/A1"), executed_by=Robot("robot/B1"), supervised_by=H_F, path=(H_F,)
+    ),
     "review",
 )
 
@@ -337,7 +363,7 @@ def approved(*before: Event) -> State:
 
 
 def opened(name: str, outcome: Any) -> PolicyWindowOpened:
-    return PolicyWindowOpened(robot="robot/B1", scope="local", window=name, outcome=outcome)
+    return PolicyWindowOpened(robot=Robot("robot/B1"), scope="local", window=name, outcome=outcome)
 
 
 START = StartAction("q1", drawn=5)
@@ -346,10 +372,12 @@ START = StartAction("q1", drawn=5)
 def test_an_approval_lifts_no_rule_that_denies_by_then() -> None:
     """Whether the review was wanted by policy or by density alone, the executor does not act against a rule; a mandate against it is escalated."""
     mandate = PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="allow", decided_by=H_F)
-    own = PolicyRuleSet(scope="local", robot="robot/B1", capability=DOOR, context=None, outcome="deny", decided_by=H_B)
+    own = PolicyRuleSet(
+        scope="local", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="deny", decided_by=H_B
+    )
     fleets = PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="deny", decided_by=H_F)
-    heard = FleetRuleLearned("robot/B1", "deny", 1)
-    dense = SupervisionDensitySet(robot="robot/B1", review_every=1, decided_by=H_B, reason="")
+    heard = FleetRuleLearned(Robot("robot/B1"), "deny", 1)
+    dense = SupervisionDensitySet(robot=Robot("robot/B1"), review_every=1, decided_by=H_B, reason="")
     cases: list[tuple[Event, tuple[Event, ...], list[str]]] = [
         (opened("w1", "review"), (own,), ["RequestDenied"]),
         (opened("w1", "review"), (fleets,), ["RequestDenied"]),
@@ -373,7 +401,7 @@ def test_an_approval_stands_while_a_window_denies_and_the_start_waits_for_it_to_
     apply(state, opened("w2", "deny"))
     assert types(play(state, *scheduled(state, APPROVAL))) == ["RequestAdmitted", "ExecutionQueued"]
     assert types(play(state, TakeTurn("q1"), START)) == ["ExecutionHeld"]
-    [again] = scheduled(state, PolicyWindowClosed("robot/B1", "local", "w2"))
+    [again] = scheduled(state, PolicyWindowClosed(Robot("robot/B1"), "local", "w2"))
     assert isinstance(again, StartAction)
     assert types(play(state, START)) == ["ExecutionStarted"]
 
@@ -382,11 +410,11 @@ def test_what_was_approved_and_then_held_by_a_rule_starts_when_the_rule_is_lifte
     None
 ):
     rule = PolicyRuleSet(
-        scope="local", robot="robot/B1", capability=DOOR, context=None, outcome="review", decided_by=H_B
+        scope="local", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="review", decided_by=H_B
     )
     state = approved(rule)
     broad = PolicyRuleSet(
-        scope="local", robot="robot/B1", capability=None, context=None, outcome="deny", decided_by=H_B
+        scope="local", robot=Robot("robot/B1"), capability=None, context=None, outcome="deny", decided_by=H_B
     )
     apply(state, broad)
     assert types(play(state, START)) == ["ExecutionHeld"]
@@ -407,14 +435,14 @@ def test_a_window_of_the_executors_own_that_opens_after_the_approval_holds_the_s
     [held] = play(state, START)
     assert isinstance(held, ExecutionHeld)
     assert (held.outcome, held.reason) == (outcome, "local-policy")
-    [again] = scheduled(state, PolicyWindowClosed("robot/B1", "local", "w2"))
+    [again] = scheduled(state, PolicyWindowClosed(Robot("robot/B1"), "local", "w2"))
     assert isinstance(again, StartAction), "although the first is open still"
     assert types(play(state, START)) == ["ExecutionStarted"]
 
 
 def test_a_rule_that_is_set_after_the_approval_holds_the_start_and_one_set_before_does_not() -> None:
     rule = PolicyRuleSet(
-        scope="local", robot="robot/B1", capability=DOOR, context=None, outcome="review", decided_by=H_B
+        scope="local", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="review", decided_by=H_B
     )
     assert types(play(approved(rule), START)) == ["ExecutionStarted"]
     state = approved(rule)
@@ -427,7 +455,7 @@ def test_a_rule_that_is_set_after_the_approval_holds_the_start_and_one_set_befor
 
 def test_a_rule_of_the_role_that_is_set_after_the_approval_holds_the_start_unless_the_robot_is_an_exception() -> None:
     own = PolicyRuleSet(
-        scope="local", robot="robot/B1", capability=DOOR, context=None, outcome="review", decided_by=H_B
+        scope="local", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="review", decided_by=H_B
     )
     of_role = RolePolicyRuleSet(scope="local", role="B", outcome="review", domain="", capability=DOOR)
     assert types(play(approved(of_role), START)) == ["ExecutionStarted"], "known when it was given"
@@ -449,7 +477,7 @@ def test_a_rule_of_the_role_that_is_set_after_the_approval_holds_the_start_unles
 def test_what_was_approved_is_forgotten_when_it_is_done() -> None:
     state = approved(opened("w1", "review"))
     assert list(state.authority.approvals) == ["q1"]
-    play(state, START, ReportResult("robot/B1", "q1", "success"))
+    play(state, START, ReportResult(Robot("robot/B1"), "q1", "success"))
     assert state.authority.approvals == {}
 
 
@@ -458,5 +486,5 @@ def test_a_start_without_a_review_waits_for_policy_as_ever() -> None:
     play(state, ASK, EvaluateRequest("q1"), TakeTurn("q1"))
     apply(state, opened("w1", "deny"))
     assert types(play(state, START)) == ["ExecutionHeld"]
-    apply(state, FleetRuleLearned("robot/B1", "allow", 1))
+    apply(state, FleetRuleLearned(Robot("robot/B1"), "allow", 1))
     assert types(play(state, START)) == ["ExecutionHeld"]

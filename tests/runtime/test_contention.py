@@ -5,7 +5,7 @@ from itertools import permutations
 import pytest
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Parties, Subject
+from fsar_ledger.events.envelope import Parties, Robot, Subject
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestAdmitted, RequestDenied
@@ -21,12 +21,12 @@ from fsar_ledger.runtime.handlers.request import ReportResult, RequestCapability
 from tests.runtime.histories import given, types, window
 from tests.runtime.live import decided, of, played
 
-DOOR, B = "door.open.secure", "robot/B1"
-TRUSTED = tuple(TrustSet(robot=B, peer=f"robot/{name}1", scope="session") for name in "ACD")
+DOOR, B = "door.open.secure", Robot("robot/B1")
+TRUSTED = tuple(TrustSet(robot=B, peer=Robot(f"robot/{name}1"), scope="session") for name in "ACD")
 ARRIVED = tuple(
     TaskArrived(
         task_id=f"{name}-1",
-        robot=f"robot/{name}1",
+        robot=Robot(f"robot/{name}1"),
         team=1,
         steps=(f"{name} {DOOR} B",),
         budget_us=600_000_000,
@@ -45,7 +45,7 @@ def competing() -> State:
     began = [
         StepBegan(
             subject=Subject(f"{name}-1", f"{name}-1/1.1"),
-            robot=f"robot/{name}1",
+            robot=Robot(f"robot/{name}1"),
             step=1,
             attempt=1,
             capability=DOOR,
@@ -56,7 +56,7 @@ def competing() -> State:
     shown = [
         RegistryQueried(
             subject=Subject(f"{name}-1", f"{name}-1/1.1"),
-            principals=Parties(requested_by=f"robot/{name}1", executed_by=B, supervised_by=None),
+            principals=Parties(requested_by=Robot(f"robot/{name}1"), executed_by=B, supervised_by=None),
             capability=DOOR,
             candidates=(B,),
         )
@@ -112,7 +112,7 @@ def test_a_denial_of_the_one_that_goes_first_lets_the_others_go_on() -> None:
     evaluated(state, *NAMES)
     answered(state, "A-1/1.1")
     answered(state, "C-1/1.1")
-    apply(state, TrustSet(robot=B, peer="robot/D1", scope="none"))
+    apply(state, TrustSet(robot=B, peer=Robot("robot/D1"), scope="none"))
     denied = decided(state, EvaluateRequest(URGENT))
     assert isinstance(denied[0], RequestDenied)
     assert sorted(again(state, *denied)) == ["A-1/1.1", "C-1/1.1"]
@@ -124,7 +124,7 @@ def test_in_a_run_with_three_rivals_the_urgent_one_is_executed_before_all_that_c
     order: tuple[str, ...],
 ) -> None:
     arrived = {task.robot: task for task in ARRIVED}
-    tasks = [(number * 100_000, arrived[f"robot/{name}1"]) for number, name in enumerate(order, start=1)]
+    tasks = [(number * 100_000, arrived[Robot(f"robot/{name}1")]) for number, name in enumerate(order, start=1)]
     run = played([], *TRUSTED, facts=tasks)
     rivals = {
         event.subject.action_id
@@ -145,7 +145,7 @@ def test_a_request_that_has_its_result_is_no_rival(is_closed: bool) -> None:
     """A asks by itself in the context of D's urgent task, and is served; C's step comes afterwards."""
     state = given("fsar", *TRUSTED, *ARRIVED)
     served = [
-        RequestCapability("robot/A1", B, DOOR, "D-1", "q1"),
+        RequestCapability(Robot("robot/A1"), B, DOOR, "D-1", "q1"),
         EvaluateRequest("q1"),
         TakeTurn("q1"),
         StartAction("q1", drawn=5),
@@ -158,14 +158,19 @@ def test_a_request_that_has_its_result_is_no_rival(is_closed: bool) -> None:
     apply(
         state,
         StepBegan(
-            subject=Subject("C-1", "C-1/1.1"), robot="robot/C1", step=1, attempt=1, capability=DOOR, target_role="B"
+            subject=Subject("C-1", "C-1/1.1"),
+            robot=Robot("robot/C1"),
+            step=1,
+            attempt=1,
+            capability=DOOR,
+            target_role="B",
         ),
     )
     apply(
         state,
         RegistryQueried(
             subject=Subject("C-1", "C-1/1.1"),
-            principals=Parties(requested_by="robot/C1", executed_by=B, supervised_by=None),
+            principals=Parties(requested_by=Robot("robot/C1"), executed_by=B, supervised_by=None),
             capability=DOOR,
             candidates=(B,),
         ),

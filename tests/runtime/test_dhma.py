@@ -2,7 +2,7 @@
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import Parties, Subject
+from fsar_ledger.events.envelope import Parties, Robot, Subject
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.knowledge import BidReceived, PlannerEngaged, SnapshotTaken
 from fsar_ledger.events.registry import RegistryQueried
@@ -64,15 +64,15 @@ CALLED = (
     DELEGATED_STEP,
     RegistryQueried(
         subject=Subject("A1-1", ACTION),
-        principals=Parties(requested_by="robot/A1", executed_by=None, supervised_by=None),
+        principals=Parties(requested_by=Robot("robot/A1"), executed_by=None, supervised_by=None),
         capability="door.open.secure",
-        candidates=("robot/B1",),
+        candidates=(Robot("robot/B1"),),
     ),
 )
 AWARDED = (
     *CALLED,
-    BidReceived(Subject("A1-1", ACTION), "robot/B1", "allow"),
-    AwardMade("A1-1", Parties(requested_by="robot/A1", executed_by=None, supervised_by=None), "robot/B1"),
+    BidReceived(Subject("A1-1", ACTION), Robot("robot/B1"), "allow"),
+    AwardMade("A1-1", Parties(requested_by=Robot("robot/A1"), executed_by=None, supervised_by=None), Robot("robot/B1")),
 )
 
 
@@ -103,20 +103,20 @@ def test_a_call_names_no_executor_before_the_award() -> None:
 
 
 def test_a_bid_follows_the_planners_snapshot_and_not_the_true_policy() -> None:
-    unseen = given("dhma", *CALLED, window("robot/B1"))
-    assert types(evaluate_bid(unseen, EvaluateBid(ACTION, "robot/B1"))) == ["RequestAdmitted", "BidSubmitted"]
-    seen = given("dhma", *CALLED, SnapshotTaken("robot/B1", "deny"))
-    assert types(evaluate_bid(seen, EvaluateBid(ACTION, "robot/B1"))) == ["RequestDenied", "BidSubmitted"]
+    unseen = given("dhma", *CALLED, window(Robot("robot/B1")))
+    assert types(evaluate_bid(unseen, EvaluateBid(ACTION, Robot("robot/B1")))) == ["RequestAdmitted", "BidSubmitted"]
+    seen = given("dhma", *CALLED, SnapshotTaken(Robot("robot/B1"), "deny"))
+    assert types(evaluate_bid(seen, EvaluateBid(ACTION, Robot("robot/B1")))) == ["RequestDenied", "BidSubmitted"]
 
 
 def test_a_snapshot_is_the_policy_of_its_moment() -> None:
-    assert take_snapshot(given("dhma", window("robot/B1", "review")), TakeSnapshot("robot/B1")) == (
-        SnapshotTaken("robot/B1", "review"),
+    assert take_snapshot(given("dhma", window(Robot("robot/B1"), "review")), TakeSnapshot(Robot("robot/B1"))) == (
+        SnapshotTaken(Robot("robot/B1"), "review"),
     )
 
 
 def test_a_bid_under_review_goes_to_the_fleet_supervisor_first() -> None:
-    state = given("dhma", *CALLED, BidReceived(Subject("A1-1", ACTION), "robot/B1", "review"))
+    state = given("dhma", *CALLED, BidReceived(Subject("A1-1", ACTION), Robot("robot/B1"), "review"))
     assert types(award(state, Award(ACTION))) == ["SupervisorCalled"]
 
 
@@ -137,7 +137,9 @@ def test_another_tasks_action_at_the_executor_is_double_booking_until_settled() 
     other = "A1-2/2.1"
     for event in (
         *SECOND,
-        AwardMade("A1-2", Parties(requested_by="robot/A1", executed_by=None, supervised_by=None), "robot/B1"),
+        AwardMade(
+            "A1-2", Parties(requested_by=Robot("robot/A1"), executed_by=None, supervised_by=None), Robot("robot/B1")
+        ),
     ):
         apply(state, event)
     booked = accept_award(state, AcceptAward(other))
@@ -155,7 +157,7 @@ def test_another_tasks_action_at_the_executor_is_double_booking_until_settled() 
 
 def test_a_context_change_questions_a_contract_that_has_not_started() -> None:
     state = accepted()
-    questioned = engage_planner(state, EngagePlanner("robot/A1", now_us=5_000_000))
+    questioned = engage_planner(state, EngagePlanner(Robot("robot/A1"), now_us=5_000_000))
     assert types(questioned) == ["PlannerEngaged", "AuthorityClaimed", "AuthorityClaimed", "ContractQuestioned"]
     assert {event.claimant for event in questioned if isinstance(event, AuthorityClaimed)} == {
         "agent/A1/planning",
@@ -168,7 +170,9 @@ def test_a_context_change_questions_a_contract_that_has_not_started() -> None:
 
 
 def test_a_context_change_during_execution_leaves_the_contract_standing() -> None:
-    assert "ContractQuestioned" not in types(engage_planner(running(), EngagePlanner("robot/B1", now_us=9_500_000)))
+    assert "ContractQuestioned" not in types(
+        engage_planner(running(), EngagePlanner(Robot("robot/B1"), now_us=9_500_000))
+    )
 
 
 def test_an_own_step_is_the_planners_decision() -> None:
@@ -177,19 +181,21 @@ def test_an_own_step_is_the_planners_decision() -> None:
 
 
 def test_a_motion_is_two_half_records_and_engages_the_planner() -> None:
-    performed, reported, engaged = decide_routine(given("dhma"), DecideRoutine("robot/A1", "motion", now_us=1_000_000))
+    performed, reported, engaged = decide_routine(
+        given("dhma"), DecideRoutine(Robot("robot/A1"), "motion", now_us=1_000_000)
+    )
     assert (performed.principals.requested_by, performed.principals.executed_by) == ("robot/A1", None)  # type: ignore[attr-defined]
     assert (reported.principals.requested_by, reported.principals.executed_by) == (None, "robot/A1")  # type: ignore[attr-defined]
     assert isinstance(engaged, PlannerEngaged)
 
 
 def test_sensing_is_one_agents_and_completely_recorded() -> None:
-    [performed] = decide_routine(given("dhma"), DecideRoutine("robot/A1", "sensing"))
+    [performed] = decide_routine(given("dhma"), DecideRoutine(Robot("robot/A1"), "sensing"))
     assert performed.principals.path == ("robot/A1",)  # type: ignore[attr-defined]
 
 
 def failed() -> State:
-    state = running(ObstructionAppeared("robot/B1", "o"))
+    state = running(ObstructionAppeared(Robot("robot/B1"), "o"))
     for event in detect_obstruction(state, DetectObstruction(ACTION, now_us=9_500_000)):
         apply(state, event)
     for event in start_recovery(state, StartRecovery(ACTION)):
@@ -218,7 +224,7 @@ def test_a_disputed_recovery_has_one_attempt_and_then_loops() -> None:
 
 def test_an_outsider_runs_unchecked_and_nobody_is_on_record() -> None:
     injected = OutsiderRequestInjected(
-        task_id="injected-1-1", robot="robot/D1", peer="robot/C1", capability="inspect.private_zone"
+        task_id="injected-1-1", robot=Robot("robot/D1"), peer=Robot("robot/C1"), capability="inspect.private_zone"
     )
     events = run_outsider(given("dhma", injected), RunOutsider("injected-1-1"))
     assert types(events) == ["RequestIssued", "RequestAdmitted", "ExecutionQueued"]
@@ -229,7 +235,7 @@ def test_an_outsider_has_no_contract_to_be_questioned_or_voided() -> None:
     state = given(
         "dhma",
         OutsiderRequestInjected(
-            task_id="injected-1-1", robot="robot/D1", peer="robot/C1", capability="inspect.private_zone"
+            task_id="injected-1-1", robot=Robot("robot/D1"), peer=Robot("robot/C1"), capability="inspect.private_zone"
         ),
     )
     for event in run_outsider(state, RunOutsider("injected-1-1")):

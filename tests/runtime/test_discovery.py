@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.constants import Constants
-from fsar_ledger.events.envelope import Subject
+from fsar_ledger.events.envelope import Robot, Subject
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.registry import (
     AvailabilityChanged,
@@ -32,16 +32,16 @@ def test_the_registry_says_by_which_filter_it_left_others_out() -> None:
     spec = RunSpec(1, "fsar", "full", "door-relay", 8, 0)
     step = StepBegan(
         subject=Subject("A2-1", "A2-1/1.1"),
-        robot="robot/A2",
+        robot=Robot("robot/A2"),
         step=1,
         attempt=1,
         capability="door.open.secure",
         target_role="B",
     )
     arrived = TaskArrived(
-        task_id="A2-1", robot="robot/A2", team=2, steps=("A door.open.secure B",), budget_us=1, due_us=1
+        task_id="A2-1", robot=Robot("robot/A2"), team=2, steps=("A door.open.secure B",), budget_us=1, due_us=1
     )
-    distrust = TrustSet(robot="robot/B1", peer="robot/A2", scope="none")
+    distrust = TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A2"), scope="none")
     state = fold((run_started(spec, Constants()), *founding(8), arrived, step, distrust))
     [answer] = query_registry(state, QueryRegistry("A2-1/1.1"))
     assert isinstance(answer, RegistryQueried)
@@ -57,31 +57,34 @@ def test_who_is_reached_through_a_peer_is_not_rejected_beside_it() -> None:
     spec = RunSpec(1, "fsar", "full", "door-relay", 8, 0)
     step = StepBegan(
         subject=Subject("D2-1", "D2-1/1.1"),
-        robot="robot/D2",
+        robot=Robot("robot/D2"),
         step=1,
         attempt=1,
         capability="door.open.secure",
         target_role="B",
     )
     arrived = TaskArrived(
-        task_id="D2-1", robot="robot/D2", team=2, steps=("D door.open.secure B",), budget_us=1, due_us=1
+        task_id="D2-1", robot=Robot("robot/D2"), team=2, steps=("D door.open.secure B",), budget_us=1, due_us=1
     )
     state = fold((run_started(spec, Constants()), *founding(8), arrived, step))
     [answer] = query_registry(state, QueryRegistry("D2-1/1.1"))
     assert isinstance(answer, RegistryQueried)
     assert (answer.candidates, answer.rejected, answer.rejected_by) == (("robot/B2",), ("robot/B1",), ("trust",))
-    apply(state, AvailabilityChanged(robot="robot/B2", capability=None, availability="offline", reason="charging"))
+    apply(
+        state, AvailabilityChanged(robot=Robot("robot/B2"), capability=None, availability="offline", reason="charging")
+    )
     [answer] = query_registry(state, QueryRegistry("D2-1/1.1"))
     assert answer.candidates == ("robot/B1",)  # type: ignore[attr-defined]
 
 
 def test_an_outsider_that_asks_for_what_nobody_shows_is_refused_by_visibility() -> None:
     injected = OutsiderRequestInjected(
-        task_id="injected-1-1", robot="robot/D1", peer="robot/C1", capability="inspect.visual"
+        task_id="injected-1-1", robot=Robot("robot/D1"), peer=Robot("robot/C1"), capability="inspect.visual"
     )
     shown, _ = answer_outsider(given("fsar", injected), AnswerOutsider("injected-1-1"))
     hidden, _ = answer_outsider(
-        given("fsar", injected, CapabilityWithdrawn("robot/C1", "inspect.visual", "x")), AnswerOutsider("injected-1-1")
+        given("fsar", injected, CapabilityWithdrawn(Robot("robot/C1"), "inspect.visual", "x")),
+        AnswerOutsider("injected-1-1"),
     )
     assert (shown.rejected_by, hidden.rejected_by) == (("trust",), ("visibility",))  # type: ignore[attr-defined]
 
@@ -89,15 +92,15 @@ def test_an_outsider_that_asks_for_what_nobody_shows_is_refused_by_visibility() 
 def test_a_search_that_ends_in_its_own_domain_reads_no_other() -> None:
     """What lies in the other domain here cannot be read at all."""
     founding_of_two = (
-        RobotJoined(robot="robot/A9", role="A", team=1, supervisor=None, domain="hall"),
-        RobotJoined(robot="robot/B9", role="B", team=1, supervisor=None, domain="hall"),
-        TrustSet(robot="robot/B9", peer="robot/A9", scope="task"),
+        RobotJoined(robot=Robot("robot/A9"), role="A", team=1, supervisor=None, domain="hall"),
+        RobotJoined(robot=Robot("robot/B9"), role="B", team=1, supervisor=None, domain="hall"),
+        TrustSet(robot=Robot("robot/B9"), peer=Robot("robot/A9"), scope="task"),
     )
     state = given(
         "fsar",
         *founding_of_two,
-        RobotJoined(robot="robot/B8", role="B", team=1, supervisor=None, domain="yard"),
-        TrustSet(robot="robot/B8", peer="robot/A9", scope="task"),
+        RobotJoined(robot=Robot("robot/B8"), role="B", team=1, supervisor=None, domain="yard"),
+        TrustSet(robot=Robot("robot/B8"), peer=Robot("robot/A9"), scope="task"),
     )
     for robot in ("robot/B9", "robot/B8"):
         apply(state, CapabilityInstalled(robot=robot, capability="lift", version="1.0.0"))
@@ -107,7 +110,7 @@ def test_a_search_that_ends_in_its_own_domain_reads_no_other() -> None:
     state.registry = msgspec.structs.replace(
         state.registry, offers=Offers(whole.records, {**whole.below, "yard": unreadable}, whole.ways)
     )
-    assert candidates(state, Query("robot/A9", "lift")).candidates == ("robot/B9",)
-    apply(state, TrustSet(robot="robot/B9", peer="robot/A9", scope="none"))
+    assert candidates(state, Query(Robot("robot/A9"), "lift")).candidates == ("robot/B9",)
+    apply(state, TrustSet(robot=Robot("robot/B9"), peer=Robot("robot/A9"), scope="none"))
     with pytest.raises(AttributeError):
-        candidates(state, Query("robot/A9", "lift"))
+        candidates(state, Query(Robot("robot/A9"), "lift"))

@@ -6,7 +6,7 @@ import msgspec
 import pytest
 
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import Parties, Subject
+from fsar_ledger.events.envelope import Parties, Robot, Subject
 from fsar_ledger.events.execution import ExecutionStarted
 from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.projections.fold import State, apply
@@ -18,8 +18,8 @@ from tests.runtime.histories import given, types
 from tests.runtime.live import decided
 
 DOOR = "door.open.secure"
-ASK = RequestCapability("robot/A1", "robot/B1", DOOR, "visit", "q1")
-TASK = SubmitTask("robot/A1", "T9", ("A carry.package", "A door.open.secure B"), 60_000_000)
+ASK = RequestCapability(Robot("robot/A1"), Robot("robot/B1"), DOOR, "visit", "q1")
+TASK = SubmitTask(Robot("robot/A1"), "T9", ("A carry.package", "A door.open.secure B"), 60_000_000)
 
 
 def after(*commands: Command) -> State:
@@ -43,16 +43,16 @@ def test_a_result_that_is_none_is_rejected() -> None:
         state,
         ExecutionStarted(
             subject=Subject("visit", "q1"),
-            principals=Parties(requested_by="robot/A1", executed_by="robot/B1", supervised_by=None),
-            robot="robot/B1",
-            on_behalf_of="robot/A1",
+            principals=Parties(requested_by=Robot("robot/A1"), executed_by=Robot("robot/B1"), supervised_by=None),
+            robot=Robot("robot/B1"),
+            on_behalf_of=Robot("robot/A1"),
             capability=DOOR,
             ends_us=9_000_000,
         ),
     )
     wrong: Any = "weird"
     assert (
-        refusal(state, ReportResult("robot/B1", "q1", wrong))
+        refusal(state, ReportResult(Robot("robot/B1"), "q1", wrong))
         == "unknown result weird, expected one of success, partial, failure"
     )
 

@@ -11,7 +11,7 @@ import pytest
 from fsar_ledger.constants import Constants, Outages, Range, WorldConstants, read_constants, write_constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
-from fsar_ledger.events.envelope import Architecture, flat
+from fsar_ledger.events.envelope import Architecture, Robot, flat
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionHalted, ExecutionResumed, ExecutionStarted
 from fsar_ledger.events.knowledge import CopySynced
 from fsar_ledger.events.registry import RegistryQueried
@@ -46,7 +46,7 @@ from tests.runtime.histories import started
 
 ARCHITECTURES: tuple[Architecture, ...] = get_args(Architecture)
 EVERY = pytest.mark.parametrize("architecture", ARCHITECTURES)
-A, B, DOOR, S = "robot/A1", "robot/B1", "door.open.secure", 1_000_000
+A, B, DOOR, S = Robot("robot/A1"), Robot("robot/B1"), "door.open.secure", 1_000_000
 MIXED = Outages(0.02, 8.0, 0.03, 6.0, 0.002)
 OWN = TaskArrived(task_id="A1-1", robot=A, team=1, steps=("A navigate.indoor",), budget_us=60 * S, due_us=61 * S)
 DELEGATED = TaskArrived(task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B",), budget_us=60 * S, due_us=61 * S)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import POLICY, Parties, Principals, Subject
+from fsar_ledger.events.envelope import POLICY, Parties, Principals, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.knowledge import FleetRuleLearned
@@ -35,9 +35,9 @@ from fsar_ledger.runtime.handlers.policy import (
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, types, window
 
-A, B, C = "robot/A1", "robot/B1", "robot/C1"
+A, B, C = Robot("robot/A1"), Robot("robot/B1"), "robot/C1"
 DOOR = "door.open.secure"
-H_B = "supervisor/B1"
+H_B = Supervisor("supervisor/B1")
 REQUESTED = (
     ARRIVED,
     DELEGATED_STEP,
@@ -61,7 +61,11 @@ RULE = st.builds(
 
 
 def rule(
-    outcome: str, robot: str | None = B, capability: str | None = None, context: str | None = None, scope: str = "local"
+    outcome: str,
+    robot: Robot | None = B,
+    capability: str | None = None,
+    context: str | None = None,
+    scope: str = "local",
 ) -> PolicyRuleSet:
     return PolicyRuleSet(
         scope=scope,  # type: ignore[arg-type]
@@ -87,7 +91,7 @@ def test_a_robots_own_policy_is_set_by_its_own_supervisor() -> None:
 
 
 @pytest.mark.parametrize("robot", [None, B])
-def test_the_fleets_rules_are_set_by_the_fleet_supervisor(robot: str | None) -> None:
+def test_the_fleets_rules_are_set_by_the_fleet_supervisor(robot: Robot | None) -> None:
     [event] = set_policy_rule(given("fsar"), SetPolicyRule(H_F, "fleet", robot, None, None, "review"))
     assert event == PolicyRuleSet(
         scope="fleet", robot=robot, capability=None, context=None, outcome="review", decided_by=H_F
@@ -98,11 +102,17 @@ def test_the_fleets_rules_are_set_by_the_fleet_supervisor(robot: str | None) -> 
     ("command", "reason"),
     [
         (SetPolicyRule(H_F, "local", B, None, None, "allow"), "supervisor/fleet does not set robot/B1's own policy"),
-        (SetPolicyRule("supervisor/A1", "local", B, None, None, "deny"), "supervisor/A1 does not supervise robot/B1"),
+        (
+            SetPolicyRule(Supervisor("supervisor/A1"), "local", B, None, None, "deny"),
+            "supervisor/A1 does not supervise robot/B1",
+        ),
         (SetPolicyRule(H_B, "fleet", B, None, None, "deny"), "supervisor/B1 supervises one robot"),
-        (SetPolicyRule("supervisor/X9", "local", B, None, None, "deny"), "unknown supervisor supervisor/X9"),
+        (
+            SetPolicyRule(Supervisor("supervisor/X9"), "local", B, None, None, "deny"),
+            "unknown supervisor supervisor/X9",
+        ),
         (SetPolicyRule(H_B, "local", None, None, None, "deny"), "a local rule of no robot"),
-        (SetPolicyRule(H_F, "fleet", "robot/X9", None, None, "deny"), "unknown robot robot/X9"),
+        (SetPolicyRule(H_F, "fleet", Robot("robot/X9"), None, None, "deny"), "unknown robot robot/X9"),
         (SetPolicyRule(H_F, "fleet", None, "fly", None, "deny"), "unknown capability fly"),
         (SetPolicyRule(H_F, "fleet", None, None, "A1-1", "deny"), "task A1-1 is over"),
         (SetPolicyRule(H_F, "fleet", None, None, None, "maybe"), "found fleet maybe"),  # type: ignore[arg-type]
@@ -115,8 +125,8 @@ def test_a_rule_that_cannot_be_set_is_rejected(command: SetPolicyRule, reason: s
 
 def test_the_fleet_supervisor_rules_by_role_and_a_robot_stays_an_exception() -> None:
     yard = (
-        RobotJoined(robot="robot/B8", role="B", team=8, supervisor=None, domain="yard"),
-        RobotJoined(robot="robot/B9", role="B", team=9, supervisor=None, domain="yard/gate"),
+        RobotJoined(robot=Robot("robot/B8"), role="B", team=8, supervisor=None, domain="yard"),
+        RobotJoined(robot=Robot("robot/B9"), role="B", team=9, supervisor=None, domain="yard/gate"),
     )
     state = given("fsar", rule("allow", capability=DOOR, scope="fleet"), *yard)
     [event] = set_role_policy_rule(state, SetRolePolicyRule(H_F, "B", "deny", capability=DOOR))
@@ -124,7 +134,7 @@ def test_the_fleet_supervisor_rules_by_role_and_a_robot_stays_an_exception() -> 
         scope="fleet", role="B", outcome="deny", domain="", capability=DOOR, context=None, decided_by=H_F
     )
     apply(state, event)
-    apply(state, RobotJoined(robot="robot/B7", role="B", team=7, supervisor=None, domain="hall"))
+    apply(state, RobotJoined(robot=Robot("robot/B7"), role="B", team=7, supervisor=None, domain="hall"))
     assert [fleet_policy(state, robot, DOOR, None) for robot in (B, "robot/B7", "robot/B8", A)] == [
         "allow",
         "deny",
@@ -139,14 +149,14 @@ def test_the_fleet_supervisor_rules_by_role_and_a_robot_stays_an_exception() -> 
         "review",
         "review",
     ]
-    assert compose(state, "allow", "robot/B9", DOOR, None) == "review"
+    assert compose(state, "allow", Robot("robot/B9"), DOOR, None) == "review"
 
 
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
         (SetRolePolicyRule(H_B, "B", "deny"), "supervisor/B1 supervises one robot"),
-        (SetRolePolicyRule("supervisor/X9", "B", "deny"), "unknown supervisor supervisor/X9"),
+        (SetRolePolicyRule(Supervisor("supervisor/X9"), "B", "deny"), "unknown supervisor supervisor/X9"),
         (SetRolePolicyRule(H_F, "b", "deny"), "unknown role b, expected one of A, B, C, D"),
         (SetRolePolicyRule(H_F, "B", "deny", "hall"), "unknown domain hall"),
         (SetRolePolicyRule(H_F, "B", "deny", capability="fly"), "unknown capability fly"),
@@ -166,7 +176,7 @@ def test_a_rule_of_a_role_that_cannot_be_set_is_rejected(command: SetRolePolicyR
 )
 @settings(max_examples=80)
 def test_the_strictest_rule_that_applies_holds_and_of_one_rule_the_last_word(
-    rules: list[PolicyRuleSet], robot: str, capability: str, context: str
+    rules: list[PolicyRuleSet], robot: Robot, capability: str, context: str
 ) -> None:
     state = INITIAL
     for one in rules:

@@ -5,7 +5,7 @@ import pytest
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityRevoked
-from fsar_ledger.events.envelope import Parties, Subject
+from fsar_ledger.events.envelope import Parties, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued
 from fsar_ledger.events.policy import PolicyRuleSet
 from fsar_ledger.events.recovery import (
@@ -87,7 +87,9 @@ def test_a_robots_own_budget_replaces_the_fleets() -> None:
             A,
             "carry.package",
             ObstructionAppeared(A, "o"),
-            RecoveryBudgetSet(robot=A, level="local", t_max_us=30_000_000, n_max=1, decided_by="supervisor/A1"),
+            RecoveryBudgetSet(
+                robot=A, level="local", t_max_us=30_000_000, n_max=1, decided_by=Supervisor("supervisor/A1")
+            ),
         )
     )
     taken(state, start_recovery(state, StartRecovery(ACTION, now_us=2_000_001)))
@@ -106,7 +108,9 @@ def test_a_level_without_budget_is_recorded_and_left_at_once(spent: tuple[int, i
         executing(
             A,
             "carry.package",
-            RecoveryBudgetSet(robot=A, level="local", t_max_us=spent[0], n_max=spent[1], decided_by="supervisor/A1"),
+            RecoveryBudgetSet(
+                robot=A, level="local", t_max_us=spent[0], n_max=spent[1], decided_by=Supervisor("supervisor/A1")
+            ),
         )
     )
     outward = start_recovery(state, StartRecovery(ACTION, now_us=2_000_001))
@@ -149,7 +153,7 @@ def test_a_peer_with_a_task_scope_clears_the_way() -> None:
                     capability=None,
                     context=None,
                     reason="human override",
-                    decided_by="supervisor/B1",
+                    decided_by=Supervisor("supervisor/B1"),
                 ),
             ),
             "authority",
@@ -159,7 +163,7 @@ def test_a_peer_with_a_task_scope_clears_the_way() -> None:
     ],
 )
 def test_a_peer_level_that_has_nothing_to_try_says_why(
-    robot: str, capability: str, before: tuple[Event, ...], reason: str
+    robot: Robot, capability: str, before: tuple[Event, ...], reason: str
 ) -> None:
     assert escalation(asked(failed(executing(robot, capability, *before), "peer"))) == ("peer", "fleet", reason)
 
@@ -238,7 +242,9 @@ def test_a_spent_peer_budget_ends_the_peer_level() -> None:
         "fleet",
         "budget exhausted",
     )
-    closed = RecoveryBudgetSet(robot=B, level="peer", t_max_us=30_000_000, n_max=0, decided_by="supervisor/B1")
+    closed = RecoveryBudgetSet(
+        robot=B, level="peer", t_max_us=30_000_000, n_max=0, decided_by=Supervisor("supervisor/B1")
+    )
     assert escalation(asked(failed(executing(B, "door.open.basic", closed), "peer"))) == (
         "peer",
         "fleet",
@@ -302,7 +308,7 @@ def test_without_a_declared_checkpoint_nobody_takes_over() -> None:
                     capability=None,
                     context=None,
                     reason="human override",
-                    decided_by="supervisor/fleet",
+                    decided_by=Supervisor("supervisor/fleet"),
                 ),
             ),
             "authority",
@@ -317,7 +323,7 @@ def test_without_a_declared_checkpoint_nobody_takes_over() -> None:
                     capability=None,
                     context=None,
                     reason="human override",
-                    decided_by="supervisor/fleet",
+                    decided_by=Supervisor("supervisor/fleet"),
                 ),
             ),
             "",
@@ -328,7 +334,7 @@ def test_without_a_declared_checkpoint_nobody_takes_over() -> None:
     ],
 )
 def test_a_robot_takes_over_nothing_that_it_may_not_do(
-    robot: str, capability: str, before: tuple[Event, ...], reason: str
+    robot: Robot, capability: str, before: tuple[Event, ...], reason: str
 ) -> None:
     decided, *_ = considered(failed(executing(robot, capability, *before), "fleet"))
     assert isinstance(decided, ReassignmentDecided)
@@ -356,7 +362,9 @@ def test_a_busy_robot_takes_nothing_over() -> None:
 
 
 def test_a_spent_fleet_budget_ends_the_fleet_level() -> None:
-    closed = RecoveryBudgetSet(robot=A, level="fleet", t_max_us=30_000_000, n_max=0, decided_by="supervisor/A1")
+    closed = RecoveryBudgetSet(
+        robot=A, level="fleet", t_max_us=30_000_000, n_max=0, decided_by=Supervisor("supervisor/A1")
+    )
     events = considered(failed(executing(A, "carry.package", closed), "fleet"))
     assert types(events) == ["RecoveryEscalated", "SupervisorCalled"]
     assert escalation(events) == ("fleet", "human", "budget exhausted")
@@ -389,7 +397,7 @@ HEAVY = (D, "carry.heavy")
                 capability="carry.heavy",
                 context=None,
                 outcome="deny",
-                decided_by="supervisor/D1",
+                decided_by=Supervisor("supervisor/D1"),
             ),
             "policy",
             "policy",
@@ -401,7 +409,7 @@ HEAVY = (D, "carry.heavy")
                 capability="carry.heavy",
                 context=None,
                 outcome="review",
-                decided_by="supervisor/A1",
+                decided_by=Supervisor("supervisor/A1"),
             ),
             "policy",
             None,
@@ -413,7 +421,7 @@ HEAVY = (D, "carry.heavy")
                 capability="carry.heavy",
                 context=None,
                 outcome="deny",
-                decided_by="supervisor/fleet",
+                decided_by=Supervisor("supervisor/fleet"),
             ),
             "policy",
             None,
@@ -425,7 +433,7 @@ HEAVY = (D, "carry.heavy")
                 capability="carry.heavy",
                 context=None,
                 reason="human override",
-                decided_by="supervisor/fleet",
+                decided_by=Supervisor("supervisor/fleet"),
             ),
             "authority",
             None,
@@ -485,18 +493,23 @@ def test_a_failure_that_concerns_others_goes_to_the_fleet_supervisor() -> None:
 
 
 def test_a_supervisor_who_is_off_shift_is_not_called() -> None:
-    left, back = SupervisorLeft("supervisor/D1"), SupervisorReturned("supervisor/D1")
+    left, back = SupervisorLeft(Supervisor("supervisor/D1")), SupervisorReturned(Supervisor("supervisor/D1"))
     assert called(considered(failed(executing(D, "grasp.robust", left, owner=D), "fleet"))) == "supervisor/fleet"
     assert called(considered(failed(executing(D, "grasp.robust", left, back, owner=D), "fleet"))) == "supervisor/D1"
 
 
 def test_a_supervisor_who_does_not_answer_in_time_is_followed_by_the_fleets_once() -> None:
     state = failed(executing(D, "grasp.robust", owner=D), "human")
-    apply(state, SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor="supervisor/D1", purpose="recovery"))
+    apply(
+        state,
+        SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=Supervisor("supervisor/D1"), purpose="recovery"),
+    )
     late = [
         one
         for react in wiring("fsar").reacts[SupervisorCalled]
-        for one in react(state, SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor="", purpose="recovery"), 0)
+        for one in react(
+            state, SupervisorCalled(subject=Subject("A1-1", ACTION), supervisor=Supervisor(""), purpose="recovery"), 0
+        )
     ]
     assert [(one.command, one.after_us) for one in late if isinstance(one.command, CallNext)] == [
         (CallNext(ACTION, 1, 1), 120_000_000)

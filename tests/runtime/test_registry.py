@@ -8,7 +8,7 @@ from hypothesis import settings
 from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Parties, Subject
+from fsar_ledger.events.envelope import Parties, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.policy import PolicyRuleSet
@@ -36,17 +36,19 @@ from fsar_ledger.runtime.handlers.registry import (
 )
 from tests.runtime.histories import given, started, types, window
 
-ASKING = Query("robot/A1", "door.open.secure", "A1-1")
+ASKING = Query(Robot("robot/A1"), "door.open.secure", "A1-1")
 
 
-def offered(robot: str = "robot/B1", capability: str = "door.open.secure", **fields: Any) -> CapabilityAdvertised:
+def offered(
+    robot: Robot = Robot("robot/B1"), capability: str = "door.open.secure", **fields: Any
+) -> CapabilityAdvertised:
     """Another advertisement of what the robot offers."""
     return CapabilityAdvertised(robot=robot, capability=capability, **fields)
 
 
 def why_not(*events: Event, **fields: Any) -> tuple[str, ...]:
     """The filters that leave robot B1 out of the answer to A1 after these events; none when it is the candidate."""
-    query = Query("robot/A1", "door.open.secure", fields.pop("context", "A1-1"), **fields)
+    query = Query(Robot("robot/A1"), "door.open.secure", fields.pop("context", "A1-1"), **fields)
     answer = candidates(given("fsar", *events), query)
     assert set(answer.rejected) | set(answer.candidates) == {"robot/B1"}
     return answer.rejected_by
@@ -64,7 +66,7 @@ def test_the_candidate_is_who_offers_it_and_trusts_the_requester() -> None:
 
 
 def test_the_requester_itself_is_neither_candidate_nor_rejected() -> None:
-    answer = candidates(given("fsar"), Query("robot/B1", "door.open.secure"))
+    answer = candidates(given("fsar"), Query(Robot("robot/B1"), "door.open.secure"))
     assert (answer.candidates, answer.rejected) == ((), ())
 
 
@@ -73,7 +75,10 @@ def test_the_requester_itself_is_neither_candidate_nor_rejected() -> None:
     [
         ((offered(visible_to=("C",)),), {}, "visibility"),
         (
-            (offered(visibility="trust-gated"), TrustSet(robot="robot/B1", peer="robot/A1", scope="none")),
+            (
+                offered(visibility="trust-gated"),
+                TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="none"),
+            ),
             {},
             "visibility",
         ),
@@ -81,18 +86,18 @@ def test_the_requester_itself_is_neither_candidate_nor_rejected() -> None:
         ((offered(preconditions=("badge.shown",)),), {"provides": ()}, "contract"),
         ((offered(resources=("arm",)),), {"resources": ("gripper",)}, "contract"),
         ((), {"needs": ("door.opened",)}, "contract"),
-        ((TrustSet(robot="robot/B1", peer="robot/A1", scope="none"),), {}, "trust"),
+        ((TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="none"),), {}, "trust"),
         ((offered(trust_required="session"),), {}, "trust"),
         ((offered(policy_required=("delivery",)),), {}, "policy"),
         (
             (
                 PolicyRuleSet(
                     scope="local",
-                    robot="robot/B1",
+                    robot=Robot("robot/B1"),
                     capability="door.open.secure",
                     context=None,
                     outcome="deny",
-                    decided_by="supervisor/B1",
+                    decided_by=Supervisor("supervisor/B1"),
                 ),
             ),
             {},
@@ -100,14 +105,14 @@ def test_the_requester_itself_is_neither_candidate_nor_rejected() -> None:
         ),
         ((), {"override": "emergency-only"}, "authority"),
         (
-            (AvailabilityChanged(robot="robot/B1", capability=None, availability="offline", reason="charging"),),
+            (AvailabilityChanged(robot=Robot("robot/B1"), capability=None, availability="offline", reason="charging"),),
             {},
             "availability",
         ),
         (
             (
                 AvailabilityChanged(
-                    robot="robot/B1", capability="door.open.secure", availability="restricted", reason="roll-out"
+                    robot=Robot("robot/B1"), capability="door.open.secure", availability="restricted", reason="roll-out"
                 ),
             ),
             {},
@@ -136,11 +141,11 @@ def test_each_filter_rejects_and_is_named(events: tuple[Event, ...], asked: dict
             (
                 PolicyRuleSet(
                     scope="local",
-                    robot="robot/B1",
+                    robot=Robot("robot/B1"),
                     capability="door.open.secure",
                     context=None,
                     outcome="review",
-                    decided_by="supervisor/B1",
+                    decided_by=Supervisor("supervisor/B1"),
                 ),
             ),
             {},
@@ -149,22 +154,22 @@ def test_each_filter_rejects_and_is_named(events: tuple[Event, ...], asked: dict
             (
                 PolicyRuleSet(
                     scope="local",
-                    robot="robot/B1",
+                    robot=Robot("robot/B1"),
                     capability="door.open.basic",
                     context=None,
                     outcome="deny",
-                    decided_by="supervisor/B1",
+                    decided_by=Supervisor("supervisor/B1"),
                 ),
             ),
             {},
         ),
-        ((window("robot/B1"),), {}),
+        ((window(Robot("robot/B1")),), {}),
         ((), {"override": "hard-preempt"}),
         ((offered(override_allowed="soft-priority"),), {"override": "emergency-only"}),
         (
             (
                 AvailabilityChanged(
-                    robot="robot/B1", capability="door.open.basic", availability="offline", reason="jammed"
+                    robot=Robot("robot/B1"), capability="door.open.basic", availability="offline", reason="jammed"
                 ),
             ),
             {},
@@ -177,31 +182,33 @@ def test_what_no_filter_rejects_is_a_candidate(events: tuple[Event, ...], asked:
 
 
 def test_of_several_filters_the_first_in_their_order_is_named() -> None:
-    distrust = TrustSet(robot="robot/B1", peer="robot/A1", scope="none")
-    offline = AvailabilityChanged(robot="robot/B1", capability=None, availability="offline", reason="charging")
+    distrust = TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="none")
+    offline = AvailabilityChanged(robot=Robot("robot/B1"), capability=None, availability="offline", reason="charging")
     assert why_not(distrust, offline, version="^2") == ("version",)
     assert why_not(distrust, offline) == ("trust",)
     assert why_not(offline) == ("availability",)
 
 
 def test_without_trust_evaluation_nobody_hides_and_nobody_distrusts() -> None:
-    events = (offered(visible_to=("C",)), TrustSet(robot="robot/B1", peer="robot/A1", scope="none"))
+    events = (offered(visible_to=("C",)), TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="none"))
     assert candidates(given("fsar", *events, configuration="without-trust-evaluation"), ASKING).candidates == (
         "robot/B1",
     )
 
 
-def second(robot: str = "robot/E1", version: str = "1.0.0", domain: str = "", **fields: Any) -> tuple[Event, ...]:
+def second(
+    robot: Robot = Robot("robot/E1"), version: str = "1.0.0", domain: str = "", **fields: Any
+) -> tuple[Event, ...]:
     """Another robot that can open the door and trusts A1."""
     return (
         RobotJoined(robot=robot, role="B", team=1, supervisor=None, domain=domain),
         CapabilityInstalled(robot=robot, capability="door.open.secure", version=version),
         offered(robot, version=version, **fields),
-        TrustSet(robot=robot, peer="robot/A1", scope="task"),
+        TrustSet(robot=robot, peer=Robot("robot/A1"), scope="task"),
     )
 
 
-def busy(robot: str) -> ExecutionQueued:
+def busy(robot: Robot) -> ExecutionQueued:
     return ExecutionQueued(
         subject=Subject("t", "t/1"),
         principals=Parties(requested_by=None, executed_by=None, supervised_by=None),
@@ -219,82 +226,85 @@ def busy(robot: str) -> ExecutionQueued:
 def test_ready_robots_come_before_busy_ones_before_degraded_ones() -> None:
     both = second()
     assert candidates(given("fsar", *both), ASKING).candidates == ("robot/B1", "robot/E1")
-    assert candidates(given("fsar", *both, busy("robot/B1")), ASKING).candidates == ("robot/E1", "robot/B1")
+    assert candidates(given("fsar", *both, busy(Robot("robot/B1"))), ASKING).candidates == ("robot/E1", "robot/B1")
     assert candidates(
         given(
             "fsar",
             *both,
-            AvailabilityChanged(robot="robot/B1", capability=None, availability="busy", reason="charging"),
+            AvailabilityChanged(robot=Robot("robot/B1"), capability=None, availability="busy", reason="charging"),
         ),
         ASKING,
     ).candidates == ("robot/E1", "robot/B1")
-    degraded = AvailabilityChanged(robot="robot/E1", capability=None, availability="degraded", reason="actuator")
-    assert candidates(given("fsar", *both, busy("robot/B1"), degraded), ASKING).candidates == ("robot/B1", "robot/E1")
+    degraded = AvailabilityChanged(robot=Robot("robot/E1"), capability=None, availability="degraded", reason="actuator")
+    assert candidates(given("fsar", *both, busy(Robot("robot/B1")), degraded), ASKING).candidates == (
+        "robot/B1",
+        "robot/E1",
+    )
 
 
 def test_a_deprecated_version_is_shown_only_when_no_other_satisfies_the_query() -> None:
     deprecated = CapabilityDeprecated(
-        robot="robot/B1", capability="door.open.secure", version="1.0.0", successor="2.0.0"
+        robot=Robot("robot/B1"), capability="door.open.secure", version="1.0.0", successor="2.0.0"
     )
     alone = candidates(given("fsar", deprecated), ASKING)
     assert alone.candidates == ("robot/B1",)
     beside = candidates(given("fsar", *second(version="2.0.0"), deprecated), ASKING)
     assert (beside.candidates, beside.rejected, beside.rejected_by) == (("robot/E1",), ("robot/B1",), ("version",))
-    wanted = Query("robot/A1", "door.open.secure", version="1.0.0")
+    wanted = Query(Robot("robot/A1"), "door.open.secure", version="1.0.0")
     assert candidates(given("fsar", *second(version="2.0.0"), deprecated), wanted).candidates == ("robot/B1",)
 
 
 def test_a_group_of_capabilities_matches_each_name_in_it_once_per_robot() -> None:
-    answer = candidates(given("fsar"), Query("robot/A1", "door.*"))
+    answer = candidates(given("fsar"), Query(Robot("robot/A1"), "door.*"))
     assert (answer.candidates, answer.capabilities) == (("robot/B1",), ("door.open.basic",))
-    assert candidates(given("fsar"), Query("robot/A1", "doo.*")).candidates == ()
-    refusing = CapabilityWithdrawn("robot/B1", "door.open.basic", "jammed"), offered(visible_to=("C",))
-    assert candidates(given("fsar", *refusing), Query("robot/A1", "door.*")).rejected_by == ("visibility",)
+    assert candidates(given("fsar"), Query(Robot("robot/A1"), "doo.*")).candidates == ()
+    refusing = CapabilityWithdrawn(Robot("robot/B1"), "door.open.basic", "jammed"), offered(visible_to=("C",))
+    assert candidates(given("fsar", *refusing), Query(Robot("robot/A1"), "door.*")).rejected_by == ("visibility",)
 
 
 def test_a_robot_that_matches_twice_is_rejected_by_the_filter_that_its_best_record_came_to() -> None:
     answer = candidates(
         given("fsar", offered(capability="door.open.basic", visible_to=("C",)), offered(availability="offline")),
-        Query("robot/A1", "door.*"),
+        Query(Robot("robot/A1"), "door.*"),
     )
     assert (answer.candidates, answer.rejected, answer.rejected_by) == ((), ("robot/B1",), ("availability",))
 
 
 def test_a_robot_that_one_filter_leaves_out_for_one_capability_may_be_a_candidate_for_another() -> None:
     answer = candidates(
-        given("fsar", offered(capability="door.open.basic", visible_to=("C",))), Query("robot/A1", "door.*")
+        given("fsar", offered(capability="door.open.basic", visible_to=("C",))), Query(Robot("robot/A1"), "door.*")
     )
     assert (answer.candidates, answer.capabilities, answer.rejected) == (("robot/B1",), ("door.open.secure",), ())
 
 
 def test_of_a_group_what_is_deprecated_gives_way_and_comes_last() -> None:
-    ageing = CapabilityDeprecated(robot="robot/B1", capability="door.open.basic", version="1.0.0")
-    assert candidates(given("fsar", ageing), Query("robot/A1", "door.*")).capabilities == ("door.open.secure",)
-    events = (ageing, CapabilityWithdrawn("robot/B1", "door.open.secure", "jammed"), *second())
-    assert candidates(given("fsar", *events), Query("robot/A1", "door.*")).candidates == ("robot/E1", "robot/B1")
+    ageing = CapabilityDeprecated(robot=Robot("robot/B1"), capability="door.open.basic", version="1.0.0")
+    assert candidates(given("fsar", ageing), Query(Robot("robot/A1"), "door.*")).capabilities == ("door.open.secure",)
+    events = (ageing, CapabilityWithdrawn(Robot("robot/B1"), "door.open.secure", "jammed"), *second())
+    assert candidates(given("fsar", *events), Query(Robot("robot/A1"), "door.*")).candidates == ("robot/E1", "robot/B1")
 
 
 def test_a_limited_search_goes_on_past_what_is_deprecated() -> None:
-    events = (*second(), CapabilityDeprecated(robot="robot/B1", capability="door.open.secure", version="1.0.0"))
-    answer = candidates(given("fsar", *events), Query("robot/A1", "door.open.secure", limit=1))
+    events = (*second(), CapabilityDeprecated(robot=Robot("robot/B1"), capability="door.open.secure", version="1.0.0"))
+    answer = candidates(given("fsar", *events), Query(Robot("robot/A1"), "door.open.secure", limit=1))
     assert (answer.candidates, answer.rejected_by) == (("robot/E1",), ("version",))
 
 
 HALL = (
-    *second("robot/E1", domain="hall/north"),
-    *second("robot/F1", domain="hall/north/cell"),
-    *second("robot/G1", domain="hall/south"),
+    *second(Robot("robot/E1"), domain="hall/north"),
+    *second(Robot("robot/F1"), domain="hall/north/cell"),
+    *second(Robot("robot/G1"), domain="hall/south"),
 )
 
 
-MEMBER = RobotJoined(robot="robot/A1", role="A", team=1, supervisor="supervisor/A1")
+MEMBER = RobotJoined(robot=Robot("robot/A1"), role="A", team=1, supervisor=Supervisor("supervisor/A1"))
 
 
 def from_domain(domain: str, *events: Event) -> State:
     """The fleet of four and the hall, where A1 is in this domain."""
     founding = started("fsar")
     moved = [
-        RobotJoined(robot="robot/A1", role="A", team=1, supervisor="supervisor/A1", domain=domain)
+        RobotJoined(robot=Robot("robot/A1"), role="A", team=1, supervisor=Supervisor("supervisor/A1"), domain=domain)
         if event == MEMBER
         else event
         for event in founding
@@ -322,7 +332,7 @@ def test_the_nearest_registry_around_the_requester_that_has_a_candidate_answers(
 
 
 def test_a_registry_without_a_candidate_hands_the_query_on_with_its_rejections() -> None:
-    distrust = TrustSet(robot="robot/F1", peer="robot/A1", scope="none")
+    distrust = TrustSet(robot=Robot("robot/F1"), peer=Robot("robot/A1"), scope="none")
     answer = candidates(from_domain("hall/north/cell", distrust), ASKING)
     assert (answer.domain, answer.candidates, answer.rejected, answer.rejected_by) == (
         "hall/north",
@@ -333,7 +343,7 @@ def test_a_registry_without_a_candidate_hands_the_query_on_with_its_rejections()
 
 
 def test_what_is_scoped_to_a_domain_is_visible_there_and_below_only() -> None:
-    scoped = offered("robot/E1", visibility="domain")
+    scoped = offered(Robot("robot/E1"), visibility="domain")
     for domain, is_seen in (
         ("hall/north", True),
         ("hall/north/cell", True),
@@ -342,7 +352,7 @@ def test_what_is_scoped_to_a_domain_is_visible_there_and_below_only() -> None:
         ("", False),
     ):
         state = from_domain(domain, scoped)
-        record = advertisement(state.registry, "robot/E1", "door.open.secure")
+        record = advertisement(state.registry, Robot("robot/E1"), "door.open.secure")
         assert record is not None
         assert (rejecting_filter(state, ASKING, record) is None) == is_seen, domain
     fleetwide = given("fsar", offered(visibility="domain"))
@@ -351,33 +361,38 @@ def test_what_is_scoped_to_a_domain_is_visible_there_and_below_only() -> None:
 
 def test_a_limited_search_ends_at_so_many_that_are_ready() -> None:
     def limited(limit: int, *events: Event) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        answer = candidates(from_domain("hall", *events), Query("robot/A1", "door.open.secure", limit=limit))
+        answer = candidates(from_domain("hall", *events), Query(Robot("robot/A1"), "door.open.secure", limit=limit))
         return answer.candidates, answer.rejected
 
     assert limited(1) == (("robot/E1",), ())
     assert limited(2) == (("robot/E1", "robot/F1"), ())
     assert limited(9) == (("robot/E1", "robot/F1", "robot/G1"), ())
-    assert limited(1, busy("robot/E1")) == (("robot/F1",), ())
-    assert limited(1, TrustSet(robot="robot/E1", peer="robot/A1", scope="none")) == (("robot/F1",), ("robot/E1",))
-    assert limited(1, TrustSet(robot="robot/G1", peer="robot/A1", scope="none")) == (("robot/E1",), ()), (
+    assert limited(1, busy(Robot("robot/E1"))) == (("robot/F1",), ())
+    assert limited(1, TrustSet(robot=Robot("robot/E1"), peer=Robot("robot/A1"), scope="none")) == (
+        ("robot/F1",),
+        ("robot/E1",),
+    )
+    assert limited(1, TrustSet(robot=Robot("robot/G1"), peer=Robot("robot/A1"), scope="none")) == (("robot/E1",), ()), (
         "G1 was not looked at"
     )
 
 
 def test_a_copy_answers_with_the_offers_of_its_time_and_says_how_old_it_is() -> None:
     state = given(
-        "fsar", RegistryCached("robot/A1", 5_000_000), CapabilityWithdrawn("robot/B1", "door.open.secure", "jammed")
+        "fsar",
+        RegistryCached(Robot("robot/A1"), 5_000_000),
+        CapabilityWithdrawn(Robot("robot/B1"), "door.open.secure", "jammed"),
     )
     assert candidates(state, ASKING).candidates == ()
-    copied = candidates(state, ASKING, "robot/A1")
+    copied = candidates(state, ASKING, Robot("robot/A1"))
     assert (copied.candidates, copied.as_of_us) == (("robot/B1",), 5_000_000)
-    apply(state, TrustSet(robot="robot/B1", peer="robot/A1", scope="none"))
-    assert candidates(state, ASKING, "robot/A1").rejected_by == ("trust",), "trust is that of now"
+    apply(state, TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="none"))
+    assert candidates(state, ASKING, Robot("robot/A1")).rejected_by == ("trust",), "trust is that of now"
 
 
 def test_that_a_robot_executes_just_now_is_in_no_copy() -> None:
-    state = given("fsar", *second(), RegistryCached("robot/A1", 5), busy("robot/B1"))
-    assert candidates(state, ASKING, "robot/A1").candidates == ("robot/B1", "robot/E1")
+    state = given("fsar", *second(), RegistryCached(Robot("robot/A1"), 5), busy(Robot("robot/B1")))
+    assert candidates(state, ASKING, Robot("robot/A1")).candidates == ("robot/B1", "robot/E1")
     assert candidates(state, ASKING).candidates == ("robot/E1", "robot/B1")
 
 
@@ -385,10 +400,10 @@ def test_a_query_from_outside_is_answered_and_recorded_with_its_rejections() -> 
     state = given("fsar", *second(trust_required="persistent"))
     [answer] = consult_registry(state, ConsultRegistry(ASKING))
     assert answer == RegistryConsulted(
-        requested_by="robot/A1",
+        requested_by=Robot("robot/A1"),
         capability="door.open.secure",
-        candidates=("robot/B1",),
-        rejected=("robot/E1",),
+        candidates=(Robot("robot/B1"),),
+        rejected=(Robot("robot/E1"),),
         rejected_by=("trust",),
         domain="",
         as_of_us=None,
@@ -396,33 +411,33 @@ def test_a_query_from_outside_is_answered_and_recorded_with_its_rejections() -> 
 
 
 def test_that_nobody_offers_it_is_an_answer() -> None:
-    [answer] = consult_registry(given("fsar"), ConsultRegistry(Query("robot/A1", "teleport")))
+    [answer] = consult_registry(given("fsar"), ConsultRegistry(Query(Robot("robot/A1"), "teleport")))
     assert answer == RegistryConsulted(
-        requested_by="robot/A1", capability="teleport", candidates=(), rejected=(), rejected_by=()
+        requested_by=Robot("robot/A1"), capability="teleport", candidates=(), rejected=(), rejected_by=()
     )
 
 
 def test_a_copy_is_taken_and_asked() -> None:
     state = given("fsar")
-    [cached] = cache_registry(state, CacheRegistry("robot/A1", now_us=7))
-    assert cached == RegistryCached("robot/A1", 7)
+    [cached] = cache_registry(state, CacheRegistry(Robot("robot/A1"), now_us=7))
+    assert cached == RegistryCached(Robot("robot/A1"), 7)
     apply(state, cached)
-    [answer] = consult_registry(state, ConsultRegistry(ASKING, "robot/A1", now_us=9))
+    [answer] = consult_registry(state, ConsultRegistry(ASKING, Robot("robot/A1"), now_us=9))
     assert (answer.candidates, answer.as_of_us) == (("robot/B1",), 7)  # type: ignore[attr-defined]
 
 
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
-        (ConsultRegistry(Query("robot/Z9", "door.open.secure")), "unknown robot robot/Z9"),
-        (ConsultRegistry(ASKING, "robot/Z9"), "unknown robot robot/Z9"),
-        (ConsultRegistry(ASKING, "robot/A1"), "no copy"),
-        (ConsultRegistry(Query("robot/A1", "")), "no name"),
-        (ConsultRegistry(Query("robot/A1", ".*")), "no name"),
-        (ConsultRegistry(Query("robot/A1", "door*")), "no name"),
-        (ConsultRegistry(Query("robot/A1", "door.open.secure", version="~1")), "no range"),
+        (ConsultRegistry(Query(Robot("robot/Z9"), "door.open.secure")), "unknown robot robot/Z9"),
+        (ConsultRegistry(ASKING, Robot("robot/Z9")), "unknown robot robot/Z9"),
+        (ConsultRegistry(ASKING, Robot("robot/A1")), "no copy"),
+        (ConsultRegistry(Query(Robot("robot/A1"), "")), "no name"),
+        (ConsultRegistry(Query(Robot("robot/A1"), ".*")), "no name"),
+        (ConsultRegistry(Query(Robot("robot/A1"), "door*")), "no name"),
+        (ConsultRegistry(Query(Robot("robot/A1"), "door.open.secure", version="~1")), "no range"),
         (ConsultRegistry(Query("robot/A1", "door.open.secure", override="total")), "unknown"),  # type: ignore[arg-type]
-        (ConsultRegistry(Query("robot/A1", "door.open.secure", limit=0)), "limit 0"),
+        (ConsultRegistry(Query(Robot("robot/A1"), "door.open.secure", limit=0)), "limit 0"),
     ],
 )
 def test_a_query_that_cannot_be_asked_is_rejected(command: ConsultRegistry, reason: str) -> None:
@@ -432,7 +447,7 @@ def test_a_query_that_cannot_be_asked_is_rejected(command: ConsultRegistry, reas
 
 
 def test_a_copy_for_nobody_is_rejected() -> None:
-    assert types(cache_registry(given("fsar"), CacheRegistry("robot/Z9"))) == ["CommandRejected"]
+    assert types(cache_registry(given("fsar"), CacheRegistry(Robot("robot/Z9")))) == ["CommandRejected"]
 
 
 ROBOTS = tuple(f"robot/{letter}{team}" for letter in "EFGHK" for team in (1, 2))
@@ -491,7 +506,7 @@ def populated(changes: list[Event], domains: dict[str, str]) -> State:
         for robot in ROBOTS
         for name in ("door.open.secure", "door.open.wide", "lift")
     ]
-    trusted = [TrustSet(robot=robot, peer="robot/A1", scope="task") for robot in ROBOTS]
+    trusted = [TrustSet(robot=robot, peer=Robot("robot/A1"), scope="task") for robot in ROBOTS]
     return fold((started("fsar")[0], *joined, *modules, *trusted, *changes))
 
 

@@ -17,7 +17,7 @@ from fsar_ledger.constants import Constants, Range, Structure, WorldConstants
 from fsar_ledger.events import Event
 from fsar_ledger.events.concerns import CONCERNS
 from fsar_ledger.events.configuration import CONFIGURATIONS, Configuration
-from fsar_ledger.events.envelope import Architecture, flat, with_columns
+from fsar_ledger.events.envelope import Architecture, Robot, flat, with_columns
 from fsar_ledger.events.trust import TrustSet
 from fsar_ledger.events.world import ContextChanged, RoutineDue, TaskArrived, WorldEvent
 from fsar_ledger.ledger.rows.codec import RunRecord
@@ -156,7 +156,7 @@ def test_a_fact_of_the_world_that_is_left_out_with_all_that_follows_from_it_is_m
 
 
 def test_facts_of_the_world_out_of_their_order_in_time_are_found() -> None:
-    forged = added(HONEST, len(HONEST.events), ContextChanged("robot/A1"), 5, 0)
+    forged = added(HONEST, len(HONEST.events), ContextChanged(Robot("robot/A1")), 5, 0)
     difference = replay_run(forged)
     assert difference is not None
     assert (difference.seq, difference.field, difference.expected) == (len(HONEST.events), "type", "the end of the run")
@@ -246,7 +246,9 @@ def test_a_handler_that_was_changed_since_decides_otherwise(monkeypatch: pytest.
 
 
 def test_a_decision_from_outside_is_not_a_fact_of_the_world() -> None:
-    one = governed.governed("door-relay", (30_000_000, TrustSet(robot="robot/A1", peer="robot/C1", scope="task")))
+    one = governed.governed(
+        "door-relay", (30_000_000, TrustSet(robot=Robot("robot/A1"), peer=Robot("robot/C1"), scope="task"))
+    )
     difference = replay_run(governed.record(one))
     assert difference is not None
     assert (difference.seq, difference.field, difference.actual) == (
@@ -308,15 +310,15 @@ def test_a_run_that_cannot_be_replayed_is_a_doubt_and_says_why(tmp_path: Path, n
 
 
 ODD_FACTS: dict[str, Event] = {
-    "an unknown robot": RoutineDue("robot/Z9", "sensing"),
+    "an unknown robot": RoutineDue(Robot("robot/Z9"), "sensing"),
     "a step that is none": TaskArrived(
-        task_id="odd", robot="robot/A1", team=1, steps=("nonsense",), budget_us=10, due_us=10
+        task_id="odd", robot=Robot("robot/A1"), team=1, steps=("nonsense",), budget_us=10, due_us=10
     ),
     "a step of an unknown robot": TaskArrived(
-        task_id="odd", robot="robot/A1", team=1, steps=("Z navigate.indoor",), budget_us=10, due_us=10
+        task_id="odd", robot=Robot("robot/A1"), team=1, steps=("Z navigate.indoor",), budget_us=10, due_us=10
     ),
     "a capability without a duration": TaskArrived(
-        task_id="odd", robot="robot/A1", team=1, steps=("A fly",), budget_us=10**9, due_us=LATE + 10**9
+        task_id="odd", robot=Robot("robot/A1"), team=1, steps=("A fly",), budget_us=10**9, due_us=LATE + 10**9
     ),
 }
 

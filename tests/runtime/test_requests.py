@@ -8,7 +8,15 @@ import pytest
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityGranted, AuthorityReleased, AuthorityRevoked
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, OverrideLevel, Parties, Principals, RequestSubject, Subject
+from fsar_ledger.events.envelope import (
+    FLEET_SUPERVISOR,
+    OverrideLevel,
+    Parties,
+    Principals,
+    RequestSubject,
+    Robot,
+    Subject,
+)
 from fsar_ledger.events.execution import (
     ExecutionFinished,
     ExecutionQueued,
@@ -46,14 +54,14 @@ from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, ty
 from tests.runtime.live import decided, of, played
 
 DOOR = "door.open.secure"
-ASK = RequestCapability("robot/A1", "robot/B1", DOOR, "visit", "q1")
+ASK = RequestCapability(Robot("robot/A1"), Robot("robot/B1"), DOOR, "visit", "q1")
 RUNNING = ("RequestAdmitted", "ExecutionQueued")
 
 
 def offered(level: OverrideLevel, **changes: Any) -> CapabilityAdvertised:
     """B1 lets requests for its door carry this override level."""
     return msgspec.structs.replace(
-        CapabilityAdvertised(robot="robot/B1", capability=DOOR), override_allowed=level, **changes
+        CapabilityAdvertised(robot=Robot("robot/B1"), capability=DOOR), override_allowed=level, **changes
     )
 
 
@@ -114,25 +122,25 @@ def test_an_admissible_request_is_accepted_with_its_trust_and_its_authority() ->
 
 BUSY = (ARRIVED, OWN_STEP)
 EXPIRED = TaskCompleted("visit")
-DISTRUST = TrustSet(robot="robot/B1", peer="robot/A1", scope="none")
+DISTRUST = TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="none")
 
 
 @pytest.mark.parametrize(
     ("after", "changes", "conjunct"),
     [
-        ((CapabilityRemoved("robot/B1", DOOR),), {}, "possession"),
+        ((CapabilityRemoved(Robot("robot/B1"), DOOR),), {}, "possession"),
         ((), {"executor": "robot/C1"}, "possession"),
-        ((CapabilityWithdrawn("robot/B1", DOOR, "maintenance"),), {}, "advertisement"),
+        ((CapabilityWithdrawn(Robot("robot/B1"), DOOR, "maintenance"),), {}, "advertisement"),
         ((offered("none", visible_to=("D",)),), {}, "advertisement"),
         ((offered("none", version="2.0.0"),), {"version": "1.0.0"}, "advertisement"),
         ((DISTRUST,), {}, "trust"),
         ((offered("none", trust_required="session"),), {}, "trust"),
         ((DISTRUST, offered("none", visibility="trust-gated")), {}, "advertisement"),
-        ((window("robot/B1"),), {}, "policy"),
+        ((window(Robot("robot/B1")),), {}, "policy"),
         ((offered("none", policy_required=("rounds",)),), {}, "policy"),
         ((), {"directives": ("plan",)}, "local-execution"),
         (
-            (AvailabilityChanged(robot="robot/B1", capability=None, availability="offline", reason="battery"),),
+            (AvailabilityChanged(robot=Robot("robot/B1"), capability=None, availability="offline", reason="battery"),),
             {},
             "local-execution",
         ),
@@ -140,8 +148,8 @@ DISTRUST = TrustSet(robot="robot/B1", peer="robot/A1", scope="none")
         (
             (
                 AuthorityRevoked(
-                    requested_by="robot/A1",
-                    executed_by="robot/B1",
+                    requested_by=Robot("robot/A1"),
+                    executed_by=Robot("robot/B1"),
                     capability=None,
                     context=None,
                     reason="human override",
@@ -151,8 +159,8 @@ DISTRUST = TrustSet(robot="robot/B1", peer="robot/A1", scope="none")
             {},
             "authority",
         ),
-        ((DISTRUST, window("robot/B1"), EXPIRED), {"directives": ("policy",)}, "trust"),
-        ((window("robot/B1"), EXPIRED), {"directives": ("recovery",)}, "policy"),
+        ((DISTRUST, window(Robot("robot/B1")), EXPIRED), {"directives": ("policy",)}, "trust"),
+        ((window(Robot("robot/B1")), EXPIRED), {"directives": ("recovery",)}, "policy"),
         ((EXPIRED,), {"directives": ("plan",)}, "local-execution"),
     ],
 )
@@ -188,13 +196,13 @@ def test_without_trust_evaluation_trust_is_no_conjunct_and_no_part_of_the_admiss
 
 
 def test_policy_that_wants_a_review_is_put_before_a_supervisor_only_if_all_else_holds() -> None:
-    reviewed = asked(after=(window("robot/B1", "review"),))
+    reviewed = asked(after=(window(Robot("robot/B1"), "review"),))
     assert types(evaluate_request(reviewed, EvaluateRequest("q1"))) == ["SupervisorCalled"]
-    assert verdict(asked(after=(window("robot/B1", "review"), EXPIRED))) == ("reject", "authority")
+    assert verdict(asked(after=(window(Robot("robot/B1"), "review"), EXPIRED))) == ("reject", "authority")
 
 
 def test_what_was_approved_is_still_denied_when_trust_is_gone_by_then() -> None:
-    state = asked(after=(window("robot/B1", "review"),))
+    state = asked(after=(window(Robot("robot/B1"), "review"),))
     for event in evaluate_request(state, EvaluateRequest("q1")):
         apply(state, event)
     apply(
@@ -203,8 +211,8 @@ def test_what_was_approved_is_still_denied_when_trust_is_gone_by_then() -> None:
             Subject("visit", "q1"),
             Principals(
                 decided_by=FLEET_SUPERVISOR,
-                requested_by="robot/A1",
-                executed_by="robot/B1",
+                requested_by=Robot("robot/A1"),
+                executed_by=Robot("robot/B1"),
                 supervised_by=FLEET_SUPERVISOR,
                 path=(FLEET_SUPERVISOR,),
             ),
@@ -212,9 +220,9 @@ def test_what_was_approved_is_still_denied_when_trust_is_gone_by_then() -> None:
         ),
     )
     request = state.request["q1"]
-    assert evaluate(state, request, "robot/B1", is_reviewed=True).verdict == "accept"
+    assert evaluate(state, request, Robot("robot/B1"), is_reviewed=True).verdict == "accept"
     apply(state, DISTRUST)
-    assert evaluate(state, request, "robot/B1", is_reviewed=True).conjunct == "trust"
+    assert evaluate(state, request, Robot("robot/B1"), is_reviewed=True).conjunct == "trust"
 
 
 def test_a_busy_executor_defers_and_the_request_is_served_in_its_turn() -> None:
@@ -231,13 +239,13 @@ def test_a_busy_executor_defers_and_the_request_is_served_in_its_turn() -> None:
 
 RELAYED = RegistryQueried(
     subject=Subject("A1-1", "A1-1/2.1"),
-    principals=Parties(requested_by="robot/D1", executed_by="robot/B1", supervised_by=None),
+    principals=Parties(requested_by=Robot("robot/D1"), executed_by=Robot("robot/B1"), supervised_by=None),
     capability=DOOR,
-    candidates=("robot/B1",),
-    relay="robot/A1",
+    candidates=(Robot("robot/B1"),),
+    relay=Robot("robot/A1"),
 )
 D_STEP = StepBegan(
-    subject=Subject("A1-1", "A1-1/2.1"), robot="robot/D1", step=2, attempt=1, capability=DOOR, target_role="B"
+    subject=Subject("A1-1", "A1-1/2.1"), robot=Robot("robot/D1"), step=2, attempt=1, capability=DOOR, target_role="B"
 )
 
 
@@ -246,15 +254,15 @@ def relayed(*after: Event) -> State:
     issued = RequestIssued(
         subject=RequestSubject("A1-1", "A1-1/2.1", "A1-1/2.1"),
         principals=Principals(
-            decided_by="robot/D1",
-            requested_by="robot/D1",
-            executed_by="robot/B1",
+            decided_by=Robot("robot/D1"),
+            requested_by=Robot("robot/D1"),
+            executed_by=Robot("robot/B1"),
             supervised_by=None,
-            path=("robot/D1",),
+            path=(Robot("robot/D1"),),
         ),
         capability=DOOR,
         carried_policy="allow",
-        relay="robot/A1",
+        relay=Robot("robot/A1"),
     )
     return given("fsar", ARRIVED, D_STEP, RELAYED, issued, *after)
 
@@ -266,7 +274,7 @@ def test_each_link_of_a_relayed_request_rests_on_its_own_trust() -> None:
     assert isinstance(admitted, RequestAdmitted)
     assert admitted.trust == "task", "of B1 in A1; B1 does not trust D1"
     [denied] = relay_request(
-        relayed(TrustSet(robot="robot/A1", peer="robot/D1", scope="none")), RelayRequest("A1-1/2.1")
+        relayed(TrustSet(robot=Robot("robot/A1"), peer=Robot("robot/D1"), scope="none")), RelayRequest("A1-1/2.1")
     )
     assert isinstance(denied, RequestDenied)
     assert (denied.reason, denied.principals.decided_by) == ("trust", "robot/A1")
@@ -277,16 +285,16 @@ def test_rights_along_a_chain_never_add_up_to_a_right_of_its_first_at_its_last()
     """A1 may ask B1 and B1 may ask C1; A1 at C1 has no trust whatever was granted along the way, and C1 judges B1 alone."""
     grants = (
         AuthorityGranted(
-            requested_by="robot/A1",
-            executed_by="robot/B1",
+            requested_by=Robot("robot/A1"),
+            executed_by=Robot("robot/B1"),
             capability=None,
             context=None,
             override="none",
             decided_by=FLEET_SUPERVISOR,
         ),
         AuthorityGranted(
-            requested_by="robot/B1",
-            executed_by="robot/C1",
+            requested_by=Robot("robot/B1"),
+            executed_by=Robot("robot/C1"),
             capability=None,
             context=None,
             override="none",
@@ -294,16 +302,16 @@ def test_rights_along_a_chain_never_add_up_to_a_right_of_its_first_at_its_last()
         ),
     )
     state = served(asked(*grants), EvaluateRequest("q1"))
-    onward = RequestCapability("robot/B1", "robot/C1", "inspect.visual", "visit", "q2", parent="q1")
+    onward = RequestCapability(Robot("robot/B1"), Robot("robot/C1"), "inspect.visual", "visit", "q2", parent="q1")
     for event in decided(state, onward):
         apply(state, event)
     assert state.request["q2"].parent == "q1"
     assert verdict(state, "q2") == ("accept", None)
-    direct = RequestCapability("robot/A1", "robot/C1", "inspect.visual", "visit", "q3")
+    direct = RequestCapability(Robot("robot/A1"), Robot("robot/C1"), "inspect.visual", "visit", "q3")
     for event in decided(state, direct):
         apply(state, event)
     assert verdict(state, "q3") == ("reject", "trust")
-    apply(state, TrustSet(robot="robot/C1", peer="robot/B1", scope="none"))
+    apply(state, TrustSet(robot=Robot("robot/C1"), peer=Robot("robot/B1"), scope="none"))
     assert verdict(state, "q2") == ("reject", "trust"), "the parent's admission does not carry its link"
 
 
@@ -331,11 +339,11 @@ def test_a_request_that_names_something_unknown_over_or_impossible_is_rejected_a
     finished = RequestDenied(
         RequestSubject("visit", "old", "old"),
         Principals(
-            decided_by="robot/B1",
-            requested_by="robot/A1",
-            executed_by="robot/B1",
+            decided_by=Robot("robot/B1"),
+            requested_by=Robot("robot/A1"),
+            executed_by=Robot("robot/B1"),
             supervised_by=None,
-            path=("robot/B1",),
+            path=(Robot("robot/B1"),),
         ),
         "policy",
     )
@@ -365,8 +373,8 @@ def test_an_executor_asked_for_more_override_than_it_allows_offers_what_it_allow
 
 def test_a_grant_of_less_than_the_executor_allows_is_the_limit() -> None:
     grant = AuthorityGranted(
-        requested_by="robot/A1",
-        executed_by="robot/B1",
+        requested_by=Robot("robot/A1"),
+        executed_by=Robot("robot/B1"),
         capability=DOOR,
         context=None,
         override="soft-priority",
@@ -377,7 +385,7 @@ def test_a_grant_of_less_than_the_executor_allows_is_the_limit() -> None:
 
 def test_a_taken_offer_admits_the_request_on_those_terms() -> None:
     state = countered()
-    [answer] = decided(state, AnswerOffer("robot/A1", "q1", True))
+    [answer] = decided(state, AnswerOffer(Robot("robot/A1"), "q1", True))
     assert isinstance(answer, OfferAnswered)
     assert (answer.round, answer.is_accepted, answer.override) == (1, True, "soft-priority")
     apply(state, answer)
@@ -392,7 +400,7 @@ def test_a_negotiation_ends_after_so_many_rounds() -> None:
     rounds = state.fleet.structure.negotiation_rounds
     for number in range(1, rounds + 1):
         assert (state.request["q1"].offers, state.request["q1"].offered) == (number, "soft-priority")
-        state = served(state, AnswerOffer("robot/A1", "q1", False, "hard-preempt"))
+        state = served(state, AnswerOffer(Robot("robot/A1"), "q1", False, "hard-preempt"))
         events = evaluate_request(state, EvaluateRequest("q1"))
         for event in events:
             apply(state, event)
@@ -402,7 +410,7 @@ def test_a_negotiation_ends_after_so_many_rounds() -> None:
 
 
 def test_a_requester_that_lets_go_ends_its_request() -> None:
-    state = served(countered(), AnswerOffer("robot/A1", "q1", False))
+    state = served(countered(), AnswerOffer(Robot("robot/A1"), "q1", False))
     assert state.request["q1"].is_over
     assert evaluate_request(state, EvaluateRequest("q1")) == ()
 
@@ -418,7 +426,7 @@ def test_in_a_whole_run_a_negotiation_comes_to_its_end(answers: list[bool | None
         commands.append(
             (
                 1_000_000 + number * 2_000_000,
-                AnswerOffer("robot/A1", "q1", answer is True, "hard-preempt" if answer is None else None),
+                AnswerOffer(Robot("robot/A1"), "q1", answer is True, "hard-preempt" if answer is None else None),
             )
         )
     run = played(commands, offered("soft-priority"))
@@ -432,9 +440,9 @@ def test_in_a_whole_run_a_negotiation_comes_to_its_end(answers: list[bool | None
 @pytest.mark.parametrize(
     ("command", "found"),
     [
-        (AnswerOffer("robot/A1", "q9", True), "unknown request q9"),
-        (AnswerOffer("robot/D1", "q1", True), "the offer is to robot/A1"),
-        (AnswerOffer("robot/A1", "q1", True, "hard-preempt"), "soft-priority was offered"),
+        (AnswerOffer(Robot("robot/A1"), "q9", True), "unknown request q9"),
+        (AnswerOffer(Robot("robot/D1"), "q1", True), "the offer is to robot/A1"),
+        (AnswerOffer(Robot("robot/A1"), "q1", True, "hard-preempt"), "soft-priority was offered"),
         (AnswerOffer("robot/A1", "q1", False, "absolute"), "unknown override level"),  # type: ignore[arg-type]
     ],
 )
@@ -442,7 +450,9 @@ def test_an_answer_to_no_open_offer_is_rejected(command: AnswerOffer, found: str
     [rejected] = decided(countered(), command)
     assert isinstance(rejected, CommandRejected)
     assert found in rejected.reason
-    [again] = decided(served(countered(), AnswerOffer("robot/A1", "q1", True)), AnswerOffer("robot/A1", "q1", True))
+    [again] = decided(
+        served(countered(), AnswerOffer(Robot("robot/A1"), "q1", True)), AnswerOffer(Robot("robot/A1"), "q1", True)
+    )
     assert isinstance(again, CommandRejected)
     assert again.reason == "no counter-offer is open, expected one to answer"
 
@@ -454,9 +464,9 @@ def executing(result_of: str = "q1") -> State:
         state,
         ExecutionStarted(
             subject=Subject("visit", "q1"),
-            principals=Parties(requested_by="robot/A1", executed_by="robot/B1", supervised_by=None),
-            robot="robot/B1",
-            on_behalf_of="robot/A1",
+            principals=Parties(requested_by=Robot("robot/A1"), executed_by=Robot("robot/B1"), supervised_by=None),
+            robot=Robot("robot/B1"),
+            on_behalf_of=Robot("robot/A1"),
             capability=DOOR,
             ends_us=9_000_000,
         ),
@@ -468,11 +478,11 @@ def executing(result_of: str = "q1") -> State:
 def test_a_reported_result_ends_the_execution_and_the_closing_carries_it_on(
     result: Any, achieved: tuple[str, ...]
 ) -> None:
-    [finished] = decided(executing(), ReportResult("robot/B1", "q1", result, achieved))
+    [finished] = decided(executing(), ReportResult(Robot("robot/B1"), "q1", result, achieved))
     assert isinstance(finished, ExecutionFinished)
     assert (finished.result, finished.achieved, finished.principals.executed_by) == (result, achieved, "robot/B1")
     started = of(played([(1_000_000, ASK)]), ExecutionStarted)[0][0]
-    run = played([(1_000_000, ASK), (started + 1_000, ReportResult("robot/B1", "q1", result, achieved))])
+    run = played([(1_000_000, ASK), (started + 1_000, ReportResult(Robot("robot/B1"), "q1", result, achieved))])
     [(_, closed)] = of(run, RequestClosed)
     assert isinstance(closed, RequestClosed)
     assert closed.result == result
@@ -484,10 +494,10 @@ def test_a_reported_result_ends_the_execution_and_the_closing_carries_it_on(
 @pytest.mark.parametrize(
     ("command", "found"),
     [
-        (ReportResult("robot/B1", "q9", "success"), "unknown request"),
-        (ReportResult("robot/A1", "q1", "success"), "robot/B1 executes it"),
-        (ReportResult("robot/B1", "q1", "partial"), "a partial result with 0 postconditions"),
-        (ReportResult("robot/B1", "q1", "success", ("door.open",)), "a success result with 1 postconditions"),
+        (ReportResult(Robot("robot/B1"), "q9", "success"), "unknown request"),
+        (ReportResult(Robot("robot/A1"), "q1", "success"), "robot/B1 executes it"),
+        (ReportResult(Robot("robot/B1"), "q1", "partial"), "a partial result with 0 postconditions"),
+        (ReportResult(Robot("robot/B1"), "q1", "success", ("door.open",)), "a success result with 1 postconditions"),
     ],
 )
 def test_a_result_of_nothing_that_the_executor_executes_is_rejected(command: ReportResult, found: str) -> None:
@@ -497,7 +507,7 @@ def test_a_result_of_nothing_that_the_executor_executes_is_rejected(command: Rep
 
 
 def test_a_result_before_the_start_or_after_the_end_is_rejected() -> None:
-    report = ReportResult("robot/B1", "q1", "success")
+    report = ReportResult(Robot("robot/B1"), "q1", "success")
     for state, found in (
         (asked(), "has not been admitted"),
         (served(asked(), EvaluateRequest("q1")), "it is queued"),
@@ -511,17 +521,21 @@ def test_a_result_before_the_start_or_after_the_end_is_rejected() -> None:
 def test_a_result_achieves_nothing_that_the_contract_does_not_promise() -> None:
     state = executing()
     module = msgspec.structs.replace(
-        state.registry.modules["robot/B1"][DOOR],
+        state.registry.modules[Robot("robot/B1")][DOOR],
         contract=msgspec.structs.replace(
-            state.registry.modules["robot/B1"][DOOR].contract, postconditions=("door.open", "door.unlocked")
+            state.registry.modules[Robot("robot/B1")][DOOR].contract, postconditions=("door.open", "door.unlocked")
         ),
     )
     state.registry = msgspec.structs.replace(
         state.registry,
-        modules={**state.registry.modules, "robot/B1": {**state.registry.modules["robot/B1"], DOOR: module}},
+        modules={**state.registry.modules, "robot/B1": {**state.registry.modules[Robot("robot/B1")], DOOR: module}},
     )
-    assert types(decided(state, ReportResult("robot/B1", "q1", "partial", ("door.unlocked",)))) == ["ExecutionFinished"]
-    assert types(decided(state, ReportResult("robot/B1", "q1", "partial", ("window.open",)))) == ["CommandRejected"]
+    assert types(decided(state, ReportResult(Robot("robot/B1"), "q1", "partial", ("door.unlocked",)))) == [
+        "ExecutionFinished"
+    ]
+    assert types(decided(state, ReportResult(Robot("robot/B1"), "q1", "partial", ("window.open",)))) == [
+        "CommandRejected"
+    ]
 
 
 def test_a_step_whose_result_is_no_success_is_asked_for_again() -> None:
@@ -531,7 +545,7 @@ def test_a_step_whose_result_is_no_success_is_asked_for_again() -> None:
         for time, event in of(played([], *begun), ExecutionStarted)
         if isinstance(event, ExecutionStarted) and event.robot == "robot/B1"
     )
-    run = played([(started + 1_000, ReportResult("robot/B1", "A1-1/2.1", "failure"))], *begun)
+    run = played([(started + 1_000, ReportResult(Robot("robot/B1"), "A1-1/2.1", "failure"))], *begun)
     attempts = [event.attempt for _, event in of(run, StepBegan) if isinstance(event, StepBegan) and event.step == 2]
     assert attempts == [1, 2]
     assert [event.subject.action_id for _, event in of(run, StepCompleted) if isinstance(event, StepCompleted)] == [

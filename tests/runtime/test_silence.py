@@ -8,7 +8,7 @@ import pytest
 from fsar_ledger.constants import Constants, Outages, Range
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityReleased
-from fsar_ledger.events.envelope import Architecture, Availability
+from fsar_ledger.events.envelope import Architecture, Availability, Robot
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionStarted, ExecutionWithdrawn
 from fsar_ledger.events.knowledge import BidReceived, WorkQueued
 from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceRequested, RecoveryEscalated
@@ -36,7 +36,7 @@ ANSWER_US = round(Outages().answer_s * S)
 CALM = msgspec.structs.replace(
     OURS, **QUIET, **LAWLESS, context_rate_per_s=0.0, routine_rate_per_s=0.0, encounter_mean_s=5.0
 )
-A, B, B2, DOOR = "robot/A1", "robot/B1", "robot/B2", "door.open.secure"
+A, B, B2, DOOR = Robot("robot/A1"), Robot("robot/B1"), "robot/B2", "door.open.secure"
 TASK = TaskArrived(task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B",), budget_us=90 * S, due_us=91 * S)
 
 
@@ -316,7 +316,7 @@ def relayed(low_s: float, high_s: float, *facts: Fact) -> Kernel:
     slow = msgspec.structs.replace(CALM, message=Range(low_s, high_s))
     spec, constants = RunSpec(5, "fsar", "full", "door-relay", 4, 0), Constants(world=slow)
     task = TaskArrived(
-        task_id="D1-1", robot="robot/D1", team=1, steps=(f"D {DOOR} B",), budget_us=90 * S, due_us=91 * S
+        task_id="D1-1", robot=Robot("robot/D1"), team=1, steps=(f"D {DOOR} B",), budget_us=90 * S, due_us=91 * S
     )
     run = Kernel(
         wiring("fsar"), [*facts, (S, task)], Draws(run_key(5, "door-relay", 0), slow), *founding_of(spec, constants)

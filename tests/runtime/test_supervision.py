@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import Parties, Principals, RequestSubject, Subject
+from fsar_ledger.events.envelope import Parties, Principal, Principals, RequestSubject, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.recovery import FailureResolved
@@ -42,8 +42,8 @@ from fsar_ledger.runtime.handlers.supervision import (
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, given, types, window
 
-A, B = "robot/A1", "robot/B1"
-H_A, H_B = "supervisor/A1", "supervisor/B1"
+A, B = Robot("robot/A1"), Robot("robot/B1")
+H_A, H_B = Supervisor("supervisor/A1"), Supervisor("supervisor/B1")
 ACTION = "A1-1/2.1"
 REQUESTED = (
     ARRIVED,
@@ -69,7 +69,7 @@ def refusal(events: tuple[Event, ...]) -> str:
     return one.reason
 
 
-def admitted(robot: str, ordinal: int = 0) -> RequestAdmitted:
+def admitted(robot: Principal, ordinal: int = 0) -> RequestAdmitted:
     return RequestAdmitted(
         subject=RequestSubject("t1", f"t1/{ordinal}", f"t1/{ordinal}"),
         principals=Principals(decided_by=robot, requested_by=A, executed_by=robot, supervised_by=None, path=(robot,)),
@@ -117,9 +117,9 @@ def test_what_concerns_one_robot_goes_to_its_own_supervisor_and_the_rest_to_the_
 
 
 def test_off_shift_or_without_an_own_supervisor_it_goes_to_the_fleets() -> None:
-    state = given("fsar", SupervisorLeft(H_B), RobotJoined(robot="robot/X1", role="A", team=1, supervisor=None))
+    state = given("fsar", SupervisorLeft(H_B), RobotJoined(robot=Robot("robot/X1"), role="A", team=1, supervisor=None))
     assert supervisor_for(state, B, is_cross_robot=False) == H_F
-    assert supervisor_for(state, "robot/X1", is_cross_robot=False) == H_F
+    assert supervisor_for(state, Robot("robot/X1"), is_cross_robot=False) == H_F
     apply(state, SupervisorReturned(H_B))
     assert supervisor_for(state, B, is_cross_robot=False) == H_B
 
@@ -186,7 +186,7 @@ def test_a_robots_own_supervisor_resolves_its_failure_and_has_it_serviced(is_deg
 @pytest.mark.parametrize(
     ("call", "command", "reason"),
     [
-        (REVIEW, RespondToCall("supervisor/X9", ACTION, True), "unknown supervisor supervisor/X9"),
+        (REVIEW, RespondToCall(Supervisor("supervisor/X9"), ACTION, True), "unknown supervisor supervisor/X9"),
         (REVIEW, RespondToCall(H_B, ACTION, True), "the call went to supervisor/fleet"),
         (LOCAL, RespondToCall(H_F, ACTION, True), "the call went to supervisor/B1"),
         (REVIEW, RespondToCall(H_F, "A1-1/9.9", True), "no open call"),
@@ -252,7 +252,9 @@ def test_a_supervisor_who_answers_says_whether_they_approve() -> None:
 
 
 @pytest.mark.parametrize(("issued_by", "robot"), [(H_B, B), (H_F, B), (H_F, None)])
-def test_density_is_set_by_the_robots_own_supervisor_or_the_fleets(issued_by: str, robot: str | None) -> None:
+def test_density_is_set_by_the_robots_own_supervisor_or_the_fleets(
+    issued_by: Supervisor, robot: Principal | None
+) -> None:
     [event] = set_supervision_density(given("fsar"), SetSupervisionDensity(issued_by, robot, 3, "night shift"))
     assert event == SupervisionDensitySet(robot=robot, review_every=3, decided_by=issued_by, reason="night shift")
 
@@ -262,8 +264,8 @@ def test_density_is_set_by_the_robots_own_supervisor_or_the_fleets(issued_by: st
     [
         (SetSupervisionDensity(H_A, B, 3, ""), "supervisor/A1 does not supervise robot/B1"),
         (SetSupervisionDensity(H_A, None, 3, ""), "supervisor/A1 supervises one robot"),
-        (SetSupervisionDensity("supervisor/X9", B, 3, ""), "unknown supervisor supervisor/X9"),
-        (SetSupervisionDensity(H_F, "robot/X9", 3, ""), "unknown robot robot/X9"),
+        (SetSupervisionDensity(Supervisor("supervisor/X9"), B, 3, ""), "unknown supervisor supervisor/X9"),
+        (SetSupervisionDensity(H_F, Robot("robot/X9"), 3, ""), "unknown robot robot/X9"),
         (SetSupervisionDensity(H_F, B, -1, ""), "density -1"),
     ],
 )
@@ -272,12 +274,12 @@ def test_density_that_cannot_be_set_is_rejected(command: SetSupervisionDensity, 
 
 
 def test_nobody_speaks_for_a_robot_without_a_supervisor_but_the_fleets() -> None:
-    state = given("fsar", RobotJoined(robot="robot/X1", role="A", team=1, supervisor=None))
+    state = given("fsar", RobotJoined(robot=Robot("robot/X1"), role="A", team=1, supervisor=None))
     nobody: str = None  # type: ignore[assignment]
-    assert refusal(set_supervision_density(state, SetSupervisionDensity(nobody, "robot/X1", 3, ""))).startswith(
+    assert refusal(set_supervision_density(state, SetSupervisionDensity(nobody, Robot("robot/X1"), 3, ""))).startswith(
         "unknown supervisor"
     )
-    assert types(set_supervision_density(state, SetSupervisionDensity(H_F, "robot/X1", 3, ""))) == [
+    assert types(set_supervision_density(state, SetSupervisionDensity(H_F, Robot("robot/X1"), 3, ""))) == [
         "SupervisionDensitySet"
     ]
 

@@ -5,7 +5,7 @@ import pytest
 
 from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.events.configuration import Configuration
-from fsar_ledger.events.envelope import Architecture, Principals, RequestSubject, Scenario
+from fsar_ledger.events.envelope import Architecture, P, Principals, RequestSubject, Scenario
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionQueued, RoutineWithheld
 from fsar_ledger.events.knowledge import WorkQueued
 from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryAttemptFailed
@@ -98,7 +98,11 @@ def test_who_is_not_known_is_on_record_as_nobody_and_not_as_an_empty_name() -> N
     closed = RequestClosed(
         RequestSubject("task", "action", "action"),
         Principals(
-            decided_by="coordination", requested_by=None, executed_by=None, supervised_by=None, path=("coordination",)
+            decided_by=P("coordination"),
+            requested_by=None,
+            executed_by=None,
+            supervised_by=None,
+            path=(P("coordination"),),
         ),
     )
     [(unknown, no_path), (known, path)] = [

@@ -7,7 +7,7 @@ import pytest
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityRevoked
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import TRUST, Parties, Principals, RequestSubject, Subject
+from fsar_ledger.events.envelope import TRUST, Parties, Principals, RequestSubject, Robot, Service, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.request import RequestClosed, RequestDenied, RequestIssued
@@ -34,9 +34,9 @@ from fsar_ledger.runtime.handlers.trust import (
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, given
 
-A, B, C, D = "robot/A1", "robot/B1", "robot/C1", "robot/D1"
+A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 DOOR = "door.open.secure"
-H_B = "supervisor/B1"
+H_B = Supervisor("supervisor/B1")
 
 
 def refusal(events: tuple[Event, ...]) -> str:
@@ -83,14 +83,14 @@ def results(*outcomes: str, promote: int = 0, downgrade: int = 0) -> State:
                 ),
             )
         elif outcome == "success":
-            apply(state, RequestClosed(subject, parties.decided("service/coordination")))
+            apply(state, RequestClosed(subject, parties.decided(Service("service/coordination"))))
         else:
             apply(state, RequestDenied(subject, parties.decided(B), outcome))
     return state
 
 
 @pytest.mark.parametrize("supervisor", [H_B, H_F])
-def test_the_robots_own_supervisor_and_the_fleets_may_set_its_trust(supervisor: str) -> None:
+def test_the_robots_own_supervisor_and_the_fleets_may_set_its_trust(supervisor: Supervisor) -> None:
     state = given("fsar")
     assert not trusts(state, B, D, DOOR)
     [event] = set_trust(state, SetTrust(supervisor, B, D, "task", DOOR, "A1-1"))
@@ -108,10 +108,10 @@ def test_the_robots_own_supervisor_and_the_fleets_may_set_its_trust(supervisor: 
 @pytest.mark.parametrize(
     ("command", "reason"),
     [
-        (SetTrust(H_F, "robot/X9", A, "task"), "unknown robot robot/X9"),
-        (SetTrust(H_F, A, "robot/X9", "task"), "unknown robot robot/X9"),
-        (SetTrust("supervisor/X9", B, A, "task"), "unknown supervisor supervisor/X9"),
-        (SetTrust("supervisor/A1", B, A, "task"), "supervisor/A1 does not supervise robot/B1"),
+        (SetTrust(H_F, Robot("robot/X9"), A, "task"), "unknown robot robot/X9"),
+        (SetTrust(H_F, A, Robot("robot/X9"), "task"), "unknown robot robot/X9"),
+        (SetTrust(Supervisor("supervisor/X9"), B, A, "task"), "unknown supervisor supervisor/X9"),
+        (SetTrust(Supervisor("supervisor/A1"), B, A, "task"), "supervisor/A1 does not supervise robot/B1"),
         (SetTrust(H_F, B, A, "task", "fly"), "unknown capability fly"),
         (SetTrust(H_F, B, A, "task", None, "A1-1"), "task A1-1 is over"),
         (SetTrust(H_F, B, A, "total"), "unknown scope total"),  # type: ignore[arg-type]
@@ -127,8 +127,8 @@ def test_the_fleet_supervisor_sets_trust_by_role_and_a_pair_stays_an_exception()
     state = given(
         "fsar",
         TrustSet(robot=B, peer=D, scope="none"),
-        RobotJoined(robot="robot/B9", role="B", team=9, supervisor=None, domain="yard"),
-        RobotJoined(robot="robot/D9", role="D", team=9, supervisor=None, domain="yard/gate"),
+        RobotJoined(robot=Robot("robot/B9"), role="B", team=9, supervisor=None, domain="yard"),
+        RobotJoined(robot=Robot("robot/D9"), role="D", team=9, supervisor=None, domain="yard/gate"),
     )
     [event] = set_role_trust(state, SetRoleTrust(H_F, "B", "D", "task", capability=DOOR))
     assert event == RoleTrustSet(
@@ -142,14 +142,21 @@ def test_the_fleet_supervisor_sets_trust_by_role_and_a_pair_stays_an_exception()
         reason="operator",
     )
     apply(state, event)
-    assert (trusts(state, B, D, DOOR), trusts(state, B, "robot/D9", DOOR), trusts(state, "robot/B9", D, DOOR)) == (
+    assert (
+        trusts(state, B, D, DOOR),
+        trusts(state, B, Robot("robot/D9"), DOOR),
+        trusts(state, Robot("robot/B9"), D, DOOR),
+    ) == (
         False,
         True,
         True,
     )
     [event] = set_role_trust(state, SetRoleTrust(H_F, "B", "D", "none", "yard"))
     apply(state, event)
-    assert (trusts(state, "robot/B9", "robot/D9", DOOR), trusts(state, "robot/B9", D, DOOR)) == (False, True)
+    assert (trusts(state, Robot("robot/B9"), Robot("robot/D9"), DOOR), trusts(state, Robot("robot/B9"), D, DOOR)) == (
+        False,
+        True,
+    )
 
 
 @pytest.mark.parametrize(
@@ -208,7 +215,7 @@ def test_only_the_fleet_supervisor_has_trust_follow_the_record() -> None:
     assert refusal(set_trust_thresholds(state, SetTrustThresholds(H_B, 3, 1))).startswith(
         "supervisor/B1 supervises one robot"
     )
-    assert refusal(set_trust_thresholds(state, SetTrustThresholds("supervisor/X9", 3, 1))).startswith(
+    assert refusal(set_trust_thresholds(state, SetTrustThresholds(Supervisor("supervisor/X9"), 3, 1))).startswith(
         "unknown supervisor"
     )
     assert refusal(set_trust_thresholds(state, SetTrustThresholds(H_F, -1, 1))).startswith("thresholds -1 and 1")
@@ -344,11 +351,11 @@ def test_an_injected_request_that_is_refused_counts_against_who_made_it() -> Non
     refused = RequestDenied(
         RequestSubject("i1", "i1", "i1"),
         Principals(
-            decided_by="service/registry",
+            decided_by=Service("service/registry"),
             requested_by=D,
             executed_by=None,
             supervised_by=None,
-            path=("service/registry",),
+            path=(Service("service/registry"),),
         ),
         "advertisement",
     )

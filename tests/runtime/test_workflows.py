@@ -7,7 +7,7 @@ import pytest
 from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.errors import InvalidExperiment
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Parties, Principals, RequestSubject, Subject, Workflow
+from fsar_ledger.events.envelope import Parties, Principals, RequestSubject, Robot, Subject, Workflow
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionFinished, ExecutionStarted
 from fsar_ledger.events.recovery import (
     FailureResolved,
@@ -43,7 +43,7 @@ from tests.runtime.test_resume import assert_resumes
 
 SEEDS = (1, 2, 3, 42, 2026)
 E = TypeVar("E", bound=Event)
-A, B, D = "robot/A1", "robot/B1", "robot/D1"
+A, B, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/D1")
 
 
 def played(workflow: Workflow, seed: int, run: int = 0) -> tuple[Event, ...]:

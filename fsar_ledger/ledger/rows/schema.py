@@ -109,11 +109,20 @@ ENVELOPE: tuple[Field, ...] = (
 """The columns that every row has."""
 
 
+def _alternatives(kind: inspect.Type) -> list[inspect.Type]:
+    """The types of a union, each once: a robot and a supervisor, types of their own, are both strings."""
+    found: list[inspect.Type] = []
+    for one in kind.types if isinstance(kind, inspect.UnionType) else (kind,):
+        if one not in found:
+            found.append(one)
+    return found
+
+
 def _field(field: inspect.Field) -> Field:
     """The stored form of a struct field. Raises: TypeError for a type that a ledger cannot hold."""
-    options = field.type.types if isinstance(field.type, inspect.UnionType) else (field.type,)
-    kinds = tuple(option for option in options if not isinstance(option, inspect.NoneType))
-    is_nullable = len(kinds) < len(options)
+    kinds = _alternatives(field.type)
+    is_nullable = any(isinstance(kind, inspect.NoneType) for kind in kinds)
+    kinds = [kind for kind in kinds if not isinstance(kind, inspect.NoneType)]
     match kinds:
         case (inspect.StrType(),):
             return Field(field.name, "string", is_nullable, None)
@@ -123,7 +132,7 @@ def _field(field: inspect.Field) -> Field:
             return Field(field.name, "integer", is_nullable, None)
         case (inspect.BoolType(),):
             return Field(field.name, "boolean", is_nullable, None)
-        case (inspect.VarTupleType(item_type=inspect.StrType()),):
+        case (inspect.VarTupleType(item_type=item),) if _alternatives(item) == [inspect.StrType()]:
             return Field(field.name, "strings", is_nullable, None)
     raise TypeError(
         f"field {field.name}: found {field.type}; a ledger holds str, Literal of str, int, bool or tuple[str, ...], each or None"

@@ -7,7 +7,14 @@ from collections.abc import Iterable
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Availability, OverrideLevel, TrustScope, Visibility
+from fsar_ledger.events.envelope import (
+    Availability,
+    OverrideLevel,
+    Robot,
+    Supervisor,
+    TrustScope,
+    Visibility,
+)
 from fsar_ledger.events.registry import (
     AvailabilityChanged,
     CapabilityAdvertised,
@@ -28,7 +35,7 @@ from .rejection import rejected, unknown_robot
 class AdvertiseCapability(PublicCommand):
     """The seven fields of an advertisement and who may see it; a part of the contract that is None is that of the installed module. Paper: eq:adv."""
 
-    robot: str
+    robot: Robot
     capability: str
     version: str
     preconditions: tuple[str, ...] | None = None
@@ -41,54 +48,54 @@ class AdvertiseCapability(PublicCommand):
     embodiment: tuple[str, ...] = ()
     visibility: Visibility = "global"
     visible_to: tuple[str, ...] = ()
-    issued_by: str | None = None
+    issued_by: Supervisor | None = None
 
 
 class WithdrawCapability(PublicCommand):
     """Take the capability off the surface; the robot keeps it."""
 
-    robot: str
+    robot: Robot
     capability: str
     reason: str
-    issued_by: str | None = None
+    issued_by: Supervisor | None = None
 
 
 class ReportAvailability(PublicCommand):
     """Another availability, of one capability or (None) of everything that the robot advertises."""
 
-    robot: str
+    robot: Robot
     capability: str | None
     availability: Availability
     reason: str
-    issued_by: str | None = None
+    issued_by: Supervisor | None = None
 
 
 class DeprecateCapability(PublicCommand):
     """The advertised version is on its way out, for the successor if there is one."""
 
-    robot: str
+    robot: Robot
     capability: str
     version: str
     successor: str | None = None
-    issued_by: str | None = None
+    issued_by: Supervisor | None = None
 
 
 class UpgradeCapability(PublicCommand):
     """Roll a newer version out; parts of its contract that are None stay as they are."""
 
-    robot: str
+    robot: Robot
     capability: str
     version: str
     preconditions: tuple[str, ...] | None = None
     postconditions: tuple[str, ...] | None = None
     resources: tuple[str, ...] | None = None
-    issued_by: str | None = None
+    issued_by: Supervisor | None = None
 
 
 class FinishRollOut(Command):
     """The installed version may be shown, as available as the old one was said to be."""
 
-    robot: str
+    robot: Robot
     capability: str
     availability: Availability = "ready"
 
@@ -232,7 +239,7 @@ def finish_roll_out(state: State, command: FinishRollOut) -> tuple[Event, ...]:
     )
 
 
-def _rolling_out(state: State, robot: str, capability: str) -> Advertisement | None:
+def _rolling_out(state: State, robot: Robot, capability: str) -> Advertisement | None:
     """The record of another version than the installed one, if there is one."""
     module, record = (
         state.registry.modules.get(robot, {}).get(capability),
@@ -268,7 +275,7 @@ def _unknown(name: str, value: str, known: Iterable[str]) -> str | None:
     return None if value in known else f"{name} {value!r} is unknown, expected one of {', '.join(known)}"
 
 
-def _not_advertised(state: State, robot: str, capability: str) -> str | None:
+def _not_advertised(state: State, robot: Robot, capability: str) -> str | None:
     return (
         None
         if advertisement(state.registry, robot, capability) is not None

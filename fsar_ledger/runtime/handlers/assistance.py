@@ -1,7 +1,7 @@
 """A helper's work is work: something can be in its way, and an actuator that stands in can fail as well. Paper: sec:model:recovery."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FailureCause, RecoveryLevel
+from fsar_ledger.events.envelope import FailureCause, RecoveryLevel, Robot
 from fsar_ledger.events.recovery import AssistanceAdmitted, AssistanceEnded, AssistanceFailed, FailureResolved
 from fsar_ledger.events.world import ObstructionAppeared
 from fsar_ledger.projections.execution import HELPING, Action
@@ -44,7 +44,7 @@ def end_of(event: AssistanceAdmitted, after_us: int, draws: tuple[Draw, ...] = (
     return Scheduled(EndAssistance(event.subject.action_id, event.helper, event.failure), after_us, draws, ask)
 
 
-def _helped(state: State, action_id: str, who: str) -> tuple[Action, Recovery] | None:
+def _helped(state: State, action_id: str, who: Robot) -> tuple[Action, Recovery] | None:
     """The action that the robot helps with, and its failure; None when it does not."""
     return open_failure(state, action_id) if state.execution.current.get(who) == HELPING + action_id else None
 
@@ -58,7 +58,7 @@ def _hindrance(state: State, recovery: Recovery, command: EndAssistance) -> Fail
     return None
 
 
-def _failed(action: Action, recovery: Recovery, who: str, cause: FailureCause) -> AssistanceFailed:
+def _failed(action: Action, recovery: Recovery, who: Robot, cause: FailureCause) -> AssistanceFailed:
     return AssistanceFailed(
         subject=action.subject,
         robot=action.robot,

@@ -15,7 +15,16 @@ from fsar_ledger.events.authority import (
     AuthorityRevoked,
     RevocationReason,
 )
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, TRUST, Dimension, OverrideLevel, Subject
+from fsar_ledger.events.envelope import (
+    FLEET_SUPERVISOR,
+    TRUST,
+    Dimension,
+    OverrideLevel,
+    Principal,
+    Robot,
+    Subject,
+    Supervisor,
+)
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
 from fsar_ledger.events.trust import RoleTrustSet, TrustSet
 from fsar_ledger.projections.authority import LEVELS, Right
@@ -32,9 +41,9 @@ from .trust import trusts
 class GrantAuthority(PublicCommand):
     """The supervisor lets the requester ask this (None: anyone, anything, in any context), up to the override level."""
 
-    supervisor: str
-    requester: str
-    executor: str | None
+    supervisor: Supervisor
+    requester: Robot
+    executor: Robot | None
     override: OverrideLevel
     capability: str | None = None
     context: str | None = None
@@ -43,9 +52,9 @@ class GrantAuthority(PublicCommand):
 class RevokeAuthority(PublicCommand):
     """The supervisor no longer lets the requester ask this (None: anyone, anything, in any context)."""
 
-    supervisor: str
-    requester: str
-    executor: str | None
+    supervisor: Supervisor
+    requester: Robot
+    executor: Robot | None
     capability: str | None = None
     context: str | None = None
     reason: RevocationReason = "human override"
@@ -54,7 +63,7 @@ class RevokeAuthority(PublicCommand):
 class ReleaseAuthority(PublicCommand):
     """The claimant lets go of what it holds of this dimension over the action."""
 
-    claimant: str
+    claimant: Principal
     action_id: str
     dimension: Dimension
 
@@ -68,8 +77,8 @@ class ExpireContext(Command):
 class RevokeDistrusted(Command):
     """The robot trusts the peer less than before, while it has admitted requests of it."""
 
-    robot: str
-    peer: str
+    robot: Robot
+    peer: Robot
 
 
 def released(claims: Iterable[AuthorityClaimed]) -> tuple[AuthorityReleased, ...]:
@@ -85,7 +94,7 @@ def released(claims: Iterable[AuthorityClaimed]) -> tuple[AuthorityReleased, ...
 def grant_authority(state: State, command: GrantAuthority) -> tuple[Event, ...]:
     """The requester may ask up to this level: by word of the executor's own supervisor, or of H_F. Paper: eq:auth, eq:override."""
     reason = _unknown(state, command)
-    robot = state.fleet.robots.get(command.executor or "")
+    robot = state.fleet.robots.get(command.executor) if command.executor is not None else None
     if (
         reason is None
         and command.supervisor != FLEET_SUPERVISOR
@@ -243,7 +252,7 @@ def _in_context(state: State, context: str) -> tuple[AuthorityGranted, ...]:
     return tuple(right for right in last.values() if isinstance(right, AuthorityGranted))
 
 
-def _distrusted(state: State, robot: str, peer: str) -> list[Action]:
+def _distrusted(state: State, robot: Robot, peer: Robot) -> list[Action]:
     """What the robot has admitted of the peer, as requester or relay, and would not admit again for lack of trust."""
     found = []
     for action in state.execution.actions.values():

@@ -51,7 +51,7 @@ Decide = Callable[[State, Any], tuple[Event, ...]]
 React = Callable[[State, Any, int], tuple[Scheduled, ...]]
 Decides = dict[type[Command], Decide]
 Reacts = dict[type[Event], React]
-Actor = Callable[[State, Any], str | None]
+Actor = Callable[[State, Any], Robot | None]
 """Which robot does a command, as things stand when it is due; None is whoever is never off: the world, a service, the coordinator, a human."""
 Actors = dict[type[Command], Actor]
 
@@ -167,7 +167,7 @@ class EndAssistance(Command):
     """The helper is done with this failure; asks whether a degraded actuator of its own holds (1) or not (0)."""
 
     action_id: str
-    helper: str
+    helper: Robot
     failure: int
 
 
@@ -175,7 +175,7 @@ class StopAssistance(Command):
     """Something is in the way of the robot that helps."""
 
     action_id: str
-    helper: str
+    helper: Robot
 
 
 class DecideRoutine(Command):

@@ -3,6 +3,7 @@
 from typing import Any
 
 from fsar_ledger.events import Event
+from fsar_ledger.events.envelope import Robot
 from fsar_ledger.events.execution import (
     ApproachStarted,
     ExecutionFailed,
@@ -146,7 +147,7 @@ def holds_robot(state: State, action: Action) -> bool:
     return state.execution.current.get(action.robot) == action.action_id
 
 
-def next_turn(state: State, robot: str) -> tuple[Scheduled, ...]:
+def next_turn(state: State, robot: Robot) -> tuple[Scheduled, ...]:
     """The action that now holds the robot takes its turn, if it has not yet; one that was preempted goes on. Paper: eq:override."""
     action = state.execution.actions.get(state.execution.current.get(robot, ""))
     if action is None or action.stage not in ("queued", "preempted"):

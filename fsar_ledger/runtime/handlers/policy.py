@@ -3,7 +3,15 @@
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import POLICY, PolicyOutcome, PolicyScope, Principals, Subject
+from fsar_ledger.events.envelope import (
+    POLICY,
+    PolicyOutcome,
+    PolicyScope,
+    Principals,
+    Robot,
+    Subject,
+    Supervisor,
+)
 from fsar_ledger.events.policy import PolicyConflictEscalated, PolicyRuleSet, RolePolicyRuleSet
 from fsar_ledger.projections.fold import State
 from fsar_ledger.projections.policy import ruled
@@ -18,9 +26,9 @@ from .supervision import supervisor_for
 class SetPolicyRule(PublicCommand):
     """A supervisor rules: P_i(e, sigma) of one robot (`local`), or the fleet's for it or (None) for every robot."""
 
-    issued_by: str
+    issued_by: Supervisor
     scope: PolicyScope
-    robot: str | None
+    robot: Robot | None
     capability: str | None
     context: str | None
     outcome: PolicyOutcome
@@ -29,7 +37,7 @@ class SetPolicyRule(PublicCommand):
 class SetRolePolicyRule(PublicCommand):
     """H_F sets the fleet's rule for every robot of the role, in a domain or (empty) in the whole fleet."""
 
-    issued_by: str
+    issued_by: Supervisor
     role: str
     outcome: PolicyOutcome
     domain: str = ""
@@ -37,7 +45,7 @@ class SetRolePolicyRule(PublicCommand):
     context: str | None = None
 
 
-def own_policy(state: State, robot: str, capability: str | None, context: str | None) -> PolicyOutcome:
+def own_policy(state: State, robot: Robot, capability: str | None, context: str | None) -> PolicyOutcome:
     """P_i(e, sigma): the strictest of the robot's open windows and of its rules. Paper: app:foundations."""
     window = in_force(state.world.local, robot)
     return (
@@ -47,7 +55,7 @@ def own_policy(state: State, robot: str, capability: str | None, context: str | 
     )
 
 
-def fleet_policy(state: State, robot: str, capability: str | None, context: str | None) -> PolicyOutcome:
+def fleet_policy(state: State, robot: Robot, capability: str | None, context: str | None) -> PolicyOutcome:
     """The fleet's rules for the robot, and that for its zone as it last heard it."""
     heard = state.knowledge.fleet_rule.get(robot, "allow")
     return (
@@ -57,7 +65,9 @@ def fleet_policy(state: State, robot: str, capability: str | None, context: str 
     )
 
 
-def compose(state: State, carried: PolicyOutcome, executor: str, capability: str, context: str | None) -> PolicyOutcome:
+def compose(
+    state: State, carried: PolicyOutcome, executor: Robot, capability: str, context: str | None
+) -> PolicyOutcome:
     """Pi: requester's policy (as the request carried it), the executor's own and the fleet's together. Paper: eq:policy.
 
     Without policy composition the executor's own alone: what the ablation removes is composition between robots, so a robot's own
@@ -69,7 +79,7 @@ def compose(state: State, carried: PolicyOutcome, executor: str, capability: str
     return stricter(carried, stricter(own, fleet_policy(state, executor, capability, context)))
 
 
-def is_ruled_out(state: State, carried: PolicyOutcome, executor: str, capability: str, context: str | None) -> bool:
+def is_ruled_out(state: State, carried: PolicyOutcome, executor: Robot, capability: str, context: str | None) -> bool:
     """True when a rule of the executor's own or of the fleet, or the requester's policy, denies; an open window of the executor's own is no rule."""
     own = ruled(state.policy, "local", executor, capability, context)
     if "policy-composition" in state.fleet.without:
@@ -78,7 +88,7 @@ def is_ruled_out(state: State, carried: PolicyOutcome, executor: str, capability
 
 
 def conflict(
-    state: State, task_id: str | None, action_id: str | None, requester: str | None, executor: str, capability: str
+    state: State, task_id: str | None, action_id: str | None, requester: Robot | None, executor: Robot, capability: str
 ) -> tuple[PolicyConflictEscalated, ...]:
     """The escalation when the fleet mandates what the executor's own policy denies; the denial stands. Paper: sec:architecture:fleet."""
     is_uncomposed = "policy-composition" in state.fleet.without and requester != executor

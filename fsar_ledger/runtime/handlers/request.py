@@ -6,7 +6,7 @@ What is asked here goes the way of every request: the executor evaluates it unde
 from typing import get_args
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import OverrideLevel, Parties, Principals, RequestSubject, Result, Subject
+from fsar_ledger.events.envelope import OverrideLevel, Parties, Principals, RequestSubject, Result, Robot, Subject
 from fsar_ledger.events.execution import ExecutionFinished
 from fsar_ledger.events.request import GapDetected, OfferAnswered, RequestIssued
 from fsar_ledger.projections.authority import LEVELS
@@ -27,8 +27,8 @@ class RequestCapability(PublicCommand):
     dictate (`directives`), and the advertised version that it was formulated against.
     """
 
-    requester: str
-    executor: str
+    requester: Robot
+    executor: Robot
     capability: str
     context: str
     action_id: str
@@ -41,7 +41,7 @@ class RequestCapability(PublicCommand):
 class AnswerOffer(PublicCommand):
     """The requester answers a counter-offer: it takes it, asks for this other override level, or (neither) lets go."""
 
-    requester: str
+    requester: Robot
     action_id: str
     is_accepted: bool
     override: OverrideLevel | None = None
@@ -50,7 +50,7 @@ class AnswerOffer(PublicCommand):
 class ReportResult(PublicCommand):
     """The executor says how the action ended; a partial result names the postconditions that hold."""
 
-    executor: str
+    executor: Robot
     action_id: str
     result: Result
     achieved: tuple[str, ...] = ()

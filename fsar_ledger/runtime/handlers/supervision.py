@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Principals, Subject
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Principal, Principals, Robot, Subject, Supervisor
 from fsar_ledger.events.recovery import FailureResolved
 from fsar_ledger.events.supervision import (
     ActuatorServiced,
@@ -24,7 +24,7 @@ from .task import first_in_order
 class RespondToCall(PublicCommand):
     """A supervisor answers a call: approves the review or not, orders two commands (`preferred` goes first), or has resolved the failure."""
 
-    supervisor: str
+    supervisor: Supervisor
     action_id: str
     approves: bool
     preferred: str | None = None
@@ -33,13 +33,13 @@ class RespondToCall(PublicCommand):
 class SetSupervisionDensity(PublicCommand):
     """A supervisor wants to see one in so many admissions of the robot (None: of every robot); 0 is none."""
 
-    issued_by: str
-    robot: str | None
+    issued_by: Supervisor
+    robot: Robot | None
     review_every: int
     reason: str
 
 
-def supervisor_for(state: State, robot: str, is_cross_robot: bool) -> str:
+def supervisor_for(state: State, robot: Robot, is_cross_robot: bool) -> Supervisor:
     """Whom to call about the robot: its own H_i while on shift, if the matter concerns that robot alone; else H_F. Paper: sec:model:supervision."""
     own = state.fleet.robots[robot].supervisor
     if is_cross_robot or own is None or own in state.world.off_shift:
@@ -47,18 +47,18 @@ def supervisor_for(state: State, robot: str, is_cross_robot: bool) -> str:
     return own
 
 
-def is_due_for_review(state: State, executor: str) -> bool:
+def is_due_for_review(state: State, executor: Robot) -> bool:
     """True when the executor's next admission is one that supervision density puts before a supervisor. Paper: sec:model:supervision."""
     every = density(state.supervision, executor)
     return every > 0 and (state.supervision.admissions.get(executor, 0) + 1) % every == 0
 
 
-def requester_of(request: Request) -> str | None:
+def requester_of(request: Request) -> Robot | None:
     """The requester, whom a record of the answer names."""
     return request.requester
 
 
-NameRequester = Callable[[Request], str | None]
+NameRequester = Callable[[Request], Principal | None]
 """Which requester an architecture has on record before anything is executed."""
 
 

@@ -1,7 +1,7 @@
 """Tasks go through their steps, whoever governs them. Paper: sec:evaluation:scenarios."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Subject
+from fsar_ledger.events.envelope import Robot, Subject, robot_named
 from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.task import StepBegan, StepCompleted, TaskAbandoned, TaskCompleted
 from fsar_ledger.events.world import TaskArrived
@@ -17,7 +17,7 @@ from .rejection import rejected, unknown_capability, unknown_robot
 class SubmitTask(PublicCommand):
     """Public: the robot is given a task, with steps as in `TaskArrived`. Units: `budget_us` microseconds from now."""
 
-    robot: str
+    robot: Robot
     task_id: str
     steps: tuple[str, ...]
     budget_us: int
@@ -63,9 +63,9 @@ def _impossible(state: State, command: SubmitTask) -> str | None:
     for step in command.steps:
         match step.split(" "):
             case [actor, capability]:
-                able = possesses(state.registry, f"robot/{actor}{team}", capability)
+                able = possesses(state.registry, robot_named(actor, team), capability)
             case [actor, capability, target] if target:
-                able = f"robot/{actor}{team}" in state.fleet.robots and unknown_capability(state, capability) is None
+                able = robot_named(actor, team) in state.fleet.robots and unknown_capability(state, capability) is None
             case _:
                 able = False
         if not able:
@@ -92,7 +92,7 @@ def begin_step(state: State, command: BeginStep) -> tuple[Event, ...]:
     return (
         StepBegan(
             subject=Subject(task.task_id, f"{task.task_id}/{task.step + 1}.{attempt}"),
-            robot=f"robot/{actor}{task.team}",
+            robot=robot_named(actor, task.team),
             step=task.step + 1,
             attempt=attempt,
             capability=capability,

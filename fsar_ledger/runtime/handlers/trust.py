@@ -2,7 +2,7 @@
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityRevoked
-from fsar_ledger.events.envelope import TRUST, TrustScope
+from fsar_ledger.events.envelope import TRUST, Robot, Supervisor, TrustScope
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.request import RequestClosed, RequestDenied
 from fsar_ledger.events.task import TaskAbandoned, TaskCompleted
@@ -21,9 +21,9 @@ BROADEST_BY_RECORD: TrustScope = "session"  # persistent trust is for an operato
 class SetTrust(PublicCommand):
     """A supervisor has the robot trust the peer with this scope: for one capability, in one context (task), or (None) for all."""
 
-    issued_by: str
-    robot: str
-    peer: str
+    issued_by: Supervisor
+    robot: Robot
+    peer: Robot
     scope: TrustScope
     capability: str | None = None
     context: str | None = None
@@ -33,7 +33,7 @@ class SetTrust(PublicCommand):
 class SetRoleTrust(PublicCommand):
     """H_F has every robot of the role trust every robot of the other with this scope, in a domain or (empty) in the whole fleet."""
 
-    issued_by: str
+    issued_by: Supervisor
     role: str
     peer_role: str
     scope: TrustScope
@@ -46,7 +46,7 @@ class SetRoleTrust(PublicCommand):
 class SetTrustThresholds(PublicCommand):
     """H_F has trust follow the record: so many successes in a row promote it, so many failures downgrade it; 0 is never."""
 
-    issued_by: str
+    issued_by: Supervisor
     promote_after: int
     downgrade_after: int
 
@@ -54,8 +54,8 @@ class SetTrustThresholds(PublicCommand):
 class AssessTrust(Command):
     """The robot's record of the peer has changed, in the context (None: in those that no trust is set for)."""
 
-    robot: str
-    peer: str
+    robot: Robot
+    peer: Robot
     capability: str
     context: str | None = None
 
@@ -66,7 +66,7 @@ class ExpireTrust(Command):
     task_id: str
 
 
-def trusts(state: State, executor: str, requester: str, capability: str, context: str | None = None) -> bool:
+def trusts(state: State, executor: Robot, requester: Robot, capability: str, context: str | None = None) -> bool:
     """TrustOK: the executor's trust in the requester covers what the capability's advertisement requires. Paper: eq:delegable."""
     if "trust-evaluation" in state.fleet.without:
         return True

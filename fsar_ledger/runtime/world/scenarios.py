@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from fsar_ledger.constants import WorldConstants
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Scenario, TrustScope, local_supervisor
+from fsar_ledger.events.envelope import Robot, Scenario, TrustScope, local_supervisor, robot_named
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled
 from fsar_ledger.events.trust import RoleTrustSet
@@ -126,9 +126,11 @@ DEGRADABLE: dict[Scenario, tuple[str, ...]] = {
 }
 
 
-def robots(fleet_size: int) -> tuple[tuple[str, str, int], ...]:
+def robots(fleet_size: int) -> tuple[tuple[Robot, str, int], ...]:
     """Name, role and team of every robot; a fleet of n = 4k has k teams of the four roles."""
-    return tuple((f"robot/{role}{team}", role, team) for team in range(1, fleet_size // 4 + 1) for role in CAPABILITIES)
+    return tuple(
+        (robot_named(role, team), role, team) for team in range(1, fleet_size // 4 + 1) for role in CAPABILITIES
+    )
 
 
 def floor_of(team: int, floor_teams: int) -> int:

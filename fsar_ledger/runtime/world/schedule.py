@@ -10,7 +10,15 @@ from math import inf
 
 from fsar_ledger.constants import END_US, Load, Outages, WorldConstants
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import PolicyOutcome, PolicyScope, Scenario, Workflow, local_supervisor
+from fsar_ledger.events.envelope import (
+    PolicyOutcome,
+    PolicyScope,
+    Robot,
+    Scenario,
+    Workflow,
+    local_supervisor,
+    robot_named,
+)
 from fsar_ledger.events.world import (
     ActuatorDegraded,
     ContextChanged,
@@ -153,7 +161,7 @@ def _arrivals(stream: Stream, mean_s: float, until_s: float) -> list[int]:
 
 
 def _window(
-    world: WorldConstants, stream: Stream, robot: str, scope: PolicyScope, name: str, opened_us: int
+    world: WorldConstants, stream: Stream, robot: Robot, scope: PolicyScope, name: str, opened_us: int
 ) -> list[Fact]:
     outcome: PolicyOutcome = "review" if stream.uniform() < world.review_share else "deny"
     closed_us = opened_us + stream.exponential_us(world.window_mean_s)
@@ -163,7 +171,7 @@ def _window(
     ]
 
 
-def _contexts(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
+def _contexts(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
     instants = _arrivals(Stream(key, f"context/{robot}"), _mean_s(world.context_rate_per_s), world.horizon_s)
     marks = Stream(key, f"context-window/{robot}")
     facts: list[Fact] = []
@@ -177,7 +185,7 @@ def _contexts(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
     return facts
 
 
-def _fleet_rules(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
+def _fleet_rules(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
     facts: list[Fact] = []
     for ordinal, time_us in enumerate(
         _arrivals(Stream(key, f"fleet-rule/{robot}"), _mean_s(world.fleet_rule_rate_per_s), world.horizon_s)
@@ -187,16 +195,16 @@ def _fleet_rules(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
     return facts
 
 
-def _obstructions(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
+def _obstructions(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
     return _in_the_way(world, key, robot, "obstruction", world.obstruction_rate_per_s)
 
 
-def _crowding(world: WorldConstants, key: bytes, robot: str, others: int) -> list[Fact]:
+def _crowding(world: WorldConstants, key: bytes, robot: Robot, others: int) -> list[Fact]:
     """So many robots of other teams are on the floor, and each is in the way now and then; a team keeps out of its own way."""
     return _in_the_way(world, key, robot, "crowding", world.crowding_rate_per_s * others)
 
 
-def _in_the_way(world: WorldConstants, key: bytes, robot: str, what: str, rate_per_s: float) -> list[Fact]:
+def _in_the_way(world: WorldConstants, key: bytes, robot: Robot, what: str, rate_per_s: float) -> list[Fact]:
     lengths = Stream(key, f"{what}-length/{robot}")
     facts: list[Fact] = []
     for ordinal, time_us in enumerate(_arrivals(Stream(key, f"{what}/{robot}"), _mean_s(rate_per_s), world.horizon_s)):
@@ -206,7 +214,7 @@ def _in_the_way(world: WorldConstants, key: bytes, robot: str, what: str, rate_p
     return facts
 
 
-def _routine(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
+def _routine(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
     marks = Stream(key, f"routine-operation/{robot}")
     instants = _arrivals(Stream(key, f"routine/{robot}"), _mean_s(world.routine_rate_per_s), world.routine_until_s)
     return [
@@ -215,7 +223,7 @@ def _routine(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
     ]
 
 
-def _absence(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
+def _absence(world: WorldConstants, key: bytes, robot: Robot) -> list[Fact]:
     start_s = (
         world.absence_from_s + (world.absence_to_s - world.absence_from_s) * Stream(key, f"absence/{robot}").uniform()
     )
@@ -226,7 +234,7 @@ def _absence(world: WorldConstants, key: bytes, robot: str) -> list[Fact]:
     return [(max(1, left_us), SupervisorLeft(supervisor)), (returned_us, SupervisorReturned(supervisor))]
 
 
-def _outages(outages: Outages, key: bytes, robot: str, until_s: float) -> list[Fact]:
+def _outages(outages: Outages, key: bytes, robot: Robot, until_s: float) -> list[Fact]:
     off, back = (Stream(key, f"{name}/{robot}") for name in ("off", "off-length"))
     down, up = (Stream(key, f"{name}/{robot}") for name in ("link", "link-length"))
     from_us, lost = (
@@ -275,7 +283,7 @@ def _spells(
     return facts
 
 
-def _encounters(world: WorldConstants, key: bytes, one: str, other: str) -> list[Fact]:
+def _encounters(world: WorldConstants, key: bytes, one: Robot, other: Robot) -> list[Fact]:
     instants = _arrivals(Stream(key, f"encounter/{one}/{other}"), world.encounter_mean_s, world.horizon_s)
     return [(time_us, PeersMet(one, other)) for time_us in instants]
 
@@ -303,7 +311,7 @@ def _tasks(world: WorldConstants, key: bytes, scenario: Scenario, team: int, loa
                 arrival_us,
                 TaskArrived(
                     task_id=task_id,
-                    robot=f"robot/{script.owner}{team}",
+                    robot=robot_named(script.owner, team),
                     team=team,
                     steps=script.steps,
                     budget_us=budget_us,
@@ -315,7 +323,7 @@ def _tasks(world: WorldConstants, key: bytes, scenario: Scenario, team: int, loa
         for ordinal in range(1, injection.times + 1):
             name = f"injected-{team}-{ordinal}"
             time_us = Stream(key, f"injection/{name}").within_us(world.injection)
-            requester, target = f"robot/{injection.requester}{team}", f"robot/{injection.target}{team}"
+            requester, target = robot_named(injection.requester, team), robot_named(injection.target, team)
             facts.append(
                 (
                     time_us,
@@ -329,6 +337,6 @@ def _tasks(world: WorldConstants, key: bytes, scenario: Scenario, team: int, loa
         stream = Stream(key, f"degradation/{team}")
         happens, which, onset = stream.uniform() < world.degradation_probability, stream.uniform(), stream.uniform()
         if happens:
-            robot = f"robot/{roles[int(which * len(roles))]}{team}"
+            robot = robot_named(roles[int(which * len(roles))], team)
             facts.append((max(1, round(onset * world.degradation_onset_s * 1e6)), ActuatorDegraded(robot)))
     return facts

@@ -8,7 +8,7 @@ from typing import NamedTuple, get_args
 
 from fsar_ledger.constants import WorldConstants
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Workflow
+from fsar_ledger.events.envelope import Workflow, robot_named
 from fsar_ledger.events.world import ActuatorDegraded, Grade, TaskArrived
 
 from .draws import Stream
@@ -76,7 +76,7 @@ def workflow_facts(world: WorldConstants, key: bytes, workflow: Workflow) -> lis
         budget_us = round(budget_s * 1e6)
         arrived = TaskArrived(
             task_id=f"{plan.owner}1-{ordinal}",
-            robot=f"robot/{plan.owner}1",
+            robot=robot_named(plan.owner, 1),
             team=1,
             steps=plan.steps,
             budget_us=budget_us,
@@ -86,6 +86,6 @@ def workflow_facts(world: WorldConstants, key: bytes, workflow: Workflow) -> lis
         )
         facts.append((arrival_us, arrived))
     facts += [
-        (arrival_us + WEAR_AFTER_US, ActuatorDegraded(f"robot/{wear.robot}1", wear.grade)) for wear in script.wear
+        (arrival_us + WEAR_AFTER_US, ActuatorDegraded(robot_named(wear.robot, 1), wear.grade)) for wear in script.wear
     ]
     return facts

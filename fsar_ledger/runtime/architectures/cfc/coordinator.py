@@ -59,7 +59,7 @@ def until_next_sync_us(state: State, now_us: int) -> int:
     return period_us - (now_us - offset_us) % period_us + 1
 
 
-def copied_policy(state: State, robot: str) -> PolicyOutcome:
+def copied_policy(state: State, robot: Robot) -> PolicyOutcome:
     """The robot's own policy as the copy shows it."""
     copy = state.knowledge.copy
     if robot in copy.local_deny:
@@ -67,7 +67,7 @@ def copied_policy(state: State, robot: str) -> PolicyOutcome:
     return "review" if robot in copy.local_review else "allow"
 
 
-def copied_rule(state: State, robot: str) -> PolicyOutcome:
+def copied_rule(state: State, robot: Robot) -> PolicyOutcome:
     """The fleet's rule for the robot's zone as the copy shows it."""
     copy = state.knowledge.copy
     if robot in copy.fleet_deny:
@@ -75,7 +75,7 @@ def copied_rule(state: State, robot: str) -> PolicyOutcome:
     return "review" if robot in copy.fleet_review else "allow"
 
 
-def candidates_of(state: State, action_id: str) -> tuple[str, ...]:
+def candidates_of(state: State, action_id: str) -> tuple[Robot, ...]:
     """Whom the coordinator considers for a step: its own robot, or every capable other one."""
     request = state.request[action_id]
     return capable(state, request.capability, request.requester) if request.is_delegated else (request.requester,)
@@ -88,7 +88,7 @@ def sync(state: State, _command: Sync) -> tuple[CopySynced, ...]:
     local = {robot: in_force(state.world.local, robot) for robot in state.world.local}
     fleet = {robot: in_force(state.world.fleet, robot) for robot in state.world.fleet}
 
-    def shown(before: tuple[str, ...], now: list[str]) -> tuple[str, ...]:
+    def shown(before: tuple[Robot, ...], now: list[Robot]) -> tuple[Robot, ...]:
         return (
             tuple(robot for robot in robots if robot in (before if robot in silent else now)) if silent else tuple(now)
         )

@@ -1,7 +1,7 @@
 """CFC: every failure goes to the coordinator, which retries, sends a helper, or calls H_F. Paper: sec:evaluation:baselines."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, Principals, Subject
+from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, Principals, Robot, Subject
 from fsar_ledger.events.execution import ExecutionFailed, ReplanOrdered
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
@@ -41,14 +41,14 @@ class ReachHelper(Command):
     """The order to help has reached the helper."""
 
     action_id: str
-    helper: str
+    helper: Robot
 
 
 class GoOnWithoutHelp(Command):
     """The coordinator has waited long enough for the helper's answer."""
 
     action_id: str
-    helper: str
+    helper: Robot
     failure: int
 
 

@@ -69,14 +69,14 @@ class ReceiveCommand(Command):
     """The command has reached the robot."""
 
     action_id: str
-    robot: str
+    robot: Robot
 
 
 class GoOnWithout(Command):
     """The coordinator has waited long enough for the robot's word that it has the command."""
 
     action_id: str
-    robot: str
+    robot: Robot
 
 
 class QueueOrdered(Command):
@@ -151,7 +151,7 @@ def command_reviewed(state: State, command: CommandReviewed) -> tuple[Event, ...
     return _commanded(request, robot, robot in state.knowledge.copy.busy)
 
 
-def _commanded(request: Request, robot: str, seen_busy: bool) -> tuple[Event, ...]:
+def _commanded(request: Request, robot: Robot, seen_busy: bool) -> tuple[Event, ...]:
     task_id, action_id = request.task_id, request.action_id
     claims = (
         AuthorityClaimed(Subject(task_id, action_id), "execution", COORDINATOR, "command"),
@@ -222,7 +222,7 @@ def queue_ordered(state: State, command: QueueOrdered) -> tuple[Event, ...]:
     return (*ended, _queued(request, request.target or request.requester))
 
 
-def _queued(request: Request, robot: str) -> ExecutionQueued:
+def _queued(request: Request, robot: Robot) -> ExecutionQueued:
     return ExecutionQueued(
         subject=request.subject,
         principals=Parties(requested_by=COORDINATOR, executed_by=robot, supervised_by=FLEET_SUPERVISOR),

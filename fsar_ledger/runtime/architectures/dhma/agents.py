@@ -4,7 +4,7 @@ from typing import Any
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
-from fsar_ledger.events.envelope import PolicyOutcome, agent
+from fsar_ledger.events.envelope import Agent, PolicyOutcome, Robot, agent
 from fsar_ledger.events.knowledge import PlannerEngaged, SnapshotTaken
 from fsar_ledger.events.request import ContractQuestioned
 from fsar_ledger.events.world import ContextChanged, SnapshotPhaseSet
@@ -22,21 +22,21 @@ from fsar_ledger.runtime.handlers.execution import pause_running
 class TakeSnapshot(Command):
     """A planner refreshes its snapshot of the robot's own policy."""
 
-    robot: str
+    robot: Robot
 
 
 class EngagePlanner(Command):
     """A context change needs the planner's attention, and puts open contracts in question."""
 
-    robot: str
+    robot: Robot
 
 
-def planner(robot: str) -> str:
+def planner(robot: Robot) -> Agent:
     """The robot's planning agent."""
     return agent(robot, "planning")
 
 
-def snapshot(state: State, robot: str) -> PolicyOutcome:
+def snapshot(state: State, robot: Robot) -> PolicyOutcome:
     """The robot's own policy as its planner last saw it."""
     return state.knowledge.snapshot.get(robot, "allow")
 
@@ -80,7 +80,7 @@ def _has_started(state: State, request: Request) -> bool:
 
 
 def claims(
-    state: State, action: Action, dimension: Any, claimants: tuple[str, ...], reason: str
+    state: State, action: Action, dimension: Any, claimants: tuple[Agent, ...], reason: str
 ) -> list[AuthorityClaimed]:
     """The claims that these agents make and do not hold already."""
     known = {

@@ -2,7 +2,7 @@
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
-from fsar_ledger.events.envelope import Parties, RequestSubject, Subject, agent
+from fsar_ledger.events.envelope import AgentKind, Parties, RequestSubject, Subject, agent
 from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.request import RequestAdmitted, RequestIssued
 from fsar_ledger.events.world import OutsiderRequestInjected
@@ -20,8 +20,8 @@ class PassExecution(Command):
 
     action_id: str
     round: int
-    sender: str
-    receiver: str
+    sender: AgentKind
+    receiver: AgentKind
 
 
 class AcknowledgeExecution(Command):
@@ -29,7 +29,7 @@ class AcknowledgeExecution(Command):
 
     action_id: str
     round: int
-    sender: str
+    sender: AgentKind
 
 
 class SettleBooking(Command):
@@ -57,7 +57,7 @@ def pass_execution(state: State, command: PassExecution) -> tuple[Event, ...]:
     action = _under_contract(state, command.action_id, command.round)
     if action is None:
         return ()
-    receiver = agent(action.robot, command.receiver)  # type: ignore[arg-type]
+    receiver = agent(action.robot, command.receiver)
     return (AuthorityClaimed(action.subject, "execution", receiver, command.receiver),)
 
 
@@ -66,7 +66,7 @@ def acknowledge_execution(state: State, command: AcknowledgeExecution) -> tuple[
     action = _under_contract(state, command.action_id, command.round)
     if action is None:
         return ()
-    sender = agent(action.robot, command.sender)  # type: ignore[arg-type]
+    sender = agent(action.robot, command.sender)
     return tuple(
         AuthorityReleased(Subject(claim.subject.task_id, claim.subject.action_id), "execution", sender, claim.reason)
         for claim in state.authority.claims.get(command.action_id, ())

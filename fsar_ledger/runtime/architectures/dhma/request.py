@@ -4,7 +4,7 @@ from typing import Any
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, PolicyOutcome, Robot, agent
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, Parties, PolicyOutcome, Principal, Robot, agent
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued
 from fsar_ledger.events.knowledge import BidReceived
 from fsar_ledger.events.registry import RegistryQueried
@@ -66,14 +66,14 @@ class EvaluateBid(Command):
     """A candidate's planner has the call and its snapshot before it."""
 
     action_id: str
-    robot: str
+    robot: Robot
 
 
 class ReceiveBid(Command):
     """A bid has been relayed to the requester's planner."""
 
     action_id: str
-    robot: str
+    robot: Robot
     outcome: PolicyOutcome
 
 
@@ -104,7 +104,7 @@ class AcceptAward(Command):
     action_id: str
 
 
-def best_bid(request: Request) -> tuple[str, PolicyOutcome] | None:
+def best_bid(request: Request) -> tuple[Robot, PolicyOutcome] | None:
     """The first bid that allows, else the first under review, else None."""
     for wanted in ("allow", "review"):
         for robot, outcome in request.bids:
@@ -238,7 +238,7 @@ def go_on_without(state: State, command: GoOnWithout) -> tuple[Event, ...]:
     return (_unanswered(state, request, request.target),)
 
 
-def _unanswered(state: State, request: Request, executor: str | None) -> RequestUnanswered:
+def _unanswered(state: State, request: Request, executor: Robot | None) -> RequestUnanswered:
     robot = request.requester
     principals = _parties(state, request, robot, executor).decided(*path(robot, ("communication",)))
     return RequestUnanswered(request.subject, principals, request.capability)
@@ -277,7 +277,7 @@ def accept_award(state: State, command: AcceptAward) -> tuple[Event, ...]:
     return tuple(made)
 
 
-def _claim(request: Request, dimension: Any, claimant: str, reason: str) -> AuthorityClaimed:
+def _claim(request: Request, dimension: Any, claimant: Principal, reason: str) -> AuthorityClaimed:
     return AuthorityClaimed(request.subject, dimension, claimant, reason)
 
 
@@ -296,7 +296,7 @@ def close_request(state: State, command: CloseRequest) -> tuple[Event, ...]:
     return (RequestClosed(request.request_subject, principals),)
 
 
-def call(state: State, request: Request, robot: str, before: tuple[Draw, ...] = ()) -> tuple[Scheduled, ...]:
+def call(state: State, request: Request, robot: Robot, before: tuple[Draw, ...] = ()) -> tuple[Scheduled, ...]:
     """The call reaches the candidate, whose agents work out a bid; `before` comes first."""
     key = f"{request.action_id}/{request.round}/{robot}"
     said, record = talk(state, robot, EVALUATION, key, "evaluate", (*before, message(request.requester, key, "call")))

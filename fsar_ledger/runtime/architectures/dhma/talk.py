@@ -49,7 +49,7 @@ RENEGOTIATION: Talk = (
 class HandOver(Command):
     """The agents of a robot have talked."""
 
-    robot: str
+    robot: Robot
     agents: Talk
 
 
@@ -68,7 +68,13 @@ def hand_over(state: State, command: HandOver) -> tuple[InternalHandoff, ...]:
 
 
 def talk(
-    state: State, robot: str, agents: Talk, key: str, name: int | str, before: tuple[Draw, ...] = (), after_us: int = 0
+    state: State,
+    robot: Robot,
+    agents: Talk,
+    key: str,
+    name: int | str,
+    before: tuple[Draw, ...] = (),
+    after_us: int = 0,
 ) -> Said:
     """How long it takes until these agents of the robot have talked, after what comes `before` (and `after_us`), and that it is put on record then."""
     said = (hop(state, key, name),) if len(agents) == 2 else hops(state, key, str(name), len(agents) - 1)

@@ -2,7 +2,7 @@
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityClaimed, AuthorityReleased
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, REGISTRY, Parties, Principals, RequestSubject, Subject
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, REGISTRY, Parties, Principals, RequestSubject, Robot, Subject
 from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued
 from fsar_ledger.events.knowledge import PeerRemembered
 from fsar_ledger.events.registry import RegistryQueried
@@ -21,7 +21,7 @@ from fsar_ledger.runtime.handlers.registry import Query, rejecting_filter
 class Revoke(Command):
     """A requester's context has changed while others execute for it."""
 
-    robot: str
+    robot: Robot
 
 
 class AnswerOutsider(Command):
@@ -33,8 +33,8 @@ class AnswerOutsider(Command):
 class RememberPeer(Command):
     """Two robots have met."""
 
-    robot: str
-    peer: str
+    robot: Robot
+    peer: Robot
 
 
 def released(state: State, action_id: str) -> tuple[AuthorityReleased, ...]:
@@ -121,7 +121,7 @@ def answer_outsider(state: State, command: AnswerOutsider) -> tuple[Event, ...]:
     )
 
 
-def _refused(state: State, task_id: str, robot: str, peer: str, capability: str) -> RegistryQueried:
+def _refused(state: State, task_id: str, robot: Robot, peer: Robot, capability: str) -> RegistryQueried:
     """The registry's answer to an outsider: not the robot that was asked for, by the filter that leaves it out (shown to nobody: visibility)."""
     record = advertisement(state.registry, peer, capability)
     by = None if record is None else rejecting_filter(state, Query(robot, capability, task_id), record)

@@ -7,7 +7,7 @@ moment at which somebody waited for its answer in vain until its own word that i
 from collections.abc import Iterable
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Availability
+from fsar_ledger.events.envelope import Availability, Robot
 from fsar_ledger.events.execution import ExecutionFailed
 from fsar_ledger.events.registry import AvailabilityChanged
 from fsar_ledger.events.supervision import ActuatorServiced
@@ -21,17 +21,17 @@ from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reac
 class ReportActuator(Command):
     """The robot's word about its actuator has reached the registry: degraded, or (False) in order again."""
 
-    robot: str
+    robot: Robot
     is_degraded: bool
 
 
 class ReportBack(Command):
     """The robot's word that it can be asked again has reached the registry."""
 
-    robot: str
+    robot: Robot
 
 
-def found_silent(state: State, robots: Iterable[str]) -> tuple[AvailabilityChanged, ...]:
+def found_silent(state: State, robots: Iterable[Robot]) -> tuple[AvailabilityChanged, ...]:
     """The registry has those offline who did not answer; without one nobody is told."""
     if "shared-registry" in state.fleet.without:
         return ()
@@ -50,7 +50,7 @@ def report_back(state: State, command: ReportBack) -> tuple[AvailabilityChanged,
     return _present(state, command.robot)
 
 
-def _present(state: State, robot: str, is_serviced: bool = False) -> tuple[AvailabilityChanged, ...]:
+def _present(state: State, robot: Robot, is_serviced: bool = False) -> tuple[AvailabilityChanged, ...]:
     worn: dict[Availability, Availability] = (
         {"ready": "degraded", "busy": "degraded"} if robot in state.world.degraded else {}
     )

@@ -64,7 +64,7 @@ def _goes_first(state: State, order: Order, rival: Request) -> bool:
     return order.preferred == rival.action_id and rival.action_id in state.contention.arrived and rival.offered is None
 
 
-def _rivals(state: State, request: Request, executor: str) -> list[Request]:
+def _rivals(state: State, request: Request, executor: Robot) -> list[Request]:
     """The requests of other tasks that are not yet admitted, for the same robot, where one of both is time-critical."""
     if not any(task.is_time_critical for task in state.task.values()):
         return []

@@ -1,7 +1,7 @@
 """FSAR: a robot that lacks a capability asks the registry, or the peers it met, who could help. Paper: sec:model:request, phases 1 and 2."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Parties, Principals
+from fsar_ledger.events.envelope import Parties, Principals, Robot
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import GapDetected, PeerSought, RequestUnanswered
 from fsar_ledger.events.task import StepBegan
@@ -14,7 +14,7 @@ from fsar_ledger.runtime.handlers.commands import Actors, Command, Decides, Reac
 from fsar_ledger.runtime.handlers.registry import Answer, Query, candidates, queried, rejecting_filter
 from fsar_ledger.runtime.handlers.trust import trusts
 
-Found = tuple[tuple[str, ...], str | None]  # candidates, relay
+Found = tuple[tuple[Robot, ...], Robot | None]  # candidates, relay
 
 
 class DetectGap(Command):
@@ -29,7 +29,7 @@ class QueryRegistry(Command):
     action_id: str
 
 
-def discover(state: State, request: Request) -> tuple[Answer, str | None]:
+def discover(state: State, request: Request) -> tuple[Answer, Robot | None]:
     """What the registry may show the requester, idle first; else one robot behind a doubly trusted peer, and that peer.
 
     Paper: sec:architecture:registry, eq:nontransitive.
@@ -49,7 +49,7 @@ def discover(state: State, request: Request) -> tuple[Answer, str | None]:
     return answer, None
 
 
-def _untrusting(state: State, query: Query, answer: Answer) -> list[str]:
+def _untrusting(state: State, query: Query, answer: Answer) -> list[Robot]:
     """The robots that only their lack of trust left out, nearest team first: a peer that both trust may ask them."""
     found = []
     for name, by in zip(answer.rejected, answer.rejected_by, strict=True):
@@ -59,7 +59,7 @@ def _untrusting(state: State, query: Query, answer: Answer) -> list[str]:
     return found
 
 
-def _visible(state: State, request: Request) -> list[str]:
+def _visible(state: State, request: Request) -> list[Robot]:
     """Capable robots whose advertisement the requester's role may see, nearest team first. Paper: eq:advertise."""
     role = state.fleet.robots[request.requester].role
     roles = {offer.robot: offer.visible_to for offer in offers(state.registry.offers, request.capability)}
@@ -71,7 +71,7 @@ def _visible(state: State, request: Request) -> list[str]:
     ]
 
 
-def _relays(state: State, request: Request, name: str) -> list[str]:
+def _relays(state: State, request: Request, name: Robot) -> list[Robot]:
     """Peers that both the requester and the executor trust, so that each link is admissible by itself, nearest team first."""
     others = [
         peer
@@ -112,7 +112,7 @@ def _among_met(state: State, request: Request, now_us: int) -> Found:
     """The same without a registry: only robots that were met lately, each link of a chain by itself."""
     met = state.knowledge.met
 
-    def knows(robot: str, peer: str) -> bool:
+    def knows(robot: Robot, peer: Robot) -> bool:
         return met.get((robot, peer), -1) >= now_us
 
     visible = _visible(state, request)
@@ -133,7 +133,7 @@ def _among_met(state: State, request: Request, now_us: int) -> Found:
     return (), None
 
 
-def unanswered(state: State, request: Request, executor: str | None = None) -> RequestUnanswered:
+def unanswered(state: State, request: Request, executor: Robot | None = None) -> RequestUnanswered:
     """The requester knows of nobody to ask, or has waited for the word of this executor in vain."""
     robot = request.requester
     supervisor = on_shift(state, robot)
@@ -144,7 +144,7 @@ def unanswered(state: State, request: Request, executor: str | None = None) -> R
     )
 
 
-def _met(state: State, request: Request, found: tuple[str, ...], relay: str | None) -> RegistryQueried:
+def _met(state: State, request: Request, found: tuple[Robot, ...], relay: Robot | None) -> RegistryQueried:
     """The record of an answer from memory: no registry, so nobody says why others were left out."""
     query = Query(request.requester, request.capability, request.task_id)
     answer = Answer(found, (request.capability,) * len(found), (), ())

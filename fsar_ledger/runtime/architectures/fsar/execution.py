@@ -1,7 +1,7 @@
 """FSAR: the robot that executes decides when; own steps and routine need nobody else. Paper: sec:architecture:local."""
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import POLICY, Parties, PolicyOutcome, Principal, Principals
+from fsar_ledger.events.envelope import POLICY, Parties, PolicyOutcome, Principal, Principals, Robot
 from fsar_ledger.events.execution import (
     ExecutionHeld,
     ExecutionPaused,
@@ -44,8 +44,8 @@ class DecideOwnStep(Command):
 class LearnFleetRule(Command):
     """Word of the fleet's rule has reached the robot."""
 
-    robot: str
-    outcome: str
+    robot: Robot
+    outcome: PolicyOutcome
     as_of_us: int
 
 
@@ -132,7 +132,7 @@ def learn_fleet_rule(state: State, command: LearnFleetRule) -> tuple[Event, ...]
     """The robot knows the rule, unless newer word has overtaken this one."""
     if command.as_of_us < state.knowledge.fleet_rule_as_of_us.get(command.robot, 0):
         return ()
-    return (FleetRuleLearned(command.robot, command.outcome, command.as_of_us),)  # type: ignore[arg-type]
+    return (FleetRuleLearned(command.robot, command.outcome, command.as_of_us),)
 
 
 def _on_step(_state: State, event: StepBegan, _now_us: int) -> tuple[Scheduled, ...]:
@@ -162,7 +162,7 @@ def _on_rule(state: State, event: PolicyRuleSet | RolePolicyRuleSet, _now_us: in
     return tuple(start for robot in robots for start in _let_go(state, robot))
 
 
-def _let_go(state: State, robot: str) -> tuple[Scheduled, ...]:
+def _let_go(state: State, robot: Robot) -> tuple[Scheduled, ...]:
     """The robot starts what its own policy held, if nothing holds it any more."""
     action = state.execution.actions.get(state.execution.current.get(robot, ""))
     if action is None or action.stage != "held" or holding(state, action)[0] != "allow":

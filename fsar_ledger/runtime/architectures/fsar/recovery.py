@@ -4,7 +4,7 @@ A failure creates no authority: who helps or takes over is judged by the trust a
 """
 
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import FLEET_SUPERVISOR, RECOVERY, Parties, Principals, RecoveryLevel
+from fsar_ledger.events.envelope import FLEET_SUPERVISOR, RECOVERY, Parties, Principals, RecoveryLevel, Robot
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionWithdrawn
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
@@ -250,7 +250,7 @@ def consider_reassignment(state: State, command: ConsiderReassignment) -> tuple[
             return ()
 
 
-def _handed_over(state: State, action: Action, recovery: Recovery, helper: str, resume_at: str) -> tuple[Event, ...]:
+def _handed_over(state: State, action: Action, recovery: Recovery, helper: Robot, resume_at: str) -> tuple[Event, ...]:
     """The helper holds the state of the task, and the step waits at it; the robot that failed is free."""
     done = state.task[action.task_id].steps[: action.step - 1]
     return (
