@@ -19,7 +19,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parent.parent))
 
 from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
-from fsar_ledger.events.envelope import Robot
+from fsar_ledger.events.envelope import Robot, robot_named
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.registry import AvailabilityChanged, CapabilityAdvertised, CapabilityInstalled
 from fsar_ledger.events.trust import TrustSet
@@ -47,10 +47,10 @@ def cell(number: int, cells: int) -> str:
 def founding(size: int) -> Iterator[Event]:
     yield run_started(RunSpec(1, "fsar", "full", "door-relay", size, 0), Constants())
     cells = size // 4
-    last = f"robot/D{cells}"
+    last = robot_named("D", cells)
     for team in range(1, cells + 1):
         for role, capabilities in CAPABILITIES.items():
-            robot = f"robot/{role}{team}"
+            robot = robot_named(role, team)
             yield RobotJoined(robot=robot, role=role, team=team, supervisor=None, domain=cell(team - 1, cells))
             for capability in (*capabilities, *((FAR,) if robot == last else ())):
                 yield CapabilityInstalled(robot=robot, capability=capability, version="1.0.0")
@@ -83,7 +83,7 @@ def median_us(work: Callable[[Query], str], queries: list[Query]) -> tuple[float
     return statistics.median(spent) / 1000, found
 
 
-def median_update_us(state: State, robots: list[str]) -> float:
+def median_update_us(state: State, robots: list[Robot]) -> float:
     spent = []
     for robot in robots:
         changed = AvailabilityChanged(robot=robot, capability=NEAR, availability="busy", reason="benchmark")
@@ -114,7 +114,7 @@ def main() -> int:
         if expected != [*found, *found_far][every]:
             print(f"differs: {size} robots: look-up and scan find other robots", file=sys.stderr)
             return 1
-        rows.append((near_us, far_us, median_update_us(state, [f"robot/B{team}" for team in teams]), scan_us))
+        rows.append((near_us, far_us, median_update_us(state, [robot_named("B", team) for team in teams]), scan_us))
         print(f"{size:>6,} {near_us:>10.1f} {far_us:>9.1f} {rows[-1][2]:>12.1f} {scan_us:>10.1f}", flush=True)
     for name, column, goal in (
         ("near look-up", 0, "flat"),

@@ -173,7 +173,10 @@ def test_a_robot_serves_one_at_a_time_in_order_of_arrival(moves: list[int]) -> N
         else:
             state = execution.evolve(state, ExecutionWithdrawn(Subject(model[-1], model[-1]), Robot("robot/A1")))
             model.pop()
-        assert [*([state.current[Robot("robot/A1")]] if model else []), *state.queues.get("robot/A1", ())] == model
+        assert [
+            *([state.current[Robot("robot/A1")]] if model else []),
+            *state.queues.get(Robot("robot/A1"), ()),
+        ] == model
 
 
 def test_events_are_immutable_to_the_leaves() -> None:

@@ -19,7 +19,12 @@ from fsar_ledger.events.registry import (
 from fsar_ledger.projections import registry
 from fsar_ledger.projections.registry import Offers, Registry, advertisement, enclosing, offers, surface
 
-DOMAINS = {"robot/A1": "", "robot/B1": "hall", "robot/C1": "hall/cell", "robot/D1": "yard/cell/rack"}
+DOMAINS = {
+    Robot("robot/A1"): "",
+    Robot("robot/B1"): "hall",
+    Robot("robot/C1"): "hall/cell",
+    Robot("robot/D1"): "yard/cell/rack",
+}
 
 
 def populated() -> Registry:

@@ -131,7 +131,7 @@ def test_a_failed_result_counts_against_the_executor_and_a_partial_one_only_ends
 
 
 def test_success_after_a_reassignment_is_that_of_the_robot_that_executed() -> None:
-    other = "robot/D1"
+    other = Robot("robot/D1")
     assert folded(issued(), failed(), closed(by=other)).records == {
         OF_EXECUTOR: Record(0, 1),
         (A, other, DOOR, None): Record(1, 0),

@@ -72,7 +72,7 @@ def _events(
     for number in range(bad):
         action = f"t1/{number + 2}"
         yield 3, _decision(action, Coordinator("coordinator"), (Robot("robot/A1"), Coordinator("coordinator")))
-        for claimant in ("robot/A1", "coordinator"):
+        for claimant in (Robot("robot/A1"), Coordinator("coordinator")):
             yield (
                 3,
                 AuthorityClaimed(Subject("t1", action), dimension="override", claimant=claimant, reason="execution"),
@@ -107,7 +107,7 @@ def _events(
 
 
 def _decision(action: str, decided_by: Principal, path: tuple[Principal, ...]) -> Event:
-    origin = "robot/A1" if decided_by == "robot/A1" else None
+    origin = Robot("robot/A1") if decided_by == "robot/A1" else None
     return OwnStepDecided(
         Subject("t1", action),
         Principals(

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from fsar_ledger.constants import DURATIONS, Constants, Range, WorldConstants
 from fsar_ledger.events import AnyEvent, Event
 from fsar_ledger.events.concerns import CONCERNS
-from fsar_ledger.events.envelope import Robot, Supervisor
+from fsar_ledger.events.envelope import Robot, Supervisor, robot_named
 from fsar_ledger.events.fleet import RobotJoined, RunStarted
 from fsar_ledger.events.registry import CapabilityAdvertised, CapabilityInstalled
 from fsar_ledger.events.trust import TrustSet
@@ -91,7 +91,7 @@ def founding(
 
     With a helper there is one robot more that can do everything for everybody and that no command names.
     """
-    names = [f"robot/{role}{team}" for role, team, *_ in fleet]
+    names = [robot_named(role, team) for role, team, *_ in fleet]
     parameters = msgspec.json.encode(Constants(), order="deterministic").decode()
     events: list[Event] = [
         RunStarted(

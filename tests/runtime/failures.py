@@ -10,7 +10,7 @@ from fsar_ledger.events.world import TaskArrived
 from fsar_ledger.projections.fold import State, apply
 from tests.runtime.histories import given
 
-A, B, C, D = "robot/A1", "robot/B1", "robot/C1", "robot/D1"
+A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
 STEPS = ("A navigate.indoor", "A carry.package")
 ACTION = "A1-1/2.1"
 

@@ -30,7 +30,7 @@ D_TOO = TrustSet(
 
 def helped(
     *before: Event, robot: Robot = B, capability: str = DOOR, cause: FailureCause = "obstruction"
-) -> tuple[State, str]:
+) -> tuple[State, Robot]:
     """A failure with which a peer is helping now, and that peer."""
     state = failed(executing(robot, capability, *before), "peer", cause)
     made = ask_peers(state, AskPeers(ACTION, 2_500_000, now_us=3_000_000))

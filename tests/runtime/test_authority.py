@@ -189,7 +189,9 @@ def test_in_a_whole_run_a_running_action_outlives_its_revocation() -> None:
         (("robot/B1", None, "rounds"), False),
     ],
 )
-def test_a_revocation_is_about_what_it_names(about: tuple[str | None, str | None, str | None], is_denied: bool) -> None:
+def test_a_revocation_is_about_what_it_names(
+    about: tuple[Robot | None, str | None, str | None], is_denied: bool
+) -> None:
     state = given(
         "fsar",
         AuthorityRevoked(
@@ -217,7 +219,7 @@ def test_a_later_grant_lifts_a_revocation() -> None:
 
 def test_what_the_relay_may_ask_does_not_lift_a_revocation_of_the_requester() -> None:
     assert verdict(relayed(), "A1-1/2.1") == ("accept", None)
-    for robot in ("robot/D1", "robot/A1"):
+    for robot in (Robot("robot/D1"), Robot("robot/A1")):
         assert verdict(
             relayed(
                 AuthorityRevoked(

@@ -155,7 +155,7 @@ def test_the_command_says_whether_the_robot_was_seen_busy() -> None:
 
 def test_a_context_change_of_either_party_claims_override_against_the_coordinator() -> None:
     state = running()
-    for robot in ("robot/A1", "robot/B1"):
+    for robot in (Robot("robot/A1"), Robot("robot/B1")):
         [claim] = safe_stop(state, SafeStop(robot, None))
         assert claim == AuthorityClaimed(Subject("A1-1", ACTION), "override", robot, "safe stop")
     assert safe_stop(state, SafeStop(Robot("robot/C1"), None)) == ()

@@ -240,7 +240,7 @@ def test_an_outsider_has_no_contract_to_be_questioned_or_voided() -> None:
     )
     for event in run_outsider(state, RunOutsider("injected-1-1")):
         apply(state, event)
-    for robot in ("robot/C1", "robot/D1"):
+    for robot in (Robot("robot/C1"), Robot("robot/D1")):
         assert types(engage_planner(state, EngagePlanner(robot, now_us=5_000_000))) == ["PlannerEngaged"]
 
 

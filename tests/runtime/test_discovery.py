@@ -102,7 +102,7 @@ def test_a_search_that_ends_in_its_own_domain_reads_no_other() -> None:
         RobotJoined(robot=Robot("robot/B8"), role="B", team=1, supervisor=None, domain="yard"),
         TrustSet(robot=Robot("robot/B8"), peer=Robot("robot/A9"), scope="task"),
     )
-    for robot in ("robot/B9", "robot/B8"):
+    for robot in (Robot("robot/B9"), Robot("robot/B8")):
         apply(state, CapabilityInstalled(robot=robot, capability="lift", version="1.0.0"))
         apply(state, CapabilityAdvertised(robot=robot, capability="lift"))
     whole = state.registry.offers

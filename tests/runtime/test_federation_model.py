@@ -19,7 +19,7 @@ from hypothesis.stateful import (
 )
 
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import OverrideLevel, Result
+from fsar_ledger.events.envelope import OverrideLevel, Result, Robot
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.registry import RegistryQueried
 from fsar_ledger.events.request import RequestIssued
@@ -70,7 +70,7 @@ class Federation(RuleBasedStateMachine):
         assert self.bench is not None
         return self.bench
 
-    def robot(self, data: st.DataObject) -> str:
+    def robot(self, data: st.DataObject) -> Robot:
         return data.draw(st.sampled_from([name for name in self.live.state.fleet.robots if name != HELPER]))
 
     def new(self, kind: str) -> str:

@@ -42,7 +42,7 @@ def test_the_teams_of_robots_that_join_later_are_as_far_away_as_their_numbers_sa
         "fsar",
         *(RobotJoined(robot=Robot(f"robot/E{team}"), role="E", team=team, supervisor=None) for team in (2, 3, 4)),
     )
-    near = ["robot/B1", "robot/E2", "robot/E3", "robot/E4"]
+    near = [Robot(f"robot/{name}") for name in ("B1", "E2", "E3", "E4")]
     assert nearest_first(state, near, Robot("robot/E3")) == ("robot/E3", "robot/E4", "robot/B1", "robot/E2")
 
 

@@ -356,8 +356,8 @@ def test_the_queue_is_that_of_a_plain_model_and_nothing_is_lost_or_doubled(
             name = model.leaves(ordinal % len(model.waiting))
             state = execution.evolve(state, ExecutionWithdrawn(Subject("t", name), Robot("robot/B1")))
             alive.discard(name)
-        assert state.current.get("robot/B1") == model.serving
-        assert state.queues.get("robot/B1", ()) == tuple(name for name, _, _ in model.waiting)
+        assert state.current.get(Robot("robot/B1")) == model.serving
+        assert state.queues.get(Robot("robot/B1"), ()) == tuple(name for name, _, _ in model.waiting)
         assert {model.serving, *(name for name, _, _ in model.waiting)} - {None} == alive
 
 
@@ -469,13 +469,17 @@ def test_in_any_run_every_request_is_executed_once_one_at_a_time(wanted: list[tu
 
 OFFERS = [
     msgspec.structs.replace(CapabilityAdvertised(robot=robot, capability=capability), override_allowed="emergency-only")
-    for robot, capability in (("robot/A1", "carry.package"), ("robot/B1", DOOR), ("robot/D1", "carry.heavy"))
+    for robot, capability in (
+        (Robot("robot/A1"), "carry.package"),
+        (Robot("robot/B1"), DOOR),
+        (Robot("robot/D1"), "carry.heavy"),
+    )
 ]
 PAIRS = (
-    ("robot/C1", "robot/B1", DOOR),
-    ("robot/A1", "robot/B1", DOOR),
-    ("robot/D1", "robot/A1", "carry.package"),
-    ("robot/A1", "robot/D1", "carry.heavy"),
+    (Robot("robot/C1"), Robot("robot/B1"), DOOR),
+    (Robot("robot/A1"), Robot("robot/B1"), DOOR),
+    (Robot("robot/D1"), Robot("robot/A1"), "carry.package"),
+    (Robot("robot/A1"), Robot("robot/D1"), "carry.heavy"),
 )
 
 

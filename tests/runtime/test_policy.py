@@ -35,7 +35,7 @@ from fsar_ledger.runtime.handlers.policy import (
 from tests.runtime.governed import H_F, governed
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, types, window
 
-A, B, C = Robot("robot/A1"), Robot("robot/B1"), "robot/C1"
+A, B, C = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1")
 DOOR = "door.open.secure"
 H_B = Supervisor("supervisor/B1")
 REQUESTED = (
@@ -135,7 +135,7 @@ def test_the_fleet_supervisor_rules_by_role_and_a_robot_stays_an_exception() -> 
     )
     apply(state, event)
     apply(state, RobotJoined(robot=Robot("robot/B7"), role="B", team=7, supervisor=None, domain="hall"))
-    assert [fleet_policy(state, robot, DOOR, None) for robot in (B, "robot/B7", "robot/B8", A)] == [
+    assert [fleet_policy(state, robot, DOOR, None) for robot in (B, Robot("robot/B7"), Robot("robot/B8"), A)] == [
         "allow",
         "deny",
         "deny",
@@ -143,7 +143,9 @@ def test_the_fleet_supervisor_rules_by_role_and_a_robot_stays_an_exception() -> 
     ]
     [event] = set_role_policy_rule(state, SetRolePolicyRule(H_F, "B", "review", "yard", DOOR))
     apply(state, event)
-    assert [fleet_policy(state, robot, DOOR, None) for robot in (B, "robot/B7", "robot/B8", "robot/B9")] == [
+    assert [
+        fleet_policy(state, robot, DOOR, None) for robot in (B, *(Robot(f"robot/B{team}") for team in (7, 8, 9)))
+    ] == [
         "allow",
         "deny",
         "review",

@@ -26,7 +26,7 @@ def test_a_supervisor_in_charge_sets_a_recovery_budget(issued_by: Supervisor) ->
         (SetRecoveryBudget(Supervisor("supervisor/fleet"), Robot("robot/Z9"), "peer", 1, 1), "unknown robot robot/Z9"),
         (SetRecoveryBudget(Supervisor("supervisor/Z9"), A, "peer", 1, 1), "unknown supervisor supervisor/Z9"),
         (SetRecoveryBudget(Supervisor("supervisor/B1"), A, "peer", 1, 1), "supervisor/B1 does not supervise robot/A1"),
-        (SetRecoveryBudget(A, A, "peer", 1, 1), "unknown supervisor robot/A1"),
+        (SetRecoveryBudget(Supervisor(A), A, "peer", 1, 1), "unknown supervisor robot/A1"),
         (SetRecoveryBudget(Supervisor("supervisor/A1"), A, "cosmic", 1, 1), "level cosmic"),
         (SetRecoveryBudget(Supervisor("supervisor/A1"), A, "local", -1, 1), "at least 0"),
         (SetRecoveryBudget(Supervisor("supervisor/A1"), A, "local", 1, -1), "at least 0"),

@@ -36,12 +36,11 @@ from fsar_ledger.runtime.handlers.registry import (
 )
 from tests.runtime.histories import given, started, types, window
 
+B1, E1 = Robot("robot/B1"), Robot("robot/E1")
 ASKING = Query(Robot("robot/A1"), "door.open.secure", "A1-1")
 
 
-def offered(
-    robot: Robot = Robot("robot/B1"), capability: str = "door.open.secure", **fields: Any
-) -> CapabilityAdvertised:
+def offered(robot: Robot = B1, capability: str = "door.open.secure", **fields: Any) -> CapabilityAdvertised:
     """Another advertisement of what the robot offers."""
     return CapabilityAdvertised(robot=robot, capability=capability, **fields)
 
@@ -196,9 +195,7 @@ def test_without_trust_evaluation_nobody_hides_and_nobody_distrusts() -> None:
     )
 
 
-def second(
-    robot: Robot = Robot("robot/E1"), version: str = "1.0.0", domain: str = "", **fields: Any
-) -> tuple[Event, ...]:
+def second(robot: Robot = E1, version: str = "1.0.0", domain: str = "", **fields: Any) -> tuple[Event, ...]:
     """Another robot that can open the door and trusts A1."""
     return (
         RobotJoined(robot=robot, role="B", team=1, supervisor=None, domain=domain),
@@ -450,7 +447,7 @@ def test_a_copy_for_nobody_is_rejected() -> None:
     assert types(cache_registry(given("fsar"), CacheRegistry(Robot("robot/Z9")))) == ["CommandRejected"]
 
 
-ROBOTS = tuple(f"robot/{letter}{team}" for letter in "EFGHK" for team in (1, 2))
+ROBOTS = tuple(Robot(f"robot/{letter}{team}") for letter in "EFGHK" for team in (1, 2))
 RECORDS = st.builds(
     offered,
     st.sampled_from(ROBOTS),
@@ -499,7 +496,7 @@ def populated(changes: list[Event], domains: dict[str, str]) -> State:
     """A1 and ten more robots, each in its domain, after these changes."""
     joined = [
         RobotJoined(robot=robot, role=robot[6], team=int(robot[7]), supervisor=None, domain=domains.get(robot, ""))
-        for robot in ("robot/A1", *ROBOTS)
+        for robot in (Robot("robot/A1"), *ROBOTS)
     ]
     modules = [
         CapabilityInstalled(robot=robot, capability=name, version="1.0.0")

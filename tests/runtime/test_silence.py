@@ -36,7 +36,7 @@ ANSWER_US = round(Outages().answer_s * S)
 CALM = msgspec.structs.replace(
     OURS, **QUIET, **LAWLESS, context_rate_per_s=0.0, routine_rate_per_s=0.0, encounter_mean_s=5.0
 )
-A, B, B2, DOOR = Robot("robot/A1"), Robot("robot/B1"), "robot/B2", "door.open.secure"
+A, B, B2, DOOR = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/B2"), "door.open.secure"
 TASK = TaskArrived(task_id="A1-1", robot=A, team=1, steps=(f"A {DOOR} B",), budget_us=90 * S, due_us=91 * S)
 
 
@@ -305,7 +305,7 @@ def test_a_silent_robot_that_nobody_would_choose_is_not_waited_for() -> None:
     facts: list[Fact] = [(S, own), (S + 100, ObstructionAppeared(A, "o"))]
     calm = of(ran("fsar", facts), AssistanceAdmitted)
     assert [event.helper for _, event in calm if isinstance(event, AssistanceAdmitted)] == [B]
-    for far in ("robot/D1", "robot/D2", B2):
+    for far in (Robot("robot/D1"), Robot("robot/D2"), B2):
         off = ran("fsar", [(1, RobotWentOff(far)), *facts])
         assert of(off, AssistanceAdmitted) == calm, far
         assert of(off, AvailabilityChanged) == []

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from fsar_ledger.events import Event
 from fsar_ledger.events.command import CommandRejected
-from fsar_ledger.events.envelope import Parties, Principal, Principals, RequestSubject, Robot, Subject, Supervisor
+from fsar_ledger.events.envelope import Parties, Principals, RequestSubject, Robot, Subject, Supervisor
 from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued, ExecutionStarted
 from fsar_ledger.events.fleet import RobotJoined
 from fsar_ledger.events.recovery import FailureResolved
@@ -69,7 +69,7 @@ def refusal(events: tuple[Event, ...]) -> str:
     return one.reason
 
 
-def admitted(robot: Principal, ordinal: int = 0) -> RequestAdmitted:
+def admitted(robot: Robot, ordinal: int = 0) -> RequestAdmitted:
     return RequestAdmitted(
         subject=RequestSubject("t1", f"t1/{ordinal}", f"t1/{ordinal}"),
         principals=Principals(decided_by=robot, requested_by=A, executed_by=robot, supervised_by=None, path=(robot,)),
@@ -252,9 +252,7 @@ def test_a_supervisor_who_answers_says_whether_they_approve() -> None:
 
 
 @pytest.mark.parametrize(("issued_by", "robot"), [(H_B, B), (H_F, B), (H_F, None)])
-def test_density_is_set_by_the_robots_own_supervisor_or_the_fleets(
-    issued_by: Supervisor, robot: Principal | None
-) -> None:
+def test_density_is_set_by_the_robots_own_supervisor_or_the_fleets(issued_by: Supervisor, robot: Robot | None) -> None:
     [event] = set_supervision_density(given("fsar"), SetSupervisionDensity(issued_by, robot, 3, "night shift"))
     assert event == SupervisionDensitySet(robot=robot, review_every=3, decided_by=issued_by, reason="night shift")
 
@@ -275,7 +273,7 @@ def test_density_that_cannot_be_set_is_rejected(command: SetSupervisionDensity, 
 
 def test_nobody_speaks_for_a_robot_without_a_supervisor_but_the_fleets() -> None:
     state = given("fsar", RobotJoined(robot=Robot("robot/X1"), role="A", team=1, supervisor=None))
-    nobody: str = None  # type: ignore[assignment]
+    nobody: Supervisor = None  # type: ignore[assignment]
     assert refusal(set_supervision_density(state, SetSupervisionDensity(nobody, Robot("robot/X1"), 3, ""))).startswith(
         "unknown supervisor"
     )

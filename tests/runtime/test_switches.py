@@ -5,7 +5,7 @@ import pytest
 
 from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.events.configuration import Configuration
-from fsar_ledger.events.envelope import Architecture, P, Principals, RequestSubject, Scenario
+from fsar_ledger.events.envelope import Architecture, Principal, Principals, RequestSubject, Robot, Scenario, Service
 from fsar_ledger.events.execution import ExecutionHeld, ExecutionQueued, RoutineWithheld
 from fsar_ledger.events.knowledge import WorkQueued
 from fsar_ledger.events.recovery import RecoveryAttempted, RecoveryAttemptFailed
@@ -49,7 +49,7 @@ def test_the_check_again_of_delegated_work_and_the_one_check_of_own_work_are_two
     assert held | {"motion" for event in events if isinstance(event, RoutineWithheld)} == expected
 
 
-def of_recovery(attempts: int, budget_us: int) -> tuple[list[tuple[int, str | None]], list[int], set[str]]:
+def of_recovery(attempts: int, budget_us: int) -> tuple[list[tuple[int, Principal | None]], list[int], set[str]]:
     """The attempts with who decided them, those that failed, and what of recovery the coordinator was given."""
     given = Constants()
     structure = msgspec.structs.replace(given.structure, local_attempts=attempts, local_budget_us=budget_us)
@@ -98,16 +98,16 @@ def test_who_is_not_known_is_on_record_as_nobody_and_not_as_an_empty_name() -> N
     closed = RequestClosed(
         RequestSubject("task", "action", "action"),
         Principals(
-            decided_by=P("coordination"),
+            decided_by=Service("coordination"),
             requested_by=None,
             executed_by=None,
             supervised_by=None,
-            path=(P("coordination"),),
+            path=(Service("coordination"),),
         ),
     )
     [(unknown, no_path), (known, path)] = [
         (one.principals.decided_by, one.principals.path)  # type: ignore[attr-defined]
-        for one in (_decided_by(closed, name) for name in (None, "robot/a"))
+        for one in (_decided_by(closed, name) for name in (None, Robot("robot/a")))
     ]
     assert (unknown, no_path) == (None, ())
     assert (known, path) == ("robot/a", ("robot/a",))
