@@ -17,14 +17,14 @@ BIN := .venv/bin
 READY := .venv/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test check check-style check-types check-sql check-imports soak soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers soak-reverts soak-sensitivity bench docs sbom clean
+.PHONY: help setup reproduce test check check-style check-types check-sql check-imports soak soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers soak-reverts soak-swaps soak-sensitivity bench docs sbom clean
 
 help:
 	@echo "make setup      a .venv with the command fsar-ledger in it"
 	@echo "make reproduce  simulate the paper's experiments, measure them, typeset the report into $(OUT)/"
 	@echo "make test       every check and every test"
 	@echo "make check      the checks without the tests: style, types, imports, SQL"
-	@echo "make soak       the long tests, over an hour: make soak-tests, -federation, -crash, -damage, -verifier, -agreement, -flips, -readers, -reverts are its parts"
+	@echo "make soak       the long tests, over an hour: make soak-tests, -federation, -crash, -damage, -verifier, -agreement, -flips, -readers, -reverts, -swaps are its parts"
 	@echo "make soak-sensitivity   how much of each number hangs on each constant, most of an hour; goes on where it was interrupted"
 	@echo "make bench      the benchmarks, as ratios"
 	@echo "make docs       write the pages that hold real output again"
@@ -64,7 +64,7 @@ check-imports:
 test: check
 	$(BIN)/pytest -n $(JOBS) --dist worksteal
 
-soak: soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers soak-reverts
+soak: soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers soak-reverts soak-swaps
 
 # The tests that make test leaves out because they take minutes.
 soak-tests: setup
@@ -101,6 +101,10 @@ soak-readers: setup
 # Each fix that is on record in tests/reverts taken out alone: its test fails by its own assertion.
 soak-reverts: setup
 	$(BIN)/python -m tests.reverts.soak
+
+# Every two arguments that could be mistaken for each other, wherever an event is made, swapped once: the type checker, a run or a test finds it.
+soak-swaps: setup
+	$(BIN)/python -m tests.swaps.soak
 
 # Every constant, the load and the size of the fleet varied: which cell each of them moves, and how far. No test; the fit makes it worth doing again.
 soak-sensitivity: setup
