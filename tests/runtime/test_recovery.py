@@ -6,7 +6,7 @@ from fsar_ledger.constants import Constants
 from fsar_ledger.events import Event
 from fsar_ledger.events.authority import AuthorityRevoked
 from fsar_ledger.events.envelope import Parties, Robot, Subject, Supervisor
-from fsar_ledger.events.execution import ExecutionFailed, ExecutionQueued
+from fsar_ledger.events.execution import ExecutionQueued
 from fsar_ledger.events.policy import PolicyRuleSet
 from fsar_ledger.events.recovery import (
     AssistanceAdmitted,
@@ -14,7 +14,6 @@ from fsar_ledger.events.recovery import (
     FailureResolved,
     ReassignmentDecided,
     RecoveryAttempted,
-    RecoveryAttemptFailed,
     RecoveryBudgetSet,
     RecoveryEscalated,
     TaskStateTransferred,
@@ -26,9 +25,9 @@ from fsar_ledger.events.registry import (
     CapabilityWithdrawn,
     RegistryQueried,
 )
-from fsar_ledger.events.supervision import ActuatorServiced, SupervisorCalled
+from fsar_ledger.events.supervision import SupervisorCalled
 from fsar_ledger.events.trust import TrustSet
-from fsar_ledger.events.world import ActuatorDegraded, Grade, ObstructionAppeared, SupervisorLeft, SupervisorReturned
+from fsar_ledger.events.world import ObstructionAppeared, SupervisorLeft, SupervisorReturned
 from fsar_ledger.projections.fold import State, apply
 from fsar_ledger.runtime.architectures.fsar.recovery import (
     AskPeers,
@@ -41,8 +40,7 @@ from fsar_ledger.runtime.architectures.fsar.recovery import (
     end_attempt,
     start_recovery,
 )
-from fsar_ledger.runtime.handlers.commands import Command, EndAttempt, FinishAttempt
-from fsar_ledger.runtime.handlers.execution import finish_attempt
+from fsar_ledger.runtime.handlers.commands import Command, EndAttempt
 from fsar_ledger.runtime.handlers.recovery import budget
 from fsar_ledger.runtime.handlers.trust import trusts
 from fsar_ledger.runtime.simulation import wiring
@@ -547,42 +545,6 @@ def test_a_failure_creates_no_authority() -> None:
 
 
 # Actuators
-
-
-@pytest.mark.parametrize(
-    ("grade", "drawn", "holds"),
-    [(None, 0, True), ("unreliable", 1, True), ("unreliable", 0, False), ("slipping", 1, False), ("lost", 1, False)],
-)
-def test_an_actuator_holds_as_far_as_it_is_sound(grade: Grade | None, drawn: int, holds: bool) -> None:
-    worn = () if grade is None else (ActuatorDegraded(D, grade),)
-    [ended] = finish_attempt(
-        executing(D, "grasp.robust", *worn), FinishAttempt(ACTION, 3_000_000, now_us=3_000_000, drawn=drawn)
-    )
-    assert isinstance(ended, ExecutionFailed) is not holds
-
-
-def test_a_slipping_grip_achieves_part_of_its_contract_and_is_lost_after_it() -> None:
-    state = failed(executing(D, "grasp.robust", ActuatorDegraded(D, "slipping")), cause="degradation")
-    taken(state, start_recovery(state, StartRecovery(ACTION, now_us=2_000_001)))
-    first, _ = taken(state, end_attempt(state, EndAttempt(ACTION, 1, now_us=4_000_000, drawn=1)))
-    assert first == RecoveryAttemptFailed(
-        subject=Subject("A1-1", ACTION), robot=D, failure=1, number=1, result="partial", achieved=("load.gripped",)
-    )
-    assert state.world.degraded == {D: "lost"}
-    second, _ = taken(state, end_attempt(state, EndAttempt(ACTION, 2, now_us=6_000_000, drawn=1)))
-    assert second == RecoveryAttemptFailed(
-        subject=Subject("A1-1", ACTION), robot=D, failure=1, number=2, result="failure", achieved=()
-    )
-    apply(state, ActuatorServiced(D))
-    assert state.world.degraded == {}
-
-
-def test_an_unreliable_actuator_that_fails_is_not_worn_by_it() -> None:
-    state = failed(executing(D, "grasp.robust", ActuatorDegraded(D)), cause="degradation")
-    taken(state, start_recovery(state, StartRecovery(ACTION, now_us=2_000_001)))
-    ended, _ = taken(state, end_attempt(state, EndAttempt(ACTION, 1, now_us=4_000_000, drawn=0)))
-    assert ended == RecoveryAttemptFailed(subject=Subject("A1-1", ACTION), robot=D, failure=1, number=1)
-    assert state.world.degraded == {D: "unreliable"}
 
 
 def test_stale_commands_do_nothing() -> None:

@@ -8,9 +8,25 @@ import msgspec
 from fsar_ledger.constants import Constants, Outages
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import FULL, MECHANISMS_OF, without
-from fsar_ledger.events.envelope import Scenario, Workflow, flat
+from fsar_ledger.events.envelope import Robot, Scenario, Supervisor, Workflow, flat
+from fsar_ledger.events.trust import RoleTrustSet
+from fsar_ledger.runtime.handlers.advertising import (
+    AdvertiseCapability,
+    DeprecateCapability,
+    ReportAvailability,
+    UpgradeCapability,
+)
+from fsar_ledger.runtime.handlers.authority import GrantAuthority, RevokeAuthority
+from fsar_ledger.runtime.handlers.commands import Command
+from fsar_ledger.runtime.handlers.fleet import InstallCapability, JoinFleet
+from fsar_ledger.runtime.handlers.policy import SetPolicyRule, SetRolePolicyRule
+from fsar_ledger.runtime.handlers.recovery import ReportFailure
+from fsar_ledger.runtime.handlers.registry import ConsultRegistry, Query
+from fsar_ledger.runtime.handlers.request import RequestCapability
+from fsar_ledger.runtime.handlers.trust import SetRoleTrust, SetTrust
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.runtime.commanded import commanded
+from tests.runtime.live import played
 
 History = Callable[[], list[Event]]
 
@@ -25,6 +41,46 @@ SCENARIOS: tuple[Scenario | Workflow, ...] = (
 )
 
 
+A, B, C, D = (Robot(f"robot/{name}1") for name in "ABCD")
+H_F, S, DOOR, LIFT = Supervisor("supervisor/fleet"), 1_000_000, "door.open.secure", "lift"
+EVERYTHING: list[tuple[int, Command]] = [
+    (1 * S, JoinFleet(Robot("robot/E1"), "E", 1, Supervisor("supervisor/E1"), "hall/cell", "floor/2")),
+    (2 * S, InstallCapability(B, LIFT, "2.0.0", ("power",), ("up",), ("motor",))),
+    (
+        3 * S,
+        AdvertiseCapability(
+            B,
+            LIFT,
+            "2.0.0",
+            ("power",),
+            ("up",),
+            ("motor",),
+            policy_required=("day",),
+            embodiment=("arm",),
+            visible_to=("A",),
+        ),
+    ),
+    (4 * S, ReportAvailability(B, LIFT, "busy", "tour")),
+    (5 * S, UpgradeCapability(B, LIFT, "3.0.0", ("light",), ("high",), ("winch",))),
+    (30 * S, GrantAuthority(H_F, A, B, "soft-priority", DOOR, "visit")),
+    (31 * S, SetTrust(H_F, A, B, "session", DOOR, "visit", reason="known")),
+    (32 * S, SetRoleTrust(H_F, "A", "D", "task", "", DOOR, "visit", reason="asked for")),
+    (33 * S, SetPolicyRule(H_F, "fleet", D, DOOR, "visit", "review")),
+    (34 * S, SetRolePolicyRule(H_F, "D", "allow", "", DOOR, "visit")),
+    (35 * S, RequestCapability(A, B, DOOR, "visit", "q1", version="1.0.0")),
+    (36 * S, ConsultRegistry(Query(A, "door.*"))),
+    (37 * S, DeprecateCapability(B, DOOR, "1.0.0", "2.0.0")),
+    (38 * S, SetTrust(H_F, B, A, "none", DOOR, "visit", reason="failure")),
+    *((time * S // 2, ReportFailure(B, "q1", "obstruction")) for time in range(75, 96)),
+    (50 * S, RevokeAuthority(H_F, A, B, "door.open.basic", "visit")),
+]
+"""Commands with another value in every field."""
+
+
+def _everything() -> list[Event]:
+    return played(EVERYTHING, RoleTrustSet(role="B", peer_role="A", scope="task", domain="", capability=DOOR)).events
+
+
 def _simulated(spec: RunSpec, constants: Constants) -> History:
     return lambda: list(simulate_run(spec, constants).events)
 
@@ -32,6 +88,7 @@ def _simulated(spec: RunSpec, constants: Constants) -> History:
 def histories() -> Iterator[History]:
     """Yield each run, those that show most first."""
     yield lambda: list(commanded().events)
+    yield _everything
     plain, silent = Constants(), Constants(outages=Outages(off_rate_per_s=0.01, link_rate_per_s=0.02))
     for run in range(2):
         for scenario in SCENARIOS:
