@@ -20,6 +20,8 @@ from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.simulation import SCENARIOS, RunSpec, simulate_run
 from tests.runtime.commanded import commanded
 
+A = Robot("robot/A1")
+
 RECORDS_ONLY = {
     "ExperimentPlanned",  # of no run
     "CandidateMatched",
@@ -117,13 +119,13 @@ def test_the_policy_in_force_is_the_strictest_open_window(windows: list[tuple[in
     opened: dict[int, str] = {}
     for name, outcome in windows:
         if name in opened:
-            state = world.evolve(state, PolicyWindowClosed(Robot("robot/A1"), "local", str(name)))
+            state = world.evolve(state, PolicyWindowClosed(A, "local", str(name)))
             del opened[name]
         else:
             state = world.evolve(
                 state,
                 PolicyWindowOpened(
-                    robot=Robot("robot/A1"),
+                    robot=A,
                     scope="local",
                     window=str(name),
                     outcome=outcome,  # type: ignore[arg-type]
@@ -131,7 +133,7 @@ def test_the_policy_in_force_is_the_strictest_open_window(windows: list[tuple[in
             )
             opened[name] = outcome
     expected = "deny" if "deny" in opened.values() else "review" if opened else "allow"
-    assert in_force(state.local, Robot("robot/A1")) == expected
+    assert in_force(state.local, A) == expected
 
 
 def queued(name: str, robot: Robot) -> ExecutionQueued:
@@ -158,7 +160,7 @@ def test_a_robot_serves_one_at_a_time_in_order_of_arrival(moves: list[int]) -> N
     for ordinal, move in enumerate(moves):
         name = f"task-{ordinal}"
         if move % 2 == 0 or not model:
-            state = execution.evolve(state, queued(name, Robot("robot/A1")))
+            state = execution.evolve(state, queued(name, A))
             model.append(name)
         elif move < 6:
             state = execution.evolve(
@@ -166,16 +168,16 @@ def test_a_robot_serves_one_at_a_time_in_order_of_arrival(moves: list[int]) -> N
                 ExecutionFinished(
                     Subject(model[0], model[0]),
                     Parties(requested_by=None, executed_by=None, supervised_by=None),
-                    Robot("robot/A1"),
+                    A,
                 ),
             )
             model.pop(0)
         else:
-            state = execution.evolve(state, ExecutionWithdrawn(Subject(model[-1], model[-1]), Robot("robot/A1")))
+            state = execution.evolve(state, ExecutionWithdrawn(Subject(model[-1], model[-1]), A))
             model.pop()
         assert [
-            *([state.current[Robot("robot/A1")]] if model else []),
-            *state.queues.get(Robot("robot/A1"), ()),
+            *([state.current[A]] if model else []),
+            *state.queues.get(A, ()),
         ] == model
 
 

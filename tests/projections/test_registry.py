@@ -19,11 +19,13 @@ from fsar_ledger.events.registry import (
 from fsar_ledger.projections import registry
 from fsar_ledger.projections.registry import Offers, Registry, advertisement, enclosing, offers, surface
 
+A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
+
 DOMAINS = {
-    Robot("robot/A1"): "",
-    Robot("robot/B1"): "hall",
-    Robot("robot/C1"): "hall/cell",
-    Robot("robot/D1"): "yard/cell/rack",
+    A: "",
+    B: "hall",
+    C: "hall/cell",
+    D: "yard/cell/rack",
 }
 
 
@@ -118,16 +120,14 @@ def test_the_registries_around_a_domain_go_outward_and_name_the_one_just_left() 
 
 
 def test_a_domain_that_nobody_advertises_in_is_passed_over() -> None:
-    state = evolved(populated(), CapabilityAdvertised(robot=Robot("robot/B1"), capability="lift"))
+    state = evolved(populated(), CapabilityAdvertised(robot=B, capability="lift"))
     assert [path for path, _, _ in enclosing(state.offers, "hall/other/corner")] == ["hall", ""]
     assert [path for path, _, _ in enclosing(registry.INITIAL.offers, "hall")] == [""]
 
 
 def test_a_change_touches_only_the_registries_on_its_path() -> None:
     before = evolved(populated(), *[CapabilityAdvertised(robot=robot, capability="lift") for robot in DOMAINS])
-    after = evolved(
-        before, AvailabilityChanged(robot=Robot("robot/C1"), capability="lift", availability="busy", reason="x")
-    )
+    after = evolved(before, AvailabilityChanged(robot=C, capability="lift", availability="busy", reason="x"))
     assert after.offers.below["yard"] is before.offers.below["yard"]
     assert after.offers.records is before.offers.records
     assert after.offers.ways is before.offers.ways
@@ -137,23 +137,21 @@ def test_a_change_touches_only_the_registries_on_its_path() -> None:
 def test_a_copy_keeps_what_was_offered_when_it_was_taken() -> None:
     state = evolved(
         populated(),
-        CapabilityAdvertised(robot=Robot("robot/B1"), capability="lift"),
-        RegistryCached(Robot("robot/A1"), 5),
+        CapabilityAdvertised(robot=B, capability="lift"),
+        RegistryCached(A, 5),
     )
-    state = evolved(state, CapabilityWithdrawn(Robot("robot/B1"), "lift", "x"))
+    state = evolved(state, CapabilityWithdrawn(B, "lift", "x"))
     assert list(offers(state.offers, "lift")) == []
-    assert [record.robot for record in offers(state.caches[Robot("robot/A1")].offers, "lift")] == ["robot/B1"]
+    assert [record.robot for record in offers(state.caches[A].offers, "lift")] == ["robot/B1"]
 
 
 def test_what_was_never_advertised_can_be_withdrawn_deprecated_and_removed_without_effect() -> None:
     state = populated()
     after = evolved(
         state,
-        CapabilityWithdrawn(Robot("robot/D1"), "lift", "x"),
-        CapabilityDeprecated(robot=Robot("robot/D1"), capability="lift", version="1.0.0"),
+        CapabilityWithdrawn(D, "lift", "x"),
+        CapabilityDeprecated(robot=D, capability="lift", version="1.0.0"),
     )
-    assert advertisement(after, Robot("robot/D1"), "lift") is None
+    assert advertisement(after, D, "lift") is None
     assert list(offers(after.offers, "lift")) == []
-    assert not registry.possesses(
-        evolved(after, CapabilityRemoved(Robot("robot/D1"), "lift")), Robot("robot/D1"), "lift"
-    )
+    assert not registry.possesses(evolved(after, CapabilityRemoved(D, "lift")), D, "lift")

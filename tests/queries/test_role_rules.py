@@ -28,6 +28,8 @@ from tests.queries.test_rules_and_trust import ASKED, REFUSED, rule, unchecked_s
 from tests.runtime.governed import H_F, governed
 from tests.runtime.live import of, played
 
+A, B = Robot("robot/A1"), Robot("robot/B1")
+
 OUTCOMES: tuple[PolicyOutcome, ...] = ("allow", "deny", "review")
 SCOPES: tuple[PolicyScope, ...] = ("local", "fleet")
 ABOUT = list(product((DOOR, LIFT), ("t1", "t2")))
@@ -118,17 +120,13 @@ NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
     "the robot": (
         (
             OF_B,
-            PolicyRuleSet(
-                scope="fleet", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="allow", decided_by=None
-            ),
+            PolicyRuleSet(scope="fleet", robot=B, capability=DOOR, context=None, outcome="allow", decided_by=None),
         ),
         "allow",
     ),
     "the robot before": (
         (
-            PolicyRuleSet(
-                scope="fleet", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="review", decided_by=None
-            ),
+            PolicyRuleSet(scope="fleet", robot=B, capability=DOOR, context=None, outcome="review", decided_by=None),
             OF_B,
         ),
         "review",
@@ -145,27 +143,21 @@ NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
     "its own, not the fleet's": (
         (
             OF_B,
-            PolicyRuleSet(
-                scope="local", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="allow", decided_by=None
-            ),
+            PolicyRuleSet(scope="local", robot=B, capability=DOOR, context=None, outcome="allow", decided_by=None),
         ),
         "deny",
     ),
     "about everything": (
         (
             OF_B,
-            PolicyRuleSet(
-                scope="fleet", robot=Robot("robot/B1"), capability=None, context=None, outcome="allow", decided_by=None
-            ),
+            PolicyRuleSet(scope="fleet", robot=B, capability=None, context=None, outcome="allow", decided_by=None),
         ),
         "deny",
     ),
     "in one context": (
         (
             OF_B,
-            PolicyRuleSet(
-                scope="fleet", robot=Robot("robot/B1"), capability=DOOR, context="t1", outcome="allow", decided_by=None
-            ),
+            PolicyRuleSet(scope="fleet", robot=B, capability=DOOR, context="t1", outcome="allow", decided_by=None),
         ),
         "deny",
     ),
@@ -209,13 +201,11 @@ NEARNESS: dict[str, tuple[tuple[Event, ...], PolicyOutcome | None]] = {
 
 def test_a_rule_is_replaced_by_a_nearer_one_about_the_same_and_by_nothing_else() -> None:
     runs = {
-        name: (RobotJoined(robot=Robot("robot/B1"), role="B", team=1, supervisor=None, domain="hall/cell"), *rules)
+        name: (RobotJoined(robot=B, role="B", team=1, supervisor=None, domain="hall/cell"), *rules)
         for name, (rules, _) in NEARNESS.items()
     }
     expected = {name: outcome for name, (_, outcome) in NEARNESS.items()}
-    assert {
-        name: policy.ruled(folded(events), "fleet", Robot("robot/B1"), DOOR, "t1") for name, events in runs.items()
-    } == expected
+    assert {name: policy.ruled(folded(events), "fleet", B, DOOR, "t1") for name, events in runs.items()} == expected
     with from_rows([one for name, events in runs.items() for one in run(*map(row, events), run_id=name)]) as database:
         found = in_force(database, 5, DOOR, "t1")
     assert {name: found[name, "robot/B1", "fleet"] for name in runs} == {
@@ -333,7 +323,7 @@ def test_a_refusal_against_a_mandate_of_the_role_is_a_conflict_unless_the_robot_
 
 # --- runs ---
 
-A1, B1, B2 = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/B2")
+A1, B1, B2 = A, B, Robot("robot/B2")
 COMMANDS = (
     (1 * S, SetRolePolicyRule(H_F, "B", "deny", capability=DOOR)),
     (2 * S, SetPolicyRule(H_F, "fleet", B1, DOOR, None, "allow")),

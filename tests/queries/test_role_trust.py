@@ -15,6 +15,8 @@ from fsar_ledger.runtime.world.scenarios import founding
 from tests.queries.histories import Row, answer, event, run
 from tests.recycled import from_rows
 
+A, B = Robot("robot/A1"), Robot("robot/B1")
+
 DOOR, LIFT = "door.open.secure", "carry.heavy"
 DOMAINS = ("", "hall", "hall/cell", "hall/cell/bay", "hallway", "yard")
 MEMBERS = [
@@ -121,14 +123,14 @@ def test_handlers_and_queries_find_the_same_entry_of_pair_role_domain_capability
         ((RoleTrustSet(role="A", peer_role="B", scope="task"),), "none"),
         (
             (
-                TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="none"),
+                TrustSet(robot=B, peer=A, scope="none"),
                 RoleTrustSet(role="B", peer_role="A", scope="task"),
             ),
             "none",
         ),
         (
             (
-                TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="none", capability=LIFT),
+                TrustSet(robot=B, peer=A, scope="none", capability=LIFT),
                 RoleTrustSet(role="B", peer_role="A", scope="task"),
             ),
             "task",
@@ -167,11 +169,11 @@ def test_the_pair_goes_before_its_roles_and_the_smaller_domain_before_the_larger
     entries: tuple[Event, ...], scope: str
 ) -> None:
     joined = (
-        RobotJoined(robot=Robot("robot/A1"), role="A", team=1, supervisor=None, domain="hall/cell"),
-        RobotJoined(robot=Robot("robot/B1"), role="B", team=1, supervisor=None, domain="hall"),
+        RobotJoined(robot=A, role="A", team=1, supervisor=None, domain="hall/cell"),
+        RobotJoined(robot=B, role="B", team=1, supervisor=None, domain="hall"),
     )
     state = folded([*joined, *entries])
-    assert trust.scope_of(state, Robot("robot/B1"), Robot("robot/A1"), DOOR, "t1") == scope
+    assert trust.scope_of(state, B, A, DOOR, "t1") == scope
     rows = run(*(row(one) for one in (*joined, *entries)))
     with from_rows(rows) as database:
         found = database.query("audit/trust_at", {"robot": "robot/B1", "capability": DOOR, "context": "t1"}).to_pylist()
@@ -183,12 +185,12 @@ def test_a_robot_that_is_no_member_is_trusted_only_by_name() -> None:
         [
             MEMBERS[0],
             RoleTrustSet(role="A", peer_role="A", scope="task"),
-            TrustSet(robot=Robot("robot/A1"), peer=Robot("robot/X9"), scope="session"),
+            TrustSet(robot=A, peer=Robot("robot/X9"), scope="session"),
         ]
     )
-    assert trust.scope_of(state, Robot("robot/A1"), Robot("robot/X9")) == "session"
-    assert trust.scope_of(state, Robot("robot/A1"), Robot("robot/X8")) == "none"
-    assert trust.scope_of(state, Robot("robot/X9"), Robot("robot/A1")) == "none"
+    assert trust.scope_of(state, A, Robot("robot/X9")) == "session"
+    assert trust.scope_of(state, A, Robot("robot/X8")) == "none"
+    assert trust.scope_of(state, Robot("robot/X9"), A) == "none"
 
 
 @pytest.mark.parametrize("fleet_size", [4, 16])
@@ -218,9 +220,9 @@ def test_no_trust_is_in_force_before_both_robots_are_members() -> None:
 
 def test_a_robot_that_is_recorded_as_joining_twice_is_one_member_as_in_the_state() -> None:
     joined = [
-        RobotJoined(robot=Robot("robot/B1"), role="A", team=1, supervisor=None, domain="hall"),
-        RobotJoined(robot=Robot("robot/A1"), role="A", team=1, supervisor=None),
-        RobotJoined(robot=Robot("robot/B1"), role="B", team=2, supervisor=None, domain="yard"),
+        RobotJoined(robot=B, role="A", team=1, supervisor=None, domain="hall"),
+        RobotJoined(robot=A, role="A", team=1, supervisor=None),
+        RobotJoined(robot=B, role="B", team=2, supervisor=None, domain="yard"),
     ]
     state = fold(joined)
     rows = run(*(row(one, number) for number, one in enumerate(joined)))

@@ -32,6 +32,8 @@ from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.report.findings import SCENARIOS, Findings
 from fsar_ledger.report.gather import gather
 
+A = Robot("robot/A1")
+
 ARCHITECTURES: tuple[Architecture, ...] = ("fsar", "cfc", "dhma")
 PARAMETERS = '{"structure":{"poll_us":1000000},"world":{"message":{"high_s":0.5,"low_s":0.05},"motion_share":0.24}}'
 Make = Callable[..., Path]
@@ -61,23 +63,23 @@ def _events(
         1,
         TaskArrived(
             task_id="t1",
-            robot=Robot("robot/A1"),
+            robot=A,
             team=1,
             steps=("A navigate.indoor",),
             budget_us=60_000_000,
             due_us=60_000_001,
         ),
     )
-    yield 2, _decision("t1/1", Robot("robot/A1"), (Robot("robot/A1"),))
+    yield 2, _decision("t1/1", A, (A,))
     for number in range(bad):
         action = f"t1/{number + 2}"
-        yield 3, _decision(action, Coordinator("coordinator"), (Robot("robot/A1"), Coordinator("coordinator")))
-        for claimant in (Robot("robot/A1"), Coordinator("coordinator")):
+        yield 3, _decision(action, Coordinator("coordinator"), (A, Coordinator("coordinator")))
+        for claimant in (A, Coordinator("coordinator")):
             yield (
                 3,
                 AuthorityClaimed(Subject("t1", action), dimension="override", claimant=claimant, reason="execution"),
             )
-    yield 4, PolicyWindowOpened(robot=Robot("robot/A1"), scope="local", window="w1", outcome="deny")
+    yield 4, PolicyWindowOpened(robot=A, scope="local", window="w1", outcome="deny")
     for _ in range(bad):
         yield 5, _motion()
     if scenario != "door-relay":  # containment and latency stay undefined there
@@ -85,7 +87,7 @@ def _events(
             6,
             ExecutionFailed(
                 subject=Subject("t1", "t1/1"),
-                robot=Robot("robot/A1"),
+                robot=A,
                 failure=1,
                 cause="obstruction",
                 remaining_us=1_000_000,
@@ -95,7 +97,7 @@ def _events(
         level: RecoveryLevel = "local" if bad < 2 else "human"
         yield (
             6 + (1 + bad) * 700_000,
-            FailureResolved(Subject("t1", "t1/1"), robot=Robot("robot/A1"), failure=1, level=level),
+            FailureResolved(Subject("t1", "t1/1"), robot=A, failure=1, level=level),
         )
     if bad > 2:
         yield (
@@ -107,13 +109,13 @@ def _events(
 
 
 def _decision(action: str, decided_by: Principal, path: tuple[Principal, ...]) -> Event:
-    origin = Robot("robot/A1") if decided_by == "robot/A1" else None
+    origin = A if decided_by == "robot/A1" else None
     return OwnStepDecided(
         Subject("t1", action),
         Principals(
             decided_by=decided_by,
             requested_by=origin,
-            executed_by=Robot("robot/A1"),
+            executed_by=A,
             supervised_by=Supervisor("supervisor/A1"),
             path=path,
         ),
@@ -124,13 +126,13 @@ def _decision(action: str, decided_by: Principal, path: tuple[Principal, ...]) -
 def _motion() -> Event:
     return RoutinePerformed(
         Principals(
-            decided_by=Robot("robot/A1"),
-            requested_by=Robot("robot/A1"),
-            executed_by=Robot("robot/A1"),
+            decided_by=A,
+            requested_by=A,
+            executed_by=A,
             supervised_by=None,
-            path=(Robot("robot/A1"),),
+            path=(A,),
         ),
-        robot=Robot("robot/A1"),
+        robot=A,
         operation="motion",
     )
 

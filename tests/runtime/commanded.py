@@ -16,43 +16,43 @@ from fsar_ledger.runtime.handlers.trust import SetTrust, SetTrustThresholds
 from fsar_ledger.runtime.kernel import Kernel
 from tests.runtime.live import played
 
+A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
+
 DOOR, H_F, S = "door.open.secure", Supervisor("supervisor/fleet"), 1_000_000
 COMMANDS: list[tuple[int, Command]] = [
-    (1 * S, JoinFleet(Robot("robot/A1"), "A", 1)),  # a member already
-    (2 * S, CacheRegistry(Robot("robot/A1"))),
-    (3 * S, ConsultRegistry(Query(Robot("robot/A1"), "grasp.*"), Robot("robot/A1"))),
+    (1 * S, JoinFleet(A, "A", 1)),  # a member already
+    (2 * S, CacheRegistry(A)),
+    (3 * S, ConsultRegistry(Query(A, "grasp.*"), A)),
     (4 * S, SetTrustThresholds(H_F, 3, 2)),
     (
         5 * S,
-        SetTrust(Supervisor("supervisor/B1"), Robot("robot/B1"), Robot("robot/D1"), "session", reason="worked well"),
+        SetTrust(Supervisor("supervisor/B1"), B, D, "session", reason="worked well"),
     ),
-    (6 * S, SetSupervisionDensity(H_F, Robot("robot/B1"), 40, "quiet hour")),
-    (7 * S, SetRecoveryBudget(Supervisor("supervisor/B1"), Robot("robot/B1"), "local", 20 * S, 1)),
-    (8 * S, GrantAuthority(H_F, Robot("robot/D1"), Robot("robot/B1"), "hard-preempt")),
-    (9 * S, RequestCapability(Robot("robot/A1"), Robot("robot/B1"), DOOR, "visit", "q1")),
-    (13 * S, RequestCapability(Robot("robot/D1"), Robot("robot/B1"), DOOR, "visit", "q2", "hard-preempt")),
+    (6 * S, SetSupervisionDensity(H_F, B, 40, "quiet hour")),
+    (7 * S, SetRecoveryBudget(Supervisor("supervisor/B1"), B, "local", 20 * S, 1)),
+    (8 * S, GrantAuthority(H_F, D, B, "hard-preempt")),
+    (9 * S, RequestCapability(A, B, DOOR, "visit", "q1")),
+    (13 * S, RequestCapability(D, B, DOOR, "visit", "q2", "hard-preempt")),
     (
         40 * S,
-        RequestCapability(Robot("robot/A1"), Robot("robot/B1"), "door.open.basic", "visit", "q3", "soft-priority"),
+        RequestCapability(A, B, "door.open.basic", "visit", "q3", "soft-priority"),
     ),  # more than is allowed
-    (45 * S, AnswerOffer(Robot("robot/A1"), "q3", True)),
-    (60 * S, RevokeAuthority(H_F, Robot("robot/A1"), Robot("robot/B1"))),
+    (45 * S, AnswerOffer(A, "q3", True)),
+    (60 * S, RevokeAuthority(H_F, A, B)),
     (61 * S, SetPolicyRule(H_F, "fleet", None, "carry.heavy", None, "allow")),
-    (62 * S, SetPolicyRule(Supervisor("supervisor/D1"), "local", Robot("robot/D1"), "carry.heavy", None, "deny")),
+    (62 * S, SetPolicyRule(Supervisor("supervisor/D1"), "local", D, "carry.heavy", None, "deny")),
     (
         63 * S,
-        RequestCapability(Robot("robot/A1"), Robot("robot/D1"), "carry.heavy", "visit", "q4"),
+        RequestCapability(A, D, "carry.heavy", "visit", "q4"),
     ),  # mandated, and denied
     (64 * S, SetRolePolicyRule(H_F, "B", "review", capability=DOOR)),
-    (70 * S, SubmitTask(Robot("robot/C1"), "round", ("C navigate.indoor", "C inspect.visual"), 60 * S)),
-    (80 * S, DeprecateCapability(Robot("robot/C1"), "inspect.visual", "1.0.0")),
-    (81 * S, WithdrawCapability(Robot("robot/C1"), "inspect.visual", "cleaning")),
-    (82 * S, RemoveCapability(Robot("robot/C1"), "inspect.visual")),
+    (70 * S, SubmitTask(C, "round", ("C navigate.indoor", "C inspect.visual"), 60 * S)),
+    (80 * S, DeprecateCapability(C, "inspect.visual", "1.0.0")),
+    (81 * S, WithdrawCapability(C, "inspect.visual", "cleaning")),
+    (82 * S, RemoveCapability(C, "inspect.visual")),
 ]
 
 
 def commanded() -> Kernel:
     """The finished run."""
-    return played(
-        COMMANDS, CapabilityAdvertised(robot=Robot("robot/B1"), capability=DOOR, override_allowed="hard-preempt")
-    )
+    return played(COMMANDS, CapabilityAdvertised(robot=B, capability=DOOR, override_allowed="hard-preempt"))

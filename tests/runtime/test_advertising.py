@@ -39,9 +39,11 @@ from fsar_ledger.runtime.handlers.advertising import (
 from fsar_ledger.runtime.handlers.commands import Command
 from tests.runtime.histories import given, types
 
-DOOR = (Robot("robot/B1"), Robot("door.open.secure"))
+A, B = Robot("robot/A1"), Robot("robot/B1")
+
+DOOR = (B, Robot("door.open.secure"))
 GRIP = CapabilityInstalled(
-    robot=Robot("robot/B1"),
+    robot=B,
     capability="grasp",
     version="1.4.0",
     preconditions=("object.seen",),
@@ -66,7 +68,7 @@ def test_an_advertisement_has_all_seven_fields_and_who_may_see_it() -> None:
     )
     [event] = advertise_capability(given("fsar", GRIP), command)
     state = given("fsar", GRIP, event)
-    record = advertisement(state.registry, Robot("robot/B1"), "grasp")
+    record = advertisement(state.registry, B, "grasp")
     assert record is not None
     assert (record.version, record.contract) == (
         "1.4.0",
@@ -130,17 +132,13 @@ def test_a_withdrawn_capability_is_off_the_surface_and_still_possessed() -> None
 
 def test_a_robot_reports_the_availability_of_one_capability_or_of_all() -> None:
     [one] = report_availability(given("fsar"), ReportAvailability(*DOOR, "restricted", "inspection"))
-    [everything] = report_availability(
-        given("fsar"), ReportAvailability(Robot("robot/B1"), None, "offline", "charging")
-    )
-    assert [record.availability for record in surface(given("fsar", one).registry, Robot("robot/B1"))] == [
+    [everything] = report_availability(given("fsar"), ReportAvailability(B, None, "offline", "charging"))
+    assert [record.availability for record in surface(given("fsar", one).registry, B)] == [
         "ready",
         "ready",
         "restricted",
     ]
-    assert {record.availability for record in surface(given("fsar", everything).registry, Robot("robot/B1"))} == {
-        "offline"
-    }
+    assert {record.availability for record in surface(given("fsar", everything).registry, B)} == {"offline"}
 
 
 def test_a_deprecated_version_names_its_successor() -> None:
@@ -152,22 +150,19 @@ def test_a_deprecated_version_names_its_successor() -> None:
 
 
 WITHDRAWN = CapabilityWithdrawn(DOOR[0], DOOR[1], "jammed")
-EMPTY = [
-    CapabilityWithdrawn(Robot("robot/B1"), name, "jammed")
-    for name in ("navigate.indoor", "door.open.basic", "door.open.secure")
-]
+EMPTY = [CapabilityWithdrawn(B, name, "jammed") for name in ("navigate.indoor", "door.open.basic", "door.open.secure")]
 
 
 @pytest.mark.parametrize(
     ("events", "command", "reason"),
     [
         ((), WithdrawCapability(Robot("robot/Z9"), "door.open.secure", "x"), "unknown robot"),
-        ((), WithdrawCapability(Robot("robot/B1"), "teleport", "x"), "does not advertise teleport"),
+        ((), WithdrawCapability(B, "teleport", "x"), "does not advertise teleport"),
         ((), ReportAvailability(Robot("robot/Z9"), None, "busy", "x"), "unknown robot"),
-        ((), ReportAvailability(Robot("robot/B1"), "teleport", "busy", "x"), "does not advertise teleport"),
+        ((), ReportAvailability(B, "teleport", "busy", "x"), "does not advertise teleport"),
         ((), ReportAvailability("robot/B1", None, "asleep", "x"), "unknown, expected one of ready"),  # type: ignore[arg-type]
-        (EMPTY, ReportAvailability(Robot("robot/B1"), None, "busy", "x"), "advertises nothing"),
-        ((), ReportAvailability(Robot("robot/B1"), None, "offline", "no answer"), "expected a reason of its own"),
+        (EMPTY, ReportAvailability(B, None, "busy", "x"), "advertises nothing"),
+        ((), ReportAvailability(B, None, "offline", "no answer"), "expected a reason of its own"),
         ((), DeprecateCapability(Robot("robot/Z9"), "door.open.secure", "1.0.0"), "unknown robot"),
         ((WITHDRAWN,), DeprecateCapability(*DOOR, "1.0.0"), "does not advertise"),
         ((), DeprecateCapability(*DOOR, "2.0.0"), "expected 1.0.0"),
@@ -179,12 +174,12 @@ EMPTY = [
         ((), DeprecateCapability(*DOOR, "1.0.0", "0.9.0"), "not newer"),
         ((), DeprecateCapability(*DOOR, "1.0.0", "next"), "no version"),
         ((), UpgradeCapability(Robot("robot/Z9"), "door.open.secure", "2.0.0"), "unknown robot"),
-        ((), UpgradeCapability(Robot("robot/B1"), "teleport", "2.0.0"), "does not possess"),
+        ((), UpgradeCapability(B, "teleport", "2.0.0"), "does not possess"),
         ((), UpgradeCapability(*DOOR, "1.0.0"), "not newer"),
         ((), UpgradeCapability(*DOOR, "new"), "no version"),
         ((), UpgradeCapability(*DOOR, "2.0.0", preconditions=("lit", "not lit")), "contradict"),
         (
-            (AvailabilityChanged(robot=Robot("robot/B1"), capability=None, availability="offline", reason="x"),),
+            (AvailabilityChanged(robot=B, capability=None, availability="offline", reason="x"),),
             UpgradeCapability(*DOOR, "2.0.0"),
             "is offline",
         ),
@@ -202,8 +197,8 @@ EMPTY = [
                 ExecutionQueued(
                     subject=Subject("t", "t/1"),
                     principals=Parties(requested_by=None, executed_by=None, supervised_by=None),
-                    robot=Robot("robot/B1"),
-                    on_behalf_of=Robot("robot/A1"),
+                    robot=B,
+                    on_behalf_of=A,
                     capability="door.open.secure",
                     step=1,
                     attempt=1,
@@ -298,21 +293,19 @@ def test_an_upgrade_puts_nothing_on_the_surface_that_was_not_there() -> None:
         ),
         (AvailabilityChanged(robot=DOOR[0], capability=DOOR[1], availability="busy", reason="tour"), None, "busy"),
         (
-            AvailabilityChanged(
-                robot=Robot("robot/B1"), capability="door.open.basic", availability="degraded", reason="actuator"
-            ),
+            AvailabilityChanged(robot=B, capability="door.open.basic", availability="degraded", reason="actuator"),
             None,
             "ready",
         ),  # that is another capability
-        (ActuatorDegraded(Robot("robot/B1")), None, "ready"),  # nobody has noticed yet
+        (ActuatorDegraded(B), None, "ready"),  # nobody has noticed yet
         (
             None,
-            AvailabilityChanged(robot=Robot("robot/B1"), capability=None, availability="ready", reason="all well"),
+            AvailabilityChanged(robot=B, capability=None, availability="ready", reason="all well"),
             "ready",
         ),
         (
             None,
-            AvailabilityChanged(robot=Robot("robot/B1"), capability=None, availability="offline", reason="charging"),
+            AvailabilityChanged(robot=B, capability=None, availability="offline", reason="charging"),
             "offline",
         ),
     ],
@@ -377,9 +370,9 @@ def test_whatever_is_commanded_the_surface_is_part_of_what_is_possessed(commands
             apply(state, event)
         if types(events) == ["CommandRejected"]:
             assert state.registry is before
-        for record in surface(state.registry, Robot("robot/B1")):
-            assert possesses(state.registry, Robot("robot/B1"), record.capability)
-            installed = state.registry.modules[Robot("robot/B1")][record.capability].version
+        for record in surface(state.registry, B):
+            assert possesses(state.registry, B, record.capability)
+            installed = state.registry.modules[B][record.capability].version
             assert (
                 record.version == installed
                 or record.availability == "restricted"

@@ -34,21 +34,23 @@ from tests.runtime.histories import given, types
 from tests.runtime.live import decided, of, played
 from tests.runtime.test_requests import relayed, verdict
 
+A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
+
 DOOR = "door.open.secure"
 H_F, H_A, H_B = FLEET_SUPERVISOR, Supervisor("supervisor/A1"), Supervisor("supervisor/B1")
-ASK = RequestCapability(Robot("robot/A1"), Robot("robot/B1"), DOOR, "visit", "q1")
+ASK = RequestCapability(A, B, DOOR, "visit", "q1")
 NEXT = msgspec.structs.replace(ASK, action_id="q2")
 GRANTED = AuthorityGranted(
-    requested_by=Robot("robot/A1"),
-    executed_by=Robot("robot/B1"),
+    requested_by=A,
+    executed_by=B,
     capability=DOOR,
     context="visit",
     override="soft-priority",
     decided_by=H_F,
 )
 REVOKED = AuthorityRevoked(
-    requested_by=Robot("robot/A1"),
-    executed_by=Robot("robot/B1"),
+    requested_by=A,
+    executed_by=B,
     capability=None,
     context=None,
     reason="human override",
@@ -78,21 +80,19 @@ def scheduled(state: State, event: Event) -> list[Command]:
 
 
 def test_a_supervisor_grants_authority_and_it_is_on_record_who() -> None:
-    [granted] = decided(given("fsar"), GrantAuthority(H_F, Robot("robot/C1"), None, "emergency-only"))
+    [granted] = decided(given("fsar"), GrantAuthority(H_F, C, None, "emergency-only"))
     assert granted == AuthorityGranted(
-        requested_by=Robot("robot/C1"),
+        requested_by=C,
         executed_by=None,
         capability=None,
         context=None,
         override="emergency-only",
         decided_by=H_F,
     )
-    [own] = decided(
-        given("fsar"), GrantAuthority(H_B, Robot("robot/A1"), Robot("robot/B1"), "hard-preempt", DOOR, "visit")
-    )
+    [own] = decided(given("fsar"), GrantAuthority(H_B, A, B, "hard-preempt", DOOR, "visit"))
     assert own == AuthorityGranted(
-        requested_by=Robot("robot/A1"),
-        executed_by=Robot("robot/B1"),
+        requested_by=A,
+        executed_by=B,
         capability=DOOR,
         context="visit",
         override="hard-preempt",
@@ -104,30 +104,30 @@ def test_a_supervisor_grants_authority_and_it_is_on_record_who() -> None:
     ("command", "found"),
     [
         (GrantAuthority(H_F, Robot("robot/Z9"), None, "none"), "unknown robot robot/Z9"),
-        (GrantAuthority(H_F, Robot("robot/A1"), Robot("robot/Z9"), "none"), "unknown robot robot/Z9"),
+        (GrantAuthority(H_F, A, Robot("robot/Z9"), "none"), "unknown robot robot/Z9"),
         (
-            GrantAuthority(Supervisor("supervisor/Z9"), Robot("robot/A1"), Robot("robot/B1"), "none"),
+            GrantAuthority(Supervisor("supervisor/Z9"), A, B, "none"),
             "unknown supervisor supervisor/Z9",
         ),
         (
-            GrantAuthority(H_A, Robot("robot/A1"), Robot("robot/B1"), "none"),
+            GrantAuthority(H_A, A, B, "none"),
             "supervisor/A1 does not supervise robot/B1",
         ),
-        (GrantAuthority(H_A, Robot("robot/A1"), None, "none"), "does not supervise every robot"),
-        (GrantAuthority(H_F, Robot("robot/A1"), Robot("robot/A1"), "none"), "to ask itself"),
-        (GrantAuthority(H_F, Robot("robot/A1"), Robot("robot/B1"), "none", "fly"), "unknown capability fly"),
-        (GrantAuthority(H_F, Robot("robot/A1"), Robot("robot/B1"), "none", DOOR, "rounds"), "rounds is over"),
-        (GrantAuthority(H_B, Robot("robot/A1"), Robot("robot/B1"), "none", DOOR), "supervisor/fleet has revoked it"),
+        (GrantAuthority(H_A, A, None, "none"), "does not supervise every robot"),
+        (GrantAuthority(H_F, A, A, "none"), "to ask itself"),
+        (GrantAuthority(H_F, A, B, "none", "fly"), "unknown capability fly"),
+        (GrantAuthority(H_F, A, B, "none", DOOR, "rounds"), "rounds is over"),
+        (GrantAuthority(H_B, A, B, "none", DOOR), "supervisor/fleet has revoked it"),
         (GrantAuthority(H_F, "robot/A1", "robot/B1", "absolute"), "unknown override level absolute"),  # type: ignore[arg-type]
         (RevokeAuthority(H_F, Robot("robot/Z9"), None), "unknown robot robot/Z9"),
-        (RevokeAuthority(Supervisor("supervisor/Z9"), Robot("robot/A1"), None), "unknown supervisor supervisor/Z9"),
+        (RevokeAuthority(Supervisor("supervisor/Z9"), A, None), "unknown supervisor supervisor/Z9"),
         (
-            RevokeAuthority(Supervisor("supervisor/C1"), Robot("robot/A1"), Robot("robot/B1")),
+            RevokeAuthority(Supervisor("supervisor/C1"), A, B),
             "supervises neither robot",
         ),
-        (RevokeAuthority(H_F, Robot("robot/A1"), Robot("robot/B1"), "fly"), "unknown capability fly"),
-        (RevokeAuthority(H_F, Robot("robot/A1"), Robot("robot/B1")), "it is revoked already"),
-        (RevokeAuthority(H_B, Robot("robot/A1"), Robot("robot/B1"), DOOR), "it is revoked already"),
+        (RevokeAuthority(H_F, A, B, "fly"), "unknown capability fly"),
+        (RevokeAuthority(H_F, A, B), "it is revoked already"),
+        (RevokeAuthority(H_B, A, B, DOOR), "it is revoked already"),
         (RevokeAuthority(H_F, "robot/A1", "robot/C1", reason="boredom"), "unknown reason boredom"),  # type: ignore[arg-type]
     ],
 )
@@ -143,10 +143,10 @@ def test_a_right_that_nobody_may_give_or_take_is_rejected_and_changes_nothing(co
 
 @pytest.mark.parametrize("supervisor", [H_F, H_A, H_B])
 def test_either_robots_supervisor_may_revoke(supervisor: Supervisor) -> None:
-    [revoked] = decided(given("fsar"), RevokeAuthority(supervisor, Robot("robot/A1"), Robot("robot/B1"), DOOR))
+    [revoked] = decided(given("fsar"), RevokeAuthority(supervisor, A, B, DOOR))
     assert revoked == AuthorityRevoked(
-        requested_by=Robot("robot/A1"),
-        executed_by=Robot("robot/B1"),
+        requested_by=A,
+        executed_by=B,
         capability=DOOR,
         context=None,
         reason="human override",
@@ -156,7 +156,7 @@ def test_either_robots_supervisor_may_revoke(supervisor: Supervisor) -> None:
 
 def test_a_revocation_takes_effect_at_the_next_request_and_leaves_alone_what_was_admitted() -> None:
     state = given("fsar")
-    play(state, ASK, EvaluateRequest("q1"), RevokeAuthority(H_F, Robot("robot/A1"), Robot("robot/B1")))
+    play(state, ASK, EvaluateRequest("q1"), RevokeAuthority(H_F, A, B))
     assert "RequestAccepted" in types(play(state, TakeTurn("q1"))), "queued, and goes on"
     assert types(play(state, StartAction("q1", drawn=5))) == ["ExecutionStarted"]
     denied = evaluated(state)
@@ -169,7 +169,7 @@ def test_in_a_whole_run_a_running_action_outlives_its_revocation() -> None:
     run = played(
         [
             (1_000_000, ASK),
-            (began_us + 1_000, RevokeAuthority(H_F, Robot("robot/A1"), Robot("robot/B1"))),
+            (began_us + 1_000, RevokeAuthority(H_F, A, B)),
             (began_us + 2_000, NEXT),
         ]
     )
@@ -195,7 +195,7 @@ def test_a_revocation_is_about_what_it_names(
     state = given(
         "fsar",
         AuthorityRevoked(
-            requested_by=Robot("robot/A1"),
+            requested_by=A,
             executed_by=about[0],
             capability=about[1],
             context=about[2],
@@ -204,9 +204,9 @@ def test_a_revocation_is_about_what_it_names(
         ),
     )
     assert isinstance(evaluated(state), RequestDenied if is_denied else RequestAdmitted)
-    assert isinstance(
-        evaluated(state, RequestCapability(Robot("robot/C1"), Robot("robot/B1"), DOOR, "visit", "q3")), RequestAdmitted
-    ), "of another requester"
+    assert isinstance(evaluated(state, RequestCapability(C, B, DOOR, "visit", "q3")), RequestAdmitted), (
+        "of another requester"
+    )
 
 
 def test_a_later_grant_lifts_a_revocation() -> None:
@@ -219,12 +219,12 @@ def test_a_later_grant_lifts_a_revocation() -> None:
 
 def test_what_the_relay_may_ask_does_not_lift_a_revocation_of_the_requester() -> None:
     assert verdict(relayed(), "A1-1/2.1") == ("accept", None)
-    for robot in (Robot("robot/D1"), Robot("robot/A1")):
+    for robot in (D, A):
         assert verdict(
             relayed(
                 AuthorityRevoked(
                     requested_by=robot,
-                    executed_by=Robot("robot/B1"),
+                    executed_by=B,
                     capability=None,
                     context=None,
                     reason="human override",
@@ -240,8 +240,8 @@ def test_what_the_relay_may_ask_does_not_lift_a_revocation_of_the_requester() ->
 
 def test_a_context_that_ends_ends_the_rights_that_were_given_for_it_and_no_others() -> None:
     broad = AuthorityGranted(
-        requested_by=Robot("robot/A1"),
-        executed_by=Robot("robot/B1"),
+        requested_by=A,
+        executed_by=B,
         capability=None,
         context=None,
         override="none",
@@ -253,8 +253,8 @@ def test_a_context_that_ends_ends_the_rights_that_were_given_for_it_and_no_other
         assert command == ExpireContext("visit")
         [revoked] = play(state, command)
         assert revoked == AuthorityRevoked(
-            requested_by=Robot("robot/A1"),
-            executed_by=Robot("robot/B1"),
+            requested_by=A,
+            executed_by=B,
             capability=DOOR,
             context="visit",
             reason="context expired",
@@ -278,21 +278,15 @@ def test_a_context_without_rights_ends_without_a_word() -> None:
 def test_trust_that_falls_below_what_is_required_revokes_what_the_peer_holds_admitted() -> None:
     state = given("fsar")
     play(state, ASK, EvaluateRequest("q1"))
-    assert scheduled(state, TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="capability")) == [], (
-        "enough"
-    )
-    assert scheduled(state, TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/D1"), scope="none")) == [], (
-        "somebody else"
-    )
+    assert scheduled(state, TrustSet(robot=B, peer=A, scope="capability")) == [], "enough"
+    assert scheduled(state, TrustSet(robot=B, peer=D, scope="none")) == [], "somebody else"
     [command] = [
-        one
-        for one in scheduled(state, TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="none"))
-        if isinstance(one, RevokeDistrusted)
+        one for one in scheduled(state, TrustSet(robot=B, peer=A, scope="none")) if isinstance(one, RevokeDistrusted)
     ]
     [revoked] = play(state, command)
     assert revoked == AuthorityRevoked(
-        requested_by=Robot("robot/A1"),
-        executed_by=Robot("robot/B1"),
+        requested_by=A,
+        executed_by=B,
         capability=DOOR,
         context="visit",
         reason="trust downgrade",
@@ -300,7 +294,7 @@ def test_trust_that_falls_below_what_is_required_revokes_what_the_peer_holds_adm
     )
     assert play(state, command) == (), "once"
     assert "RequestAccepted" in types(play(state, TakeTurn("q1"))), "what was admitted goes on"
-    apply(state, TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="task"))
+    apply(state, TrustSet(robot=B, peer=A, scope="task"))
     assert evaluated(state).reason == "authority", "trust regained does not give back what was revoked"
 
 
@@ -311,34 +305,32 @@ def test_trust_of_the_roles_that_falls_revokes_what_their_pairs_hold_admitted() 
         "they are in no hall"
     )
     assert scheduled(state, RoleTrustSet(role="B", peer_role="D", scope="none")) == [], "others"
-    state = given("fsar", TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="task"))
+    state = given("fsar", TrustSet(robot=B, peer=A, scope="task"))
     play(state, ASK, EvaluateRequest("q1"))
     assert scheduled(state, RoleTrustSet(role="B", peer_role="A", scope="none")) == [], "the pair is an exception"
     state = given("fsar")
     play(state, ASK, EvaluateRequest("q1"))
-    assert scheduled(state, RoleTrustSet(role="B", peer_role="A", scope="none")) == [
-        RevokeDistrusted(Robot("robot/B1"), Robot("robot/A1"))
-    ]
+    assert scheduled(state, RoleTrustSet(role="B", peer_role="A", scope="none")) == [RevokeDistrusted(B, A)]
 
 
 def test_trust_that_falls_while_nothing_is_admitted_revokes_nothing() -> None:
     state = given("fsar")
     play(state, ASK)
-    assert scheduled(state, TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="none")) == []
+    assert scheduled(state, TrustSet(robot=B, peer=A, scope="none")) == []
 
 
 def test_a_claim_is_released_by_who_holds_it_and_execution_not_before_its_end() -> None:
     state = given("fsar")
     play(state, ASK, EvaluateRequest("q1"), TakeTurn("q1"))
-    [held] = decided(state, ReleaseAuthority(Robot("robot/B1"), "q1", "execution"))
+    [held] = decided(state, ReleaseAuthority(B, "q1", "execution"))
     assert isinstance(held, CommandRejected)
     assert "has yet to finish it" in held.reason
-    [released] = play(state, ReleaseAuthority(Robot("robot/B1"), "q1", "override"))
-    assert released == AuthorityReleased(Subject("visit", "q1"), "override", Robot("robot/B1"), "acceptance")
+    [released] = play(state, ReleaseAuthority(B, "q1", "override"))
+    assert released == AuthorityReleased(Subject("visit", "q1"), "override", B, "acceptance")
     for command in (
-        ReleaseAuthority(Robot("robot/B1"), "q1", "override"),
-        ReleaseAuthority(Robot("robot/A1"), "q1", "execution"),
-        ReleaseAuthority(Robot("robot/B1"), "q9", "audit"),
+        ReleaseAuthority(B, "q1", "override"),
+        ReleaseAuthority(A, "q1", "execution"),
+        ReleaseAuthority(B, "q9", "audit"),
     ):
         [rejected] = decided(state, command)
         assert isinstance(rejected, CommandRejected)
@@ -349,9 +341,7 @@ def test_a_claim_is_released_by_who_holds_it_and_execution_not_before_its_end() 
 
 APPROVAL = SupervisorResponded(
     Subject("visit", "q1"),
-    Principals(
-        decided_by=H_F, requested_by=Robot("robot/A1"), executed_by=Robot("robot/B1"), supervised_by=H_F, path=(H_F,)
-    ),
+    Principals(decided_by=H_F, requested_by=A, executed_by=B, supervised_by=H_F, path=(H_F,)),
     "review",
 )
 
@@ -365,7 +355,7 @@ def approved(*before: Event) -> State:
 
 
 def opened(name: str, outcome: Any) -> PolicyWindowOpened:
-    return PolicyWindowOpened(robot=Robot("robot/B1"), scope="local", window=name, outcome=outcome)
+    return PolicyWindowOpened(robot=B, scope="local", window=name, outcome=outcome)
 
 
 START = StartAction("q1", drawn=5)
@@ -374,12 +364,10 @@ START = StartAction("q1", drawn=5)
 def test_an_approval_lifts_no_rule_that_denies_by_then() -> None:
     """Whether the review was wanted by policy or by density alone, the executor does not act against a rule; a mandate against it is escalated."""
     mandate = PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="allow", decided_by=H_F)
-    own = PolicyRuleSet(
-        scope="local", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="deny", decided_by=H_B
-    )
+    own = PolicyRuleSet(scope="local", robot=B, capability=DOOR, context=None, outcome="deny", decided_by=H_B)
     fleets = PolicyRuleSet(scope="fleet", robot=None, capability=DOOR, context=None, outcome="deny", decided_by=H_F)
-    heard = FleetRuleLearned(Robot("robot/B1"), "deny", 1)
-    dense = SupervisionDensitySet(robot=Robot("robot/B1"), review_every=1, decided_by=H_B, reason="")
+    heard = FleetRuleLearned(B, "deny", 1)
+    dense = SupervisionDensitySet(robot=B, review_every=1, decided_by=H_B, reason="")
     cases: list[tuple[Event, tuple[Event, ...], list[str]]] = [
         (opened("w1", "review"), (own,), ["RequestDenied"]),
         (opened("w1", "review"), (fleets,), ["RequestDenied"]),
@@ -403,7 +391,7 @@ def test_an_approval_stands_while_a_window_denies_and_the_start_waits_for_it_to_
     apply(state, opened("w2", "deny"))
     assert types(play(state, *scheduled(state, APPROVAL))) == ["RequestAdmitted", "ExecutionQueued"]
     assert types(play(state, TakeTurn("q1"), START)) == ["ExecutionHeld"]
-    [again] = scheduled(state, PolicyWindowClosed(Robot("robot/B1"), "local", "w2"))
+    [again] = scheduled(state, PolicyWindowClosed(B, "local", "w2"))
     assert isinstance(again, StartAction)
     assert types(play(state, START)) == ["ExecutionStarted"]
 
@@ -411,13 +399,9 @@ def test_an_approval_stands_while_a_window_denies_and_the_start_waits_for_it_to_
 def test_what_was_approved_and_then_held_by_a_rule_starts_when_the_rule_is_lifted_although_the_approved_one_stands() -> (
     None
 ):
-    rule = PolicyRuleSet(
-        scope="local", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="review", decided_by=H_B
-    )
+    rule = PolicyRuleSet(scope="local", robot=B, capability=DOOR, context=None, outcome="review", decided_by=H_B)
     state = approved(rule)
-    broad = PolicyRuleSet(
-        scope="local", robot=Robot("robot/B1"), capability=None, context=None, outcome="deny", decided_by=H_B
-    )
+    broad = PolicyRuleSet(scope="local", robot=B, capability=None, context=None, outcome="deny", decided_by=H_B)
     apply(state, broad)
     assert types(play(state, START)) == ["ExecutionHeld"]
     assert scheduled(state, msgspec.structs.replace(broad, outcome="review")) == []
@@ -437,15 +421,13 @@ def test_a_window_of_the_executors_own_that_opens_after_the_approval_holds_the_s
     [held] = play(state, START)
     assert isinstance(held, ExecutionHeld)
     assert (held.outcome, held.reason) == (outcome, "local-policy")
-    [again] = scheduled(state, PolicyWindowClosed(Robot("robot/B1"), "local", "w2"))
+    [again] = scheduled(state, PolicyWindowClosed(B, "local", "w2"))
     assert isinstance(again, StartAction), "although the first is open still"
     assert types(play(state, START)) == ["ExecutionStarted"]
 
 
 def test_a_rule_that_is_set_after_the_approval_holds_the_start_and_one_set_before_does_not() -> None:
-    rule = PolicyRuleSet(
-        scope="local", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="review", decided_by=H_B
-    )
+    rule = PolicyRuleSet(scope="local", robot=B, capability=DOOR, context=None, outcome="review", decided_by=H_B)
     assert types(play(approved(rule), START)) == ["ExecutionStarted"]
     state = approved(rule)
     apply(state, msgspec.structs.replace(rule, outcome="deny"))
@@ -456,9 +438,7 @@ def test_a_rule_that_is_set_after_the_approval_holds_the_start_and_one_set_befor
 
 
 def test_a_rule_of_the_role_that_is_set_after_the_approval_holds_the_start_unless_the_robot_is_an_exception() -> None:
-    own = PolicyRuleSet(
-        scope="local", robot=Robot("robot/B1"), capability=DOOR, context=None, outcome="review", decided_by=H_B
-    )
+    own = PolicyRuleSet(scope="local", robot=B, capability=DOOR, context=None, outcome="review", decided_by=H_B)
     of_role = RolePolicyRuleSet(scope="local", role="B", outcome="review", domain="", capability=DOOR)
     assert types(play(approved(of_role), START)) == ["ExecutionStarted"], "known when it was given"
     cases: list[tuple[Event, Event, str]] = [
@@ -479,7 +459,7 @@ def test_a_rule_of_the_role_that_is_set_after_the_approval_holds_the_start_unles
 def test_what_was_approved_is_forgotten_when_it_is_done() -> None:
     state = approved(opened("w1", "review"))
     assert list(state.authority.approvals) == ["q1"]
-    play(state, START, ReportResult(Robot("robot/B1"), "q1", "success"))
+    play(state, START, ReportResult(B, "q1", "success"))
     assert state.authority.approvals == {}
 
 
@@ -488,5 +468,5 @@ def test_a_start_without_a_review_waits_for_policy_as_ever() -> None:
     play(state, ASK, EvaluateRequest("q1"), TakeTurn("q1"))
     apply(state, opened("w1", "deny"))
     assert types(play(state, START)) == ["ExecutionHeld"]
-    apply(state, FleetRuleLearned(Robot("robot/B1"), "allow", 1))
+    apply(state, FleetRuleLearned(B, "allow", 1))
     assert types(play(state, START)) == ["ExecutionHeld"]

@@ -36,6 +36,8 @@ from fsar_ledger.runtime.handlers.commands import (
 from fsar_ledger.runtime.handlers.execution import approach, detect_obstruction
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
 
+A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
+
 ACTION = "A1-1/2.1"
 DELEGATED = (ARRIVED, DELEGATED_STEP)
 
@@ -49,7 +51,7 @@ def commanded(*before) -> State:  # type: ignore[no-untyped-def]
 
 def running(*before) -> State:  # type: ignore[no-untyped-def]
     state = commanded(*before)
-    for event in receive_command(state, ReceiveCommand(ACTION, Robot("robot/B1"))):
+    for event in receive_command(state, ReceiveCommand(ACTION, B)):
         apply(state, event)
     for event in approach(state, TakeTurn(ACTION)):
         apply(state, event)
@@ -97,20 +99,18 @@ def test_a_delegation_is_decided_committed_and_claimed_by_the_coordinator() -> N
 
 
 def test_the_gate_reads_the_copied_policy_and_not_the_true_one() -> None:
-    unseen = given("cfc", *DELEGATED, window(Robot("robot/B1")))
+    unseen = given("cfc", *DELEGATED, window(B))
     assert "CommandIssued" in types(process(unseen, ProcessWork(ACTION, "step")))
-    seen = given("cfc", *DELEGATED, window(Robot("robot/B1")), CopySynced(local_deny=(Robot("robot/B1"),)))
+    seen = given("cfc", *DELEGATED, window(B), CopySynced(local_deny=(B,)))
     assert types(process(seen, ProcessWork(ACTION, "step")))[-1] == "RequestDenied"
 
 
 def test_the_gate_reads_the_fleet_rule_live_and_the_requesters_policy_not_at_all() -> None:
     assert (
-        types(process(given("cfc", *DELEGATED, window(Robot("robot/B1"), scope="fleet")), ProcessWork(ACTION, "step")))[
-            -1
-        ]
+        types(process(given("cfc", *DELEGATED, window(B, scope="fleet")), ProcessWork(ACTION, "step")))[-1]
         == "RequestDenied"
     )
-    requester = given("cfc", *DELEGATED, window(Robot("robot/A1")), CopySynced(local_deny=(Robot("robot/A1"),)))
+    requester = given("cfc", *DELEGATED, window(A), CopySynced(local_deny=(A,)))
     assert "CommandIssued" in types(process(requester, ProcessWork(ACTION, "step")))
 
 
@@ -130,10 +130,8 @@ def second_delegation(state: State) -> None:
 def test_a_second_command_for_a_robot_not_seen_busy_disputes_the_running_action() -> None:
     state = running()
     second_delegation(state)
-    claim, called = receive_command(state, ReceiveCommand("A1-2/2.1", Robot("robot/B1")))
-    assert claim == AuthorityClaimed(
-        Subject("A1-1", ACTION), "execution", Robot("robot/A1"), "assigned again: A1-2/2.1"
-    )
+    claim, called = receive_command(state, ReceiveCommand("A1-2/2.1", B))
+    assert claim == AuthorityClaimed(Subject("A1-1", ACTION), "execution", A, "assigned again: A1-2/2.1")
     assert called.purpose == "ordering"  # type: ignore[attr-defined]
     apply(state, claim)
     assert types(queue_ordered(state, QueueOrdered("A1-2/2.1"))) == ["AuthorityReleased", "ExecutionQueued"]
@@ -141,13 +139,13 @@ def test_a_second_command_for_a_robot_not_seen_busy_disputes_the_running_action(
 
 def test_a_second_command_for_a_robot_seen_busy_only_waits() -> None:
     state = running()
-    apply(state, CopySynced(busy=(Robot("robot/B1"),)))
+    apply(state, CopySynced(busy=(B,)))
     second_delegation(state)
-    assert types(receive_command(state, ReceiveCommand("A1-2/2.1", Robot("robot/B1")))) == ["ExecutionQueued"]
+    assert types(receive_command(state, ReceiveCommand("A1-2/2.1", B))) == ["ExecutionQueued"]
 
 
 def test_the_command_says_whether_the_robot_was_seen_busy() -> None:
-    events = process(given("cfc", *DELEGATED, CopySynced(busy=(Robot("robot/B1"),))), ProcessWork(ACTION, "step"))
+    events = process(given("cfc", *DELEGATED, CopySynced(busy=(B,))), ProcessWork(ACTION, "step"))
     [issued] = [event for event in events if isinstance(event, CommandIssued)]
     assert issued.seen_busy
     assert "RequestDeferred" in types(events)
@@ -155,14 +153,14 @@ def test_the_command_says_whether_the_robot_was_seen_busy() -> None:
 
 def test_a_context_change_of_either_party_claims_override_against_the_coordinator() -> None:
     state = running()
-    for robot in (Robot("robot/A1"), Robot("robot/B1")):
+    for robot in (A, B):
         [claim] = safe_stop(state, SafeStop(robot, None))
         assert claim == AuthorityClaimed(Subject("A1-1", ACTION), "override", robot, "safe stop")
-    assert safe_stop(state, SafeStop(Robot("robot/C1"), None)) == ()
+    assert safe_stop(state, SafeStop(C, None)) == ()
 
 
 def test_a_window_brings_both_supervisors_to_claim_supervision() -> None:
-    claims = safe_stop(running(), SafeStop(Robot("robot/B1"), "local/B1/0"))
+    claims = safe_stop(running(), SafeStop(B, "local/B1/0"))
     assert {(event.dimension, event.claimant) for event in claims} == {  # type: ignore[attr-defined]
         ("override", "robot/B1"),
         ("audit", FLEET_SUPERVISOR),
@@ -180,14 +178,14 @@ def test_the_coordinator_keeps_override_until_it_has_processed_the_completion() 
 
 
 def test_a_motion_is_withheld_by_the_copy_alone() -> None:
-    unseen = given("cfc", window(Robot("robot/A1")))
-    assert types(decide_routine(unseen, DecideRoutine(Robot("robot/A1"), "motion"))) == ["RoutinePerformed"]
-    seen = given("cfc", CopySynced(fleet_deny=(Robot("robot/A1"),)))
-    assert types(decide_routine(seen, DecideRoutine(Robot("robot/A1"), "motion"))) == ["RoutineWithheld"]
+    unseen = given("cfc", window(A))
+    assert types(decide_routine(unseen, DecideRoutine(A, "motion"))) == ["RoutinePerformed"]
+    seen = given("cfc", CopySynced(fleet_deny=(A,)))
+    assert types(decide_routine(seen, DecideRoutine(A, "motion"))) == ["RoutineWithheld"]
 
 
 def failed(*before) -> State:  # type: ignore[no-untyped-def]
-    state = running(*before, ObstructionAppeared(Robot("robot/B1"), "o"))
+    state = running(*before, ObstructionAppeared(B, "o"))
     for event in detect_obstruction(state, DetectObstruction(ACTION, now_us=9_500_000)):
         apply(state, event)
     return state
@@ -203,8 +201,8 @@ def test_a_failure_gets_one_ordered_retry() -> None:
 
 
 def test_a_robot_that_the_copy_shows_degraded_gets_no_retry() -> None:
-    state = failed(ActuatorDegraded(Robot("robot/B1")))
-    apply(state, CopySynced(degraded=(Robot("robot/B1"),)))
+    state = failed(ActuatorDegraded(B))
+    apply(state, CopySynced(degraded=(B,)))
     assert types(process(state, ProcessWork(ACTION, "failure"))) == ["AssistanceRequested"]
 
 
@@ -220,15 +218,13 @@ def test_a_busy_helper_declines_and_the_next_is_tried() -> None:
 
 def test_without_an_idle_helper_the_fleet_supervisor_is_called() -> None:
     state = failed()
-    apply(state, CopySynced(busy=(Robot("robot/A1"), Robot("robot/D1"))))
+    apply(state, CopySynced(busy=(A, D)))
     assert types(process(state, ProcessWork(ACTION, "retry-failed"))) == ["RecoveryEscalated", "SupervisorCalled"]
 
 
 def test_the_copy_shows_the_robots_as_they_are_at_the_sync() -> None:
     [copy] = sync(
-        running(
-            window(Robot("robot/C1")), window(Robot("robot/D1"), "review", "fleet"), ActuatorDegraded(Robot("robot/A1"))
-        ),
+        running(window(C), window(D, "review", "fleet"), ActuatorDegraded(A)),
         Sync(),
     )
     assert (copy.local_deny, copy.fleet_review, copy.busy, copy.degraded) == (

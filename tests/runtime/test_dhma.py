@@ -58,21 +58,23 @@ from fsar_ledger.runtime.handlers.execution import approach, detect_obstruction
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, SECOND, given, types, window
 
+A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
+
 ACTION = "A1-1/2.1"
 CALLED = (
     ARRIVED,
     DELEGATED_STEP,
     RegistryQueried(
         subject=Subject("A1-1", ACTION),
-        principals=Parties(requested_by=Robot("robot/A1"), executed_by=None, supervised_by=None),
+        principals=Parties(requested_by=A, executed_by=None, supervised_by=None),
         capability="door.open.secure",
-        candidates=(Robot("robot/B1"),),
+        candidates=(B,),
     ),
 )
 AWARDED = (
     *CALLED,
-    BidReceived(Subject("A1-1", ACTION), Robot("robot/B1"), "allow"),
-    AwardMade("A1-1", Parties(requested_by=Robot("robot/A1"), executed_by=None, supervised_by=None), Robot("robot/B1")),
+    BidReceived(Subject("A1-1", ACTION), B, "allow"),
+    AwardMade("A1-1", Parties(requested_by=A, executed_by=None, supervised_by=None), B),
 )
 
 
@@ -103,20 +105,18 @@ def test_a_call_names_no_executor_before_the_award() -> None:
 
 
 def test_a_bid_follows_the_planners_snapshot_and_not_the_true_policy() -> None:
-    unseen = given("dhma", *CALLED, window(Robot("robot/B1")))
-    assert types(evaluate_bid(unseen, EvaluateBid(ACTION, Robot("robot/B1")))) == ["RequestAdmitted", "BidSubmitted"]
-    seen = given("dhma", *CALLED, SnapshotTaken(Robot("robot/B1"), "deny"))
-    assert types(evaluate_bid(seen, EvaluateBid(ACTION, Robot("robot/B1")))) == ["RequestDenied", "BidSubmitted"]
+    unseen = given("dhma", *CALLED, window(B))
+    assert types(evaluate_bid(unseen, EvaluateBid(ACTION, B))) == ["RequestAdmitted", "BidSubmitted"]
+    seen = given("dhma", *CALLED, SnapshotTaken(B, "deny"))
+    assert types(evaluate_bid(seen, EvaluateBid(ACTION, B))) == ["RequestDenied", "BidSubmitted"]
 
 
 def test_a_snapshot_is_the_policy_of_its_moment() -> None:
-    assert take_snapshot(given("dhma", window(Robot("robot/B1"), "review")), TakeSnapshot(Robot("robot/B1"))) == (
-        SnapshotTaken(Robot("robot/B1"), "review"),
-    )
+    assert take_snapshot(given("dhma", window(B, "review")), TakeSnapshot(B)) == (SnapshotTaken(B, "review"),)
 
 
 def test_a_bid_under_review_goes_to_the_fleet_supervisor_first() -> None:
-    state = given("dhma", *CALLED, BidReceived(Subject("A1-1", ACTION), Robot("robot/B1"), "review"))
+    state = given("dhma", *CALLED, BidReceived(Subject("A1-1", ACTION), B, "review"))
     assert types(award(state, Award(ACTION))) == ["SupervisorCalled"]
 
 
@@ -137,9 +137,7 @@ def test_another_tasks_action_at_the_executor_is_double_booking_until_settled() 
     other = "A1-2/2.1"
     for event in (
         *SECOND,
-        AwardMade(
-            "A1-2", Parties(requested_by=Robot("robot/A1"), executed_by=None, supervised_by=None), Robot("robot/B1")
-        ),
+        AwardMade("A1-2", Parties(requested_by=A, executed_by=None, supervised_by=None), B),
     ):
         apply(state, event)
     booked = accept_award(state, AcceptAward(other))
@@ -157,7 +155,7 @@ def test_another_tasks_action_at_the_executor_is_double_booking_until_settled() 
 
 def test_a_context_change_questions_a_contract_that_has_not_started() -> None:
     state = accepted()
-    questioned = engage_planner(state, EngagePlanner(Robot("robot/A1"), now_us=5_000_000))
+    questioned = engage_planner(state, EngagePlanner(A, now_us=5_000_000))
     assert types(questioned) == ["PlannerEngaged", "AuthorityClaimed", "AuthorityClaimed", "ContractQuestioned"]
     assert {event.claimant for event in questioned if isinstance(event, AuthorityClaimed)} == {
         "agent/A1/planning",
@@ -170,9 +168,7 @@ def test_a_context_change_questions_a_contract_that_has_not_started() -> None:
 
 
 def test_a_context_change_during_execution_leaves_the_contract_standing() -> None:
-    assert "ContractQuestioned" not in types(
-        engage_planner(running(), EngagePlanner(Robot("robot/B1"), now_us=9_500_000))
-    )
+    assert "ContractQuestioned" not in types(engage_planner(running(), EngagePlanner(B, now_us=9_500_000)))
 
 
 def test_an_own_step_is_the_planners_decision() -> None:
@@ -181,21 +177,19 @@ def test_an_own_step_is_the_planners_decision() -> None:
 
 
 def test_a_motion_is_two_half_records_and_engages_the_planner() -> None:
-    performed, reported, engaged = decide_routine(
-        given("dhma"), DecideRoutine(Robot("robot/A1"), "motion", now_us=1_000_000)
-    )
+    performed, reported, engaged = decide_routine(given("dhma"), DecideRoutine(A, "motion", now_us=1_000_000))
     assert (performed.principals.requested_by, performed.principals.executed_by) == ("robot/A1", None)  # type: ignore[attr-defined]
     assert (reported.principals.requested_by, reported.principals.executed_by) == (None, "robot/A1")  # type: ignore[attr-defined]
     assert isinstance(engaged, PlannerEngaged)
 
 
 def test_sensing_is_one_agents_and_completely_recorded() -> None:
-    [performed] = decide_routine(given("dhma"), DecideRoutine(Robot("robot/A1"), "sensing"))
+    [performed] = decide_routine(given("dhma"), DecideRoutine(A, "sensing"))
     assert performed.principals.path == ("robot/A1",)  # type: ignore[attr-defined]
 
 
 def failed() -> State:
-    state = running(ObstructionAppeared(Robot("robot/B1"), "o"))
+    state = running(ObstructionAppeared(B, "o"))
     for event in detect_obstruction(state, DetectObstruction(ACTION, now_us=9_500_000)):
         apply(state, event)
     for event in start_recovery(state, StartRecovery(ACTION)):
@@ -223,9 +217,7 @@ def test_a_disputed_recovery_has_one_attempt_and_then_loops() -> None:
 
 
 def test_an_outsider_runs_unchecked_and_nobody_is_on_record() -> None:
-    injected = OutsiderRequestInjected(
-        task_id="injected-1-1", robot=Robot("robot/D1"), peer=Robot("robot/C1"), capability="inspect.private_zone"
-    )
+    injected = OutsiderRequestInjected(task_id="injected-1-1", robot=D, peer=C, capability="inspect.private_zone")
     events = run_outsider(given("dhma", injected), RunOutsider("injected-1-1"))
     assert types(events) == ["RequestIssued", "RequestAdmitted", "ExecutionQueued"]
     assert all(event.principals.executed_by is None and event.principals.supervised_by is None for event in events)  # type: ignore[attr-defined]
@@ -234,13 +226,11 @@ def test_an_outsider_runs_unchecked_and_nobody_is_on_record() -> None:
 def test_an_outsider_has_no_contract_to_be_questioned_or_voided() -> None:
     state = given(
         "dhma",
-        OutsiderRequestInjected(
-            task_id="injected-1-1", robot=Robot("robot/D1"), peer=Robot("robot/C1"), capability="inspect.private_zone"
-        ),
+        OutsiderRequestInjected(task_id="injected-1-1", robot=D, peer=C, capability="inspect.private_zone"),
     )
     for event in run_outsider(state, RunOutsider("injected-1-1")):
         apply(state, event)
-    for robot in (Robot("robot/C1"), Robot("robot/D1")):
+    for robot in (C, D):
         assert types(engage_planner(state, EngagePlanner(robot, now_us=5_000_000))) == ["PlannerEngaged"]
 
 

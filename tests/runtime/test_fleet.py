@@ -22,6 +22,8 @@ from fsar_ledger.runtime.handlers.fleet import DECIDES, InstallCapability, JoinF
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.runtime.histories import given, types
 
+A, B = Robot("robot/A1"), Robot("robot/B1")
+
 
 def decided(command: Command, *events: Event) -> tuple[Event, ...]:
     return FSAR.decides[type(command)](given("fsar", *events), command)
@@ -51,9 +53,9 @@ def test_a_robot_without_a_supervisor_of_its_own_may_join() -> None:
 
 
 def test_an_installed_capability_is_possessed_and_advertised_to_nobody() -> None:
-    [installed] = decided(InstallCapability(Robot("robot/B1"), "lift", "0.1.0", ("seen",), ("held",), ("arm",)))
+    [installed] = decided(InstallCapability(B, "lift", "0.1.0", ("seen",), ("held",), ("arm",)))
     assert installed == CapabilityInstalled(
-        robot=Robot("robot/B1"),
+        robot=B,
         capability="lift",
         version="0.1.0",
         preconditions=("seen",),
@@ -61,23 +63,23 @@ def test_an_installed_capability_is_possessed_and_advertised_to_nobody() -> None
         resources=("arm",),
     )
     state = given("fsar", installed)
-    assert possesses(state.registry, Robot("robot/B1"), "lift")
-    assert advertisement(state.registry, Robot("robot/B1"), "lift") is None
+    assert possesses(state.registry, B, "lift")
+    assert advertisement(state.registry, B, "lift") is None
 
 
 def test_a_removed_capability_is_neither_possessed_nor_advertised() -> None:
-    [removed] = decided(RemoveCapability(Robot("robot/B1"), "door.open.secure"))
-    assert removed == CapabilityRemoved(Robot("robot/B1"), "door.open.secure")
+    [removed] = decided(RemoveCapability(B, "door.open.secure"))
+    assert removed == CapabilityRemoved(B, "door.open.secure")
     state = given("fsar", removed)
-    assert not possesses(state.registry, Robot("robot/B1"), "door.open.secure")
-    assert advertisement(state.registry, Robot("robot/B1"), "door.open.secure") is None
+    assert not possesses(state.registry, B, "door.open.secure")
+    assert advertisement(state.registry, B, "door.open.secure") is None
 
 
 QUEUED = ExecutionQueued(
     subject=Subject("t", "t/1"),
-    principals=Parties(requested_by=Robot("robot/A1"), executed_by=Robot("robot/B1"), supervised_by=None),
-    robot=Robot("robot/B1"),
-    on_behalf_of=Robot("robot/A1"),
+    principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
+    robot=B,
+    on_behalf_of=A,
     capability="door.open.secure",
     step=1,
     attempt=1,
@@ -90,7 +92,7 @@ QUEUED = ExecutionQueued(
 @pytest.mark.parametrize(
     ("events", "command", "reason"),
     [
-        ((), JoinFleet(Robot("robot/A1"), "A", 1), "member already"),
+        ((), JoinFleet(A, "A", 1), "member already"),
         ((), JoinFleet(Robot("A9"), "A", 1), "no robot's name"),
         ((), JoinFleet(Robot("robot/"), "A", 1), "no robot's name"),
         ((), JoinFleet(Robot("robot/E/1"), "A", 1), "no robot's name"),
@@ -102,14 +104,14 @@ QUEUED = ExecutionQueued(
         ((), JoinFleet(Robot("robot/E1"), "E", 1, None, "hall//cell"), "no path"),
         ((), JoinFleet(Robot("robot/E1"), "E", 1, None, "/hall"), "no path"),
         ((), InstallCapability(Robot("robot/Z9"), "lift", "1.0.0"), "unknown robot"),
-        ((), InstallCapability(Robot("robot/B1"), "door.open.secure", "2.0.0"), "possesses version 1.0.0 already"),
-        ((), InstallCapability(Robot("robot/B1"), "lift", "one"), "no version"),
-        ((), InstallCapability(Robot("robot/B1"), "lift.*", "1.0.0"), "no name"),
-        ((), InstallCapability(Robot("robot/B1"), " ", "1.0.0"), "no name"),
-        ((), InstallCapability(Robot("robot/B1"), "lift", "1.0.0", ("lit", "not lit")), "contradict"),
+        ((), InstallCapability(B, "door.open.secure", "2.0.0"), "possesses version 1.0.0 already"),
+        ((), InstallCapability(B, "lift", "one"), "no version"),
+        ((), InstallCapability(B, "lift.*", "1.0.0"), "no name"),
+        ((), InstallCapability(B, " ", "1.0.0"), "no name"),
+        ((), InstallCapability(B, "lift", "1.0.0", ("lit", "not lit")), "contradict"),
         ((), RemoveCapability(Robot("robot/Z9"), "lift"), "unknown robot"),
-        ((), RemoveCapability(Robot("robot/B1"), "lift"), "does not possess lift"),
-        ((QUEUED,), RemoveCapability(Robot("robot/B1"), "door.open.secure"), "in use by t/1"),
+        ((), RemoveCapability(B, "lift"), "does not possess lift"),
+        ((QUEUED,), RemoveCapability(B, "door.open.secure"), "in use by t/1"),
     ],
 )
 def test_what_is_unknown_doubled_or_impossible_is_rejected(
@@ -122,28 +124,28 @@ def test_what_is_unknown_doubled_or_impossible_is_rejected(
 
 STARTED = ExecutionStarted(
     subject=Subject("t", "t/1"),
-    principals=Parties(requested_by=Robot("robot/A1"), executed_by=Robot("robot/B1"), supervised_by=None),
-    robot=Robot("robot/B1"),
-    on_behalf_of=Robot("robot/A1"),
+    principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
+    robot=B,
+    on_behalf_of=A,
     capability="door.open.secure",
     ends_us=9,
 )
 FAILED = ExecutionFailed(
-    subject=Subject("t", "t/1"), robot=Robot("robot/B1"), failure=1, cause="obstruction", remaining_us=4, detected_us=5
+    subject=Subject("t", "t/1"), robot=B, failure=1, cause="obstruction", remaining_us=4, detected_us=5
 )
 WEAK = ExecutionFailed(
-    subject=Subject("t", "t/1"), robot=Robot("robot/B1"), failure=1, cause="degradation", remaining_us=4, detected_us=5
+    subject=Subject("t", "t/1"), robot=B, failure=1, cause="degradation", remaining_us=4, detected_us=5
 )
 OUTWARD = RecoveryEscalated(
     subject=Subject("t", "t/1"),
     principals=Principals(decided_by=None, requested_by=None, executed_by=None, supervised_by=None, path=()),
-    robot=Robot("robot/B1"),
+    robot=B,
     failure=1,
     level="local",
     to_level="peer",
     failed_action="t/1",
 )
-RESUMED = ExecutionResumed(Subject("t", "t/1"), Robot("robot/B1"), 12)
+RESUMED = ExecutionResumed(Subject("t", "t/1"), B, 12)
 
 
 @pytest.mark.parametrize(
@@ -156,20 +158,16 @@ RESUMED = ExecutionResumed(Subject("t", "t/1"), Robot("robot/B1"), 12)
         ((QUEUED, STARTED, FAILED, OUTWARD), "failed"),
         ((QUEUED, STARTED, FAILED, RESUMED), "executing"),
         ((QUEUED, STARTED, FAILED, OUTWARD, RESUMED), "failed"),
-        ((ActuatorDegraded(Robot("robot/B1")),), "degraded"),
-        ((ActuatorDegraded(Robot("robot/B1")), QUEUED, STARTED), "degraded"),
-        ((ActuatorDegraded(Robot("robot/B1")), QUEUED, STARTED, WEAK), "failed"),
-        ((ActuatorDegraded(Robot("robot/B1")), ActuatorServiced(Robot("robot/B1"))), "idle"),
+        ((ActuatorDegraded(B),), "degraded"),
+        ((ActuatorDegraded(B), QUEUED, STARTED), "degraded"),
+        ((ActuatorDegraded(B), QUEUED, STARTED, WEAK), "failed"),
+        ((ActuatorDegraded(B), ActuatorServiced(B)), "idle"),
         (
-            (
-                AvailabilityChanged(
-                    robot=Robot("robot/B1"), capability="door.open.basic", availability="degraded", reason="worn"
-                ),
-            ),
+            (AvailabilityChanged(robot=B, capability="door.open.basic", availability="degraded", reason="worn"),),
             "degraded",
         ),
         (
-            (AvailabilityChanged(robot=Robot("robot/B1"), capability=None, availability="offline", reason="charging"),),
+            (AvailabilityChanged(robot=B, capability=None, availability="offline", reason="charging"),),
             "idle",
         ),
         (
@@ -179,8 +177,8 @@ RESUMED = ExecutionResumed(Subject("t", "t/1"), Robot("robot/B1"), 12)
                     principals=Principals(
                         decided_by=None, requested_by=None, executed_by=None, supervised_by=None, path=()
                     ),
-                    robot=Robot("robot/A1"),
-                    helper=Robot("robot/B1"),
+                    robot=A,
+                    helper=B,
                     failure=1,
                     level="peer",
                 ),
@@ -190,48 +188,46 @@ RESUMED = ExecutionResumed(Subject("t", "t/1"), Robot("robot/B1"), 12)
     ],
 )
 def test_a_robot_is_failed_before_degraded_before_executing_before_idle(events: tuple[Event, ...], state: str) -> None:
-    assert execution_state(given("fsar", *events), Robot("robot/B1")) == state
+    assert execution_state(given("fsar", *events), B) == state
 
 
 def test_a_failure_of_the_actuator_is_reported_and_an_obstruction_is_not() -> None:
-    state = given("fsar", ActuatorDegraded(Robot("robot/B1")), QUEUED, STARTED, WEAK)
+    state = given("fsar", ActuatorDegraded(B), QUEUED, STARTED, WEAK)
     [word] = REPORTS[ExecutionFailed](state, WEAK, 5)
-    assert word.command == ReportActuator(Robot("robot/B1"), True)
-    assert report_actuator(state, ReportActuator(Robot("robot/B1"), True)) == (
-        AvailabilityChanged(robot=Robot("robot/B1"), capability=None, availability="degraded", reason="actuator"),
+    assert word.command == ReportActuator(B, True)
+    assert report_actuator(state, ReportActuator(B, True)) == (
+        AvailabilityChanged(robot=B, capability=None, availability="degraded", reason="actuator"),
     )
     assert REPORTS[ExecutionFailed](state, FAILED, 5) == ()
 
 
 def test_what_was_reported_is_not_reported_again_and_a_serviced_robot_is_ready() -> None:
-    state = given("fsar", ActuatorDegraded(Robot("robot/B1")))
-    for event in report_actuator(state, ReportActuator(Robot("robot/B1"), True)):
+    state = given("fsar", ActuatorDegraded(B))
+    for event in report_actuator(state, ReportActuator(B, True)):
         apply(state, event)
-    assert report_actuator(state, ReportActuator(Robot("robot/B1"), True)) == ()
-    assert report_actuator(state, ReportActuator(Robot("robot/B1"), False)) == (), "it is not in order yet"
-    serviced = ActuatorServiced(Robot("robot/B1"))
+    assert report_actuator(state, ReportActuator(B, True)) == ()
+    assert report_actuator(state, ReportActuator(B, False)) == (), "it is not in order yet"
+    serviced = ActuatorServiced(B)
     apply(state, serviced)
     [word] = REPORTS[ActuatorServiced](state, serviced, 5)
     assert FSAR.decides[ReportActuator](state, word.command) == (
-        AvailabilityChanged(robot=Robot("robot/B1"), capability=None, availability="ready", reason="actuator"),
+        AvailabilityChanged(robot=B, capability=None, availability="ready", reason="actuator"),
     )
 
 
 def test_word_of_the_actuator_lifts_no_restriction() -> None:
     held_back = AvailabilityChanged(
-        robot=Robot("robot/B1"), capability="door.open.secure", availability="restricted", reason="inspection"
+        robot=B, capability="door.open.secure", availability="restricted", reason="inspection"
     )
-    state = given("fsar", held_back, ActuatorDegraded(Robot("robot/B1")))
-    words = report_actuator(state, ReportActuator(Robot("robot/B1"), True))
+    state = given("fsar", held_back, ActuatorDegraded(B))
+    words = report_actuator(state, ReportActuator(B, True))
     assert [event.capability for event in words] == ["navigate.indoor", "door.open.basic"]  # type: ignore[attr-defined]
 
 
 def test_without_a_registry_there_is_nobody_to_tell() -> None:
-    state = given(
-        "fsar", ActuatorDegraded(Robot("robot/B1")), QUEUED, STARTED, WEAK, configuration="without-shared-registry"
-    )
+    state = given("fsar", ActuatorDegraded(B), QUEUED, STARTED, WEAK, configuration="without-shared-registry")
     assert REPORTS[ExecutionFailed](state, WEAK, 5) == ()
-    assert REPORTS[ActuatorServiced](state, ActuatorServiced(Robot("robot/B1")), 5) == ()
+    assert REPORTS[ActuatorServiced](state, ActuatorServiced(B), 5) == ()
 
 
 def test_in_whole_runs_every_degradation_failure_is_reported_and_every_service_after_it_lifts_it() -> None:

@@ -17,9 +17,11 @@ from fsar_ledger.runtime.handlers.task import SubmitTask
 from tests.runtime.histories import given, types
 from tests.runtime.live import decided
 
+A, B = Robot("robot/A1"), Robot("robot/B1")
+
 DOOR = "door.open.secure"
-ASK = RequestCapability(Robot("robot/A1"), Robot("robot/B1"), DOOR, "visit", "q1")
-TASK = SubmitTask(Robot("robot/A1"), "T9", ("A carry.package", "A door.open.secure B"), 60_000_000)
+ASK = RequestCapability(A, B, DOOR, "visit", "q1")
+TASK = SubmitTask(A, "T9", ("A carry.package", "A door.open.secure B"), 60_000_000)
 
 
 def after(*commands: Command) -> State:
@@ -43,16 +45,16 @@ def test_a_result_that_is_none_is_rejected() -> None:
         state,
         ExecutionStarted(
             subject=Subject("visit", "q1"),
-            principals=Parties(requested_by=Robot("robot/A1"), executed_by=Robot("robot/B1"), supervised_by=None),
-            robot=Robot("robot/B1"),
-            on_behalf_of=Robot("robot/A1"),
+            principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
+            robot=B,
+            on_behalf_of=A,
             capability=DOOR,
             ends_us=9_000_000,
         ),
     )
     wrong: Any = "weird"
     assert (
-        refusal(state, ReportResult(Robot("robot/B1"), "q1", wrong))
+        refusal(state, ReportResult(B, "q1", wrong))
         == "unknown result weird, expected one of success, partial, failure"
     )
 

@@ -44,13 +44,13 @@ from tests.recycled import from_table
 from tests.runtime.histories import given, types
 from tests.runtime.live import decided, of, played
 
+A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
+
 DOOR = "door.open.secure"
-OPEN = msgspec.structs.replace(
-    CapabilityAdvertised(robot=Robot("robot/B1"), capability=DOOR), override_allowed="emergency-only"
-)
-ASK = RequestCapability(Robot("robot/A1"), Robot("robot/B1"), DOOR, "visit", "q1")
+OPEN = msgspec.structs.replace(CapabilityAdvertised(robot=B, capability=DOOR), override_allowed="emergency-only")
+ASK = RequestCapability(A, B, DOOR, "visit", "q1")
 GRANT = AuthorityGranted(
-    requested_by=Robot("robot/C1"),
+    requested_by=C,
     executed_by=None,
     capability=None,
     context=None,
@@ -61,7 +61,7 @@ GRANT = AuthorityGranted(
 
 def urgent(level: OverrideLevel, name: str = "q2") -> RequestCapability:
     """C1 asks the same robot, with this override level."""
-    return RequestCapability(Robot("robot/C1"), Robot("robot/B1"), DOOR, "rounds", name, level)
+    return RequestCapability(C, B, DOOR, "rounds", name, level)
 
 
 def busy(*before: Any, stage: str = "running", level: OverrideLevel = "none") -> State:
@@ -98,7 +98,7 @@ def test_soft_priority_goes_ahead_of_what_waits_without_it() -> None:
     state = busy()
     for level, name in (("none", "q2"), ("soft-priority", "q3"), ("soft-priority", "q4"), ("none", "q5")):
         play(state, urgent(level, name), EvaluateRequest(name))  # type: ignore[arg-type]
-    assert (state.execution.current[Robot("robot/B1")], state.execution.queues[Robot("robot/B1")]) == (
+    assert (state.execution.current[B], state.execution.queues[B]) == (
         "q1",
         ("q3", "q4", "q2", "q5"),
     )
@@ -109,9 +109,9 @@ def test_hard_preempt_takes_the_robot_and_the_preempted_action_keeps_its_rest_it
     play(state, urgent("none", "q0"), EvaluateRequest("q0"))
     admitted, preempted, queued = play(state, urgent("hard-preempt"), EvaluateRequest("q2", now_us=1_500_000))
     assert isinstance(admitted, RequestAdmitted)
-    assert preempted == ExecutionPreempted(Subject("visit", "q1"), Robot("robot/B1"), "q2", 1_500_000)
+    assert preempted == ExecutionPreempted(Subject("visit", "q1"), B, "q2", 1_500_000)
     assert isinstance(queued, ExecutionQueued)
-    assert (state.execution.current[Robot("robot/B1")], state.execution.queues[Robot("robot/B1")]) == (
+    assert (state.execution.current[B], state.execution.queues[B]) == (
         "q2",
         ("q1", "q0"),
     )
@@ -127,12 +127,12 @@ def test_hard_preempt_takes_the_robot_and_the_preempted_action_keeps_its_rest_it
         state,
         ExecutionFinished(
             Subject("rounds", "q2"),
-            Parties(requested_by=Robot("robot/C1"), executed_by=Robot("robot/B1"), supervised_by=None),
-            Robot("robot/B1"),
+            Parties(requested_by=C, executed_by=B, supervised_by=None),
+            B,
         ),
     )
     [resumed] = play(state, ResumeAction("q1", now_us=4_000_000))
-    assert resumed == ExecutionResumed(Subject("visit", "q1"), Robot("robot/B1"), 5_500_000)
+    assert resumed == ExecutionResumed(Subject("visit", "q1"), B, 5_500_000)
 
 
 def test_what_was_preempted_on_its_way_is_on_its_way_again_and_is_accepted_once() -> None:
@@ -144,8 +144,8 @@ def test_what_was_preempted_on_its_way_is_on_its_way_again_and_is_accepted_once(
         state,
         ExecutionFinished(
             Subject("rounds", "q2"),
-            Parties(requested_by=Robot("robot/C1"), executed_by=Robot("robot/B1"), supervised_by=None),
-            Robot("robot/B1"),
+            Parties(requested_by=C, executed_by=B, supervised_by=None),
+            B,
         ),
     )
     assert play(state, StartAction("q1", drawn=5)) == (), "the way back comes first"
@@ -162,8 +162,8 @@ def test_what_was_preempted_before_its_turn_is_accepted_at_its_turn() -> None:
         state,
         ExecutionFinished(
             Subject("rounds", "q2"),
-            Parties(requested_by=Robot("robot/C1"), executed_by=Robot("robot/B1"), supervised_by=None),
-            Robot("robot/B1"),
+            Parties(requested_by=C, executed_by=B, supervised_by=None),
+            B,
         ),
     )
     assert types(play(state, TakeTurn("q1"))) == [
@@ -178,7 +178,7 @@ def test_equals_do_not_interrupt_each_other_and_emergency_interrupts_all() -> No
     state = busy(GRANT, level="hard-preempt")
     assert "ExecutionPreempted" not in types(play(state, urgent("hard-preempt"), EvaluateRequest("q2")))
     assert "ExecutionPreempted" in types(play(state, urgent("emergency-only", "q3"), EvaluateRequest("q3")))
-    assert (state.execution.current[Robot("robot/B1")], state.execution.queues[Robot("robot/B1")]) == (
+    assert (state.execution.current[B], state.execution.queues[B]) == (
         "q3",
         ("q1", "q2"),
     )
@@ -197,14 +197,14 @@ def test_a_robot_that_helps_another_is_not_interrupted() -> None:
     help_given = AssistanceAdmitted(
         subject=Subject("t", "t/1"),
         principals=Principals(
-            decided_by=Robot("robot/B1"),
-            requested_by=Robot("robot/A1"),
-            executed_by=Robot("robot/A1"),
+            decided_by=B,
+            requested_by=A,
+            executed_by=A,
             supervised_by=None,
-            path=(Robot("robot/B1"),),
+            path=(B,),
         ),
-        robot=Robot("robot/A1"),
-        helper=Robot("robot/B1"),
+        robot=A,
+        helper=B,
         failure=1,
         level="peer",
     )
@@ -215,7 +215,7 @@ def test_a_robot_that_helps_another_is_not_interrupted() -> None:
 
 def test_what_was_replanning_keeps_its_rest_and_no_early_plan_takes_the_robot_back() -> None:
     state = busy()
-    apply(state, ExecutionPaused(Subject("visit", "q1"), Robot("robot/B1"), 700_000))
+    apply(state, ExecutionPaused(Subject("visit", "q1"), B, 700_000))
     _, preempted, _ = play(state, urgent("hard-preempt"), EvaluateRequest("q2", now_us=1_900_000))
     assert preempted.remaining_us == 700_000
     assert play(state, ResumeAction("q1", now_us=2_300_000)) == ()
@@ -223,8 +223,8 @@ def test_what_was_replanning_keeps_its_rest_and_no_early_plan_takes_the_robot_ba
         state,
         ExecutionFinished(
             Subject("rounds", "q2"),
-            Parties(requested_by=Robot("robot/C1"), executed_by=Robot("robot/B1"), supervised_by=None),
-            Robot("robot/B1"),
+            Parties(requested_by=C, executed_by=B, supervised_by=None),
+            B,
         ),
     )
     [resumed] = play(state, ResumeAction("q1", now_us=4_000_000))
@@ -233,7 +233,7 @@ def test_what_was_replanning_keeps_its_rest_and_no_early_plan_takes_the_robot_ba
 
 def test_a_failure_is_first_handled_by_the_executors_own_recovery() -> None:
     state = busy()
-    apply(state, ObstructionAppeared(Robot("robot/B1"), "o"))
+    apply(state, ObstructionAppeared(B, "o"))
     assert types(play(state, DetectObstruction("q1", now_us=1_500_000))) == ["ExecutionFailed"]
     assert types(play(state, urgent("hard-preempt"), EvaluateRequest("q2"))) == [
         "RequestAdmitted",
@@ -243,12 +243,10 @@ def test_a_failure_is_first_handled_by_the_executors_own_recovery() -> None:
 
 
 def test_an_own_step_that_was_preempted_while_policy_held_it_does_not_start_behind_the_other() -> None:
-    own = StepBegan(
-        subject=Subject("B1-1", "B1-1/1.1"), robot=Robot("robot/B1"), step=1, attempt=1, capability="navigate.indoor"
-    )
+    own = StepBegan(subject=Subject("B1-1", "B1-1/1.1"), robot=B, step=1, attempt=1, capability="navigate.indoor")
     arrived = TaskArrived(
         task_id="B1-1",
-        robot=Robot("robot/B1"),
+        robot=B,
         team=1,
         steps=("B navigate.indoor",),
         budget_us=60_000_000,
@@ -256,7 +254,7 @@ def test_an_own_step_that_was_preempted_while_policy_held_it_does_not_start_behi
     )
     rule = PolicyRuleSet(
         scope="local",
-        robot=Robot("robot/B1"),
+        robot=B,
         capability="navigate.indoor",
         context=None,
         outcome="deny",
@@ -271,8 +269,8 @@ def test_an_own_step_that_was_preempted_while_policy_held_it_does_not_start_behi
         state,
         ExecutionFinished(
             Subject("rounds", "q2"),
-            Parties(requested_by=Robot("robot/C1"), executed_by=Robot("robot/B1"), supervised_by=None),
-            Robot("robot/B1"),
+            Parties(requested_by=C, executed_by=B, supervised_by=None),
+            B,
         ),
     )
     assert types(play(state, StartAction("B1-1/1.1", drawn=5))) == ["ExecutionStarted"]
@@ -281,9 +279,9 @@ def test_an_own_step_that_was_preempted_while_policy_held_it_does_not_start_behi
 def entry(name: str, level: OverrideLevel) -> ExecutionQueued:
     return ExecutionQueued(
         subject=Subject("t", name),
-        principals=Parties(requested_by=Robot("robot/A1"), executed_by=Robot("robot/B1"), supervised_by=None),
-        robot=Robot("robot/B1"),
-        on_behalf_of=Robot("robot/A1"),
+        principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
+        robot=B,
+        on_behalf_of=A,
         capability=DOOR,
         step=1,
         attempt=1,
@@ -337,7 +335,7 @@ def test_the_queue_is_that_of_a_plain_model_and_nothing_is_lost_or_doubled(
             name = f"q{ordinal}"
             gone = model.arrives(name, level)
             if gone is not None:
-                state = execution.evolve(state, ExecutionPreempted(Subject("t", gone), Robot("robot/B1"), name, None))
+                state = execution.evolve(state, ExecutionPreempted(Subject("t", gone), B, name, None))
             state = execution.evolve(state, entry(name, level))
             alive.add(name)
         elif move == 4 or not model.waiting:
@@ -348,16 +346,16 @@ def test_the_queue_is_that_of_a_plain_model_and_nothing_is_lost_or_doubled(
                 ExecutionFinished(
                     Subject("t", name),
                     Parties(requested_by=None, executed_by=None, supervised_by=None),
-                    Robot("robot/B1"),
+                    B,
                 ),
             )
             alive.discard(name)
         else:
             name = model.leaves(ordinal % len(model.waiting))
-            state = execution.evolve(state, ExecutionWithdrawn(Subject("t", name), Robot("robot/B1")))
+            state = execution.evolve(state, ExecutionWithdrawn(Subject("t", name), B))
             alive.discard(name)
-        assert state.current.get(Robot("robot/B1")) == model.serving
-        assert state.queues.get(Robot("robot/B1"), ()) == tuple(name for name, _, _ in model.waiting)
+        assert state.current.get(B) == model.serving
+        assert state.queues.get(B, ()) == tuple(name for name, _, _ in model.waiting)
         assert {model.serving, *(name for name, _, _ in model.waiting)} - {None} == alive
 
 
@@ -416,7 +414,7 @@ def test_an_action_that_policy_holds_and_is_preempted_is_held_again_when_it_is_b
         state,
         PolicyRuleSet(
             scope="local",
-            robot=Robot("robot/B1"),
+            robot=B,
             capability=DOOR,
             context="visit",
             outcome="deny",
@@ -429,8 +427,8 @@ def test_an_action_that_policy_holds_and_is_preempted_is_held_again_when_it_is_b
         state,
         ExecutionFinished(
             Subject("rounds", "q2"),
-            Parties(requested_by=Robot("robot/C1"), executed_by=Robot("robot/B1"), supervised_by=None),
-            Robot("robot/B1"),
+            Parties(requested_by=C, executed_by=B, supervised_by=None),
+            B,
         ),
     )
     assert types(play(state, TakeTurn("q1"), StartAction("q1", drawn=5))) == ["ExecutionHeld"]
@@ -442,9 +440,7 @@ def test_in_any_run_every_request_is_executed_once_one_at_a_time(wanted: list[tu
     commands = [
         (
             1_000_000 + time_us,
-            RequestCapability(
-                Robot("robot/C1") if of_c else Robot("robot/A1"), Robot("robot/B1"), DOOR, "visit", f"q{number}", level
-            ),
+            RequestCapability(C if of_c else A, B, DOOR, "visit", f"q{number}", level),
         )
         for number, (time_us, level, of_c) in enumerate(wanted)
     ]
@@ -470,16 +466,16 @@ def test_in_any_run_every_request_is_executed_once_one_at_a_time(wanted: list[tu
 OFFERS = [
     msgspec.structs.replace(CapabilityAdvertised(robot=robot, capability=capability), override_allowed="emergency-only")
     for robot, capability in (
-        (Robot("robot/A1"), "carry.package"),
-        (Robot("robot/B1"), DOOR),
-        (Robot("robot/D1"), "carry.heavy"),
+        (A, "carry.package"),
+        (B, DOOR),
+        (D, "carry.heavy"),
     )
 ]
 PAIRS = (
-    (Robot("robot/C1"), Robot("robot/B1"), DOOR),
-    (Robot("robot/A1"), Robot("robot/B1"), DOOR),
-    (Robot("robot/D1"), Robot("robot/A1"), "carry.package"),
-    (Robot("robot/A1"), Robot("robot/D1"), "carry.heavy"),
+    (C, B, DOOR),
+    (A, B, DOOR),
+    (D, A, "carry.package"),
+    (A, D, "carry.heavy"),
 )
 
 

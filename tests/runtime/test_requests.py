@@ -53,16 +53,16 @@ from fsar_ledger.runtime.handlers.request import AnswerOffer, ReportResult, Requ
 from tests.runtime.histories import ARRIVED, DELEGATED_STEP, OWN_STEP, given, types, window
 from tests.runtime.live import decided, of, played
 
+A, B, C, D = Robot("robot/A1"), Robot("robot/B1"), Robot("robot/C1"), Robot("robot/D1")
+
 DOOR = "door.open.secure"
-ASK = RequestCapability(Robot("robot/A1"), Robot("robot/B1"), DOOR, "visit", "q1")
+ASK = RequestCapability(A, B, DOOR, "visit", "q1")
 RUNNING = ("RequestAdmitted", "ExecutionQueued")
 
 
 def offered(level: OverrideLevel, **changes: Any) -> CapabilityAdvertised:
     """B1 lets requests for its door carry this override level."""
-    return msgspec.structs.replace(
-        CapabilityAdvertised(robot=Robot("robot/B1"), capability=DOOR), override_allowed=level, **changes
-    )
+    return msgspec.structs.replace(CapabilityAdvertised(robot=B, capability=DOOR), override_allowed=level, **changes)
 
 
 def asked(
@@ -122,25 +122,25 @@ def test_an_admissible_request_is_accepted_with_its_trust_and_its_authority() ->
 
 BUSY = (ARRIVED, OWN_STEP)
 EXPIRED = TaskCompleted("visit")
-DISTRUST = TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="none")
+DISTRUST = TrustSet(robot=B, peer=A, scope="none")
 
 
 @pytest.mark.parametrize(
     ("after", "changes", "conjunct"),
     [
-        ((CapabilityRemoved(Robot("robot/B1"), DOOR),), {}, "possession"),
+        ((CapabilityRemoved(B, DOOR),), {}, "possession"),
         ((), {"executor": "robot/C1"}, "possession"),
-        ((CapabilityWithdrawn(Robot("robot/B1"), DOOR, "maintenance"),), {}, "advertisement"),
+        ((CapabilityWithdrawn(B, DOOR, "maintenance"),), {}, "advertisement"),
         ((offered("none", visible_to=("D",)),), {}, "advertisement"),
         ((offered("none", version="2.0.0"),), {"version": "1.0.0"}, "advertisement"),
         ((DISTRUST,), {}, "trust"),
         ((offered("none", trust_required="session"),), {}, "trust"),
         ((DISTRUST, offered("none", visibility="trust-gated")), {}, "advertisement"),
-        ((window(Robot("robot/B1")),), {}, "policy"),
+        ((window(B),), {}, "policy"),
         ((offered("none", policy_required=("rounds",)),), {}, "policy"),
         ((), {"directives": ("plan",)}, "local-execution"),
         (
-            (AvailabilityChanged(robot=Robot("robot/B1"), capability=None, availability="offline", reason="battery"),),
+            (AvailabilityChanged(robot=B, capability=None, availability="offline", reason="battery"),),
             {},
             "local-execution",
         ),
@@ -148,8 +148,8 @@ DISTRUST = TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="none
         (
             (
                 AuthorityRevoked(
-                    requested_by=Robot("robot/A1"),
-                    executed_by=Robot("robot/B1"),
+                    requested_by=A,
+                    executed_by=B,
                     capability=None,
                     context=None,
                     reason="human override",
@@ -159,8 +159,8 @@ DISTRUST = TrustSet(robot=Robot("robot/B1"), peer=Robot("robot/A1"), scope="none
             {},
             "authority",
         ),
-        ((DISTRUST, window(Robot("robot/B1")), EXPIRED), {"directives": ("policy",)}, "trust"),
-        ((window(Robot("robot/B1")), EXPIRED), {"directives": ("recovery",)}, "policy"),
+        ((DISTRUST, window(B), EXPIRED), {"directives": ("policy",)}, "trust"),
+        ((window(B), EXPIRED), {"directives": ("recovery",)}, "policy"),
         ((EXPIRED,), {"directives": ("plan",)}, "local-execution"),
     ],
 )
@@ -196,13 +196,13 @@ def test_without_trust_evaluation_trust_is_no_conjunct_and_no_part_of_the_admiss
 
 
 def test_policy_that_wants_a_review_is_put_before_a_supervisor_only_if_all_else_holds() -> None:
-    reviewed = asked(after=(window(Robot("robot/B1"), "review"),))
+    reviewed = asked(after=(window(B, "review"),))
     assert types(evaluate_request(reviewed, EvaluateRequest("q1"))) == ["SupervisorCalled"]
-    assert verdict(asked(after=(window(Robot("robot/B1"), "review"), EXPIRED))) == ("reject", "authority")
+    assert verdict(asked(after=(window(B, "review"), EXPIRED))) == ("reject", "authority")
 
 
 def test_what_was_approved_is_still_denied_when_trust_is_gone_by_then() -> None:
-    state = asked(after=(window(Robot("robot/B1"), "review"),))
+    state = asked(after=(window(B, "review"),))
     for event in evaluate_request(state, EvaluateRequest("q1")):
         apply(state, event)
     apply(
@@ -211,8 +211,8 @@ def test_what_was_approved_is_still_denied_when_trust_is_gone_by_then() -> None:
             Subject("visit", "q1"),
             Principals(
                 decided_by=FLEET_SUPERVISOR,
-                requested_by=Robot("robot/A1"),
-                executed_by=Robot("robot/B1"),
+                requested_by=A,
+                executed_by=B,
                 supervised_by=FLEET_SUPERVISOR,
                 path=(FLEET_SUPERVISOR,),
             ),
@@ -220,9 +220,9 @@ def test_what_was_approved_is_still_denied_when_trust_is_gone_by_then() -> None:
         ),
     )
     request = state.request["q1"]
-    assert evaluate(state, request, Robot("robot/B1"), is_reviewed=True).verdict == "accept"
+    assert evaluate(state, request, B, is_reviewed=True).verdict == "accept"
     apply(state, DISTRUST)
-    assert evaluate(state, request, Robot("robot/B1"), is_reviewed=True).conjunct == "trust"
+    assert evaluate(state, request, B, is_reviewed=True).conjunct == "trust"
 
 
 def test_a_busy_executor_defers_and_the_request_is_served_in_its_turn() -> None:
@@ -239,14 +239,12 @@ def test_a_busy_executor_defers_and_the_request_is_served_in_its_turn() -> None:
 
 RELAYED = RegistryQueried(
     subject=Subject("A1-1", "A1-1/2.1"),
-    principals=Parties(requested_by=Robot("robot/D1"), executed_by=Robot("robot/B1"), supervised_by=None),
+    principals=Parties(requested_by=D, executed_by=B, supervised_by=None),
     capability=DOOR,
-    candidates=(Robot("robot/B1"),),
-    relay=Robot("robot/A1"),
+    candidates=(B,),
+    relay=A,
 )
-D_STEP = StepBegan(
-    subject=Subject("A1-1", "A1-1/2.1"), robot=Robot("robot/D1"), step=2, attempt=1, capability=DOOR, target_role="B"
-)
+D_STEP = StepBegan(subject=Subject("A1-1", "A1-1/2.1"), robot=D, step=2, attempt=1, capability=DOOR, target_role="B")
 
 
 def relayed(*after: Event) -> State:
@@ -254,15 +252,15 @@ def relayed(*after: Event) -> State:
     issued = RequestIssued(
         subject=RequestSubject("A1-1", "A1-1/2.1", "A1-1/2.1"),
         principals=Principals(
-            decided_by=Robot("robot/D1"),
-            requested_by=Robot("robot/D1"),
-            executed_by=Robot("robot/B1"),
+            decided_by=D,
+            requested_by=D,
+            executed_by=B,
             supervised_by=None,
-            path=(Robot("robot/D1"),),
+            path=(D,),
         ),
         capability=DOOR,
         carried_policy="allow",
-        relay=Robot("robot/A1"),
+        relay=A,
     )
     return given("fsar", ARRIVED, D_STEP, RELAYED, issued, *after)
 
@@ -273,9 +271,7 @@ def test_each_link_of_a_relayed_request_rests_on_its_own_trust() -> None:
     admitted, _ = evaluate_request(state, EvaluateRequest("A1-1/2.1"))
     assert isinstance(admitted, RequestAdmitted)
     assert admitted.trust == "task", "of B1 in A1; B1 does not trust D1"
-    [denied] = relay_request(
-        relayed(TrustSet(robot=Robot("robot/A1"), peer=Robot("robot/D1"), scope="none")), RelayRequest("A1-1/2.1")
-    )
+    [denied] = relay_request(relayed(TrustSet(robot=A, peer=D, scope="none")), RelayRequest("A1-1/2.1"))
     assert isinstance(denied, RequestDenied)
     assert (denied.reason, denied.principals.decided_by) == ("trust", "robot/A1")
     assert verdict(relayed(DISTRUST), "A1-1/2.1") == ("reject", "trust")
@@ -285,16 +281,16 @@ def test_rights_along_a_chain_never_add_up_to_a_right_of_its_first_at_its_last()
     """A1 may ask B1 and B1 may ask C1; A1 at C1 has no trust whatever was granted along the way, and C1 judges B1 alone."""
     grants = (
         AuthorityGranted(
-            requested_by=Robot("robot/A1"),
-            executed_by=Robot("robot/B1"),
+            requested_by=A,
+            executed_by=B,
             capability=None,
             context=None,
             override="none",
             decided_by=FLEET_SUPERVISOR,
         ),
         AuthorityGranted(
-            requested_by=Robot("robot/B1"),
-            executed_by=Robot("robot/C1"),
+            requested_by=B,
+            executed_by=C,
             capability=None,
             context=None,
             override="none",
@@ -302,16 +298,16 @@ def test_rights_along_a_chain_never_add_up_to_a_right_of_its_first_at_its_last()
         ),
     )
     state = served(asked(*grants), EvaluateRequest("q1"))
-    onward = RequestCapability(Robot("robot/B1"), Robot("robot/C1"), "inspect.visual", "visit", "q2", parent="q1")
+    onward = RequestCapability(B, C, "inspect.visual", "visit", "q2", parent="q1")
     for event in decided(state, onward):
         apply(state, event)
     assert state.request["q2"].parent == "q1"
     assert verdict(state, "q2") == ("accept", None)
-    direct = RequestCapability(Robot("robot/A1"), Robot("robot/C1"), "inspect.visual", "visit", "q3")
+    direct = RequestCapability(A, C, "inspect.visual", "visit", "q3")
     for event in decided(state, direct):
         apply(state, event)
     assert verdict(state, "q3") == ("reject", "trust")
-    apply(state, TrustSet(robot=Robot("robot/C1"), peer=Robot("robot/B1"), scope="none"))
+    apply(state, TrustSet(robot=C, peer=B, scope="none"))
     assert verdict(state, "q2") == ("reject", "trust"), "the parent's admission does not carry its link"
 
 
@@ -339,11 +335,11 @@ def test_a_request_that_names_something_unknown_over_or_impossible_is_rejected_a
     finished = RequestDenied(
         RequestSubject("visit", "old", "old"),
         Principals(
-            decided_by=Robot("robot/B1"),
-            requested_by=Robot("robot/A1"),
-            executed_by=Robot("robot/B1"),
+            decided_by=B,
+            requested_by=A,
+            executed_by=B,
             supervised_by=None,
-            path=(Robot("robot/B1"),),
+            path=(B,),
         ),
         "policy",
     )
@@ -373,8 +369,8 @@ def test_an_executor_asked_for_more_override_than_it_allows_offers_what_it_allow
 
 def test_a_grant_of_less_than_the_executor_allows_is_the_limit() -> None:
     grant = AuthorityGranted(
-        requested_by=Robot("robot/A1"),
-        executed_by=Robot("robot/B1"),
+        requested_by=A,
+        executed_by=B,
         capability=DOOR,
         context=None,
         override="soft-priority",
@@ -385,7 +381,7 @@ def test_a_grant_of_less_than_the_executor_allows_is_the_limit() -> None:
 
 def test_a_taken_offer_admits_the_request_on_those_terms() -> None:
     state = countered()
-    [answer] = decided(state, AnswerOffer(Robot("robot/A1"), "q1", True))
+    [answer] = decided(state, AnswerOffer(A, "q1", True))
     assert isinstance(answer, OfferAnswered)
     assert (answer.round, answer.is_accepted, answer.override) == (1, True, "soft-priority")
     apply(state, answer)
@@ -400,7 +396,7 @@ def test_a_negotiation_ends_after_so_many_rounds() -> None:
     rounds = state.fleet.structure.negotiation_rounds
     for number in range(1, rounds + 1):
         assert (state.request["q1"].offers, state.request["q1"].offered) == (number, "soft-priority")
-        state = served(state, AnswerOffer(Robot("robot/A1"), "q1", False, "hard-preempt"))
+        state = served(state, AnswerOffer(A, "q1", False, "hard-preempt"))
         events = evaluate_request(state, EvaluateRequest("q1"))
         for event in events:
             apply(state, event)
@@ -410,7 +406,7 @@ def test_a_negotiation_ends_after_so_many_rounds() -> None:
 
 
 def test_a_requester_that_lets_go_ends_its_request() -> None:
-    state = served(countered(), AnswerOffer(Robot("robot/A1"), "q1", False))
+    state = served(countered(), AnswerOffer(A, "q1", False))
     assert state.request["q1"].is_over
     assert evaluate_request(state, EvaluateRequest("q1")) == ()
 
@@ -426,7 +422,7 @@ def test_in_a_whole_run_a_negotiation_comes_to_its_end(answers: list[bool | None
         commands.append(
             (
                 1_000_000 + number * 2_000_000,
-                AnswerOffer(Robot("robot/A1"), "q1", answer is True, "hard-preempt" if answer is None else None),
+                AnswerOffer(A, "q1", answer is True, "hard-preempt" if answer is None else None),
             )
         )
     run = played(commands, offered("soft-priority"))
@@ -440,9 +436,9 @@ def test_in_a_whole_run_a_negotiation_comes_to_its_end(answers: list[bool | None
 @pytest.mark.parametrize(
     ("command", "found"),
     [
-        (AnswerOffer(Robot("robot/A1"), "q9", True), "unknown request q9"),
-        (AnswerOffer(Robot("robot/D1"), "q1", True), "the offer is to robot/A1"),
-        (AnswerOffer(Robot("robot/A1"), "q1", True, "hard-preempt"), "soft-priority was offered"),
+        (AnswerOffer(A, "q9", True), "unknown request q9"),
+        (AnswerOffer(D, "q1", True), "the offer is to robot/A1"),
+        (AnswerOffer(A, "q1", True, "hard-preempt"), "soft-priority was offered"),
         (AnswerOffer("robot/A1", "q1", False, "absolute"), "unknown override level"),  # type: ignore[arg-type]
     ],
 )
@@ -450,9 +446,7 @@ def test_an_answer_to_no_open_offer_is_rejected(command: AnswerOffer, found: str
     [rejected] = decided(countered(), command)
     assert isinstance(rejected, CommandRejected)
     assert found in rejected.reason
-    [again] = decided(
-        served(countered(), AnswerOffer(Robot("robot/A1"), "q1", True)), AnswerOffer(Robot("robot/A1"), "q1", True)
-    )
+    [again] = decided(served(countered(), AnswerOffer(A, "q1", True)), AnswerOffer(A, "q1", True))
     assert isinstance(again, CommandRejected)
     assert again.reason == "no counter-offer is open, expected one to answer"
 
@@ -464,9 +458,9 @@ def executing(result_of: str = "q1") -> State:
         state,
         ExecutionStarted(
             subject=Subject("visit", "q1"),
-            principals=Parties(requested_by=Robot("robot/A1"), executed_by=Robot("robot/B1"), supervised_by=None),
-            robot=Robot("robot/B1"),
-            on_behalf_of=Robot("robot/A1"),
+            principals=Parties(requested_by=A, executed_by=B, supervised_by=None),
+            robot=B,
+            on_behalf_of=A,
             capability=DOOR,
             ends_us=9_000_000,
         ),
@@ -478,11 +472,11 @@ def executing(result_of: str = "q1") -> State:
 def test_a_reported_result_ends_the_execution_and_the_closing_carries_it_on(
     result: Any, achieved: tuple[str, ...]
 ) -> None:
-    [finished] = decided(executing(), ReportResult(Robot("robot/B1"), "q1", result, achieved))
+    [finished] = decided(executing(), ReportResult(B, "q1", result, achieved))
     assert isinstance(finished, ExecutionFinished)
     assert (finished.result, finished.achieved, finished.principals.executed_by) == (result, achieved, "robot/B1")
     started = of(played([(1_000_000, ASK)]), ExecutionStarted)[0][0]
-    run = played([(1_000_000, ASK), (started + 1_000, ReportResult(Robot("robot/B1"), "q1", result, achieved))])
+    run = played([(1_000_000, ASK), (started + 1_000, ReportResult(B, "q1", result, achieved))])
     [(_, closed)] = of(run, RequestClosed)
     assert isinstance(closed, RequestClosed)
     assert closed.result == result
@@ -494,10 +488,10 @@ def test_a_reported_result_ends_the_execution_and_the_closing_carries_it_on(
 @pytest.mark.parametrize(
     ("command", "found"),
     [
-        (ReportResult(Robot("robot/B1"), "q9", "success"), "unknown request"),
-        (ReportResult(Robot("robot/A1"), "q1", "success"), "robot/B1 executes it"),
-        (ReportResult(Robot("robot/B1"), "q1", "partial"), "a partial result with 0 postconditions"),
-        (ReportResult(Robot("robot/B1"), "q1", "success", ("door.open",)), "a success result with 1 postconditions"),
+        (ReportResult(B, "q9", "success"), "unknown request"),
+        (ReportResult(A, "q1", "success"), "robot/B1 executes it"),
+        (ReportResult(B, "q1", "partial"), "a partial result with 0 postconditions"),
+        (ReportResult(B, "q1", "success", ("door.open",)), "a success result with 1 postconditions"),
     ],
 )
 def test_a_result_of_nothing_that_the_executor_executes_is_rejected(command: ReportResult, found: str) -> None:
@@ -507,7 +501,7 @@ def test_a_result_of_nothing_that_the_executor_executes_is_rejected(command: Rep
 
 
 def test_a_result_before_the_start_or_after_the_end_is_rejected() -> None:
-    report = ReportResult(Robot("robot/B1"), "q1", "success")
+    report = ReportResult(B, "q1", "success")
     for state, found in (
         (asked(), "has not been admitted"),
         (served(asked(), EvaluateRequest("q1")), "it is queued"),
@@ -521,21 +515,17 @@ def test_a_result_before_the_start_or_after_the_end_is_rejected() -> None:
 def test_a_result_achieves_nothing_that_the_contract_does_not_promise() -> None:
     state = executing()
     module = msgspec.structs.replace(
-        state.registry.modules[Robot("robot/B1")][DOOR],
+        state.registry.modules[B][DOOR],
         contract=msgspec.structs.replace(
-            state.registry.modules[Robot("robot/B1")][DOOR].contract, postconditions=("door.open", "door.unlocked")
+            state.registry.modules[B][DOOR].contract, postconditions=("door.open", "door.unlocked")
         ),
     )
     state.registry = msgspec.structs.replace(
         state.registry,
-        modules={**state.registry.modules, "robot/B1": {**state.registry.modules[Robot("robot/B1")], DOOR: module}},
+        modules={**state.registry.modules, "robot/B1": {**state.registry.modules[B], DOOR: module}},
     )
-    assert types(decided(state, ReportResult(Robot("robot/B1"), "q1", "partial", ("door.unlocked",)))) == [
-        "ExecutionFinished"
-    ]
-    assert types(decided(state, ReportResult(Robot("robot/B1"), "q1", "partial", ("window.open",)))) == [
-        "CommandRejected"
-    ]
+    assert types(decided(state, ReportResult(B, "q1", "partial", ("door.unlocked",)))) == ["ExecutionFinished"]
+    assert types(decided(state, ReportResult(B, "q1", "partial", ("window.open",)))) == ["CommandRejected"]
 
 
 def test_a_step_whose_result_is_no_success_is_asked_for_again() -> None:
@@ -545,7 +535,7 @@ def test_a_step_whose_result_is_no_success_is_asked_for_again() -> None:
         for time, event in of(played([], *begun), ExecutionStarted)
         if isinstance(event, ExecutionStarted) and event.robot == "robot/B1"
     )
-    run = played([(started + 1_000, ReportResult(Robot("robot/B1"), "A1-1/2.1", "failure"))], *begun)
+    run = played([(started + 1_000, ReportResult(B, "A1-1/2.1", "failure"))], *begun)
     attempts = [event.attempt for _, event in of(run, StepBegan) if isinstance(event, StepBegan) and event.step == 2]
     assert attempts == [1, 2]
     assert [event.subject.action_id for _, event in of(run, StepCompleted) if isinstance(event, StepCompleted)] == [
