@@ -1,7 +1,8 @@
-# `make reproduce` and `make test` need only Python 3.11 or newer and make: each sets up what it uses.
+# `make reproduce` and `make test` need a POSIX system (Linux, macOS), Python 3.11 or newer, and make. Each installs what it uses:
+# `reproduce` requirements.txt, `test` requirements-test.txt on top of it, `test-all` requirements-all.txt on top of that.
 #
-# PYTHON=python3.12 make test   takes another interpreter; the first of these that is new enough is the default.
-# JOBS=4 make test              runs the tests on more processes.
+# PYTHON=python3.12 make test   uses another interpreter; the default is the first of these that is new enough.
+# JOBS=4 make test              runs the tests in more processes.
 # STEPS=1000000 make soak-federation   plays longer.
 
 PYTHON ?= $(shell for python in python3 python3.11 python3.12 python3.13 python3.14 python; do \
@@ -10,107 +11,126 @@ JOBS ?= 2
 OUT ?= fsar-out
 STEPS ?= 100000
 
-# Tests start processes by the hundred: what is compiled once is kept, whatever the shell says.
+# Tests start hundreds of processes: keep compiled modules, whatever the shell says.
 unexport PYTHONDONTWRITEBYTECODE
 
 BIN := .venv/bin
+PIP := $(BIN)/python -m pip --disable-pip-version-check install --quiet
+
+# A stamp for each set-up, written last: a set-up that was interrupted is done again.
 READY := .venv/.ready
+READY_TEST := .venv/.ready-test
+READY_ALL := .venv/.ready-all
+
+SOAKS := soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers soak-reverts soak-swaps
 
 .DEFAULT_GOAL := help
-.PHONY: help setup reproduce test check check-style check-types check-sql check-imports soak soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers soak-reverts soak-swaps soak-sensitivity bench docs sbom clean
+.PHONY: help setup reproduce test test-all check check-style check-types check-sql check-imports soak $(SOAKS) soak-sensitivity bench docs pins sbom clean
 
 help:
-	@echo "make setup      a .venv with the command fsar-ledger in it"
-	@echo "make reproduce  simulate the paper's experiments, measure them, typeset the report into $(OUT)/"
-	@echo "make test       every check and every test"
-	@echo "make check      the checks without the tests: style, types, imports, SQL"
-	@echo "make soak       the long tests, over an hour: make soak-tests, -federation, -crash, -damage, -verifier, -agreement, -flips, -readers, -reverts, -swaps are its parts"
-	@echo "make soak-sensitivity   how much of each number hangs on each constant, most of an hour; goes on where it was interrupted"
-	@echo "make bench      the benchmarks, as ratios"
-	@echo "make docs       write the pages that hold real output again"
-	@echo "make sbom       the software bill of materials, CycloneDX 1.6, into dist/fsar-ledger.cdx.json"
-	@echo "make clean      remove what the other targets made"
+	@echo "make setup       create .venv with the command fsar-ledger in it"
+	@echo "make reproduce   simulate the paper's experiments, measure them, typeset the report into $(OUT)/"
+	@echo "make test        run every check and the tests, 5 minutes; tests that need an extra are skipped, with the reason"
+	@echo "make test-all    install the extras and run all tests but the soaks, 30 minutes; a skipped test is a failure"
+	@echo "make check       run the checks without the tests: style, types, imports, SQL"
+	@echo "make soak        run the long tests, over an hour: $(SOAKS)"
+	@echo "make soak-sensitivity   measure how much each number depends on each constant, most of an hour; resumes where it was interrupted"
+	@echo "make bench       run the benchmarks and print ratios"
+	@echo "make docs        rewrite the pages that show real output"
+	@echo "make pins        pin the versions in requirements*.in again; needs uv"
+	@echo "make sbom        write the software bill of materials, CycloneDX 1.6, to dist/fsar-ledger.cdx.json"
+	@echo "make clean       remove what the other targets made"
 
 setup: $(READY)
 
-# One stamp for the whole set-up: it is written last, so that an interrupted set-up is done again.
 $(READY): requirements.txt pyproject.toml
 	@if [ -z "$(PYTHON)" ]; then echo "make: no Python 3.11 or newer found; install one, or name it: make PYTHON=/path/to/python3" >&2; exit 2; fi
 	$(PYTHON) -m venv .venv
-	$(BIN)/python -m pip --disable-pip-version-check install --quiet --require-hashes -r requirements.txt
-	$(BIN)/python -m pip --disable-pip-version-check install --quiet --no-deps --no-build-isolation -e .
-	@touch $(READY)
+	$(PIP) --require-hashes -r requirements.txt
+	$(PIP) --no-deps --no-build-isolation -e .
+	@touch $@
 
-reproduce: setup
+$(READY_TEST): requirements-test.txt $(READY)
+	$(PIP) --require-hashes -r requirements-test.txt
+	@touch $@
+
+$(READY_ALL): requirements-all.txt $(READY_TEST)
+	$(PIP) --require-hashes -r requirements-all.txt
+	@touch $@
+
+reproduce: $(READY)
 	$(BIN)/fsar-ledger reproduce --out $(OUT)
 
-# The checks one beside the other: the types take as long as all the rest.
-check: setup
+# Two checks at a time: the types take as long as all the others.
+check: $(READY_TEST)
 	@$(MAKE) --no-print-directory -j 2 check-types check-style check-imports check-sql
 
-check-style:
+check-style: $(READY_TEST)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
-check-types:
-	$(BIN)/mypy --strict fsar_ledger tests benchmarks docs .ci/sbom.py
+check-types: $(READY_TEST)
+	$(BIN)/mypy --strict fsar_ledger tests benchmarks docs .ci/sbom.py .ci/pin.py
 
-check-sql:
+check-sql: $(READY_TEST)
 	$(BIN)/sqlfluff lint --disable-progress-bar queries
 
-check-imports:
+check-imports: $(READY_TEST)
 	$(BIN)/lint-imports
 
 test: check
-	$(BIN)/pytest -n $(JOBS) --dist worksteal
+	$(BIN)/pytest -n $(JOBS) --dist worksteal -rs
 
-soak: soak-tests soak-federation soak-crash soak-damage soak-verifier soak-agreement soak-flips soak-readers soak-reverts soak-swaps
+test-all: $(READY_ALL) check
+	$(BIN)/pytest -n $(JOBS) --dist worksteal -m "not soak" --no-skips
 
-# The tests that make test leaves out because they take minutes.
-soak-tests: setup
-	$(BIN)/pytest -n $(JOBS) -m slow
+soak: $(SOAKS)
 
-# 100,000 random steps of random fleets: ten invariants hold, live state = rebuilt state.
-soak-federation: setup
+# The tests that make test-all leaves out because each takes minutes.
+soak-tests: $(READY_TEST)
+	$(BIN)/pytest -n $(JOBS) -m soak
+
+# Take 100,000 random steps in random fleets: the ten invariants hold, and the live state equals the rebuilt one.
+soak-federation: $(READY_TEST)
 	$(BIN)/python -m tests.runtime.test_federation_model $(STEPS)
 
-# Faults at every call of an append and of the recovery from it, power failures, 2,000 processes killed: nothing lost, nothing torn.
-soak-crash: setup
+# Inject a fault at every call of an append and of its recovery, cut the power, kill 2,000 processes: nothing is lost, nothing torn.
+soak-crash: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.crash_soak
 
-# Every bit flipped and every length cut of every file of a ledger: all found, each with its place.
-soak-damage: setup
+# Flip every bit of every file of a ledger and cut it at every length: each is found, with its place.
+soak-damage: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.damage_soak
 
-# Each check of the verifier taken out once: a test fails.
-soak-verifier: setup
+# Remove each check of the verifier once: a test fails.
+soak-verifier: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.mutate_verifier
 
-# The verifier that shares nothing with the package, and verify, on 1,200 good and damaged ledgers.
-soak-agreement: setup
+# Compare verify with a verifier that shares no code with the package, on 1,200 good and damaged ledgers.
+soak-agreement: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.agreement_soak 1200
 
-# 2,000 single bits flipped over all files of a ledger, and then every command that answers from it: refused, or the right answer.
-soak-flips: setup
+# Flip 2,000 single bits, one at a time, and call every command that answers: it refuses, or its answer is right.
+soak-flips: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.flips_soak 2000
 
-# 100,000 segments whose footer or page headers say something else: each is refused, or read alike by pyarrow, DuckDB and Polars.
-soak-readers: setup
+# Forge the footer or page headers of 100,000 segments: each is refused, or pyarrow, DuckDB and Polars read it alike.
+soak-readers: $(READY_TEST)
 	$(BIN)/python -m tests.ledger.readers_soak
 
-# Each fix that is on record in tests/reverts taken out alone: its test fails by its own assertion.
-soak-reverts: setup
+# Revert each fix on record in tests/reverts alone: its test fails by its own assertion.
+soak-reverts: $(READY_TEST)
 	$(BIN)/python -m tests.reverts.soak
 
 # Every two arguments that could be mistaken for each other, wherever an event is made, swapped once: the type checker, a run or a test finds it.
-soak-swaps: setup
+soak-swaps: $(READY_TEST)
 	$(BIN)/python -m tests.swaps.soak
 
-# Every constant, the load and the size of the fleet varied: which cell each of them moves, and how far. No test; the fit makes it worth doing again.
-soak-sensitivity: setup
+# Vary every constant, the load and the fleet size: which cell does each move, and how far? Not a test; repeat it after a fit.
+soak-sensitivity: $(READY)
 	$(BIN)/fsar-ledger sensitivity --out $(OUT)/sensitivity.parquet --svg $(OUT)/sensitivity.svg
 
-bench: setup
+bench: $(READY_TEST)
 	$(BIN)/python benchmarks/command_line.py
 	$(BIN)/python benchmarks/simulate_and_append.py
 	$(BIN)/python benchmarks/metrics.py
@@ -119,12 +139,16 @@ bench: setup
 	$(BIN)/python benchmarks/trust.py
 	$(BIN)/python benchmarks/growth.py --maps
 
-docs: reproduce
+docs: reproduce $(READY_TEST)
 	$(BIN)/python docs/write.py
 	$(BIN)/python -c 'from pathlib import Path; from fsar_ledger.report import result_figure_svg; result_figure_svg(Path("$(OUT)/results"), Path("docs/results.svg"))'
 
-# What the package and its tests are made of: versions, hashes and licences of all that requirements.txt installs.
-sbom: setup
+# The versions and hashes that the three set-ups install.
+pins: $(READY)
+	$(BIN)/python .ci/pin.py
+
+# Versions, hashes and licences of what the package and its tests are made of.
+sbom: $(READY_TEST)
 	$(BIN)/python .ci/sbom.py dist/fsar-ledger.cdx.json
 
 clean:

@@ -1,8 +1,10 @@
-"""The software bill of materials of a checkout, as CycloneDX 1.6 JSON: `python .ci/sbom.py [FILE]`.
+"""Writes the software bill of materials of a checkout as CycloneDX 1.6 JSON: `python .ci/sbom.py [FILE]`.
 
-Says for each requirement of this interpreter its version and the SHA-256 of every file that `requirements.txt` accepts for it, the licence that its
-metadata names, and what it needs. `required` is what the package itself needs when it runs, `excluded` what only its tests and checks need. The same
-checkout and installation give the same bytes: there is no time in it, and the serial number is that of its contents.
+Lists each requirement of this interpreter in `requirements.txt` and `requirements-test.txt` with its version, the
+SHA-256 of every file that may be installed for it, the licence in its metadata, and what it needs itself. `required` is
+what the package needs when it runs, `excluded` what only its tests and checks need. The same checkout and installation
+give the same bytes: it holds no time, and its serial number is derived from its contents. The extras of
+`requirements-all.txt`, which only execute pages of the documentation, are not in it.
 """
 
 import hashlib
@@ -20,11 +22,12 @@ from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parent.parent
+FILES = ("requirements.txt", "requirements-test.txt")
 LONGEST_NAME = 80  # what is longer is the text of a licence, not its name
 
 
 class Pinned(NamedTuple):
-    """One entry of `requirements.txt`: a version, and the SHA-256 of each file that may be installed for it."""
+    """One entry of a requirements file: a version, and the SHA-256 of each file that may be installed for it."""
 
     name: str
     version: str
@@ -33,32 +36,32 @@ class Pinned(NamedTuple):
 
 def pinned(text: str) -> Iterator[Pinned]:
     """The entries that hold for this interpreter and platform. Raises: SystemExit for one without a version or hashes."""
-    for entry in re.split(r"\n(?=\S)", re.sub(r"^\s*#.*\n?", "", text, flags=re.MULTILINE).strip()):
+    for entry in re.split(r"\n(?=\S)", re.sub(r"^(\s*#|-r ).*\n?", "", text, flags=re.MULTILINE).strip()):
         line, *rest = entry.replace("\\\n", "\n").splitlines()
         requirement = Requirement(line)
         hashes = tuple(re.findall(r"--hash=sha256:([0-9a-f]{64})(?!\S)", "\n".join(rest)))
         versions = [one.version for one in requirement.specifier if one.operator == "=="]
         if len(versions) != 1 or not hashes:
             raise SystemExit(
-                f"requirements.txt: found {line.strip()!r} with {len(hashes)} hashes, expected NAME==VERSION and its hashes"
+                f"requirements: found {line.strip()!r} with {len(hashes)} hashes, expected NAME==VERSION and its hashes"
             )
         if requirement.marker is None or requirement.marker.evaluate():
             yield Pinned(canonicalize_name(requirement.name), versions[0], hashes)
 
 
 def installed(one: Pinned) -> Distribution:
-    """The metadata of this requirement. Raises: SystemExit unless that version is installed."""
+    """Return the metadata of this requirement. Raises: SystemExit unless that version is installed."""
     try:
         found = distribution(one.name)
     except PackageNotFoundError:
-        raise SystemExit(f"{one.name}: found none installed, expected {one.version}; run make setup") from None
+        raise SystemExit(f"{one.name}: found none installed, expected {one.version}; run make test") from None
     if found.version != one.version:
-        raise SystemExit(f"{one.name}: found {found.version} installed, expected {one.version}; run make setup")
+        raise SystemExit(f"{one.name}: found {found.version} installed, expected {one.version}; run make test")
     return found
 
 
 def needs(requirements: list[str], known: set[str]) -> list[str]:
-    """The names of these requirements that hold here, without extras."""
+    """Return the names of these requirements that apply here, without extras."""
     parsed = [Requirement(text) for text in requirements]
     return sorted(
         {
@@ -71,7 +74,7 @@ def needs(requirements: list[str], known: set[str]) -> list[str]:
 
 
 def licences(found: Distribution) -> list[dict[str, object]]:
-    """The licence as the metadata says it: an SPDX expression, else names."""
+    """Return the licence in the metadata: an SPDX expression, or else names."""
     expressions, classifiers, texts = (
         [str(text) for text in found.metadata.get_all(name) or []]
         for name in ("License-Expression", "Classifier", "License")
@@ -88,15 +91,16 @@ def licences(found: Distribution) -> list[dict[str, object]]:
 
 
 def reference(name: str, version: str) -> str:
-    """The package URL, which names a component within the document too."""
+    """Return the package URL, which also names the component within the document."""
     return f"pkg:pypi/{name}@{version}"
 
 
 def document(root: Path) -> dict[str, object]:
-    """The bill of materials."""
+    """Return the bill of materials."""
     project = tomllib.loads((root / "pyproject.toml").read_text("utf-8"))["project"]
     version = re.search(r'__version__ = "([^"]+)"', (root / "fsar_ledger" / "__init__.py").read_text("utf-8"))
-    entries = {one.name: one for one in pinned((root / "requirements.txt").read_text("utf-8"))}
+    text = "".join((root / name).read_text("utf-8") for name in FILES)
+    entries = {one.name: one for one in pinned(text)}
     metadata = {name: installed(one) for name, one in entries.items()}
     needed = {name: needs(found.requires or [], set(entries)) for name, found in metadata.items()}
     own = needs(project["dependencies"], set(entries))
@@ -162,15 +166,14 @@ def _component(one: Pinned, found: Distribution, *, is_required: bool) -> dict[s
 
 
 def main(out: Path) -> None:
-    """The file holds the bill of materials of the checkout that this script is in."""
+    """Write the bill of materials of the checkout that this script is in."""
     found = document(ROOT)
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(json.dumps(found, indent=2, ensure_ascii=False) + "\n", "utf-8")
     components = found["components"]
     assert isinstance(components, list)
-    print(
-        f"{out}: {len(components)} components, {sum(one['scope'] == 'required' for one in components)} of them needed when it runs"
-    )
+    required = sum(one["scope"] == "required" for one in components)
+    print(f"{out}: {len(components)} components, {required} of them needed when it runs")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""What a larger fleet costs: founding it, simulating it, and the maps of its state; prints ratios.
+"""Measures what a larger fleet costs: founding it, simulating it, and the maps of its state; prints ratios.
 
-python benchmarks/growth.py                    founding and one run under each architecture, 4 to 1,024 robots
-python benchmarks/growth.py --maps             also maps that share what they keep, those of them that are installed: pyrsistent, immutables
+python benchmarks/growth.py           founding and one run under each architecture, 4 to 1,024 robots
+python benchmarks/growth.py --maps    also persistent maps, where installed: pyrsistent, immutables
 """
 
 import argparse
@@ -24,7 +24,7 @@ SHELVES = 32
 
 
 class Shelves:
-    """The hand-cut alternative: so many dictionaries, of which a change copies one."""
+    """The hand-written alternative to a persistent map: several dictionaries, of which a change copies one."""
 
     __slots__ = ("parts",)
 
@@ -40,22 +40,23 @@ class Shelves:
 
 
 def best_s(work: Callable[[], object], repeats: int = 3) -> float:
-    """The best of some times. Units: seconds."""
+    """Return the best of several times. Units: seconds."""
     return min(timeit.repeat(work, number=1, repeat=repeats))
 
 
 def print_founding() -> None:
-    """Seconds to found a fleet and fold its state, and how much more that is for each robot than in a fleet of four."""
+    """Print the seconds to found a fleet and fold its state, and the cost of a robot against a fleet of four."""
     of_four = best_s(lambda: fold(founding(4)), 50) / 4
     for size in SIZES:
         taken_s = best_s(lambda size=size: fold(founding(size)))  # type: ignore[misc]
+        events, cost = len(founding(size)), taken_s / size / of_four
         print(
-            f"founding {size:5} robots: {len(founding(size)):5} events in {taken_s:.3f} s, for each robot {taken_s / size / of_four:.1f} times that of 4"
+            f"founding {size:5} robots: {events:5} events in {taken_s:.3f} s, for each robot {cost:.1f} times that of 4"
         )
 
 
 def print_runs() -> None:
-    """Seconds of one run in which up to four teams have tasks, and how much more that is for each event than in a fleet of four."""
+    """Print the seconds of one run with up to four working teams, and the cost of an event against a fleet of four."""
     for architecture in ARCHITECTURES:
         of_four = 0.0
         for size in (4, 64, 1024):
@@ -67,12 +68,13 @@ def print_runs() -> None:
             each_s = best_s(lambda spec=spec, constants=constants: simulate_run(spec, constants)) / events  # type: ignore[misc]
             of_four = of_four or each_s
             print(
-                f"{architecture:4} {size:5} robots: {events:6} events in {each_s * events:.2f} s, for each event {each_s / of_four:.1f} times that of 4"
+                f"{architecture:4} {size:5} robots: {events:6} events in {each_s * events:.2f} s, "
+                f"for each event {each_s / of_four:.1f} times that of 4"
             )
 
 
 def print_maps() -> None:
-    """Times of one change and one look, against those of a dictionary that is copied."""
+    """Print the times of one change and one look-up, against a dictionary that is copied."""
     kinds: dict[str, Callable[[dict[str, int]], Any]] = {"hand-cut shelves": lambda _: Shelves()}
     for module, name in (("pyrsistent", "pmap"), ("immutables", "Map")):
         try:
@@ -92,12 +94,13 @@ def print_maps() -> None:
             set_s = best_s(lambda one=one, key=key: [one.set(key, 0) for _ in range(1000)])  # type: ignore[misc]
             get_s = best_s(lambda one=one, key=key: [one.get(key) for _ in range(1000)])  # type: ignore[misc]
             print(
-                f"{size:5} entries, {kind:16}: a change takes {set_s / copied_s:5.2f} of a copied dictionary's, a look {get_s / found_s:5.2f}"
+                f"{size:5} entries, {kind:16}: a change takes {set_s / copied_s:5.2f} of a copied dictionary's, "
+                f"a look-up {get_s / found_s:5.2f}"
             )
 
 
 def main() -> None:
-    """Print what was asked for."""
+    """Print the measurements."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--maps", action="store_true")
     asked = parser.parse_args()

@@ -1,14 +1,14 @@
-"""One inclusion proof out of a ledger of 10 million events, beside hashing the tree anew; prints milliseconds and ratios.
+"""Measures one inclusion proof of 10 million events, against hashing the tree anew; prints milliseconds and ratios.
 
     python benchmarks/inclusion_proof.py                     10 million events, 200 proofs
     python benchmarks/inclusion_proof.py --events 100000     a small run
 
-The ledger holds tiles and a checkpoint only: a proof reads tiles and nothing else, so events need not be there, and their
-leaf hashes are those of a counter. It takes 33 bytes an event in the folder for temporary files, and is removed at the end.
-Each proof starts cold: a reader of its own that knows no tile yet (the system may have the files in memory).
+The ledger holds tiles and a checkpoint only, since a proof reads nothing else; the leaf hashes are those of a counter.
+It takes 33 bytes an event in the folder for temporary files and is removed at the end. Each proof starts cold: it has a
+reader of its own without any tile (the system may have the files in memory).
 
-The alternative is what a ledger without tiles must do: hash the whole tree from its leaf hashes, which are in memory here, with
-`hashlib` and nothing else, once. Both must come to the same root, and the proof must lead to it.
+The alternative is what a ledger without tiles must do: hash the whole tree from its leaf hashes, once, in memory and
+with `hashlib` alone. Both must come to the same root, and the proof must lead to it.
 """
 
 import argparse
@@ -38,7 +38,7 @@ def leaf(number: int) -> bytes:
 
 
 def build(ledger: Path, events: int) -> Checkpoint:
-    """The tiles and the checkpoint are there; partial tiles of older sizes, which nobody asks for, are not."""
+    """Write the tiles and the checkpoint, without the partial tiles of older sizes, which no proof reads."""
     edge = Edge()
     for first in range(0, events, BATCH):
         edge, made = edge.extend(b"".join([leaf(number) for number in range(first, min(events, first + BATCH))]))
@@ -56,26 +56,27 @@ def write(ledger: Path, files: dict[Tile, bytes]) -> None:
 
 
 def proof_ms(ledger: Path, index: int) -> float:
-    """How long one proof takes, from reading the checkpoint on."""
+    """Return the time of one proof, from reading the checkpoint on."""
     began = time.perf_counter_ns()
     tree = parse_note("checkpoint", read_checkpoint(ledger) or "").checkpoint
     found, hashes = prove_inclusion(ledger, tree, index)
     spent = time.perf_counter_ns() - began
     if found != leaf(index) or root_of_inclusion(found, index, tree.size, hashes) != tree.root:
         raise SystemExit(
-            f"differs: event {index} has leaf hash {found.hex()}, expected {leaf(index).hex()} and a proof that leads to the root"
+            f"differs: event {index} has leaf hash {found.hex()}, expected {leaf(index).hex()} "
+            "and a proof that leads to the root"
         )
     return spent / 1e6
 
 
 def hash_all_ms(events: int) -> tuple[float, bytes]:
-    """The alternative: the time to hash the tree from its leaf hashes, and its root."""
+    """Hash the tree from its leaf hashes, as the alternative; return the time and the root."""
     row = [leaf(number) for number in range(events)]
     sha256 = hashlib.sha256
     began = time.perf_counter_ns()
     while len(row) > 1:
         above = [sha256(b"\x01" + left + right).digest() for left, right in zip(row[::2], row[1::2], strict=False)]
-        row = above + row[len(above) * 2 :]  # a last one without a partner goes up as it is
+        row = above + row[len(above) * 2 :]  # a last node without a sibling moves up unchanged
     return (time.perf_counter_ns() - began) / 1e6, row[0]
 
 
@@ -97,18 +98,14 @@ def main() -> int:
         print(f"differs: the tiles give the root {tree.root.hex()}, hashing anew {root.hex()}", file=sys.stderr)
         return 1
     median, worst = statistics.median(spent), max(spent)
-    print(
-        f"{options.events:,} events, {size / options.events:.1f} bytes of tiles an event ({HASH_BYTES} are the leaf hash), {options.proofs} proofs"
-    )
-    print(
-        f"one proof, fastest / median / slowest, ms   {min(spent):>8.2f} {median:>8.2f} {worst:>8.2f}   (goal: under {LIMIT_MS})"
-    )
-    print(
-        f"hashing the tree anew, ms                   {alternative:>8.0f}            ({alternative * 1e6 / options.events:.0f} ns an event)"
-    )
-    print(
-        f"one proof / hashing the tree anew           {median / alternative:>8.6f}            (1 : {alternative / median:,.0f})"
-    )
+    print(f"{options.events:,} events, {options.proofs} proofs, ", end="")
+    print(f"{size / options.events:.1f} bytes of tiles an event ({HASH_BYTES} are the leaf hash)")
+    fastest, each_ns = min(spent), alternative * 1e6 / options.events
+    print(f"one proof, fastest / median / slowest, ms   {fastest:>8.2f} {median:>8.2f} {worst:>8.2f}", end="   ")
+    print(f"(goal: under {LIMIT_MS})")
+    print(f"hashing the tree anew, ms                   {alternative:>8.0f}            ({each_ns:.0f} ns an event)")
+    print(f"one proof / hashing the tree anew           {median / alternative:>8.6f}", end="            ")
+    print(f"(1 : {alternative / median:,.0f})")
     return 0 if median < LIMIT_MS else 1
 
 

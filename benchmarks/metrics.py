@@ -1,4 +1,4 @@
-"""The eight metrics over 10 million events, beside the same aggregation hand-written in Polars; prints the ratio.
+"""Measures the eight metrics over 10 million events, against the same aggregation written in Polars; prints the ratio.
 
     python benchmarks/metrics.py                    10 million events; the ledger is simulated once and kept
     python benchmarks/metrics.py --events 200000    a small run
@@ -31,11 +31,11 @@ Numbers = dict[tuple[str | None, str | None, int | None, str], float]
 
 
 def ledger_of(events: int, cache: Path, workers: int) -> Path:
-    """A ledger with about so many events: five scenarios, three architectures, as many runs as it takes."""
+    """Return a ledger with about this many events: five scenarios, three architectures, as many runs as needed."""
     with tempfile.TemporaryDirectory() as probe:
         per_run = simulate(Path(probe) / "probe", experiment(4), workers, None).size / (15 * 4)
     runs = max(4, round(events / per_run / 15))
-    model = run_id(run_started(next(experiment(1).specs()), Constants()))[-12:]  # another model has another cache
+    model = run_id(run_started(next(experiment(1).specs()), Constants()))[-12:]  # a changed model gets its own cache
     ledger = cache / f"runs-{runs}-{model}"
     print(f"ledger of {runs} runs per scenario and architecture: {ledger}", flush=True)
     simulate(ledger, experiment(runs), workers, None)
@@ -64,9 +64,13 @@ def by_sql(ledger: Path) -> Numbers:
 
 def event_classes(ledger: Path) -> EventClasses:
     with connect(ledger) as database:
-        rows = database.rows("SELECT type, decision_kind, record_kind FROM event_classes")
+        rows = database.rows("SELECT type, decision_kind, record_kind, part FROM event_classes")
     return EventClasses(
-        [row["type"] for row in rows if row["decision_kind"]], [row["type"] for row in rows if row["record_kind"]]
+        judged=[row["type"] for row in rows],
+        decisions=[row["type"] for row in rows if row["decision_kind"]],
+        denials=[row["type"] for row in rows if row["decision_kind"] == "denial"],
+        records=[row["type"] for row in rows if row["record_kind"]],
+        of_requesters=[row["type"] for row in rows if row["part"] == "requester"],
     )
 
 
@@ -97,7 +101,7 @@ def main() -> int:
     view = open_ledger(ledger)
     segments, classes = view.segments(), event_classes(ledger)
     sql_s, polars_s = [], []
-    for _ in range(options.repeats):  # in turns, so that a slow moment of the machine meets both
+    for _ in range(options.repeats):  # in turn, so that a slow moment of the machine hits both
         seconds, ours = timed(lambda: by_sql(ledger))
         sql_s.append(seconds)
         seconds, theirs = timed(lambda: by_polars(segments, classes))
@@ -113,9 +117,9 @@ def main() -> int:
             return 1
     sql, polars = statistics.median(sql_s), statistics.median(polars_s)
     print(f"events                  {view.head.size:>12,}")
-    print(
-        f"eight metrics, SQL      {sql:>12.2f} s   (with summary, intervals and start-up; {view.head.size / sql / 1e6:.1f} million events/s)"
-    )
+    million_per_s = view.head.size / sql / 1e6
+    print(f"eight metrics, SQL      {sql:>12.2f} s   (with summary, intervals and start-up; ", end="")
+    print(f"{million_per_s:.1f} million events/s)")
     print(f"eight metrics, Polars   {polars:>12.2f} s   (means only)")
     print(f"same numbers            {len(ours):>12} of {len(ours)} within {TOLERANCE}")
     print(f"SQL / Polars            {sql / polars:>12.2f}     (target: at most 2)")

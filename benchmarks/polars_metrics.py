@@ -1,25 +1,34 @@
-"""The eight metrics written by hand in Polars, by the same judging rules as `queries/metrics`: what the SQL is measured against."""
+"""The eight metrics in Polars, by the judging rules of `queries/metrics`: what the SQL is measured against."""
 
 from pathlib import Path
 from typing import NamedTuple
 
 import polars as pl
 
+from fsar_ledger.events import EVENT_TYPES
+
 GROUP = ["architecture", "configuration", "fleet_size"]
 ACTION = ["run_id", "action_id"]
 FAILURE = ["run_id", "action_id", "failure"]
 PRINCIPALS = ["requested_by", "executed_by", "supervised_by"]
+TAGS = {kind.__name__: str(kind.__struct_config__.tag) for kind in EVENT_TYPES}
 
 
 class EventClasses(NamedTuple):
-    """Which types are decisions and which are records: the judges' table, the same for both sides of the comparison."""
+    """The event types by what they are to a judge, from the SQL's own table, so that both sides agree.
 
+    `of_requesters` are those that tell the requester's part in an action; all others of `judged` tell the executor's.
+    """
+
+    judged: list[str]
     decisions: list[str]
+    denials: list[str]
     records: list[str]
+    of_requesters: list[str]
 
 
 def of(events: pl.LazyFrame, *types: str) -> pl.LazyFrame:
-    return events.filter(pl.col("type").is_in([f"{name}.v1" for name in types]))
+    return events.filter(pl.col("type").is_in([TAGS[name] for name in types]))
 
 
 def success(events: pl.LazyFrame) -> pl.LazyFrame:
@@ -33,16 +42,21 @@ def success(events: pl.LazyFrame) -> pl.LazyFrame:
     return tasks.group_by("run_id").agg(in_time.mean().alias("coordination_success"))
 
 
-def locality(events: pl.LazyFrame, types: list[str]) -> pl.LazyFrame:
+def locality(events: pl.LazyFrame, classes: EventClasses) -> pl.LazyFrame:
     is_local = (pl.col("path").list.len() == 1) & pl.col("decided_by").str.contains("^(robot|supervisor)/").fill_null(
         value=False
     )
-    decisions = events.filter(pl.col("type").is_in(types)).filter(pl.col("path").list.len() > 0)
-    return decisions.group_by("run_id").agg(is_local.mean().alias("governance_locality"))
+    content = [pl.col("type", "decided_by", "reason"), pl.col("path").list.join(">")]
+    decisions = events.filter(pl.col("type").is_in(classes.decisions)).filter(pl.col("path").list.len() > 0)
+    is_new = pl.any_horizontal(
+        one.ne_missing(one.shift(1).over("run_id", "task_id", order_by="seq")) for one in content
+    )
+    is_decision = ~pl.col("type").is_in(classes.denials) | pl.col("task_id").is_null() | is_new
+    return decisions.filter(is_decision).group_by("run_id").agg(is_local.mean().alias("governance_locality"))
 
 
 def failures(events: pl.LazyFrame) -> pl.LazyFrame:
-    """Per run: failures, contained ones, those with a latency, and the sum of latencies."""
+    """Count per run the failures, the contained ones and those with a latency, and sum the latencies."""
     resolved = (
         of(events, "FailureResolved")
         .group_by(FAILURE)
@@ -65,7 +79,7 @@ def failures(events: pl.LazyFrame) -> pl.LazyFrame:
 
 def conflicts(events: pl.LazyFrame) -> pl.LazyFrame:
     subject = [*ACTION, "dimension"]
-    is_release = pl.col("type") == "AuthorityReleased.v1"
+    is_release = pl.col("type") == TAGS["AuthorityReleased"]
     ended_us = pl.when(is_release).then("time_us").shift(-1).backward_fill().over([*subject, "claimant", "reason"])
     edges = of(events, "AuthorityClaimed", "AuthorityReleased").select(
         "type", "time_us", *subject, "claimant", "reason"
@@ -89,9 +103,9 @@ def violations(events: pl.LazyFrame) -> pl.LazyFrame:
         .select(*key, "outcome", pl.col("time_us").alias("opened_us"))
         .join(closed, on=key, how="left")
     )
-    is_motion = (pl.col("type") == "RoutinePerformed.v1") & (pl.col("operation") == "motion")
+    is_motion = (pl.col("type") == TAGS["RoutinePerformed"]) & (pl.col("operation") == "motion")
     starts = of(events, "ExecutionStarted", "RoutinePerformed").filter(
-        (pl.col("type") == "ExecutionStarted.v1") | is_motion
+        (pl.col("type") == TAGS["ExecutionStarted"]) | is_motion
     )
     starts = starts.select(*ACTION, "seq", "time_us", "robot", "on_behalf_of")
     own = starts.join(windows, on=["run_id", "robot"], how="inner")
@@ -121,13 +135,15 @@ def human(events: pl.LazyFrame) -> pl.LazyFrame:
     return called.select("run_id").unique().with_columns(human_intervention=pl.lit(1))
 
 
-def attributability(events: pl.LazyFrame, types: list[str]) -> pl.LazyFrame:
-    known = (
-        events.filter(pl.col("action_id").is_not_null())
-        .group_by(ACTION)
-        .agg(pl.col(name).is_not_null().any().alias(f"has_{name}") for name in PRINCIPALS)
+def attributability(events: pl.LazyFrame, classes: EventClasses) -> pl.LazyFrame:
+    decider = "robot/" + pl.col("decided_by").str.extract("^(?:robot|agent)/([^/]+)")
+    executor = pl.coalesce("executed_by", "robot", decider, "requested_by")
+    part = pl.when(pl.col("type").is_in(classes.of_requesters)).then("requested_by").otherwise(executor)
+    judged = events.filter(pl.col("type").is_in(classes.judged)).with_columns(part=part)
+    known = judged.group_by(*ACTION, "part").agg(
+        pl.col(name).is_not_null().any().alias(f"has_{name}") for name in PRINCIPALS
     )
-    records = events.filter(pl.col("type").is_in(types)).select(*ACTION, *PRINCIPALS).join(known, on=ACTION, how="left")
+    records = judged.filter(pl.col("type").is_in(classes.records)).join(known, on=[*ACTION, "part"], how="left")
     complete = pl.all_horizontal(
         pl.col(name).is_not_null() | pl.col(f"has_{name}").fill_null(value=False) for name in PRINCIPALS
     )
@@ -135,19 +151,19 @@ def attributability(events: pl.LazyFrame, types: list[str]) -> pl.LazyFrame:
 
 
 def eight_metrics(segments: list[Path], classes: EventClasses) -> pl.DataFrame:
-    """Mean of each metric by architecture, configuration and fleet size; containment and latency pooled over runs."""
+    """Average each metric by architecture, configuration and fleet size, with failures pooled over runs."""
     events = pl.scan_parquet(segments)
     runs = of(events, "RunStarted").select("run_id", *GROUP)
     parts = pl.collect_all(
         [
             runs,
             success(events),
-            locality(events, classes.decisions),
+            locality(events, classes),
             failures(events),
             conflicts(events),
             violations(events),
             human(events),
-            attributability(events, classes.records),
+            attributability(events, classes),
         ]
     )
     table = parts[0]

@@ -1,10 +1,10 @@
-"""Registry look-up from 4 to 4,096 robots, beside a scan of all records; prints ratios.
+"""Measures registry look-ups among 4 to 4,096 robots, against a scan of all records; prints ratios.
 
     python benchmarks/registry_lookup.py                  medians of 2,000 look-ups in each fleet
     python benchmarks/registry_lookup.py --lookups 200    a small run
 
-Robots are in cells of four, four cells to a room, four rooms to a hall and so on. A near look-up finds what a robot of the
-own cell offers; a far one what only the last robot of the fleet offers. Both sides must find the same robot.
+Robots are in cells of four, four cells to a room, four rooms to a hall and so on. A near look-up finds what a robot of
+the own cell offers; a far one what only the last robot of the fleet offers. Both sides must find the same robot.
 """
 
 import argparse
@@ -36,7 +36,7 @@ NEAR, FAR = "door.open.secure", "calibrate.sensor"
 
 
 def cell(number: int, cells: int) -> str:
-    """The domain of a cell: one digit of base four for each level of the hierarchy."""
+    """Return the domain of a cell: one digit of base four for each level of the hierarchy."""
     digits = []
     while cells > 1:
         digits.append(str(number % 4))
@@ -60,7 +60,7 @@ def founding(size: int) -> Iterator[Event]:
 
 
 def scanned(state: State, records: list[Advertisement], query: Query) -> str:
-    """The alternative: every record of the fleet is looked at, and the nearest admissible robot taken."""
+    """Scan every record of the fleet, as the alternative, and return the nearest admissible robot."""
     matching = [
         record for record in records if record.capability == query.capability and record.robot != query.requester
     ]
@@ -73,7 +73,7 @@ def looked_up(state: State, query: Query) -> str:
 
 
 def median_us(work: Callable[[Query], str], queries: list[Query]) -> tuple[float, list[str]]:
-    """The median time of one look-up in microseconds, and what the look-ups found."""
+    """Return the median time of one look-up in microseconds, and what the look-ups found."""
     spent, found = [], []
     for query in queries:
         began = time.perf_counter_ns()

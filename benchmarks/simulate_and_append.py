@@ -1,10 +1,11 @@
-"""Events per second from world to committed ledger, beside the PyPI package `eventsourcing` storing the same events.
+"""Measures events per second from world to committed ledger, against the PyPI package `eventsourcing`.
 
     python benchmarks/simulate_and_append.py             the paper's 300 runs
     python benchmarks/simulate_and_append.py --runs 4    a small run
 
-Ours simulates, hashes and commits. `eventsourcing` makes its event objects and stores them (SQLite application recorder,
-WAL, its default JSON transcoder, 150 events a save), and need not simulate. Each measurement has a process of its own.
+Ours simulates, hashes and commits. `eventsourcing` makes its event objects of the same events and stores them (SQLite
+application recorder, WAL, its default JSON transcoder, 150 events a save), and need not simulate. Each measurement has
+a process of its own.
 """
 
 import argparse
@@ -31,10 +32,10 @@ BYTES_PER_MIB = 1024
 
 
 class Measurement(NamedTuple):
-    """What a process did.
+    """One measurement of a process.
 
-    Units: `seconds` wall; `saving_seconds` the part of it that saved events that were objects already;
-    `peak_kib` the largest resident set of the process and of each of its children.
+    Units: `seconds` wall; `saving_seconds` the part of it that saved finished event objects; `peak_kib` the largest
+    resident set of the process and of each of its children.
     """
 
     events: int
@@ -44,7 +45,7 @@ class Measurement(NamedTuple):
 
 
 def simulate_and_append(folder: Path, runs: int, workers: int) -> Measurement:
-    """World to committed ledger; imports and the start of worker processes count."""
+    """Measure from world to committed ledger, with imports and the start of worker processes."""
     experiment = Experiment(
         architectures=get_args(Architecture),
         scenarios=get_args(Scenario),
@@ -64,7 +65,7 @@ def peak_kib() -> int:
 
 
 def store_with_eventsourcing(ledger: Path, database: Path) -> Measurement:
-    """The events of the ledger are in an SQLite database; reading them from the ledger is not timed."""
+    """Store the ledger's events in an SQLite database; reading them from the ledger is not timed."""
     from eventsourcing.persistence import DatetimeAsISO, DecimalAsStr, EventStore, JSONTranscoder, Mapper, UUIDAsHex
     from eventsourcing.sqlite import SQLiteApplicationRecorder, SQLiteDatastore
 
@@ -91,7 +92,7 @@ def store_with_eventsourcing(ledger: Path, database: Path) -> Measurement:
 
 
 def domain_classes() -> dict[type, type[Any]]:
-    """One frozen `DomainEvent` class for each of our event types, with the same fields and the envelope."""
+    """Make one frozen `DomainEvent` class for each of our event types, with the same fields and the envelope."""
     from eventsourcing.domain import DomainEvent
 
     metaclass: Any = type(DomainEvent)
@@ -108,7 +109,7 @@ def domain_classes() -> dict[type, type[Any]]:
 
 
 def domain_events(run: RunRecord, classes: dict[type, type[Any]]) -> list[Any]:
-    """The events of a run as `eventsourcing` has them: an aggregate per run, versions from 1."""
+    """Return the events of a run for `eventsourcing`: an aggregate per run, versions from 1."""
     from eventsourcing.domain import datetime_now_with_tzinfo
 
     aggregate, now = uuid.uuid5(uuid.NAMESPACE_OID, run.run_id), datetime_now_with_tzinfo()
@@ -128,7 +129,7 @@ def domain_events(run: RunRecord, classes: dict[type, type[Any]]) -> list[Any]:
 
 
 def apart(work: Callable[..., Measurement], *arguments: Any) -> Measurement:
-    """The measurement, done in a fresh process."""
+    """Take the measurement in a fresh process."""
     context = multiprocessing.get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_send, args=(sender, work, arguments))
@@ -164,7 +165,7 @@ def main() -> int:
     ours, theirs, one, two = [], [], [], []
     with tempfile.TemporaryDirectory(prefix="fsar-ledger-") as name:
         folder = Path(name)
-        for turn in range(options.repeats):  # in turns, so that a slow moment of the machine meets all
+        for turn in range(options.repeats):  # in turn, so that a slow moment of the machine hits all
             ours.append(apart(simulate_and_append, folder / f"ours-{turn}", options.runs, 1))
             theirs.append(apart(store_with_eventsourcing, folder / f"ours-{turn}", folder / f"theirs-{turn}.db"))
             one.append(apart(simulate_and_append, folder / f"one-{turn}", scaling_runs, 1))
@@ -177,22 +178,17 @@ def main() -> int:
     saving = statistics.median(run.events / run.saving_seconds for run in theirs)
     print(f"eventsourcing, making and saving    {rate(theirs):>12,.0f} events/s")
     print(f"eventsourcing, saving alone         {saving:>12,.0f} events/s")
-    print(
-        f"fsar-ledger / eventsourcing         {rate(ours) / rate(theirs):>12.2f} (target: at least 4; {rate(ours) / saving:.2f} against saving alone)"
-    )
-    print(
-        f"two workers / one                   {rate(two) / rate(one):>12.2f} (target: at least 1.7; {one[0].events:,} events)"
-    )
-    print(
-        f"peak memory of a process            {max(run.peak_kib for run in (*ours, *one, *two)) / BYTES_PER_MIB:>12.0f} MiB (target: under 500)"
-    )
+    ratio, against_saving, scaling = rate(ours) / rate(theirs), rate(ours) / saving, rate(two) / rate(one)
+    print(f"fsar-ledger / eventsourcing         {ratio:>12.2f} (target: at least 4; ", end="")
+    print(f"{against_saving:.2f} against saving alone)")
+    print(f"two workers / one                   {scaling:>12.2f} (target: at least 1.7; {one[0].events:,} events)")
+    peak = max(run.peak_kib for run in (*ours, *one, *two)) / BYTES_PER_MIB
+    print(f"peak memory of a process            {peak:>12.0f} MiB (target: under 500)")
     small, large = ours[0].peak_kib / BYTES_PER_MIB, one[0].peak_kib / BYTES_PER_MIB
-    print(
-        f"... with {scaling_runs / options.runs:>4g} times the runs         {large:>12.0f} MiB (target: flat; {small:.0f} before)"
-    )
-    print(
-        f"bytes per event in segments/        {segments / events:>12.1f} (target: at most 25; eventsourcing {database / events:.0f})"
-    )
+    print(f"... with {scaling_runs / options.runs:>4g} times the runs         {large:>12.0f} MiB ", end="")
+    print(f"(target: flat; {small:.0f} before)")
+    print(f"bytes per event in segments/        {segments / events:>12.1f} (target: at most 25; ", end="")
+    print(f"eventsourcing {database / events:.0f})")
     return 0
 
 

@@ -1,4 +1,4 @@
-"""What trust costs: verifying beside hashing the same bytes, and hashing and tiles beside simulating; prints the ratios.
+"""Measures the cost of trust: verifying against hashing alone, hashing and tiles against simulating; prints ratios.
 
 python benchmarks/trust.py              2.8 million events
 python benchmarks/trust.py --runs 20    a small run
@@ -29,12 +29,12 @@ from fsar_ledger.runtime.experiment import simulate
 
 
 def leaf_bytes(view: LedgerView) -> list[list[bytes]]:
-    """The canonical bytes of all rows, each after its 0x00, by segment."""
+    """Return the canonical bytes of all rows, each after its 0x00, by segment."""
     return [canonical.from_table(read_table(path)) for path in view.segments()]
 
 
 def hash_and_read(view: LedgerView, rows: list[list[bytes]]) -> None:
-    """The alternative: hashlib over the same leaf bytes, and a Parquet read of the same rows, on one core."""
+    """Hash the same leaf bytes with hashlib and read the same rows from Parquet, as the alternative, on one core."""
     for lines in rows:
         for line in lines:
             hashlib.sha256(line).digest()
@@ -43,14 +43,14 @@ def hash_and_read(view: LedgerView, rows: list[list[bytes]]) -> None:
 
 
 def hash_files(ledger: Path) -> None:
-    """The alternative to a quick look: hashlib over the records and segments, on one core."""
+    """Hash the records and segments with hashlib, as the alternative to `verify --quick`, on one core."""
     for path in [*(ledger / "commits").iterdir(), *(ledger / "segments").iterdir()]:
         with path.open("rb") as file:
             hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def ratio(work: Callable[[], object], alternative: Callable[[], object], repeats: int) -> tuple[float, float, float]:
-    """The median of the paired ratios, and the best seconds of each side."""
+    """Return the median of the paired ratios, and the best seconds of each side."""
     pairs = []
     for _ in range(repeats):
         began = time.perf_counter()
@@ -66,14 +66,14 @@ def ratio(work: Callable[[], object], alternative: Callable[[], object], repeats
 
 
 class Clock:
-    """Seconds spent in some functions while they are wrapped; time inside another wrapped one counts once."""
+    """A clock of the functions that it wraps; time in a wrapped function within another counts once."""
 
     def __init__(self) -> None:
         self.seconds = 0.0
         self._depth = 0
 
     def wrap(self, holder: Any, name: str) -> Callable[[], None]:
-        """The function is timed until the returned one is called."""
+        """Time the function until the returned one is called."""
         original = getattr(holder, name)
 
         def timed(*arguments: Any, **named: Any) -> Any:
@@ -91,7 +91,7 @@ class Clock:
 
 
 def share_of_simulate(folder: Path, runs: int) -> float:
-    """The share of a simulation on one core that goes into canonical bytes, leaf hashes, the tree, tiles and the checkpoint."""
+    """Return the share of a one-core simulation spent on leaves, the tree, tiles and the checkpoint."""
     clock = Clock()
     undo = [
         clock.wrap(codec._Rows, "leaves"),
@@ -138,9 +138,8 @@ def main() -> int:
         )
         for name, work, other, alternative, target in cases:
             found, seconds, other_seconds = ratio(work, alternative, arguments.repeats)
-            print(
-                f"{name:22} {seconds:7.3f} s   {other:15} {other_seconds:7.3f} s   ratio {found:5.2f}   (target {target})"
-            )
+            print(f"{name:22} {seconds:7.3f} s   {other:15} {other_seconds:7.3f} s   ", end="")
+            print(f"ratio {found:5.2f}   (target {target})")
         share = share_of_simulate(Path(temporary) / "again", min(arguments.runs, 40))
         print(f"hashing and tiles: {share:.0%} of simulate's time on one core   (target 30%)")
     return 0

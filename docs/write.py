@@ -1,10 +1,13 @@
-"""Writes the parts of these pages that are real output, or (--check) says which of them are out of date.
+"""Write the parts of these pages that are real output, or (--check) say which of them are out of date.
 
-    python docs/write.py            docs/queries.md, docs/event-types.json, the example in docs/ledger-format.md, the tables of constants, of readings and
-                                    of mechanisms in docs/model.md, and the output in every ```console block
-    python docs/write.py --check    exit code 1 and a diff where a page would change
+    python docs/write.py            docs/queries.md, docs/event-types.json, the example in docs/ledger-format.md, the
+                                    tables of constants, of readings and of mechanisms in docs/model.md, and the
+                                    output in every ```console block
+    python docs/write.py --check    exit code 1 and a diff where a page would change in what a reader notices: not in
+                                    digests alone, but for docs/ledger-format.md, queries.md and event-types.json
 
-Within a ```console block, lines after `$ ` (and `> ` for more of the same) are commands; they run in order, in an empty folder for each page.
+Within a ```console block, lines after `$ ` (and `> ` for continuation lines) are commands. They run in order, in an
+empty folder for each page.
 """
 
 import base64
@@ -51,6 +54,7 @@ PAGES = (DOCS / "audit-example.md", DOCS / "model.md", DOCS / "recovery.md")
 FORMAT = DOCS / "ledger-format.md"
 NEEDS_NO_SHELL = re.compile(r"fsar-ledger(?: (?:[\w./-]+|\"[^\"$`\\\\]*\"))+")
 """One command of ours whose words are plain, or stand in quotes and mean themselves there."""
+DIGEST = re.compile(r"(?<![0-9a-zA-Z])(?=[0-9a-f]*[a-f])(?=[0-9a-f]*[0-9])[0-9a-f]{12,64}(?![0-9a-zA-Z])")
 FOLDERS = {
     "staging": "Staging: one view for each event type, and the runs",
     "facts": "Facts: what the events mean",
@@ -63,7 +67,7 @@ FOLDERS = {
 
 
 def with_output(page: str) -> str:
-    """The page with the output of every command as it is now."""
+    """Return the page with the present output of every command in it."""
     with tempfile.TemporaryDirectory() as folder:
         return re.sub(
             r"```console\n(.*?)```",
@@ -74,7 +78,7 @@ def with_output(page: str) -> str:
 
 
 def answered(block: str, folder: Path) -> Iterator[str]:
-    """Each command of the block, followed by what it prints."""
+    """Yield each command of the block, followed by what it prints."""
     for command in re.findall(r"^\$ .*\n(?:> .*\n)*", block, flags=re.MULTILINE):
         yield command
         text = "\n".join(line[2:] for line in command.splitlines())
@@ -82,9 +86,9 @@ def answered(block: str, folder: Path) -> Iterator[str]:
 
 
 def called(text: str, folder: Path) -> str:
-    """What a command of ours prints; it runs in this process, which has its libraries already."""
+    """Return what a command of ours prints, run in this process, which has its libraries loaded."""
     before, cache = Path.cwd(), os.environ.get("XDG_CACHE_HOME", "")
-    os.environ["XDG_CACHE_HOME"] = f"{folder}/.cache"  # nothing is remembered of other ledgers
+    os.environ["XDG_CACHE_HOME"] = f"{folder}/.cache"  # so that no cache of other ledgers is used
     os.chdir(folder)
     try:
         with redirect_stdout(StringIO()) as said, redirect_stderr(said):
@@ -92,11 +96,11 @@ def called(text: str, folder: Path) -> str:
         return said.getvalue()
     finally:
         os.chdir(before)
-        os.environ["XDG_CACHE_HOME"] = cache  # empty is as if it were not there
+        os.environ["XDG_CACHE_HOME"] = cache  # empty means unset
 
 
 def said_in_a_shell(text: str, folder: Path) -> str:
-    """What any other command prints."""
+    """Return what any other command prints, run by a shell."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     surroundings = {**os.environ, "PATH": path, "XDG_CACHE_HOME": f"{folder}/.cache"}
     done = subprocess.run(
@@ -112,11 +116,12 @@ def said_in_a_shell(text: str, folder: Path) -> str:
 
 
 def queries_page() -> str:
-    """Every query by folder, from the headers of the files."""
+    """Return the page of all queries by folder, from the headers of the files."""
     lines = [
         "# All queries",
         "",
-        "`fsar-ledger query NAME LEDGER` answers each; the last part of a name is enough. In `sql` the last part is the name of a view.",
+        "`fsar-ledger query NAME LEDGER` answers each; the last part of a name is enough. "
+        "In `sql` the last part is the name of a view.",
         "",
     ]
     lines += ["Written by `docs/write.py` from the headers of `queries/`.", ""]
@@ -138,39 +143,40 @@ def _row(query: Query) -> str:
     return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
 
 
+def with_section(page: str, name: str, text: str) -> str:
+    """Return the page with this text between the marks of the section."""
+    return re.sub(
+        rf"<!-- {name} -->\n.*<!-- /{name} -->",
+        lambda _: f"<!-- {name} -->\n{text}<!-- /{name} -->",
+        page,
+        flags=re.DOTALL,
+    )
+
+
 def with_constants(page: str) -> str:
-    """The page with the table of all constants, their values, and where these are from."""
+    """Return the page with the table of all constants, their values and the sources of these."""
     values = dict(flat("", json.loads(msgspec.json.encode(Constants(outages=Outages(), load=Load())))))
     rows = [f"| `{name}` | {values[name]} | {word} |" for name, word in origins().items()]
     counts = Counter(origins().values())
     lines = [f"- **{word}** ({counts[word]}): {meaning}" for word, meaning in WORDS.items()]
     text = "\n".join(["", *lines, "", "| constant | value | from |", "|---|---|---|", *rows, ""])
-    return re.sub(
-        r"<!-- constants -->\n.*<!-- /constants -->",
-        lambda _: f"<!-- constants -->\n{text}\n<!-- /constants -->",
-        page,
-        flags=re.DOTALL,
-    )
+    return with_section(page, "constants", f"{text}\n")
 
 
 def with_readings(page: str) -> str:
-    """The page with the table of all readings that are not ours: which question each answers, and what in the paper allows it."""
+    """Return the page with the table of alternative readings: what each answers, and why the paper allows it."""
     rows = [
-        f"| `{one.name}` | {one.reading} | {one.question} | {', '.join(one.moves)} | `{one.paper.split()[0]}` | {one.why} |"
+        f"| `{one.name}` | {one.reading} | {one.question} | {', '.join(one.moves)} "
+        f"| `{one.paper.split()[0]}` | {one.why} |"
         for one in readings()
     ]
     head = ["| reading | instead of | question | moves | paper | why the text allows it |", "|---|---|---|---|---|---|"]
     text = "\n".join(["", f"{len(rows)} readings:", "", *head, *rows, ""])
-    return re.sub(
-        r"<!-- readings -->\n.*<!-- /readings -->",
-        lambda _: f"<!-- readings -->\n{text}\n<!-- /readings -->",
-        page,
-        flags=re.DOTALL,
-    )
+    return with_section(page, "readings", f"{text}\n")
 
 
 def with_mechanisms(page: str) -> str:
-    """The page with the table of all that can be taken out of an architecture."""
+    """Return the page with the table of all mechanisms that can be taken out of an architecture."""
     named = [
         (architecture, name, what) for architecture, names in MECHANISMS_OF.items() for name, what in names.items()
     ]
@@ -186,18 +192,14 @@ def with_mechanisms(page: str) -> str:
             "",
         ]
     )
-    return re.sub(
-        r"<!-- mechanisms -->\n.*<!-- /mechanisms -->",
-        lambda _: f"<!-- mechanisms -->\n{text}\n<!-- /mechanisms -->",
-        page,
-        flags=re.DOTALL,
-    )
+    return with_section(page, "mechanisms", f"{text}\n")
 
 
 def event_types() -> str:
-    """What a verifier must know of events: the fingerprint of each release's columns, today's columns, and each type's required, optional, limited fields.
+    """Return what a verifier must know of events.
 
-    Of a type that is the only event of its run, that, too; and its concern, if it has one.
+    The fingerprint of each release's columns; the present columns; and for each type its required, optional and limited
+    fields, whether it is the only event of its run, and its concern, if it has one.
     """
     columns = {field.name: f"{field.type}{'' if field.nullable else ' not null'}" for field in SCHEMA}
     types = {
@@ -219,9 +221,8 @@ def event_types() -> str:
 
 
 EXAMPLE_ORIGIN = "example.org/tiny"
-EXAMPLE_SECRET = bytes.fromhex(
-    "9d61b19deffd5a60ba844af492ec2cc44449c5697b326919703bac031cae7f60"
-)  # RFC 8032, section 7.1, test 1: no secret
+# RFC 8032, section 7.1, test 1: published, so no secret
+EXAMPLE_SECRET = bytes.fromhex("9d61b19deffd5a60ba844af492ec2cc44449c5697b326919703bac031cae7f60")
 EXAMPLE_RUNS = (
     RunRecord(
         "r1",
@@ -246,25 +247,19 @@ EXAMPLE_RUNS = (
 
 
 def format_page(page: str) -> str:
-    """The page with the example of a ledger as it is now."""
+    """Return the page with the present example of a ledger."""
     with tempfile.TemporaryDirectory() as folder:
         text = "".join(example(Path(folder) / "ledger"))
-    return re.sub(
-        r"<!-- example -->\n.*<!-- /example -->",
-        lambda _: f"<!-- example -->\n{text}<!-- /example -->",
-        page,
-        flags=re.DOTALL,
-    )
+    return with_section(page, "example", text)
 
 
 def example(path: Path) -> Iterator[str]:
-    """The parts of a ledger of two commits, signed with a key that everybody knows."""
+    """Yield the parts of a ledger of two commits, signed with a published key."""
     signer = Signer(EXAMPLE_ORIGIN, EXAMPLE_SECRET)
     with Writer(path, EXAMPLE_ORIGIN, signer) as writer:
         for run in EXAMPLE_RUNS:
-            writer.append(
-                stage_rows(path, [run], *encode_hashed([run]))
-            )  # a name that no writer takes any more: it shows how JSON escapes
+            # Staged without a check: no writer accepts the second run's name, which shows how JSON escapes.
+            writer.append(stage_rows(path, [run], *encode_hashed([run])))
     rows = [row[1:] for table in open_ledger(path).tables() for row in canonical.from_table(table)]
     leaves = [merkle.leaf_hash(row) for row in rows]
 
@@ -301,25 +296,32 @@ def example(path: Path) -> Iterator[str]:
     yield "\n"
 
 
+def noticed(text: str) -> str:
+    """Return the text as a reader sees it: each digest by the order in which it first appears.
+
+    A digest changes with every event before it and tells nothing by itself; where two are the same, they stay the same.
+    """
+    order: dict[str, str] = {}
+    return DIGEST.sub(lambda found: order.setdefault(found[0], f"digest-{len(order) + 1}"), text)
+
+
 def main(arguments: list[str]) -> int:
-    """The pages are written, or compared."""
-    pages = {page: with_output(page.read_text("utf-8")) for page in PAGES} | {DOCS / "queries.md": queries_page()}
-    pages |= {DOCS / "event-types.json": event_types(), FORMAT: format_page(FORMAT.read_text("utf-8"))}
+    """Write the pages, or compare them with what they would be."""
+    pages = {page: with_output(page.read_text("utf-8")) for page in PAGES}
     pages[DOCS / "model.md"] = with_mechanisms(with_readings(with_constants(pages[DOCS / "model.md"])))
-    stale = {page: text for page, text in pages.items() if not page.exists() or page.read_text("utf-8") != text}
+    exact = {DOCS / "queries.md": queries_page(), DOCS / "event-types.json": event_types()}
+    exact[FORMAT] = format_page(FORMAT.read_text("utf-8"))  # who writes a verifier compares each byte of it
     if arguments != ["--check"]:
-        for page, text in stale.items():
-            page.write_text(text, "utf-8")
+        for page, text in (pages | exact).items():
+            if not page.exists() or page.read_text("utf-8") != text:
+                page.write_text(text, "utf-8")
         return 0
-    for page, text in stale.items():
-        old = page.read_text("utf-8") if page.exists() else ""
-        print(
-            "".join(
-                difflib.unified_diff(
-                    old.splitlines(keepends=True), text.splitlines(keepends=True), page.name, "as it is now"
-                )
-            )
-        )
+    compared = {page: (noticed(page.read_text("utf-8")), noticed(text)) for page, text in pages.items()}
+    compared |= {page: (page.read_text("utf-8") if page.exists() else "", text) for page, text in exact.items()}
+    stale = {page: texts for page, texts in compared.items() if texts[0] != texts[1]}
+    for page, texts in stale.items():
+        old, new = (text.splitlines(keepends=True) for text in texts)
+        print("".join(difflib.unified_diff(old, new, page.name, "as it is now")))
     if stale:
         print("run `make docs` to write these pages again")
     return 1 if stale else 0

@@ -1,19 +1,20 @@
-"""The one file of constants: what the world is like, and what the architectures are built like.
+"""All constants: what the world is like, and what the architectures are built like.
 
-`WorldConstants` are laws of the world, the same for every architecture. `Structure` holds lengths of time
-and counts that belong to how an architecture is built. No constant is the probability or the count of an
-outcome (conflict, violation, unattributed record, success, containment): those must come about.
+`WorldConstants` are laws of the world, the same for every architecture. `Structure` holds durations and counts that
+belong to how an architecture is built. No constant is the probability or the count of an outcome (conflict,
+violation, unattributed record, success, containment): those must come about.
 
-Each constant says in one word, its type, where its value is from. `Paper`: printed there. `Fitted`: to the paper's results table, by
-`fsar-ledger calibrate` (record: reports/calibration.json). `AfterFits`: ours, and chosen or kept while the cells of that table were looked
-at, in the study before the first fit or since; most move a cell, and none is a prediction. `Chosen`: ours, and no cell hangs on it.
+The type of each constant says where its value is from. `Paper`: printed there. `Fitted`: to the paper's results table,
+by `fsar-ledger calibrate` (record: reports/calibration.json). `AfterFits`: ours, and chosen or kept while the cells of
+that table were looked at, in the study before the first fit or since; most move a cell, and none is a prediction.
+`Chosen`: ours, and no cell depends on it.
 """
 
 from typing import Annotated, Any, TypeVar
 
 import msgspec
 
-from fsar_ledger.parameters import decoded
+from fsar_ledger.parameters import decode_parameters
 
 _T = TypeVar("_T")
 Paper = Annotated[_T, msgspec.Meta(extra={"from": "paper"})]
@@ -21,13 +22,13 @@ Fitted = Annotated[_T, msgspec.Meta(extra={"from": "fitted"})]
 AfterFits = Annotated[_T, msgspec.Meta(extra={"from": "chosen after fits"})]
 Chosen = Annotated[_T, msgspec.Meta(extra={"from": "chosen"})]
 
-END_US = 1_800_000_000  # run time: no fact of the world is later, and no task is open longer
+END_US = 1_800_000_000  # run time after which no fact of the world happens and no task is open
 SIGNED = ("world.absence_from_s", "world.absence_to_s")
-"""The constants that may be less than 0: an absence may begin before the run does."""
+"""The constants that may be negative: an absence may begin before the run does."""
 
 
 class Range(msgspec.Struct, frozen=True):
-    """A uniform law between two lengths of time. Units: seconds."""
+    """A uniform distribution of a duration. Units: seconds."""
 
     low_s: float
     high_s: float
@@ -45,7 +46,7 @@ DURATIONS: tuple[tuple[str, Range], ...] = (  # uniform, seconds
     ("grasp.robust", Range(1.0, 4.0)),
 )
 PRINTED_DURATIONS = ("carry.package", "door.open.basic", "door.open.secure")
-"""Those that are the paper's; the others were chosen after fits."""
+"""The durations that the paper prints; the others were chosen after fits."""
 
 
 class WorldConstants(msgspec.Struct, frozen=True):
@@ -68,17 +69,16 @@ class WorldConstants(msgspec.Struct, frozen=True):
     degradation_onset_s: AfterFits[float] = 10.0  # onset uniform from 0
     degraded_reliability: Paper[float] = 0.6  # success of an attempt with a degraded actuator
     encounter_mean_s: AfterFits[float] = 90.0  # time between encounters of a pair of robots, exponential
-    floor_teams: Chosen[int] = (
-        4  # teams that share a floor; a larger fleet spreads over floors, and robots of different floors never meet
-    )
-    # Each robot of another team on its floor is in a robot's way this often: they come within some 10 m of each other every `encounter_mean_s`,
-    # and within the 0.7 m that a passing robot keeps free beside itself in 7 % of those encounters. It lasts as any obstruction does.
+    floor_teams: Chosen[int] = 4  # teams that share a floor; robots of different floors never meet
+    # How often each robot of another team on its floor is in a robot's way. Two robots come within some 10 m of each
+    # other every `encounter_mean_s`, and in 7 % of those encounters within the 0.7 m that a passing robot keeps free
+    # beside itself. It lasts as any obstruction does.
     crowding_rate_per_s: Chosen[float] = 0.0008
     durations: AfterFits[tuple[tuple[str, Range], ...]] = DURATIONS
     message: Paper[Range] = Range(0.05, 0.5)  # latency of a message between principals
     approach: AfterFits[Range] = Range(3.0, 8.0)  # a delegated executor first moves to the place
     retry: AfterFits[Range] = Range(1.3, 2.1)  # length of one attempt to recover
-    response: AfterFits[Range] = Range(20.0, 60.0)  # time in which the fleet supervisor responds
+    response: AfterFits[Range] = Range(20.0, 60.0)  # response time of the fleet supervisor
     start: AfterFits[Range] = Range(0.0, 20.0)  # start of the scenario within the run
     jitter: AfterFits[Range] = Range(0.0, 3.0)  # arrival of a task around its offset
     injection: AfterFits[Range] = Range(5.0, 45.0)  # time of an injected out-of-trust request
@@ -104,17 +104,11 @@ class Structure(msgspec.Struct, frozen=True):
     local_attempts: Paper[int] = 2  # recovery budget of the local level: attempts (DHMA too)
     local_budget_us: Paper[int] = 30_000_000  # recovery budget of the local level: time
     negotiation_rounds: Chosen[int] = 3  # counter-offers in one negotiation; the executor then denies
-    peer_budget_us: Chosen[int] = (
-        30_000_000  # recovery budget of the peer level: time from turning to the peers until one of them has been asked
-    )
-    peer_helpers: AfterFits[int] = 1  # and helpers asked: whoever agrees is held until the failure is over
-    fleet_budget_us: Chosen[int] = (
-        30_000_000  # recovery budget of the fleet level: time until the orchestrator has decided
-    )
+    peer_budget_us: Chosen[int] = 30_000_000  # of the peer level: time from turning to the peers until one is asked
+    peer_helpers: AfterFits[int] = 1  # and helpers asked: a helper that agrees is held until the failure is over
+    fleet_budget_us: Chosen[int] = 30_000_000  # of the fleet level: time until the orchestrator has decided
     fleet_reassignments: AfterFits[int] = 1  # and reassignments: after one it is another robot's execution
-    human_budget_us: Chosen[int] = (
-        120_000_000  # recovery budget of the human level: time a call may stay open, twice the longest response
-    )
+    human_budget_us: Chosen[int] = 120_000_000  # of the human level: time a call stays open, twice the longest response
     human_calls: Chosen[int] = 2  # and calls: an H_i who does not answer, then H_F
     encounter_memory_us: AfterFits[int] = 60_000_000  # without a registry, a met peer is known this long
     # CFC
@@ -125,15 +119,16 @@ class Structure(msgspec.Struct, frozen=True):
     # DHMA
     hop_ppm: Fitted[int] = 596_000  # an internal hop takes this share of a message latency
     snapshot_period_us: Fitted[int] = 30_900_000  # planners refresh their snapshot of policy this often
-    engagement_us: Fitted[int] = 7_510_000  # the planner attends this long to a motion or a context change
+    engagement_us: Fitted[int] = 7_510_000  # the planner is occupied this long by a motion or a context change
     dispute_timeout_us: Fitted[int] = 10_300_000  # a disputed recovery that failed gives up after this
     renegotiation_us: Fitted[int] = 28_800_000  # replanning a delegated action takes this much more
 
 
 class Outages(msgspec.Struct, frozen=True):
-    """What else may happen to robots and their links, whoever governs them. Rates are per robot and second in which it is on, or linked.
+    """Outages of robots and their links, alike under every architecture.
 
-    The paper injects none of these, so the group is absent by default, and no published number rests on it.
+    Rates are per robot and second in which it is on, or linked. The paper injects none of these, so the group is absent
+    by default, and no published number rests on it.
     """
 
     off_rate_per_s: Chosen[float] = 0.0  # robots that go off, exponential time until then
@@ -142,16 +137,15 @@ class Outages(msgspec.Struct, frozen=True):
     link_mean_s: Chosen[float] = 10.0  # how long they are down, exponential
     loss_rate_per_s: Chosen[float] = 0.0  # actuators that are lost until they are serviced, Poisson
     from_s: Chosen[float] = 0.0  # none of these before then
-    # Who asked another takes it for silence when the message was not delivered within this: ten times the longest. It holds without the group, too.
+    # A message that is not delivered within this counts as unanswered: ten times the longest latency. It holds without
+    # the group, too.
     answer_s: Chosen[float] = 5.0
 
 
 class Load(msgspec.Struct, frozen=True):
-    """How much there is to do. Without it every team has the tasks of its scenario, once."""
+    """The amount of work. Without this group every team has the tasks of its scenario, once."""
 
-    teams_working: Chosen[int | None] = (
-        None  # teams 1 to this have tasks and routine; the others stand by and can be asked; None: all
-    )
+    teams_working: Chosen[int | None] = None  # teams 1 to this have tasks and routine, the others stand by; None: all
     task_sets: Chosen[int] = 1  # how often each of them gets the tasks of the scenario
     interval_s: Chosen[float] = 30.0  # from one set to the next
 
@@ -159,8 +153,8 @@ class Load(msgspec.Struct, frozen=True):
 class Constants(msgspec.Struct, frozen=True):
     """All constants of a run, as `RunStarted.parameters` holds them.
 
-    Groups that a later release adds are optional: `GROUP: Group | None = None`. An absent group is left out of the parameters,
-    so runs without it keep their parameters, their ids and their roots.
+    Groups that a later release adds are optional: `GROUP: Group | None = None`. An absent group is left out of the
+    parameters, so runs without it keep their parameters, their ids and their roots.
     """
 
     world: WorldConstants = WorldConstants()
@@ -170,14 +164,14 @@ class Constants(msgspec.Struct, frozen=True):
 
 
 def write_constants(constants: Constants) -> str:
-    """Return the constants as `RunStarted.parameters` holds them: JSON in the order of the fields, without absent groups.
+    """Return the constants as `RunStarted.parameters` holds them: JSON in field order, without absent groups.
 
-    Equal constants are one text, whether a caller gave 240 or 240.0, 0.0 or -0.0.
+    Equal constants give equal text, whether a caller wrote 240 or 240.0, 0.0 or -0.0.
 
     Raises:
-        BadParameters: JSON has no word for one of them, as for a length without end; a very long one does as well.
+        BadParameters: A value cannot be written as JSON, such as infinity, or is too long.
     """
-    found = decoded(_written(constants), type(constants))
+    found = decode_parameters(_written(constants), type(constants))
     text = _written(found)
     return (
         _written(msgspec.convert(_unsigned_zeros(msgspec.to_builtins(found)), type(found))) if "-0.0" in text else text
@@ -198,7 +192,7 @@ def _written(constants: Constants) -> str:
 
 
 def negatives(constants: Constants) -> list[str]:
-    """Name each constant that is less than 0, or no number, with its value: no rate, length, share or count is."""
+    """Return the name and value of each constant that is negative or not a number: no rate, length or count is."""
     return _negatives("", msgspec.to_builtins(constants))
 
 
@@ -212,5 +206,5 @@ def _negatives(name: str, value: Any) -> list[str]:
 
 
 def read_constants(parameters: str) -> Constants:
-    """The constants that a run of this model records. Raises: BadParameters."""
-    return decoded(parameters, Constants)
+    """Parse the constants that a run of this model records. Raises: BadParameters."""
+    return decode_parameters(parameters, Constants)

@@ -1,19 +1,19 @@
-"""What can go wrong, as one tree.
+"""The errors of the package, as one tree.
 
 ```
 FsarLedgerError            every error that a user can meet          exit code
-├── UsageError             what was asked for does not make sense    2
+├── UsageError             the request does not make sense           2
 │   ├── InvalidExperiment      unknown or impossible parameters
-│   ├── InvalidRun             a run that no ledger may hold; also a ValueError
+│   ├── InvalidRun             a run that may not be stored; also a ValueError
 │   ├── UnknownQuery           no query of that name
 │   ├── QueryFailed            SQL or its parameters are wrong
 │   ├── LimitReached           more memory is needed than was allowed
-│   ├── NotALedger             the path exists and is no ledger, or does not exist
+│   ├── NotALedger             the path does not exist or is no ledger
 │   └── FormatVersionMismatch  the ledger was written in another format
 ├── NotCosigned            too few witnesses cosigned                1
 ├── WriteFailed            the disk refused: full, read-only, gone   1
 │   └── SequenceConflict       another writer took the commit number
-├── WorkerDied             a process that worked for the command     1
+├── WorkerDied             a worker process was ended from outside   1
 └── LedgerCorrupted        the ledger contradicts itself             3
     ├── UnknownEventTag        a stored type that this version does not know
     └── ReplayMismatch         replay gives other events than those stored
@@ -22,7 +22,10 @@ FsarLedgerError            every error that a user can meet          exit code
 
 
 class FsarLedgerError(Exception):
-    """The message says where, what was found, what was expected and what to do; of several messages, each is an argument."""
+    """An error that a user can meet.
+
+    The message says where, what was found, what was expected and what to do; each argument is a message.
+    """
 
     exit_code = 1
 
@@ -31,21 +34,21 @@ class FsarLedgerError(Exception):
 
 
 class UsageError(FsarLedgerError):
-    """What was asked for does not make sense."""
+    """The request does not make sense."""
 
     exit_code = 2
 
 
 class InvalidExperiment(UsageError):
-    """Unknown or impossible parameters of an experiment."""
+    """A parameter of the experiment is unknown or impossible."""
 
 
 class InvalidRun(UsageError, ValueError):
-    """A run that `verify` would condemn, or no reader take; it was not written."""
+    """The run would fail `verify` or could not be read, so it was not written."""
 
 
 class UnknownQuery(UsageError):
-    """There is no query of that name."""
+    """No query has that name."""
 
 
 class QueryFailed(UsageError):
@@ -53,7 +56,7 @@ class QueryFailed(UsageError):
 
 
 class LimitReached(UsageError):
-    """What was asked for needs more memory than it may take."""
+    """The request needs more memory than it may take."""
 
 
 class NotALedger(UsageError):
@@ -69,7 +72,7 @@ class NotCosigned(FsarLedgerError):
 
 
 class WriteFailed(FsarLedgerError):
-    """The disk refused to store what was asked; the ledger is as it was."""
+    """The disk refused to store the data; the ledger is as it was."""
 
 
 class SequenceConflict(WriteFailed):
@@ -77,7 +80,10 @@ class SequenceConflict(WriteFailed):
 
 
 class WorkerDied(FsarLedgerError):
-    """A process that worked for the command was ended from outside, so the command could not finish; nothing is known of what it did not do."""
+    """A worker process was ended from outside, so the command could not finish.
+
+    Nothing is known about the work that was not done.
+    """
 
 
 class LedgerCorrupted(FsarLedgerError):

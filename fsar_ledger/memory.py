@@ -1,7 +1,8 @@
-"""The memory that this process may take: watched while it works, so that what needs more ends with a message and not the machine.
+"""The limit on the memory of this process, so that a command that needs more ends with a message.
 
-Counted is what the process and those it started hold themselves, without the libraries that they share with others. Address space is not memory: the
-libraries reserve ten times what they use, so a limit of the operating system comes only as a net, far above, for what grows between two looks.
+Counts the memory that this process and its children hold, without shared libraries. Address space is not memory: the
+libraries reserve ten times what they use. So a limit of the operating system serves only as a net, far above, for
+what grows between two checks.
 """
 
 import os
@@ -11,36 +12,40 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-LOOK_S = 0.02
-"""Seconds between two looks: memory is filled with some GiB a second."""
+CHECK_S = 0.02
+"""Seconds between two checks: memory fills at some GiB a second."""
 
 NET_BYTES = 4 << 30
-"""Beyond the limit, what the operating system lets a process reserve; libraries take 1.6 GiB of it before they begin."""
+"""How far beyond the limit the operating system lets a process reserve; libraries alone reserve 1.6 GiB."""
 
 _PAGE_BYTES = os.sysconf("SC_PAGE_SIZE")
 _PEAK_UNIT = 1024 if os.uname().sysname == "Linux" else 1  # of ru_maxrss
 
 unfinished: set[Path] = set()
-"""Files that are taken away when the process is ended because of its memory."""
+"""Files to remove when the process is ended because of its memory."""
 
 _limit: int | None = None
 
 
 def limit() -> int | None:
-    """The bytes that this process may take, None while nobody limits it."""
+    """Return the bytes that this process may take, None without a limit."""
     return _limit
 
 
-def too_little() -> str:
-    """The message that the limit is not enough."""
-    return f"memory: this needs more than {(_limit or 0) >> 20:,} MiB, its limit; if the ledger is what you think it is, raise that with --memory MIB"
+def exceeded_message() -> str:
+    """Return the message that the limit is too low."""
+    return (
+        f"memory: this needs more than {(_limit or 0) >> 20:,} MiB, its limit; "
+        "if the ledger is what you think it is, raise that with --memory MIB"
+    )
 
 
 @contextmanager
-def held(most: int, excess: Callable[[], None]) -> Iterator[None]:
-    """Within, the process takes no more than so many bytes more: `excess` is called once when it does, in a thread of its own, and shall end it.
+def limited(most: int, excess: Callable[[], None]) -> Iterator[None]:
+    """Limit the memory that the process takes from here on to `most` bytes.
 
-    Where the operating system does not say what a process holds (macOS), its peak so far counts, without the processes that it started.
+    Beyond it `excess` is called once, in a thread of its own, and must end the process. Where the operating system does
+    not say what a process holds (macOS), its peak so far counts, without its children.
     """
     global _limit
     before, _limit = _limit, most
@@ -49,7 +54,7 @@ def held(most: int, excess: Callable[[], None]) -> Iterator[None]:
     net = min([most + NET_BYTES, *(one for one in (soft, hard) if one != resource.RLIM_INFINITY)])
     with suppress(OSError, ValueError):
         resource.setrlimit(resource.RLIMIT_DATA, (net, hard))
-    threading.Thread(target=_watch, args=(used() + most, excess, stopped), name="memory", daemon=True).start()
+    threading.Thread(target=_watch, args=(bytes_held() + most, excess, stopped), name="memory", daemon=True).start()
     try:
         yield
     finally:
@@ -60,14 +65,14 @@ def held(most: int, excess: Callable[[], None]) -> Iterator[None]:
 
 
 def _watch(most: int, excess: Callable[[], None], stopped: threading.Event) -> None:
-    while not stopped.wait(LOOK_S):
-        if used() > most:
+    while not stopped.wait(CHECK_S):
+        if bytes_held() > most:
             excess()
             return
 
 
-def used() -> int:
-    """The bytes that this process and those it started hold."""
+def bytes_held() -> int:
+    """Return the bytes that this process and its children hold."""
     own = _held_by("self")
     if own is None:
         return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * _PEAK_UNIT
@@ -75,7 +80,7 @@ def used() -> int:
 
 
 def children() -> list[str]:
-    """The numbers of the processes that this one started, where the system lists them."""
+    """Return the ids of the processes that this one started, where the system lists them."""
     found: list[str] = []
     with suppress(OSError):
         for thread in os.listdir("/proc/self/task"):
@@ -93,6 +98,6 @@ def _held_by(process: str) -> int | None:
     return (resident - shared) * _PAGE_BYTES
 
 
-def installed() -> int:
-    """The bytes of memory that the machine has."""
+def bytes_installed() -> int:
+    """Return the bytes of memory that the machine has."""
     return os.sysconf("SC_PHYS_PAGES") * _PAGE_BYTES

@@ -1,4 +1,4 @@
-"""What runs record as their parameters, as a writer and every reader take it: JSON with names and values, of whatever model."""
+"""The parameters that runs record, of this or any other model: JSON with names and values."""
 
 from typing import Any, TypeVar
 
@@ -6,7 +6,7 @@ import msgspec
 
 _T = TypeVar("_T")
 MAX_LEVELS = 16
-"""Of nesting in recorded parameters; those of this model take five."""
+"""How deep recorded parameters may be nested; those of this model take five levels."""
 
 
 class BadParameters(ValueError):
@@ -14,8 +14,8 @@ class BadParameters(ValueError):
 
 
 def read_parameters(parameters: str) -> dict[str, Any]:
-    """What a run of any model, also of a foreign one, records as its parameters: names and values, in few levels. Raises: BadParameters."""
-    found: dict[str, Any] = decoded(parameters, dict[str, Any])
+    """Parse the parameters of a run of any model: names and values, in few levels. Raises: BadParameters."""
+    found: dict[str, Any] = decode_parameters(parameters, dict[str, Any])
     level: list[Any] = [found]
     for _ in range(MAX_LEVELS):
         values = [value for one in level for value in (one.values() if isinstance(one, dict) else one)]
@@ -27,15 +27,11 @@ def read_parameters(parameters: str) -> dict[str, Any]:
     raise _bad(parameters, f"more than {MAX_LEVELS} levels")
 
 
-def decoded(parameters: str, kind: type[_T]) -> _T:
-    """The parameters as a value of this type. Raises: BadParameters."""
+def decode_parameters(parameters: str, kind: type[_T]) -> _T:
+    """Decode the parameters as a value of this type. Raises: BadParameters."""
     try:
         return msgspec.json.decode(parameters, type=kind)
-    except (
-        msgspec.MsgspecError,
-        RecursionError,
-        ValueError,
-    ) as error:  # nested without end, a number of thousands of digits
+    except (msgspec.MsgspecError, RecursionError, ValueError) as error:  # the last: a number of thousands of digits
         raise _bad(parameters, str(error)) from error
 
 

@@ -1,9 +1,10 @@
-"""What a terminal, a spreadsheet or a page shows of text that others wrote: every character as itself, or as an escape that is plain ASCII.
+"""Text of others, made safe to show in a terminal, a spreadsheet or a page: each character as itself or as an escape.
 
-Escaped are the characters that do something instead of being seen, or that move what stands beside them: controls (C0, DEL, C1), line and
-paragraph separators, bidirectional and other format characters, blanks that are not the space, fillers, variation selectors, private, unassigned
-and surrogate code points, letters of right-to-left scripts (beside them a terminal turns numbers round), and marks that no letter carries or
-that are more than two on one. Escapes are those of Python: `\\n`, `\\x1b`, `\\u202e`, `\\U000e0001`.
+Characters that act instead of being seen, or that move their neighbours, are escaped: controls (C0, DEL, C1), line and
+paragraph separators, bidirectional and other format characters, blanks other than the space, fillers, variation
+selectors, private, unassigned and surrogate code points, letters of right-to-left scripts (a terminal reverses numbers
+beside them), marks without a letter, and a third mark on one letter. Escapes are those of Python: `\\n`, `\\x1b`,
+`\\u202e`, `\\U000e0001`.
 """
 
 import re
@@ -13,10 +14,10 @@ from collections.abc import Iterable
 from typing import NewType
 
 Shown = NewType("Shown", str)
-"""Lines, each with its end, in which nothing is left that a terminal obeys."""
+"""Complete lines without anything that a terminal would obey."""
 
 MAX_VALUE = 200
-"""Characters of one value that people are shown; programs are given all."""
+"""Characters of one value that people are shown; programs get all."""
 
 MAX_LINE = 4_000
 """Characters of one line that people are shown."""
@@ -25,9 +26,10 @@ MAX_MARKS = 2
 """Marks on one letter; Vietnamese needs two."""
 
 NAMED = 5
-"""So many things are named in a sentence, or a line each; the rest are counted."""
+"""How many things a message names, in a sentence or a line each; the rest are counted."""
 
-_UNSEEN = "\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180d\u180f\u2800\u3164\ufe00-\ufe0f\uffa0\U000e0100-\U000e01ef"  # printable, Unicode says, and blank
+# printable according to Unicode, and blank
+_UNSEEN = "\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180d\u180f\u2800\u3164\ufe00-\ufe0f\uffa0\U000e0100-\U000e01ef"
 _RIGHT_TO_LEFT = "\u0590-\u08ff\ufb1d-\ufdff\ufe70-\ufeff\U00010800-\U00010fff\U0001e800-\U0001efff"
 _MOVING = re.compile(f"[{_UNSEEN}{_RIGHT_TO_LEFT}]")
 _LIKE_AN_ESCAPE = re.compile(r"\\[\\xuUntr]")
@@ -37,7 +39,7 @@ _BLANKS = re.compile(r"^ | (?= )| $")
 
 
 def is_shown(text: str) -> bool:
-    """Whether every character of the text is shown as itself."""
+    """Return whether every character of the text is shown as itself."""
     if text.isascii():
         return text.isprintable()
     if not text.isprintable() or _MOVING.search(text):
@@ -46,14 +48,15 @@ def is_shown(text: str) -> bool:
 
 
 def escaped(text: str) -> str:
-    """The text on one line, with what is not shown as itself escaped; backslashes stay as they are."""
+    """Return the text on one line with unsafe characters escaped; backslashes stay as they are."""
     return text if is_shown(text) else _escaped(text, is_whole=False)
 
 
 def value(text: str, most: int = MAX_VALUE) -> str:
-    """The value as people see it, told from every other: with escapes, its own backslashes doubled if it has some or looks so, cut after `most` characters.
+    """Return the value as people see it, distinct from every other value, cut after `most` characters.
 
-    A text that is shown as it is holds no backslash before one of `\\xuUntr`; one that is not holds one.
+    Unsafe characters are escaped; then, or if the value looks escaped, its own backslashes are doubled. So a text that
+    is shown unchanged holds no backslash before one of `\\xuUntr`, and one that is changed does.
     """
     if len(text) > most:
         return f"{value(text[:most], most)}... ({len(text) - most:,} more)"
@@ -63,49 +66,49 @@ def value(text: str, most: int = MAX_VALUE) -> str:
 
 
 def cell(text: str, most: int = MAX_VALUE) -> str:
-    """As `value`, for a column of a table: blanks that would look like the space between columns are escaped, too."""
+    """Return the value for a column of a table: like `value`, with blanks that look like column space escaped, too."""
     shown = value(text, most)
     return _BLANKS.sub(r"\\x20", shown) if "  " in shown or shown[:1] == " " or shown[-1:] == " " else shown
 
 
 def field(text: str) -> str:
-    """The value, whole, as a spreadsheet may read it: with escapes as in `value`, and no formula."""
-    return unformulated(value(text, len(text)))
+    """Return the whole value for a spreadsheet: escaped as in `value`, and not readable as a formula."""
+    return _without_formula(value(text, len(text)))
 
 
 def word(text: object) -> str:
-    """The text as one word of a command that is shown to be copied: in a shell it does nothing but name itself."""
+    """Quote the text as one word of a shell command that is shown to be copied."""
     return shlex.quote(value(str(text), len(str(text))))
 
 
-def unformulated(text: str) -> str:
-    """The text with an apostrophe before it if a spreadsheet would read it as a formula, and if it is such a text already."""
+def _without_formula(text: str) -> str:
+    """Put an apostrophe before text that a spreadsheet would read as a formula, or that already has one."""
     return "'" + text if _FORMULA.match(text) else text
 
 
 def line(text: str, most: int = MAX_LINE) -> Shown:
-    """One line that people are shown, cut after `most` characters. A line feed in it is none of ours: it is escaped."""
+    """Return one line for people, cut after `most` characters; a line feed within is escaped."""
     cut = text if len(text) <= most else f"{text[:most]}... ({len(text) - most:,} more)"
     return Shown(escaped(cut) + "\n")
 
 
 def lines(*texts: str) -> Shown:
-    """As many lines, each as `line` makes it."""
+    """Return each text as `line` makes it, one after the other."""
     return Shown("".join(map(line, texts)))
 
 
 def joined(*parts: Shown) -> Shown:
-    """One after the other."""
+    """Concatenate the parts."""
     return Shown("".join(parts))
 
 
 def ascii_json(text: str) -> Shown:
-    """The JSON text in ASCII, which means the same: every other character is in a string, and there `\\u` says it."""
+    """Return the JSON text in ASCII, with the same meaning: other characters are within strings and become `\\u`."""
     return Shown(text if text.isascii() and "\x7f" not in text else _NOT_ASCII.sub(_in_json, text))
 
 
-def net(text: str) -> str:
-    """The lines, with whatever is left in them that is not shown as itself escaped; nothing, if all of them are `Shown`."""
+def sanitized(text: str) -> str:
+    """Escape everything unsafe in these lines; nothing, if all of them are `Shown`."""
     return text if is_shown(text.replace("\n", "")) else "\n".join(map(escaped, text.split("\n")))
 
 
@@ -119,9 +122,9 @@ def _is_mark(character: str) -> bool:
 
 
 def _escaped(text: str, *, is_whole: bool) -> str:
-    """The escaped text; with its own backslashes doubled if `is_whole`."""
+    """Escape the text; double its own backslashes if `is_whole`."""
     found: list[str] = []
-    carried = MAX_MARKS  # marks on the last letter; as many as there may be where there is no letter
+    carried = MAX_MARKS  # marks on the last letter; the most where there is no letter, so that none may follow
     for character in text:
         is_mark = _is_mark(character)
         is_plain = character.isprintable() and not _MOVING.match(character) and not (is_mark and carried >= MAX_MARKS)
@@ -133,12 +136,12 @@ def _escaped(text: str, *, is_whole: bool) -> str:
 
 
 def counted(count: int, what: str) -> str:
-    """So many of them, in words: 1 run, 2 runs."""
+    """Say a number of things in words: 1 run, 2 runs."""
     return f"{count:,} {what}{'' if count == 1 else 's'}"
 
 
 def some(parts: Iterable[str], what: str = "more") -> str:
-    """The first few of them, and how many more there are, in words: a, b, c, d, e and 3 more."""
+    """List the first few parts and how many more there are: a, b, c, d, e and 3 more."""
     named = list(parts)
     more = len(named) - NAMED
     return ", ".join(named[:NAMED]) + (f" and {more:,} {what}" if more > 0 else "")

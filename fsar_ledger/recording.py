@@ -1,4 +1,4 @@
-"""The records of long work, the fit and the predictions: refused before it begins where they cannot be written, and whole or not there."""
+"""Writes the records of long work (the fit, the predictions): checks the path first, and writes whole or not at all."""
 
 import os
 from pathlib import Path
@@ -10,7 +10,7 @@ from fsar_ledger.errors import UsageError, WriteFailed
 
 
 def require_writable(out: Path) -> None:
-    """Minutes of work should not end in a refusal. Nothing is left behind. Raises: WriteFailed."""
+    """Check before minutes of work that the record can be written; leave nothing behind. Raises: WriteFailed."""
     probe = out.with_name(out.name + ".tmp")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
@@ -23,10 +23,11 @@ def require_writable(out: Path) -> None:
 
 
 def require_another(out: Path, what: str, other: Path, other_what: str) -> None:
-    """Writing `out` would not replace `other`; messages call them as the user did. Raises: UsageError."""
+    """Check that writing `out` would not replace `other`; `what` and `other_what` name them. Raises: UsageError."""
     if os.path.realpath(out) == os.path.realpath(other):
         raise UsageError(
-            f"{what}: found the same file as {other_what}, which it would replace; expected two files, choose another for one of them"
+            f"{what}: found the same file as {other_what}, which it would replace; "
+            "expected two files, choose another for one of them"
         )
 
 

@@ -1,7 +1,7 @@
-"""Worker processes that leave Ctrl-C to the command that started them, end with it, and do not die unnoticed.
+"""Worker processes that leave Ctrl-C to the command that started them, end with it, and cannot die unnoticed.
 
-Each worker has a pipe of its own, of which it alone has the other end: whenever it dies, even halfway through an answer, the pipe ends
-there. (The pool of the standard library shares one queue between all; a process killed while it writes there leaves everybody waiting.)
+Each worker holds the only other end of its own pipe. Wherever it dies, even halfway through an answer, the pipe ends.
+(The standard library's pool shares one queue: a process killed while it writes there leaves every reader waiting.)
 """
 
 import os
@@ -27,13 +27,13 @@ _SPAWN = get_context("spawn")  # DuckDB and Polars do not survive a fork
 
 
 class _Worker:
-    """A process, our end of its pipe, and what it is doing."""
+    """A process, our end of its pipe, and the call that it works on."""
 
     def __init__(self) -> None:
-        """The process is on its way. Raises: OSError if it cannot be started or dies at once."""
+        """Start the process. Raises: OSError if it cannot be started or dies at once."""
         self.pipe, theirs = _SPAWN.Pipe()
         self.process: BaseProcess = _SPAWN.Process(target=_work, args=(theirs,), daemon=True)
-        self.doing: Future[Any] | None = None
+        self.running: Future[Any] | None = None
         try:
             self.process.start()
         except OSError:
@@ -44,25 +44,25 @@ class _Worker:
 
 
 class WorkerPool(Executor):
-    """A pool of fresh processes, deaf to Ctrl-C from their first moment, which die within a moment of this process, however that ends.
+    """A pool of fresh processes that ignore Ctrl-C from the start and end with this process, however it ends.
 
-    A process inherits the signals that are held back while it starts, and a submission is what starts it. Where one dies, every call
-    that is not answered yet raises `WorkerDied`. Leaving the pool drops what has not begun and waits for what has.
+    A process inherits the signals that are blocked while it starts, and a submission starts it. When one dies, every
+    open call raises `WorkerDied`. Leaving the pool drops the calls that have not begun and waits for the others.
     """
 
     def __init__(self, workers: int) -> None:
-        resource_tracker.ensure_running()  # the first process of all would start it, and that lets signals pass again
+        resource_tracker.ensure_running()  # else the first process would start it, which unblocks signals
         self._most = workers
         self._workers: list[_Worker] = []
         self._waiting: deque[tuple[Future[Any], bytes]] = deque()
-        self._lock = threading.Lock()  # of what is above and below
+        self._lock = threading.Lock()  # guards the fields above and below
         self._is_closing = False
         self._death: str | None = None
         self._wakes, self._wake = _SPAWN.Pipe(duplex=False)
         self._dispatcher = threading.Thread(target=self._dispatch, daemon=True)
 
     def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
-        """The call is queued, as in any executor. Raises: WorkerDied if one has died, or none can be started."""
+        """Queue the call, as in any executor. Raises: WorkerDied if a worker has died or none can be started."""
         call = bytes(ForkingPickler.dumps((fn, args, kwargs)))
         future: Future[_T] = Future()
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
@@ -79,7 +79,10 @@ class WorkerPool(Executor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: ARG002
-        """All processes have ended, after what they had begun, without `cancel_futures` also after what was waiting. It is always waited for."""
+        """Wait for all processes to end, after their running calls and, without `cancel_futures`, the queued ones.
+
+        It always waits, whatever `wait` says.
+        """
         with self._lock:
             if self._is_closing:
                 return
@@ -90,7 +93,7 @@ class WorkerPool(Executor):
             self._wake.send_bytes(b".")
             self._dispatcher.join()
         for worker in self._workers:
-            worker.pipe.close()  # whoever is idle ends then
+            worker.pipe.close()  # an idle worker then ends
             if self._death is not None:
                 worker.process.terminate()
         for worker in self._workers:
@@ -102,80 +105,81 @@ class WorkerPool(Executor):
         self.shutdown(cancel_futures=True)
 
     def _start(self) -> None:
-        """One process more. Raises: WorkerDied if there is none."""
+        """Start one more process. Raises: WorkerDied if that fails."""
         try:
             worker = _Worker()
-        except OSError as error:  # no room for a process, or it was killed before it had read its orders
-            raise WorkerDied(_death_of(None, str(error))) from error
+        except OSError as error:  # no room for a process, or it was killed as it started
+            raise WorkerDied(_death_message(None, str(error))) from error
         with self._lock:
             self._workers.append(worker)
         if self._dispatcher.ident is None:
             self._dispatcher.start()
 
     def _dispatch(self) -> None:
-        """Calls go to whoever is idle, and answers to whoever waits for them, until the pool is left or a process dies."""
+        """Pass calls to idle workers and answers to their futures, until the pool is left or a worker dies."""
         while True:
             with self._lock:
                 begun = [
                     (worker, call)
                     for worker in self._workers
-                    if worker.doing is None and (call := self._next_for(worker)) is not None
+                    if worker.running is None and (call := self._take_call(worker)) is not None
                 ]
                 pipes = {worker.pipe: worker for worker in self._workers}
-                if self._is_closing and not any(worker.doing for worker in self._workers):
+                if self._is_closing and not any(worker.running for worker in self._workers):
                     return
             for worker, call in begun:
-                with suppress(OSError):  # it is dead: then its pipe has ended, too
+                with suppress(OSError):  # it is dead; its pipe has ended, too, and says so below
                     worker.pipe.send_bytes(call)
             for ready in connection.wait([*pipes, self._wakes]):
                 if ready is self._wakes:
                     self._wakes.recv_bytes()
-                elif not self._answered(pipes[ready]):  # type: ignore[index]
+                elif not self._receive_answer(pipes[ready]):  # type: ignore[index]
                     self._fail(pipes[ready])  # type: ignore[index]
                     return
 
-    def _next_for(self, worker: _Worker) -> bytes | None:
-        """The first call that still waits, which is the worker's now."""
+    def _take_call(self, worker: _Worker) -> bytes | None:
+        """Take the first queued call for this worker."""
         while self._waiting:
             future, call = self._waiting.popleft()
             if future.set_running_or_notify_cancel():
-                worker.doing = future
+                worker.running = future
                 return call
         return None
 
-    def _answered(self, worker: _Worker) -> bool:
-        """Whether the worker has answered, rather than died."""
+    def _receive_answer(self, worker: _Worker) -> bool:
+        """Pass on the worker's answer; return whether there was one, so that it is not dead."""
         try:
             answer = worker.pipe.recv_bytes()
         except (EOFError, OSError):
             return False
-        future, worker.doing = worker.doing, None
-        assert future is not None  # a worker speaks when it is spoken to
+        future, worker.running = worker.running, None
+        assert future is not None  # a worker sends nothing but answers
         is_result, value = pickle.loads(answer)
         (future.set_result if is_result else future.set_exception)(value)
         return True
 
     def _fail(self, worker: _Worker) -> None:
-        """Nobody waits any longer."""
-        worker.process.join(5)  # its pipe has ended, so it has or is about to
+        """Fail every open and queued call."""
+        worker.process.join(5)  # its pipe has ended, so it is ending
         code = worker.process.exitcode
         with self._lock:
-            self._death = _death_of(
+            self._death = _death_message(
                 worker.process.pid,
                 "it still runs" if code is None else f"ended by signal {-code}" if code < 0 else f"ended with {code}",
             )
-            open_calls = [one.doing for one in self._workers if one.doing is not None]
+            open_calls = [one.running for one in self._workers if one.running is not None]
             open_calls += [future for future, _ in self._waiting if future.set_running_or_notify_cancel()]
             self._waiting.clear()
         for future in open_calls:
             future.set_exception(WorkerDied(self._death))
 
 
-def _death_of(process: int | None, found: str) -> str:
+def _death_message(process: int | None, found: str) -> str:
     named = "a worker process" if process is None else f"worker process {process}"
     return (
-        f"{named}: found {found}, expected it to finish its work; somebody or the system ended it, the system for want of memory perhaps; "
-        "what is committed stays, and of what was not looked at nothing is said: run the same command again, with fewer --workers where memory is short"
+        f"{named}: found {found}, expected it to finish its work; something outside the command ended it, perhaps the "
+        "system for lack of memory; what is committed stays, and nothing is said about what was not checked: "
+        "run the same command again, with fewer --workers if memory is short"
     )
 
 
@@ -183,16 +187,16 @@ def _death_of(process: int | None, found: str) -> str:
 
 
 def _work(pipe: Connection) -> None:
-    """Every call is answered, until nobody asks any longer."""
+    """Answer calls until the pipe ends."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    with suppress(EOFError, OSError):  # whoever asked is gone
+    with suppress(EOFError, OSError):  # the pool is gone
         while True:
             call = pipe.recv_bytes()
             pipe.send_bytes(_answer(call))
 
 
 def _answer(call: bytes) -> bytes:
-    """What the call returns or raises, pickled."""
+    """Make the call and return what it returns or raises, pickled."""
     try:
         function, args, kwargs = pickle.loads(call)
         return pickle.dumps((True, function(*args, **kwargs)))
@@ -201,13 +205,13 @@ def _answer(call: bytes) -> bytes:
         try:
             answer = pickle.dumps((False, error))
             pickle.loads(answer)
-        except Exception:  # an exception that cannot travel
+        except Exception:  # it cannot be pickled or unpickled
             return pickle.dumps((False, RuntimeError(f"{type(error).__name__}: {error}")))
         return answer
 
 
 def _end_with_parent() -> None:
-    """The process ends at once when the one that started it has ended, whatever it is doing: what it writes is in staging, and harmless there."""
+    """End the process at once when its parent has ended; what it was writing is in staging, and harmless there."""
     parent = parent_process()
     assert parent is not None
     connection.wait([parent.sentinel])

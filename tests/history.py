@@ -1,8 +1,9 @@
-"""What was written down came before what was made of it: shown from the history of the repository.
+"""Shows from the history of the repository that each stage of the evaluation came before what follows from it.
 
-`python -m tests.history` walks the stages of the evaluation: the registration, the fit, the predictions, the comparison. Each is a file, and its stage
-is the last commit that changed it. The commits must come in this order, and between the first and the last no file of the model may change but the
-values of the constants that the fit was free to choose. Exit code 1 names what does not hold; a stage that is not there yet is said.
+`python -m tests.history` walks the stages: the registration, the fit, the predictions, the comparison. Each is a file,
+and its stage is the last commit that changed it. The commits must come in this order. Between the first and the last no
+file of the model may change, except for the values of the constants that the fit was free to choose. Exit code 1 names
+what does not hold; a missing stage is reported.
 """
 
 import re
@@ -38,24 +39,30 @@ def git(root: Path, *arguments: str) -> str:
 
 
 def findings(root: Path = ROOT, stages: Sequence[tuple[str, str]] = STAGES) -> Iterator[str]:
-    """Yield what does not hold, a sentence each."""
+    """Yield a sentence for each thing that does not hold."""
     commits = [(name, path, git(root, "log", "-1", "--format=%H", "--", path)) for name, path in stages]
     made = [(name, path, commit) for name, path, commit in commits if commit]
     for (first, _, earlier), (second, path, later) in pairwise(made):
         if earlier == later or not is_before(root, earlier, later):
-            yield f"{second} ({path}, {later[:12]}) does not come after the {first} ({earlier[:12]}); expected a later commit of its own"
+            yield (
+                f"{second} ({path}, {later[:12]}) does not come after the {first} ({earlier[:12]}); "
+                "expected a later commit of its own"
+            )
     if not made or made[0][0] != stages[0][0]:
         yield f"{stages[0][1]}: found no commit that adds it, expected the registration before anything else"
         return
     start = made[0][2]
     end = made[-1][2] if len(made) == len(stages) else git(root, "rev-parse", "HEAD")
     for changed in git(root, "diff", "--name-only", start, end, "--", *MODEL).splitlines():
-        yield f"{changed} changed between the registration ({start[:12]}) and the {made[-1][0]} ({end[:12]}); expected a new registration"
+        yield (
+            f"{changed} changed between the registration ({start[:12]}) and the {made[-1][0]} ({end[:12]}); "
+            "expected a new registration"
+        )
     yield from constants_changed(git(root, "diff", "-U0", start, end, "--", CONSTANTS))
 
 
 def is_before(root: Path, earlier: str, later: str) -> bool:
-    """Tell whether one commit is an ancestor of the other."""
+    """Return whether one commit is an ancestor of the other."""
     return (
         subprocess.run(["git", "-C", str(root), "merge-base", "--is-ancestor", earlier, later], check=False).returncode
         == 0
@@ -79,7 +86,7 @@ def nameless(line: str) -> tuple[str, str]:
 
 
 def main() -> None:
-    """Print the stages and what does not hold; exit code 1 if anything does not."""
+    """Print the stages and what does not hold; return 1 if anything does not."""
     for name, path in STAGES:
         print(f"{name:13} {git(ROOT, 'log', '-1', '--format=%h %as %s', '--', path) or f'not made yet ({path})'}")
     found = list(findings())

@@ -10,9 +10,10 @@ from importlinter import Contract, ContractCheck, fields, output
 
 
 class OnlyContract(Contract):
-    """The modules below `source_modules` import only those below `allowed_modules`; `stdlib` there is the whole standard library.
+    """Modules below `source_modules` import only modules below `allowed_modules`.
 
-    Reach: each allowed package of ours has a contract of its own, so what holds for direct imports holds for indirect ones.
+    `stdlib` stands for the whole standard library. Indirect imports are covered because each allowed package of ours
+    has a contract of its own.
     """
 
     type_name = "only"

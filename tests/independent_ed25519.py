@@ -1,9 +1,7 @@
-"""Which 32 bytes are a public key of Ed25519 for the second verifier: a point of the subgroup of the base point, written in its one way (RFC 8032)."""
+"""Ed25519 public keys for the second verifier: encodings of points of the base point's subgroup (RFC 8032)."""
 
-P, L = (
-    2**255 - 19,
-    2**252 + 27742317777372353535851937790883648493,
-)  # section 5.1: the field, and the order of the base point
+# Section 5.1: the field, and the order of the base point.
+P, L = 2**255 - 19, 2**252 + 27742317777372353535851937790883648493
 Point = tuple[int, int]
 
 
@@ -22,7 +20,7 @@ def times(count: int, point: Point) -> Point:
 
 
 def point_of(raw: bytes) -> Point:
-    """Section 5.1.3: the point, which has one way of writing. Raises ValueError if there is none."""
+    """Decode the point, which has only one encoding (section 5.1.3). Raises ValueError if there is none."""
     sign, y = divmod(int.from_bytes(raw, "little"), 2**255)
     square = (y * y - 1) * pow(-121665 * pow(121666, -1, P) * y * y + 1, -1, P) % P
     root = pow(square, (P + 3) // 8, P)
@@ -38,7 +36,10 @@ def point_of(raw: bytes) -> Point:
 
 
 def is_key(raw: bytes) -> bool:
-    """Whether it is one; under a point outside the subgroup, signatures need no secret, or verifiers differ about them."""
+    """Return whether the bytes are a usable key.
+
+    Under a point outside the subgroup, signatures need no secret, or verifiers disagree about them.
+    """
     try:
         point = point_of(raw)
     except ValueError:

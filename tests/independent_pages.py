@@ -1,4 +1,7 @@
-"""The values in a page of Parquet, in the encodings that docs/ledger-format.md allows, to the last byte (parquet-format, Encodings.md)."""
+"""The values in a Parquet page, to the last byte, in the encodings that docs/ledger-format.md allows.
+
+The encodings are those of parquet-format, Encodings.md.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -11,13 +14,13 @@ Values = list[Any]
 
 
 def unpacked(data: bytes, width: int) -> list[int]:
-    """Integers of so many bits, packed from the lowest bit on; as many as there are."""
+    """Return all integers of this many bits, packed from the lowest bit on."""
     bits, mask = int.from_bytes(data, "little"), (1 << width) - 1
     return [bits >> at & mask for at in range(0, 8 * len(data) - width + 1, width)] if width else []
 
 
 def hybrid(data: Any, width: int, count: int) -> list[int]:
-    """So many integers in runs, or packed by eight."""
+    """Return this many integers, stored in runs or packed by eight."""
     found: list[int] = []
     while len(found) < count:
         head = data.varint()
@@ -39,7 +42,7 @@ def hybrid(data: Any, width: int, count: int) -> list[int]:
 
 
 def levels(data: Any, most: int, count: int) -> list[int]:
-    """So many levels from 0 to the most."""
+    """Return this many levels from 0 to the highest."""
     if not most:
         return [0] * count
     own = Bytes(data.take(int.from_bytes(data.take(4), "little")))
@@ -67,7 +70,7 @@ def plain_booleans(data: Any, count: int) -> Values:
 
 
 def differences(data: Any, count: int) -> Values:
-    """DELTA_BINARY_PACKED."""
+    """Decode DELTA_BINARY_PACKED."""
     block, minis, total, value = data.varint(), data.varint(), data.varint(), data.signed()
     if total != count or not minis or block % minis or block // minis % 32 or not block:
         raise ValueError(f"{total} values in blocks of {block} by {minis}, not {count}")
@@ -95,7 +98,7 @@ ENCODINGS: dict[tuple[int, int], Callable[[Any, int], Values]] = {
 
 
 def read_values(data: Any, kind: int, encoding: int, count: int, dictionary: Values | None) -> Values:
-    """So many values, and nothing behind them."""
+    """Return this many values, and check that nothing follows."""
     if encoding == RLE_DICTIONARY and dictionary is not None:
         (width,) = data.take(1)
         codes = hybrid(data, width, count) if width <= 32 else [len(dictionary)]
@@ -111,7 +114,7 @@ def read_values(data: Any, kind: int, encoding: int, count: int, dictionary: Val
 
 
 def assembled(values: Values, repetitions: list[int], definitions: list[int], most: int) -> Values:
-    """A value, a list or None a row. At levels below the most a row is None (0) or an empty list (1)."""
+    """Return a value, a list or None for each row. Below the highest level a row is None (0) or an empty list (1)."""
     rest = iter(values)
     if most < 2:
         return [next(rest) if level == most else None for level in definitions]

@@ -1,6 +1,7 @@
-"""A Parquet reader for the second verifier, written from parquet-format and section 5 of docs/ledger-format.md: no byte of a file is left over.
+"""A Parquet reader for the second verifier, written from parquet-format and section 5 of docs/ledger-format.md.
 
-It shares nothing with the package or with the libraries that the package reads by; pyarrow only unpacks zstd here.
+It accounts for every byte of a file. It shares nothing with the package or with the libraries that the package reads
+by; pyarrow only unpacks zstd here.
 """
 
 import re
@@ -31,7 +32,7 @@ Values = list[Any]
 
 
 class Leaf(NamedTuple):
-    """A column as it is stored: its text in the fingerprint, its path, its physical type, and the highest levels of its values."""
+    """A stored column: its text in the fingerprint, its path, its physical type and its highest levels."""
 
     text: str
     path: list[str]
@@ -41,7 +42,7 @@ class Leaf(NamedTuple):
 
 
 class Page(NamedTuple):
-    """A page: its header, and its bytes as they are stored."""
+    """A page: its header, and its bytes as stored."""
 
     header: dict[str, Any]
     data: bytes
@@ -53,7 +54,10 @@ def must(found: object, expected: object, what: str) -> None:
 
 
 def read(data: bytes) -> tuple[int, list[tuple[str, str]], dict[str, Values]]:
-    """The rows of a segment, its columns as the fingerprint has them, and their values: all that is in the file. Raises ValueError if it may not be so."""
+    """Read everything in a segment: its rows, its columns as the fingerprint has them, and their values.
+
+    Raises ValueError for anything that a segment may not hold.
+    """
     length = int.from_bytes(data[-8:-4], "little")
     must(
         (data[:4], data[-4:], len(data) <= MAX_FILE_BYTES, length <= min(MAX_FOOTER_BYTES, len(data) - 12)),
@@ -97,7 +101,7 @@ def read(data: bytes) -> tuple[int, list[tuple[str, str]], dict[str, Values]]:
 
 
 def read_schema(elements: list[dict[str, Any]]) -> list[Leaf]:
-    """The leaves of a flat schema of strings, integers, booleans and lists of strings."""
+    """Return the leaves of a flat schema of strings, integers, booleans and lists of strings."""
     root, *rest = elements
     rest.reverse()
     leaves = []
@@ -123,7 +127,7 @@ def read_schema(elements: list[dict[str, Any]]) -> list[Leaf]:
 
 
 def read_layout(data: bytes, at: int, leaf: Leaf, column: dict[str, Any], rows: int) -> Iterator[Page]:
-    """The pages of the column chunk that begins at this byte; the chunk says of itself and of them what they are."""
+    """Return the pages of the column chunk at this byte, after checking what chunk and pages say of themselves."""
     must((column["type"], column["path"], column["codec"]), (leaf.type, leaf.path, ZSTD), "a type, path and codec")
     must(
         (column["encodings"], "dictionary_offset" in column),
@@ -150,19 +154,9 @@ def read_layout(data: bytes, at: int, leaf: Leaf, column: dict[str, Any], rows: 
         dictionary, first = (at, first) if kind == DICTIONARY else (dictionary, at if first is None else first)
         page = data[at + reader.at : at + reader.at + stored]
         must(len(page) == stored and at + reader.at + stored <= end, True, "a page within its chunk:")
-        must(header["crc"] & 0xFFFFFFFF, zlib.crc32(page), "a checksum")
-        about = header[name]
-        key = kind, about["encoding"]
+        values += check_page(header, page)
+        key = kind, header[name]["encoding"]
         counts[key] = counts.get(key, 0) + 1
-        if kind == DATA:
-            must(
-                (about["definition_encoding"], about["repetition_encoding"], about["num_values"] >= 0),
-                (RLE, RLE, True),
-                "levels encoded, and values",
-            )
-            values += about["num_values"]
-        else:
-            must((about["encoding"], about["is_sorted"]), (PLAIN, False), "a dictionary in PLAIN, in an order")
         unpacked += reader.at + header["unpacked_bytes"]
         must(
             sum(counts.values()) - (dictionary is not None) <= MAX_PAGES and unpacked <= MAX_UNPACKED_BYTES,
@@ -187,8 +181,24 @@ def read_layout(data: bytes, at: int, leaf: Leaf, column: dict[str, Any], rows: 
     )
 
 
+def check_page(header: dict[str, Any], page: bytes) -> int:
+    """Check a page against its header; return how many values it adds to its column, 0 for a dictionary."""
+    must(header["crc"] & 0xFFFFFFFF, zlib.crc32(page), "a checksum")
+    if header["type"] == DICTIONARY:
+        about = header["dictionary"]
+        must((about["encoding"], about["is_sorted"]), (PLAIN, False), "a dictionary in PLAIN, in an order")
+        return 0
+    about = header["data"]
+    must(
+        (about["definition_encoding"], about["repetition_encoding"], about["num_values"] >= 0),
+        (RLE, RLE, True),
+        "levels encoded, and values",
+    )
+    return int(about["num_values"])
+
+
 def read_column(leaf: Leaf, column: dict[str, Any], pages: list[Page], rows: int) -> Values:
-    """The values of a column, a row each; its statistics are those of its rows, and those of its pages of theirs."""
+    """Return the values of a column, one a row, after checking the statistics of it and of its pages."""
     values: Values = []
     dictionary = None
     repetitions: list[int] = []
@@ -214,7 +224,10 @@ def read_column(leaf: Leaf, column: dict[str, Any], pages: list[Page], rows: int
 
 
 def check_statistics(said: dict[str, Any], leaf: Leaf, own: Values, nulls: int) -> None:
-    """Statistics, where there are any, are all that their column may have, and those of its rows; `run_id` may be too long for bounds."""
+    """Check that the statistics, where present, are complete and right for these rows.
+
+    `run_id` may be too long for bounds.
+    """
     if not said or (leaf.path[0] == "run_id" and said == {"null_count": nulls}):
         return
     exact = {"is_max_value_exact", "is_min_value_exact"} & said.keys()
@@ -235,7 +248,7 @@ def bound(value: Any) -> bytes:
 
 
 def check_sizes(said: dict[str, Any], leaf: Leaf, own: Values, repetitions: list[int], definitions: list[int]) -> None:
-    """The sizes, where there are any, are those of its rows: bytes of all strings, and how often there is each level."""
+    """Check that the sizes, where present, are right: bytes of all strings, and how often each level occurs."""
     if said:
         counted = [
             [found.count(level) for level in range(most + 1)] if most else []

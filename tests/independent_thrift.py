@@ -1,13 +1,14 @@
-"""What Parquet's own header and footer structures are (parquet.thrift) and how they are written (Thrift compact protocol), read strictly.
+"""Parquet's header and footer structures (parquet.thrift) in the Thrift compact protocol, read strictly.
 
-A structure is a dict by field names. Every field is known, of its type, once, in order, and written in the shortest way; what docs/ledger-format.md
-does not allow in a segment is left out here, so that it is unknown: metadata, encryption, indices, filters, orders, files elsewhere.
+A structure is a dict by field names. Every field must be known, of its type, once, in order, and in its shortest
+encoding. What docs/ledger-format.md does not allow in a segment is left out here and therefore unknown: metadata,
+encryption, indices, filters, orders, files elsewhere.
 """
 
 from typing import Any
 
 Grammar = dict[int, tuple[str, Any]]
-"""By field number: the name, with a star where the field must be there; and the type: a name, a Grammar, or a list of one of these."""
+"""By field number: the name, starred if the field is required; and the type: a name, a Grammar, or a list of one."""
 
 NOTHING: Grammar = {}
 STATISTICS: Grammar = {
@@ -82,7 +83,7 @@ BITS = {"i32": 32, "i64": 64}
 
 
 class Bytes:
-    """Bytes that are read from a place on."""
+    """A cursor over bytes."""
 
     def __init__(self, data: bytes, at: int = 0):
         self.data, self.at = data, at
@@ -112,7 +113,7 @@ class Bytes:
         return value >> 1 ^ -(value & 1)
 
     def struct(self, grammar: Grammar) -> dict[str, Any]:
-        """The structure that is written here."""
+        """Read the structure at the cursor."""
         found: dict[str, Any] = {}
         number = 0
         while head := self.take(1)[0]:

@@ -2,8 +2,8 @@
 
     python tests/independent_verifier.py LEDGER [--key VKEY] [--anchor FILE] [--event-types FILE]
 
-It prints `consistent` or the first thing that is wrong, in the order of section 11 (of the document); exit code 0 or 3. Its own files beside it read
-Parquet, to the last byte; a library does Ed25519, and one unpacks zstd.
+It prints `consistent` or the first thing that is wrong, in the order of the document's section 11; exit code 0 or 3.
+Its own files beside it read Parquet, to the last byte; a library does Ed25519, and another unpacks zstd.
 """
 
 import argparse
@@ -54,7 +54,7 @@ class ProblemError(Exception):
 
 
 def read_file(path: Path, most: int = 1 << 20) -> bytes:
-    """The bytes of a regular file that is not larger than this. Raises OSError or ValueError."""
+    """Read a regular file that is not larger than this. Raises OSError or ValueError."""
     with open(os.open(path, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK), "rb") as file:
         if not stat.S_ISREG(os.fstat(file.fileno()).st_mode) or len(data := file.read(most + 1)) > most:
             raise ValueError(f"no regular file of at most {most} bytes")
@@ -84,7 +84,7 @@ RECORD |= dict.fromkeys(("previous_sha256", "schema_sha256", "segment_sha256", "
 
 
 def read_json(path: Path, where: str, members: dict[str, str], commit: int | None = None) -> tuple[Row, str]:
-    """Section 2: an object with exactly these members, each of which has canonical JSON of this pattern, and the hash of its file."""
+    """Read an object with exactly these members, each of this pattern in canonical JSON, and hash it (section 2)."""
     try:
         data = read_file(path)
         found = json.loads(data.decode())
@@ -117,7 +117,7 @@ def root_of(frontier: Sequence[bytes]) -> bytes:
 
 
 class Tree:
-    """Section 7, every hash of a growing tree: `levels[h]` holds the roots of its complete subtrees of 2**h leaves."""
+    """Every hash of a growing tree (section 7): `levels[h]` holds the roots of its complete subtrees of 2**h leaves."""
 
     def __init__(self) -> None:
         self.levels: list[list[bytes]] = [[] for _ in range(64)]
@@ -139,7 +139,7 @@ class Tree:
 
 
 class Tile(NamedTuple):
-    """Section 8: a tile of so many hashes."""
+    """A tile of `width` hashes (section 8)."""
 
     level: int
     number: int
@@ -154,7 +154,7 @@ class Tile(NamedTuple):
 
 
 def tiles_between(old: int, new: int) -> Iterator[Tile]:
-    """The tiles that a commit adds to a tree of `old` leaves."""
+    """Return the tiles that a commit adds to a tree of `old` leaves."""
     for level in range((new.bit_length() + 7) // 8):
         before, now = old >> 8 * level, new >> 8 * level
         yield from (Tile(level, number, 256) for number in range(before // 256, now // 256))
@@ -186,7 +186,7 @@ def read_key(text: str) -> Key:
 
 
 class Note(NamedTuple):
-    """Section 9: a checkpoint, the text of it that is signed, and the name, key id and bytes of each signature."""
+    """A note (section 9): its checkpoint, the signed text, and each signature's name, key id and bytes."""
 
     origin: str
     size: int
@@ -195,7 +195,7 @@ class Note(NamedTuple):
     signatures: list[tuple[str, bytes, bytes]]
 
     def has(self, key: Key) -> bool | None:
-        """Whether the key's signatures on it are right; None if it has none, or is of another origin."""
+        """Return whether the key's signatures are right; None if there are none, or the origin is another."""
         own = [data for name, key_id, data in self.signatures if (name, key_id) == key[:2] and self.origin == name]
         try:
             for data in own:
@@ -206,7 +206,7 @@ class Note(NamedTuple):
 
 
 def read_note(text: str) -> Note:
-    """Raises ValueError unless the text is a note, to the byte."""
+    """Parse a note. Raises ValueError unless the text is one to the byte."""
     parts = re.fullmatch("(([^\n]*)\n(0|[1-9][0-9]{0,15})\n([^\n]{44})\n)\n((?:\u2014 [^\n ]+ [^\n ]+\n){0,16})", text)
     if parts is None:
         raise ValueError(f"{text!r:.200} is no note")
@@ -230,7 +230,10 @@ def read_note(text: str) -> Note:
 
 
 def flaw_of(row: Row, place: int, is_again: bool, types: Row | None) -> tuple[str, object] | None:
-    """Section 5: what is wrong with a row at this place of its run's block, the field and what was expected; `types` is docs/event-types.json."""
+    """Return what is wrong with a row at this place of its run's block: the field and what was expected (section 5).
+
+    `types` is docs/event-types.json.
+    """
     if row["seq"] != place or is_again:
         return ("seq", place) if row["seq"] != place else ("run_id", "each run in one block of rows")
     cause = row.get("caused_by")
@@ -253,7 +256,7 @@ def flaw_of(row: Row, place: int, is_again: bool, types: Row | None) -> tuple[st
 
 
 def runs_of(where: str, rows: list[Row], number: int, types: Row | None) -> list[str]:
-    """The runs, in order, of rows that are all right."""
+    """Return the runs, in order, of rows that are all right."""
     runs: list[str] = []
     place = 0
     alone = {name for name, own in types["types"].items() if own.get("alone")} if types is not None else set[str]()
@@ -288,14 +291,14 @@ def runs_of(where: str, rows: list[Row], number: int, types: Row | None) -> list
 
 
 class Verifier:
-    """Section 11: one look at a ledger; each step raises ProblemError for the first thing that is wrong."""
+    """The verification of section 11; each step raises ProblemError for the first thing that is wrong."""
 
     def __init__(self, ledger: Path, key: Key | None = None, anchor: Path | None = None, types: Row | None = None):
         self.ledger, self.key, self.anchor, self.types = ledger, key, anchor, types
         self.tree, self.sizes, self.notes, self.runs = Tree(), [0], list[Note](), set[str]()
 
     def verify(self) -> tuple[int, str, str, list[str]]:
-        """The ledger is consistent: its events, root, whose signature it has, and what a crash left."""
+        """Verify the ledger; return its events, its root, whose signature it has, and what a crash left."""
         found = sorted(os.scandir(self.ledger), key=lambda entry: entry.name)
         for entry in found:
             if not (
@@ -333,7 +336,7 @@ class Verifier:
         ]
 
     def check_record(self, record: Row, previous: str, origin: str) -> None:
-        """The record agrees with its place, with the tree before it and with itself."""
+        """Check the record against its place, the tree before it and itself."""
         number, root = len(self.notes), root_of([bytes.fromhex(subtree) for subtree in record["frontier"]])
         expected = {
             "number": number,
@@ -360,7 +363,7 @@ class Verifier:
         self.sizes.append(record["tree_size"])
 
     def check_segment(self, record: Row) -> None:
-        """The segment, in place or in staging, is as the record says; its rows are in the tree."""
+        """Check the segment, in place or in staging, against the record, and add its rows to the tree."""
         number = record["number"]
         where, staged = f"segments/{number:012d}.parquet", f"staging/{record['segment_sha256']}.parquet"
         if (
@@ -407,7 +410,7 @@ class Verifier:
         return rows, runs_of(where, rows, record["number"], self.types)
 
     def check_derived(self, texts: list[str | None]) -> list[str]:
-        """The checkpoint holds the newest note, or the one before; the tiles are those of the tree."""
+        """Check that the checkpoint is the newest note or the one before, and the tiles against the tree."""
         try:
             found = (
                 read_file(self.ledger / "checkpoint").decode() if os.path.lexists(self.ledger / "checkpoint") else None
@@ -441,7 +444,7 @@ class Verifier:
         return ["one commit behind"] * (found != texts[-1]) + ["outgrown tiles"] * (found == texts[-1] and bool(left))
 
     def has_tile(self, tile: Tile) -> bool:
-        """Whether the tile is there; if it is, it is right."""
+        """Return whether the tile exists; raise if it is wrong."""
         try:
             found = read_file(self.ledger / str(tile))
         except FileNotFoundError:
@@ -453,7 +456,7 @@ class Verifier:
         return True
 
     def check_signatures(self) -> str:
-        """What the newest note's signature is worth."""
+        """Return what the newest note's signature is worth."""
         if self.key is None:
             return "signer not checked" if self.notes and self.notes[-1].signatures else "unsigned"
         if not self.notes:
@@ -469,7 +472,7 @@ class Verifier:
         return "signed"
 
     def check_anchor(self, origin: str) -> None:
-        """The ledger begins with the events of the earlier checkpoint."""
+        """Check that the ledger begins with the events of the earlier checkpoint."""
         if self.anchor is None:
             return
         try:

@@ -1,7 +1,4 @@
-"""Databases over a few rows that are used again: DuckDB takes longer to make itself and all views than to answer a question about a short history.
-
-What is held or locked in one of these would be there for the next test; for that there is `fsar_ledger.metrics.database.from_rows`.
-"""
+"""Reusable databases over a few rows: starting DuckDB with all views takes longer than a question about few events."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -15,13 +12,13 @@ _idle: dict[int | None, list[Database]] = {}
 
 
 def from_rows(rows: Sequence[Mapping[str, Value]], threads: int | None = None) -> AbstractContextManager[Database]:
-    """A database over these rows, perhaps one that had others before."""
+    """Provide a database over these rows, possibly a reused one."""
     return from_table(fresh.table_of(rows), threads)
 
 
 @contextmanager
 def from_table(events: pa.Table, threads: int | None = None) -> Iterator[Database]:
-    """A database over this table, perhaps one that had another before; over many rows it is a new one."""
+    """Provide a database over this table, possibly a reused one; over many rows it is always new."""
     if len(events) > fresh.FEW_ROWS:
         with fresh.from_table(events, threads) as database:
             yield database

@@ -1,4 +1,4 @@
-"""What people see: text as a terminal emulator renders it, and texts that try to paint there."""
+"""Text as a terminal emulator renders it, and texts that try to paint there."""
 
 import unicodedata
 
@@ -33,19 +33,19 @@ MOVING = {"R", "AL", "AN", "RLE", "LRE", "RLO", "LRO", "PDF", "RLI", "LRI", "FSI
 
 
 def screen_of(stream: str, columns: int | None = None) -> pyte.Screen:
-    """The screen after this stream, as wide as its longest line unless told."""
+    """Return the screen after this stream, as wide as its longest line unless told otherwise."""
     lines = stream.split("\n")
     screen = pyte.Screen(
         columns or 2 * max(map(len, lines)) + 2,
         len(lines) + sum(len(line) // (columns or len(line) + 1) for line in lines),
     )
-    screen.set_mode(pyte.modes.LNM)  # as a terminal's driver does with the line feed of a program
+    screen.set_mode(pyte.modes.LNM)  # as a terminal's driver treats a program's line feed
     pyte.Stream(screen).feed(stream)
     return screen
 
 
 def painted(stream: str) -> list[str]:
-    """What a terminal shows of the stream that is not its printable text, line by line; nothing is how it has to be."""
+    """Return what a terminal shows of the stream beyond its printable text, line by line; it should be nothing."""
     if not stream:
         return []
     lines = stream.removesuffix("\n").split("\n")

@@ -1,4 +1,4 @@
-"""The fit reads the tables that it says, and the constants of the package are the ones that it accepted."""
+"""The fit reads the tables that it names, and the package's constants are those that it accepted."""
 
 import json
 import subprocess

@@ -1,4 +1,4 @@
-"""What was predicted is laid beside the paper, and each registered prediction holds where its numbers do, and there only."""
+"""Predictions beside the paper's numbers: each registered prediction holds where its numbers do, and only there."""
 
 import json
 from collections import Counter
@@ -19,7 +19,7 @@ from fsar_ledger.runtime.simulation import MODEL_VERSION, SCENARIOS
 
 
 def mean_of(metric: str, architecture: str, size: int) -> float:
-    """A world in which every registered prediction holds."""
+    """Return the mean of a cell in a world in which every registered prediction holds."""
     if metric == "authority_conflicts":
         return 1.0 if architecture == "fsar" else 2.0
     return 0.4 if metric == "coordination_success" and size == 24 and architecture != "fsar" else 0.5
@@ -57,7 +57,7 @@ NUMBERS = every_number()
 
 
 def record(change: Callable[[Predicted], float | None] | None = None) -> Record:
-    """All numbers; `change` gives the mean of each."""
+    """Make a record of all numbers; `change` gives the mean of each."""
     numbers = NUMBERS if change is None else [msgspec.structs.replace(one, mean=change(one)) for one in NUMBERS]
     return Record(MODEL_VERSION, write_constants(Constants()), "predict", numbers, [])
 
@@ -186,7 +186,8 @@ def test_a_record_that_lacks_a_number_is_refused_by_its_place(tmp_path: Path) ->
         ),
         (
             {"parameters": "{}"},
-            r"predictions\.json: found predictions with the constants 44136fa355b3 .*, expected those of this version, \w{12};",
+            r"predictions\.json: found predictions with the constants 44136fa355b3 .*, "
+            r"expected those of this version, \w{12};",
         ),
     ],
 )

@@ -1,6 +1,8 @@
 """The documentation names what there is, and what it shows is what happens."""
 
+import os
 import re
+import runpy
 import shlex
 import shutil
 import subprocess
@@ -9,6 +11,7 @@ import tomllib
 from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -22,6 +25,8 @@ from tests.cli.conftest import SMALL
 
 ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text("utf-8")
+README_BYTES_MAX = 10_240
+PAGES = {path.name: path.read_text("utf-8") for path in sorted((ROOT / "docs").glob("*.md"))}
 LABEL = re.compile(r"\b(?:eq|sec|tab|fig|app):[a-z0-9_:-]*[a-z0-9]")
 LABELS = set((ROOT / "tests" / "paper_labels.txt").read_text().split())
 COMMANDS = {
@@ -84,8 +89,8 @@ def test_a_wrong_or_missing_label_is_found() -> None:
     assert wrong_labels("-- Paper: chapter 3\n") == ["Paper: chapter 3"]
 
 
-def test_every_reading_is_listed_in_the_readme() -> None:
-    listed = set(re.findall(r"^\| (R\d+) \|", README, flags=re.MULTILINE))
+def test_every_reading_is_listed() -> None:
+    listed = set(re.findall(r"^\| (R\d+) \|", PAGES["readings.md"], flags=re.MULTILINE))
     assert listed == readings()
     assert [wrong for path in sources() for wrong in wrong_readings(path.read_text("utf-8"), listed)] == []
 
@@ -95,23 +100,81 @@ def test_an_unknown_reading_is_found() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(COMMANDS))
-def test_every_command_is_in_the_readme_and_has_examples(name: str) -> None:
-    assert f"`fsar-ledger {name}" in README
+def test_every_command_is_documented_and_has_examples(name: str) -> None:
+    assert f"`fsar-ledger {name}" in PAGES["commands.md"]
     assert [example for command, example in examples() if command == name]
 
 
 def test_every_query_is_documented() -> None:
-    page = (ROOT / "docs" / "queries.md").read_text("utf-8")
-    assert set(re.findall(r"^\| `([^`]+)`", page, flags=re.MULTILINE)) == set(library().queries)
+    assert set(re.findall(r"^\| `([^`]+)`", PAGES["queries.md"], flags=re.MULTILINE)) == set(library().queries)
 
 
-def test_every_file_that_the_readme_names_exists() -> None:
-    names = set(re.findall(r"`((?:fsar_ledger|queries|reports|docs|benchmarks|tests)/[\w./-]*)", README)) | set(
-        re.findall(r"\]\((docs/[\w./-]+|\w+\.md)\)", README)
+def dangling(page: Path) -> list[str]:
+    """Return the files that the page names and the places that it links to which do not exist."""
+    text = page.read_text("utf-8")
+    names = re.findall(r"`((?:fsar_ledger|queries|reports|docs|benchmarks|tests)/[\w./-]*)", text)
+    names += [f"fsar_ledger/{name}" for name in re.findall(r"`((?:events|projections|runtime)/[\w/]+\.py)`", text)]
+    found = [name for name in names if not (ROOT / name).exists()]
+    for file, anchor in re.findall(r"\]\((?!https?:)([^)#]*)#?([^)]*)\)", text):
+        target = page.parent / file if file else page
+        if not target.exists() or (anchor and anchor not in anchors(target.read_text("utf-8"))):
+            found.append(f"{file}#{anchor}" if anchor else file)
+    return found
+
+
+def anchors(text: str) -> set[str]:
+    """Return the names by which the headings of a page are linked to."""
+    headings = re.findall(r"^#+ (.+)$", text, flags=re.MULTILINE)
+    return {re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings}
+
+
+def test_every_file_and_link_that_a_page_names_exists() -> None:
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+    assert {page.name: found for page in pages if (found := dangling(page))} == {}
+
+
+def test_a_link_or_file_that_does_not_exist_is_found(tmp_path: Path) -> None:
+    (tmp_path / "page.md").write_text(
+        "# One thing, twice\n[a](#one-thing-twice) [b](#two) [c](gone.md) `tests/gone.py`\n"
     )
-    names |= {f"fsar_ledger/{name}" for name in re.findall(r"`((?:events|projections|runtime)/[\w/]+\.py)`", README)}
-    assert names
-    assert sorted(name for name in names if not (ROOT / name).exists()) == []
+    assert dangling(tmp_path / "page.md") == ["tests/gone.py", "#two", "gone.md"]
+
+
+def test_every_page_is_in_the_index() -> None:
+    linked = set(re.findall(r"\]\(([\w.-]+)\)", PAGES["README.md"]))
+    pages = {path.name for path in (ROOT / "docs").iterdir() if path.suffix in (".md", ".json", ".ipynb")}
+    assert pages - {"README.md"} == linked
+
+
+def test_the_readme_is_short_and_says_where_it_runs() -> None:
+    assert len(README.encode()) <= README_BYTES_MAX
+    assert "POSIX system: Linux or macOS" in README
+    assert re.findall(r"^make .*?(?=  )", README, flags=re.MULTILINE) == ["make reproduce", "make test"]
+
+
+def readme_blocks() -> list[str]:
+    """Return the commands of each user's first five minutes, as they are printed."""
+    return re.findall(r"```sh\n(.*?)```", README, flags=re.DOTALL)
+
+
+def test_every_command_of_the_readme_parses() -> None:
+    activation, *blocks = readme_blocks()
+    assert (activation, len(blocks)) == (". .venv/bin/activate\n", 3)
+    for line in "".join(blocks).splitlines():
+        assert parses(line), line
+
+
+@pytest.mark.slow  # a reproduction of one run for each scenario, half a minute
+def test_every_command_of_the_readme_runs_as_printed_after_a_reproduction(tmp_path: Path) -> None:
+    assert run(["reproduce", "--out", str(tmp_path / "fsar-out"), "--runs", "1"]) == 0
+    _, *blocks = readme_blocks()
+    surroundings = {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
+    for line in "".join(blocks).splitlines():  # each alone: a shell goes on after one that fails
+        done = subprocess.run(
+            ["sh", "-c", line], cwd=tmp_path, env=surroundings, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, f"{line}\n{done.stdout}{done.stderr}"
+        assert done.stdout.strip(), line
 
 
 MODEL = {label for label in LABELS if label.startswith(("eq:", "sec:model:", "sec:architecture:", "app:"))} | {
@@ -133,7 +196,7 @@ MODEL = {label for label in LABELS if label.startswith(("eq:", "sec:model:", "se
 
 
 def model_rows(text: str) -> list[tuple[set[str], list[str], list[str]]]:
-    """What each row of the README's table of the model is about, where it lives, and what holds it."""
+    """Return what each row of the table of the model is about, where it lives, and what holds it."""
     table = text.partition("## The model, line by line")[2].partition("\n## ")[0]
     rows = [
         [cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines() if line.startswith("| ")
@@ -165,8 +228,8 @@ def unfounded(rows: list[tuple[set[str], list[str], list[str]]]) -> list[str]:
     return found
 
 
-def test_every_part_of_the_model_is_in_the_readme_with_its_code_and_its_test() -> None:
-    rows = model_rows(README)
+def test_every_part_of_the_model_is_listed_with_its_code_and_its_test() -> None:
+    rows = model_rows(PAGES["paper-to-code.md"])
     assert MODEL - set().union(*(about for about, _, _ in rows)) == set()
     assert unfounded(rows) == []
 
@@ -189,14 +252,20 @@ def test_a_row_of_the_model_without_code_or_with_a_wrong_name_is_found() -> None
 
 @pytest.mark.parametrize(("name", "example"), list(examples()))
 def test_every_example_is_a_call_that_parses(name: str, example: str) -> None:
-    words = name.split()
-    program, *arguments = shlex.split(example, comments=True)
-    assert (program, arguments[: len(words)]) == ("fsar-ledger", words)
-    command = typer.main.get_command(app)
-    for word in words:
-        assert isinstance(command, typer.core.TyperGroup)
-        command = command.commands[word]
-    command.make_context(name, arguments[len(words) :])
+    assert parses(example) == name
+
+
+def parses(line: str) -> str:
+    """Return the name of the command that the line calls; its options and arguments are ones that it takes."""
+    program, *arguments = shlex.split(line, comments=True)
+    assert program == "fsar-ledger"
+    command: Any = typer.main.get_command(app)
+    words = []
+    while isinstance(command, typer.core.TyperGroup):
+        words.append(arguments.pop(0))
+        command = command.commands[words[-1]]
+    command.make_context(" ".join(words), arguments)
+    return " ".join(words)
 
 
 @pytest.fixture(scope="module")
@@ -218,8 +287,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-ELSEWHERE = ("fsar-ledger multiverse out/ledger", "fsar-ledger report out/ledger --out out/report.pdf")
-"""Examples that are part of others which run each time: of `docs/model.md`, and of the one with `--numbers`."""
+ELSEWHERE = (
+    "fsar-ledger multiverse out/ledger",
+    "fsar-ledger report out/ledger --out out/report.pdf",
+    *(example for name, example in examples() if name == "report" and "--with" in example),
+)
+"""Examples that `make test` leaves to `make test-all`: others that it runs, or `docs/model.md`, do most of what they do."""
 
 
 @pytest.mark.parametrize(
@@ -240,8 +313,19 @@ def test_every_quick_example_runs(
         assert Path(report).read_bytes().startswith(b"%PDF-")
 
 
+@pytest.mark.slow
 def test_the_output_in_the_pages_is_what_the_commands_print() -> None:
     done = subprocess.run(
         [sys.executable, str(ROOT / "docs" / "write.py"), "--check"], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_a_page_is_out_of_date_when_a_reader_would_notice_not_when_a_digest_changes() -> None:
+    noticed = runpy.run_path(str(ROOT / "docs" / "write.py"))["noticed"]
+    first, second, third = ("0a" * 32, "1b" * 32, "2c" * 32)
+    page = "{0}: 17,289 events\nroot {1}\nroot {1}\n"
+    assert noticed(page.format("r0000-67d2cf7be87f", first)) == noticed(page.format("r0000-7fe2cf7b0017", second))
+    assert noticed(f"{first} {first} {second}") != noticed(f"{first} {second} {third}")
+    assert noticed(page.format("r0", first)) != noticed(page.format("r0", first).replace("17,289", "17,288"))
+    assert noticed("1795000000000000 event-types decade") == "1795000000000000 event-types decade"

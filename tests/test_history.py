@@ -1,4 +1,4 @@
-"""The order of registration, fit, predictions and comparison is shown from a history, and each way to break it is found."""
+"""The order of registration, fit, predictions and comparison is read from a history, and each violation is found."""
 
 import subprocess
 from pathlib import Path
@@ -30,7 +30,7 @@ def root(tmp_path: Path) -> Path:
 
 
 def staged(root: Path, *between: dict[str, str], order: tuple[int, ...] = (0, 1, 2, 3)) -> list[str]:
-    """What does not hold after the stages in this order, with other changes after the first of them."""
+    """Return what does not hold after these stages in this order, with other changes after the first of them."""
     for number, stage in enumerate(order):
         commit(root, {STAGES[stage][1]: f"{stage}\n"})
         if number == 0:

@@ -1,4 +1,4 @@
-"""The house keeps its rules: short files, documented modules, one-way imports, a package that works installed."""
+"""House rules: short files, documented modules, one-way imports, a package that works installed."""
 
 import ast
 import json
@@ -23,7 +23,8 @@ FILE_LINES_MAX, FUNCTION_LINES_MAX, QUERY_LINES_MAX = (
     80,
 )  # to be 400, 60, 80 again once every folder is wrapped
 TOP_LEVEL = {"README.md", "pyproject.toml", "fsar_ledger", "queries", "reports", "tests"}
-SUPPORT = {"Makefile", "LICENSE", "CHANGELOG.md", "requirements.in", "requirements.txt", "benchmarks", "docs"}
+REQUIREMENTS = {f"requirements{part}.{kind}" for part in ("", "-test", "-all") for kind in ("in", "txt")}
+SUPPORT = {"Makefile", "LICENSE", "CHANGELOG.md", "benchmarks", "docs", *REQUIREMENTS}
 
 
 def code_files(root: Path, suffix: str, folders: tuple[str, ...] = CODE) -> Iterator[Path]:
@@ -32,7 +33,7 @@ def code_files(root: Path, suffix: str, folders: tuple[str, ...] = CODE) -> Iter
 
 
 def too_long(root: Path) -> list[str]:
-    """Files, functions and queries over their limits, with their lengths."""
+    """Return the files, functions and queries over their limits, with their lengths."""
     found = []
     for path in [*code_files(root, ".py"), *code_files(root, ".sql")]:
         text, name = path.read_text("utf-8"), path.relative_to(root)
@@ -47,7 +48,7 @@ def too_long(root: Path) -> list[str]:
 
 
 def long_functions(path: Path, text: str) -> Iterator[tuple[str, int]]:
-    """Names and lengths of functions that are too long, without their signatures."""
+    """Return names and lengths of functions that are too long, without their signatures."""
     for node in ast.walk(ast.parse(text)) if path.suffix == ".py" else ():
         if (
             isinstance(node, ast.FunctionDef)
@@ -57,7 +58,7 @@ def long_functions(path: Path, text: str) -> Iterator[tuple[str, int]]:
 
 
 def undocumented(root: Path) -> list[str]:
-    """Modules of the package that do not say what they are."""
+    """Return the modules of the package without a docstring."""
     modules = code_files(root, ".py", ("fsar_ledger", "queries", "reports", "docs"))
     return [
         str(path.relative_to(root)) for path in modules if not ast.get_docstring(ast.parse(path.read_text("utf-8")))
@@ -92,7 +93,7 @@ MAY_PRINT = ("cli/terminal.py", "cli/progress.py")
 
 
 def prints(root: Path) -> list[str]:
-    """Where the package prints, but for the modules that may."""
+    """Return where the package prints, except in the modules that may."""
     found = []
     for path in code_files(root, ".py", ("fsar_ledger", "queries", "reports")):
         name = path.relative_to(root).as_posix()
@@ -104,7 +105,7 @@ def prints(root: Path) -> list[str]:
 
 
 def printing(module: ast.Module) -> Iterator[tuple[int, str]]:
-    """The lines of a module that print, and with what: by any name, or by ending the process with a text."""
+    """Return the lines of a module that print, and how: by any name, or by exiting with a text."""
     for node in ast.walk(module):
         if isinstance(node, ast.Import):
             yield from (
@@ -136,7 +137,7 @@ def printing(module: ast.Module) -> Iterator[tuple[int, str]]:
 
 
 def foreign_places(root: Path, files: list[Path]) -> list[str]:
-    """Package registries and folders of one machine that a file names."""
+    """Return the package registries and machine folders that a file names."""
     pattern = re.compile(
         r"--(?:extra-)?index-url|--trusted-host|/(?:home|Users|work|root)/\w|https?://[^\s/]*(?:pypi|artifactory|nexus)"
     )
@@ -148,7 +149,7 @@ def foreign_places(root: Path, files: list[Path]) -> list[str]:
 
 
 def architectures_named(root: Path) -> list[str]:
-    """Places in what all architectures share that look at which one it is; docstrings may speak of them."""
+    """Return the places in shared code that look at the architecture; docstrings may mention it."""
     found = []
     for path in code_files(root / "fsar_ledger", ".py", ("runtime/handlers", "projections")):
         for node in ast.walk(ast.parse(path.read_text("utf-8"))):
@@ -168,7 +169,7 @@ def contracts(root: Path) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture
 def tree(tmp_path: Path) -> Path:
-    """A copy of what import-linter and the build read."""
+    """Copy what import-linter and the build read."""
     ignored = shutil.ignore_patterns("__pycache__")
     for folder in ("fsar_ledger", "queries", "reports"):
         shutil.copytree(ROOT / folder, tmp_path / folder, ignore=ignored)
@@ -269,8 +270,7 @@ def test_nothing_names_a_registry_or_a_machine() -> None:
         for name in (
             "Makefile",
             "pyproject.toml",
-            "requirements.in",
-            "requirements.txt",
+            *sorted(REQUIREMENTS),
             "README.md",
             "CHANGELOG.md",
             ".ci/run",
@@ -397,10 +397,12 @@ def test_the_wheel_has_every_module_query_and_report(tree: Path, tmp_path_factor
 
 
 def installed_queries(place: Path) -> set[str]:
-    """Names of the query files that the package in `place/site` finds; the work tree's own editable install is kept out of its sight."""
+    """Return the names of the query files in the package in `place/site`, hiding the work tree's editable install."""
     code = (
-        "import sys; sys.meta_path[:] = [one for one in sys.meta_path if 'Editable' not in getattr(one, '__name__', '')];"
-        "import fsar_ledger; from fsar_ledger.cli.app import run; print(fsar_ledger.__file__); sys.exit(run(['query', '--list', '--json']))"
+        "import sys; "
+        "sys.meta_path[:] = [one for one in sys.meta_path if 'Editable' not in getattr(one, '__name__', '')]; "
+        "import fsar_ledger; from fsar_ledger.cli.app import run; print(fsar_ledger.__file__); "
+        "sys.exit(run(['query', '--list', '--json']))"
     )
     environment = {**os.environ, "PYTHONPATH": str(place / "site")}
     done = subprocess.run(

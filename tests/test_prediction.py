@@ -1,4 +1,4 @@
-"""What is registered to be predicted is played, each under its own world, and what is written down names what was played."""
+"""Every registered prediction is played, each in its own world, and the record names what was played."""
 
 import json
 from pathlib import Path

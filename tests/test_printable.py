@@ -1,4 +1,4 @@
-"""What is shown of any text: itself, or an escape that nothing obeys and that is told from every other text."""
+"""Text as it is shown: itself or a harmless escape, and distinct from every other text."""
 
 import csv
 import io
@@ -23,7 +23,7 @@ ESCAPE = re.compile(r"\\(?:([\\ntr])|x(..)|u(.{4})|U(.{8}))")
 
 
 def read_back(shown: str) -> str:
-    """The text that is shown so: where there is an escape, every one is undone."""
+    """Undo every escape of a shown text."""
     return ESCAPE.sub(
         lambda found: (
             {"\\": "\\", "n": "\n", "t": "\t", "r": "\r"}[found[1]]
@@ -82,7 +82,7 @@ def test_two_values_are_never_shown_alike(texts: list[str]) -> None:
 @given(ANY | NASTY)
 def test_what_was_escaped_is_not_escaped_again(text: str) -> None:
     assert printable.escaped(printable.value(text)) == printable.value(text)
-    assert printable.net(printable.line(text)) == printable.line(text)
+    assert printable.sanitized(printable.line(text)) == printable.line(text)
 
 
 @settings(max_examples=40)
@@ -90,7 +90,7 @@ def test_what_was_escaped_is_not_escaped_again(text: str) -> None:
 def test_json_is_ascii_and_means_the_same(document: dict[str, list[str]]) -> None:
     shown = printable.ascii_json(json.dumps(document, ensure_ascii=False, indent=1))
     assert shown.isascii()
-    assert printable.net(shown) == shown
+    assert printable.sanitized(shown) == shown
     assert json.loads(shown) == document
 
 

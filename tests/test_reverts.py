@@ -1,4 +1,4 @@
-"""The fixes of `tests/reverts` still stand where their files say, and each names a test that exists."""
+"""The fixes of `tests/reverts` still stand in their files, and each names a test that exists."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""What the package is made of is said by a machine, and where it runs by itself."""
+"""The bill of materials says what the package is made of, and unsupported systems are refused with a message."""
 
 import importlib.util
 import json
@@ -6,19 +6,23 @@ import re
 import subprocess
 import sys
 import tomllib
+from importlib.metadata import distribution
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Literal
 
 import msgspec
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 ROOT = Path(__file__).resolve().parent.parent
 SCRIPT = ROOT / ".ci" / "sbom.py"
+SETS = ("requirements", "requirements-test", "requirements-all")
 
 
 class Hash(msgspec.Struct, forbid_unknown_fields=True):
-    """As CycloneDX 1.6 says, of the parts that we write; `Bom` below too."""
+    """A hash as CycloneDX 1.6 has it; like `Bom` below, only the parts that we write."""
 
     alg: Literal["SHA-256"]
     content: str
@@ -115,7 +119,8 @@ def test_the_bill_of_materials_is_cyclonedx_and_refers_to_what_it_holds(bom: tup
 
 def test_it_names_every_requirement_with_every_hash_that_may_be_installed(bom: tuple[Bom, bytes]) -> None:
     entries: dict[tuple[str, str], set[str]] = {}
-    for entry in re.split(r"\n(?=\w)", (ROOT / "requirements.txt").read_text("utf-8")):
+    text = "".join((ROOT / f"{name}.txt").read_text("utf-8") for name in SETS[:2])
+    for entry in re.split(r"\n(?=[\w-])", text):
         head = re.match(r"([\w.-]+)==([^\s;]+)", entry)
         if head is not None:
             entries[head[1], head[2]] = set(re.findall(r"sha256:([0-9a-f]{64})", entry))
@@ -162,16 +167,54 @@ def test_an_installation_that_is_not_as_pinned_is_found(script: ModuleType) -> N
             script.installed(script.Pinned(name, version, ("0" * 64,)))
 
 
-def test_the_checks_of_a_change_make_it_after_the_tests() -> None:
+def test_the_checks_of_a_change_run_the_tests_bare_then_with_all_extras_and_then_the_bill() -> None:
     lines = (ROOT / ".ci" / "run").read_text("utf-8").splitlines()
-    assert lines.index("make test") < lines.index("make sbom")
+    assert [line for line in lines if line.startswith("make ")] == ["make test", "make test-all", "make sbom"]
 
 
-def test_where_it_does_not_run_it_says_so() -> None:
-    code = "import os, sys; sys.argv = ['fsar-ledger', 'info', 'x']; from fsar_ledger.__main__ import main; os.name = 'nt'; main()"
+@pytest.mark.parametrize("name", SETS)
+def test_every_version_that_a_set_up_installs_is_pinned_by_hash_in_one_file(script: ModuleType, name: str) -> None:
+    own = list(script.pinned((ROOT / f"{name}.txt").read_text("utf-8")))
+    wanted = re.findall(r"^([\w-]+)", (ROOT / f"{name}.in").read_text("utf-8"), flags=re.MULTILINE)
+    assert {canonicalize_name(one) for one in wanted if not one.startswith("-")} <= {one.name for one in own}
+
+
+def test_each_set_up_adds_to_the_one_before() -> None:
+    first = {name: (ROOT / f"{name}.txt").read_text("utf-8").partition("\n")[0] for name in SETS}
+    assert [first[name] for name in SETS[1:]] == [f"-r {before}.txt" for before in SETS[:-1]]
+    targets = dict(re.findall(r"^(reproduce|test-all|check|test): (.+)$", (ROOT / "Makefile").read_text("utf-8"), re.M))
+    assert targets == {
+        "reproduce": "$(READY)",
+        "check": "$(READY_TEST)",
+        "test": "check",
+        "test-all": "$(READY_ALL) check",
+    }
+
+
+def test_what_runs_needs_no_package_of_the_tests(script: ModuleType) -> None:
+    """Each dependency of the package, and of these in turn, is in the first file."""
+    first = {one.name for one in script.pinned((ROOT / "requirements.txt").read_text("utf-8"))}
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    waiting = [canonicalize_name(Requirement(text).name) for text in project["dependencies"]]
+    reached: set[str] = set()
+    while waiting:
+        name = waiting.pop()
+        if name not in reached:
+            reached.add(name)
+            parsed = [Requirement(text) for text in distribution(name).requires or []]
+            waiting += [
+                canonicalize_name(one.name) for one in parsed if not one.marker or one.marker.evaluate({"extra": ""})
+            ]
+    assert reached <= first
+
+
+def test_an_unsupported_system_is_refused_with_a_message() -> None:
+    code = (
+        "import os, sys; sys.argv = ['fsar-ledger', 'info', 'x']; "
+        "from fsar_ledger.__main__ import main; os.name = 'nt'; main()"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout) == (2, "")
-    assert (
-        done.stderr
-        == "fsar-ledger: found an operating system that is not POSIX (nt), expected Linux or macOS; on Windows use WSL\n"
+    assert done.stderr == (
+        "fsar-ledger: found an operating system that is not POSIX (nt), expected Linux or macOS; on Windows use WSL\n"
     )

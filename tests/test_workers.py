@@ -1,4 +1,4 @@
-"""The pool of worker processes: answers in order, errors that arrive, and a death that nobody waits for in vain."""
+"""The pool of worker processes: answers in order, errors that arrive, and deaths that fail the waiting calls."""
 
 import contextlib
 import os
@@ -40,7 +40,7 @@ def large(size: int) -> bytes:
 
 
 def killed(after: Path | None) -> None:
-    """Ends its process without a word, once this file is there."""
+    """End this process without a word, once this file exists."""
     while after is not None and not after.exists():
         time.sleep(0.01)
     os.kill(os.getpid(), signal.SIGKILL)
@@ -53,7 +53,7 @@ def killed_halfway_through_its_answer() -> None:
 
 
 def interrupted() -> bool:
-    """Whether Ctrl-C passes by."""
+    """Return whether Ctrl-C is ignored."""
     os.kill(os.getpid(), signal.SIGINT)
     time.sleep(0.05)
     return True
@@ -75,7 +75,7 @@ def test_answers_come_in_order_from_as_many_processes_as_were_asked_for() -> Non
         assert pool.submit(squared, 5).result() == 25
 
 
-def test_whoever_waits_for_a_killed_worker_or_behind_it_is_told(tmp_path: Path) -> None:
+def test_a_killed_worker_fails_its_call_and_those_queued_behind_it(tmp_path: Path) -> None:
     with WorkerPool(2) as pool:
         calls: list[Future[Any]] = [
             pool.submit(killed, tmp_path / "now"),
@@ -92,7 +92,7 @@ def test_whoever_waits_for_a_killed_worker_or_behind_it_is_told(tmp_path: Path) 
             pool.submit(squared, 3)
 
 
-def test_a_worker_that_is_killed_halfway_through_its_answer_is_no_wait_without_end() -> None:
+def test_a_worker_killed_halfway_through_its_answer_does_not_hang_the_pool() -> None:
     with WorkerPool(2) as pool:
         waiting = pool.submit(time.sleep, 60)
         with pytest.raises(WorkerDied, match="signal 9"):
@@ -101,7 +101,7 @@ def test_a_worker_that_is_killed_halfway_through_its_answer_is_no_wait_without_e
             waiting.result(timeout=30)
 
 
-def test_a_process_that_cannot_be_started_is_said() -> None:
+def test_a_process_that_cannot_be_started_is_reported() -> None:
     before = spawn.get_executable()
     spawn.set_executable("/nonexistent/python")
     try:
@@ -138,7 +138,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.parametrize("end", [signal.SIGKILL, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-def test_workers_do_not_outlive_whoever_started_them(tmp_path: Path, end: signal.Signals) -> None:
+def test_workers_do_not_outlive_the_process_that_started_them(tmp_path: Path, end: signal.Signals) -> None:
     script = tmp_path / "orphaned.py"
     script.write_text(ORPHANED)
     call = [sys.executable, str(script)]
@@ -187,7 +187,7 @@ BAD = {
 def test_what_no_run_records_as_its_parameters_is_one_kind_of_error(name: str) -> None:
     with pytest.raises(BadParameters, match=r"^found .*, expected constants as a JSON object"):
         read_parameters(BAD[name])
-    with contextlib.suppress(BadParameters):  # that of this model skips what it does not know
+    with contextlib.suppress(BadParameters):  # this model's reader skips what it does not know
         assert read_constants(BAD[name]) == Constants()
 
 

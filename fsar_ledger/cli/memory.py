@@ -57,7 +57,7 @@ def bounded(asked_mib: int | None, *ledgers: Path | None, workers: int | None = 
     most = default_bytes(*ledgers, workers=workers) if asked_mib is None else asked_mib << 20
 
     def end() -> None:
-        say(memory.too_little())
+        say(memory.exceeded_message())
         for child in memory.children():
             with suppress(OSError):
                 os.kill(int(child), signal.SIGKILL)
@@ -66,18 +66,19 @@ def bounded(asked_mib: int | None, *ledgers: Path | None, workers: int | None = 
                 path.unlink()
         os._exit(LimitReached.exit_code)
 
-    with memory.held(most, end):
+    with memory.limited(most, end):
         try:
             yield
         except MemoryError as error:
-            raise LimitReached(memory.too_little()) from error
+            raise LimitReached(memory.exceeded_message()) from error
 
 
 def default_bytes(*ledgers: Path | None, workers: int | None = None) -> int:
     """What a command over these ledgers may take, given its workers: in proportion to what their segments take on disk, and never all of the machine."""
     more = max(0, (workers_of(None) if workers is None else workers) - 2)
     return min(
-        BASE_BYTES + PER_WORKER_BYTES * more + PER_BYTE * stored(*ledgers), int(MACHINE_SHARE * memory.installed())
+        BASE_BYTES + PER_WORKER_BYTES * more + PER_BYTE * stored(*ledgers),
+        int(MACHINE_SHARE * memory.bytes_installed()),
     )
 
 

@@ -29,7 +29,7 @@ class Enough(Exception):
 
 def show(text: Shown, *, raw: bool = False) -> None:
     """The text is on stdout; `raw` is for programs and may be anything, as long as stdout is no terminal. Raises: Enough where nobody reads it; WriteFailed."""
-    _write(sys.stdout, text if raw and not sys.stdout.isatty() else printable.net(text))
+    _write(sys.stdout, text if raw and not sys.stdout.isatty() else printable.sanitized(text))
 
 
 def say(*messages: str) -> None:
@@ -47,7 +47,7 @@ def _message(text: str) -> Shown:
 def say_failure(trace: str) -> None:
     """The lines that Python has for a mistake of ours are on stderr, harmless whatever they quote."""
     with suppress(Enough, WriteFailed):
-        _write(sys.stderr, printable.net(trace))
+        _write(sys.stderr, printable.sanitized(trace))
 
 
 def _write(stream: TextIO | None, text: str) -> None:

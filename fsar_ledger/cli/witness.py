@@ -90,11 +90,11 @@ def witness_serve(
     from fsar_ledger.witness.cosignature import read_log_key
     from fsar_ledger.witness.server import WitnessServer
     from fsar_ledger.witness.service import Service
-    from fsar_ledger.witness.state import opened
+    from fsar_ledger.witness.state import open_state
 
     logs = [read_log_key(key) for key in log]
     with (
-        opened(state) as found,
+        open_state(state) as found,
         WitnessServer(host, port, Service(found, logs, _clock(context), _tell), time.monotonic) as server,
     ):
         _serve(server, printable.lines(str(found.cosigner.key), server.url))
@@ -193,27 +193,29 @@ class Seen(NamedTuple):
 
     def lines(self, events: int) -> list[str]:
         """What they saw, for people; `events` is the ledger's number."""
-        size, words = self.evidence.size, self.evidence.words
+        size, statements = self.evidence.size, self.evidence.statements
         rest = "" if size >= events else f"; fewer saw the newest {events - size:,}"
         return [
             f"witnessed: {min(size, events):,} of {events:,} events, by {self._heard()} (enough: {self.policy.rule()}){rest}",
             *(
-                f"witness {word.witness}: its word does not count: {word.reason}"
-                for word in words
-                if word.reason is not None
+                f"witness {one.witness}: its word does not count: {one.reason}"
+                for one in statements
+                if one.reason is not None
             ),
         ]
 
     def doubt(self, ledger: Path) -> str:
         """That too few of them saw anything."""
-        reasons = "; ".join(f"{word.witness}: {word.reason}" for word in self.evidence.words if word.reason is not None)
+        reasons = "; ".join(
+            f"{one.witness}: {one.reason}" for one in self.evidence.statements if one.reason is not None
+        )
         return (
             f"{self.policy.file}: found {self._heard() or 'no cosignature that counts'} ({reasons}), expected {self.policy.rule()}; {ledger} may be "
             "consistent, but whether it is what they saw nobody knows: ask again, or find out why they are silent"
         )
 
     def _heard(self) -> str:
-        return _listed({word.witness: word.time_s for word in self.evidence.words if word.time_s is not None})
+        return _listed({one.witness: one.time_s for one in self.evidence.statements if one.time_s is not None})
 
     def json(self) -> dict[str, object]:
         """What they saw, for programs."""
@@ -221,7 +223,7 @@ class Seen(NamedTuple):
             "policy": self.policy.file,
             "ok": self.is_enough,
             "size": self.evidence.size,
-            "witnesses": self.evidence.words,
+            "witnesses": self.evidence.statements,
         }
 
 

@@ -296,7 +296,7 @@ class Database:
     def _failure(self, error: Exception) -> FsarLedgerError:
         """What failed, for a user: the SQL, or, where the error may come from the data, the first segment that cannot be read."""
         if isinstance(error, OUT_OF_MEMORY) and memory.limit() is not None:
-            return LimitReached(memory.too_little())
+            return LimitReached(memory.exceeded_message())
         damage = None if isinstance(error, FAULTS_OF_SQL) else first_damage(self._segments)
         return damage or QueryFailed(f"SQL: {_first_lines(str(error))}")
 

@@ -1,1 +1,1 @@
-"""Witnesses of a ledger, as C2SP tlog-witness says: who cosigns its checkpoints, who asks for that, and whom an auditor believes."""
+"""Witnesses of a ledger (C2SP tlog-witness): the service that cosigns, the client that asks, the auditor's policy."""

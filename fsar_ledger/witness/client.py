@@ -1,4 +1,7 @@
-"""Asking witnesses over HTTP. What they answer is bounded in size and time and is believed only where a signature holds it."""
+"""The HTTP client that asks witnesses, with bounds on the size and the time of every answer.
+
+An answer is only transport: its callers believe what a signature in it proves.
+"""
 
 import http.client
 import ssl
@@ -10,23 +13,25 @@ from urllib.parse import SplitResult, urlsplit
 from fsar_ledger.witness.protocol import MAX_BODY_BYTES, Answer
 
 ANSWER_S = 10.0
-"""A witness that has not answered by then is silent."""
+"""A witness that has not answered within this time counts as silent."""
 
 _One = TypeVar("_One")
 _Found = TypeVar("_Found")
 
 
-class Silent(Exception):
-    """A witness gave no answer that can be used; the message says why."""
+class NoAnswer(Exception):
+    """Raised when a witness gave no usable answer; the message says why."""
 
 
 def ask(url: str, path: str, body: bytes | None = None) -> Answer:
-    """What the server at this URL answers to a POST of the body, or to a GET. No redirection is followed, and no proxy asked.
+    """Send a POST with the body, or a GET without one, and return the answer.
+
+    Redirects are not followed and proxies are not used.
 
     Raises:
-        Silent: There is no such server, or it gave no answer of HTTP that is short enough.
+        NoAnswer: The server cannot be reached, or its answer is not HTTP or is too long.
     """
-    place = _place(url)
+    place = _parse_url(url)
     try:
         connection = _connection(place)
         try:
@@ -36,25 +41,28 @@ def ask(url: str, path: str, body: bytes | None = None) -> Answer:
         finally:
             connection.close()
     except (OSError, http.client.HTTPException, ValueError) as error:
-        raise Silent(f"{url}: no answer ({_reason(error)})") from error
+        raise NoAnswer(f"{url}: no answer ({_reason(error)})") from error
     if len(data) > MAX_BODY_BYTES:
-        raise Silent(f"{url}: an answer of more than {MAX_BODY_BYTES} bytes")
+        raise NoAnswer(f"{url}: an answer of more than {MAX_BODY_BYTES} bytes")
     return Answer(response.status, data.decode("utf-8", "replace"), response.headers.get("Content-Type", ""))
 
 
-def ask_all(question: Callable[[_One], _Found], members: Sequence[_One]) -> list[_Found | Silent]:
-    """What the question found for each, all asked at once; who takes longer than `ANSWER_S` for all of it, perhaps byte by byte, is silent."""
-    found: list[_Found | Silent] = [Silent(f"no answer within {ANSWER_S:.0f} s")] * len(members)
+def ask_all(question: Callable[[_One], _Found], members: Sequence[_One]) -> list[_Found | NoAnswer]:
+    """Ask all members at once and return each one's answer, in the order of the members.
+
+    A member whose whole answer takes longer than `ANSWER_S` is silent, even if it sends a byte now and then.
+    """
+    found: list[_Found | NoAnswer] = [NoAnswer(f"no answer within {ANSWER_S:.0f} s")] * len(members)
     finished = [Event() for _ in members]
     all_finished = Event()
 
     def put(at: int, member: _One) -> None:
         try:
             found[at] = question(member)
-        except Silent as error:
+        except NoAnswer as error:
             found[at] = error
-        except Exception as error:  # an answer that fails in a way nobody thought of is no answer
-            found[at] = Silent(f"no answer that can be read ({type(error).__name__})")
+        except Exception as error:  # an answer that breaks the parser in an unforeseen way is no answer either
+            found[at] = NoAnswer(f"no answer that can be read ({type(error).__name__})")
         finished[at].set()
         if all(one.is_set() for one in finished):
             all_finished.set()
@@ -65,8 +73,8 @@ def ask_all(question: Callable[[_One], _Found], members: Sequence[_One]) -> list
     return list(found)
 
 
-def _place(url: str) -> SplitResult:
-    """The parts of the URL. Raises: Silent if nobody can be asked there."""
+def _parse_url(url: str) -> SplitResult:
+    """Parse the URL of a witness. Raises: NoAnswer if it is not one that can be asked."""
     try:
         place = urlsplit(url)
         is_right = (
@@ -79,7 +87,7 @@ def _place(url: str) -> SplitResult:
     except ValueError:
         is_right = False
     if not is_right or place.query or place.fragment or place.username is not None:
-        raise Silent(f"{url}: no URL of a witness, expected http://HOST:PORT or https://HOST, with or without a path")
+        raise NoAnswer(f"{url}: no URL of a witness, expected http://HOST:PORT or https://HOST, with or without a path")
     return place
 
 

@@ -1,4 +1,4 @@
-"""The side of the log: the newest checkpoint of a ledger goes to witnesses, with the proof that it only grew since what each of them knows."""
+"""Sends a ledger's newest checkpoint to witnesses, each with a proof that the log only grew since the one it knows."""
 
 from http import HTTPStatus
 from pathlib import Path
@@ -11,27 +11,31 @@ from fsar_ledger.ledger.log.note import Note, Signature
 from fsar_ledger.ledger.log.tiles import node_of
 from fsar_ledger.ledger.store.derived import read_checkpoint, tile_reader
 from fsar_ledger.ledger.store.read import LedgerView, open_ledger
-from fsar_ledger.witness.client import Silent, ask, ask_all
+from fsar_ledger.witness.client import NoAnswer, ask, ask_all
 from fsar_ledger.witness.cosignature import parse_cosigned
 from fsar_ledger.witness.policy import Policy, Witness
 from fsar_ledger.witness.protocol import ADD_CHECKPOINT, SIZE, Answer, Request
 
-_TRIES = 3  # the first learns the size that the witness knows; others may ask it meanwhile
+_TRIES = 3  # the first learns the size that the witness knows; another client may advance it before the second
 
 
 class Cosigned(msgspec.Struct, frozen=True):
-    """What the witnesses said: the note with their cosignatures, when each cosigned (seconds since 1970, by its name), and why others did not."""
+    """The outcome of asking the witnesses of a policy.
+
+    `note` carries their cosignatures. `times` says when each one cosigned (seconds since 1970, by witness name), and
+    `silent` why the others did not.
+    """
 
     note: Note
     times: dict[str, int]
     silent: dict[str, str]
 
 
-def published(view: LedgerView) -> Note:
-    """The note of the newest commit; of the one before it where a writer has not yet written the newest one's tiles.
+def published_note(view: LedgerView) -> Note:
+    """Return the note of the newest commit, or of the one before it while the newest one's tiles are unwritten.
 
     Raises:
-        UsageError: There is none, or it is unsigned.
+        UsageError: There is no commit, or its checkpoint is unsigned.
     """
     *_, before, newest = (None, None, *view.records)
     if newest is None:
@@ -40,13 +44,14 @@ def published(view: LedgerView) -> Note:
     note = (before if before is not None and is_behind else newest).signed_note()
     if not note.signatures:
         raise UsageError(
-            f"{view.path}: found an unsigned checkpoint, expected one signed by the ledger's key: witnesses cosign no other; see simulate --key"
+            f"{view.path}: found an unsigned checkpoint, expected one signed by the ledger's key: "
+            "witnesses cosign no other; see simulate --key"
         )
     return note
 
 
 def cosign(ledger: Path, policy: Policy) -> Cosigned:
-    """The newest checkpoint of the ledger went to every witness of the policy that has a URL.
+    """Send the ledger's newest checkpoint to every witness of the policy that has a URL.
 
     Raises:
         UsageError: The policy has no URL, or the ledger no signed checkpoint.
@@ -55,7 +60,7 @@ def cosign(ledger: Path, policy: Policy) -> Cosigned:
     asked = [witness for witness in policy.witnesses if witness.url is not None]
     if not asked:
         raise UsageError(f"{policy.file}: found no witness with a URL, expected one that can be asked")
-    note = published(open_ledger(ledger))
+    note = published_note(open_ledger(ledger))
     answers = ask_all(lambda witness: _obtain(ledger, note, witness), asked)
     silent = {
         witness.name: f"the policy has no URL of {witness.name}" for witness in policy.witnesses if witness.url is None
@@ -63,7 +68,7 @@ def cosign(ledger: Path, policy: Policy) -> Cosigned:
     cosignatures: list[Signature] = []
     times: dict[str, int] = {}
     for witness, answer in zip(asked, answers, strict=True):
-        if isinstance(answer, Silent):
+        if isinstance(answer, NoAnswer):
             silent[witness.name] = str(answer)
         else:
             times[witness.name], signature = answer
@@ -72,7 +77,7 @@ def cosign(ledger: Path, policy: Policy) -> Cosigned:
 
 
 def _obtain(ledger: Path, note: Note, witness: Witness) -> tuple[int, Signature]:
-    """When this witness cosigned the note, and its cosignature. Raises: Silent."""
+    """Return the time at which this witness cosigned the note, and its cosignature. Raises: NoAnswer."""
     url, size = witness.url or "", note.checkpoint.size
     old = 0
     for _ in range(_TRIES):
@@ -85,39 +90,42 @@ def _obtain(ledger: Path, note: Note, witness: Witness) -> tuple[int, Signature]
             break
         old = int(known)
         if old > size:
-            raise Silent(
-                f"{url}: refused: it knows {old:,} events of this log, the ledger has {size:,}: this is an older copy, or the newest were removed"
+            raise NoAnswer(
+                f"{url}: refused: it knows {old:,} events of this log, the ledger has {size:,}: "
+                "this is an older copy, or the newest were removed"
             )
     else:
-        raise Silent(f"{url}: refused {_TRIES} times: it says each time that it knows another size")
+        raise NoAnswer(f"{url}: refused {_TRIES} times: it says each time that it knows another size")
     meaning = _MEANINGS.get(answer.status, "")
-    raise Silent(f"{url}: refused with {answer.status}{meaning}")
+    raise NoAnswer(f"{url}: refused with {answer.status}{meaning}")
 
 
 _MEANINGS: dict[int, str] = {
     HTTPStatus.NOT_FOUND: ": it does not watch this log",
     HTTPStatus.FORBIDDEN: ": it does not trust the key that signed the checkpoint",
     HTTPStatus.CONFLICT: ": it knows another root of the same size: history was rewritten, or the witness lies",
-    HTTPStatus.UNPROCESSABLE_ENTITY: ": the ledger did not only grow since what it knows: history was rewritten, or the witness lies",
+    HTTPStatus.UNPROCESSABLE_ENTITY: (
+        ": the ledger did not only grow since what it knows: history was rewritten, or the witness lies"
+    ),
 }
 
 
 def _proof(ledger: Path, old: int, new: int) -> tuple[bytes, ...]:
-    """The consistency proof out of the ledger's tiles. Raises: Silent if one is missing."""
+    """Compute the consistency proof from the ledger's tiles. Raises: NoAnswer if a tile is missing."""
     try:
         return consistency_proof(node_of(tile_reader(ledger), new), old, new)
     except LedgerCorrupted as error:
-        raise Silent(str(error)) from error
+        raise NoAnswer(str(error)) from error
 
 
 def _cosignature(answer: Answer, note: Note, witness: Witness) -> tuple[int, Signature]:
-    """The newest of the answer's cosignatures that this witness made. Raises: Silent if there is none."""
+    """Return the newest cosignature of this witness in the answer, with its time. Raises: NoAnswer if none is."""
     try:
         found = parse_cosigned("answer", f"{note.checkpoint.text()}\n{answer.text}".encode())
     except LedgerCorrupted as error:
-        raise Silent(f"{witness.url}: an answer without cosignatures") from error
+        raise NoAnswer(f"{witness.url}: an answer without cosignatures") from error
     for signature in found.signatures:
         time = witness.key.time_of(Note(note.checkpoint, (signature,)))
         if time is not None and time == witness.key.time_of(found):
             return time, signature
-    raise Silent(f"{witness.url}: a cosignature that the key of {witness.name} did not make")
+    raise NoAnswer(f"{witness.url}: a cosignature that the key of {witness.name} did not make")

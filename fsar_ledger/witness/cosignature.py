@@ -1,7 +1,8 @@
-"""Cosignatures, as C2SP tlog-cosignature says (the Ed25519 kind), and the keys that make them.
+"""Ed25519 cosignatures (C2SP tlog-cosignature) and the keys that make and check them.
 
 ```
-— example.org/w1 jWbPPwAAAABkGFDLEZMHwS...     the witness, its key id, a time (8 bytes, seconds since 1970) and 64 bytes of Ed25519 over
+— example.org/w1 jWbPPwAAAABkGFDLEZMHwS...     the witness; its key id, a time (8 bytes, seconds since 1970)
+                                               and 64 bytes of Ed25519 over
 
 cosignature/v1                                 this text
 time 1679315147
@@ -44,7 +45,7 @@ MAX_TIME_S = 2**63 - 1
 
 
 class WitnessKey(msgspec.Struct, frozen=True):
-    """The public half of a witness's key. Raises: ValueError for one under which anybody can sign."""
+    """The public key of a witness. Raises: ValueError for a key under which anybody could sign."""
 
     name: str
     public: bytes
@@ -54,19 +55,19 @@ class WitnessKey(msgspec.Struct, frozen=True):
 
     @property
     def key_id(self) -> bytes:
-        """The first four bytes of SHA-256(name, line feed, 0x04, public key)."""
+        """Return the first four bytes of SHA-256(name, line feed, 0x04, public key)."""
         return hashlib.sha256(self.name.encode() + b"\n" + _COSIGNATURE + self.public).digest()[:_ID_BYTES]
 
     @property
     def key(self) -> str:
-        """How a signature names it: `name+id`."""
+        """Return the name of the key in a signature line: `name+id`."""
         return f"{self.name}+{self.key_id.hex()}"
 
     def __str__(self) -> str:
         return f"{self.key}+{base64.b64encode(_COSIGNATURE + self.public).decode()}"
 
     def time_of(self, note: Note) -> int | None:
-        """When this witness cosigned the note (the newest time, in seconds since 1970); None if it did not."""
+        """Return the newest time (seconds since 1970) at which this witness cosigned the note, or None."""
         times = [self._time(one, note.checkpoint) for one in note.signatures if one.key == self.key]
         return max((time for time in times if time is not None), default=None)
 
@@ -81,14 +82,18 @@ class WitnessKey(msgspec.Struct, frozen=True):
 
 
 class Cosigner:
-    """The secret half of a witness's key."""
+    """The secret key of a witness."""
 
     def __init__(self, name: str, secret: bytes):
         self._signer = Signer(name, secret)
         self.key = WitnessKey(name, self._signer.verifier.public)
 
     def cosign(self, checkpoint: Checkpoint, time_s: int) -> Signature:
-        """The cosignature of this key: at that time (in seconds since 1970) no larger tree of this log was known. Raises: ValueError for an impossible time."""
+        """Cosign the checkpoint: the witness knew no larger tree of this log at `time_s` (seconds since 1970).
+
+        Raises:
+            ValueError: The time is not one.
+        """
         if not 0 < time_s <= MAX_TIME_S:
             raise ValueError(f"found time {time_s}, expected seconds since 1970")
         signed = self._signer.signature_of(cosigned_text(checkpoint, time_s))
@@ -96,12 +101,16 @@ class Cosigner:
 
 
 def cosigned_text(checkpoint: Checkpoint, time_s: int) -> bytes:
-    """What a cosignature of that time signs."""
+    """Return the bytes that a cosignature of that time signs."""
     return f"cosignature/v1\ntime {time_s}\n{checkpoint.text()}".encode()
 
 
 def parse_cosigned(where: str, data: bytes) -> Note:
-    """The note in these bytes: as `parse_note`, but with up to 64 signatures, for as many witnesses. Raises: LedgerCorrupted if there is none."""
+    """Parse a note as `parse_note` does, but with up to 64 signatures.
+
+    Raises:
+        LedgerCorrupted: The bytes are no such note.
+    """
     try:
         body, _, signatures = data.decode().rpartition("\n\n")
     except UnicodeDecodeError as error:
@@ -115,10 +124,11 @@ def parse_cosigned(where: str, data: bytes) -> Note:
 
 
 def parse_vkey(text: str) -> VerifierKey | WitnessKey:
-    """The public key in this text, of a log (0x01) or of a witness (0x04).
+    """Parse the public key of a log (0x01) or of a witness (0x04).
 
     Raises:
-        ValueError: It is none, or one under which anybody can sign; the message does not repeat it, for it may be a secret.
+        ValueError: The text is no such key, or a key under which anybody could sign. The message does not repeat the
+            text, which may be a secret.
     """
     name, _, rest = text.partition("+")
     key_id, _, data = rest.partition("+")
@@ -134,14 +144,16 @@ def parse_vkey(text: str) -> VerifierKey | WitnessKey:
         or material[:1] not in (_ED25519, _COSIGNATURE)
     ):
         raise ValueError(
-            "found no public key of a log or a witness, expected name+id+key as `fsar-ledger key new` and `fsar-ledger witness new` print it"
+            "found no public key of a log or a witness, expected name+id+key as `fsar-ledger key new` and "
+            "`fsar-ledger witness new` print it"
         )
     kind = WitnessKey if material[:1] == _COSIGNATURE else VerifierKey
     try:
         key = kind(name, material[1:])
     except ValueError as error:
         raise ValueError(
-            f"found {error}, expected an Ed25519 public key of prime order; no signature of it would prove anything, get another key"
+            f"found {error}, expected an Ed25519 public key of prime order; "
+            "no signature of it would prove anything, get another key"
         ) from error
     if key.key_id.hex() != key_id:
         raise ValueError(
@@ -155,7 +167,7 @@ def _is_utf8(text: str) -> bool:
 
 
 def read_log_key(key: str) -> VerifierKey:
-    """The public key of a log that this is, or that is in the file of this name. Raises: UsageError if it is none."""
+    """Return the log's public key, given as its text or as the name of a file. Raises: UsageError."""
     is_text = key.count("+") >= 2 and not os.path.lexists(key)
     where = "--log" if is_text else f"--log {key}"
     try:
@@ -170,22 +182,21 @@ def read_log_key(key: str) -> VerifierKey:
 
 
 def _read(path: Path) -> str:
-    """The text in this file, without its last line feed. Raises: ValueError if it cannot be read."""
+    """Read the text of this file without its last line feed. Raises: ValueError if it cannot be read."""
     try:
         return disk.read_document(Path(os.path.realpath(path))).decode().removesuffix("\n")
     except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(
-            f"the key cannot be read ({error.strerror if isinstance(error, OSError) else 'not text'}), expected a .pub file"
-        ) from error
+        reason = error.strerror if isinstance(error, OSError) else "not text"
+        raise ValueError(f"the key cannot be read ({reason}), expected a .pub file") from error
 
 
 def secret_text(key: WitnessKey, secret: bytes) -> str:
-    """The line that the secret file of this key holds."""
+    """Return the line that the secret file of this key holds."""
     return f"{_SECRET}{key.key}+{base64.b64encode(_COSIGNATURE + secret).decode()}\n"
 
 
 def parse_secret(text: str) -> Cosigner | None:
-    """The key in the text of a secret file; None if it is none."""
+    """Parse the text of a secret file; return None if it is not one."""
     name, _, rest = text.removesuffix("\n").removeprefix(_SECRET).partition("+")
     try:
         material = base64.b64decode(rest.partition("+")[2], validate=True)

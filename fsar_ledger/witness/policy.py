@@ -1,4 +1,4 @@
-"""Whom an auditor believes, as C2SP tlog-policy writes it: logs, witnesses, groups of them, and how many of which must have cosigned.
+"""The auditor's policy (C2SP tlog-policy): logs, witnesses, groups of them, and how many of each must have cosigned.
 
 ```
 log fsar-ledger/simulated+192e3659+AQ...
@@ -29,7 +29,7 @@ _FORBIDDEN = re.compile(rb"[^\t\n\x20-\x7e\x80-\xff]")
 
 
 class Witness(msgspec.Struct, frozen=True):
-    """A witness: its name within the policy, its key, and the URL under which it is asked, if there is one."""
+    """A witness: its name within the policy, its key, and the URL at which it is asked, if any."""
 
     name: str
     key: WitnessKey
@@ -37,7 +37,7 @@ class Witness(msgspec.Struct, frozen=True):
 
 
 class Group(msgspec.Struct, frozen=True):
-    """Members, witnesses or groups before it, of which so many must have cosigned."""
+    """A group of witnesses and earlier groups, `threshold` of which must have cosigned."""
 
     name: str
     threshold: int
@@ -45,7 +45,10 @@ class Group(msgspec.Struct, frozen=True):
 
 
 class Policy(msgspec.Struct, frozen=True):
-    """The logs, the witnesses and groups in the order in which they stand, and the name of the one that must have cosigned, None if none need have."""
+    """A parsed policy: logs, witnesses and groups in the order of the file.
+
+    `quorum` names the witness or group that must have cosigned; None if none need have.
+    """
 
     file: str
     logs: tuple[VerifierKey, ...]
@@ -54,7 +57,7 @@ class Policy(msgspec.Struct, frozen=True):
     quorum: str | None
 
     def is_met(self, cosigned: AbstractSet[str]) -> bool:
-        """Whether these witnesses, by name, are enough."""
+        """Return whether the witnesses of these names are enough."""
         if self.quorum is None:
             return True
         enough = {witness.name for witness in self.witnesses if witness.name in cosigned}
@@ -64,7 +67,7 @@ class Policy(msgspec.Struct, frozen=True):
         return self.quorum in enough
 
     def rule(self) -> str:
-        """The quorum in words."""
+        """Say the quorum in words."""
         groups = {group.name: group for group in self.groups}
         if self.quorum not in groups:
             return f"that of {self.quorum}"
@@ -73,7 +76,7 @@ class Policy(msgspec.Struct, frozen=True):
 
 
 def read_policy(path: Path) -> Policy:
-    """The policy in this file. Raises: UsageError if there is none in it."""
+    """Read the policy in this file. Raises: UsageError if it holds none."""
     try:
         return parse_policy(str(path), disk.read_document(Path(os.path.realpath(path))))
     except OSError as error:
@@ -83,10 +86,10 @@ def read_policy(path: Path) -> Policy:
 
 
 def parse_policy(file: str, data: bytes) -> Policy:
-    """The policy in these bytes of a file.
+    """Parse the bytes of a policy file.
 
     Raises:
-        UsageError: A line is none that C2SP tlog-policy knows, or says what it forbids; the message names it.
+        UsageError: A line is not one of C2SP tlog-policy, or says what it forbids; the message names the line.
     """
     reader = _Reader(file)
     found = _FORBIDDEN.search(data)
@@ -105,7 +108,7 @@ def parse_policy(file: str, data: bytes) -> Policy:
 
 
 class _Reader:
-    """What the lines so far said."""
+    """The parser of a policy, one line at a time."""
 
     def __init__(self, file: str) -> None:
         self.file, self.number = file, 0
@@ -117,11 +120,11 @@ class _Reader:
         self.quorum: str | None = None
 
     def wrong(self, found: str, expected: str) -> UsageError:
-        """The error that says what is wrong with this line."""
+        """Return the error for the current line."""
         return UsageError(f"{self.file}: line {self.number}: found {found}, expected {expected}")
 
     def read(self, words: list[str]) -> None:
-        """One line more. Raises: UsageError."""
+        """Parse one more line. Raises: UsageError."""
         match words:
             case ["log", key] | ["log", key, _]:
                 self._log(self._key(key))
@@ -151,7 +154,7 @@ class _Reader:
         if not isinstance(key, VerifierKey):
             raise self.wrong("the key of a witness (0x04)", "that of a log, as `fsar-ledger key new` prints it")
         if any(log.public == key.public for log in self.logs):
-            raise self.wrong("the key of a log that stands before", "each once")
+            raise self.wrong("the key of a log that was given before", "each log once")
         self.logs.append(key)
 
     def _witness(self, name: str, key: VerifierKey | WitnessKey, url: str | None) -> None:
@@ -159,7 +162,7 @@ class _Reader:
             raise self.wrong("the key of a log (0x01)", "that of a witness, as `fsar-ledger witness new` prints it")
         if any(witness.key.public == key.public for witness in self.witnesses):
             raise self.wrong(
-                "the key of a witness that stands before", "each once; under two names it would count twice"
+                "the key of a witness that was given before", "each witness once; under two names it would count twice"
             )
         self.witnesses.append(Witness(self._new(name), key, url))
 
@@ -182,7 +185,7 @@ class _Reader:
 
     def _new(self, name: str) -> str:
         if name in self.names:
-            raise self.wrong(f"{name!a:.60} once more", "a name that stands for nothing yet")
+            raise self.wrong(f"a second {name!a:.60}", "a name that is not taken yet")
         self.names.add(name)
         return name
 
@@ -192,7 +195,7 @@ class _Reader:
         return name
 
     def policy(self) -> Policy:
-        """All that was read. Raises: UsageError if there is no quorum."""
+        """Return the parsed policy. Raises: UsageError if it has no quorum."""
         if self.quorum is None:
             raise UsageError(
                 f"{self.file}: found no quorum, expected a line with the witness or group that must have cosigned"

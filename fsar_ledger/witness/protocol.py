@@ -1,4 +1,4 @@
-"""What a witness is asked and what it answers, by C2SP tlog-witness (`add-checkpoint`), without a network and without a disk.
+"""The messages of C2SP tlog-witness (`add-checkpoint`) and the decision on them, without network or disk.
 
 ```
 old 20852014                                       the size that the witness is thought to know
@@ -30,7 +30,7 @@ from fsar_ledger.witness.cosignature import parse_cosigned
 ADD_CHECKPOINT = "/add-checkpoint"
 MAX_PROOF_LINES = 63
 MAX_BODY_BYTES = 1 << 17
-"""More than any request takes: 63 hashes, and 64 signatures, the largest kind of which (ML-DSA-44) takes 3.3 kB; only 20 of these fit."""
+"""Enough for 63 hashes and 64 Ed25519 signatures, or 20 of the largest kind (ML-DSA-44, 3.3 kB each)."""
 
 PLAIN = "text/plain; charset=utf-8"
 SIZE = "text/x.tlog.size"
@@ -38,7 +38,7 @@ _OLD = re.compile(r"old (0|[1-9][0-9]{0,18})")
 
 
 class Answer(msgspec.Struct, frozen=True):
-    """An answer over HTTP: its status, its text and what kind of text that is."""
+    """An HTTP answer: its status, its text and the media type of that."""
 
     status: int
     text: str
@@ -46,7 +46,7 @@ class Answer(msgspec.Struct, frozen=True):
 
 
 class Request(msgspec.Struct, frozen=True):
-    """What `add-checkpoint` is sent."""
+    """A request to `add-checkpoint`."""
 
     old: int
     proof: tuple[bytes, ...]
@@ -58,18 +58,22 @@ class Request(msgspec.Struct, frozen=True):
         )
 
 
-def path_of(origin: str) -> str:
-    """Where a witness publishes the newest checkpoint of this log: as C2SP tlog-mirror does, under the SHA-256 of the origin in hex."""
-    return f"/{name_of(origin)}/checkpoint"
+def checkpoint_path(origin: str) -> str:
+    """Return the path of a log's newest checkpoint: by the SHA-256 of its origin in hex, as C2SP tlog-mirror does."""
+    return f"/{origin_hash(origin)}/checkpoint"
 
 
-def name_of(origin: str) -> str:
-    """The SHA-256 of the origin in hex, which names a log in paths."""
+def origin_hash(origin: str) -> str:
+    """Return the SHA-256 of the origin in hex, which names a log in paths."""
     return hashlib.sha256(origin.encode()).hexdigest()
 
 
 def parse_request(body: bytes) -> Request:
-    """The request in these bytes. Raises: ValueError if they are none, with what is wrong in words that repeat nothing of them."""
+    """Parse a request to `add-checkpoint`.
+
+    Raises:
+        ValueError: The bytes are no request; the message repeats nothing of them.
+    """
     head, blank, note = body.partition(b"\n\n")
     try:
         first, *lines = head.decode("ascii").split("\n")
@@ -100,11 +104,11 @@ def _parse_hash(line: str) -> bytes:
 
 
 def judge(request: Request, logs: Sequence[VerifierKey], known: Checkpoint | None) -> Note | Answer:
-    """The note that may be cosigned, with the signatures of the log alone; else the refusal.
+    """Decide on a request: return the note to cosign, with the signatures of the log alone, or the refusal.
 
     Args:
-        request: What was asked.
-        logs: The keys that this witness trusts, of all logs.
+        request: The parsed request.
+        logs: The keys of all logs that this witness trusts.
         known: The newest checkpoint of this log that it cosigned, None if there is none.
     """
     new = request.note.checkpoint
@@ -130,7 +134,7 @@ def judge(request: Request, logs: Sequence[VerifierKey], known: Checkpoint | Non
 
 
 def signatures_of(note: Note, trusted: Sequence[VerifierKey]) -> tuple[Signature, ...]:
-    """The signatures of these keys of the log; none if one that is said to be of such a key is not."""
+    """Return the signatures by these keys of the log; none at all if one of them is forged."""
     found: list[Signature] = []
     for key in trusted:
         of_key = [one for one in note.signatures if one.key == key.key]

@@ -1,4 +1,4 @@
-"""HTTP/1.1 around a witness: one POST, one GET, everything bounded in size, number and time."""
+"""The HTTP/1.1 server of a witness: one POST, one GET, with bounds on size, number and time."""
 
 import io
 import socket
@@ -16,7 +16,7 @@ from fsar_ledger.witness.protocol import ADD_CHECKPOINT, MAX_BODY_BYTES, Answer
 from fsar_ledger.witness.service import Service
 
 REQUEST_S = 10.0
-"""A request must be here so long after its connection began, or after the answer before it."""
+"""Seconds in which a request must arrive, from the start of its connection or from the previous answer."""
 
 MAX_CONNECTIONS = 64
 _NAME_CHARACTERS = 64
@@ -25,15 +25,15 @@ _BUSY_S = 0.1
 _BUSY = b"HTTP/1.1 503 Service Unavailable\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
 
 
-class _Timed(io.RawIOBase):
-    """What comes through a socket until a deadline, however slowly it comes."""
+class _DeadlineReader(io.RawIOBase):
+    """A reader of a socket with one deadline for the whole request, however slowly it comes."""
 
     def __init__(self, connection: socket.socket, monotonic: Callable[[], float]) -> None:
         self._connection, self._monotonic = connection, monotonic
         self.begin()
 
     def begin(self) -> None:
-        """The time of the next request begins."""
+        """Start the time of the next request."""
         self._deadline = self._monotonic() + REQUEST_S
 
     def readable(self) -> bool:
@@ -48,7 +48,7 @@ class _Timed(io.RawIOBase):
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """One connection."""
+    """The handler of one connection."""
 
     protocol_version = "HTTP/1.1"
     server: "WitnessServer"
@@ -56,19 +56,19 @@ class _Handler(BaseHTTPRequestHandler):
     def setup(self) -> None:
         super().setup()
         self.rfile.close()
-        self._timed = _Timed(self.connection, self.server.monotonic)
-        self.rfile = io.BufferedReader(self._timed)
+        self._reader = _DeadlineReader(self.connection, self.server.monotonic)
+        self.rfile = io.BufferedReader(self._reader)
 
     def handle_one_request(self) -> None:
-        self._timed.begin()
-        self.close_connection = True  # whatever goes wrong before the request is known
+        self._reader.begin()
+        self.close_connection = True  # if anything fails before the request is parsed
         try:
             super().handle_one_request()
         except (ConnectionError, TimeoutError):
             self.close_connection = True
 
     def do_GET(self) -> None:
-        """The newest checkpoint of a log."""
+        """Answer with the newest checkpoint of a log."""
         name = self.path.removeprefix("/").removesuffix("/checkpoint")
         is_name = len(name) == _NAME_CHARACTERS and self.path == f"/{name}/checkpoint"
         if self.headers.get("Content-Length", "0") != "0" or "Transfer-Encoding" in self.headers:
@@ -76,7 +76,7 @@ class _Handler(BaseHTTPRequestHandler):
         self._send(self.server.service.newest(name) if is_name else Answer(HTTPStatus.NOT_FOUND, "nothing is here\n"))
 
     def do_POST(self) -> None:
-        """A checkpoint to cosign."""
+        """Answer with the cosignature of a checkpoint."""
         lengths = self.headers.get_all("Content-Length", [])
         is_length = (
             len(lengths) == 1 and lengths[0].isascii() and lengths[0].isdecimal() and len(lengths[0]) <= _LENGTH_DIGITS
@@ -102,7 +102,7 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(self.server.service.add_checkpoint(body))
 
     def handle_expect_100(self) -> bool:
-        """Nothing is said before the length is known."""
+        """Delay `100 Continue` until the length of the body has been checked."""
         return True
 
     def _refuse(self, status: HTTPStatus, text: str) -> None:
@@ -123,23 +123,24 @@ class _Handler(BaseHTTPRequestHandler):
             self.wfile.write(data)
 
     def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:  # noqa: ARG002
-        """What `http.server` refuses by itself is answered as shortly as everything else, and repeats nothing of the request."""
+        """Answer what `http.server` refuses by itself in one line that repeats nothing of the request."""
         self.close_connection = True
         if getattr(self, "request_version", "HTTP/0.9") == "HTTP/0.9":  # no HTTP/1 request, so no HTTP/1 answer
             self.request_version = self.protocol_version
         self._send(Answer(code, f"{HTTPStatus(code).phrase.lower()}\n"))
 
     def log_message(self, format: str, *args: object) -> None:
-        """Nothing: the service tells what matters, and strangers do not write into a log."""
+        """Log nothing here: the service reports what matters, and strangers must not fill a log."""
 
 
 class WitnessServer(ThreadingHTTPServer):
-    """A witness that listens.
+    """The listening server of a witness, one thread a connection.
 
-    Raises: UsageError if it cannot listen there.
+    Raises:
+        UsageError: It cannot listen at this address.
     """
 
-    daemon_threads = True  # nothing that they do is half done when they end: a checkpoint is remembered as a whole
+    daemon_threads = True  # safe to stop at any moment: a checkpoint is stored as a whole or not at all
     block_on_close = False
     request_queue_size = 64
 
@@ -152,22 +153,23 @@ class WitnessServer(ThreadingHTTPServer):
         except (OSError, OverflowError, UnicodeError) as error:
             reason = error.strerror if isinstance(error, OSError) else "no such place"
             raise UsageError(
-                f"--host {host} --port {port}: found no way to listen there ({reason}), expected an address of this machine and a free port"
+                f"--host {host} --port {port}: found no way to listen there ({reason}), "
+                "expected an address of this machine and a free port"
             ) from error
 
     @property
     def url(self) -> str:
-        """Where it listens."""
+        """Return the URL at which it listens."""
         host, port = self.server_address[:2]
         return f"http://[{host!s}]:{port}" if ":" in str(host) else f"http://{host!s}:{port}"
 
     def server_bind(self) -> None:
-        """The socket has its address; nobody asks name servers what it is called."""
+        """Bind the socket without a name-server look-up of the host."""
         TCPServer.server_bind(self)
         self.server_name, self.server_port = str(self.server_address[0]), int(self.server_address[1])
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        """A thread has the connection; where too many have one, it is told so and closed."""
+        """Give the connection a thread, or answer 503 when all are taken."""
         if not self._room.acquire(blocking=False):
             with suppress(OSError):
                 request.settimeout(_BUSY_S)
@@ -176,19 +178,19 @@ class WitnessServer(ThreadingHTTPServer):
             return
         try:
             super().process_request(request, client_address)
-        except BaseException:  # there is no thread that would make room again
+        except BaseException:  # no thread was started, so none will release the slot
             self._room.release()
             raise
 
     def process_request_thread(self, request: Any, client_address: Any) -> None:
-        """The connection from its beginning to its end."""
+        """Serve the connection from beginning to end."""
         try:
             super().process_request_thread(request, client_address)
         finally:
             self._room.release()
 
     def handle_error(self, request: Any, client_address: Any) -> None:  # noqa: ARG002
-        """A connection that broke is nobody's concern; what else goes wrong the operator is told."""
+        """Tell the operator what went wrong, unless the connection merely broke."""
         error = sys.exc_info()[1]
         if not isinstance(error, OSError):
             self.service.tell(f"a request was not answered: {type(error).__name__}")

@@ -1,4 +1,4 @@
-"""A witness at work: it judges, remembers and cosigns, one request of a log at a time."""
+"""The service of a witness: it judges, stores and cosigns checkpoints, one request of a log at a time."""
 
 from collections.abc import Callable, Sequence
 from http import HTTPStatus
@@ -6,37 +6,37 @@ from threading import Lock
 
 from fsar_ledger.errors import WriteFailed
 from fsar_ledger.ledger.log.note import Note, VerifierKey
-from fsar_ledger.witness.protocol import Answer, judge, name_of, parse_request
+from fsar_ledger.witness.protocol import Answer, judge, origin_hash, parse_request
 from fsar_ledger.witness.state import State
 
 Clock = Callable[[], int]
-"""The time in seconds since 1970."""
+"""Returns the time in seconds since 1970."""
 
 
 class Service:
-    """What a witness does with a request, whichever way it came.
+    """The answers of a witness to requests, independent of the transport.
 
     Args:
-        state: Its key and its memory.
+        state: Its key and the checkpoints that it cosigned.
         logs: The keys of the logs that it watches; the name of a key is the origin of its log.
-        clock: What time it is.
+        clock: Returns the present time.
         tell: Called with a line for the operator about each checkpoint of a watched log that was cosigned or refused.
     """
 
     def __init__(self, state: State, logs: Sequence[VerifierKey], clock: Clock, tell: Callable[[str], None]) -> None:
         self.tell = tell
         self._state, self._logs, self._clock = state, tuple(logs), clock
-        self._origins = {name_of(key.name): key.name for key in logs}
-        self._turns = {origin: Lock() for origin in self._origins.values()}
+        self._origins = {origin_hash(key.name): key.name for key in logs}
+        self._locks = {origin: Lock() for origin in self._origins.values()}
 
     def add_checkpoint(self, body: bytes) -> Answer:
-        """The cosignature of the checkpoint in this request, which is remembered before; else why there is none."""
+        """Cosign the checkpoint in this request, which is stored first, or say why not."""
         try:
             request = parse_request(body)
         except ValueError as error:
             return Answer(HTTPStatus.BAD_REQUEST, f"{error}\n")
         origin = request.note.checkpoint.origin
-        turn = self._turns.get(origin)
+        turn = self._locks.get(origin)
         if turn is None:
             return Answer(HTTPStatus.NOT_FOUND, "unknown log\n")
         with turn:
@@ -45,17 +45,16 @@ class Service:
             answer = judged if isinstance(judged, Answer) else self._cosign(judged)
         if answer.status != HTTPStatus.FORBIDDEN:  # anybody can send what the log did not sign
             size = request.note.checkpoint.size
-            self.tell(
-                f"{origin}: {size:,} events: {'cosigned' if answer.status == HTTPStatus.OK else f'refused ({answer.text.strip()})'}"
-            )
+            outcome = "cosigned" if answer.status == HTTPStatus.OK else f"refused ({answer.text.strip()})"
+            self.tell(f"{origin}: {size:,} events: {outcome}")
         return answer
 
     def newest(self, name: str) -> Answer:
-        """The newest checkpoint of the log of this name (see `name_of`), cosigned once more: as of now, no larger tree is known."""
+        """Return the newest checkpoint of the log of this name (see `origin_hash`), cosigned again as of now."""
         origin = self._origins.get(name)
         if origin is None:
             return Answer(HTTPStatus.NOT_FOUND, "unknown log\n")
-        with self._turns[origin]:
+        with self._locks[origin]:
             note = self._state.newest(origin)
             if note is None:
                 return Answer(HTTPStatus.NOT_FOUND, "no checkpoint of this log was cosigned yet\n")

@@ -1,14 +1,15 @@
-"""What a witness must never forget: its key, and for each log the newest checkpoint that it cosigned.
+"""The state folder of a witness: its key, and for each log the newest checkpoint that it cosigned.
 
 ```
 STATE/
-  witness.key                                    the secret half; whoever has it can cosign anything
+  witness.key                   the secret key; anyone who has it can cosign anything
   witness.key.pub
-  logs/9f86d081884c7d65...                       named after the SHA-256 of the origin: the note, with the log's signature and the witness's own
+  logs/9f86d081884c7d65...      the note, with the log's signature and the witness's own; named after the SHA-256
+                                of the origin
 ```
 
-A witness that forgot would cosign a rewritten log as if it were new. So key and memory lie in one folder and are lost together, a checkpoint is on
-the disk before its cosignature leaves, and one process at a time has the folder.
+A witness that forgot would cosign a rewritten log as if it were new. So key and checkpoints are in one folder and are
+lost together, a checkpoint is on disk before its cosignature is sent, and one process at a time has the folder open.
 """
 
 import errno
@@ -24,7 +25,7 @@ from fsar_ledger.ledger.log.ed25519 import KEY_BYTES
 from fsar_ledger.ledger.log.note import Note, is_name
 from fsar_ledger.ledger.store import disk
 from fsar_ledger.witness.cosignature import Cosigner, WitnessKey, parse_cosigned, parse_secret, secret_text
-from fsar_ledger.witness.protocol import name_of
+from fsar_ledger.witness.protocol import origin_hash
 
 SECRET = "witness.key"
 PUBLIC = SECRET + ".pub"
@@ -32,33 +33,38 @@ LOGS = "logs"
 
 
 class State:
-    """The folder of a witness that this process alone has open: its key and its memory."""
+    """The folder of a witness, open in this process alone."""
 
     def __init__(self, folder: Path, cosigner: Cosigner, newest: dict[str, Note]) -> None:
         self.folder, self.cosigner, self._newest = folder, cosigner, newest
 
     def newest(self, origin: str) -> Note | None:
-        """The newest note of this log that was cosigned, with the cosignature of then; None if none was."""
+        """Return the newest cosigned note of this log, with the cosignature that was stored with it, or None."""
         return self._newest.get(origin)
 
     def remember(self, note: Note) -> None:
-        """The note is the newest of its log, on the disk. Raises: WriteFailed if the disk refused: then it is not, and its cosignature must not leave."""
-        path = self.folder / LOGS / name_of(note.checkpoint.origin)
+        """Store the note durably as the newest of its log.
+
+        Raises:
+            WriteFailed: The disk refused; the cosignature must not be sent.
+        """
+        path = self.folder / LOGS / origin_hash(note.checkpoint.origin)
         with disk.refusals(path, "remembering a checkpoint"):
             disk.write_durably(path, str(note).encode())
         self._newest[note.checkpoint.origin] = note
 
 
 def new_state(folder: Path, name: str) -> WitnessKey:
-    """There is a folder with a new key and no memory.
+    """Make the folder of a new witness, with a new key and no checkpoints.
 
     Raises:
-        UsageError: The name cannot be that of a key, or something is in the folder; it is left as it is.
+        UsageError: The name is not one of a key, or the folder is not empty; it is left as it is.
         WriteFailed: The disk refused; there is no key.
     """
     if not is_name(name):
         raise UsageError(
-            f"--name {name!r}: expected a printable name without spaces and plus signs, by custom host/path, as example.org/w1"
+            f"--name {name!r}: expected a printable name without spaces and plus signs, "
+            "by custom host/path, as example.org/w1"
         )
     secret = os.urandom(KEY_BYTES)
     key = Cosigner(name, secret).key
@@ -75,17 +81,18 @@ def new_state(folder: Path, name: str) -> WitnessKey:
 
 
 @contextmanager
-def opened(folder: Path) -> Iterator[State]:
-    """The witness in this folder, which no other process has open meanwhile.
+def open_state(folder: Path) -> Iterator[State]:
+    """Open the witness in this folder, for this process alone.
 
     Raises:
-        UsageError: There is none, its key is open to others, or another process has it open.
-        LedgerCorrupted: What it must remember cannot be read, or is not what it wrote.
+        UsageError: The folder holds no witness, others may read its key, or another process has it open.
+        LedgerCorrupted: A stored checkpoint cannot be read, or is not what this witness wrote.
         WriteFailed: The folder cannot be locked.
     """
     if not (folder / SECRET).is_file():
         raise UsageError(
-            f"{folder}: found no witness there, expected the folder that `fsar-ledger witness new` made; a lost one cannot be made again"
+            f"{folder}: found no witness there, expected the folder that `fsar-ledger witness new` made; "
+            "a lost one cannot be made again"
         )
     handle = _locked(folder)
     try:
@@ -104,10 +111,12 @@ def _locked(folder: Path) -> int:
         disk.close(handle)
         if error.errno in (errno.EWOULDBLOCK, errno.EACCES):
             raise UsageError(
-                f"{folder}: found another process that serves this witness, expected one at most; two would cosign two histories"
+                f"{folder}: found another process that serves this witness, expected one at most; "
+                "two would cosign two histories"
             ) from error
         raise WriteFailed(
-            f"{folder}: found a file system without locks ({error.strerror}), expected one with them; keep the witness elsewhere"
+            f"{folder}: found a file system without locks ({error.strerror}), expected one with them; "
+            "keep the witness elsewhere"
         ) from error
     return handle
 
@@ -122,7 +131,8 @@ def _read_key(path: Path) -> Cosigner:
         ) from error
     if mode & 0o077:
         raise UsageError(
-            f"{path}: found a secret key with mode {mode:o}, which others may read, expected 600; run chmod 600 on it, or make a new witness"
+            f"{path}: found a secret key with mode {mode:o}, which others may read, expected 600; "
+            "run chmod 600 on it, or make a new witness"
         )
     cosigner = parse_secret(text)
     if cosigner is None:
@@ -133,7 +143,7 @@ def _read_key(path: Path) -> Cosigner:
 
 
 def _read_logs(folder: Path, key: WitnessKey) -> dict[str, Note]:
-    """The newest note of each log, by origin."""
+    """Read the newest note of each log, by origin."""
     found: dict[str, Note] = {}
     try:
         names = [entry.name for entry in disk.entries(folder / LOGS)]
@@ -141,14 +151,14 @@ def _read_logs(folder: Path, key: WitnessKey) -> dict[str, Note]:
         raise LedgerCorrupted(f"{folder / LOGS}: it cannot be read ({error.strerror}), {_GONE}") from error
     for name in names:
         path = folder / LOGS / name
-        if name.endswith(disk.TEMPORARY):  # of a process that was killed before it had answered
+        if name.endswith(disk.TEMPORARY):  # left by a process that was killed before it answered
             disk.remove(path)
             continue
         try:
             note = parse_cosigned(str(path), disk.read_document(path))
         except OSError as error:
             raise LedgerCorrupted(f"{path}: it cannot be read ({error.strerror}), {_GONE}") from error
-        if name != name_of(note.checkpoint.origin) or key.time_of(note) is None:
+        if name != origin_hash(note.checkpoint.origin) or key.time_of(note) is None:
             raise LedgerCorrupted(
                 f"{path}: found a note that this witness did not cosign, or under another name, {_GONE}"
             )
@@ -157,6 +167,6 @@ def _read_logs(folder: Path, key: WitnessKey) -> dict[str, Note]:
 
 
 _GONE = (
-    "expected the newest checkpoint of a log; do not take the file away, for then the witness would cosign a rewritten log as a new one: "
-    "retire this witness and make another"
+    "expected the newest checkpoint of a log; do not take the file away, for then the witness would cosign a rewritten "
+    "log as a new one: retire this witness and make another"
 )

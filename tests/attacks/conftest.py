@@ -18,13 +18,16 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def attacked() -> Path:
-    """The checkout under attack."""
+    """Return the checkout under attack."""
     return Path(os.environ.get(ATTACKED, ROOT))
 
 
 @pytest.fixture
 def command(tmp_path: Path) -> Attack:
-    """Runs a command of the checkout under attack in a process of its own, with a cache of its own; ends it after `seconds` (exit code -9 then)."""
+    """Run a command of the checkout under attack in its own process with its own cache.
+
+    A command that takes longer than `seconds` is ended, with exit code -9.
+    """
 
     def run(*arguments: object, seconds: float = 120, **surroundings: str) -> Called:
         environment = {

@@ -1,6 +1,7 @@
-"""Shows that the attacks succeeded on an earlier commit: `python -m tests.attacks.on_release ff02425 [TEST ...]`.
+"""Shows that the attacks succeed on an earlier commit: `python -m tests.attacks.on_release ff02425 [TEST ...]`.
 
-Checks that commit out beside this one, runs every test of this folder against its command line, and exits with 0 if each fails there.
+Checks that commit out beside this one, runs every test of this folder against its command line, and exits with 0 if
+each fails there.
 """
 
 import os
@@ -15,7 +16,7 @@ from tests.attacks.conftest import ATTACKED, ROOT
 
 
 class Outcomes:
-    """Notes which tests passed, failed, or could not even begin."""
+    """A pytest plugin that notes which tests passed, failed, or could not begin."""
 
     def __init__(self) -> None:
         self.of: dict[str, set[str]] = {"passed": set(), "failed": set(), "broken": set()}
@@ -28,15 +29,15 @@ class Outcomes:
 
 
 def check_out(revision: str, place: Path) -> None:
-    """The files of that revision are in this folder, and its package can be run from there."""
+    """Put the files of that revision into this folder, so that its package runs from there."""
     archive = subprocess.run(["git", "archive", revision], cwd=ROOT, check=True, capture_output=True).stdout
     subprocess.run(["tar", "-x", "-C", str(place)], input=archive, check=True)
-    for folder in ("queries", "reports"):  # as the installed package has them
+    for folder in ("queries", "reports"):  # within the package, where an installation has them
         (place / "fsar_ledger" / folder).symlink_to(place / folder)
 
 
 def main(revision: str, tests: list[str]) -> int:
-    """The exit code: 0 if every attack succeeds on the revision."""
+    """Run the attacks; return 0 if every one succeeds on the revision."""
     with tempfile.TemporaryDirectory() as place:
         check_out(revision, Path(place))
         os.environ[ATTACKED] = place
@@ -47,11 +48,10 @@ def main(revision: str, tests: list[str]) -> int:
     for outcome in ("passed", "broken"):
         for name in sorted(outcomes.of[outcome]):
             print(f"{name}: {'the attack fails on' if outcome == 'passed' else 'cannot be tried on'} {revision} too")
-    succeeded = len(outcomes.of["failed"])
-    print(
-        f"{succeeded} attacks succeed on {revision}, {len(outcomes.of['passed'])} do not, {len(outcomes.of['broken'])} cannot be tried"
-    )
-    return 0 if succeeded and not outcomes.of["passed"] and not outcomes.of["broken"] else 1
+    succeeded, not_tried = len(outcomes.of["failed"]), len(outcomes.of["broken"])
+    defended = len(outcomes.of["passed"])
+    print(f"{succeeded} attacks succeed on {revision}, {defended} do not, {not_tried} cannot be tried")
+    return 0 if succeeded and not defended and not not_tried else 1
 
 
 if __name__ == "__main__":

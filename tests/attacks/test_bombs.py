@@ -1,4 +1,4 @@
-"""What a ledger or a question costs whoever reads it: small files and short SELECTs took gigabytes, minutes, or never ended."""
+"""The cost of reading a hostile ledger: small files and short SELECTs took gigabytes, minutes, or never ended."""
 
 from pathlib import Path
 
@@ -15,7 +15,7 @@ PART_MIB = 224
 
 
 def exploded(place: Path, name: str, *call: str) -> Cost:
-    """What this call costs in a folder with a ledger into which the bomb was put."""
+    """Measure this call in a folder with a ledger that holds the bomb."""
     base_ledger(place / "ledger")
     BOMBS[name].lay(place / "ledger")
     return cost_of(call, place, 60, attacked())
@@ -34,16 +34,16 @@ def test_the_largest_number_of_a_run_does_not_hang_the_report(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_who_asks_for_a_long_answer_holds_a_part_of_it(tmp_path: Path) -> None:
+def test_a_long_answer_is_held_in_parts(tmp_path: Path) -> None:
     base_ledger(tmp_path / "ledger")
     select = "SELECT [x, x] AS l FROM range(200000) AS t(x)"
     cost = cost_of(["sql", "ledger", select, "--json"], tmp_path, 120, attacked())
     assert cost.code == 0
-    assert cost.memory_mib < PART_MIB  # an idle one takes 130
+    assert cost.memory_mib < PART_MIB  # an idle process takes 130
 
 
 @pytest.mark.slow
-def test_the_memory_of_whoever_reads_is_stated_and_held(tmp_path: Path) -> None:
+def test_the_memory_of_a_reader_is_limited_and_the_limit_stated(tmp_path: Path) -> None:
     cost = exploded(tmp_path, "eight million names in lists", "verify", "ledger", "--workers", "1")
     assert cost.memory_mib < MEMORY_MIB
     assert cost.code in (2, 3)

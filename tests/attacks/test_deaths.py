@@ -1,4 +1,4 @@
-"""Processes that are killed, disks that are full, and parameters that are none: each ends in one message, and what is called next goes on by itself."""
+"""Killed processes, full disks and malformed parameters: each ends in one message, and the next command continues."""
 
 import os
 import resource
@@ -30,7 +30,7 @@ EXPERIMENT = Experiment(ARCHITECTURES, ("door-relay",), 17, 3)  # the plan, and 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The ledger of `SOME`, after its plan and one commit a copy of it beside."""
+    """Make the ledger of `SOME`, and a copy of it after its plan and one commit."""
     path = tmp_path_factory.mktemp("deaths") / "ledger"
     with Writer(path, ORIGIN) as writer:
         writer.append(stage(path, [plan_record(EXPERIMENT.plan())]))
@@ -42,7 +42,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def children(parent: int) -> list[tuple[int, str]]:
-    """The living processes below that one: number and command line."""
+    """Return number and command line of the living descendants of this process."""
     listed = subprocess.run(
         ["ps", "-A", "-ww", "-o", "pid=,ppid=,stat=,args="], check=True, capture_output=True, text=True
     ).stdout
@@ -53,14 +53,14 @@ def children(parent: int) -> list[tuple[int, str]]:
 
 
 def until(moment: float, seconds: float) -> Iterator[None]:
-    """Looks again and again for so long."""
+    """Yield again and again for this many seconds."""
     while time.monotonic() < moment + seconds:
         yield
         time.sleep(0.02)
 
 
 def begun(*arguments: object) -> subprocess.Popen[str]:
-    """A command of the checkout under attack, which goes on meanwhile."""
+    """Start a command of the checkout under attack without waiting for it."""
     call = [sys.executable, "-m", "fsar_ledger", *map(str, arguments)]
     environment = {**os.environ, "PYTHONPATH": str(attacked())}
     return subprocess.Popen(
@@ -69,7 +69,7 @@ def begun(*arguments: object) -> subprocess.Popen[str]:
 
 
 def workers_of(process: subprocess.Popen[str], count: int = 2) -> list[int]:
-    """The worker processes of the command, once there are so many."""
+    """Return the worker processes of the command, once there are `count`."""
     for _ in until(time.monotonic(), 60):
         found = [number for number, line in children(process.pid) if "spawn_main" in line]
         if len(found) >= count or process.poll() is not None:
@@ -88,9 +88,8 @@ def test_the_workers_of_a_simulation_that_was_killed_die_with_it(tmp_path: Path,
     ledger = tmp_path / "ledger"
     with begun("simulate", ledger, *MANY) as process:
         for _ in until(time.monotonic(), 60):
-            if (
-                len(list(ledger.glob("commits/*.json"))) > 1 or process.poll() is not None
-            ):  # the workers begin after the plan
+            commits = len(list(ledger.glob("commits/*.json")))
+            if commits > 1 or process.poll() is not None:  # the workers start after the plan is committed
                 break
         left = children(process.pid)
         process.kill()
@@ -112,7 +111,7 @@ def end(processes: list[int]) -> None:
 
 
 def ended_with_a_killed_worker(*arguments: object) -> tuple[int, str, str]:
-    """Exit code, answer and message of the command; -9 where it goes on for ever."""
+    """Return exit code, output and message of the command; -9 if it never ends."""
     with begun(*arguments) as process:
         for number in workers_of(process)[-1:]:
             os.kill(number, signal.SIGKILL)
@@ -140,14 +139,14 @@ def test_a_simulation_whose_worker_is_killed_says_so_and_continues_when_it_is_ca
 
 @pytest.mark.slow
 @pytest.mark.parametrize("options", [("verify",), pytest.param(("recover",), marks=pytest.mark.slow)], ids=" ".join)
-def test_a_look_that_could_not_finish_calls_a_ledger_neither_good_nor_bad(
+def test_a_verification_that_could_not_finish_calls_a_ledger_neither_good_nor_bad(
     tmp_path: Path, whole: Path, options: tuple[str, ...]
 ) -> None:
     ledger = shutil.copytree(whole, tmp_path / "ledger")
     code, out, err = ended_with_a_killed_worker(options[0], ledger, *options[1:], "--workers", "2")
     assert (code, out, len(err.splitlines())) == (1, "", 1), err
     assert err.startswith("fsar-ledger: worker process ")
-    assert "of what was not looked at nothing is said" in err
+    assert "nothing is said about what was not checked" in err
     assert not any(word in err for word in ("consistent", "damaged", "do not rely"))
 
 
@@ -155,7 +154,7 @@ def test_a_look_that_could_not_finish_calls_a_ledger_neither_good_nor_bad(
 def test_after_a_recovery_without_room_a_simulation_goes_on_by_itself(
     tmp_path: Path, command: Attack, whole: Path
 ) -> None:
-    """The second commit of runs was made, and then there was no room for what is derived from it."""
+    """The disk is full after the second commit of runs, before its tiles and checkpoint are written."""
     ledger = tmp_path / "ledger"
     shutil.copytree(whole.with_name("one"), ledger)
     for name in ("commits/000000000002.json", "segments/000000000002.parquet"):
@@ -168,9 +167,8 @@ def test_after_a_recovery_without_room_a_simulation_goes_on_by_itself(
         capture_output=True,
         text=True,
         check=False,
-        preexec_fn=lambda: resource.setrlimit(
-            resource.RLIMIT_FSIZE, (4096, 4096)
-        ),  # folders and names can be made, a tile of 8 KiB cannot
+        # Folders and small files can be written, a tile of 8 KiB cannot.
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)),
     )
     assert without_room.returncode == 1
     assert "mending failed" in without_room.stderr
@@ -186,7 +184,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("name", list(BAD))
-def test_a_report_on_parameters_that_are_none_ends_with_one_message(tmp_path: Path, command: Attack, name: str) -> None:
+def test_a_report_on_malformed_parameters_ends_with_one_message(tmp_path: Path, command: Attack, name: str) -> None:
     honest = simulate_run(RunSpec(7, "fsar", "full", "door-relay", 4, 0), Constants())
     record = renamed(changed(honest, 0, msgspec.structs.replace(honest.events[0], parameters=BAD[name])))
     ledger = tmp_path / "ledger"

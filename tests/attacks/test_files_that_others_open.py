@@ -1,4 +1,4 @@
-"""Files that others open: a name in a ledger becomes a formula in a spreadsheet, or a figure that no reader opens."""
+"""Exported files: a name in a ledger becomes a formula in a spreadsheet, or breaks a figure."""
 
 import csv
 from pathlib import Path
@@ -16,7 +16,7 @@ FORMULA = "=HYPERLINK(A1&CHAR(47))"
 
 
 def ledger_of(path: Path, before: str, behind: str) -> Path:
-    """A ledger whose names begin and end so."""
+    """Make a ledger whose names begin and end like this."""
     run = simulate_run(RunSpec(5, "fsar", "full", "failure-recovery-chain", 4, 0), Constants())
     with Writer(path, "example.org/fleet") as writer:
         writer.append(stage_anything(path, [relabelled(run, lambda text: before + text + behind)]))
@@ -53,7 +53,7 @@ def test_a_figure_is_well_formed_whatever_a_name_holds(tmp_path: Path, command: 
 
 @pytest.mark.slow
 def test_a_figure_is_small_however_long_a_name(tmp_path: Path, command: Attack) -> None:
-    behind = " w" * 1_900  # no longer name is taken: a record carries it
+    behind = " w" * 1_900  # a record carries the name, so no longer one is accepted
     ledger = ledger_of(tmp_path / "ledger", "", behind)
     called = command("explain", ledger, "--request", "A1-1/1.1" + behind, "--svg", tmp_path / "story.svg")
     assert called.code == 0, called.err

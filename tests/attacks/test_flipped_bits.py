@@ -1,6 +1,7 @@
-"""One bit of a segment flipped where the query engine does not notice: the answer was another one, without a word.
+"""One flipped bit in a segment that the query engine does not notice: the answer changed without a word.
 
-DuckDB does not look at the checksums of pages, and what zstd stores as it is has none of its own. `verify` found the bit; nothing that answers did.
+DuckDB ignores the checksums of pages, and data that zstd stores uncompressed has none of its own. `verify` found the
+bit; no answer did.
 """
 
 import json
@@ -26,7 +27,7 @@ NUMBER = 0
 
 @pytest.fixture(scope="module")
 def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A ledger of three runs of each architecture, which tests copy."""
+    """Make a ledger of three runs of each architecture, which tests copy."""
     path = tmp_path_factory.mktemp("honest") / "ledger"
     write_runs(path)
     return path
@@ -34,12 +35,12 @@ def honest(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def ledger(honest: Path, tmp_path: Path) -> Path:
-    """A copy to be damaged."""
+    """Provide a copy to be damaged."""
     return Path(shutil.copytree(honest, tmp_path / "ledger"))
 
 
 def flip_unnoticed(segment: Path, column: str) -> None:
-    """One bit within this column's pages is flipped, the first with which DuckDB reads other values of it and no error."""
+    """Flip the first bit in this column's pages with which DuckDB reads other values and reports no error."""
     good, before = segment.read_bytes(), read_by_duckdb(segment, column)
     for data in flipped(good, segment, column):
         segment.write_bytes(data)
@@ -52,7 +53,7 @@ def flip_unnoticed(segment: Path, column: str) -> None:
 
 
 def flipped(good: bytes, segment: Path, column: str) -> Iterator[bytes]:
-    """The segment with each bit of this column's pages flipped, from their end."""
+    """Yield the segment with each bit of this column's pages flipped, from their end."""
     group = pq.read_metadata(segment).row_group(0)
     (chunk,) = [group.column(at) for at in range(group.num_columns) if group.column(at).path_in_schema == column]
     first = chunk.dictionary_page_offset or chunk.data_page_offset
@@ -86,7 +87,7 @@ def test_no_answer_comes_from_a_segment_with_a_flipped_bit(
 
 
 @pytest.mark.slow
-def test_a_look_before_the_bit_was_flipped_excuses_nothing(command: Attack, ledger: Path) -> None:
+def test_a_verification_before_the_bit_was_flipped_excuses_nothing(command: Attack, ledger: Path) -> None:
     assert command("verify", ledger).code == 0
     flip_unnoticed(segment_path(ledger, NUMBER), "scenario")
 
@@ -98,9 +99,8 @@ def test_a_look_before_the_bit_was_flipped_excuses_nothing(command: Attack, ledg
 @pytest.mark.slow
 def test_no_number_stands_under_a_root_that_is_not_that_of_its_rows(command: Attack, ledger: Path) -> None:
     rows = table_of(ledger, NUMBER)
-    forge_segment(
-        ledger, NUMBER, changed(rows, "architecture", 0, "dhma")
-    )  # the hashes are mended, the root is the old one
+    # The hashes match the new bytes, the root is the old one.
+    forge_segment(ledger, NUMBER, changed(rows, "architecture", 0, "dhma"))
 
     answer = command("metrics", ledger, "--json")
     assert answer.code != 0 or json.loads(answer.out).get("rows_verified") is False

@@ -1,6 +1,6 @@
-"""An enemy simulates one architecture in a world of its own, under the seed of the others, and commits and signs the outcome properly.
+"""An enemy simulates one architecture in a world of its own, under the others' seed, and commits and signs properly.
 
-Nothing is wrong inside such a ledger: every hash, note and decision is as it should be. Only the world was never drawn.
+Every hash, note and decision in such a ledger is right. Only the world was never drawn.
 """
 
 import json
@@ -51,7 +51,10 @@ Invent = Callable[[RunSpec, Sequence[Fact]], Sequence[Fact]]
 
 @dataclass(frozen=True)
 class Invented:
-    """A ledger, what an auditor holds of it, and of each run that was tampered with: its name, the first seq that is another, the fact missing there."""
+    """A tampered ledger, and what an auditor holds of it.
+
+    Of each tampered run: its name, the first seq that differs, and the fact missing there.
+    """
 
     ledger: Path
     key: Path
@@ -60,7 +63,7 @@ class Invented:
 
 
 def in_its_own_world(spec: RunSpec, facts: Sequence[Fact]) -> RunRecord:
-    """What the handlers decide where only these facts happen."""
+    """Return the handlers' decisions where only these facts happen."""
     one = Kernel(
         wiring(spec.architecture),
         facts,
@@ -72,7 +75,7 @@ def in_its_own_world(spec: RunSpec, facts: Sequence[Fact]) -> RunRecord:
 
 
 def committed(place: Path, runs: Sequence[RunRecord]) -> tuple[Path, Path, Path]:
-    """The ledger, the public key that signed it, and a checkpoint of it that an auditor keeps elsewhere."""
+    """Return the ledger, the public key that signed it, and a checkpoint that an auditor keeps elsewhere."""
     ledger, secret, anchor = place / "ledger", place / "fleet.key", place / "anchor"
     new_key(secret, ORIGIN)
     signer: Signer = read_signer(secret)
@@ -83,7 +86,7 @@ def committed(place: Path, runs: Sequence[RunRecord]) -> tuple[Path, Path, Path]
 
 
 def place_of(honest: RunRecord, record: RunRecord) -> int:
-    """The first seq at which the record is another than the honest one."""
+    """Return the first seq at which the record differs from the honest one."""
     both = zip(
         zip(honest.times_us, honest.events, strict=True), zip(record.times_us, record.events, strict=True), strict=False
     )
@@ -93,7 +96,7 @@ def place_of(honest: RunRecord, record: RunRecord) -> int:
 
 
 def ledger_of(place: Path, invent: Invent) -> Invented:
-    """The experiment, of which the favoured architecture meets only what is left of its worlds."""
+    """Make the ledger of the experiment with the favoured architecture in what is left of its worlds."""
     runs: list[RunRecord] = []
     places: list[tuple[str, int, str]] = []
     for spec in EXPERIMENT.specs():
@@ -115,7 +118,7 @@ def without(facts: Sequence[Fact], kinds: tuple[type[Event], ...]) -> list[Fact]
 
 
 def spared(spec: RunSpec, facts: Sequence[Fact]) -> Sequence[Fact]:
-    """Each run is spared another kind of trouble, and the last one ends a fact too soon."""
+    """Make a ledger in which each run is spared another kind of trouble and the last ends a fact too soon."""
     match spec.scenario, spec.run:
         case "failure-recovery-chain", 0:
             return without(facts, (ObstructionAppeared, ObstructionCleared))
@@ -127,7 +130,7 @@ def spared(spec: RunSpec, facts: Sequence[Fact]) -> Sequence[Fact]:
 
 
 def is_found(command: Attack, evil: Invented) -> None:
-    """With a replay, each run is named with its place, what was found there and what was expected."""
+    """Assert that a replay names each run with its place, what was found there and what was expected."""
     called = command(
         "verify", evil.ledger, "--trusted-key", evil.key, "--anchor", evil.anchor, "--replay", "--workers", "1"
     )

@@ -1,4 +1,4 @@
-"""The painted screen: a ledger or proof that nobody signed makes a terminal say that it was signed."""
+"""The painted screen: an unsigned ledger or proof makes a terminal claim that it was signed."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ PAINT = f"\x1b[2J\x1b[H{CLAIM}\x1b[8m\x9b31m\u202e\r\n{CLAIM}\n"
 
 @pytest.fixture(scope="module")
 def junk(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A ledger that nobody signed, whose names paint."""
+    """Make an unsigned ledger whose names paint on a terminal."""
     path = tmp_path_factory.mktemp("junk") / "ledger"
     run = simulate_run(RunSpec(5, "fsar", "full", "failure-recovery-chain", 4, 0), Constants())
     with Writer(path, "example.org/fleet") as writer:
@@ -28,7 +28,7 @@ def junk(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def nothing_is_painted(called: Called) -> None:
-    """On a wide screen every line is what was written, and none begins with the claim."""
+    """Assert that on a wide screen every line is what was written, and none begins with the claim."""
     for stream in (called.out, called.err):
         assert painted(stream) == []
     lines = screen_of(called.out + called.err).display
@@ -44,7 +44,7 @@ def test_an_unsigned_proof_does_not_show_that_it_is_signed(junk: Path, command: 
     assert (called.code, "unsigned" in called.out) == (0, True)
 
 
-def test_a_story_is_told_in_the_order_that_it_happened(junk: Path, command: Attack) -> None:
+def test_an_account_is_told_in_the_order_of_its_events(junk: Path, command: Attack) -> None:
     nothing_is_painted(command("explain", junk))
 
 

@@ -1,4 +1,4 @@
-"""One segment with two contents: readers begin a column where its data, or where its dictionary begins, and these are two places."""
+"""One segment with two contents: some readers start a column at its data, others at its dictionary."""
 
 import json
 from pathlib import Path
@@ -16,7 +16,7 @@ from tests.ledger.parts import two_faced
 
 
 def without_policy(table: pa.Table) -> pa.Table:
-    """The same rows, but every policy window and rule is about a robot that does not exist."""
+    """Return the same rows, with every policy window and rule on a robot that does not exist."""
     is_policy = pc.is_in(table["type"], pa.array(["PolicyWindowOpened.v1", "PolicyRuleSet.v1"]))
     at = SCHEMA.get_field_index("robot")
     return table.set_column(at, SCHEMA.field(at), pc.if_else(is_policy, "nobody", table["robot"]))
@@ -24,7 +24,7 @@ def without_policy(table: pa.Table) -> pa.Table:
 
 @pytest.fixture
 def ledger(command: Attack, tmp_path: Path) -> Path:
-    """A ledger of one run with violations of policy, signed."""
+    """Make a signed ledger of one run with violations of policy."""
     call = (
         "--runs",
         "1",
@@ -43,19 +43,19 @@ def ledger(command: Attack, tmp_path: Path) -> Path:
 
 
 def violations(answer: Called) -> float:
-    """The policy violations in an answer of `metrics`."""
+    """Return the policy violations in an answer of `metrics`."""
     (value,) = [row["mean"] for row in json.loads(answer.out)["rows"] if row["metric"] == "policy_violations"]
     return float(value)
 
 
 def newest(ledger: Path) -> int:
-    """The number of the commit with the run: before it may stand that of a plan."""
+    """Return the number of the commit with the run; the commit of a plan may precede it."""
     return len(list((ledger / "segments").glob("*.parquet"))) - 1
 
 
 @pytest.fixture
 def forged(ledger: Path) -> Path:
-    """The ledger with the same records, notes and root, and a segment that has two contents."""
+    """Make a ledger with the same records, notes and root, and a segment with two contents."""
     number = newest(ledger)
     table = table_of(ledger, number)
     honest, other = (bytes(segment.to_parquet(rows)) for rows in (table, without_policy(table)))

@@ -1,4 +1,4 @@
-"""A public key of small order, under which anybody signs: handed to an auditor, it made any ledger "signed" and any proof "signed by"."""
+"""A public key of small order, under which anybody signs: with it any ledger or proof showed as signed."""
 
 import shutil
 from pathlib import Path
@@ -20,7 +20,7 @@ def unsigned(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def signed_by_nobody(unsigned: Path, folder: Path, kind: str) -> tuple[Path, Forger]:
-    """The ledger with a signature that nobody had a secret for under each note."""
+    """Make a ledger with a signature under each note for which nobody had a secret."""
     path, forger = Path(shutil.copytree(unsigned, folder / "ledger")), Forger(ORIGIN, WEAK[kind])
     rewrite(path, tables_of(path), forger)
     return path, forger

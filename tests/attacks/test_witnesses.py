@@ -1,6 +1,7 @@
-"""Whoever holds the log's key rewrites a ledger or drops its newest commits: every signature is right, and only who saw more can tell.
+"""The log's own key used to rewrite a ledger or drop its newest commits: every signature is right.
 
-The witness is of this tree; the auditor has the commands of the checkout under attack and uses all that they offer for it.
+Only someone who saw more can tell. The witness is of this tree; the auditor uses everything that the commands of the
+checkout under attack offer.
 """
 
 import shutil
@@ -22,7 +23,7 @@ from tests.witness.processes import honest
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Iterator[Path]:
-    """In `2` a signed ledger of two commits, in `3` as it was after three, which a witness saw; in `policy` whom the auditor believes."""
+    """Make a signed ledger of two commits in `2`, the same after three, which a witness saw, in `3`, and a policy."""
     write_ledger(tmp_path / "whole", (200, 80, 60), tmp_path)
     (tmp_path / "log.pub").write_text(f"{SIGNER.verifier}\n")
     new_state(tmp_path / "w", "example.org/w")
@@ -33,7 +34,7 @@ def folder(tmp_path: Path) -> Iterator[Path]:
 
 
 def audited(command: Attack, folder: Path, ledger: Path) -> Called:
-    """What an auditor with the log's public key is told, who asks witnesses where the command line can."""
+    """Return what an auditor with the log's public key is told, asking witnesses where the command line can."""
     offered = command("verify", "--help", COLUMNS="200").out
     policy = ("--witness-policy", folder / "policy") if "--witness-policy" in offered else ()
     return command("verify", ledger, "--trusted-key", folder / "log.pub", *policy)

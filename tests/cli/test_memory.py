@@ -98,7 +98,7 @@ def test_the_default_grows_with_what_the_segments_take(
     (tmp_path / "segments" / "sparse").touch()
     os.truncate(tmp_path / "segments" / "sparse", 1 << 40)
     assert default_bytes(tmp_path, workers=2) == BASE_BYTES
-    monkeypatch.setattr(memory, "installed", lambda: 1 << 29)
+    monkeypatch.setattr(memory, "bytes_installed", lambda: 1 << 29)
     assert default_bytes(ledger, workers=2) == int(0.8 * (1 << 29))
 
 

@@ -1,4 +1,4 @@
-"""A made-up later release: a copy of the package in which event types were changed the way the README says, run in a process of its own.
+"""A made-up later release: a copy of the package in which event types were changed the way docs/changing-events.md says, run in a process of its own.
 
 `StepBegan` went through two versions: v2 said `is_own`, v3 says `is_delegated` instead; `RobotJoined` has a new optional field `depot`.
 """
@@ -11,8 +11,19 @@ import sys
 from pathlib import Path
 from typing import Any, NamedTuple, Self
 
+import fsar_ledger
+from fsar_ledger.ledger.rows import releases
+
 ROOT = Path(__file__).resolve().parents[2]
-RELEASE = "0.4.0"
+
+
+def after(release: str) -> str:
+    """Return the number of the next minor release."""
+    major, minor, _ = map(int, release.split("."))
+    return f"{major}.{minor + 1}.0"
+
+
+RELEASE = after(max(fsar_ledger.__version__, releases.RELEASE, key=lambda text: [*map(int, text.split("."))]))
 
 STEPS = '''
 class StepBeganV1(Event, frozen=True, tag="StepBegan.v1"):
@@ -76,10 +87,10 @@ EDITS = (
         "from .upcasting import Upcaster, adding\n",
         f"from .envelope import Subject\nfrom .task import StepBegan\nfrom .upcasting import Upcaster, adding\n{STEPS}",
     ),
-    ("events/retired.py", "] = (RunStartedV1,)\n", "] = (RunStartedV1, StepBeganV1, StepBeganV2)\n"),
+    ("events/retired.py", "] = (RunStartedV1,", "] = (StepBeganV1, StepBeganV2, RunStartedV1,"),
     ("events/retired.py", "] = (adding(RunStartedV1", f"] = ({UPCASTERS}, adding(RunStartedV1"),
     ("events/fleet.py", '    domain: str = ""\n', '    domain: str = ""\n    depot: str | None = None\n'),
-    ("ledger/rows/releases.py", 'RELEASE = "0.3.0"', f'RELEASE = "{RELEASE}"'),
+    ("ledger/rows/releases.py", f'RELEASE = "{releases.RELEASE}"', f'RELEASE = "{RELEASE}"'),
     ("queries/facts/cross_robot_records.sql", "'StepBegan.v1'", "'StepBegan.v3'"),
 )
 

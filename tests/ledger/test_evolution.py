@@ -1,5 +1,6 @@
 """A later release opens ledgers of this one, and this one refuses what a later release wrote. See `later_release.py`."""
 
+import re
 import shutil
 from collections.abc import Iterator
 from functools import cache
@@ -159,7 +160,8 @@ def test_the_records_of_each_commit_name_its_release(later: LaterRelease, mixed:
 
 
 def test_a_ledger_of_a_later_release_is_refused_by_its_name(mixed: Path) -> None:
-    message = rf"000000000003\.json: field release: found 0\.4\.0, expected at most {RELEASE}; read it with fsar-ledger 0\.4\.0 or later"
+    found = re.escape(later_release.RELEASE)
+    message = rf"000000000003\.json: field release: found {found}, expected at most {RELEASE}; read it with fsar-ledger {found} or later"
     with pytest.raises(FormatVersionMismatch, match=message):
         open_ledger(mixed)
     with pytest.raises(FormatVersionMismatch, match=message):
@@ -168,7 +170,11 @@ def test_a_ledger_of_a_later_release_is_refused_by_its_name(mixed: Path) -> None
 
 def test_verify_names_the_release_that_it_cannot_judge_and_nothing_else(mixed: Path) -> None:
     [problem] = verify(mixed).problems
-    assert (problem.where, problem.field, problem.found) == ("commits/000000000003.json", "release", "'0.4.0'")
+    assert (problem.where, problem.field, problem.found) == (
+        "commits/000000000003.json",
+        "release",
+        f"'{later_release.RELEASE}'",
+    )
     assert verify(mixed).commits == 3
 
 
@@ -190,7 +196,7 @@ def test_each_command_says_which_version_is_needed(
     places = {"LEDGER": str(mixed), "OUT": str(tmp_path / "events.csv")}
     assert app.run([places.get(word, word) for word in call]) == code
     printed = "".join(capsys.readouterr())
-    assert "read it with fsar-ledger 0.4.0 or later" in printed
+    assert f"read it with fsar-ledger {later_release.RELEASE} or later" in printed
     assert "Traceback" not in printed
 
 

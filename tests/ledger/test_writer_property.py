@@ -245,6 +245,6 @@ def test_whatever_is_accepted_verifies_and_whatever_is_refused_leaves_no_trace()
     at_all(30, is_the_same=True)
 
 
-@pytest.mark.slow
+@pytest.mark.soak
 def test_whatever_is_accepted_verifies_at_length() -> None:
     at_all(2_000, is_the_same=False)

@@ -22,7 +22,8 @@ write_report(Path(sys.argv[1]), Path(sys.argv[2]), reads_every_way=sys.argv[3] =
 """
 
 
-@pytest.mark.parametrize("every_way", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("every_way", [False, True])
 def test_same_ledger_gives_the_same_bytes_in_another_process_with_another_hash_seed_and_zone(
     ledger: Path, tmp_path: Path, every_way: bool
 ) -> None:

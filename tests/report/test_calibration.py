@@ -57,7 +57,7 @@ def test_absent_record_is_none_and_said(tmp_path: Path, findings: Findings) -> N
     assert document.data(findings, None)["fit"] is None
 
 
-@pytest.mark.parametrize("missing", [None, *WHOLE])
+@pytest.mark.parametrize("missing", [None, *(pytest.param(part, marks=pytest.mark.slow) for part in WHOLE)])
 def test_record_is_read_and_typeset_whatever_part_is_missing(
     tmp_path: Path, findings: Findings, drawings: dict[str, bytes], missing: str | None
 ) -> None:
@@ -97,6 +97,7 @@ def said_of_the_fit(folder: Path, findings: Findings, record: Record | None) -> 
     return [json.dumps(one, ensure_ascii=False) for one in json.loads(typst.query(folder / "report.typ", "<changed>"))]
 
 
+@pytest.mark.slow
 def test_a_fit_of_another_model_is_named_once_at_the_answer(tmp_path: Path, findings: Findings) -> None:
     record = Record(model_version="0", parameters=[Parameter("world.motion_share", "share", 0.2, 0.24)])
     for found in (

@@ -4,6 +4,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
 from fsar_ledger.report import cases, specs
 from fsar_ledger.report.document import data
 from fsar_ledger.report.gather import gather
@@ -71,6 +73,7 @@ def test_seeds_that_are_asked_for_together_are_added_and_what_has_no_case_or_no_
     assert cases.beside([nothing]) == ()
 
 
+@pytest.mark.slow
 def test_the_report_has_the_cases_of_the_runs_that_it_is_of_and_no_table_of_none(
     ledger: Path, make_ledger: Callable[..., Path]
 ) -> None:

@@ -17,11 +17,7 @@ from fsar_ledger.events.envelope import (
     Robot,
     Subject,
 )
-from fsar_ledger.events.execution import (
-    ExecutionFinished,
-    ExecutionQueued,
-    ExecutionStarted,
-)
+from fsar_ledger.events.execution import ExecutionFinished, ExecutionQueued, ExecutionStarted
 from fsar_ledger.events.registry import (
     AvailabilityChanged,
     CapabilityAdvertised,

@@ -1,4 +1,4 @@
-"""A log that grows, witnesses of it, and a clock that stands still."""
+"""A growing log, witnesses of it, and a clock that stands still."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,8 +14,8 @@ from fsar_ledger.witness.cosignature import WitnessKey
 from fsar_ledger.witness.protocol import Request
 from fsar_ledger.witness.server import WitnessServer
 from fsar_ledger.witness.service import Service
-from fsar_ledger.witness.state import State, new_state, opened
-from tests.cli.conftest import call as call  # the fixture
+from fsar_ledger.witness.state import State, new_state, open_state
+from tests.cli.conftest import call as call  # re-exported as a fixture
 
 ORIGIN = "example.org/log"
 LOG = Signer(ORIGIN, bytes(range(32)))
@@ -24,26 +24,26 @@ NOW_S = 1_795_320_000
 
 
 class Log:
-    """A log whose tree has these leaves; `twist` makes another one, which begins as this does."""
+    """A log with a tree of these leaves; `twist` makes one that differs after a common beginning."""
 
     def __init__(self, size: int, twist: int | None = None) -> None:
         self.leaves = [leaf_hash(b"%d %d" % (at, twist is not None and at >= twist)) for at in range(size)]
 
     def checkpoint(self, size: int) -> Checkpoint:
-        """Of the first so many leaves."""
+        """Return the checkpoint of the first `size` leaves."""
         return Checkpoint(ORIGIN, size, root(self.leaves[:size]))
 
     def note(self, size: int, signer: Signer = LOG) -> Note:
-        """The checkpoint, signed."""
+        """Return that checkpoint, signed."""
         checkpoint = self.checkpoint(size)
         return Note(checkpoint, (signer.sign(checkpoint),))
 
     def proof(self, old: int, new: int) -> tuple[bytes, ...]:
-        """That the tree of `new` begins with that of `old`."""
+        """Prove that the tree of `new` begins with that of `old`."""
         return consistency_proof(self._node, old, new)
 
     def request(self, old: int, new: int) -> Request:
-        """What the log sends to a witness that knows `old`."""
+        """Return the request of the log to a witness that knows `old`."""
         return Request(old, self.proof(old, new), self.note(new))
 
     def _node(self, height: int, number: int) -> bytes:
@@ -54,7 +54,7 @@ class Log:
 
 
 class Open(NamedTuple):
-    """A witness at work in this process, and what its operator was told."""
+    """A witness running in this process, and what its operator was told."""
 
     state: State
     service: Service
@@ -64,17 +64,17 @@ class Open(NamedTuple):
 
 @contextmanager
 def at_work(folder: Path, now_s: int = NOW_S) -> Iterator[Open]:
-    """The witness in this folder, which is made if there is none."""
+    """Open the witness in this folder, making it first if there is none."""
     if not folder.exists():
         new_state(folder, f"example.org/{folder.name}")
     told: list[str] = []
-    with opened(folder) as state:
+    with open_state(folder) as state:
         yield Open(state, Service(state, [LOG.verifier], lambda: now_s, told.append), told, state.cosigner.key)
 
 
 @contextmanager
 def serving(service: Service) -> Iterator[WitnessServer]:
-    """A server for it, on a free port of this machine; its clock is the test's."""
+    """Serve the witness on a free port of this machine, with the test's clock."""
     from time import monotonic
 
     with WitnessServer("127.0.0.1", 0, service, monotonic) as server:
@@ -89,6 +89,6 @@ def serving(service: Service) -> Iterator[WitnessServer]:
 
 @pytest.fixture
 def witness(tmp_path: Path) -> Iterator[Open]:
-    """A new witness of the log."""
+    """Provide a new witness of the log."""
     with at_work(tmp_path / "w1") as found:
         yield found

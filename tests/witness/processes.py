@@ -1,8 +1,9 @@
-"""Witnesses as processes of their own: honest ones, as the command line starts them, and one that lies (`python -m tests.witness.processes`).
+"""Witnesses as separate processes: honest ones, started by the command line, and a liar.
 
-The liar tells the lie that its URL ends in: `/forgets` cosigns whatever it is sent and publishes that; `/stale` publishes the first that it was sent,
-with the time of then; `/future` is an hour ahead; `/other-key` cosigns with a key of its own; `/other-root` publishes a tree that nobody
-signed; `/other-log` one of another log; `/garbage` no note; `/silent` never answers; `/drips` answers a byte at a time.
+`python -m tests.witness.processes` starts the liar. It tells the lie that its URL ends in: `/forgets` cosigns whatever
+it is sent and publishes that; `/stale` publishes the first that it was sent, with the time of then; `/future` is an
+hour ahead; `/other-key` cosigns with a key of its own; `/other-root` publishes a tree that nobody signed; `/other-log`
+a note of another log; `/garbage` no note; `/silent` never answers; `/drips` answers a byte at a time.
 """
 
 import subprocess
@@ -30,13 +31,13 @@ class Running(NamedTuple):
     url: str
 
     def line(self, name: str, lie: str = "") -> str:
-        """Its line in a policy."""
+        """Return its line in a policy."""
         return f"witness {name} {self.key} {self.url}{lie}\n"
 
 
 @contextmanager
 def running(*command: object) -> Iterator[Running]:
-    """The process of this module or program serves until the end."""
+    """Run this module or program as a serving process until the block ends."""
     process = subprocess.Popen(
         [sys.executable, "-m", *map(str, command)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
@@ -51,7 +52,7 @@ def running(*command: object) -> Iterator[Running]:
 
 @contextmanager
 def honest(state: Path, logs: Sequence[object], *options: object) -> Iterator[Running]:
-    """The witness in this folder."""
+    """Run the witness in this folder."""
     with running(
         "fsar_ledger", "witness", "serve", state, *(part for log in logs for part in ("--log", log)), *options
     ) as found:
@@ -84,7 +85,7 @@ class _Liar(BaseHTTPRequestHandler):
         if lie == "other-log":
             checkpoint = Checkpoint("example.org/another", checkpoint.size, checkpoint.root)
         signature = (STRANGER if lie == "other-key" else LIAR).cosign(checkpoint, now_s)
-        if lie == "other-key":  # and says that it is the right one
+        if lie == "other-key":  # signed with another key, under the name and id of the right one
             signature = type(signature)(LIAR.key.name, LIAR.key.key_id, signature.data)
         return Note(checkpoint, (*note.signatures, signature))
 
@@ -106,7 +107,7 @@ class _Liar(BaseHTTPRequestHandler):
 
 @contextmanager
 def lying() -> Iterator[Running]:
-    """The witness that lies."""
+    """Run the lying witness."""
     with running("tests.witness.processes") as found:
         yield found
 

@@ -119,11 +119,11 @@ TWO = "".join(W[:2])
         (TWO + "group g 2 W0 W0\nquorum g\n", 3, "'W0' in a second place"),
         (TWO + "group g 1 W0\ngroup h all g W0\nquorum h\n", 4, "'W0' in a second place"),
         (TWO + "group g 1 W0\ngroup h 1 g\ngroup i 1 g\nquorum i\n", 5, "'g' in a second place"),
-        (TWO + "group W0 1 W1\nquorum W0\n", 3, "'W0' once more"),
-        (W[0] + W[0].replace("W0", "W1", 1), 2, "stands before"),
-        (W[0] + W[1].replace("W1", "W0", 1), 2, "'W0' once more"),
-        (W[0].replace("W0", "none", 1), 1, "'none' once more"),
-        (LOGS + LOGS, 2, "stands before"),
+        (TWO + "group W0 1 W1\nquorum W0\n", 3, "a second 'W0'"),
+        (W[0] + W[0].replace("W0", "W1", 1), 2, "was given before"),
+        (W[0] + W[1].replace("W1", "W0", 1), 2, "a second 'W0'"),
+        (W[0].replace("W0", "none", 1), 1, "a second 'none'"),
+        (LOGS + LOGS, 2, "was given before"),
         (f"log {KEYS[0]}\n", 1, "the key of a witness"),
         (f"witness w {LOG.verifier}\n", 1, "the key of a log"),
         ("log x\n", 1, "found no public key"),
@@ -158,7 +158,7 @@ def test_two_keys_of_one_log_are_two_logs() -> None:
     assert [key.name for key in policy(LOGS, f"log {STRANGER.verifier}\n", "quorum none\n").logs] == [ORIGIN, ORIGIN]
 
 
-def test_a_policy_that_cannot_be_read_is_a_wrong_call(tmp_path: Path) -> None:
+def test_a_policy_that_cannot_be_read_is_a_usage_error(tmp_path: Path) -> None:
     for path in (tmp_path / "none", tmp_path):
         with pytest.raises(UsageError, match="expected a C2SP tlog-policy"):
             read_policy(path)

@@ -1,4 +1,4 @@
-"""Witnesses as processes of their own, and a ledger whose writer cheats: what the auditor is told."""
+"""What an auditor is told, with witnesses as processes and a ledger whose writer cheats."""
 
 import json
 import shutil
@@ -16,7 +16,7 @@ import pytest
 from fsar_ledger.ledger.log.note import parse_note
 from fsar_ledger.ledger.store.append import Writer, stage
 from fsar_ledger.witness.cosignature import parse_cosigned, parse_secret
-from fsar_ledger.witness.state import new_state, opened
+from fsar_ledger.witness.state import new_state, open_state
 from tests.cli.conftest import Call, Called, in_a_process, one_message
 from tests.ledger.damage import SIGNER, write_ledger
 from tests.ledger.samples import ORIGIN, made_up_run
@@ -28,7 +28,10 @@ TOTALS = (300, 340, 590, 597)
 
 
 class Place:
-    """A folder, the ledger as it was after each commit (`1` to `4`), two honest witnesses and a liar, each a process from when it is first named."""
+    """A folder with the ledger after each commit (`1` to `4`), two honest witnesses and a liar.
+
+    Each witness is a process, started when it is first named.
+    """
 
     def __init__(self, folder: Path, stack: ExitStack, run: Call) -> None:
         self.folder, self._stack, self._run = folder, stack, run
@@ -80,7 +83,7 @@ def place(ledgers: Path, tmp_path: Path, call: Call) -> Iterator[Place]:
 
 
 def rewritten(path: Path, kept: Path, size: int) -> Path:
-    """A ledger that begins as the one that was kept and goes on otherwise, signed with the same key."""
+    """Return a ledger that begins like the kept one and continues differently, signed with the same key."""
     shutil.copytree(kept, path)
     with Writer(path, ORIGIN, SIGNER) as writer:
         writer.append(stage(path, [made_up_run("run-9999", size, seed=99)]))
@@ -102,14 +105,14 @@ def test_two_witnesses_follow_a_ledger_and_find_what_its_writer_does_to_it(place
     assert json.loads(called.out)["witnessed"]["size"] == 597
     assert "signed by example.org/fsar-test" in place.verify(place.ledger(4), both).out
 
-    for quick in ((), ("--quick",)):  # the newest commits dropped, signature and all
+    for quick in ((), ("--quick",)):  # the newest commits were dropped with their notes
         called = place.verify(place.ledger(2), both, "--trusted-key", place.folder / "log.pub", *quick)
         assert called.code == 3
         assert "found 340 events, expected at least 597" in called.err
         assert "the newest were removed" in called.err
         assert "witness w1 (http://127.0.0.1:" in called.err
 
-    other = rewritten(place.folder / "other", place.ledger(2), 300)  # rewritten with the key, and longer
+    other = rewritten(place.folder / "other", place.ledger(2), 300)  # rewritten with the same key, and longer
     assert in_a_process("verify", other, "--trusted-key", place.folder / "log.pub").code == 0
     for quick in ((), ("--quick",)):
         called = place.verify(other, both, *quick)
@@ -117,7 +120,7 @@ def test_two_witnesses_follow_a_ledger_and_find_what_its_writer_does_to_it(place
         assert "history was rewritten" in called.err
     called = place.ask(other, both, "--out", place.folder / "never")
     one_message(called, 1, "refused with 422", "history was rewritten", "nothing was written")
-    same = rewritten(place.folder / "same", place.ledger(3), 7)  # and as long
+    same = rewritten(place.folder / "same", place.ledger(3), 7)  # rewritten with the same length
     one_message(place.ask(same, both), 1, "refused with 409", "another root of the same size")
     one_message(place.ask(place.ledger(3), both), 1, "it knows 597 events of this log, the ledger has 590")
     assert not (place.folder / "never").exists()
@@ -134,9 +137,8 @@ def test_one_that_lies_and_one_that_is_behind_do_not_hide_what_the_third_saw(pla
         assert "witnessed: 300 of 597 events, by ahead (20" in called.out
         assert "fewer saw the newest 297" in called.out
         assert ("witness liar: its word does not count: " in called.out) == (lie != "/forgets")
-        called = place.verify(
-            place.ledger(2), lies, "--quick"
-        )  # dropped tails: the one who saw more is enough, for the log signed it
+        # The newest commits were dropped. One witness that saw them is enough, since the log signed what it saw.
+        called = place.verify(place.ledger(2), lies, "--quick")
         assert called.code == 3
         assert "at least 597, as witness ahead (http://127.0.0.1:" in called.err
     lies = place.policy(2, lines[0], place.liar.line("liar", "/other-key"))
@@ -164,9 +166,7 @@ def test_a_liar_that_forgets_cosigns_the_rewritten_ledger_and_the_honest_one_fin
     assert called.code == 3
     assert "as witness w1 (" in called.err
     assert "history was rewritten" in called.err
-    called = place.verify(
-        place.ledger(4), place.policy("any", *lines)
-    )  # and the true ledger: the log signed another tree as well
+    called = place.verify(place.ledger(4), place.policy("any", *lines))  # the log signed another tree as well
     assert called.code == 3
     assert "as witness liar (" in called.err
 
@@ -178,9 +178,8 @@ def test_the_same_witness_twice_counts_once(place: Place) -> None:
     cosigner = parse_secret((place.folder / "w1" / "witness.key").read_text())
     assert cosigner is not None
     note = parse_cosigned("note", out.read_bytes())
-    out.write_text(
-        f"{note}{cosigner.cosign(note.checkpoint, 1_795_000_000).line()}"
-    )  # one note with two cosignatures of one witness
+    again = cosigner.cosign(note.checkpoint, 1_795_000_000)
+    out.write_text(f"{note}{again.line()}")  # one note with two cosignatures of one witness
     called = place.verify(place.ledger(4), place.policy(2, first, second), "--cosigned", out, "--cosigned", out)
     one_message(called, 3, "found w1 (20", f"w2: {out}: no cosignature of it", "expected 2 of w1, w2")
     assert place.verify(place.ledger(4), place.policy(1, first, second), "--cosigned", out).code == 0
@@ -199,7 +198,7 @@ def test_a_silent_witness_counts_as_missing_and_costs_seconds(place: Place, monk
     assert "gone: its word does not count: http://127.0.0.1:" in called.out
     called = place.verify(place.ledger(4), place.policy(2, place.first.line("w1"), place.liar.line("liar", "/silent")))
     assert called.code == 3
-    assert time.monotonic() - began < 30  # where it never answers
+    assert time.monotonic() - began < 30  # although the liar never answers
 
 
 def test_a_witness_that_is_killed_again_and_again_never_forgets_what_it_answered(tmp_path: Path) -> None:
@@ -216,7 +215,7 @@ def test_a_witness_that_is_killed_again_and_again_never_forgets_what_it_answered
             time.sleep(0.05)
             running.process.send_signal(signal.SIGKILL)
             sender.join()
-        with opened(tmp_path / "w") as state:
+        with open_state(tmp_path / "w") as state:
             note = state.newest(log_of.ORIGIN)
         assert note is not None
         assert note.checkpoint == log.checkpoint(note.checkpoint.size)
@@ -226,7 +225,7 @@ def test_a_witness_that_is_killed_again_and_again_never_forgets_what_it_answered
 
 
 def grow(url: str, log: log_of.Log, answered: list[int]) -> None:
-    """The witness is asked for one size after the other until it dies; what it answered is noted."""
+    """Ask the witness to cosign one size after the other until it dies, and note each that it answered."""
     host, _, port = url.removeprefix("http://").partition(":")
     connection = HTTPConnection(host, int(port), timeout=5)
     size = answered[-1]
@@ -238,7 +237,7 @@ def grow(url: str, log: log_of.Log, answered: list[int]) -> None:
             assert response.status == 200
             size += 1
             answered.append(size)
-    except (OSError, HTTPException):  # no answer, or a piece of one
+    except (OSError, HTTPException):  # no answer, or only part of one
         connection.close()
 
 
@@ -253,11 +252,10 @@ def test_a_witness_has_one_process_and_ends_when_it_is_told_to(place: Place) -> 
 
 
 def test_a_wrong_call_of_a_witness_is_explained(ledgers: Path, tmp_path: Path, call: Call) -> None:
-    key, policy = ledgers / "log.pub", tmp_path / "policy"
+    key = ledgers / "log.pub"
     one_message(call("witness", "new", tmp_path / "w"), 2, "--name")
     one_message(call("witness", "new", ledgers / "1" / "w", "--name", "w"), 2, "inside the ledger")
-    witness = call("witness", "new", tmp_path / "w", "--name", "example.org/w")
-    assert witness.code == 0
+    assert call("witness", "new", tmp_path / "w", "--name", "example.org/w").code == 0
     one_message(call("witness", "serve", tmp_path / "w"), 2, "--log")
     one_message(call("witness", "serve", tmp_path / "none", "--log", key), 2, "found no witness there")
     one_message(
@@ -270,9 +268,13 @@ def test_a_wrong_call_of_a_witness_is_explained(ledgers: Path, tmp_path: Path, c
     one_message(
         call("witness", "serve", tmp_path / "w", "--log", key, "--host", "192.0.2.7"), 2, "no way to listen there"
     )
+
+
+def test_a_witness_policy_that_names_no_witness_to_ask_is_explained(ledgers: Path, tmp_path: Path, call: Call) -> None:
+    policy, log = tmp_path / "policy", f"log {SIGNER.verifier}\n"
+    line = f"witness w {new_state(tmp_path / 'w', 'example.org/w')}"
     one_message(call("verify", ledgers / "1", "--cosigned", tmp_path / "x"), 2, "found no --witness-policy")
     one_message(call("verify", ledgers / "1", "--witness-policy", policy), 2, "expected a C2SP tlog-policy")
-    line, log = f"witness w {witness.out.strip()}", f"log {SIGNER.verifier}\n"
     for text, parts in (
         ("quorum none\n", "without one nothing is shown"),
         (f"{line}\nquorum w\n", "found no log"),
@@ -280,14 +282,19 @@ def test_a_wrong_call_of_a_witness_is_explained(ledgers: Path, tmp_path: Path, c
         (f"log {log_of.LOG.verifier}\n{line}\nquorum w\n", "--trusted-key: found"),
     ):
         policy.write_text(text)
-        trusted = ("--trusted-key", key) if "--trusted-key" in parts else ()
+        trusted = ("--trusted-key", ledgers / "log.pub") if "--trusted-key" in parts else ()
         one_message(call("verify", ledgers / "1", "--witness-policy", policy, *trusted), 2, parts)
     one_message(
         call("verify", ledgers / "1", "--witness-policy", policy),
         3,
         f"found a ledger of {ORIGIN}, expected one of a log that",
     )
-    policy.write_text(f"{log}{line} ftp://127.0.0.1\nquorum w\n")
+
+
+def test_what_a_witness_cannot_answer_is_explained(ledgers: Path, tmp_path: Path, call: Call) -> None:
+    policy = tmp_path / "policy"
+    line = f"witness w {new_state(tmp_path / 'w', 'example.org/w')}"
+    policy.write_text(f"log {SIGNER.verifier}\n{line} ftp://127.0.0.1\nquorum w\n")
     one_message(call("verify", ledgers / "1", "--witness-policy", policy), 3, "no URL of a witness")
     one_message(
         call("witness", "ask", ledgers / "1", "--policy", policy), 1, "no URL of a witness", "nothing was written"

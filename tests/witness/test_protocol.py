@@ -6,7 +6,7 @@ import pytest
 
 from fsar_ledger.ledger.log.merkle import EMPTY_ROOT
 from fsar_ledger.ledger.log.note import Checkpoint, Note, Signature, Signer
-from fsar_ledger.witness.protocol import MAX_BODY_BYTES, Answer, Request, judge, parse_request, path_of
+from fsar_ledger.witness.protocol import MAX_BODY_BYTES, Answer, Request, checkpoint_path, judge, parse_request
 from tests.witness.conftest import LOG, ORIGIN, STRANGER, Log
 
 GROWING = Log(20)
@@ -15,7 +15,7 @@ EXAMPLE = (Path(__file__).parent.parent / "vectors" / "c2sp" / "add-checkpoint.t
 
 
 def status_of(request: Request, known: Checkpoint | None, logs: list[Signer] | None = None) -> int:
-    """200 if it may be cosigned."""
+    """Return the status of the answer, 200 if the checkpoint may be cosigned."""
     found = judge(request, [log.verifier for log in logs] if logs is not None else LOGS, known)
     return found.status if isinstance(found, Answer) else 200
 
@@ -36,9 +36,8 @@ def test_the_example_of_c2sp_is_read_and_written_again() -> None:
 
 
 def test_a_log_is_published_under_the_hash_of_its_origin() -> None:
-    assert (
-        path_of("abc") == "/ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad/checkpoint"
-    )  # FIPS 180-4, example B.1
+    sha256 = "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"  # FIPS 180-4, example B.1
+    assert checkpoint_path("abc") == f"/{sha256}/checkpoint"
 
 
 def test_every_growth_of_a_log_is_followed() -> None:

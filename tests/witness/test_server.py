@@ -9,7 +9,7 @@ import pytest
 
 from fsar_ledger.errors import UsageError
 from fsar_ledger.witness import server as module
-from fsar_ledger.witness.protocol import MAX_BODY_BYTES, path_of
+from fsar_ledger.witness.protocol import MAX_BODY_BYTES, checkpoint_path
 from fsar_ledger.witness.server import WitnessServer
 from tests.witness.conftest import ORIGIN, Log, Open, serving
 
@@ -28,7 +28,7 @@ def connected(server: WitnessServer) -> socket.socket:
 
 
 def raw(server: WitnessServer, data: bytes) -> bytes:
-    """All that comes back over one connection."""
+    """Send the bytes over one connection and return everything that comes back."""
     with connected(server) as connection:
         connection.sendall(data)
         connection.shutdown(socket.SHUT_WR)
@@ -59,7 +59,7 @@ def test_a_connection_may_ask_many_things_one_after_the_other(server: WitnessSer
             11,
         )
         assert line.startswith("— example.org/w1 ")
-    connection.request("GET", path_of(ORIGIN))
+    connection.request("GET", checkpoint_path(ORIGIN))
     response = connection.getresponse()
     assert (response.status, response.read().decode().split("\n")[1]) == (200, "9")
     connection.request("POST", "/add-checkpoint", BODY)
@@ -93,7 +93,7 @@ def test_a_connection_may_ask_many_things_one_after_the_other(server: WitnessSer
         (b"GET /" + b"a" * 64 + b"/checkpoint HTTP/1.1\r\n\r\n", 404),
         (b"GET /../../etc/passwd HTTP/1.1\r\n\r\n", 404),
         (b"GET //checkpoint HTTP/1.1\r\n\r\n", 404),
-        (b"GET " + path_of(ORIGIN).upper().encode() + b" HTTP/1.1\r\n\r\n", 404),
+        (b"GET " + checkpoint_path(ORIGIN).upper().encode() + b" HTTP/1.1\r\n\r\n", 404),
         (b"HEAD / HTTP/1.1\r\n\r\n", 501),
         (b"PUT /add-checkpoint HTTP/1.1\r\n\r\n", 501),
         (b"\x1b[31m / HTTP/1.1\r\n\r\n", 501),
@@ -120,7 +120,7 @@ def test_each_request_has_its_status_and_a_short_clean_answer(
 
 
 def test_an_answer_that_could_be_taken_for_a_second_request_ends_the_connection(server: WitnessServer) -> None:
-    smuggled = b"GET " + path_of(ORIGIN).encode() + b" HTTP/1.1\r\nContent-Length: 50\r\n\r\n" + post()
+    smuggled = b"GET " + checkpoint_path(ORIGIN).encode() + b" HTTP/1.1\r\nContent-Length: 50\r\n\r\n" + post()
     assert raw(server, smuggled).count(b"HTTP/1.1 ") == 1
     assert (
         raw(server, post(b"", "/add-checkpoint", None, "Transfer-Encoding: chunked") + post()).count(b"HTTP/1.1 ") == 1
@@ -132,13 +132,13 @@ def test_a_body_that_ends_early_is_no_request(server: WitnessServer, witness: Op
     assert witness.told == []
 
 
-def test_a_client_that_waits_for_leave_gets_it(server: WitnessServer) -> None:
+def test_a_client_that_waits_for_100_continue_is_answered(server: WitnessServer) -> None:
     answer = raw(server, post(BODY, "/add-checkpoint", None, "Expect: 100-continue"))
     assert answer.startswith(b"HTTP/1.1 100 Continue\r\n\r\nHTTP/1.1 200")
     assert raw(server, post(b"", "/add-checkpoint", 10**6, "Expect: 100-continue")).startswith(b"HTTP/1.1 413")
 
 
-def test_a_slow_client_is_given_up_however_steadily_it_drips(
+def test_a_slow_client_is_dropped_however_steadily_it_sends(
     server: WitnessServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "REQUEST_S", 0.4)
@@ -160,7 +160,7 @@ def test_a_slow_client_is_given_up_however_steadily_it_drips(
         assert time.monotonic() - began < 3
 
 
-def test_too_many_connections_are_told_so_and_those_before_are_served(
+def test_connections_beyond_the_limit_are_refused_and_earlier_ones_served(
     server: WitnessServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(module, "REQUEST_S", 2.0)
@@ -209,10 +209,8 @@ def test_500_malformed_requests_leave_the_witness_as_it_was(server: WitnessServe
     assert all(answer.startswith((b"HTTP/1.1 ", b"reset")) or not answer for answer in answers)
     now = witness.state.newest(ORIGIN)
     assert now is not None
-    assert now.checkpoint in (
-        GROWING.checkpoint(5),
-        GROWING.checkpoint(9),
-    )  # a changed header may leave a good request behind
+    # A changed header may leave a good request behind.
+    assert now.checkpoint in (GROWING.checkpoint(5), GROWING.checkpoint(9))
     assert not [line for line in witness.told[len(told) :] if "not answered" in line]
 
 
@@ -228,12 +226,12 @@ def test_a_fault_of_the_witness_itself_is_told_to_its_operator_alone(
 
 
 @pytest.mark.parametrize(("host", "port"), [("192.0.2.1", 0), ("no such host", 0), ("127.0.0.1", 1 << 20), ("", -1)])
-def test_a_place_where_nobody_can_listen_is_a_wrong_call(witness: Open, host: str, port: int) -> None:
+def test_an_address_where_it_cannot_listen_is_a_usage_error(witness: Open, host: str, port: int) -> None:
     with pytest.raises(UsageError, match="found no way to listen there"):
         WitnessServer(host, port, witness.service, time.monotonic)
 
 
-def test_a_port_that_is_taken_is_a_wrong_call(server: WitnessServer, witness: Open) -> None:
+def test_a_port_that_is_taken_is_a_usage_error(server: WitnessServer, witness: Open) -> None:
     with pytest.raises(UsageError, match="already in use"):
         WitnessServer("127.0.0.1", server.server_port, witness.service, time.monotonic)
 
