@@ -5,11 +5,12 @@ from hashlib import sha256
 
 import msgspec
 
-from fsar_ledger.constants import Constants, Outages
+from fsar_ledger.constants import Constants, Outages, Structure
 from fsar_ledger.events import Event
 from fsar_ledger.events.configuration import FULL, MECHANISMS_OF, without
 from fsar_ledger.events.envelope import Robot, Scenario, Supervisor, Workflow, flat
 from fsar_ledger.events.trust import RoleTrustSet
+from fsar_ledger.events.world import ActuatorDegraded, RobotCameBack, RobotWentOff
 from fsar_ledger.runtime.handlers.advertising import (
     AdvertiseCapability,
     DeprecateCapability,
@@ -23,7 +24,8 @@ from fsar_ledger.runtime.handlers.policy import SetPolicyRule, SetRolePolicyRule
 from fsar_ledger.runtime.handlers.recovery import ReportFailure
 from fsar_ledger.runtime.handlers.registry import ConsultRegistry, Query
 from fsar_ledger.runtime.handlers.request import RequestCapability
-from fsar_ledger.runtime.handlers.trust import SetRoleTrust, SetTrust
+from fsar_ledger.runtime.handlers.task import SubmitTask
+from fsar_ledger.runtime.handlers.trust import SetRoleTrust, SetTrust, SetTrustThresholds
 from fsar_ledger.runtime.simulation import RunSpec, simulate_run
 from tests.runtime.commanded import commanded
 from tests.runtime.live import played
@@ -76,9 +78,42 @@ EVERYTHING: list[tuple[int, Command]] = [
 ]
 """Commands with another value in every field."""
 
+TRUSTING: list[tuple[int, Command]] = [
+    (1 * S, SetTrustThresholds(H_F, 1, 1)),
+    (2 * S, SetTrust(H_F, A, D, "task", "carry.heavy", "round", reason="for now")),
+    (3 * S, JoinFleet(Robot("robot/E1"), "E", 1, Supervisor("supervisor/E1"), "hall")),
+    (4 * S, SetRoleTrust(H_F, "E", "E", "task", "hall", "carry.heavy", "round", reason="for now")),
+    (5 * S, SetRoleTrust(H_F, "A", "C", "task", "", "inspect.visual", "round", reason="for now")),
+    (6 * S, SetTrust(H_F, B, A, "capability", DOOR, "visit", reason="at first")),
+    (6 * S, GrantAuthority(H_F, A, B, "soft-priority", DOOR, "round")),
+    (7 * S, RequestCapability(A, B, DOOR, "visit", "q1")),
+    (20 * S, SubmitTask(C, "round", ("C navigate.indoor", "C inspect.visual"), 60 * S)),
+]
+"""Trust follows the record, and ends with the task that it was given for."""
+
 
 def _everything() -> list[Event]:
     return played(EVERYTHING, RoleTrustSet(role="B", peer_role="A", scope="task", domain="", capability=DOOR)).events
+
+
+SILENT: list[tuple[int, Command]] = [
+    (1 * S, ReportAvailability(B, "door.open.basic", "restricted", "inspection")),
+    (10 * S, RequestCapability(A, B, DOOR, "visit", "q1")),
+]
+OUTAGE: tuple[tuple[int, Event], ...] = (
+    (5 * S, RobotWentOff(B)),
+    (90 * S, RobotCameBack(B)),
+    (120 * S, ActuatorDegraded(B)),
+)
+"""A robot is not as available in one capability as in another: it is off, it is back, its actuator wears."""
+
+
+def _silent() -> list[Event]:
+    return played(SILENT, facts=OUTAGE).events
+
+
+def _trusting() -> list[Event]:
+    return played(TRUSTING).events
 
 
 def _simulated(spec: RunSpec, constants: Constants) -> History:
@@ -89,6 +124,8 @@ def histories() -> Iterator[History]:
     """Yield each run, those that show most first."""
     yield lambda: list(commanded().events)
     yield _everything
+    yield _trusting
+    yield _silent
     plain, silent = Constants(), Constants(outages=Outages(off_rate_per_s=0.01, link_rate_per_s=0.02))
     for run in range(2):
         for scenario in SCENARIOS:
@@ -101,6 +138,10 @@ def histories() -> Iterator[History]:
     for scenario in SCENARIOS[:5]:
         for architecture in MECHANISMS_OF:
             yield _simulated(RunSpec(43, architecture, FULL, scenario, 8, 0), silent)
+    often = Constants(structure=msgspec.structs.replace(Structure(), local_attempts=3))
+    for run in range(3):
+        for configuration in (FULL, "without-central-recovery"):
+            yield _simulated(RunSpec(42, "cfc", configuration, "failure-recovery-chain", 8, run), often)
 
 
 def digest() -> str:

@@ -27,7 +27,19 @@ _BROKEN = 3
 LIMIT_S = 60
 """A mutant that makes a run go on for ever is found, too."""
 
-EQUIVALENT: dict[str, str] = {}
+EQUIVALENT: dict[str, str] = {
+    **dict.fromkeys(
+        (
+            "runtime/architectures/fsar/request.py RequestAdmitted: may_request, may_execute",
+            "runtime/architectures/fsar/request.py RequestAdmitted: may_request, is_audited",
+            "runtime/architectures/fsar/request.py RequestAdmitted: may_execute, is_audited",
+        ),
+        "what is admitted may be requested, may be executed and is audited: all three are true",
+    ),
+    "runtime/architectures/fsar/helpers.py Parties: requested_by, executed_by": (
+        "the robot that failed asks for help, and it is on record as the executor"
+    ),
+}
 """Mutants that no test can tell from the package, and why."""
 
 
