@@ -1,8 +1,11 @@
 """CFC's handlers: given events, when a command, then events."""
 
+import msgspec
+
 from fsar_ledger.events.authority import AuthorityClaimed
 from fsar_ledger.events.envelope import COORDINATOR, FLEET_SUPERVISOR, Robot, Subject
 from fsar_ledger.events.knowledge import CopySynced, WorkQueued
+from fsar_ledger.events.recovery import RecoveryAttemptFailed
 from fsar_ledger.events.request import CommandIssued, GapDetected, RequestDenied
 from fsar_ledger.events.world import ActuatorDegraded, ObstructionAppeared
 from fsar_ledger.projections.fold import State, apply
@@ -198,6 +201,14 @@ def test_a_failure_gets_one_ordered_retry() -> None:
     [report] = end_attempt(state, EndAttempt(ACTION, 1))
     assert type(report).__name__ == "RecoveryAttemptFailed"
     assert types(process(state, ProcessWork(ACTION, "retry-failed"))) == ["AssistanceRequested"]
+
+
+def test_a_retry_that_failed_says_of_which_failure_it_was() -> None:
+    state = failed()
+    state.recovery = {ACTION: msgspec.structs.replace(state.recovery[ACTION], failure=2)}
+    [report] = end_attempt(state, EndAttempt(ACTION, 1))
+    assert isinstance(report, RecoveryAttemptFailed)
+    assert (report.failure, report.number) == (2, 1)
 
 
 def test_a_robot_that_the_copy_shows_degraded_gets_no_retry() -> None:

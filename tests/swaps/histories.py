@@ -99,11 +99,12 @@ def _everything() -> list[Event]:
 SILENT: list[tuple[int, Command]] = [
     (1 * S, ReportAvailability(B, "door.open.basic", "restricted", "inspection")),
     (10 * S, RequestCapability(A, B, DOOR, "visit", "q1")),
+    (130 * S, RequestCapability(A, B, DOOR, "visit", "q2")),
 ]
 OUTAGE: tuple[tuple[int, Event], ...] = (
     (5 * S, RobotWentOff(B)),
     (90 * S, RobotCameBack(B)),
-    (120 * S, ActuatorDegraded(B)),
+    (120 * S, ActuatorDegraded(B, "lost")),
 )
 """A robot is not as available in one capability as in another: it is off, it is back, its actuator wears."""
 
