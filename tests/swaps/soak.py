@@ -22,7 +22,6 @@ from fsar_ledger.events import Event
 from tests.swaps.histories import History, histories
 from tests.swaps.sites import PACKAGE, Swap, calls, swapped, swaps
 
-TESTS = ("tests/runtime", "tests/projections")
 _BROKEN = 3
 LIMIT_S = 60
 """A mutant that makes a run go on for ever is found, too."""
@@ -122,8 +121,12 @@ def _apart(mutants: list[Swap]) -> set[Swap]:
 
 def _is_around(one: ast.Call, other: ast.Call) -> bool:
     """Whether either of two calls lies in the other."""
-    inner, outer = set(ast.walk(one)), set(ast.walk(other))
-    return other in inner or one in outer
+    (begin, end), (begins, ends) = _span(one), _span(other)
+    return begin <= begins < end or begins <= begin < ends
+
+
+def _span(call: ast.Call) -> tuple[tuple[int, int], tuple[int, int]]:
+    return (call.lineno, call.col_offset), (call.end_lineno or 0, call.end_col_offset or 0)
 
 
 def _errors(root: Path, files: list[Path]) -> dict[tuple[Path, int], set[str]]:
@@ -141,9 +144,9 @@ def _errors(root: Path, files: list[Path]) -> dict[tuple[Path, int], set[str]]:
         if name not in spans or "unused-ignore" in error:
             continue
         file, made = spans[name]
-        at = (int(line), int(column) - 1)
         for number, call in enumerate(made):
-            if (call.lineno, call.col_offset) <= at < (call.end_lineno or 0, call.end_col_offset or 0):
+            begin, end = _span(call)
+            if begin <= (int(line), int(column) - 1) < end:
                 errors[file, number].add(error)
     return errors
 
@@ -229,7 +232,9 @@ def _functions(code: CodeType) -> dict[tuple[str, int], CodeType]:
 
 
 def fails(swap: Swap) -> bool:
-    """Tell whether a test of the handlers fails in a copy of the tree with this mutant in it."""
+    """Tell whether a test that imports the handlers fails in a copy of the tree with this mutant in it."""
+    if not _tests_of(swap.file):
+        return False
     with tempfile.TemporaryDirectory() as folder:
         root = Path(folder)
         for name in ("fsar_ledger", "tests", "queries", "docs", "pyproject.toml"):
@@ -240,9 +245,17 @@ def fails(swap: Swap) -> bool:
                 shutil.copy(whole, root)
         tree = swapped(ast.parse(swap.file.read_text()), swap)
         _copy_of(root, swap.file).write_text(ast.unparse(tree))
-        command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *TESTS]
+        command = [sys.executable, "-m", "pytest", "-q", "-x", "-p", "no:cacheprovider", *_tests_of(swap.file)]
         done = subprocess.run(command, cwd=root, env={**os.environ, "PYTHONPATH": str(root)}, capture_output=True)
         return done.returncode != 0
+
+
+def _tests_of(file: Path) -> list[str]:
+    """The files of tests that import this module."""
+    root = PACKAGE.parent
+    module = ".".join(file.relative_to(root).with_suffix("").parts)
+    tests = sorted((root / "tests" / "runtime").glob("test_*.py"))
+    return [str(one.relative_to(root)) for one in tests if f"from {module} import" in one.read_text()]
 
 
 if __name__ == "__main__":
