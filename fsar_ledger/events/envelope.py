@@ -22,6 +22,7 @@ Coordinator = NewType("Coordinator", str)
 Principal: TypeAlias = Robot | Supervisor | Service | Agent | Coordinator
 """Whoever can be on record for something."""
 
+# What is named after what it is about; to the type checker these are plain text.
 TaskId: TypeAlias = str
 ActionId: TypeAlias = str
 RequestId: TypeAlias = str

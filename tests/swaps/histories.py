@@ -11,6 +11,7 @@ from fsar_ledger.events.configuration import FULL, MECHANISMS_OF, without
 from fsar_ledger.events.envelope import Robot, Scenario, Supervisor, Workflow, flat
 from fsar_ledger.events.trust import RoleTrustSet
 from fsar_ledger.events.world import ActuatorDegraded, RobotCameBack, RobotWentOff
+from fsar_ledger.runtime.experiment import Experiment
 from fsar_ledger.runtime.handlers.advertising import (
     AdvertiseCapability,
     DeprecateCapability,
@@ -109,6 +110,10 @@ OUTAGE: tuple[tuple[int, Event], ...] = (
 """A robot is not as available in one capability as in another: it is off, it is back, its actuator wears."""
 
 
+def _planned() -> list[Event]:
+    return [Experiment(("fsar",), ("door-relay",), runs=1, seed=2, fleet_size=8).plan()]
+
+
 def _silent() -> list[Event]:
     return played(SILENT, facts=OUTAGE).events
 
@@ -127,6 +132,7 @@ def histories() -> Iterator[History]:
     yield _everything
     yield _trusting
     yield _silent
+    yield _planned
     plain, silent = Constants(), Constants(outages=Outages(off_rate_per_s=0.01, link_rate_per_s=0.02))
     for run in range(2):
         for scenario in SCENARIOS:
