@@ -81,6 +81,5 @@ def test_a_robot_in_the_place_of_a_supervisor_is_found_by_types() -> None:
     assert untyped([named("Parties: executed_by, supervised_by")]) == []
 
 
-@pytest.mark.slow
 def test_the_runs_of_the_soak_are_those_that_are_pinned() -> None:
     assert digest() == PINNED
